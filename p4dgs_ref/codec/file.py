@@ -1,0 +1,131 @@
+"""A model as a file: which section holds what, in which order, written and read.
+
+Section          content
+header           JSON: design, number of anchors A, background                                (header.py)
+positions        the box, 6 float32 (lo, then hi), then A times 3 uint16                      (raw)
+masks            A k bits, anchor by anchor: 1 where a child is kept                           (Bernoulli)
+hash_grid        one bit per entry, level by level, 1 for +1                                   (Bernoulli)
+features         A d symbols of f, anchor by anchor                                            (Gaussian)
+scales           A 3 symbols of s                                                              (Gaussian)
+offset_scales    A 3 symbols of l                                                              (Gaussian)
+offsets          3 symbols per kept child, anchor by anchor, child by child                    (Gaussian)
+anchor_mlps      psi_alpha, psi_c, psi_r, psi_s: layer by layer W (row by row), then b         (float16)
+context_mlps     psi_p, psi_q                                                                  (float16)
+deformation_mlp  psi_d; absent where nothing moves                                             (float16)
+
+All numbers are little-endian.  A decoder reads header, positions, hash_grid and context_mlps, computes the coding
+context (context.py), and can then read the Gaussian sections in any order; masks before offsets.
+"""
+import numpy as np
+
+from ..model import ANCHOR_NETWORKS, CONTEXT_NETWORKS, Anchors, Model, unsnap
+from .container import BitstreamError, read_container, write_container
+from .context import coding_context
+from .header import read_header, write_header
+from .quantise import coded, dequantise, quantise
+from .streams import decode_bits, decode_gaussian, encode_bits, encode_gaussian
+
+NETWORK_SECTIONS = {"anchor_mlps": ANCHOR_NETWORKS, "context_mlps": CONTEXT_NETWORKS, "deformation_mlp": ("psi_d",)}
+ATTRIBUTE_SECTIONS = ("features", "scales", "offset_scales", "offsets")        # groups f, s, l, O
+
+
+def attribute_columns(design):
+    """The columns of `model.join` that each attribute section holds: [(section, slice), ...]."""
+    ends = np.cumsum(design.widths)
+    return [(name, slice(end - width, end)) for name, end, width in zip(ATTRIBUTE_SECTIONS, ends, design.widths)]
+
+
+def sections_of(quantised):
+    """The sections {name: bytes} of a quantised model."""
+    model, ctx = quantised.model, quantised.context
+    box = np.concatenate(model.box).astype("<f4").tobytes()
+    grid = np.concatenate([g.ravel() for g in model.grids]) if model.grids else np.zeros(0)
+    sections = {"header": write_header(model), "positions": box + quantised.positions.astype("<u2").tobytes(),
+                "masks": encode_bits(model.anchors.mask.ravel()), "hash_grid": encode_bits(grid > 0)}
+    for name, columns in attribute_columns(model.design):
+        kept = quantised.kept[:, columns]
+        sections[name] = encode_gaussian(*(a[:, columns][kept] for a in
+                                           (quantised.symbols, ctx.mu_units, ctx.sigma_units)))
+    for name, members in NETWORK_SECTIONS.items():
+        arrays = [a for net in members if net in model.networks for pair in zip(*model.networks[net]) for a in pair]
+        if arrays:
+            sections[name] = np.concatenate([a.ravel() for a in arrays]).astype("<f2").tobytes()
+    return sections
+
+
+def encode(model):
+    """The file of a model, as bytes; the same model gives the same bytes.
+
+    Raises     EncodeError, OverflowError where a number does not fit the format
+    """
+    return write_container(sections_of(quantise(model)))
+
+
+def decode(data):
+    """The model in a file: bit for bit the one that `quantise` made of what was encoded.
+
+    Raises     BitstreamError naming section and offset for anything but a whole and consistent file
+    """
+    sections = read_container(data)
+    design, A, background = read_header(_section(sections, "header"))
+    box, positions = _read_positions(_section(sections, "positions"), A)
+    networks = _read_networks(sections, design)
+    sizes = [T * F for T, F in design.levels()]
+    bits = decode_bits(_section(sections, "hash_grid"), sum(sizes))
+    grids = [np.where(part, 1.0, -1.0).reshape(shape)
+             for part, shape in zip(np.split(bits, np.cumsum(sizes)[:-1]), design.levels())]
+    mask = decode_bits(_section(sections, "masks"), A * design.k).reshape(A, design.k)
+    x_a = unsnap(positions, *box)
+    ctx = coding_context(design, networks, grids, x_a, box)
+    kept = coded(mask, design)
+    symbols = np.zeros(kept.shape, np.int64)
+    for name, columns in attribute_columns(design):
+        part = np.zeros(kept[:, columns].shape, np.int64)
+        where = kept[:, columns]
+        part[where] = decode_gaussian(_section(sections, name), ctx.mu_units[:, columns][where],
+                                      ctx.sigma_units[:, columns][where])
+        symbols[:, columns] = part
+    f, s, l, O = dequantise(symbols, kept, ctx, design)
+    return Model(design, Anchors(x_a, f, s, l, O, mask), networks, grids, box, background)
+
+
+def _section(sections, name):
+    if name not in sections:
+        raise BitstreamError(name, 0, "section is missing")
+    return sections[name]
+
+
+def _read_positions(data, A):
+    """The box, two (3,) float32, and the symbols (A, 3) int64."""
+    if len(data) != 24 + 6 * A:
+        raise BitstreamError("positions", len(data), f"expected {24 + 6 * A} bytes for {A} anchors, found {len(data)}")
+    lo, hi = np.frombuffer(data, "<f4", 6).astype(np.float32).reshape(2, 3)
+    if not (np.isfinite([lo, hi]).all() and (lo <= hi).all() and np.abs([lo, hi]).max() <= 1e30):
+        raise BitstreamError("positions", 0, "expected a finite box with lo <= hi")
+    return (lo, hi), np.frombuffer(data, "<u2", offset=24).astype(np.int64).reshape(A, 3)
+
+
+def _read_networks(sections, design):
+    """Networks {name: (weights, biases)} in float64, in the order in which they are stored."""
+    networks, layers = {}, design.layers()
+    for section, members in NETWORK_SECTIONS.items():
+        present = [name for name in members if name in layers]
+        if not present:
+            if section in sections:
+                raise BitstreamError(section, 0, "the scene lists no effect that needs this section")
+            continue
+        data, start = _section(sections, section), 0
+        count = sum((rows + 1) * columns for name in present for rows, columns in layers[name])
+        if len(data) != 2 * count:
+            raise BitstreamError(section, len(data), f"expected {2 * count} bytes, found {len(data)}")
+        numbers = np.frombuffer(data, "<f2").astype(float)
+        if not np.isfinite(numbers).all():
+            raise BitstreamError(section, 2 * int(np.argmin(np.isfinite(numbers))), "expected finite weights")
+        for name in present:
+            weights, biases = [], []
+            for rows, columns in layers[name]:
+                weights.append(numbers[start:start + rows * columns].reshape(rows, columns))
+                biases.append(numbers[start + rows * columns:start + (rows + 1) * columns])
+                start += (rows + 1) * columns
+            networks[name] = (weights, biases)
+    return networks

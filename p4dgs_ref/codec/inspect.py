@@ -1,0 +1,57 @@
+"""Where the bytes of a file are, beside what the model says they should be."""
+import numpy as np
+
+from ..equations import likelihood
+from .container import SECTIONS, read_container
+from .file import attribute_columns, decode
+from .quantise import quantise
+
+
+def entropy_bits(flags):
+    """N+ (-log2 p+) + N- (-log2 p-) of a boolean array, Eq. (14): the best any Bernoulli stream can do."""
+    n = np.array([np.count_nonzero(flags), np.size(flags) - np.count_nonzero(flags)], float)
+    n = n[n > 0]
+    return float(-(n * np.log2(n / n.sum())).sum())
+
+
+def ledger(data):
+    """One row {name, bytes, estimate_bytes, symbols, bits_per_symbol} a section, in the order of the file.
+
+    The rows' bytes add up to len(data).  The estimate is the entropy under the float model where a section is
+    entropy coded, and the section itself where its content is stored as it is; the first row is the container.
+
+    Raises     BitstreamError for a file that cannot be decoded
+    """
+    sections = read_container(data)
+    model = decode(data)
+    q = quantise(model)                        # of an already rounded model: the same symbols, with their context
+    counts = {"positions": q.positions.size, "masks": model.anchors.mask.size,
+              "hash_grid": sum(grid.size for grid in model.grids)}
+    bits = {"masks": entropy_bits(model.anchors.mask),
+            "hash_grid": entropy_bits(np.concatenate([g.ravel() for g in model.grids] + [np.zeros(0)]) > 0)}
+    steps = np.repeat(q.context.q, model.design.widths, axis=1)
+    every = likelihood.forward(q.symbols * steps, q.context.mu, q.context.sigma, steps)[0].bits
+    for name, columns in attribute_columns(model.design):
+        bits[name] = float(every[:, columns][q.kept[:, columns]].sum())
+        counts[name] = int(q.kept[:, columns].sum())
+    frame = len(data) - sum(map(len, sections.values()))
+    rows = [{"name": "container", "bytes": frame, "estimate_bytes": float(frame), "symbols": None,
+             "bits_per_symbol": None}]
+    for name in SECTIONS:
+        if name not in sections:
+            continue
+        size, symbols = len(sections[name]), counts.get(name)
+        if name.endswith(("_mlps", "_mlp")):
+            symbols = size // 2
+        estimate = bits[name] / 8 if name in bits else float(size)
+        rows.append({"name": name, "bytes": size, "estimate_bytes": estimate, "symbols": symbols,
+                     "bits_per_symbol": 8 * size / symbols if symbols else None})
+    return rows
+
+
+def components(data):
+    """Bytes by component; the container's frame counts as header.  They add up to len(data)."""
+    sections = read_container(data)
+    frame = len(data) - sum(map(len, sections.values()))
+    sizes = {name: len(sections[name]) for name in SECTIONS if name in sections}
+    return {**sizes, "header": sizes.get("header", 0) + frame}

@@ -1,0 +1,229 @@
+"""A model of a scene, and the two pipelines of the paper's figures, forward and, below, backward.
+
+Fig. 1, rendering:  anchors -> canonical Gaussians -> Gaussians at time t -> image    (`predict`, `splatting.render`)
+Fig. 2, coding:     anchor positions -> hash grid -> steps q, means mu, deviations sigma    (`context`)
+"""
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from . import effects as fx
+from .equations import (color, deformation, deformed, hash_grid, masking, offsets, opacity, prior, rotation, scale,
+                        step, view)
+from .splatting import render
+from .splatting.settings import FAST
+
+ANCHOR_NETWORKS = ("psi_alpha", "psi_c", "psi_r", "psi_s")
+CONTEXT_NETWORKS = ("psi_p", "psi_q")
+LATTICE = 2**16 - 1                  # positions have 16 bits per axis over the bounding box (Q14)
+GROUPS = ("f", "s", "l", "O")        # attribute groups in coding order, one step q each (Q6)
+
+
+class Design(NamedTuple):
+    """What a decoder must know of a model besides its arrays; plain numbers and names, so it fits a JSON line."""
+
+    d: int                   # width of an anchor's feature
+    k: int                   # children of an anchor
+    hidden: tuple            # hidden widths of the anchor networks
+    deformation: tuple       # hidden widths of psi_d
+    L_x: int                 # frequencies of the positional encoding of x
+    L_t: int                 # and of t
+    context: tuple           # hidden widths of psi_p and psi_q
+    grid: tuple              # resolutions: (("xyz", 8), ("xy", 16), ...), order of Q11
+    table: tuple             # most entries of a level: (of a 3D grid, of a 2D grid)
+    F: int                   # features per grid node
+    Q_0: tuple               # base steps of f, s, l, O
+    tau_alpha: float
+    effects: tuple
+
+    @property
+    def widths(self):
+        """Coded numbers per anchor in each group: f, s, l, O."""
+        return self.d, 3, 3, 3 * self.k
+
+    def levels(self):
+        """Entries (T, F) of every level of the hash grid."""
+        return [(min(res ** len(axes), self.table[len(axes) == 2]), self.F) for axes, res in self.grid]
+
+    def layers(self):
+        """Rows and columns of every layer of every network; psi_d ends with its three heads, see `fx.heads`."""
+        geometry, seen = (self.d + fx.view_width(self.effects, which) for which in ("view_geometry", "view_color"))
+        h = len(self.grid) * self.F
+        widths = {"psi_alpha": (geometry, *self.hidden, self.k), "psi_c": (seen, *self.hidden, 3 * self.k),
+                  "psi_r": (geometry, *self.hidden, 4 * self.k), "psi_s": (geometry, *self.hidden, 3 * self.k),
+                  "psi_p": (h, *self.context, 2 * sum(self.widths)), "psi_q": (h, *self.context, len(GROUPS))}
+        layers = {name: list(zip(w[:-1], w[1:])) for name, w in widths.items()}
+        if fx.moves(self.effects):
+            trunk = (3 * (1 + 2 * self.L_x) + 1 + 2 * self.L_t, *self.deformation)
+            layers["psi_d"] = [*zip(trunk[:-1], trunk[1:]), *((trunk[-1], head) for head in fx.heads(self.effects))]
+        return layers
+
+
+class Anchors(NamedTuple):
+    """The five attributes of every anchor, linear values (Q5), and which children are kept (Q15)."""
+
+    x_a: np.ndarray    # (A, 3)
+    f_a: np.ndarray    # (A, d)
+    s_a: np.ndarray    # (A, 3)
+    l_a: np.ndarray    # (A, 3)
+    O_a: np.ndarray    # (A, k, 3)
+    mask: np.ndarray   # (A, k) bool
+
+
+class Gaussians(NamedTuple):
+    """What is rendered: N Gaussians at one time, seen from one camera."""
+
+    x: np.ndarray      # (N, 3)
+    s: np.ndarray      # (N, 3)
+    r: np.ndarray      # (N, 4) unit quaternion (w, x, y, z)
+    alpha: np.ndarray  # (N,)
+    color: np.ndarray  # (N, 3)
+    index: np.ndarray  # (N,) a k + j of the anchor and child each came from
+
+
+class PredictRes(NamedTuple):
+    canonical: np.ndarray  # (N, 3) centres before Eq. (6), where growing looks
+    view: object
+    opacity: object
+    color: object
+    rotation: object
+    scale: object
+    offsets: object
+    masking: object
+    deformation: object    # None where nothing moves or time has not started
+    deformed: object
+
+
+def join(anchors):
+    """The coded attributes of every anchor side by side, in the order of GROUPS: (A, d + 3 + 3 + 3k)."""
+    O = anchors.O_a.reshape(len(anchors.O_a), -1)
+    return np.concatenate([anchors.f_a, anchors.s_a, anchors.l_a, O], axis=1)
+
+
+def split(values, design):
+    """The inverse of `join`: f, s, l and O (A, k, 3), as views."""
+    f, s, l, O = np.split(values, np.cumsum(design.widths[:3]), axis=1)
+    return f, s, l, O.reshape(len(O), design.k, 3)
+
+
+def predict(design, networks, anchors, x_c, t=None):
+    """Spatial, then temporal prediction: (Gaussians, residual).  t None leaves time out, as stages 1 and 2 do.
+
+    Shapes     x_c (3,), t scalar; networks {name: (weights, biases)}
+    Gradient   as each equation says; none from E(x) back into x (Q10)
+    Reference  P-4DGS Fig. 1, Eqs. (1) to (6)
+    """
+    listed, nothing = design.effects, anchors.f_a[:, :0]
+    unseen, res_view = (nothing, nothing), None
+    if "view_color" in listed or "view_geometry" in listed:
+        seen, res_view = view.forward(anchors.x_a, x_c)
+    geometry = seen if "view_geometry" in listed else unseen
+    f_a = anchors.f_a
+    alpha, res_alpha = opacity.forward(f_a, *geometry, *networks["psi_alpha"])
+    c, res_c = color.forward(f_a, *(seen if "view_color" in listed else unseen), *networks["psi_c"])
+    r, res_r = rotation.forward(f_a, *geometry, *networks["psi_r"])
+    s, res_s = scale.forward(anchors.s_a, f_a, *geometry, *networks["psi_s"])
+    x, res_x = offsets.forward(anchors.x_a, anchors.O_a, anchors.l_a)
+    kept, res_m = masking.forward(alpha.alpha, anchors.mask, design.tau_alpha, x.x, c.color, s.s, r.r)
+    canonical = Gaussians(kept.x, kept.s, kept.r, kept.alpha, kept.color, kept.index)
+    res = PredictRes(kept.x, res_view, res_alpha, res_c, res_r, res_s, res_x, res_m, None, None)
+    if t is None or "psi_d" not in networks:
+        return canonical, res
+    delta, res_d = deformation.forward(kept.x, t, *networks["psi_d"], design.L_x, design.L_t)
+    at_t, res_t = deformed.forward(kept.x, kept.s, kept.r, *delta)
+    return (canonical._replace(x=at_t.x_t, s=at_t.s_t, r=at_t.r_t), res._replace(deformation=res_d, deformed=res_t))
+
+
+def predict_backward(res, x, s, r, alpha, color_bar):
+    """Gradients of the anchors' attributes {name: gradient} and of the networks {name: gradients}.
+
+    Takes the cotangents of the Gaussians' x, s, r, alpha and color (N, ...), in the order of the pipeline's end.
+    """
+    networks = {}
+    if res.deformed is not None:
+        moved = deformed.backward(res.deformed, x, s, r)
+        x, s, r = moved["x"], moved["s"], moved["r"]
+        networks["psi_d"] = deformation.backward(res.deformation, moved["delta_x"], moved["delta_s"],
+                                                 moved["delta_r"], needs_x=False)
+    full = masking.backward(res.masking, alpha, x, color_bar, s, r)
+    placed = offsets.backward(res.offsets, full["x"])
+    networks["psi_s"] = scale.backward(res.scale, full["s"])
+    networks["psi_r"] = rotation.backward(res.rotation, full["r"])
+    networks["psi_c"] = color.backward(res.color, full["color"])
+    networks["psi_alpha"] = opacity.backward(res.opacity, full["alpha"])
+    anchors = {"x_a": placed["x_a"], "O_a": placed["O_a"], "l_a": placed["l_a"], "s_a": networks["psi_s"]["s_a"],
+               "f_a": sum(networks[name]["f_a"] for name in ANCHOR_NETWORKS)}
+    if res.view is not None:                      # every network that sees the view sends its gradient back
+        seen = [networks[name] for name in ANCHOR_NETWORKS if networks[name]["d_vc"].shape[1]]
+        back = view.backward(res.view, sum(n["delta_vc"] for n in seen), sum(n["d_vc"] for n in seen))
+        anchors["x_a"] = anchors["x_a"] + back["x_a"]
+    return anchors, networks
+
+
+def bounding_box(x_a):
+    """The corners (lo, hi) of the anchors' box as float32, the precision in which a file carries them."""
+    return x_a.min(axis=0).astype(np.float32), x_a.max(axis=0).astype(np.float32)
+
+
+def snap(x_a, lo, hi):
+    """Positions on the 16-bit lattice of the box, round to nearest (Q14): (symbols int64, positions float64)."""
+    lo, extent = lo.astype(float), hi.astype(float) - lo
+    symbols = np.rint((np.clip(x_a, lo, hi) - lo) / np.where(extent > 0, extent, 1) * LATTICE).astype(np.int64)
+    return symbols, unsnap(symbols, lo, hi)
+
+
+def unsnap(symbols, lo, hi):
+    """Positions of lattice symbols: (A, 3) integers in 0 ... 65535 -> float64."""
+    return lo.astype(float) + symbols * ((hi.astype(float) - lo) / LATTICE)
+
+
+class Context(NamedTuple):
+    """How the attributes of every anchor are quantised and coded; columns as in `join`."""
+
+    q: np.ndarray      # (A, 4) steps of f, s, l, O
+    mu: np.ndarray     # (A, d + 3 + 3 + 3k)
+    sigma: np.ndarray  # (A, d + 3 + 3 + 3k)
+
+
+def context(design, networks, grids, located):
+    """Hash grid, adaptive steps and prior: (Context, residual).  `located` is `hash_grid.locate` of the positions.
+
+    Reference  P-4DGS Fig. 2, Eqs. (8), (9), (12)
+    """
+    h, res_h = hash_grid.query(located, grids)
+    q, res_q = step.forward(h.h, *networks["psi_q"], np.array(design.Q_0, h.h.dtype))
+    p, res_p = prior.forward(h.h, *networks["psi_p"], design.widths)
+    return Context(q.q, p.mu, p.sigma), (res_h, res_q, res_p)
+
+
+def context_backward(res, q_bar, mu_bar, sigma_bar):
+    """Gradients of the grids [level, ...] and of {"psi_q": gradients, "psi_p": gradients}."""
+    res_h, res_q, res_p = res
+    steps = step.backward(res_q, q_bar)
+    priors = prior.backward(res_p, mu_bar, sigma_bar)
+    grids = hash_grid.backward(res_h, steps["h"] + priors["h"])["grids"]
+    return grids, {"psi_q": steps, "psi_p": priors}
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A model that is ready to render or to be coded; what `decode` returns and `train` ends with."""
+
+    design: Design
+    anchors: Anchors
+    networks: dict             # name -> (weights, biases)
+    grids: list                # levels (T, F); the sign of an entry is all that counts
+    box: tuple                 # (lo, hi), each (3,): the bounding box in which positions have 16 bits
+    background: np.ndarray     # (3,)
+
+    def gaussians(self, t, camera):
+        """The Gaussians at time t in [0, 1] as that camera sees them."""
+        return predict(self.design, self.networks, self.anchors, np.asarray(camera.center, self.anchors.x_a.dtype), t)[0]
+
+    def render(self, camera, t, settings=FAST):
+        """An image (H, W, 3), values usually but not necessarily in [0, 1]; clip before you save it."""
+        g = self.gaussians(t, camera)
+        out, _ = render.forward(g.x, g.s, g.r, g.alpha, g.color, camera, self.background, settings,
+                                "occlusion" in self.design.effects)
+        return out.image

@@ -1,0 +1,1 @@
+"""Parameters of networks and anchors, their initial values, Adam, and learning-rate schedules."""

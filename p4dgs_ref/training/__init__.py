@@ -1,0 +1,1 @@
+"""Fitting a scene: presets, the four stages, growing and pruning, checkpoints."""

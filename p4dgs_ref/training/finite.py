@@ -1,0 +1,86 @@
+"""Where did the first number that is none come from?  Runs one iteration again and watches every equation."""
+import importlib
+from contextlib import contextmanager
+
+import numpy as np
+
+from ..equations import EQUATIONS
+from ..splatting import fast
+from . import objective
+
+
+class NotFinite(ArithmeticError):
+    """Training met a NaN or an infinity; the message names the iteration, equation, array and index."""
+
+    def __init__(self, iteration, found):
+        super().__init__(f"iteration {iteration}: {found}")
+
+
+class _Found(Exception):
+    pass
+
+
+def _arrays(value, name):
+    """Every array in a (nested) NamedTuple, list or dictionary, with its name."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _arrays(item, str(key))
+    elif hasattr(value, "_asdict"):
+        yield from _arrays(value._asdict(), name)
+    elif isinstance(value, (list, tuple)):
+        for i, item in enumerate(value):
+            yield from _arrays(item, f"{name}[{i}]")
+    elif isinstance(value, (np.ndarray, np.floating)) and np.asarray(value).dtype.kind == "f":
+        yield name, np.asarray(value)
+
+
+def _check(where, value):
+    for name, array in _arrays(value, "value"):
+        wrong = np.argwhere(~np.isfinite(array))
+        if len(wrong):
+            index = tuple(int(i) for i in wrong[0])
+            raise _Found(f"{where}: {name}{list(index)} is {array[index]}")
+
+
+@contextmanager
+def watched():
+    """Within it, every forward and backward of the table of equations raises at its first non-finite output."""
+    modules = {equation.key: importlib.import_module(equation.module) for equation in EQUATIONS.values()}
+    modules["compositing, fast"] = fast
+    kept = {key: (module.forward, module.backward) for key, module in modules.items()}
+
+    def forward_of(key, function):
+        def run(*args, **kwargs):
+            out, res = function(*args, **kwargs)
+            _check(f"equation {key!r}, forward", out)
+            return out, res
+        return run
+
+    def backward_of(key, function):
+        def run(*args, **kwargs):
+            gradients = function(*args, **kwargs)
+            _check(f"equation {key!r}, backward, gradient of", gradients)
+            return gradients
+        return run
+
+    try:
+        for key, module in modules.items():
+            module.forward, module.backward = forward_of(key, kept[key][0]), backward_of(key, kept[key][1])
+        yield
+    finally:
+        for key, module in modules.items():
+            module.forward, module.backward = kept[key]
+
+
+def find_first(p, *inputs):
+    """A sentence that names the first equation and array in which an iteration stops being finite."""
+    try:
+        _check("parameter", p.arrays)
+        with np.errstate(all="ignore"), watched():
+            losses, _, res = objective.forward(p, *inputs)
+            gradients, _ = objective.backward(res)
+            _check("objective", losses._asdict())
+            _check("gradient of", gradients.arrays)
+    except _Found as found:
+        return str(found)
+    return "a non-finite value that did not come back when the iteration was repeated"

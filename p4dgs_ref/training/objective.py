@@ -1,0 +1,157 @@
+"""The training objective of one view, forward and backward: Eqs. (7), (11), (13) to (17) around the two pipelines.
+
+Every equation of the paper meets here: `forward` runs them in the order of the paper's figures, `backward`
+runs their backwards in the opposite order and adds up where a quantity was used twice.
+"""
+from typing import NamedTuple
+
+import numpy as np
+
+from ..equations import anchor_rate, hash_rate, likelihood, noise, rate_loss, render_loss, total_loss
+from ..model import Anchors, context, context_backward, predict, predict_backward, split
+from ..splatting import render
+
+ATTRIBUTES = ("f_a", "log_s", "log_l", "O_a")      # the parameters behind the groups f, s, l, O
+
+
+class Fixed(NamedTuple):
+    """What an iteration takes as given."""
+
+    mask: np.ndarray       # (A, k) children kept (Q15)
+    located: object        # hash_grid.locate of the frozen positions; None before stage 4
+    background: np.ndarray # (3,)
+    noisy: bool            # stage 2 on
+    moving: bool           # stage 3 on
+    lambda_rate: float
+    lambda_ssim: float
+    lambda_volume: float
+    settings: object       # of the renderer
+
+
+class Losses(NamedTuple):
+    L_total: float
+    L_render: float
+    L1: float
+    D_SSIM: float
+    L_rate: float          # bits per coded number; 0 before stage 4
+    bits: float
+
+
+class Seen(NamedTuple):
+    """What growing and pruning look at."""
+
+    alpha: np.ndarray      # (A, k) opacities before masking
+    index: np.ndarray      # (N,) a k + j of the rendered Gaussians
+    visible: np.ndarray    # (N,) bool
+    x: np.ndarray          # (N, 3) canonical centres
+    image: np.ndarray      # (H, W, 3)
+
+
+def linear_values(p):
+    """The coded attributes side by side (A, n), as `model.join`: logarithms undone (Q5)."""
+    O = p["O_a"].reshape(len(p["O_a"]), -1)
+    return np.concatenate([p["f_a"], np.exp(p["log_s"]), np.exp(p["log_l"]), O], axis=1)
+
+
+def forward(p, design, networks, grids, fixed, view, u):
+    """Losses of one view.
+
+    Shapes     p: Parameters; networks, grids: views into p; u (A, n) noise in [-1/2, 1/2), unused in stage 1
+    Gradient   every array of p; positions through the render only; see each equation for kinks
+    Choice     Q12 rate per number; Q23 one noise for render and rate; Q25 volume term; Q10 in `predict`
+    Reference  P-4DGS Eqs. (15) to (17), Figs. 1 and 2
+    """
+    values = linear_values(p)
+    groups = np.split(values, np.cumsum(design.widths[:3]), axis=1)
+    q, ctx, res_c = None, None, None
+    if fixed.located is not None:
+        ctx, res_c = context(design, networks, grids, fixed.located)
+        q = ctx.q
+    elif fixed.noisy:
+        q = np.tile(np.array(design.Q_0, values.dtype), (len(values), 1))
+    res_n, noisy = [], values
+    if q is not None:
+        parts = np.split(u, np.cumsum(design.widths[:3]), axis=1)
+        moved = [noise.forward(f, part, q[:, i:i + 1]) for i, (f, part) in enumerate(zip(groups, parts))]
+        noisy, res_n = np.concatenate([out.f_noisy for out, _ in moved], axis=1), [res for _, res in moved]
+    f, s, l, O = split(noisy, design)
+    anchors = Anchors(p["x_a"], f, s, l, O, fixed.mask)
+    g, res_p = predict(design, networks, anchors, view.camera.center.astype(values.dtype),
+                       view.time if fixed.moving else None)
+    out, res_r = render.forward(g.x, g.s, g.r, g.alpha, g.color, view.camera, fixed.background, fixed.settings,
+                                "occlusion" in design.effects)
+    loss, res_l = render_loss.forward(out.image, view.image.astype(out.image.dtype), fixed.lambda_ssim)
+    volume = fixed.lambda_volume * float(np.prod(g.s, axis=1).mean()) if len(g.s) else 0.0
+    rate, L_rate, bits, res_b = None, 0.0, 0.0, None
+    if ctx is not None:
+        rate, res_b = _rate_forward(noisy, ctx, grids, fixed.mask, design)
+        L_rate, bits = float(rate.L_rate), float(rate.bits)
+    total, res_t = total_loss.forward(np.float64(loss.L_render), np.float64(L_rate), fixed.lambda_rate)
+    losses = Losses(float(total.L_total) + volume, float(loss.L_render), float(loss.L1), float(loss.D_SSIM), L_rate, bits)
+    seen = Seen(res_p.opacity.alpha, g.index, res_r.splats.visible, res_p.canonical, out.image)
+    res = dict(p=p, design=design, values=values, noise=res_n, context=res_c, predict=res_p, render=res_r, g=g,
+               loss=res_l, rate=res_b, total=res_t, fixed=fixed, n=len(g.s))
+    return losses, seen, res
+
+
+def _rate_forward(noisy, ctx, grids, mask, design):
+    """Bits of the noisy attributes and of the grid (Eqs. 11, 13, 14, 17)."""
+    columns = np.repeat(ctx.q, design.widths, axis=1)
+    bits, res_bits = likelihood.forward(noisy, ctx.mu, ctx.sigma, columns)
+    f, s, l, O = split(bits.bits, design)
+    anchors, res_a = anchor_rate.forward(f, O, l, s, mask)
+    grid, res_h = hash_rate.forward(grids)
+    out, res = rate_loss.forward(anchors.R_anchor, grid.R_hash, noisy.size)
+    return out, (res_bits, res_a, res_h, res)
+
+
+def _rate_backward(res, L_rate_bar, design):
+    """Gradients of the noisy attributes, mu, sigma, q (A, 4) and the grids."""
+    res_bits, res_a, res_h, res_l = res
+    top = rate_loss.backward(res_l, L_rate_bar=L_rate_bar)
+    grids = hash_rate.backward(res_h, top["R_hash"])["grids"]
+    parts = anchor_rate.backward(res_a, top["R_anchor"])
+    O = parts["bits_O"].reshape(len(parts["bits_O"]), -1)
+    bits_bar = np.concatenate([parts["bits_f"], parts["bits_s"], parts["bits_l"], O], axis=1)
+    bars = likelihood.backward(res_bits, bits_bar)
+    starts = np.cumsum((0, *design.widths[:3]))
+    return bars["f_noisy"], bars["mu"], bars["sigma"], np.add.reduceat(bars["q"], starts, axis=1), grids
+
+
+def backward(res):
+    """Gradients of L_total as Parameters of the same layout, and the splats' mean2d gradient (N, 2)."""
+    p, design, fixed, g = res["p"], res["design"], res["fixed"], res["g"]
+    gradients, dtype = p.zeros(), p.vector.dtype
+    top = total_loss.backward(res["total"], 1.0)
+    image_bar = render_loss.backward(res["loss"], L_render_bar=top["L_render"])["image"]
+    bars = render.backward(res["render"], image_bar)
+    s_bar = bars["s"]
+    if fixed.lambda_volume and res["n"]:                       # the mean of s_0 s_1 s_2
+        s = g.s.astype(float)
+        s_bar = s_bar + fixed.lambda_volume / res["n"] * s[:, [1, 2, 0]] * s[:, [2, 0, 1]]
+    anchors, networks = predict_backward(res["predict"], *(bar.astype(dtype) for bar in (
+        bars["x"], s_bar, bars["r"], bars["alpha"], bars["color"])))
+    O = anchors["O_a"].reshape(len(anchors["O_a"]), -1)
+    noisy_bar = np.concatenate([anchors["f_a"], anchors["s_a"], anchors["l_a"], O], axis=1)
+    grids_bar = mu_bar = sigma_bar = rate_q = None
+    if res["rate"] is not None:
+        rate_bar, mu_bar, sigma_bar, rate_q, grids_bar = _rate_backward(res["rate"], top["L_rate"], design)
+        noisy_bar = noisy_bar + rate_bar                       # one noisy tensor was rendered and rated (Q23)
+    values_bar = noisy_bar
+    if res["noise"]:
+        parts = [noise.backward(r, bar) for r, bar in
+                 zip(res["noise"], np.split(noisy_bar, np.cumsum(design.widths[:3]), axis=1))]
+        values_bar = np.concatenate([part["f"] for part in parts], axis=1)
+        if res["context"] is not None:
+            q_bar = np.concatenate([part["q"] for part in parts], axis=1) + rate_q
+            context_grids, context_nets = context_backward(res["context"], q_bar, mu_bar, sigma_bar)
+            networks.update(context_nets)
+            for i, (a, b) in enumerate(zip(context_grids, grids_bar)):
+                gradients[f"grid.{i}"][...] = a + b
+    values_bar[:, design.d:design.d + 6] *= res["values"][:, design.d:design.d + 6]      # through exp: log_s, log_l
+    for name, bar in zip(ATTRIBUTES, np.split(values_bar, np.cumsum(design.widths[:3]), axis=1)):
+        gradients[name][...] = bar.reshape(gradients[name].shape)
+    gradients["x_a"][...] = anchors["x_a"]
+    for name, bars_of in networks.items():
+        gradients.fill(name, bars_of)
+    return gradients, bars["mean2d"]

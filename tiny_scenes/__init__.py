@@ -1,0 +1,1 @@
+"""Packaged scenes, data only: `p4dgs_ref.load_scene("bouncing")` finds them here."""
