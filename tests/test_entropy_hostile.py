@@ -139,3 +139,5 @@ def test_damaged_bit_streams():
     for certain in (bytes(4), bytes([0, 0, 0, 1])):
         with pytest.raises(BitstreamError, match="left over"):
             decode_bits(certain + b"\0", 5)
+    with pytest.raises(BitstreamError, match="a probability of 16777217"):
+        decode_bits(bytes([1, 0, 0, 1]) + data[4:], len(bits))

@@ -2,10 +2,10 @@ r"""Eq. (14): the bits of the binary hash grid under one shared probability.
 
 .. math:: R_{hash} = N_+ (-\log_2 p_+) + N_- (-\log_2 p_-), \qquad p_\pm = N_\pm / N
 """
+import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import xlogy
 
 from .equation import Case, declare
 
@@ -22,10 +22,10 @@ class Res(NamedTuple):
     n: int
 
 
-def _entropy(n_pos, n):
-    """Bits of n flags of which n_pos are set; xlogy(0, 0) = 0 where a logarithm would meet zero."""
-    p = n_pos / n if n else 0.0
-    return -(xlogy(n_pos, p) + xlogy(n - n_pos, 1 - p)) / np.log(2)
+def entropy(n_pos, n_neg):
+    """Bits of so many signs of either kind; the counts may be real, and a kind that does not occur costs nothing."""
+    # -log p = log(1 + other / own): with p next to 1 the logarithm of p itself would have lost the digits
+    return sum(own * math.log1p(other / own) for own, other in ((n_pos, n_neg), (n_neg, n_pos)) if own) / math.log(2)
 
 
 def forward(grids):
@@ -43,7 +43,7 @@ def forward(grids):
     n = sum(grid.size for grid in grids)
     n_pos = sum(int(np.count_nonzero(grid >= 0)) for grid in grids)
     dtype = grids[0].dtype if grids else np.float64
-    return (Out(np.asarray(_entropy(n_pos, n), dtype), np.asarray(n_pos), np.asarray(n - n_pos)),
+    return (Out(np.asarray(entropy(n_pos, n - n_pos), dtype), np.asarray(n_pos), np.asarray(n - n_pos)),
             Res(grids, n_pos, n))
 
 
@@ -62,7 +62,7 @@ def surrogate(grids):
         b = [start + np.clip(grid, -1, 1) for start, grid in zip(base, grids)]
         n = sum(x.size for x in b)
         n_pos = sum((1 + x).sum() / 2 for x in b)
-        return Out(np.asarray(_entropy(n_pos, n)), np.asarray(0), np.asarray(0))
+        return Out(np.asarray(entropy(n_pos, n - n_pos)), np.asarray(0), np.asarray(0))
 
     return smooth
 

@@ -48,7 +48,8 @@ def backward(res, bits_bar):
 
 def literal(f_noisy, mu, sigma, q):
     """Rung: the printed difference, wrong in the tails and for narrow bins."""
-    return forward(f_noisy, mu, sigma, q, gaussian_bin.literal)
+    with np.errstate(invalid="ignore"):                # infinite slopes of infinite bits: inf - inf
+        return forward(f_noisy, mu, sigma, q, gaussian_bin.literal)
 
 
 def hac(f_noisy, mu, sigma, q):

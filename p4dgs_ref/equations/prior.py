@@ -55,7 +55,8 @@ def backward(res, mu_bar=None, sigma_bar=None):
         y_bar[:, res.columns[0]] = mu_bar
     if sigma_bar is not None:
         y_bar[:, res.columns[1]] = sigma_bar * res.sigma * res.free
-    return {{"x": "h"}.get(name, name): value for name, value in mlp.backward(res.mlp, y_bar).items()}
+    gradients = mlp.backward(res.mlp, y_bar)
+    return {"h": gradients["x"], "weights": gradients["weights"], "biases": gradients["biases"]}
 
 
 def cases():
@@ -66,7 +67,8 @@ def cases():
     yield Case("no_anchor", {**inputs, "h": inputs["h"][:0]}, ("empty",))
     # by hand: groups of 1 and 2, output (mu_0, raw_0, mu_1, mu_2, raw_1, raw_2); raw on, beyond and inside its clamp
     yield Case("clamped", dict(h=np.zeros((1, 1)), weights=[np.zeros((1, 6))], widths=(1, 2),
-                               biases=[np.array([1.0, -14.0, 2.0, 3.0, 7.0, 0.0])]), ("clamped", "single"), smooth=False,
+                               biases=[np.array([1.0, -14.0, 2.0, 3.0, 7.0, 0.0])]), ("clamped", "single"),
+               smooth=False,
                cotangents={"mu_bar": np.array([[2.0, 3.0, 5.0]]), "sigma_bar": np.array([[7.0, 11.0, 13.0]])},
                expected={"mu": np.array([[1.0, 2.0, 3.0]]), "sigma": np.array([[np.exp(-14), np.exp(6), 1.0]]),
                          "biases_bar": [np.array([2.0, 7 * np.exp(-14), 3.0, 5.0, 0.0, 13.0])]})

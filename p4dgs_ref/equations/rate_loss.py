@@ -51,5 +51,5 @@ def cases():
 
 
 rate_loss = declare("rate_loss", "17", "bits = R_anchor + R_hash, L_rate = bits / n_parameters",
-                    {"R_anchor": "", "R_hash": "", "n_parameters": "", "bits": "", "L_rate": ""}, ("R_anchor", "R_hash"),
-                    forward, backward, cases)
+                    {"R_anchor": "", "R_hash": "", "n_parameters": "", "bits": "", "L_rate": ""},
+                    ("R_anchor", "R_hash"), forward, backward, cases)

@@ -25,19 +25,20 @@ def forward(f, q):
 
     Shapes     f (A, n), q (A, 1) -> symbols (A, n), f_hat (A, n)
     Units      f, q, f_hat: of the attribute; symbols: dimensionless
-    Domain     q > 0, |f/q| < 2^31 and finite
+    Domain     q > 0, |f/q| < 2^31 and finite; divided in float64 whatever comes in
     Raises     OverflowError naming the first element outside the domain
     Gradient   none; training uses Eq. (7) instead
     Choice     Q19: ties to even, the grid centred at 0 (mu shifts the density only); -0 counts as 0
     Reference  P-4DGS Eq. (10)
     """
-    ratio = np.rint(f / q)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        ratio = np.rint(np.divide(f, q, dtype=np.float64))     # a quotient in float32 can fall on a tie that is none
     wrong = np.argwhere(~(np.abs(ratio) < LIMIT))
     if len(wrong):
         a, i = (int(j) for j in wrong[0])
         raise OverflowError(f"f[{a}, {i}] = {f[a, i]} at step {q[a, 0]}: expected |f/q| below 2^31")
     symbols = ratio.astype(np.int64)
-    return Out(symbols, symbols.astype(ratio.dtype) * q), Res()
+    return Out(symbols, (symbols * q.astype(np.float64)).astype(f.dtype)), Res()
 
 
 def backward(res, f_hat_bar=None):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .equation import Case, declare
-from .window import blur
+from .window import blur, to_rows
 
 C1, C2 = 0.01**2, 0.03**2
 
@@ -66,11 +66,6 @@ def moments(truth):
     y = to_rows(truth)
     mu, square = blur(np.stack([y, y * y], axis=1)).swapaxes(0, 1)
     return Moments(y, mu, square - mu * mu)
-
-
-def to_rows(image):
-    """(H, W, C) to (H, C, W) float64: columns last, so that both directions of a blur are plain matrix products."""
-    return np.ascontiguousarray(image.transpose(0, 2, 1), dtype=np.float64)
 
 
 def backward(res, ssim_bar):

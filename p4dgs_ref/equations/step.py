@@ -18,8 +18,7 @@ class Out(NamedTuple):
 
 
 class Res(NamedTuple):
-    share: np.ndarray  # (A, G)  sigmoid(2 psi_q), q / (2 Q_0) before the floor
-    Q_0: np.ndarray    # (G,)    the untouched input
+    slope: np.ndarray  # (A, G)  dq / d psi_q
     mlp: mlp.Res
 
 
@@ -36,12 +35,14 @@ def forward(h, weights, biases, Q_0):
     """
     y, res = mlp.forward(h, weights, biases)
     share = expit(2 * y.y)
-    return Out(2 * Q_0 * np.maximum(share, FLOOR / 2)), Res(share, Q_0, res)
+    # sigmoid' = s (1 - s), where 1 - s is sigmoid(-v): it keeps its digits where s rounds to 1
+    slope = np.where(share >= FLOOR / 2, 4 * Q_0 * share * expit(-2 * y.y), 0)
+    return Out(2 * Q_0 * np.maximum(share, FLOOR / 2)), Res(slope, res)
 
 
 def backward(res, q_bar):
-    slope = 4 * res.share * (1 - res.share) * (res.share >= FLOOR / 2)     # sigmoid(2y)' = 2 s (1 - s), times 2 Q_0
-    return {{"x": "h"}.get(name, name): value for name, value in mlp.backward(res.mlp, q_bar * res.Q_0 * slope).items()}
+    gradients = mlp.backward(res.mlp, q_bar * res.slope)
+    return {"h": gradients["x"], "weights": gradients["weights"], "biases": gradients["biases"]}
 
 
 def cases():
@@ -56,8 +57,10 @@ def cases():
                smooth=False, cotangents={"q_bar": np.array([[2.0, 3.0, 5.0, 7.0]])},
                expected={"q": np.array([[1.0, 1.7615941559557649, FLOOR, FLOOR]]),
                          "biases_bar": [np.array([2.0, 3 * 0.41997434161402607, 0.0, 0.0])]})
-    yield Case("large", {**flat, "biases": [np.array([20.0, 44.0, 400.0, 1e4])]}, ("saturated",),
-               expected={"q": np.full((1, 4), 2.0)})
+    # 1 - tanh^2 is 0 in floats from 19 on; the slope is 4 exp(-2u)
+    yield Case("large", {**flat, "biases": [np.array([20.0, 30, 400, 1e4])]}, ("saturated", "extreme"), smooth=False,
+               cotangents={"q_bar": np.array([[0.0, 5.0, 7.0, 11.0]])},
+               expected={"q": np.full((1, 4), 2.0), "biases_bar": [np.array([0, 20 * np.exp(-60), 0, 0])]})
 
 
 step = declare("step", "8", "q = Q_0 (1 + tanh(psi_q(h)))",

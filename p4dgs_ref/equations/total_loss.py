@@ -46,4 +46,5 @@ def cases():
 
 
 total_loss = declare("total_loss", "15", "L_total = lambda_rate L_rate + L_render",
-                     {"L_render": "", "L_rate": "", "lambda_rate": "", "L_total": ""}, ("L_render", "L_rate"), forward, backward, cases)
+                     {"L_render": "", "L_rate": "", "lambda_rate": "", "L_total": ""},
+                     ("L_render", "L_rate"), forward, backward, cases)

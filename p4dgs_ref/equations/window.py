@@ -9,13 +9,17 @@ _tap = np.exp(-0.5 * (np.arange(-RADIUS, RADIUS + 1) / SIGMA) ** 2)
 WINDOW = np.array([np.pad(_tap / _tap.sum(), (i, BLOCK - 1 - i)) for i in range(BLOCK)])
 
 
+def to_rows(image):
+    """(H, W, C) to (H, C, W) float64: columns last, so that both directions of a blur are plain matrix products."""
+    return np.ascontiguousarray(image.transpose(0, 2, 1), dtype=np.float64)
+
+
 def blur(a):
-    """Average over the window, zero outside the image; a (H, ..., W).  Symmetric, hence its own adjoint."""
+    """Average a (H, ..., W) float64 over the window, with zeros around the image.  Symmetric: its own adjoint."""
     H, W = a.shape[0], a.shape[-1]
-    down = np.empty_like(a)
+    down, across = np.empty(a.shape), np.empty(a.shape)
     for start, stop, reach, window in blocks(H):
         np.matmul(window, a.reshape(H, -1)[reach], out=down.reshape(H, -1)[start:stop])
-    across = np.empty_like(a)
     for start, stop, reach, window in blocks(W):
         np.matmul(down.reshape(-1, W)[:, reach], window.T, out=across.reshape(-1, W)[:, start:stop])
     return across
