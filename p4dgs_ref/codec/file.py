@@ -71,10 +71,10 @@ def decode(data):
     box, positions = _read_positions(_section(sections, "positions"), A)
     networks = _read_networks(sections, design)
     sizes = [T * F for T, F in design.levels()]
-    bits = decode_bits(_section(sections, "hash_grid"), sum(sizes))
+    bits = decode_bits(_section(sections, "hash_grid"), sum(sizes), section="hash_grid")
     grids = [np.where(part, 1.0, -1.0).reshape(shape)
              for part, shape in zip(np.split(bits, np.cumsum(sizes)[:-1]), design.levels())]
-    mask = decode_bits(_section(sections, "masks"), A * design.k).reshape(A, design.k)
+    mask = decode_bits(_section(sections, "masks"), A * design.k, section="masks").reshape(A, design.k)
     x_a = unsnap(positions, *box)
     ctx = coding_context(design, networks, grids, x_a, box)
     kept = coded(mask, design)
@@ -83,7 +83,7 @@ def decode(data):
         part = np.zeros(kept[:, columns].shape, np.int64)
         where = kept[:, columns]
         part[where] = decode_gaussian(_section(sections, name), ctx.mu_units[:, columns][where],
-                                      ctx.sigma_units[:, columns][where])
+                                      ctx.sigma_units[:, columns][where], section=name)
         symbols[:, columns] = part
     f, s, l, O = dequantise(symbols, kept, ctx, design)
     return Model(design, Anchors(x_a, f, s, l, O, mask), networks, grids, box, background)

@@ -7,6 +7,7 @@ from ..codec.file import decode, encode
 from ..codec.inspect import components
 from ..training.checkpoint import write_atomically
 from ..training.fit import fit
+from ..training.presets import PRESETS, differences
 from .evaluate import FLOATS_WITHOUT_SH_REST, evaluate, explicit_bytes, json_safe
 from .report import write_report
 
@@ -31,13 +32,14 @@ def main_job(scene, preset, seed, folder, start=None, stream=None, **changes):
     write_atomically(path, lambda file: file.write(data))
     model, decode_seconds = timed(decode, path.read_bytes())
     metrics, rows, images = evaluate(model, scene)
+    changed = {field: here for field, _, here in differences(trainer.preset, PRESETS[trainer.preset.name])}
     sizes, explicit = components(data), explicit_bytes(model, metrics["gaussians"])
     metrics = {"scene": scene.name, "preset": trainer.preset.name, "seed": seed, **json_safe(metrics),
                "bytes": len(data), "train_seconds": train_seconds,
                "ms_per_step": 1e3 * train_seconds / trainer.preset.iterations, "encode_seconds": encode_seconds,
                "decode_seconds": decode_seconds, "explicit_bytes": explicit, "ratio": explicit / len(data),
                "ratio_without_sh": explicit_bytes(model, metrics["gaussians"], FLOATS_WITHOUT_SH_REST) / len(data),
-               "components": sizes, "effects": list(scene.effects), "changes": {k: str(v) for k, v in changes.items()}}
+               "components": sizes, "effects": list(scene.effects), "changes": changed}
     write_report(folder, model, scene, rows, images, sizes, explicit, trainer.history, trainer.preset.stage_ends)
     metrics["seconds"] = time.perf_counter() - start
     text = json.dumps(metrics, indent=1).encode() + b"\n"

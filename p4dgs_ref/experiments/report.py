@@ -99,11 +99,11 @@ def draw_training(path, history, stage_ends):
     bottom.plot(at[rated], table["bits_per_parameter"][rated], color=COLORS[3])
     bottom.set(xlabel="iteration", ylabel="bits per coded number", ylim=(0, None))
     starts = (0, *stage_ends[:3])
-    for start, end, name in zip(starts, stage_ends, STAGE_NAMES):
+    for number, (start, end, name) in enumerate(zip(starts, stage_ends, STAGE_NAMES), 1):
         if end > start:
             for ax in (top, bottom):
                 ax.axvline(start, color="#bbbbbb", linewidth=0.8)
-            label = name if end - start > 0.12 * stage_ends[-1] else ""
+            label = f"{number} {name}" if end - start > 0.12 * stage_ends[-1] else f"{number}"
             top.text(start + 0.005 * stage_ends[-1], top.get_ylim()[1], label, va="bottom", fontsize=11)
     save_figure(figure, path)
 

@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 from .compositing import Out
 from .tiles import bin_splats
 
-RANKS = 16             # depth ranks that are evaluated together; 16 to 32 cost the same
+RANKS = 32             # depth ranks that are evaluated together; 16 to 32 cost about the same
 NOTHING = (-1e4, 0, 0, 0, 0, 0)        # coefficients of a pair with alpha 0: exp(-1e4) is zero in every dtype
 
 

@@ -88,9 +88,9 @@ PAPER_REAL = Preset(name="paper_real", voxel=0.01, d=32, hidden=(64, 64), contex
 TINY = Preset(
     name="tiny", anchors=200, extent=1.0, voxel=0.001, k=4, hidden=(32, 32), deformation=(64, 64), L_x=4, L_t=4,
     context=(16, 16), grid_3d=(8,), grid_2d=(16,), F=2, feature_std=0.1, opacity_bias=0.3, upright=True,
-    deformation_gain=0.01, Q_f=0.5, Q_s=0.01, Q_l=0.01, Q_O=0.1, stage_ends=(200, 300, 1800, 3800),
+    deformation_gain=0.01, Q_f=0.25, Q_s=0.01, Q_l=0.01, Q_O=0.1, stage_ends=(200, 300, 1800, 3800),
     lambda_volume=0.01, decay_from=300, lr_x=(0.002, 2e-4), lr_f=(0.015, 1.5e-3), lr_s=(0.014, 1.4e-3),
-    lr_l=(0.014, 1.4e-3), lr_O=(0.02, 1e-3), lr_alpha=(0.004, 2e-4), lr_c=(0.008, 4e-4), lr_r=(0.008, 8e-4),
+    lr_l=(0.014, 1.4e-3), lr_O=(0.02, 1e-3), lr_alpha=(0.001, 1e-4), lr_c=(0.008, 4e-4), lr_r=(0.008, 8e-4),
     lr_psi_s=(0.008, 8e-4), lr_d=(0.002, 1e-4), lr_grid=(0.01, 1e-3), lr_p=(0.005, 5e-4), lr_q=(0.005, 5e-4),
     grow="reseed", grow_from=100, grow_every=100, grow_until=1400, collect_from=0, mask_from=300)
 SMOKE = TINY._replace(
@@ -153,6 +153,12 @@ def _checked(preset):
     for field in ("hidden", "deformation", "context", "grid_3d", "grid_2d"):
         if any(n < 1 for n in getattr(preset, field)):
             raise ValueError(f"field {field!r}: expected widths of at least 1, got {getattr(preset, field)}")
+    for field, value in preset._asdict().items():
+        if isinstance(value, float) and not 0 <= value < float("inf"):
+            raise ValueError(f"field {field!r}: expected a finite number of at least 0, got {value!r}")
+        if field.startswith("lr_") and not (len(value) == 2 and all(0 < v < float("inf") for v in value)
+                                            or tuple(value) == (0, 0)):
+            raise ValueError(f"field {field!r}: expected first,last, two positive rates or 0,0, got {value!r}")
     if preset.grow not in ("scaffold", "reseed", "off"):
         raise ValueError(f"field 'grow': expected scaffold, reseed or off, got {preset.grow!r}")
     return preset
