@@ -3,7 +3,7 @@
 Section          content
 header           JSON: design, number of anchors A, background                                (header.py)
 positions        the box, 6 float32 (lo, then hi), then A times 3 uint16                      (raw)
-masks            A k bits, anchor by anchor: 1 where a child is kept                           (Bernoulli)
+masks            A k bits, anchor by anchor: 1 where a child is kept                            (Bernoulli)
 hash_grid        one bit per entry, level by level, 1 for +1                                   (Bernoulli)
 features         A d symbols of f, anchor by anchor                                            (Gaussian)
 scales           A 3 symbols of s                                                              (Gaussian)
@@ -22,7 +22,7 @@ from ..model import ANCHOR_NETWORKS, CONTEXT_NETWORKS, Anchors, Model, unsnap
 from .container import BitstreamError, read_container, write_container
 from .context import coding_context
 from .header import read_header, write_header
-from .quantise import coded, dequantise, quantise
+from .quantise import LARGEST, Quantised, coded, dequantise, quantise
 from .streams import decode_bits, decode_gaussian, encode_bits, encode_gaussian
 
 NETWORK_SECTIONS = {"anchor_mlps": ANCHOR_NETWORKS, "context_mlps": CONTEXT_NETWORKS, "deformation_mlp": ("psi_d",)}
@@ -39,7 +39,7 @@ def sections_of(quantised):
     """The sections {name: bytes} of a quantised model."""
     model, ctx = quantised.model, quantised.context
     box = np.concatenate(model.box).astype("<f4").tobytes()
-    grid = np.concatenate([g.ravel() for g in model.grids]) if model.grids else np.zeros(0)
+    grid = np.concatenate([g.ravel() for g in model.grids])
     sections = {"header": write_header(model), "positions": box + quantised.positions.astype("<u2").tobytes(),
                 "masks": encode_bits(model.anchors.mask.ravel()), "hash_grid": encode_bits(grid > 0)}
     for name, columns in attribute_columns(model.design):
@@ -66,27 +66,28 @@ def decode(data):
 
     Raises     BitstreamError naming section and offset for anything but a whole and consistent file
     """
-    sections = read_container(data)
+    return quantised_of(read_container(data)).model
+
+
+def quantised_of(sections):
+    """The inverse of `sections_of`; the same names in the same order as in `quantise`.
+
+    Raises     BitstreamError
+    """
     design, A, background = read_header(_section(sections, "header"))
     box, positions = _read_positions(_section(sections, "positions"), A)
-    networks = _read_networks(sections, design)
-    sizes = [T * F for T, F in design.levels()]
-    bits = decode_bits(_section(sections, "hash_grid"), sum(sizes), section="hash_grid")
-    grids = [np.where(part, 1.0, -1.0).reshape(shape)
-             for part, shape in zip(np.split(bits, np.cumsum(sizes)[:-1]), design.levels())]
+    networks, grids = _read_networks(sections, design), _read_grids(_section(sections, "hash_grid"), design)
     mask = decode_bits(_section(sections, "masks"), A * design.k, section="masks").reshape(A, design.k)
     x_a = unsnap(positions, *box)
-    ctx = coding_context(design, networks, grids, x_a, box)
-    kept = coded(mask, design)
+    ctx, kept = coding_context(design, networks, grids, x_a, box), coded(mask, design)
     symbols = np.zeros(kept.shape, np.int64)
     for name, columns in attribute_columns(design):
-        part = np.zeros(kept[:, columns].shape, np.int64)
         where = kept[:, columns]
-        part[where] = decode_gaussian(_section(sections, name), ctx.mu_units[:, columns][where],
-                                      ctx.sigma_units[:, columns][where], section=name)
-        symbols[:, columns] = part
-    f, s, l, O = dequantise(symbols, kept, ctx, design)
-    return Model(design, Anchors(x_a, f, s, l, O, mask), networks, grids, box, background)
+        symbols[:, columns][where] = decode_gaussian(_section(sections, name), ctx.mu_units[:, columns][where],
+                                                     ctx.sigma_units[:, columns][where], section=name)
+    f, s, l, O = dequantise(symbols, ctx, design)
+    model = Model(design, Anchors(x_a, f, s, l, O, mask), networks, grids, box, background)
+    return Quantised(model, positions, symbols, kept, ctx)
 
 
 def _section(sections, name):
@@ -100,9 +101,17 @@ def _read_positions(data, A):
     if len(data) != 24 + 6 * A:
         raise BitstreamError("positions", len(data), f"expected {24 + 6 * A} bytes for {A} anchors, found {len(data)}")
     lo, hi = np.frombuffer(data, "<f4", 6).astype(np.float32).reshape(2, 3)
-    if not (np.isfinite([lo, hi]).all() and (lo <= hi).all() and np.abs([lo, hi]).max() <= 1e30):
-        raise BitstreamError("positions", 0, "expected a finite box with lo <= hi")
+    if not ((np.abs([lo, hi]) <= LARGEST).all() and (lo <= hi).all()):          # also false for NaN
+        raise BitstreamError("positions", 0, f"expected a box with lo <= hi, finite, to {LARGEST:g}")
     return (lo, hi), np.frombuffer(data, "<u2", offset=24).astype(np.int64).reshape(A, 3)
+
+
+def _read_grids(data, design):
+    """Levels (T, F) of +-1."""
+    shapes = design.levels()
+    ends = np.cumsum([T * F for T, F in shapes])
+    bits = decode_bits(data, int(ends[-1]), section="hash_grid")
+    return [np.where(part, 1.0, -1.0).reshape(shape) for part, shape in zip(np.split(bits, ends[:-1]), shapes)]
 
 
 def _read_networks(sections, design):

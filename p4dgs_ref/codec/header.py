@@ -1,6 +1,21 @@
-"""The header section: one JSON object with the design, the number of anchors and the background."""
+"""The header section: one JSON object (ASCII) with the number of anchors, the background and the fields of `Design`.
+
+anchors            A, how many anchors the positions section holds
+background         three numbers, red, green, blue
+d, k, F            widths: of a feature, of the children, of a hash grid's node
+hidden, context, deformation      lists of hidden widths: anchor networks, psi_p and psi_q, psi_d
+L_x, L_t           frequencies of the positional encoding
+grid               list of levels [axes, resolution], axes xyz, xy, xz or yz
+table              most entries of a level: [of a 3D one, of a 2D one]
+Q_0                four base steps: f, s, l, O
+tau_alpha          the opacity below which a Gaussian is not drawn
+effects            the model's effects that the scene lists
+
+LIMITS["entries"] and LIMITS["numbers"] bound the memory that a header can ask for; every other array is as large as a
+section of the file.  The limits of `layers`, `width` and Q_0 keep every number of the coding context finite: a layer
+multiplies by less than 2^31 (2^14 inputs, float16 weights), nine layers by 2^279, and 1/q is at most 2^110.
+"""
 import json
-import math
 
 import numpy as np
 
@@ -8,8 +23,9 @@ from ..model import Design
 from ..scenes.scene import MODEL_EFFECTS
 from .container import BitstreamError
 
-LIMITS = {"anchors": 2**22, "d": 4096, "k": 256, "F": 64, "L_x": 64, "L_t": 64, "width": 2**14, "levels": 64,
-          "resolution": 2**16, "table": 2**24, "numbers": 2**27}
+LIMITS = {"anchors": 2**22, "d": 4096, "k": 256, "F": 64, "L_x": 64, "L_t": 64, "width": 2**14, "layers": 8,
+          "levels": 64, "resolution": 2**16, "table": 2**24, "entries": 2**24, "numbers": 2**27}
+RANGES = {"background": (3, -(2.0**20), 2.0**20), "Q_0": (4, 2.0**-100, 2.0**100), "tau_alpha": (1, -1.0, 1.0)}
 
 
 def write_header(model):
@@ -22,57 +38,80 @@ def write_header(model):
 def read_header(data):
     """(design, number of anchors, background).
 
-    Raises     BitstreamError for anything that is not an object with exactly these fields within LIMITS
+    Raises     BitstreamError for anything that is not an object with exactly these fields within LIMITS and RANGES
     """
-    def refuse(message):
-        raise BitstreamError("header", 0, message)
-
-    def whole(name, value, limit, least=1):
-        if type(value) is not int or not least <= value <= limit:
-            refuse(f"field {name!r}: expected a whole number from {least} to {limit}")
-        return value
-
     try:
-        fields = json.loads(data.decode("ascii"))
+        fields = json.loads(data.decode("ascii"), object_pairs_hook=_once_each)
     except (UnicodeDecodeError, ValueError, RecursionError):
-        refuse("expected a JSON object")
+        raise _refusal("expected a JSON object, no field twice") from None
     expected = {"anchors", "background", *Design._fields}
     if not isinstance(fields, dict) or set(fields) != expected:
-        refuse(f"expected exactly the fields {', '.join(sorted(expected))}")
-    for name in ("anchors", "d", "k", "F", "L_x", "L_t"):
-        whole(name, fields[name], LIMITS[name])
-    for name in ("hidden", "deformation", "context", "grid", "table", "Q_0", "effects", "background"):
-        if not isinstance(fields[name], list) or len(fields[name]) > LIMITS["levels"]:
-            refuse(f"field {name!r}: expected a list of at most {LIMITS['levels']}")
+        raise _refusal(f"expected exactly the fields {', '.join(sorted(expected))}")
+    anchors = _whole("anchors", fields.pop("anchors"), LIMITS["anchors"])
+    background = np.array(_numbers("background", fields.pop("background")))
+    for name in ("d", "k", "F", "L_x", "L_t"):
+        _whole(name, fields[name], LIMITS[name])
     for name in ("hidden", "deformation", "context"):
-        fields[name] = tuple(whole(name, n, LIMITS["width"]) for n in fields[name])
-    _check_numbers(fields, refuse)
-    fields["grid"] = tuple(_level(level, whole, refuse) for level in fields["grid"])
-    if len(fields["table"]) != 2:
-        refuse("field 'table': expected two sizes")
-    fields["table"] = tuple(whole("table", size, LIMITS["table"]) for size in fields["table"])
-    listed = tuple(fields["effects"])
-    if any(effect not in MODEL_EFFECTS for effect in listed) or len(set(listed)) != len(listed):
-        refuse(f"field 'effects': expected some of {', '.join(MODEL_EFFECTS)}, none twice")
-    fields["effects"], fields["Q_0"] = listed, tuple(float(q) for q in fields["Q_0"])
-    anchors, background = fields.pop("anchors"), np.array(fields.pop("background"), float)
+        fields[name] = tuple(_whole(name, n, LIMITS["width"]) for n in _listed(name, fields[name], 0, LIMITS["layers"]))
+    fields["grid"] = tuple(_level(level) for level in _listed("grid", fields["grid"], 1, LIMITS["levels"]))
+    fields["table"] = tuple(_whole("table", size, LIMITS["table"]) for size in _listed("table", fields["table"], 2, 2))
+    fields["Q_0"] = _numbers("Q_0", fields["Q_0"])
+    fields["tau_alpha"], = _numbers("tau_alpha", [fields["tau_alpha"]])
+    effects = _listed("effects", fields["effects"], 0, len(MODEL_EFFECTS))
+    if any(effect not in MODEL_EFFECTS for effect in effects) or len(set(effects)) != len(effects):
+        raise _refusal(f"field 'effects': expected some of {', '.join(MODEL_EFFECTS)}, none twice")
+    fields["effects"] = tuple(effects)
     design = Design(**fields)
-    if anchors * sum(design.widths) + sum(T * F for T, F in design.levels()) > LIMITS["numbers"]:
-        refuse(f"more than {LIMITS['numbers']} numbers declared")
+    _check_size(design, anchors)
     return design, anchors, background
 
 
-def _check_numbers(fields, refuse):
-    for name, count, least in (("background", 3, -1e6), ("Q_0", 4, 2.0**-100)):
-        values = fields[name]
-        if len(values) != count or any(type(v) not in (int, float) or not least <= v <= 2.0**100 for v in values):
-            refuse(f"field {name!r}: expected {count} finite numbers from {least} to 2^100")
-    tau = fields["tau_alpha"]
-    if type(tau) not in (int, float) or not math.isfinite(tau):
-        refuse("field 'tau_alpha': expected a finite number")
+def _check_size(design, anchors):
+    """What a decoder computes with: the grid's entries, and per anchor cell corners, activations, six arrays of symbols.
+
+    LIMITS keep that within about 2 GiB (measured: 16 bytes a number), enough for 160,000 anchors of `paper_real`.
+    """
+    entries = sum(T * F for T, F in design.levels())
+    if entries > LIMITS["entries"]:
+        raise _refusal(f"field 'grid': {entries} entries declared, at most {LIMITS['entries']} expected")
+    per_anchor = len(design.grid) * (8 + design.F) + sum(design.context) + 6 * sum(design.widths)
+    if anchors * per_anchor > LIMITS["numbers"]:
+        raise _refusal(f"field 'anchors': {anchors} of {per_anchor} numbers declared, at most {LIMITS['numbers']} "
+                       f"in all expected")
 
 
-def _level(level, whole, refuse):
+def _refusal(message):
+    return BitstreamError("header", 0, message)
+
+
+def _once_each(pairs):
+    if len(dict(pairs)) != len(pairs):
+        raise ValueError
+    return dict(pairs)
+
+
+def _whole(name, value, limit):
+    if type(value) is not int or not 1 <= value <= limit:              # type: a bool is not a number
+        raise _refusal(f"field {name!r}: expected a whole number from 1 to {limit}")
+    return value
+
+
+def _numbers(name, values):
+    count, least, most = RANGES[name]
+    if not isinstance(values, list) or len(values) != count or any(
+            type(v) not in (int, float) or not least <= v <= most for v in values):     # also false for NaN
+        raise _refusal(f"field {name!r}: expected {'a number' if count == 1 else f'{count} numbers'} "
+                       f"from {least:g} to {most:g}")
+    return tuple(float(v) for v in values)
+
+
+def _listed(name, values, least, most):
+    if not isinstance(values, list) or not least <= len(values) <= most:
+        raise _refusal(f"field {name!r}: expected a list of {least} to {most}")
+    return values
+
+
+def _level(level):
     if not isinstance(level, list) or len(level) != 2 or level[0] not in ("xyz", "xy", "xz", "yz"):
-        refuse("field 'grid': expected [axes, resolution] with axes xyz, xy, xz or yz")
-    return level[0], whole("grid", level[1], LIMITS["resolution"], 2)
+        raise _refusal("field 'grid': expected [axes, resolution] with axes xyz, xy, xz or yz")
+    return level[0], _whole("grid", level[1], LIMITS["resolution"])

@@ -2,16 +2,15 @@
 import numpy as np
 
 from ..equations import likelihood
-from .container import SECTIONS, read_container
-from .file import attribute_columns, decode
-from .quantise import quantise
+from .container import read_container
+from .file import attribute_columns, quantised_of
 
 
 def entropy_bits(flags):
     """N+ (-log2 p+) + N- (-log2 p-) of a boolean array, Eq. (14): the best any Bernoulli stream can do."""
     n = np.array([np.count_nonzero(flags), np.size(flags) - np.count_nonzero(flags)], float)
     n = n[n > 0]
-    return float(-(n * np.log2(n / n.sum())).sum())
+    return float((n * np.log2(n.sum() / n)).sum())
 
 
 def ledger(data):
@@ -23,12 +22,12 @@ def ledger(data):
     Raises     BitstreamError for a file that cannot be decoded
     """
     sections = read_container(data)
-    model = decode(data)
-    q = quantise(model)                        # of an already rounded model: the same symbols, with their context
+    q = quantised_of(sections)
+    model = q.model
     counts = {"positions": q.positions.size, "masks": model.anchors.mask.size,
               "hash_grid": sum(grid.size for grid in model.grids)}
     bits = {"masks": entropy_bits(model.anchors.mask),
-            "hash_grid": entropy_bits(np.concatenate([g.ravel() for g in model.grids] + [np.zeros(0)]) > 0)}
+            "hash_grid": entropy_bits(np.concatenate([g.ravel() for g in model.grids]) > 0)}
     steps = np.repeat(q.context.q, model.design.widths, axis=1)
     every = likelihood.forward(q.symbols * steps, q.context.mu, q.context.sigma, steps)[0].bits
     for name, columns in attribute_columns(model.design):
@@ -37,10 +36,8 @@ def ledger(data):
     frame = len(data) - sum(map(len, sections.values()))
     rows = [{"name": "container", "bytes": frame, "estimate_bytes": float(frame), "symbols": None,
              "bits_per_symbol": None}]
-    for name in SECTIONS:
-        if name not in sections:
-            continue
-        size, symbols = len(sections[name]), counts.get(name)
+    for name, body in sections.items():
+        size, symbols = len(body), counts.get(name)
         if name.endswith(("_mlps", "_mlp")):
             symbols = size // 2
         estimate = bits[name] / 8 if name in bits else float(size)
@@ -53,5 +50,5 @@ def components(data):
     """Bytes by component; the container's frame counts as header.  They add up to len(data)."""
     sections = read_container(data)
     frame = len(data) - sum(map(len, sections.values()))
-    sizes = {name: len(sections[name]) for name in SECTIONS if name in sections}
+    sizes = {name: len(body) for name, body in sections.items()}
     return {**sizes, "header": sizes.get("header", 0) + frame}

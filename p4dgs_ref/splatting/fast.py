@@ -55,7 +55,7 @@ def forward(mean2d, cov2d, conic, alpha, color, depth, visible, background, heig
     Domain     as in `compositing`; mean2d, cov2d, conic in float64, whatever settings.dtype is
     Raises     nothing
     Gradient   as in `compositing`; pairs that are not listed or lie behind an opaque tile contribute nothing
-    Choice     Q21: footprint, cut, mask and stop come from `settings`; `fast` cuts lists at 1e-4 without a pixel mask
+    Choice     Q21: footprint, cut, mask and stop come from `settings`; `fast` cuts lists without a pixel mask
     Reference  Kerbl et al. 2023 for lists by tile; the arrangement by ranks is this project's
     """
     dtype, side = np.dtype(settings.dtype), settings.tile

@@ -89,10 +89,10 @@ TINY = Preset(
     name="tiny", anchors=200, extent=1.0, voxel=0.001, k=4, hidden=(32, 32), deformation=(64, 64), L_x=4, L_t=4,
     context=(16, 16), grid_3d=(8,), grid_2d=(16,), F=2, feature_std=0.1, opacity_bias=0.3, upright=True,
     deformation_gain=0.01, Q_f=0.25, Q_s=0.01, Q_l=0.01, Q_O=0.1, stage_ends=(200, 300, 1800, 3800),
-    lambda_volume=0.01, decay_from=300, lr_x=(0.002, 2e-4), lr_f=(0.015, 1.5e-3), lr_s=(0.014, 1.4e-3),
+    decay_from=300, lr_x=(0.002, 2e-4), lr_f=(0.015, 1.5e-3), lr_s=(0.014, 1.4e-3),
     lr_l=(0.014, 1.4e-3), lr_O=(0.02, 1e-3), lr_alpha=(0.001, 1e-4), lr_c=(0.008, 4e-4), lr_r=(0.008, 8e-4),
     lr_psi_s=(0.008, 8e-4), lr_d=(0.002, 1e-4), lr_grid=(0.01, 1e-3), lr_p=(0.005, 5e-4), lr_q=(0.005, 5e-4),
-    grow="reseed", grow_from=100, grow_every=100, grow_until=1400, collect_from=0, mask_from=300)
+    min_opacity=0.03, grow="reseed", grow_from=100, grow_every=100, grow_until=1400, collect_from=0, mask_from=1800)
 SMOKE = TINY._replace(
     name="smoke", anchors=20, d=4, k=2, hidden=(8, 8), deformation=(16, 16), L_x=2, L_t=2, context=(8, 8),
     grid_3d=(4,), grid_2d=(8,), F=1, stage_ends=(10, 15, 30, 45), decay_from=15, grow="off", mask_from=45)
@@ -159,6 +159,8 @@ def _checked(preset):
         if field.startswith("lr_") and not (len(value) == 2 and all(0 < v < float("inf") for v in value)
                                             or tuple(value) == (0, 0)):
             raise ValueError(f"field {field!r}: expected first,last, two positive rates or 0,0, got {value!r}")
+    if not preset.grid_3d + preset.grid_2d:
+        raise ValueError("field 'grid_3d': expected a level here or in grid_2d, the context has nothing else to read")
     if preset.grow not in ("scaffold", "reseed", "off"):
         raise ValueError(f"field 'grow': expected scaffold, reseed or off, got {preset.grow!r}")
     return preset

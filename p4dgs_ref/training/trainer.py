@@ -95,11 +95,8 @@ class Trainer:
         return losses, seen, view
 
     def freeze_positions(self):
-        """Stage 4 starts: prune once more, fix the box, put positions on its 16-bit lattice, locate them in the grid."""
-        if self.preset.grow != "off":
-            self.keep_rows(~density.dead_anchors(self.statistics, self.preset))
-        x_a = self.parameters["x_a"]
-        self.box = bounding_box(x_a)
+        """Stage 4 starts: fix the box, put positions on its 16-bit lattice, locate them in the grid."""
+        self.box = bounding_box(self.parameters["x_a"])
         self.locate()
 
     def locate(self):
@@ -114,15 +111,15 @@ class Trainer:
             return
         if now >= preset.mask_from:
             self.mask &= ~density.faint_children(statistics, preset)
-        if preset.grow_from < now <= preset.grow_until:
-            dead = density.dead_anchors(statistics, preset)
-            if preset.grow == "reseed":
-                density.reseed(self.parameters, self.adam.first, self.adam.second, dead, statistics, self.rng)
-                self.mask[dead] = True
-            else:
-                added = density.grow(self.parameters, statistics, preset, self.rng)
-                self.keep_rows(~dead, added)
-                self.parameters["log_s"][...] = np.minimum(self.parameters["log_s"], density.LARGEST_LOG_SCALE)
+        dead, growing = density.dead_anchors(statistics, preset), preset.grow_from < now <= preset.grow_until
+        if preset.grow == "reseed" and growing:
+            density.reseed(self.parameters, self.adam.first, self.adam.second, dead, statistics, self.rng)
+            self.mask[dead] = True
+        elif preset.grow == "reseed" and now > preset.grow_until:
+            self.keep_rows(~dead)                  # too late to learn something new: they only cost
+        elif growing:
+            self.keep_rows(~dead, density.grow(self.parameters, statistics, preset, self.rng))
+            self.parameters["log_s"][...] = np.minimum(self.parameters["log_s"], density.LARGEST_LOG_SCALE)
         self.statistics.clear()
 
     def keep_rows(self, keep, added=None):
