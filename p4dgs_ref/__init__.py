@@ -1,9 +1,11 @@
 """P-4DGS in NumPy: the paper equation by equation, trained, compressed to bytes, decoded and rendered.
 
     import p4dgs_ref as p4
-    model = p4.train(p4.load_scene("bouncing"), preset="tiny", seed=0)
+    scene = p4.load_scene("bouncing")
+    model = p4.train(scene, preset="tiny", seed=0)
     data = p4.encode(model)
-    image = p4.decode(data).render(camera, t)
+    view = scene.test[0]
+    image = p4.decode(data).render(view.camera, view.time)
 
 Names are imported when they are first used, so that a program can set the number of BLAS threads before NumPy loads.
 """
@@ -12,10 +14,10 @@ from importlib import import_module
 __version__ = "0.1.0"
 
 _HOME = {"load_scene": "scenes.dnerf", "Scene": "scenes.scene", "View": "scenes.scene", "SceneError": "scenes.scene",
-         "Camera": "splatting.camera", "look_at": "splatting.camera", "SETTINGS": "splatting.settings",
-         "train": "training.fit", "PRESETS": "training.presets", "Model": "model",
+         "simulate": "scenes.simulate", "Camera": "splatting.camera", "look_at": "splatting.camera",
+         "SETTINGS": "splatting.settings", "train": "training.fit", "PRESETS": "training.presets", "Model": "model",
          "encode": "codec.file", "decode": "codec.file", "BitstreamError": "codec.container",
-         "evaluate": "experiments.evaluate", "EQUATIONS": "catalogue"}
+         "evaluate": "experiments.evaluate", "main_job": "experiments.main_job", "EQUATIONS": "catalogue"}
 __all__ = sorted(_HOME)
 
 

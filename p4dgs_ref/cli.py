@@ -1,7 +1,10 @@
 """The command line: what each command is called and takes; what it does stands in commands.py."""
 import argparse
+import math
 import os
+import shlex
 import sys
+from pathlib import Path
 
 from . import __version__, commands
 
@@ -13,71 +16,117 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"p4dgs-ref: {message}; `{self.prog} --help` explains\n")
 
 
+def number(kind, low, high, expected):
+    """A reader of an option's number between low and high; `expected` says so in words."""
+    def read(text):
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"expected {expected}, got {text!r}")
+        return value
+    return read
+
+
+def whole(low, high=math.inf):
+    """A reader of a whole number."""
+    return number(int, low, high, f"a whole number of at least {low}" if high == math.inf else
+                  f"a whole number in {low} ... {high}")
+
+
+def real(low, high):
+    """A reader of a number."""
+    return number(float, low, high, f"a number in {low:g} ... {high:g}")
+
+
+def color(text):
+    """A reader of a background: a name, or three numbers; the scene checks them."""
+    try:
+        return tuple(map(float, text.split(","))) if "," in text else text
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected white, black or r,g,b in 0 ... 1, got {text!r}") from None
+
+
+def add_output(entry, default=None, what="folder to write to"):
+    entry.add_argument("-o", "--output", metavar="PATH", default=default, required=default is None, help=what)
+
+
+def add_json(entry):
+    entry.add_argument("--json", action="store_true", help="print JSON instead of text")
+
+
+def add_training(entry):
+    entry.add_argument("--preset", default="tiny", help="settings of the training (default tiny)")
+    entry.add_argument("--seed", type=whole(0), default=0, help="seed of everything random (default 0)")
+    entry.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="changes",
+                       help="change a field of the preset; may be repeated")
+    entry.add_argument("--quiet", action="store_true", help="no progress line")
+    entry.add_argument("--yes", action="store_true", help="go on although the estimate is over an hour")
+
+
+def add_view(entry):
+    entry.add_argument("--background", type=color, default="white", help="white, black or r,g,b (default white)")
+    entry.add_argument("--downscale", type=whole(1), default=1, help="divide the image size by this (default 1)")
+
+
+def add_scene(entry, **optional):
+    entry.add_argument("scene", help="a folder in the D-NeRF layout, or the name of a packaged scene", **optional)
+    add_view(entry)
+
+
+def add_camera(entry):
+    entry.add_argument("--frames", type=whole(1, 10_000), default=24, help="times from 0 to 1 (default 24)")
+    entry.add_argument("--azimuth", type=real(-360, 360), default=40.0, help="degrees about z (default 40)")
+    entry.add_argument("--elevation", type=real(-89, 89), default=30.0, help="degrees (default 30)")
+    entry.add_argument("--distance", type=real(1e-3, 1e6), default=3.6,
+                       help="from the middle of the anchors, scene units (default 3.6)")
+    entry.add_argument("--fov", type=real(1, 170), default=41.0, help="horizontal, degrees (default 41)")
+    entry.add_argument("--size", type=whole(1, 4096), default=128, help="pixels along each side (default 128)")
+
+
 def parser():
     """All commands and their options."""
     top = Parser(prog="p4dgs-ref", description="P-4DGS in NumPy: fit, compress, decode and render tiny moving scenes.")
     top.add_argument("--version", action="version", version=f"p4dgs_ref {__version__}")
     sub = top.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
 
-    def command(name, help, function):
+    def command(name, help):
         entry = sub.add_parser(name, help=help, description=help)
-        entry.set_defaults(function=function)
+        entry.set_defaults(function=getattr(commands, name))
+        add_json(entry)
         return entry
 
-    def out(entry, default=None, what="folder to write to"):
-        entry.add_argument("-o", "--output", metavar="PATH", default=default, required=default is None, help=what)
-
-    def training(entry, preset):
-        entry.add_argument("--preset", default=preset, help=f"settings of the training (default {preset})")
-        entry.add_argument("--seed", type=int, default=0, help="seed of everything random (default 0)")
-        entry.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="changes",
-                           help="change a field of the preset; may be repeated")
-        entry.add_argument("--quiet", action="store_true", help="no progress line")
-        entry.add_argument("--yes", action="store_true", help="go on although the estimate is over an hour")
-
-    def scene(entry):
-        entry.add_argument("scene", help="a folder in the D-NeRF layout, or the name of a packaged scene")
-        view(entry)
-
-    def view(entry):
-        entry.add_argument("--background", default="white", help="white, black or r,g,b in 0..1 (default white)")
-        entry.add_argument("--downscale", type=int, default=1, help="divide the image size by this (default 1)")
-
-    def as_json(entry):
-        entry.add_argument("--json", action="store_true", help="print JSON instead of text")
-
-    e = command("demo", "fit a packaged scene, compress, decode, render, measure, draw: the main job", commands.demo)
-    e.add_argument("scene", nargs="?", default="bouncing", help="scene (default bouncing)")
-    view(e), out(e, "report", "folder of the report (default report)"), training(e, "tiny"), as_json(e)
-    e = command("simulate", "draw the pictures of a scene.json", commands.simulate)
-    e.add_argument("scene", help="a scene.json"), out(e), e.add_argument("--quiet", action="store_true"), as_json(e)
-    e = command("train", "fit a scene", commands.train)
-    scene(e), out(e, None, "run folder"), training(e, "tiny"), as_json(e)
+    e = command("demo", "the main job: fit a scene, compress, decode, render, measure, draw")
+    add_scene(e, nargs="?", default="bouncing"), add_training(e)
+    add_output(e, "report", "folder of the report (default report)")
+    e = command("simulate", "draw the pictures of a scene.json")
+    e.add_argument("scene", help="a scene.json"), add_output(e)
+    e.add_argument("--quiet", action="store_true", help="no progress line")
+    e = command("train", "fit a scene")
+    add_scene(e), add_training(e), add_output(e, None, "run folder")
     e.add_argument("--resume", action="store_true", help="go on from the checkpoint in the run folder")
-    e = command("encode", "compress a run to a file", commands.encode)
-    e.add_argument("run", help="run folder of `train`"), out(e, None, "file to write"), as_json(e)
-    e = command("decode", "a file's arrays as npz, its settings as JSON", commands.decode)
-    e.add_argument("file"), out(e), as_json(e)
-    e = command("render", "pictures of a file", commands.render)
-    e.add_argument("file"), out(e), as_json(e)
-    e.add_argument("--scene", help="render this scene's cameras and times instead of a held camera"), view(e)
+    e.add_argument("--save-every", type=real(0, 1e6), default=20.0, metavar="SECONDS",
+                   help="between checkpoints (default 20)")
+    e = command("encode", "compress a run to a file")
+    e.add_argument("run", help="run folder of `train`"), add_output(e, None, "file to write")
+    e = command("decode", "a file's arrays as npz, its settings as JSON")
+    e.add_argument("file", help="a .p4dgs file"), add_output(e)
+    e = command("render", "pictures of a file, from a held camera over time or from a scene's cameras")
+    e.add_argument("file", help="a .p4dgs file"), add_output(e), add_camera(e), add_view(e)
+    e.add_argument("--scene", help="render this scene's cameras and times instead of a held camera")
     e.add_argument("--split", default="test", choices=("train", "test", "val"), help="which of the scene's views")
-    e.add_argument("--frames", type=int, default=24, help="times from 0 to 1 of the held camera (default 24)")
-    e.add_argument("--azimuth", type=float, default=40.0, help="degrees about z (default 40)")
-    e.add_argument("--elevation", type=float, default=30.0, help="degrees (default 30)")
-    e.add_argument("--distance", type=float, default=3.6, help="from the box's centre, scene units (default 3.6)")
-    e.add_argument("--fov", type=float, default=41.0, help="horizontal, degrees (default 41)")
-    e.add_argument("--size", type=int, default=128, help="pixels along each side (default 128)")
     e.add_argument("--settings", default="fast", help="exact, paper or fast (default fast)")
-    e = command("evaluate", "score a file on a scene's test views", commands.evaluate)
-    e.add_argument("file"), scene(e), out(e, "", "folder for the comparison picture and table (optional)"), as_json(e)
-    e = command("inspect", "a file's bytes, section by section", commands.inspect)
-    e.add_argument("file"), out(e, "", "folder for the table and the picture (optional)"), as_json(e)
-    as_json(command("equations", "the table of equations", commands.equations))
-    e = command("presets", "what each preset changes, beside the paper's value", commands.presets)
-    e.add_argument("preset", nargs="?", help="only this one, all fields"), as_json(e)
-    e = command("bench", "time the renderer, the parts of a training step and the coder", commands.bench)
-    as_json(e), e.add_argument("--quick", action="store_true", help="small sizes, a few seconds")
+    e = command("evaluate", "score a file on a scene's test views")
+    e.add_argument("file", help="a .p4dgs file"), add_scene(e)
+    add_output(e, "", "folder for the comparison picture and table (optional)")
+    e = command("inspect", "a file's bytes, section by section")
+    e.add_argument("file", help="a .p4dgs file"), add_output(e, "", "folder for the table and the picture (optional)")
+    command("equations", "the table of equations")
+    e = command("presets", "what each preset changes, beside the paper's values")
+    e.add_argument("preset", nargs="?", help="only this one, all fields")
+    e = command("bench", "time the renderer, the parts of a training step and the coder")
+    e.add_argument("--quick", action="store_true", help="small sizes, a few seconds")
     return top
 
 
@@ -85,34 +134,44 @@ def user_errors():
     """The exceptions that are a user's mistake or a damaged file, imported late."""
     from .codec.container import BitstreamError
     from .codec.quantise import EncodeError
+    from .output import OutputError
     from .scenes.scene import SceneError
     from .training.checkpoint import RunError
-    return BitstreamError, EncodeError, SceneError, RunError, commands.UsageError
+    return BitstreamError, EncodeError, OutputError, SceneError, RunError, commands.UsageError
+
+
+def how_to_resume(argv, arguments):
+    """The end of the message after Ctrl-C: the command that goes on, where there is a checkpoint."""
+    from .training.checkpoint import CHECKPOINT
+    if arguments.command != "train" or not (Path(arguments.output) / CHECKPOINT).is_file():
+        return ""
+    again = argv if arguments.resume else [*argv, "--resume"]
+    return f"; the last checkpoint is kept, go on with: {shlex.join(['p4dgs-ref', *again])}"
 
 
 def run(argv, start):
     """Parse and run; returns the exit code: 0 well, 1 training failed, 2 a mistake of the user, 130 stopped."""
     arguments = parser().parse_args(argv)
     arguments.start = start
+
+    def fail(code, message):
+        print(f"p4dgs-ref: {message}", file=sys.stderr)
+        return code
+
     try:
         arguments.function(arguments)
         sys.stdout.flush()
         return 0
     except KeyboardInterrupt:
-        resume = f"; go on with: p4dgs-ref train {arguments.scene} -o {arguments.output} --resume" \
-            if arguments.command == "train" else ""
-        print(f"\np4dgs-ref: stopped{resume}", file=sys.stderr)
-        return 130
+        return fail(130, f"stopped{how_to_resume(argv, arguments)}")
     except BrokenPipeError:                        # `p4dgs-ref equations | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except user_errors() as error:
-        print(f"p4dgs-ref: {error}", file=sys.stderr)
-        return 2
+        return fail(2, error)
     except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        print(f"p4dgs-ref: {where}{error.strerror or error}", file=sys.stderr)
-        return 2
+        return fail(2, f"{error.filename or 'output'}: {error.strerror or error}")
     except ArithmeticError as error:
-        print(f"p4dgs-ref: {error}", file=sys.stderr)
-        return 1
+        return fail(1, error)
+    except MemoryError as error:
+        return fail(1, f"out of memory: {error}")

@@ -1,43 +1,98 @@
-"""The seam between the trained float context and the integers that the entropy coder works with.
+"""From the bytes of a file to how each of its symbols is coded, in integers: the context of P-4DGS Fig. 2.
 
-Encoder and decoder both call `coding_context`; whatever it returns decides how every symbol is coded, so both
-must get the same integers.  Here it is evaluated in float64 and snapped to coarse lattices, which makes the same
-machine agree with itself.  Nothing else in the codec computes with real numbers.
+FORMAT.  Nothing here is a floating-point result: whole numbers below 2^53, and IEEE doubles that happen to be whole.
+
+1. Hash feature.  n is a coordinate of the position, 0 ... 65535; a level of resolution R has
+       base = floor(n (R - 1) / 65535)         t = n (R - 1) - 65535 base
+   and per axis the weight 65535 - t for the corner base and t for base + 1 (on the last node, t = 0 and the corner
+   does not matter).  Products over the D axes, times the signs of the entries, add up to a whole number v with
+   |v| <= 65535^D < 2^48.  h = floor((v + floor(Q / 2)) / Q), Q = floor(65535^D / 2^15): |h| <= 2^15, units 2^-15.
+   Which entry a corner reads, and the order of h, are those of Eq. (9) (`equations/grid_nodes.py`).
+2. Networks.  psi_q and psi_p on h as `fixed_point.py` says.
+3. Steps.  u = psi_q's output in units of 2^-12, clipped to +-2^15;  v = clip(u + 4 * 2^12, 0, 10 * 2^12 - 1);
+   i = floor(v / 64), r = v mod 64;  share = sigmoid[i] + floor((sigmoid[i+1] - sigmoid[i]) r / 64)    (units 2^-24)
+       q_units = clip(floor((share + 128) / 256), 32, 65536)           q = q_units Q_0 2^-15, the one product of doubles
+4. One over q.  Q_0 = f 2^p with 1/2 <= f < 1;  D = floor(2^24 f) q_units;  n = bits of D - 24;
+       R = floor(2^47 / floor(D / 2^n)),  so that 1/q is about R 2^(-8 - p - n)
+5. Means.  y = psi_p's mu in units of 2^-a with bound B;  t = max(0, bits of B - 28);  m = floor((y + 2^t/2) / 2^t);
+       S = a - t + p + n - 2;  mu_units = round(m R 2^-S), ties up, clipped to +-2^34          (|m R| <= 2^52)
+6. Deviations.  raw in units of 2^-16, clipped to [-14, 6];  l = floor((94548 raw + 2^15) / 2^16);
+       sigma_units = clip(floor((l - log2(D) - (p - 39) 2^16 + 2^11) / 2^12), -128, 319)
+   with log2 of D in units of 2^-16 as `fixed_point.log2` computes it.
 """
 from typing import NamedTuple
 
 import numpy as np
 
-from ..equations import hash_grid
-from ..model import context
+from ..equations.grid_nodes import entries
+from ..equations.prior import RAW_MAX, RAW_MIN, layout
+from ..model import LATTICE
+from .fixed_point import INPUT_BITS, bit_length, halve, log2, rescale, run_network, table
 from .gaussian_table import MU_BITS, MU_LIMIT, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN
 
-STEP_UNITS = 2**16         # q = units * 2 Q_0 / 2^16; the floor of Q7, 2^-10 Q_0, is 32 units
-STEP_FLOOR = 32
+STEP_FLOOR, STEP_MAX = 32, 2**16       # q in units of 2 Q_0 / 2^16; the floor of Q7 is 2^-10 Q_0
+LOG2_E = 94548                         # log2(e) in units of 2^-16
 
 
 class CodingContext(NamedTuple):
     q: np.ndarray              # (A, 4) float64, the steps of f, s, l, O: the same double everywhere
     mu_units: np.ndarray       # (A, n) int64, mu / q in units of 2^-MU_BITS; columns as `model.join`
     sigma_units: np.ndarray    # (A, n) int64, log2(sigma / q) in units of 2^-SIGMA_BITS
-    mu: np.ndarray             # (A, n) what the float model says, for estimates only
-    sigma: np.ndarray          # (A, n)
 
 
-def coding_context(design, networks, grids, x_a, box):
+def hash_feature(positions, grids, design):
+    """h of every anchor, whole numbers in float64, units 2^-15: positions int64 (A, 3) -> (A, L F)."""
+    features = []
+    for (axes, res), grid in zip(design.grid, grids):
+        place = positions[:, ["xyz".index(axis) for axis in axes]] * (res - 1)
+        base, t = place // LATTICE, place % LATTICE
+        corner = np.array(np.meshgrid(*[[0, 1]] * len(axes), indexing="ij")).reshape(len(axes), -1).T
+        weight = np.where(corner, t[:, None, :], LATTICE - t[:, None, :]).prod(axis=2)              # below 2^48
+        signs = np.where(grid[entries(base, corner, res, len(grid))] > 0, 1, -1)                    # (A, 2^D, F)
+        unit = LATTICE ** len(axes) >> INPUT_BITS
+        features.append(((weight[:, :, None] * signs).sum(axis=1) + unit // 2) // unit)
+    return np.concatenate(features, axis=1).astype(float)
+
+
+def step_units(h, network):
+    """q_units (A, 4) int64."""
+    steps = table("sigmoid")
+    v = np.clip(rescale(run_network(h, *network), slice(None), 12, 2**15) + (4 << 12), 0, (10 << 12) - 1)
+    i, r = v >> 6, v & 63
+    share = steps[i] + ((steps[i + 1] - steps[i]) * r >> 6)
+    return np.clip(share + 128 >> 8, STEP_FLOOR, STEP_MAX)
+
+
+def shift(values, S):
+    """values 2^-S rounded to nearest, ties up, clipped to +-MU_LIMIT; |values| <= 2^52, S of any sign."""
+    right, left = np.clip(S, 0, 62), np.clip(-S, 0, 28)
+    rounded = (values + (1 << right >> 1)) >> right
+    return np.clip(np.clip(rounded, -MU_LIMIT, MU_LIMIT) << left, -MU_LIMIT, MU_LIMIT)
+
+
+def coding_context(design, networks, grids, positions):
     """Steps, means and deviations of every coded attribute as the coder uses them.
 
-    Shapes     x_a (A, 3) positions on the lattice of `box`; grids: levels (T, F) of +-1
-    Choice     Q6 one step per group; Q7 its floor; Q11 the grid; the lattices of q, mu and sigma are the codec's
-    Reference  P-4DGS Eqs. (8), (9), (12)
+    Shapes     positions (A, 3) int64 symbols of the 16-bit lattice; grids: levels (T, F) of +-1
+    Domain     networks hold float16 numbers, Q_0 within the header's range
+    Choice     Q6 one step per group; Q7 its floor; Q8 the clamp of sigma; Q11 the grid
+    Reference  P-4DGS Eqs. (8), (9), (12); the integers are this project's
     """
-    located = hash_grid.locate(x_a, *(corner.astype(float) for corner in box), design.grid,
-                               [T for T, _ in design.levels()])
-    ctx, _ = context(design, networks, grids, located)
-    units = 2 * np.array(design.Q_0) / STEP_UNITS
-    q = np.clip(np.rint(ctx.q / units), STEP_FLOOR, STEP_UNITS) * units
-    wide = np.repeat(q, design.widths, axis=1)
-    mu_units = np.rint(np.clip(ctx.mu / wide * 2.0**MU_BITS, -MU_LIMIT, MU_LIMIT)).astype(np.int64)
-    log_sigma = np.log2(ctx.sigma / wide) * 2.0**SIGMA_BITS
-    sigma_units = np.rint(np.clip(log_sigma, SIGMA_MIN, SIGMA_MAX)).astype(np.int64)
-    return CodingContext(q, mu_units, sigma_units, ctx.mu, ctx.sigma)
+    h = hash_feature(positions, grids, design)
+    q_units = step_units(h, networks["psi_q"])
+    fraction, p = np.frexp(np.array(design.Q_0))
+    D = np.floor(fraction * 2.0**24).astype(np.int64) * q_units                # (A, 4), 28 to 41 bits
+    n = bit_length(D) - 24
+    R = 2**47 // (D >> n)
+    log2_q = log2(D) + ((p.astype(np.int64) - 39) << 16)
+    spread = np.repeat(np.arange(4), design.widths)                            # group of every column
+    prior, (mu_columns, raw_columns) = run_network(h, *networks["psi_p"]), layout(design.widths)
+    t = max(0, prior.bound.bit_length() - 28)
+    m = halve(prior.y[:, mu_columns], t).astype(np.int64)
+    S = prior.bits - t + p.astype(np.int64) + n - (MU_BITS - 8)
+    mu_units = shift(m * R[:, spread], S[:, spread])
+    raw = np.clip(rescale(prior, raw_columns, 16, 2**24), int(RAW_MIN) << 16, int(RAW_MAX) << 16)
+    log2_sigma = raw * LOG2_E + 2**15 >> 16
+    sigma_units = (log2_sigma - log2_q[:, spread] + (1 << 15 - SIGMA_BITS)) >> 16 - SIGMA_BITS
+    return CodingContext(q_units * (np.array(design.Q_0) * 2.0**-15), mu_units,
+                         np.clip(sigma_units, SIGMA_MIN, SIGMA_MAX))

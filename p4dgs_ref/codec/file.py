@@ -79,7 +79,7 @@ def quantised_of(sections):
     networks, grids = _read_networks(sections, design), _read_grids(_section(sections, "hash_grid"), design)
     mask = decode_bits(_section(sections, "masks"), A * design.k, section="masks").reshape(A, design.k)
     x_a = unsnap(positions, *box)
-    ctx, kept = coding_context(design, networks, grids, x_a, box), coded(mask, design)
+    ctx, kept = coding_context(design, networks, grids, positions), coded(mask, design)
     symbols = np.zeros(kept.shape, np.int64)
     for name, columns in attribute_columns(design):
         where = kept[:, columns]

@@ -29,12 +29,12 @@ mu' = 320, low = 0, c = 0, W = 13, n = 27, exp2[9] = 44376.  Boundary below 0: z
 i = 348, r = 202, C = 4813177 + floor(89668 * 202 / 256) = 4883930, cum(0) = 4883921 + 13 = 4883934.  Boundary below
 1: z = 2080, cum(1) = 9236032.  So the symbol 0 has frequency 4352098 (probability 0.2594) and costs 1.947 bits.
 """
-import json
 from functools import cache
-from importlib.resources import files
 from typing import NamedTuple
 
 import numpy as np
+
+from .fixed_point import table as normative
 
 MU_BITS, SIGMA_BITS, PRECISION = 10, 4, 24
 MU_LIMIT = 1 << 34
@@ -54,13 +54,6 @@ class Model(NamedTuple):
     low: np.ndarray        # (U,)  how many low bits of a symbol are written as they are
     table: np.ndarray      # (n,)  which table each symbol uses, int32
     lowest: np.ndarray     # (n,)  c - W, the block of that table's first entry, int32
-
-
-@cache
-def load_tables():
-    """The normative tables, phi (769,) and exp2 (16,), int64."""
-    tables = json.loads(files(__package__).joinpath("tables.json").read_text())
-    return np.array(tables["phi"], np.int64), np.array(tables["exp2"], np.int64)
 
 
 def shape_of(sigma_units):
@@ -105,7 +98,7 @@ def build_keys(sigma_units, place):
     Shapes     sigma_units, place (U,) -> keys (E+1,), first (U,)
     Units      place: mu' modulo one block, 1/1024 symbol
     """
-    phi, exp2 = load_tables()
+    phi, exp2 = normative("phi"), normative("exp2")
     e, _, low, reach = shape_of(sigma_units)
     entries = 2 * reach + 2
     first = np.cumsum(entries) - entries

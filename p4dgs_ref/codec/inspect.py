@@ -1,7 +1,8 @@
 """Where the bytes of a file are, beside what the model says they should be."""
 import numpy as np
 
-from ..equations import likelihood
+from ..equations import hash_grid, likelihood
+from ..model import context
 from .container import read_container
 from .file import attribute_columns, quantised_of
 
@@ -11,6 +12,13 @@ def entropy_bits(flags):
     n = np.array([np.count_nonzero(flags), np.size(flags) - np.count_nonzero(flags)], float)
     n = n[n > 0]
     return float((n * np.log2(n.sum() / n)).sum())
+
+
+def float_context(model):
+    """The context as training computes it, in float64: what the integers of `context.py` stand for."""
+    design, box = model.design, [corner.astype(float) for corner in model.box]
+    located = hash_grid.locate(model.anchors.x_a, *box, design.grid, [T for T, _ in design.levels()])
+    return context(design, model.networks, model.grids, located)[0]
 
 
 def ledger(data):
@@ -29,7 +37,8 @@ def ledger(data):
     bits = {"masks": entropy_bits(model.anchors.mask),
             "hash_grid": entropy_bits(np.concatenate([g.ravel() for g in model.grids]) > 0)}
     steps = np.repeat(q.context.q, model.design.widths, axis=1)
-    every = likelihood.forward(q.symbols * steps, q.context.mu, q.context.sigma, steps)[0].bits
+    prior = float_context(model)
+    every = likelihood.forward(q.symbols * steps, prior.mu, prior.sigma, steps)[0].bits
     for name, columns in attribute_columns(model.design):
         bits[name] = float(every[:, columns][q.kept[:, columns]].sum())
         counts[name] = int(q.kept[:, columns].sum())

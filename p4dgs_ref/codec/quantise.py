@@ -55,7 +55,7 @@ def quantise(model):
     background = np.array(model.background, float)
     design = _as_decoded(replace(model, anchors=anchors, background=background))
     positions, x_a = snap(_finite("anchors x_a", anchors.x_a), *box)
-    ctx, kept = coding_context(design, networks, grids, x_a, box), coded(anchors.mask, design)
+    ctx, kept = coding_context(design, networks, grids, positions), coded(anchors.mask, design)
     symbols = _round_attributes(np.where(kept, join(anchors), 0), ctx.q, design)
     f, s, l, O = dequantise(symbols, ctx, design)
     rounded = Model(design, Anchors(x_a, f, s, l, O, anchors.mask), networks, grids, box, background)

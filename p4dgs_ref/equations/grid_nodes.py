@@ -40,8 +40,13 @@ def nodes(x_a, lo, hi, axes, res, table):
     fraction = (position - base)[:, None, :]
     weight = np.where(step, fraction, 1 - fraction).prod(axis=2)
     # On the upper face the fraction is 0, so the corner beyond it, folded back here, weighs nothing.
-    corner = np.minimum(base.astype(np.int64)[:, None, :] + step, res - 1)
+    return entries(base.astype(np.int64), step, res, table), weight
+
+
+def entries(base, step, res, table):
+    """Which rows of a level's array the corners base + step read: int64 (A, D), (2^D, D) -> (A, 2^D)."""
+    corner, D = np.minimum(base[:, None, :] + step, res - 1), base.shape[1]
     if res**D <= table:
-        return corner @ res ** np.arange(D), weight                        # x + y res + z res^2
+        return corner @ res ** np.arange(D)                                # x + y res + z res^2
     hashed = np.bitwise_xor.reduce(corner.astype(np.uint32) * PRIMES[:D], axis=2)      # wraps modulo 2^32
-    return (hashed % np.uint32(table)).astype(np.int64), weight
+    return (hashed % np.uint32(table)).astype(np.int64)

@@ -3,11 +3,18 @@ import time
 
 import numpy as np
 
+from ..codec.inspect import components
 from ..equations import ssim
 from ..splatting.settings import FAST
 
 FLOATS_PER_GAUSSIAN = 59       # as D3DGS stores one: 3 position, 3 scale, 4 rotation, 1 opacity, 48 SH
 FLOATS_WITHOUT_SH_REST = 14
+
+
+def timed(function, *args):
+    """A function's value and the seconds it took."""
+    start = time.perf_counter()
+    return function(*args), time.perf_counter() - start
 
 
 def squared_error(image, truth, where=None):
@@ -33,9 +40,11 @@ def score(image, view):
 def evaluate(model, scene, settings=FAST, split="test"):
     """Scores of a model on a scene's views and the time it takes to render them.
 
+    Takes      a Model and a Scene; `settings` of the renderer; which `split` of the scene
     Returns    (metrics, rows, images): metrics {psnr_db, psnr_fg_db, ssim, render_fps, anchors, gaussians}, the means
                over views; one row {name, time, ...} and one image (H, W, 3) a view
     Raises     ValueError where the scene has no such views
+    Choice     images are clipped to [0, 1]; equal ones have infinite PSNR; the README's Measures defines the rest
     """
     views = getattr(scene, split)
     if not views:
@@ -43,11 +52,10 @@ def evaluate(model, scene, settings=FAST, split="test"):
     model.render(views[0].camera, views[0].time, settings)            # warm up
     rows, images, seconds, counts = [], [], [], []
     for view in views:
-        start = time.perf_counter()
-        image = model.render(view.camera, view.time, settings)
-        seconds.append(time.perf_counter() - start)
+        image, spent = timed(model.render, view.camera, view.time, settings)
+        seconds.append(spent)
         counts.append(len(model.gaussians(view.time, view.camera).alpha))
-        rows.append({"name": view.name, "time": view.time, **score(image, view), "ms": 1e3 * seconds[-1]})
+        rows.append({"name": view.name, "time": view.time, **score(image, view)})
         images.append(image)
 
     def mean(key):
@@ -66,8 +74,15 @@ def explicit_bytes(model, gaussians, floats=FLOATS_PER_GAUSSIAN):
     return 4 * (gaussians * floats + weights)
 
 
+def compression(model, data, gaussians):
+    """How large the file `data` of a model is, in all, by component, and beside the same Gaussians uncompressed."""
+    explicit = explicit_bytes(model, gaussians)
+    return {"bytes": len(data), "explicit_bytes": explicit, "ratio": explicit / len(data),
+            "ratio_without_sh": explicit_bytes(model, gaussians, FLOATS_WITHOUT_SH_REST) / len(data),
+            "components": components(data)}
+
+
 def json_safe(metrics):
     """Infinite decibels become null beside "exact": true; everything else as it is."""
-    exact = any(isinstance(v, float) and np.isinf(v) for v in metrics.values())
-    safe = {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in metrics.items()}
-    return {**safe, "exact": True} if exact else safe
+    infinite = [key for key, value in metrics.items() if isinstance(value, float) and np.isinf(value)]
+    return {**metrics, **dict.fromkeys(infinite), "exact": True} if infinite else metrics

@@ -1,0 +1,89 @@
+"""Networks in integers: the same outputs on every machine, in any order of summation.
+
+FORMAT.  A number is an integer times 2^-a; a is fixed per layer by the weights, never by the data.
+
+1. Input.  |x| <= X = 2^15, a = 15.
+2. Layer.  Weights and biases are the float16 numbers of the file, W (I, J) and b (J,), with
+       p = the least integer with max |W| < 2^p        p_b = the same for max |b|        (0 where all are zero)
+       n = min(15 - p, 50 - p_b - a, 24)
+       W' = rint(W 2^n),  b' = rint(b 2^(a + n))       ties to even; |W'| < 2^15, |b'| <= 2^50
+       y = x W' + b'                                    units 2^-(a + n)
+   |y| <= B = X max_j sum_i |W'_ij| + max_j |b'_j|.  With I <= 2^14 and X <= 2^22 that is below 2^52: a float64, hence
+   a JavaScript number, holds every partial sum exactly, so a product may add in any order, fused or not.
+3. Hidden layers.  s = max(0, bits of B - 22);  x = max(0, floor((y + floor(2^s / 2)) / 2^s));
+   a becomes a + n - s and X becomes floor((B + floor(2^s / 2)) / 2^s).
+4. The last layer is left as y, with its units a + n and its bound B.
+"""
+import json
+from functools import cache
+from importlib.resources import files
+from typing import NamedTuple
+
+import numpy as np
+
+INPUT_BITS, ACTIVATION_BITS, WEIGHT_BITS, BIAS_BITS, MOST_SCALE = 15, 22, 15, 50, 24
+
+
+class Fixed(NamedTuple):
+    """Whole numbers held in float64, exact because none reaches 2^53."""
+
+    y: np.ndarray          # (A, J)
+    bits: int              # units 2^-bits
+    bound: int             # |y| <= bound
+
+
+@cache
+def table(name):
+    """A normative table of `tables.json` as int64; `make_tables.py` says what it holds."""
+    return np.array(json.loads(files(__package__).joinpath("tables.json").read_text())[name], np.int64)
+
+
+def exponent(values):
+    """The least p with max |values| < 2^p; 0 for nothing but zeros."""
+    return int(np.frexp(np.abs(values).max(initial=0.0))[1])
+
+
+def halve(values, s):
+    """floor((values + floor(2^s / 2)) / 2^s) of whole numbers in float64: round to nearest, ties up."""
+    return np.floor((values + 2**s // 2) * 2.0**-s) if s > 0 else values
+
+
+def run_network(x, weights, biases):
+    """A network on whole numbers x (A, I), |x| <= 2^15 in units of 2^-15: Fixed, the last layer's outputs.
+
+    Raises     nothing: limits of the header keep widths below 2^14, and float16 keeps weights finite
+    """
+    bits, bound, last = INPUT_BITS, 2**INPUT_BITS, len(weights) - 1
+    for i, (W, b) in enumerate(zip(weights, biases)):
+        n = min(WEIGHT_BITS - exponent(W), BIAS_BITS - exponent(b) - bits, MOST_SCALE)
+        W, b = np.rint(W * 2.0**n), np.rint(b * 2.0 ** (bits + n))
+        largest_sum = int(np.abs(W).sum(axis=0).max(initial=0.0))
+        bound, bits = bound * largest_sum + int(np.abs(b).max(initial=0.0)), bits + n
+        assert bound < 2**52, "a partial sum could round"
+        x = x @ W + b
+        if i < last:
+            s = max(0, bound.bit_length() - ACTIVATION_BITS)
+            x = np.maximum(halve(x, s), 0.0)
+            bound, bits = bound + 2**s // 2 >> s, bits - s
+    return Fixed(x, bits, bound)
+
+
+def rescale(fixed, columns, bits, limit):
+    """Some columns of a network's outputs in units of 2^-bits, clipped to +-limit: int64 (A, n)."""
+    y, s = fixed.y[:, columns], fixed.bits - bits
+    if s < 0:                                     # few fractional bits: saturate first, so that the shift stays exact
+        y = np.clip(y, -limit, limit) * 2.0 ** min(-s, 30)
+    return np.clip(halve(y, s), -limit, limit).astype(np.int64)
+
+
+def bit_length(values):
+    """Bits of positive whole numbers below 2^53, int64."""
+    return np.frexp(values.astype(float))[1].astype(np.int64)
+
+
+def log2(values):
+    """log2 of positive whole numbers, in units of 2^-16: bits before the leading one, then a table of 256 steps."""
+    length = bit_length(values)
+    leading = np.where(length > 24, values >> np.maximum(length - 24, 0), values << np.maximum(24 - length, 0))
+    steps, i, r = table("log2"), leading >> 15 & 255, leading & 2**15 - 1
+    return (length - 1 << 16) + steps[i] + ((steps[i + 1] - steps[i]) * r >> 15)
