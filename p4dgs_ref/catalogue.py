@@ -13,5 +13,6 @@ def table():
     """The table as Markdown, the form in which the README holds its copy."""
     lines = ["| no. | key | file | formula |", "|---|---|---|---|"]
     for row in rows():
-        lines.append(f"| {row['number']} | `{row['key']}` | `{row['file']}` | `{row['formula'].replace('|', chr(92) + '|')}` |")
+        formula = row["formula"].replace("|", "\\|")          # a bar would end the column
+        lines.append(f"| {row['number']} | `{row['key']}` | `{row['file']}` | `{formula}` |")
     return "\n".join(lines)

@@ -219,3 +219,13 @@ def test_a_bad_backward_is_traced(scene, monkeypatch):
     monkeypatch.setattr(scale, "backward", lambda res, bar: {**real(res, bar), "s_a": real(res, bar)["s_a"] * np.nan})
     with pytest.raises(NotFinite, match="equation 'scale', backward, gradient of: s_a"):
         Trainer(scene, SMOKE).step()
+
+
+def test_an_equation_inside_another_is_named_with_it(scene, monkeypatch):
+    """Eq. (5)'s network overflows: the message says whose network it is."""
+    trainer = Trainer(scene, SMOKE)
+    while trainer.stage < 3:
+        trainer.step()
+    trainer.parameters["psi_d.W0"][...] = 3e38
+    with np.errstate(all="ignore"), pytest.raises(NotFinite, match="equation 'deformation', its 'mlp', forward: y"):
+        trainer.step()

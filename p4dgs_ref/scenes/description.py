@@ -138,13 +138,23 @@ SCENE = fields({"title": (text, REQUIRED), "license": (text, None), "effects": (
                 "cameras": (CAMERAS, REQUIRED), "light": (LIGHT, REQUIRED), "bodies": (list_of(BODY), REQUIRED)})
 
 
+def read_file(file):
+    """The contents of a scene.json.
+
+    Raises     SceneError where there is none, or no JSON object in it
+    """
+    if not file.exists():
+        raise SceneError(file, "missing; expected a scene.json, as tiny_scenes/ holds six")
+    return read_json(file)
+
+
 def describe(source):
     """A checked description from a scene.json or from the dictionary that it holds.
 
     Shapes     a path or a dict -> a namespace with the fields of SCENE
     Raises     SceneError, one line: file, field, expectation
     """
-    data, where = (source, "scene") if isinstance(source, dict) else (read_json(Path(source)), str(source))
+    data, where = (source, "scene") if isinstance(source, dict) else (read_file(Path(source)), str(source))
     description = SCENE(data, where)
     known = set()
     for i, body in enumerate(description.bodies):

@@ -39,7 +39,7 @@ def _check(where, value):
         wrong = np.argwhere(~np.isfinite(array))
         if len(wrong):
             index = tuple(int(i) for i in wrong[0])
-            raise _Found(f"{where}: {name}{list(index)} is {array[index]}")
+            raise _Found(f"{where}: {name}{list(index) if index else ''} is {array[index]}")
 
 
 @contextmanager
@@ -49,23 +49,21 @@ def watched():
     modules["compositing, fast"] = fast
     kept = {key: (module.forward, module.backward) for key, module in modules.items()}
 
-    def forward_of(key, function):
-        def run(*args, **kwargs):
-            out, res = function(*args, **kwargs)
-            _check(f"equation {key!r}, forward", out)
-            return out, res
-        return run
+    running = []                                   # psi_d's network runs inside Eq. (5): name both
 
-    def backward_of(key, function):
+    def watch(key, function, direction, outputs_of):
         def run(*args, **kwargs):
-            gradients = function(*args, **kwargs)
-            _check(f"equation {key!r}, backward, gradient of", gradients)
-            return gradients
+            running.append(key)
+            result = function(*args, **kwargs)
+            _check(f"equation {', its '.join(map(repr, running))}, {direction}", outputs_of(result))
+            running.pop()
+            return result
         return run
 
     try:
         for key, module in modules.items():
-            module.forward, module.backward = forward_of(key, kept[key][0]), backward_of(key, kept[key][1])
+            module.forward = watch(key, kept[key][0], "forward", lambda result: result[0])
+            module.backward = watch(key, kept[key][1], "backward, gradient of", lambda gradients: gradients)
         yield
     finally:
         for key, module in modules.items():

@@ -146,19 +146,25 @@ def _checked(preset):
     if len(ends) != 4 or any(b < a for a, b in zip((0, *ends[:-1]), ends)) or ends[-1] < 1:
         raise ValueError(f"field 'stage_ends': expected four rising iterations, got {ends}")
     for field in ("anchors", "d", "k", "F", "voxel", "extent", "Q_f", "Q_s", "Q_l", "Q_O", "table_3d", "table_2d",
-                  "grow_every", "L_x", "L_t"):
+                  "grow_every", "grow_init", "grow_hierarchy", "L_x", "L_t"):
         value = getattr(preset, field)
         if not (value > 0 and value < float("inf")):
             raise ValueError(f"field {field!r}: expected a positive number, got {value!r}")
-    for field in ("hidden", "deformation", "context", "grid_3d", "grid_2d"):
-        if any(n < 1 for n in getattr(preset, field)):
-            raise ValueError(f"field {field!r}: expected widths of at least 1, got {getattr(preset, field)}")
+    for field, most in (("hidden", 8), ("deformation", 8), ("context", 8), ("grid_3d", 16), ("grid_2d", 16)):
+        value = getattr(preset, field)             # within what a file can hold, see codec/header.py
+        if any(not 1 <= n <= 2**14 for n in value) or len(value) > most:
+            raise ValueError(f"field {field!r}: expected at most {most} numbers from 1 to 16384, got {value}")
+    for field, most in (("d", 4096), ("k", 256), ("F", 64), ("L_x", 64), ("L_t", 64), ("lambda_ssim", 1)):
+        if getattr(preset, field) > most:
+            raise ValueError(f"field {field!r}: expected at most {most}, got {getattr(preset, field)}")
     for field, value in preset._asdict().items():
-        if isinstance(value, float) and not 0 <= value < float("inf"):
+        if field != "tau_alpha" and isinstance(value, (int, float)) and not 0 <= value < float("inf"):
             raise ValueError(f"field {field!r}: expected a finite number of at least 0, got {value!r}")
         if field.startswith("lr_") and not (len(value) == 2 and all(0 < v < float("inf") for v in value)
                                             or tuple(value) == (0, 0)):
             raise ValueError(f"field {field!r}: expected first,last, two positive rates or 0,0, got {value!r}")
+    if not -1 <= preset.tau_alpha <= 1:
+        raise ValueError(f"field 'tau_alpha': expected an opacity threshold from -1 to 1, got {preset.tau_alpha!r}")
     if not preset.grid_3d + preset.grid_2d:
         raise ValueError("field 'grid_3d': expected a level here or in grid_2d, the context has nothing else to read")
     if preset.grow not in ("scaffold", "reseed", "off"):
