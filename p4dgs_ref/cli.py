@@ -76,7 +76,6 @@ def add_scene(entry, **optional):
 
 
 def add_camera(entry):
-    entry.add_argument("--frames", type=whole(1, 10_000), default=24, help="times from 0 to 1 (default 24)")
     entry.add_argument("--azimuth", type=real(-360, 360), default=40.0, help="degrees about z (default 40)")
     entry.add_argument("--elevation", type=real(-89, 89), default=30.0, help="degrees (default 30)")
     entry.add_argument("--distance", type=real(1e-3, 1e6), default=3.6,
@@ -114,14 +113,17 @@ def parser():
     e.add_argument("file", help="a .p4dgs file"), add_output(e)
     e = command("render", "pictures of a file, from a held camera over time or from a scene's cameras")
     e.add_argument("file", help="a .p4dgs file"), add_output(e), add_camera(e), add_view(e)
+    e.add_argument("--frames", type=whole(1, 10_000), default=24, help="times from 0 to 1 (default 24)")
     e.add_argument("--scene", help="render this scene's cameras and times instead of a held camera")
     e.add_argument("--split", default="test", choices=("train", "test", "val"), help="which of the scene's views")
     e.add_argument("--settings", default="fast", help="exact, paper or fast (default fast)")
     e = command("evaluate", "score a file on a scene's test views")
     e.add_argument("file", help="a .p4dgs file"), add_scene(e)
     add_output(e, "", "folder for the comparison picture and table (optional)")
-    e = command("inspect", "a file's bytes, section by section")
+    e = command("inspect", "a file's bytes, section by section, beside their entropy")
     e.add_argument("file", help="a .p4dgs file"), add_output(e, "", "folder for the table and the picture (optional)")
+    e.add_argument("--heat", action="store_true", help="also draw the scene in the colours of what its anchors cost")
+    e.add_argument("--time", type=real(0, 1), default=0.5, help="of the --heat picture (default 0.5)"), add_camera(e)
     command("equations", "the table of equations")
     e = command("presets", "what each preset changes, beside the paper's values")
     e.add_argument("preset", nargs="?", help="only this one, all fields")

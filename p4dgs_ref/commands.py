@@ -219,16 +219,34 @@ def evaluate(arguments):
 
 
 def inspect(arguments):
-    from .codec.inspect import components, ledger
-    data, model, _ = read_file(arguments.file)
+    from .codec.inspect import GAPS, ledger
+    if arguments.heat and not arguments.output:
+        raise UsageError("--heat: expected -o FOLDER, the picture goes there")
+    data, _, _ = read_file(arguments.file)
     rows = ledger(data)
     if arguments.output:
-        from .experiments.evaluate import explicit_bytes
-        from .experiments.report import draw_size, write_csv
+        from .experiments.report import draw_ledger, write_csv
         with filled(arguments.output) as beside:
             write_csv(beside / "size.csv", rows)
-            draw_size(beside / "size.png", components(data), explicit_bytes(model, int(model.anchors.mask.sum())))
-    show(arguments, {"bytes": len(data), "sections": rows}, text.ledger(rows))
+            draw_ledger(beside / "size.png", rows)
+            if arguments.heat:
+                write_heat(arguments, data, beside)
+    show(arguments, {"bytes": len(data), "sections": rows, "gaps": GAPS}, text.ledger(rows, GAPS))
+
+
+def write_heat(arguments, data, folder):
+    """heat.png, the scene coloured by the bits of its anchors, and heat.csv with every anchor's."""
+    import numpy as np
+
+    from .codec.inspect import anchor_bits
+    from .experiments.heat import heat_image
+    from .experiments.report import HEAT, draw_heat, write_csv
+    model, bits = anchor_bits(data)
+    limits = tuple(np.percentile(bits, (2, 98)))
+    image = heat_image(model, bits, held_camera(arguments, model), arguments.time, limits, HEAT)
+    write_csv(folder / "heat.csv", [[a, *x, b] for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))],
+              ("anchor", "x", "y", "z", "bits"))
+    draw_heat(folder / "heat.png", image, bits, limits)
 
 
 def equations(arguments):

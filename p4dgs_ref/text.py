@@ -38,16 +38,22 @@ def evaluation(m, rows):
     return "\n".join([*lines, f"mean of {len(rows)}: {quality(m)}", size(m), times(m)])
 
 
-def ledger(rows):
-    """The sections of a file as a table; `entropy` is what the bytes would be at the coder's limit."""
+def ledger(rows, gaps):
+    """The sections of a file as a table: what they should take, what they take, and why the two differ."""
     total = sum(row["bytes"] for row in rows)
-    lines = [f"{'section':16} {'bytes':>9} {'share':>7} {'entropy':>11} {'symbols':>9} {'bits each':>9}"]
+    lines = [f"{'section':16} {'entropy':>9} {'integers':>9} {'payload':>8} {'headers':>8} {'bytes':>8} {'share':>7} "
+             f"{'symbols':>8} {'bits each':>9}"]
     for row in rows:
         symbols = "" if row["symbols"] is None else row["symbols"]
         each = "" if row["bits_per_symbol"] is None else f"{row['bits_per_symbol']:.3f}"
-        lines.append(f"{row['name']:16} {row['bytes']:9d} {100 * row['bytes'] / total:6.1f}% "
-                     f"{row['estimate_bytes']:11.1f} {symbols:>9} {each:>9}")
-    return "\n".join([*lines, f"{'file':16} {total:9d}"])
+        lines.append(f"{row['name']:16} {row['estimate_bytes']:9.1f} {row['integer_bytes']:9.1f} "
+                     f"{row['payload_bytes']:8d} {row['header_bytes']:8d} {row['bytes']:8d} "
+                     f"{100 * row['bytes'] / total:6.1f}% {symbols:>8} {each:>9}")
+    sums = [sum(row[key] for row in rows) for key in ("estimate_bytes", "integer_bytes", "payload_bytes", "header_bytes")]
+    lines.append(f"{'file':16} {sums[0]:9.1f} {sums[1]:9.1f} {sums[2]:8d} {sums[3]:8d} {total:8d}")
+    lines += ["", "bytes; entropy under the float model, then what the next columns add:"]
+    between = {"model": "entropy -> integers", "coder": "integers -> payload", "headers": "payload -> bytes"}
+    return "\n".join([*lines, *(f"  {between[name]:20} {why}" for name, why in gaps.items())])
 
 
 def setting(value):

@@ -102,9 +102,11 @@ def test_inspect_and_evaluate_agree_with_the_demo(reports, run):
     assert sorted(path.name for path in Path("scored").iterdir()) == ["comparison.csv", "comparison.png"]
     text = run(f"evaluate {file} bouncing")
     assert f"mean of 10: PSNR {metrics['psnr_db']:.2f} dB" in text and f"{metrics['bytes']:,} bytes" in text
-    table = run(f"inspect {file} -o sizes")
-    assert table.splitlines()[-1].split() == ["file", str(metrics["bytes"])]
-    assert sorted(path.name for path in Path("sizes").iterdir()) == ["size.csv", "size.png"]
+    table = run(f"inspect {file} -o sizes --heat --size 40")
+    total, = (line.split() for line in table.splitlines() if line.startswith("file "))
+    assert total[-1] == str(metrics["bytes"]) and all(why in table for why in listed["gaps"].values())
+    assert sorted(path.name for path in Path("sizes").iterdir()) == ["heat.csv", "heat.png", "size.csv", "size.png"]
+    assert len(Path("sizes/heat.csv").read_text().splitlines()) == metrics["anchors"] + 1
 
 
 def test_train_encode_decode_render(run, capsys):

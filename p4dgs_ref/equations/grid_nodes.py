@@ -44,7 +44,11 @@ def nodes(x_a, lo, hi, axes, res, table):
 
 
 def entries(base, step, res, table):
-    """Which rows of a level's array the corners base + step read: int64 (A, D), (2^D, D) -> (A, 2^D)."""
+    """Which rows of a level's array the corners base + step read: int64 (A, D), (2^D, D) -> (A, 2^D).
+
+    A corner (i, j, k) in the order of `axes`, each at most res - 1, reads entry i + j res + k res^2 where res^D <= table,
+    else (i XOR 2654435761 j XOR 805459861 k), products modulo 2^32, modulo table.
+    """
     corner, D = np.minimum(base[:, None, :] + step, res - 1), base.shape[1]
     if res**D <= table:
         return corner @ res ** np.arange(D)                                # x + y res + z res^2

@@ -10,6 +10,8 @@ LABELS = {"header": "header", "positions": "anchor positions", "features": "feat
           "offset_scales": "offset scales l", "offsets": "offsets O", "masks": "masks", "hash_grid": "hash grid",
           "deformation_mlp": "deformation MLP", "anchor_mlps": "anchor MLPs", "context_mlps": "context MLPs"}
 BLUE, LIGHT_BLUE, RED = "#0072B2", "#56B4E9", "#D55E00"      # of Okabe and Ito's palette, for colour-blind readers
+STACK = (BLUE, "#E69F00", "#009E73", "#CC79A7")
+HEAT = "viridis"
 LARGEST_ERROR = 0.25                                         # of the error pictures' colours, the same in every report
 
 
@@ -92,6 +94,47 @@ def draw_size(path, components, explicit):
     ax.locator_params(axis="x", nbins=5)
     figure.suptitle(f"file: {total:,} bytes\nsame Gaussians as float32: {explicit:,} bytes, "
                     f"{explicit / total:.1f} times as many", fontsize=14)
+    save_figure(figure, path)
+
+
+def draw_ledger(path, rows):
+    """Every section as a stacked bar: entropy, what whole numbers, the coder and headers add to it.
+
+    Two panels, because the gaps are a hundredth of the sections: all bytes, and what is beyond the entropy alone.
+    """
+    plt = pyplot()
+    rows = sorted(rows, key=lambda row: row["bytes"])
+    names = [LABELS.get(row["name"], row["name"]) for row in rows]
+    parts = {"entropy (or stored as it is)": [row["estimate_bytes"] for row in rows],
+             "+ whole-number model": [row["integer_bytes"] - row["estimate_bytes"] for row in rows],
+             "+ coder": [row["payload_bytes"] - row["integer_bytes"] for row in rows],
+             "+ headers": [row["header_bytes"] for row in rows]}
+    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 5.5), sharey=True, layout="constrained")
+    for ax, skip in ((left, 0), (right, 1)):
+        start = np.zeros(len(rows))
+        for color, (label, values) in list(zip(STACK, parts.items()))[skip:]:
+            ax.barh(names, values, left=start, color=color, label=label)
+            start = start + values
+        ax.xaxis.set_major_formatter("{x:,.0f}")
+        ax.locator_params(axis="x", nbins=5)
+    left.set(xlabel="bytes", title=f"file: {sum(row['bytes'] for row in rows):,} bytes")
+    right.set(xlabel="bytes", title="beyond the entropy")
+    left.legend(loc="lower right", frameon=False)
+    save_figure(figure, path)
+
+
+def draw_heat(path, image, bits, limits):
+    """The scene with every Gaussian in the colour of the bits its anchor cost, beside how often each cost occurs."""
+    plt = pyplot()
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 5), layout="constrained", width_ratios=(1.2, 1))
+    left.imshow(np.clip(image, 0, 1))
+    left.set(xticks=[], yticks=[], title="what an anchor costs, where it stands")
+    left.spines[:].set_visible(False)
+    scale = plt.cm.ScalarMappable(plt.Normalize(*limits), HEAT)
+    figure.colorbar(scale, ax=left, label="bits of the Gaussian's anchor", shrink=0.9)
+    right.hist(bits, bins=30, color=BLUE)
+    right.set(xlabel="bits of an anchor: position, f, s, l, O, masks", ylabel="anchors",
+              title=f"{len(bits):,} anchors, {bits.mean():.0f} bits on average")
     save_figure(figure, path)
 
 
