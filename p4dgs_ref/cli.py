@@ -48,8 +48,16 @@ def color(text):
         raise argparse.ArgumentTypeError(f"expected white, black or r,g,b in 0 ... 1, got {text!r}") from None
 
 
+def place(text):
+    """A path that is not empty: an empty one would mean the current folder by accident."""
+    if not text:
+        raise argparse.ArgumentTypeError("expected a path, got nothing")
+    return text
+
+
 def add_output(entry, default=None, what="folder to write to"):
-    entry.add_argument("-o", "--output", metavar="PATH", default=default, required=default is None, help=what)
+    required, default = default is None, default or None              # "" makes it optional
+    entry.add_argument("-o", "--output", metavar="PATH", type=place, default=default, required=required, help=what)
 
 
 def add_json(entry):

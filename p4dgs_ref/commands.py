@@ -55,9 +55,13 @@ def read_preset(arguments):
 
 def read_file(path):
     """A file's bytes, its model, and the seconds that decoding took."""
-    from .codec.container import BitstreamError
+    from .codec.container import MAGIC, BitstreamError
     from .codec.file import decode as decode_model
+    if Path(path).is_dir():
+        raise UsageError(f"{path}: Is a directory; expected a .p4dgs file")
     data = Path(path).read_bytes()
+    if not data.startswith(MAGIC[:4]):
+        raise UsageError(f"{path}: not a P-4DGS file: expected it to begin with {MAGIC[:4].hex(' ')} (hexadecimal)")
     start = time.perf_counter()
     try:
         return data, decode_model(data), time.perf_counter() - start

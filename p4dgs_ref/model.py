@@ -83,7 +83,6 @@ class Gaussians(NamedTuple):
 
 
 class PredictRes(NamedTuple):
-    canonical: np.ndarray  # (N, 3) centres before Eq. (6), where growing looks
     view: object
     opacity: object
     color: object
@@ -95,15 +94,24 @@ class PredictRes(NamedTuple):
     deformed: object
 
 
+def beside(f, s, l, O):
+    """f (A, d), s, l (A, 3), O (A, k, 3) side by side, in the order of GROUPS: (A, d + 3 + 3 + 3k)."""
+    return np.concatenate([f, s, l, O.reshape(len(O), -1)], axis=1)
+
+
 def join(anchors):
-    """The coded attributes of every anchor side by side, in the order of GROUPS: (A, d + 3 + 3 + 3k)."""
-    O = anchors.O_a.reshape(len(anchors.O_a), -1)
-    return np.concatenate([anchors.f_a, anchors.s_a, anchors.l_a, O], axis=1)
+    """The coded attributes of every anchor side by side."""
+    return beside(anchors.f_a, anchors.s_a, anchors.l_a, anchors.O_a)
+
+
+def groups(values, design):
+    """The columns of each group, as views: [(A, d), (A, 3), (A, 3), (A, 3k)]."""
+    return np.split(values, np.cumsum(design.widths[:3]), axis=1)
 
 
 def split(values, design):
-    """The inverse of `join`: f, s, l and O (A, k, 3), as views."""
-    f, s, l, O = np.split(values, np.cumsum(design.widths[:3]), axis=1)
+    """The inverse of `beside`: f, s, l and O (A, k, 3), as views."""
+    f, s, l, O = groups(values, design)
     return f, s, l, O.reshape(len(O), design.k, 3)
 
 
@@ -127,7 +135,7 @@ def predict(design, networks, anchors, x_c, t=None):
     x, res_x = offsets.forward(anchors.x_a, anchors.O_a, anchors.l_a)
     kept, res_m = masking.forward(alpha.alpha, anchors.mask, design.tau_alpha, x.x, c.color, s.s, r.r)
     canonical = Gaussians(kept.x, kept.s, kept.r, kept.alpha, kept.color, kept.index)
-    res = PredictRes(kept.x, res_view, res_alpha, res_c, res_r, res_s, res_x, res_m, None, None)
+    res = PredictRes(res_view, res_alpha, res_c, res_r, res_s, res_x, res_m, None, None)
     if t is None or "psi_d" not in networks:
         return canonical, res
     delta, res_d = deformation.forward(kept.x, t, *networks["psi_d"], design.L_x, design.L_t)
@@ -135,18 +143,18 @@ def predict(design, networks, anchors, x_c, t=None):
     return (canonical._replace(x=at_t.x_t, s=at_t.s_t, r=at_t.r_t), res._replace(deformation=res_d, deformed=res_t))
 
 
-def predict_backward(res, x, s, r, alpha, color_bar):
+def predict_backward(res, x_bar, s_bar, r_bar, alpha_bar, color_bar):
     """Gradients of the anchors' attributes {name: gradient} and of the networks {name: gradients}.
 
-    Takes the cotangents of the Gaussians' x, s, r, alpha and color (N, ...), in the order of the pipeline's end.
+    Shapes     x_bar, s_bar, color_bar (N, 3), r_bar (N, 4), alpha_bar (N,): cotangents of the Gaussians at time t
     """
     networks = {}
     if res.deformed is not None:
-        moved = deformed.backward(res.deformed, x, s, r)
-        x, s, r = moved["x"], moved["s"], moved["r"]
+        moved = deformed.backward(res.deformed, x_bar, s_bar, r_bar)
+        x_bar, s_bar, r_bar = moved["x"], moved["s"], moved["r"]
         networks["psi_d"] = deformation.backward(res.deformation, moved["delta_x"], moved["delta_s"],
                                                  moved["delta_r"], needs_x=False)
-    full = masking.backward(res.masking, alpha, x, color_bar, s, r)
+    full = masking.backward(res.masking, alpha_bar, x_bar, color_bar, s_bar, r_bar)
     placed = offsets.backward(res.offsets, full["x"])
     networks["psi_s"] = scale.backward(res.scale, full["s"])
     networks["psi_r"] = rotation.backward(res.rotation, full["r"])

@@ -55,10 +55,11 @@ def test_fast_settings_stay_within_their_declared_error(n, size):
         assert relative(bar, exact_bars[name]) <= 1e-3, name
 
 
+@pytest.mark.parametrize("alpha", [(0.3, 1.0), (0.985, 1.0)])
 @pytest.mark.parametrize("height, width", SIZES)
-def test_paper_settings_follow_the_kernel_in_both_renderers(height, width):
+def test_paper_settings_follow_the_kernel_in_both_renderers(height, width, alpha):
     """Tile rectangles of the 3-sigma box, the 1/255 mask, the stop before the splat, the clamp without gradient rule."""
-    inputs = splats(80, height, width, seed=3, alpha=(0.3, 1.0))
+    inputs = splats(80, height, width, seed=3, alpha=alpha)
     image_bar = np.random.default_rng(4).normal(size=(height, width, 3))
     exact, exact_bars = run(loop, inputs, image_bar, settings=PAPER)
     out, bars = run(fast, inputs, image_bar, settings=PAPER._replace(dtype="float64"))

@@ -112,7 +112,7 @@ def test_one_minus_ssim_of_nearly_equal_images():
     losses = []
     for size in (1e-3, 1e-6):
         _, res = ssim.forward(y + size * (x - y), y)
-        losses.append(np.mean(res.alpha + res.beta - res.alpha * res.beta))
+        losses.append(np.mean(res.luminance + res.structure - res.luminance * res.structure))
     assert losses[1] / losses[0] == pytest.approx(1e-6, rel=1e-2) and losses[1] < 1e-10
 
 

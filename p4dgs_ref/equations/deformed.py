@@ -78,7 +78,7 @@ def cases():
                expected={**moved, "r_t": np.zeros((1, 4)), "delta_r_bar": np.array([[3e12, -5e12, 7e12, 11e12]])})
 
 
-deformed = declare("deformed", "6", "x_t = x + delta_x, s_t = s + delta_s, r_t = normalised r + delta_r",
+deformed = declare("deformed", "6", "x_t = x + delta_x, s_t = s + delta_s, r_t = (r + delta_r) / |r + delta_r|",
                    {"x": "N 3", "s": "N 3", "r": "N 4", "delta_x": "N 3", "delta_s": "N 3", "delta_r": "N 4",
                     "x_t": "N 3", "s_t": "N 3", "r_t": "N 4"},
                    ("x", "s", "r", "delta_x", "delta_s", "delta_r"), forward, backward, cases)

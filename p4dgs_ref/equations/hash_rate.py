@@ -18,7 +18,7 @@ class Out(NamedTuple):
 
 class Res(NamedTuple):
     grids: list            # (T, F) each, the untouched input
-    n_pos: float
+    n_pos: int
     n: int
 
 

@@ -34,10 +34,10 @@ def layout(widths):
 def forward(h, weights, biases, widths):
     """Predict the prior.
 
-    Shapes     h (A, H), weights and biases of psi_p (H -> 2n), widths: numbers per group, sum n -> mu, sigma (A, n)
+    Shapes     h (A, I), weights and biases of psi_p (I -> 2n), widths: numbers per group, sum n -> mu, sigma (A, n)
     Units      mu, sigma: of the attribute
     Domain     all reals; sigma from exp(-14) to exp(6)
-    Raises     IndexError from NumPy where psi_p does not have 2n outputs
+    Raises     IndexError from NumPy where psi_p has fewer than 2n outputs
     Gradient   h, weights, biases; raw sigma: 1 inside its clamp and on the ends, 0 outside
     Choice     Q8: sigma = exp(clip(raw)); Scaffold's children clamp a raw sigma at 1e-9, where gradients die
     Reference  P-4DGS Eq. (12)
@@ -75,5 +75,5 @@ def cases():
 
 
 prior = declare("prior", "12", "(mu, sigma) = psi_p(h)",
-                {"h": "A H", "weights": "*I J", "biases": "*J", "widths": "G", "mu": "A n", "sigma": "A n"},
+                {"h": "A I", "weights": "*I J", "biases": "*J", "widths": "G", "mu": "A n", "sigma": "A n"},
                 ("h", "weights", "biases"), forward, backward, cases)

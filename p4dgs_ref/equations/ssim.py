@@ -30,8 +30,8 @@ class Res(NamedTuple):
     e: np.ndarray          # x - y
     mu_x: np.ndarray
     mu_e: np.ndarray
-    alpha: np.ndarray      # what differing means take away
-    beta: np.ndarray       # what differing structure takes away
+    luminance: np.ndarray  # mu_e^2 / D1, what differing means take away
+    structure: np.ndarray  # var_e / D2, what differing structure takes away
     D1: np.ndarray         # the two denominators
     D2: np.ndarray
     dtype: np.dtype
@@ -56,9 +56,9 @@ def forward(image, truth, truth_moments=None):
     mu_e, square_e, square_x = blur(np.stack([e, e * e, x * x], axis=1)).swapaxes(0, 1)
     mu_x = mu_y + mu_e
     D1, D2 = mu_x * mu_x + mu_y * mu_y + C1, square_x - mu_x * mu_x + var_y + C2
-    alpha, beta = mu_e * mu_e / D1, (square_e - mu_e * mu_e) / D2
-    ssim = np.mean((1 - alpha) * (1 - beta))
-    return Out(image.dtype.type(ssim)), Res(x, e, mu_x, mu_e, alpha, beta, D1, D2, image.dtype)
+    luminance, structure = mu_e * mu_e / D1, (square_e - mu_e * mu_e) / D2
+    ssim = np.mean((1 - luminance) * (1 - structure))
+    return Out(image.dtype.type(ssim)), Res(x, e, mu_x, mu_e, luminance, structure, D1, D2, image.dtype)
 
 
 def moments(truth):
@@ -69,11 +69,13 @@ def moments(truth):
 
 
 def backward(res, ssim_bar):
-    x, e, mu_x, mu_e, alpha, beta, D1, D2, dtype = res
+    x, e, mu_x, mu_e, luminance, structure, D1, D2, dtype = res
     share = ssim_bar / x.size
-    square_e_bar = -share * (1 - alpha) / D2
-    square_x_bar = -beta * square_e_bar                        # x^2 occurs in the denominator alone
-    mu_bar = -2 * share * (1 - beta) * (mu_e - alpha * mu_x) / D1 + 2 * square_e_bar * (beta * mu_x - mu_e)
+    square_e_bar = -share * (1 - luminance) / D2
+    square_x_bar = -structure * square_e_bar                        # x^2 occurs in the denominator alone
+    # Through mu_e and mu_x, which move together: d luminance = 2 (mu_e - luminance mu_x) / D1 per unit, and of the
+    # variances' -mu^2 in the other factor, d structure = 2 (structure mu_x - mu_e) / D2.
+    mu_bar = -2 * share * (1 - structure) * (mu_e - luminance * mu_x) / D1 + 2 * square_e_bar * (structure * mu_x - mu_e)
     blurred = blur(np.stack([mu_bar, square_e_bar, square_x_bar], axis=1)).swapaxes(0, 1)
     image_bar = blurred[0] + 2 * (e * blurred[1] + x * blurred[2])
     return {"image": image_bar.transpose(0, 2, 1).astype(dtype, order="C")}

@@ -25,7 +25,7 @@ class Res(NamedTuple):
 def forward(h, weights, biases, Q_0):
     """Predict steps.
 
-    Shapes     h (A, H), weights and biases of psi_q (H -> G), Q_0 (G,) -> q (A, G); G = 4 groups f, s, l, O
+    Shapes     h (A, I), weights and biases of psi_q (I -> G), Q_0 (G,) -> q (A, G); G = 4 groups f, s, l, O
     Units      q, Q_0: of the group's attribute; h: dimensionless
     Domain     all reals, Q_0 > 0; FLOOR * Q_0 <= q <= 2 Q_0
     Raises     ValueError from NumPy where widths do not chain
@@ -36,7 +36,7 @@ def forward(h, weights, biases, Q_0):
     y, res = mlp.forward(h, weights, biases)
     share = expit(2 * y.y)
     # sigmoid' = s (1 - s), where 1 - s is sigmoid(-v): it keeps its digits where s rounds to 1
-    slope = np.where(share >= FLOOR / 2, 4 * Q_0 * share * expit(-2 * y.y), 0)
+    slope = np.where(share > FLOOR / 2, 4 * Q_0 * share * expit(-2 * y.y), 0)
     return Out(2 * Q_0 * np.maximum(share, FLOOR / 2)), Res(slope, res)
 
 
@@ -64,5 +64,5 @@ def cases():
 
 
 step = declare("step", "8", "q = Q_0 (1 + tanh(psi_q(h)))",
-               {"h": "A H", "weights": "*I J", "biases": "*J", "Q_0": "G", "q": "A G"},
+               {"h": "A I", "weights": "*I J", "biases": "*J", "Q_0": "G", "q": "A G"},
                ("h", "weights", "biases"), forward, backward, cases)

@@ -1,2 +1,2 @@
 """What the paper takes from 3D Gaussian splatting: camera, covariance, projection, compositing."""
-from . import compositing, covariance, projection  # noqa: F401  declared in this order, after the paper's equations
+from . import covariance, projection, compositing  # noqa: F401, I001  declared in this order, that of the data

@@ -27,7 +27,7 @@ class Chunk(NamedTuple):
     pairs: np.ndarray      # (K, G) row of the pair, or the padding row
     A: np.ndarray          # (K, G, P) alphas
     w: np.ndarray          # (K, G, P) weights alpha T
-    free: object           # (K, G, P) bool, not clamped at alpha_max; None where nothing is
+    slope: object          # (K G, P) d log(clamped alpha) / d log alpha; None where nothing is clamped
 
 
 class Res(NamedTuple):
@@ -77,11 +77,11 @@ def forward(mean2d, cov2d, conic, alpha, color, depth, visible, background, heig
             break
         ranks = np.arange(rank, min(rank + RANKS, count[tiles].max()))[:, None]
         pairs = np.where(ranks < count[tiles], start[tiles] + ranks, len(lists.row))
-        A, free = _alphas(coefficients[pairs.ravel()], settings, clamps)
+        A, slope = _alphas(coefficients[pairs.ravel()], settings, clamps)
         A = A.reshape(*pairs.shape, -1)
         w, T[tiles] = _weights(A, T[tiles], settings, done, tiles) if occlusion else (A, T[tiles])
         C[tiles] += w.transpose(1, 2, 0) @ paint[pairs].transpose(1, 0, 2)
-        chunks.append(Chunk(tiles, pairs, A, w, free))
+        chunks.append(Chunk(tiles, pairs, A, w, slope))
     image = C + T[:, :, None] * background.astype(dtype)
     inputs = dict(conic=conic, paint=paint, background=background, size=(height, width), n=len(mean2d),
                   occlusion=occlusion)
@@ -106,16 +106,20 @@ def _coefficients(mean2d, conic, alpha, lists, side, dtype):
 
 
 def _alphas(coefficients, settings, clamps):
-    """Alphas (K G, P) of a chunk and, where any is clamped, which are not."""
+    """Alphas (K G, P) of a chunk and, where any is clamped, the slope of the clamp.
+
+    The published kernel differentiates as if there were no clamp: then log alpha's slope is alpha / alpha_max above it.
+    """
     A = coefficients @ monomials(settings.tile, settings.dtype)
     np.exp(A, out=A)
-    free = None
+    slope = None
     if clamps:
-        free = A <= settings.alpha_max
+        passes = settings.clamp_passes_gradient
+        slope = np.maximum(A / settings.alpha_max, 1) if passes else A <= settings.alpha_max
         np.minimum(A, settings.alpha_max, out=A)
     if settings.mask:
         A[A < settings.mask] = 0
-    return A, free
+    return A, slope
 
 
 def _weights(A, T, settings, done, tiles):
@@ -155,7 +159,7 @@ def backward(res, image_bar):
     behind = g @ inputs["background"].astype(settings.dtype) if inputs["occlusion"] else None
     basis = monomials(settings.tile, settings.dtype).T
     moments = np.zeros((len(inputs["paint"]), 9), settings.dtype)       # per pair; the last row collects the padding
-    for tiles, pairs, A, w, free in reversed(res.chunks):
+    for tiles, pairs, A, w, slope in reversed(res.chunks):
         g_tiles = g[tiles]
         moments[pairs.ravel(), 6:] = (w.transpose(1, 0, 2) @ g_tiles).transpose(1, 0, 2).reshape(-1, 3)
         V = np.empty_like(A)                                  # what a pixel gains per unit of a splat's weight
@@ -167,8 +171,8 @@ def backward(res, image_bar):
                 seen += A[j] * V[j]
             behind[tiles] = seen
         V *= w                                                # gradient of log alpha
-        if free is not None and not settings.clamp_passes_gradient:
-            V *= free.reshape(V.shape)
+        if slope is not None:
+            V *= slope.reshape(V.shape)
         moments[pairs.ravel(), :6] = V.reshape(-1, V.shape[2]) @ basis
     background_bar = np.einsum("gp,gpc->c", res.T, g) if inputs["occlusion"] else g.sum(axis=(0, 1))
     return {**_to_gaussians(moments[:-1].astype(float), res), "background": background_bar}

@@ -2,7 +2,7 @@ r"""Support: EWA projection of 3D Gaussians to 2D splats: mean, covariance, coni
 
 .. math:: \Sigma_{2D} = J W \Sigma W^T J^T + 0.3\,I, \qquad
     J = \begin{pmatrix} f_x/z & 0 & -f_x u/z \\ 0 & f_y/z & -f_y v/z \end{pmatrix},\quad
-    u = \mathrm{clip}(x/z),\ v = \mathrm{clip}(y/z)
+    u = \mathrm{clip}(x/z, \pm 1.3\,W/2f_x),\ v = \mathrm{clip}(y/z, \pm 1.3\,H/2f_y)
 """
 from typing import NamedTuple
 
@@ -40,7 +40,7 @@ def forward(x, Sigma, W, T, focal, center, size, near=0.2, blur=0.3, tan_clamp=1
     Units      x, T, depth: scene units; focal, center, mean2d: pixels; size: width and height in pixels
     Domain     Sigma symmetric; depth at or before `near`, or a determinant that is not positive: culled, zeros
     Raises     nothing
-    Gradient   x, Sigma; clamp: 1 inside and on its ends, 0 outside, exact in x, y and z; culled rows 0
+    Gradient   x, Sigma (symmetric); clamp: 1 inside and on its ends, 0 outside, exact in x, y and z; culled rows 0
     Choice     Q20 pixel centres at integers; Q21 constants; the clamp is about the optical axis
     Reference  Zwicker et al. 2001; Kerbl et al. 2023; the inside is float64 because needles cancel in the determinant
     """
@@ -55,7 +55,7 @@ def forward(x, Sigma, W, T, focal, center, size, near=0.2, blur=0.3, tan_clamp=1
     m = (W[None, :2] - uv[:, :, None] * W[2]) * (focal / z)[:, :, None]          # rows of J W
     mS = m @ Sigma
     a, c = (np.einsum("nij,nij->ni", mS, m) + blur).T
-    b = (mS[:, 0] * m[:, 1]).sum(axis=1)
+    b = ((mS[:, 0] * m[:, 1]).sum(axis=1) + (mS[:, 1] * m[:, 0]).sum(axis=1)) / 2      # both off-diagonal entries
     det = a * c - b * b
     visible &= (det > 0) & np.isfinite(det)
     det = np.where(visible, det, 1)
@@ -77,10 +77,10 @@ def backward(res, mean2d_bar=None, cov2d_bar=None, conic_bar=None, depth_bar=Non
     da, db, dc = D[:, 0, 0], 2 * D[:, 0, 1], D[:, 1, 1]
     if cov2d_bar is not None:
         da, db, dc = da + cov2d_bar[:, 0], db + cov2d_bar[:, 1], dc + cov2d_bar[:, 2]
-    U = np.zeros((len(z), 2, 2))                  # cov2d = (m0 S m0, m0 S m1, m1 S m1): b only once
-    U[:, 0, 0], U[:, 0, 1], U[:, 1, 1] = np.where(keep, (da, db, dc), 0)
-    Sigma_bar = m.transpose(0, 2, 1) @ U @ m
-    m_bar = U @ m @ res.Sigma.transpose(0, 2, 1) + U.transpose(0, 2, 1) @ m @ res.Sigma
+    D[:, 0, 0], D[:, 1, 1] = np.where(keep, (da, dc), 0)
+    D[:, 0, 1] = D[:, 1, 0] = np.where(keep, db / 2, 0)
+    Sigma_bar = m.transpose(0, 2, 1) @ D @ m
+    m_bar = D @ m @ (res.Sigma + res.Sigma.transpose(0, 2, 1))
     uv_bar = -(m_bar @ res.W[2]) * res.focal / z
     z_bar = -(m_bar * m).sum(axis=(1, 2))[:, None] / z               # m is proportional to 1/z
     ratio_bar = uv_bar * res.inside
@@ -112,13 +112,16 @@ def cases():
     yield Case("one_behind", dict(x=ahead, Sigma=Sigma[:3], **straight), ("behind",))
     yield Case("beyond_the_clamp", dict(x=to_world([[9, 1, 2.0], [-9, 1, 2.0], [0.3, 9, 3.0]]), Sigma=Sigma[:3], **base),
                ("clamped",))
-    yield Case("zero_covariance", dict(x=x, Sigma=0 * Sigma, **base), ("zero",),
-               expected={"cov2d": np.tile([0.3, 0, 0.3], (7, 1))})
     yield Case("no_gaussians", dict(x=x[:0], Sigma=Sigma[:0], **base), ("empty",))
     # 1e4 px by 0.01 px at 40 degrees: the determinant after blur is 0.3 (1e8 + 1e-4) + 9e-2 + 1e4; float32 gives 0
     turn = np.array([[np.cos(0.7), -np.sin(0.7), 0], [np.sin(0.7), np.cos(0.7), 0], [0, 0, 1]])
     needle = (turn * np.array([1e8, 1e-4, 0.0])) @ turn.T
     plain = dict(W=np.eye(3), T=np.array([0, 0, 1.0]), focal=np.ones(2), center=np.zeros(2), size=np.array([9, 5]))
+    # on the axis m is the first two rows of the identity; the gradient of b is shared by both off-diagonal entries
+    yield Case("zero_covariance", dict(x=np.zeros((1, 3)), Sigma=np.zeros((1, 3, 3)), **plain), ("zero", "single"),
+               smooth=False, cotangents={"cov2d_bar": np.array([[2.0, 6, 5]])},
+               expected={"cov2d": np.array([[0.3, 0, 0.3]]), "conic": np.array([[1 / 0.3, 0, 1 / 0.3]]),
+                         "Sigma_bar": np.array([[[2.0, 3, 0], [3, 5, 0], [0, 0, 0]]])})
     yield Case("needle", dict(x=np.zeros((1, 3)), Sigma=needle[None], **plain), ("extreme",), smooth=False, tolerance=1e-6,
                expected={"conic": _inverse_of_needle(1e8 + 0.3, 1e-4 + 0.3)})
 

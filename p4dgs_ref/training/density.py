@@ -87,10 +87,10 @@ def empty_rows(p):
     return {name: p[name][:0] for name in ROWS}
 
 
-def dead_anchors(statistics, preset):
-    """Anchors whose children's opacity stayed below min_opacity, among those seen often enough (A,) bool."""
+def dead_anchors(statistics, mask, preset):
+    """Anchors whose kept children's opacities together stayed below min_opacity, of those seen often (A,) bool."""
     often = statistics.visits > preset.grow_every * preset.success
-    return often & (statistics.opacity.sum(axis=1) < preset.min_opacity * statistics.visits)
+    return often & ((statistics.opacity * mask).sum(axis=1) < preset.min_opacity * statistics.visits)
 
 
 def faint_children(statistics, preset):
@@ -102,16 +102,15 @@ def faint_children(statistics, preset):
 def reseed(p, first, second, dead, statistics, rng):
     """Move dead anchors to children drawn by their pull on the image, as copies of their anchors, in place.
 
-    tanh opacity has no way back from below zero, and a window without growing cannot use a dead anchor otherwise.
-    Their Adam moments (`first`, `second`) start again at zero.
+    tanh opacity has no way back from below zero: nothing masked out receives a gradient.  A dead anchor thus starts
+    anew where it is of use, and so do its Adam moments (`first`, `second`).
     """
     pull = statistics.gradient.ravel() * ~np.repeat(dead, p["O_a"].shape[1])
     if not dead.any() or not pull.any():
-        return 0
+        return
     chosen = rng.choice(len(pull), size=dead.sum(), p=pull / pull.sum())
     parent, child = np.divmod(chosen, p["O_a"].shape[1])
     x = p["x_a"][parent] + p["O_a"][parent, child] * np.exp(p["log_l"][parent])
     for name in ROWS:
         p[name][dead] = {"x_a": x, "O_a": 0}.get(name, p[name][parent])
         first[name][dead], second[name][dead] = 0, 0
-    return int(dead.sum())

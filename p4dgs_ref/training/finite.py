@@ -30,7 +30,7 @@ def _arrays(value, name):
     elif isinstance(value, (list, tuple)):
         for i, item in enumerate(value):
             yield from _arrays(item, f"{name}[{i}]")
-    elif isinstance(value, (np.ndarray, np.floating)) and np.asarray(value).dtype.kind == "f":
+    elif isinstance(value, (np.ndarray, np.floating, float)) and np.asarray(value).dtype.kind == "f":
         yield name, np.asarray(value)
 
 

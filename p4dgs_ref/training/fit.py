@@ -35,7 +35,9 @@ def train(scene, preset="tiny", seed=0, *, settings=FAST, points=None, folder=No
 def fit(scene, preset, seed, settings=FAST, points=None, folder=None, resume=False, stream=None, save_every=SAVE_EVERY,
         **changes):
     """As `train`, but returns the Trainer, with its history."""
-    chosen = choose(preset, changes) if isinstance(preset, str) else preset._replace(**changes)
+    chosen = choose(preset, changes)
+    if not (isinstance(seed, int) and seed >= 0):
+        raise ValueError(f"seed {seed!r}: expected a whole number of at least 0")
     # Overflows are looked for and named, so NumPy's own warnings would say the same less well.
     with np.errstate(all="ignore"):
         trainer, progress = Trainer(scene, chosen, seed, settings, points), Progress(stream)

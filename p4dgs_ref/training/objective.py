@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..equations import anchor_rate, hash_rate, likelihood, noise, rate_loss, render_loss, total_loss
-from ..model import Anchors, context, context_backward, predict, predict_backward, split
+from ..model import Anchors, beside, context, context_backward, groups, predict, predict_backward, split
 from ..splatting import render
 
 ATTRIBUTES = ("f_a", "log_s", "log_l", "O_a")      # the parameters behind the groups f, s, l, O
@@ -43,26 +43,24 @@ class Seen(NamedTuple):
     alpha: np.ndarray      # (A, k) opacities before masking
     index: np.ndarray      # (N,) a k + j of the rendered Gaussians
     visible: np.ndarray    # (N,) bool
-    x: np.ndarray          # (N, 3) canonical centres
     image: np.ndarray      # (H, W, 3)
 
 
 def linear_values(p):
     """The coded attributes side by side (A, n), as `model.join`: logarithms undone (Q5)."""
-    O = p["O_a"].reshape(len(p["O_a"]), -1)
-    return np.concatenate([p["f_a"], np.exp(p["log_s"]), np.exp(p["log_l"]), O], axis=1)
+    return beside(p["f_a"], np.exp(p["log_s"]), np.exp(p["log_l"]), p["O_a"])
 
 
-def forward(p, design, networks, grids, fixed, view, u):
+def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
     """Losses of one view.
 
-    Shapes     p: Parameters; networks, grids: views into p; u (A, n) noise in [-1/2, 1/2), unused in stage 1
+    Shapes     p: Parameters; networks, grids: views into p; u (A, n) noise in [-1/2, 1/2), unused in stage 1;
+               truth_moments: `ssim.moments` of the view's image, if at hand
     Gradient   every array of p; positions through the render only; see each equation for kinks
     Choice     Q12 rate per number; Q23 one noise for render and rate; Q25 volume term; Q10 in `predict`
     Reference  P-4DGS Eqs. (15) to (17), Figs. 1 and 2
     """
     values = linear_values(p)
-    groups = np.split(values, np.cumsum(design.widths[:3]), axis=1)
     q, ctx, res_c = None, None, None
     if fixed.located is not None:
         ctx, res_c = context(design, networks, grids, fixed.located)
@@ -71,8 +69,8 @@ def forward(p, design, networks, grids, fixed, view, u):
         q = np.tile(np.array(design.Q_0, values.dtype), (len(values), 1))
     res_n, noisy = [], values
     if q is not None:
-        parts = np.split(u, np.cumsum(design.widths[:3]), axis=1)
-        moved = [noise.forward(f, part, q[:, i:i + 1]) for i, (f, part) in enumerate(zip(groups, parts))]
+        pairs = zip(groups(values, design), groups(u, design))
+        moved = [noise.forward(f, part, q[:, i:i + 1]) for i, (f, part) in enumerate(pairs)]
         noisy, res_n = np.concatenate([out.f_noisy for out, _ in moved], axis=1), [res for _, res in moved]
     f, s, l, O = split(noisy, design)
     anchors = Anchors(p["x_a"], f, s, l, O, fixed.mask)
@@ -80,15 +78,17 @@ def forward(p, design, networks, grids, fixed, view, u):
                        view.time if fixed.moving else None)
     out, res_r = render.forward(g.x, g.s, g.r, g.alpha, g.color, view.camera, fixed.background, fixed.settings,
                                 "occlusion" in design.effects)
-    loss, res_l = render_loss.forward(out.image, view.image.astype(out.image.dtype), fixed.lambda_ssim)
-    volume = fixed.lambda_volume * float(np.prod(g.s, axis=1).mean()) if len(g.s) else 0.0
+    loss, res_l = render_loss.forward(out.image, view.image.astype(out.image.dtype), fixed.lambda_ssim, truth_moments)
+    volume = 0.0                                   # 0 times an overflow would not be 0
+    if fixed.lambda_volume and len(g.s):
+        volume = fixed.lambda_volume * float(np.prod(g.s, axis=1).mean())
     rate, L_rate, bits, res_b = None, 0.0, 0.0, None
     if ctx is not None:
         rate, res_b = _rate_forward(noisy, ctx, grids, fixed.mask, design)
         L_rate, bits = float(rate.L_rate), float(rate.bits)
     total, res_t = total_loss.forward(np.float64(loss.L_render), np.float64(L_rate), fixed.lambda_rate)
     losses = Losses(float(total.L_total) + volume, float(loss.L_render), float(loss.L1), float(loss.D_SSIM), L_rate, bits)
-    seen = Seen(res_p.opacity.alpha, g.index, res_r.splats.visible, res_p.canonical, out.image)
+    seen = Seen(res_p.opacity.alpha, g.index, res_r.splats.visible, out.image)
     res = dict(p=p, design=design, values=values, noise=res_n, context=res_c, predict=res_p, render=res_r, g=g,
                loss=res_l, rate=res_b, total=res_t, fixed=fixed, n=len(g.s))
     return losses, seen, res
@@ -111,8 +111,7 @@ def _rate_backward(res, L_rate_bar, design):
     top = rate_loss.backward(res_l, L_rate_bar=L_rate_bar)
     grids = hash_rate.backward(res_h, top["R_hash"])["grids"]
     parts = anchor_rate.backward(res_a, top["R_anchor"])
-    O = parts["bits_O"].reshape(len(parts["bits_O"]), -1)
-    bits_bar = np.concatenate([parts["bits_f"], parts["bits_s"], parts["bits_l"], O], axis=1)
+    bits_bar = beside(parts["bits_f"], parts["bits_s"], parts["bits_l"], parts["bits_O"])
     bars = likelihood.backward(res_bits, bits_bar)
     starts = np.cumsum((0, *design.widths[:3]))
     return bars["f_noisy"], bars["mu"], bars["sigma"], np.add.reduceat(bars["q"], starts, axis=1), grids
@@ -131,16 +130,14 @@ def backward(res):
         s_bar = s_bar + fixed.lambda_volume / res["n"] * s[:, [1, 2, 0]] * s[:, [2, 0, 1]]
     anchors, networks = predict_backward(res["predict"], *(bar.astype(dtype) for bar in (
         bars["x"], s_bar, bars["r"], bars["alpha"], bars["color"])))
-    O = anchors["O_a"].reshape(len(anchors["O_a"]), -1)
-    noisy_bar = np.concatenate([anchors["f_a"], anchors["s_a"], anchors["l_a"], O], axis=1)
+    noisy_bar = beside(*(anchors[name] for name in ("f_a", "s_a", "l_a", "O_a")))
     grids_bar = mu_bar = sigma_bar = rate_q = None
     if res["rate"] is not None:
         rate_bar, mu_bar, sigma_bar, rate_q, grids_bar = _rate_backward(res["rate"], top["L_rate"], design)
         noisy_bar = noisy_bar + rate_bar                       # one noisy tensor was rendered and rated (Q23)
     values_bar = noisy_bar
     if res["noise"]:
-        parts = [noise.backward(r, bar) for r, bar in
-                 zip(res["noise"], np.split(noisy_bar, np.cumsum(design.widths[:3]), axis=1))]
+        parts = [noise.backward(r, bar) for r, bar in zip(res["noise"], groups(noisy_bar, design))]
         values_bar = np.concatenate([part["f"] for part in parts], axis=1)
         if res["context"] is not None:
             q_bar = np.concatenate([part["q"] for part in parts], axis=1) + rate_q
@@ -149,7 +146,7 @@ def backward(res):
             for i, (a, b) in enumerate(zip(context_grids, grids_bar)):
                 gradients[f"grid.{i}"][...] = a + b
     values_bar[:, design.d:design.d + 6] *= res["values"][:, design.d:design.d + 6]      # through exp: log_s, log_l
-    for name, bar in zip(ATTRIBUTES, np.split(values_bar, np.cumsum(design.widths[:3]), axis=1)):
+    for name, bar in zip(ATTRIBUTES, groups(values_bar, design)):
         gradients[name][...] = bar.reshape(gradients[name].shape)
     gradients["x_a"][...] = anchors["x_a"]
     for name, bars_of in networks.items():

@@ -69,7 +69,7 @@ class Preset(NamedTuple):
     grow_init: int = 16                # coarsest growing voxel, in multiples of epsilon
     grow_hierarchy: int = 4
     grow_depth: int = 3
-    success: float = 0.8               # a child or anchor must be seen in this share of a window
+    success: float = 0.8               # an anchor must be seen in this share of a window, a child in half of it
     min_opacity: float = 0.005
     mask_from: int = 5000              # children may be masked for good from here on
 
@@ -98,7 +98,6 @@ SMOKE = TINY._replace(
     grid_3d=(4,), grid_2d=(8,), F=1, stage_ends=(10, 15, 30, 45), decay_from=15, grow="off", mask_from=45)
 
 PRESETS = {preset.name: preset for preset in (PAPER_SYNTHETIC, PAPER_REAL, TINY, SMOKE)}
-ARCHITECTURE_NOTE = "the paper's appendix; the parents where it is silent"
 
 
 def differences(preset, against=PAPER_SYNTHETIC):
@@ -107,38 +106,45 @@ def differences(preset, against=PAPER_SYNTHETIC):
             if field != "name" and getattr(against, field) != value]
 
 
-def choose(name, changes=None):
-    """A preset by name with some fields changed; a change may be text, as the command line gives it.
+def choose(preset, changes=None):
+    """A preset, or the preset of that name, with some fields changed; a change may be text, as the command line's are.
 
     Raises     ValueError naming the preset or the field and what was expected
     """
-    if name not in PRESETS:
-        raise ValueError(f"preset {name!r}: expected one of {', '.join(PRESETS)}")
-    preset, values = PRESETS[name], {}
+    if isinstance(preset, str) and preset not in PRESETS:
+        raise ValueError(f"preset {preset!r}: expected one of {', '.join(PRESETS)}")
+    preset, values = PRESETS[preset] if isinstance(preset, str) else preset, {}
     for field, value in (changes or {}).items():
         if field == "name" or field not in Preset._fields:
-            raise ValueError(f"field {field!r} of preset {name}: no such field; `p4dgs-ref presets` lists them")
-        values[field] = _parse(field, value, getattr(preset, field))
+            raise ValueError(f"field {field!r} of preset {preset.name}: no such field; `p4dgs-ref presets` lists them")
+        values[field] = _parse(field, value, getattr(PAPER_SYNTHETIC, field))
     return _checked(preset._replace(**values))
 
 
 def _parse(field, value, like):
-    """Turn text into the kind of value that `like` is; tuples are written with commas."""
-    if not isinstance(value, str):
-        value = tuple(value) if isinstance(like, tuple) else value
-        expected = (int, float) if isinstance(like, float) else type(like)
-        if not isinstance(value, expected):
-            raise ValueError(f"field {field!r}: expected a value like {like!r}, got {value!r}")
-        return value
+    """A value of the kind that `like` is, or the text of one; tuples are written with commas.
+
+    Raises     ValueError naming the field
+    """
+    kind = type(like[0]) if isinstance(like, tuple) else type(like)
     try:
         if isinstance(like, tuple):
-            kind = type(like[0]) if like else int
-            return tuple(kind(part) for part in value.split(",") if part.strip())
-        if isinstance(like, bool):
+            parts = [part for part in value.split(",") if part.strip()] if isinstance(value, str) else value
+            return tuple(_number(part, kind) for part in parts)
+        if kind is bool and isinstance(value, str):
             return {"true": True, "false": False, "1": True, "0": False}[value.lower()]
-        return type(like)(value)
-    except (ValueError, KeyError):
+        return _number(value, kind)
+    except (ValueError, KeyError, TypeError):
         raise ValueError(f"field {field!r}: expected a value like {like!r}, got {value!r}") from None
+
+
+def _number(value, kind):
+    """One element: text is read; a bool is no number, and a number with a fraction no whole one."""
+    if isinstance(value, str):
+        return value if kind is str else kind(value)
+    if isinstance(value, bool) is not (kind is bool) or kind is str or kind(value) != value:
+        raise TypeError
+    return kind(value)
 
 
 def _checked(preset):
@@ -154,6 +160,10 @@ def _checked(preset):
         value = getattr(preset, field)             # within what a file can hold, see codec/header.py
         if any(not 1 <= n <= 2**14 for n in value) or len(value) > most:
             raise ValueError(f"field {field!r}: expected at most {most} numbers from 1 to 16384, got {value}")
+    for field, least, most in (("Q_f", 2.0**-40, 2.0**40), ("Q_s", 2.0**-40, 2.0**40), ("Q_l", 2.0**-40, 2.0**40),
+                               ("Q_O", 2.0**-40, 2.0**40), ("table_3d", 1, 2**24), ("table_2d", 1, 2**24)):
+        if not least <= getattr(preset, field) <= most:
+            raise ValueError(f"field {field!r}: expected a number from {least:g} to {most:g}, got {getattr(preset, field)}")
     for field, most in (("d", 4096), ("k", 256), ("F", 64), ("L_x", 64), ("L_t", 64), ("lambda_ssim", 1)):
         if getattr(preset, field) > most:
             raise ValueError(f"field {field!r}: expected at most {most}, got {getattr(preset, field)}")

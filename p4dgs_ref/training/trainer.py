@@ -3,7 +3,7 @@ import time
 
 import numpy as np
 
-from ..equations import hash_grid
+from ..equations import hash_grid, ssim
 from ..model import Anchors, Model, bounding_box, snap, split
 from ..networks.adam import Adam, exponential
 from ..networks.parameters import Parameters
@@ -36,7 +36,7 @@ class Trainer:
         self.rng = np.random.default_rng(seed)
         self.design = design_of(preset, scene.effects)
         self.iteration, self.located, self.box = 0, None, None
-        self.order, self.history = np.zeros(0, np.int64), []
+        self.order, self.history, self.moments = np.zeros(0, np.int64), [], {}
         self.adopt(initial_parameters(preset, self.design, self.rng, points))
         self.adam = Adam(self.parameters)
         A = len(self.parameters["x_a"])
@@ -73,7 +73,7 @@ class Trainer:
                                preset.lambda_rate, preset.lambda_ssim, preset.lambda_volume, self.settings)
 
     def step(self):
-        """One iteration; returns its Losses and what was seen.
+        """One iteration; returns its Losses, what was Seen, and the View.
 
         Raises     NotFinite naming the first equation and array in which a number stopped being one
         """
@@ -81,7 +81,9 @@ class Trainer:
             self.freeze_positions()
         view, p = self.next_view(), self.parameters
         u = self.rng.random((len(self.mask), sum(self.design.widths)), np.float32) - np.float32(0.5)
-        inputs = (p, self.design, self.networks, self.grids, self.fixed(), view, u)
+        if id(view) not in self.moments:           # SSIM's averages of the truth are the same in every visit
+            self.moments[id(view)] = ssim.moments(view.image)
+        inputs = (p, self.design, self.networks, self.grids, self.fixed(), view, u, self.moments[id(view)])
         losses, seen, res = objective.forward(*inputs)
         gradients, mean2d_bar = objective.backward(res)
         if not (np.isfinite(losses.L_total) and np.isfinite(gradients.vector).all()):
@@ -107,17 +109,15 @@ class Trainer:
     def adjust(self):
         """Grow, re-seed, prune and mask as the preset says, then start a new window."""
         preset, statistics, now = self.preset, self.statistics, self.iteration
-        if preset.grow == "off":
-            return
         if now >= preset.mask_from:
             self.mask &= ~density.faint_children(statistics, preset)
-        dead, growing = density.dead_anchors(statistics, preset), preset.grow_from < now <= preset.grow_until
+        dead, growing = density.dead_anchors(statistics, self.mask, preset), preset.grow_from < now <= preset.grow_until
         if preset.grow == "reseed" and growing:
             density.reseed(self.parameters, self.adam.first, self.adam.second, dead, statistics, self.rng)
             self.mask[dead] = True
         elif preset.grow == "reseed" and now > preset.grow_until:
             self.keep_rows(~dead)                  # too late to learn something new: they only cost
-        elif growing:
+        elif preset.grow == "scaffold" and growing:
             self.keep_rows(~dead, density.grow(self.parameters, statistics, preset, self.rng))
             self.parameters["log_s"][...] = np.minimum(self.parameters["log_s"], density.LARGEST_LOG_SCALE)
         self.statistics.clear()
@@ -137,7 +137,7 @@ class Trainer:
             self.locate()
 
     def run(self, report=None, every_seconds=None, save=None):
-        """Train to the end; `report(trainer, losses, view, seen, ms)` after each step, `save(trainer)` now and then."""
+        """Train to the end; `report(trainer, losses, seen, view, ms)` after each step, `save(trainer)` now and then."""
         saved = time.monotonic()
         while self.iteration < self.preset.iterations:
             start = time.perf_counter()
