@@ -64,9 +64,17 @@ def read_container(data):
     Shapes     bytes -> {name: bytes} in the order of the file
     Raises     BitstreamError; `section` is "container" or the section whose checksum fails
     """
-    sections = {}
+    return {name: bytes(body) for name, body in open_container(data).items()}
+
+
+def open_container(data):
+    """`read_container` without copies: {name: memoryview}.
+
+    Raises     BitstreamError as `read_container`
+    """
+    sections, whole = {}, memoryview(data)
     for name, start, length, crc in _read_table(data):
-        body = data[start:start + length]
+        body = whole[start:start + length]
         if zlib.crc32(body) != crc:
             raise BitstreamError(name, 0, f"checksum {zlib.crc32(body):08x}, the table says {crc:08x}")
         sections[name] = body

@@ -19,11 +19,12 @@ context (context.py), and can then read the Gaussian sections in any order; mask
 import numpy as np
 
 from ..model import ANCHOR_NETWORKS, CONTEXT_NETWORKS, Anchors, Model, unsnap
-from .container import BitstreamError, read_container, write_container
+from .container import BitstreamError, open_container, write_container
 from .context import coding_context
 from .header import read_header, write_header
 from .quantise import LARGEST, Quantised, coded, dequantise, quantise
-from .streams import decode_bits, decode_gaussian, encode_bits, encode_gaussian
+from .gaussian_table import gaussian_model
+from .streams import decode_bits, decode_symbols, encode_bits, encode_gaussian
 
 NETWORK_SECTIONS = {"anchor_mlps": ANCHOR_NETWORKS, "context_mlps": CONTEXT_NETWORKS, "deformation_mlp": ("psi_d",)}
 ATTRIBUTE_SECTIONS = ("features", "scales", "offset_scales", "offsets")        # groups f, s, l, O
@@ -66,7 +67,7 @@ def decode(data):
 
     Raises     BitstreamError naming section and offset for anything but a whole and consistent file
     """
-    return quantised_of(read_container(data)).model
+    return quantised_of(open_container(data)).model
 
 
 def quantised_of(sections):
@@ -80,11 +81,11 @@ def quantised_of(sections):
     mask = decode_bits(_section(sections, "masks"), A * design.k, section="masks").reshape(A, design.k)
     x_a = unsnap(positions, *box)
     ctx, kept = coding_context(design, networks, grids, positions), coded(mask, design)
-    symbols = np.zeros(kept.shape, np.int64)
-    for name, columns in attribute_columns(design):
-        where = kept[:, columns]
-        symbols[:, columns][where] = decode_gaussian(_section(sections, name), ctx.mu_units[:, columns][where],
-                                                     ctx.sigma_units[:, columns][where], section=name)
+    found = [(columns, _read_symbols(sections, name, ctx, columns, kept)) for name, columns in attribute_columns(design)]
+    symbols = np.zeros(kept.shape, np.int64)       # not before: beside the coder's arrays there is no room for it
+    for columns, values in found:
+        symbols[:, columns][kept[:, columns]] = values
+    del found, values
     f, s, l, O = dequantise(symbols, ctx, design)
     model = Model(design, Anchors(x_a, f, s, l, O, mask), networks, grids, box, background)
     return Quantised(model, positions, symbols, kept, ctx)
@@ -94,6 +95,13 @@ def _section(sections, name):
     if name not in sections:
         raise BitstreamError(name, 0, "section is missing")
     return sections[name]
+
+
+def _read_symbols(sections, name, ctx, columns, kept):
+    """The symbols of one section that are coded, in the order of the file."""
+    data, where = _section(sections, name), kept[:, columns]
+    model = gaussian_model(ctx.mu_units[:, columns][where], ctx.sigma_units[:, columns][where])
+    return decode_symbols(data, model, section=name)
 
 
 def _read_positions(data, A):

@@ -24,12 +24,14 @@ import numpy as np
 INPUT_BITS, ACTIVATION_BITS, WEIGHT_BITS, BIAS_BITS, MOST_SCALE = 15, 22, 15, 50, 24
 
 
-class Fixed(NamedTuple):
+class Layer(NamedTuple):
     """Whole numbers held in float64, exact because none reaches 2^53."""
 
-    y: np.ndarray          # (A, J)
-    bits: int              # units 2^-bits
-    bound: int             # |y| <= bound
+    W: np.ndarray          # (I, J)
+    b: np.ndarray          # (J,)
+    bits: int              # outputs y in units of 2^-bits
+    bound: int             # |y| <= bound, and so is every partial sum
+    s: int                 # how many bits of y a hidden layer rounds away
 
 
 @cache
@@ -48,29 +50,42 @@ def halve(values, s):
     return np.floor((values + 2**s // 2) * 2.0**-s) if s > 0 else values
 
 
-def run_network(x, weights, biases):
-    """A network on whole numbers x (A, I), |x| <= 2^15 in units of 2^-15: Fixed, the last layer's outputs.
+def whole_layers(weights, biases):
+    """The layers of a network in whole numbers, from its stored weights and biases.
 
-    Raises     nothing: limits of the header keep widths below 2^14, and float16 keeps weights finite
+    Raises     nothing: limits of the header keep widths within 2^14, and float16 keeps weights finite
     """
-    bits, bound, last = INPUT_BITS, 2**INPUT_BITS, len(weights) - 1
-    for i, (W, b) in enumerate(zip(weights, biases)):
+    layers, bits, X = [], INPUT_BITS, 2**INPUT_BITS
+    for W, b in zip(weights, biases):
         n = min(WEIGHT_BITS - exponent(W), BIAS_BITS - exponent(b) - bits, MOST_SCALE)
-        W, b = np.rint(W * 2.0**n), np.rint(b * 2.0 ** (bits + n))
-        largest_sum = int(np.abs(W).sum(axis=0).max(initial=0.0))
-        bound, bits = bound * largest_sum + int(np.abs(b).max(initial=0.0)), bits + n
+        W, b = W * 2.0**n, b * 2.0 ** (bits + n)
+        np.rint(W, out=W), np.rint(b, out=b)
+        largest_sum, bits = int(np.abs(W).sum(axis=0).max(initial=0.0)), bits + n
+        # Any sum of some of the products x_i W_ij, with or without b_j, is whole and at most `bound` in magnitude:
+        # |x_i| <= X and the triangle inequality.  Whole numbers to 2^53 are doubles, so no addition, in no order, rounds.
+        bound = X * largest_sum + int(np.abs(b).max(initial=0.0))
         assert bound < 2**52, "a partial sum could round"
-        x = x @ W + b
-        if i < last:
-            s = max(0, bound.bit_length() - ACTIVATION_BITS)
-            x = np.maximum(halve(x, s), 0.0)
-            bound, bits = bound + 2**s // 2 >> s, bits - s
-    return Fixed(x, bits, bound)
+        s = max(0, bound.bit_length() - ACTIVATION_BITS)
+        layers.append(Layer(W, b, bits, bound, s))
+        bits, X = bits - s, bound + 2**s // 2 >> s
+    return layers
 
 
-def rescale(fixed, columns, bits, limit):
-    """Some columns of a network's outputs in units of 2^-bits, clipped to +-limit: int64 (A, n)."""
-    y, s = fixed.y[:, columns], fixed.bits - bits
+def product(x, W):
+    """x W, exact whatever the order of its sums: the one place where a library's matrix product is called."""
+    return x @ W
+
+
+def run_network(x, layers):
+    """The outputs y (A, J) of the last layer, on whole numbers x (A, I), |x| <= 2^15 in units of 2^-15."""
+    for layer in layers[:-1]:
+        x = np.maximum(halve(product(x, layer.W) + layer.b, layer.s), 0.0)
+    return product(x, layers[-1].W) + layers[-1].b
+
+
+def rescale(y, unit, bits, limit):
+    """Outputs y (A, n) in units of 2^-unit brought to units of 2^-bits, clipped to +-limit: int64."""
+    s = unit - bits
     if s < 0:                                     # few fractional bits: saturate first, so that the shift stays exact
         y = np.clip(y, -limit, limit) * 2.0 ** min(-s, 30)
     return np.clip(halve(y, s), -limit, limit).astype(np.int64)

@@ -42,7 +42,7 @@ SIGMA_MIN, SIGMA_MAX = -8 << SIGMA_BITS, (20 << SIGMA_BITS) - 1
 Z_BITS, PHI_BITS, EXP2_BITS = 14, 6, 16          # z has 14 fractional bits; phi has 2^6 entries per unit of z
 Z_LIMIT = 6 << Z_BITS
 HALF = 1 << MU_BITS - 1                          # half a symbol
-CHUNK = 1 << 15
+CHUNK, TABLES = 1 << 15, 1 << 12
 
 
 class Model(NamedTuple):
@@ -89,7 +89,9 @@ def gaussian_model(mu_units, sigma_units):
     _, _, low, reach = shape_of(sigma_units)
     keys, first = build_keys(sigma_units, place)
     table_of_pair = np.cumsum(used, dtype=np.int32) - 1
-    return Model(keys, first, 2 * reach + 1, low, table_of_pair[pair], lowest)
+    for a in range(0, len(pair), CHUNK):                      # in place: from here on a pair is its table
+        pair[a:a + CHUNK] = table_of_pair[pair[a:a + CHUNK]]
+    return Model(keys, first, 2 * reach + 1, low, pair, lowest)
 
 
 def build_keys(sigma_units, place):
@@ -98,12 +100,23 @@ def build_keys(sigma_units, place):
     Shapes     sigma_units, place (U,) -> keys (E+1,), first (U,)
     Units      place: mu' modulo one block, 1/1024 symbol
     """
+    entries = 2 * shape_of(sigma_units)[3] + 2
+    ends = np.cumsum(entries)
+    keys, first = np.empty(int(entries.sum()) + 1, np.int64), ends - entries
+    for a in range(0, len(entries), TABLES):                  # in pieces, for their memory
+        rows = slice(a, a + TABLES)
+        keys[first[a]:ends[rows][-1]] = _keys_of(sigma_units[rows], place[rows]) + (a << PRECISION)
+    keys[-1] = len(entries) << PRECISION
+    return keys, first
+
+
+def _keys_of(sigma_units, place):
+    """The keys of some tables, counted from 0, without the last one that closes them."""
     phi, exp2 = normative("phi"), normative("exp2")
     e, _, low, reach = shape_of(sigma_units)
     entries = 2 * reach + 2
-    first = np.cumsum(entries) - entries
     table = np.repeat(np.arange(len(entries)), entries)
-    j = np.arange(len(table)) - first[table]
+    j = np.arange(len(table)) - (np.cumsum(entries) - entries)[table]
     lowest = (place + HALF >> MU_BITS + low) - reach
     # |K 2^(10+low) - 512 - mu'| <= 195 * 2^25 < 2^33, times exp2 <= 2^16: below 2^49
     distance = (j + lowest[table] << (MU_BITS + low)[table]) - (HALF + place)[table]
@@ -113,7 +126,7 @@ def build_keys(sigma_units, place):
     i, r = z >> Z_BITS - PHI_BITS, z & (1 << Z_BITS - PHI_BITS) - 1
     C = phi[i] + ((phi[i + 1] - phi[i]) * r >> Z_BITS - PHI_BITS)
     cum = (C * ((1 << PRECISION) - entries)[table] >> PRECISION) + j      # entries = n + 1; product below 2^48
-    return np.append((table << PRECISION) + cum, len(entries) << PRECISION), first
+    return (table << PRECISION) + cum
 
 
 @cache

@@ -11,9 +11,10 @@ Q_0                four base steps: f, s, l, O
 tau_alpha          the opacity below which a Gaussian is not drawn
 effects            the model's effects that the scene lists
 
-LIMITS["entries"] and LIMITS["numbers"] bound the memory that a header can ask for; every other array is as large as a
-section of the file.  The limits of `layers`, `width` and Q_0 keep every number of the coding context finite: a layer
-multiplies by less than 2^31 (2^14 inputs, float16 weights), nine layers by 2^279, and 1/q is at most 2^110.
+The declared model are the arrays that this header promises, every number counted as 8 bytes: of each anchor 3 + d + 6
++ 3 k attributes and k of the mask, the entries of the grid, the weights and biases of all networks.  LIMITS["entries"]
+and LIMITS["numbers"] bound them; a decoder takes at most 64 MiB plus four times that, beside the file itself.  The
+header has at most LIMITS["bytes"] bytes, as a parser of JSON takes many times its text.
 """
 import json
 
@@ -24,7 +25,7 @@ from ..scenes.scene import MODEL_EFFECTS
 from .container import BitstreamError
 
 LIMITS = {"anchors": 2**22, "d": 4096, "k": 256, "F": 64, "L_x": 64, "L_t": 64, "width": 2**14, "layers": 8,
-          "levels": 64, "resolution": 2**16, "table": 2**24, "entries": 2**24, "numbers": 2**27}
+          "levels": 64, "resolution": 2**16, "table": 2**24, "entries": 2**24, "numbers": 2**25, "bytes": 2**14}
 RANGES = {"background": (3, -(2.0**20), 2.0**20), "Q_0": (4, 2.0**-100, 2.0**100), "tau_alpha": (1, -1.0, 1.0)}
 
 
@@ -40,8 +41,10 @@ def read_header(data):
 
     Raises     BitstreamError for anything that is not an object with exactly these fields within LIMITS and RANGES
     """
+    if len(data) > LIMITS["bytes"]:
+        raise _refusal(f"{len(data)} bytes, at most {LIMITS['bytes']} expected")
     try:
-        fields = json.loads(data.decode("ascii"), object_pairs_hook=_once_each)
+        fields = json.loads(str(data, "ascii"), object_pairs_hook=_once_each)
     except (UnicodeDecodeError, ValueError, RecursionError):
         raise _refusal("expected a JSON object, no field twice") from None
     expected = {"anchors", "background", *Design._fields}
@@ -66,18 +69,20 @@ def read_header(data):
     return design, anchors, background
 
 
-def _check_size(design, anchors):
-    """What a decoder computes with: the grid's entries, and per anchor cell corners, activations, six arrays of symbols.
+def declared_numbers(design, anchors):
+    """How many numbers the arrays of the decoded model hold: (anchors' attributes and masks, grid, networks)."""
+    weights = sum((rows + 1) * columns for layers in design.layers().values() for rows, columns in layers)
+    return anchors * (3 + sum(design.widths) + design.k), sum(T * F for T, F in design.levels()), weights
 
-    LIMITS keep that within about 2 GiB (measured: 16 bytes a number), enough for 160,000 anchors of `paper_real`.
-    """
-    entries = sum(T * F for T, F in design.levels())
-    if entries > LIMITS["entries"]:
-        raise _refusal(f"field 'grid': {entries} entries declared, at most {LIMITS['entries']} expected")
-    per_anchor = len(design.grid) * (8 + design.F) + sum(design.context) + 6 * sum(design.widths)
-    if anchors * per_anchor > LIMITS["numbers"]:
-        raise _refusal(f"field 'anchors': {anchors} of {per_anchor} numbers declared, at most {LIMITS['numbers']} "
-                       f"in all expected")
+
+def _check_size(design, anchors):
+    """The largest model: 256 MiB, for example 400,000 anchors of `paper_real`."""
+    per_kind = declared_numbers(design, anchors)
+    if per_kind[1] > LIMITS["entries"]:
+        raise _refusal(f"field 'grid': {per_kind[1]} entries declared, at most {LIMITS['entries']} expected")
+    if sum(per_kind) > LIMITS["numbers"]:
+        raise _refusal(f"{sum(per_kind)} numbers declared (anchors {per_kind[0]}, grid {per_kind[1]}, networks "
+                       f"{per_kind[2]}), at most {LIMITS['numbers']} expected")
 
 
 def _refusal(message):

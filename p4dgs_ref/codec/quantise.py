@@ -33,7 +33,10 @@ def coded(mask, design):
 
 def dequantise(symbols, ctx, design):
     """f, s, l, O (A, k, 3) from symbols (A, n): symbol times step."""
-    return split(symbols * np.repeat(ctx.q, design.widths, axis=1), design)
+    values, starts = np.empty(symbols.shape), np.cumsum(design.widths[:3])
+    for i, (part, out) in enumerate(zip(np.split(symbols, starts, axis=1), np.split(values, starts, axis=1))):
+        np.multiply(part, ctx.q[:, i:i + 1], out=out)
+    return split(values, design)
 
 
 def quantise(model):

@@ -179,7 +179,8 @@ def decode(data, tables, keys, at=0, section="stream", pop_rows=None):
     if len(tables) == 0:
         return entries, at
     lanes, left, x, start = _read_head(data, at, len(tables), section)
-    words = np.frombuffer(data, "<u4", (len(data) - start) // 4, start)
+    # a symbol reads one word at most, a lane that is taken out three: more are not this message's
+    words = np.frombuffer(data, "<u4", min((len(data) - start) // 4, len(tables) + 3 * lanes), start)
     end = start + 4 * len(words)
     try:
         if lanes > 1:
@@ -237,20 +238,21 @@ def _end_lanes(states, words):
 
 def _pop_tail(x, words, tables, keys, entries):
     """Step 1 backwards: fill `entries`; the state and the words left."""
-    edges = keys.tolist()
+    edges, first = keys.tolist(), keys.searchsorted(np.arange((int(keys[-1]) >> PRECISION) + 1) << PRECISION)
     for a in range(0, len(tables), PIECE):
         stack, found = words[:PIECE][::-1].tolist(), []      # a symbol reads one word at most
-        given = len(stack)
-        for table in tables[a:a + PIECE].tolist():
-            target = table << PRECISION | x & SLOT
-            entry = bisect_right(edges, target) - 1
-            start = edges[entry]
-            x = (x >> PRECISION) * (edges[entry + 1] - start) + target - start
+        given, used = len(stack), tables[a:a + PIECE].astype(np.int64)
+        for base, low, high in zip((used << PRECISION).tolist(), first[used].tolist(), first[used + 1].tolist()):
+            target = base + (x & SLOT)
+            entry = bisect_right(edges, target, low, high)   # the one after; only its own table is searched
+            start = edges[entry - 1]
+            x = (x >> PRECISION) * (edges[entry] - start) + target - start
             if x < LOWEST:
                 x = x << WORD | stack.pop()
             found.append(entry)
         entries[a:a + PIECE] = found
         words = words[given - len(stack):]
+    entries -= 1
     return x, words
 
 

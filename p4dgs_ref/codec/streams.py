@@ -22,7 +22,7 @@ import numpy as np
 
 from . import rans
 from .container import BitstreamError
-from .gaussian_table import PRECISION, gaussian_model
+from .gaussian_table import CHUNK, PRECISION, gaussian_model
 
 MAX_SYMBOL, MAX_GAMMA, CERTAIN = 1 << 31, 33, 1 << PRECISION
 
@@ -50,27 +50,46 @@ def decode_gaussian(data, mu_units, sigma_units, section="stream", pop_rows=None
     Raises     BitstreamError(section, ...) where data are not what `encode_gaussian` writes;
                ValueError for mu_units and sigma_units outside their ranges
     """
-    model = gaussian_model(mu_units, sigma_units)
+    return decode_symbols(data, gaussian_model(mu_units, sigma_units), section, pop_rows)
+
+
+def decode_symbols(data, model, section="stream", pop_rows=None):
+    """`decode_gaussian` for a model already made, so that mu and sigma need not be kept while it runs."""
     entries, start = rans.decode(data, model.table, model.keys, 0, section, pop_rows)
-    place = entries - model.first[model.table]
-    escaped = np.flatnonzero(place == model.blocks[model.table])
-    widths = model.low[model.table]
-    low_bits = int(widths.sum())
-    if len(data) - start > (low_bits + (2 * MAX_GAMMA + 1) * len(escaped) + 7) // 8:
+    pieces = [slice(a, a + CHUNK) for a in range(0, len(entries), CHUNK)]      # few bytes a symbol at any time
+    low_bits = sum(int(model.low[model.table[rows]].sum()) for rows in pieces)
+    escapes = sum(np.count_nonzero(entries[rows] == _escape(model, rows)) for rows in pieces)
+    if len(data) - start > (low_bits + (2 * MAX_GAMMA + 1) * escapes + 7) // 8:
         raise BitstreamError(section, len(data), "bytes left over")
-    raw = np.unpackbits(np.frombuffer(data, np.uint8, offset=start), bitorder="little")
-    if low_bits > len(raw):
+    if low_bits > 8 * (len(data) - start):
         raise BitstreamError(section, len(data), "the data end before the last raw bit")
-    gamma, end = _read_gammas(raw, low_bits, len(escaped), section, start)
-    if len(raw) - end >= 8 or raw[end:].any():
-        raise BitstreamError(section, start + end // 8, "bits left over")
-    above = gamma & 1
-    place[escaped] = np.where(above, place[escaped] + (gamma >> 1), -(gamma >> 1))
-    symbols = (model.lowest + place << widths) + unpack_fields(raw, widths)
-    wrong = np.flatnonzero(np.abs(symbols) > MAX_SYMBOL)
-    if len(wrong):
-        raise BitstreamError(section, start, f"symbol {symbols[wrong[0]]}, at most 2^31 in magnitude expected")
+    symbols, at, end = np.empty(len(entries), np.int64), 8 * start, 8 * start + low_bits
+    for rows in pieces:
+        table = model.table[rows]
+        place, widths = entries[rows] - model.first[table], model.low[table]
+        escaped, count = np.flatnonzero(entries[rows] == _escape(model, rows)), int(widths.sum())
+        gamma, end = _read_gammas(data, end, len(escaped), section)
+        place[escaped] = np.where(gamma & 1, place[escaped] + (gamma >> 1), -(gamma >> 1))
+        symbols[rows] = (model.lowest[rows] + place << widths) + unpack_fields(_raw_bits(data, at, at + count), widths)
+        at += count
+        wrong = symbols[rows][np.abs(symbols[rows]) > MAX_SYMBOL]
+        if len(wrong):
+            raise BitstreamError(section, start, f"symbol {wrong[0]}, at most 2^31 in magnitude expected")
+    left = _raw_bits(data, end, 8 * len(data))
+    if len(left) >= 8 or left.any():
+        raise BitstreamError(section, end // 8, "bits left over")
     return symbols
+
+
+def _escape(model, rows):
+    """The entry that would be an escape, for each of some symbols."""
+    return (model.first + model.blocks)[model.table[rows]]
+
+
+def _raw_bits(data, start, stop):
+    """Bits start to stop of bytes, the lowest of a byte first: an array of 0 and 1."""
+    raw = np.frombuffer(data, np.uint8, (stop + 7) // 8 - start // 8, start // 8)
+    return np.unpackbits(raw, bitorder="little")[start % 8:][:stop - start]
 
 
 def ideal_bits_gaussian(symbols, mu_units, sigma_units):
@@ -112,19 +131,20 @@ def _gamma_fields(gamma):
     return [np.stack([1 << b, gamma - (1 << b)], 1).ravel(), np.stack([b + 1, b], 1).ravel()]
 
 
-def _read_gammas(raw, at, count, section, start):
-    """`count` gamma codes from bit `at` on: values (count,) and the bit after the last."""
-    text, values, ascii_bits = raw.tobytes(), np.empty(count, np.int64), bytes.maketrans(b"\0\1", b"01")
+def _read_gammas(data, start, count, section):
+    """`count` gamma codes from bit `start` of the data on: values (count,) and the bit after the last."""
+    text = _raw_bits(data, start, min(start + (2 * MAX_GAMMA + 1) * count, 8 * len(data))).tobytes()
+    at, values, ascii_bits = 0, np.empty(count, np.int64), bytes.maketrans(b"\0\1", b"01")
     for i in range(count):
-        one = text.find(1, at)
+        one = text.find(1, at, at + MAX_GAMMA + 1)
+        if one < 0 and len(text) - at > MAX_GAMMA:
+            raise BitstreamError(section, (start + at) // 8, f"an escape of more than {MAX_GAMMA} bits")
         b = one - at
-        if b > MAX_GAMMA:
-            raise BitstreamError(section, start + at // 8, f"an escape of {b} bits, at most {MAX_GAMMA} expected")
         if one < 0 or one + b >= len(text):
-            raise BitstreamError(section, start + len(text) // 8, "the data end before the last raw bit")
+            raise BitstreamError(section, len(data), "the data end before the last raw bit")
         at = one + b + 1
         values[i] = (1 << b) + (int(text[one:at].translate(ascii_bits)[::-1], 2) >> 1)   # backwards it reads 2 r + 1
-    return values, at
+    return values, start + at
 
 
 def pack_fields(values, widths, more_values, more_widths):
