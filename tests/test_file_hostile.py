@@ -9,7 +9,6 @@ import pytest
 from p4dgs_ref.codec.container import SECTIONS, BitstreamError, read_container, write_container
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, decode, encode
 from p4dgs_ref.codec.gaussian_table import MU_LIMIT
-from p4dgs_ref.codec.gaussian_table import MU_LIMIT
 from p4dgs_ref.codec.header import LIMITS
 from p4dgs_ref.codec.inspect import ledger
 from p4dgs_ref.codec.quantise import EncodeError, quantise

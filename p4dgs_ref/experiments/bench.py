@@ -1,15 +1,22 @@
 """How long the hot places take on this machine: renderer, parts of a training step, entropy coder."""
 import time
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 
 from .. import model
+from ..codec.context import coding_context
+from ..codec.file import attribute_columns
 from ..codec.gaussian_table import MU_BITS, SIGMA_BITS
+from ..codec.inspect import float_context
+from ..codec.quantise import quantise
 from ..codec.rans import pop_rows_plainly, push_rows_plainly
 from ..codec.streams import decode_gaussian, encode_gaussian
 from ..equations import (anchor_rate, deformation, deformed, hash_rate, likelihood, noise, rate_loss, render_loss,
                          total_loss)
+from ..equations.prior import layout
+from ..model import split
 from ..networks.adam import Adam
 from ..scenes import load_scene
 from ..splatting import compositing, covariance, fast, projection
@@ -147,6 +154,33 @@ def bench_coder(n):
             "over_entropy_percent": 100 * (8 * len(data) / bits - 1)}
 
 
+def bench_sections(scene, symbols):
+    """Milliseconds for the attribute sections of a whole model, its integer context included: encode and decode.
+
+    A `tiny` model with random networks whose sigma is about two steps; the attributes are drawn from its prior.
+    """
+    trainer = Trainer(scene, TINY._replace(anchors=symbols // (TINY.d + 6 + 3 * TINY.k)))
+    last, design, rng = trainer.parameters[f"psi_p.b{len(TINY.context)}"], trainer.design, np.random.default_rng(0)
+    last[layout(design.widths)[1]] = np.log(2 * np.repeat(design.Q_0, design.widths))
+    drawn = trainer.model()
+    prior = float_context(drawn)
+    f, s, l, O = split(prior.mu + prior.sigma * rng.normal(size=prior.mu.shape), design)
+    q = quantise(replace(drawn, anchors=drawn.anchors._replace(f_a=f, s_a=s, l_a=l, O_a=O)))
+    inputs = (design, q.model.networks, q.model.grids, q.positions)
+
+    def parts(ctx):
+        return [(ctx.mu_units[:, c].ravel(), ctx.sigma_units[:, c].ravel(), q.symbols[:, c].ravel())
+                for _, c in attribute_columns(design)]
+
+    streams = [encode_gaussian(k, mu, sigma) for mu, sigma, k in parts(q.context)]
+    ms = alternate({
+        "encode": lambda: [encode_gaussian(k, mu, sigma) for mu, sigma, k in parts(coding_context(*inputs))],
+        "decode": lambda: [decode_gaussian(data, mu, sigma)
+                           for data, (mu, sigma, _) in zip(streams, parts(coding_context(*inputs)))]}, 5)
+    return {"symbols": q.symbols.size, "bits_per_symbol": 8 * sum(map(len, streams)) / q.symbols.size,
+            "encode_ms": ms["encode"], "decode_ms": ms["decode"]}
+
+
 def bench(quick=False):
     """Everything the command `bench` prints."""
     sizes = [(300, 64)] if quick else [(1000, 64), (5000, 128)]
@@ -154,7 +188,8 @@ def bench(quick=False):
     warm, repeats = (320, 15) if quick else (TINY.stage_ends[1] + 300, 60)
     return {"renderer": [bench_renderer(n, size, 3 if quick else 9) for n, size in sizes],
             "step_ms": step_parts(scene, TINY, warm, repeats),
-            "coder": [bench_coder(n) for n in ([2000] if quick else [20_000, 200_000])]}
+            "coder": [bench_coder(n) for n in ([2000] if quick else [20_000, 200_000])],
+            "sections": bench_sections(scene, 2000 if quick else 200_000)}
 
 
 def describe(result):
@@ -174,4 +209,9 @@ def describe(result):
             fast, plain = r[f"{what}_ms"], r[f"{what}_plainly_ms"]
             lines.append(f"    {what} {fast:6.1f} ms ({r['symbols'] / fast / 1e3:.2f} M symbols/s); "
                          f"readable twin {plain:6.1f} ms")
+    r = result["sections"]
+    lines.append(f"all attribute sections of a model, integer context included: {r['symbols']:,} symbols, "
+                 f"{r['bits_per_symbol']:.1f} bits each")
+    lines += [f"    {what} {r[f'{what}_ms']:6.1f} ms ({r['symbols'] / r[f'{what}_ms'] / 1e3:.2f} M symbols/s)"
+              for what in ("encode", "decode")]
     return "\n".join(lines)
