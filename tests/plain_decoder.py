@@ -89,7 +89,7 @@ def hash_feature(place, h, grids):
         feature += [(total + (65535 ** len(n) >> 16)) // (65535 ** len(n) >> 15) for total in v]
     return feature
 
-def context(place, h, grids, widths, psi_p, psi_q):         # h, q_units of the groups, mu_units, sigma_units of the columns
+def context(place, h, grids, widths, psi_p, psi_q):         # h, q_units of the groups, mu_units and sigma_units
     q_units, mu_units, sigma_units, at, sigmoid, log2 = [], [], [], 0, TABLES["sigmoid"], TABLES["log2"]
     feature = hash_feature(place, h, grids)
     (u, a_q, _), (y, a, B) = run_network(feature, *psi_q), run_network(feature, *psi_p)
@@ -115,7 +115,7 @@ def read_message(data, at, tables, section):  # tables: (cum, how many entries) 
     start, rows = (at + 9 + 4 * high, len(tables) - m) if lanes > 1 else (at + 5 + 4 * high, 0)
     states = [int.from_bytes(data[start - 4 - 4 * high:start], "little")]           # all states pass 2^53, up to 2^63
     need(len(data) >= start and first & 0x70 == 0 and lanes <= 1024, section, "head of the message")
-    need(rows >= 0 and rows % lanes == 0 and 2**(31 + high) <= states[0] < 2**63, section, "tail or state")
+    need(0 <= rows < len(tables) and rows % lanes == 0 and 2**(31 + high) <= states[0] < 2**63, section, "tail or state")
     words = [word for word, in struct.iter_unpack("<I", data[start:len(data) - (len(data) - start) % 4])][::-1]
     end, entries = start + 4 * len(words), []
     def refill(lane, x, popped):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import plain_decoder
+from p4dgs_ref.codec import context, file, fixed_point
 from p4dgs_ref.codec.conformance import FOLDER
 from p4dgs_ref.codec.container import read_container
 from p4dgs_ref.codec.file import encode, quantised_of
@@ -65,6 +66,27 @@ def test_every_truncation_and_many_flips_are_refused():
         with pytest.raises(ValueError) as caught:
             plain_decoder.decode(bad)
         assert len(caught.value.args) == 2
+
+
+def test_worked_numbers_of_the_format_page():
+    """The plain decoder's functions meet the numbers that the docstrings work out, and those stand there."""
+    grid = {"grid": [("xy", 3)], "F": 1, "Q_0": [0.1]}
+    signs = [1, 1, 1, 1, -1, 1, -1, 1, 1]
+    assert plain_decoder.hash_feature((20000, 50000, 7), grid, [signs]) == [375]
+    numbers = struct.unpack("<3e", struct.pack("<3e", 0.5, -0.3, 0.1))
+    assert plain_decoder.run_network([16384, -8192], (2, 1), numbers) == ([456327168], 30, 966393856)
+    halved = plain_decoder.run_network([16384, -8192], (2, 1, 1), (*numbers, 1.0, 0.0))
+    assert halved == ([1782528 << 14], 36, 3774976 << 14)                # n = 14 of a weight 1
+    layers = {"psi_p": ([456327168, -229376 << 14], 30, 966393856), "psi_q": ([456327168], 30, 0)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plain_decoder, "run_network", lambda x, name: layers[name])
+        found = plain_decoder.context((20000, 50000, 7), grid, [signs], [1], ["psi_p"], ["psi_q"])
+    assert found == ([375], [45913], [3106], [-35]) and 45913 * (0.1 * 2.0**-15) == 0.1401153564453125
+    assert -1.5 + 20000 * (3 / 65535) == -0.5844586861982147
+    pages = {context: ("h = 375", "q_units = 45913", "q = 0.1401153564453125", "mu_units = 3106", "sigma_units = -35"),
+             fixed_point: ("y = 456327168", "966393856", "x = 1782528", "X = 3774976"), file: ("-0.5844586861982147",)}
+    for module, texts in pages.items():
+        assert all(text in " ".join(module.__doc__.split()) for text in texts), module.__name__
 
 
 def test_it_is_short_and_stands_alone():

@@ -9,7 +9,9 @@ FORMAT of the folder.  `manifest.json` is an object with two lists, of objects:
            from byte `offset` of the expected file on
     bad    name, says, file, bytes, sha256, section, offset, kind: where a decoder must refuse it, and what for.
            section is "container" for the frame of the file; offset counts bytes from the start of the section, or of
-           the file for the container, and is null where sound decoders may differ
+           the file for the container, and is null where sound decoders may differ.  kind is one of magic, version,
+           length (of file or section), checksum, table (ids and their order), missing, unexpected (a section), header
+           (its content), number (a weight or the box), stream (a message of the entropy coder)
 Types are u8, u16, i32, i64, f32, f64, and bit: eight in a byte, the lowest bit first, the last byte filled with zeros.
 Symbols reach 2^31 and mu_units 2^34; they are i64 where i32 does not hold them.
 Arrays, for A anchors and the n = d + 6 + 3 k columns f, s, l, O (three of every child, child by child):
@@ -60,9 +62,10 @@ def expected(quantised):
     """The arrays that a decoder must find: {name: (type, array)}."""
     model, ctx = quantised.model, quantised.context
     h = hash_feature(quantised.positions, model.grids, model.design)
+    signs = np.concatenate([grid.ravel() for grid in model.grids])
     q_units = np.rint(ctx.q / (np.array(model.design.Q_0) * 2.0**-15))        # undoes the one rounded product
     arrays = {"positions": ("u16", quantised.positions), "x_a": ("f64", model.anchors.x_a),
-              "masks": ("u8", model.anchors.mask), "signs": ("bit", np.concatenate([g.ravel() for g in model.grids]) > 0),
+              "masks": ("u8", model.anchors.mask), "signs": ("bit", signs > 0),
               "h": ("i32", h), "q_units": ("i32", q_units), "q": ("f64", ctx.q),
               "mu_units": (_whole(ctx.mu_units), ctx.mu_units), "sigma_units": ("i32", ctx.sigma_units),
               "symbols": (_whole(quantised.symbols), quantised.symbols),
@@ -90,7 +93,7 @@ def files():
     for maker, says in SAYS.items():
         quantised, sections = stream_of(maker)
         row = _file_row(maker.__name__, says, write_container(sections), contents)
-        row["header"], row["sections"] = json.loads(sections["header"]), {name: len(sections[name]) for name in sections}
+        row["header"], row["sections"] = json.loads(sections["header"]), {key: len(sections[key]) for key in sections}
         row["expected"], arrays, body = f"{row['name']}.bin", [], b""
         for name, (kind, array) in expected(quantised).items():
             part = _bytes(kind, array)

@@ -48,10 +48,8 @@ def _frames(sections):
     rows = rows_of(sections)
     sound = framed(rows)
     table_end = HEAD + ROW * len(rows)
-    start = {name: table_end + 4 + sum(length for _, length, _ in rows[:i]) for i, name in enumerate(sorted(
-        sections, key=SECTIONS.index))}
-    flipped, in_table = (bytearray(sound) for _ in range(2))
-    flipped[start["anchor_mlps"] + 4] ^= 1          # of a weight: nothing but the checksum can tell
+    flipped, in_table = bytearray(sound), bytearray(sound)
+    flipped[sound.index(sections["anchor_mlps"]) + 4] ^= 1     # of a weight: nothing but the checksum can tell
     in_table[HEAD + 5] ^= 1                         # of the header's checksum
     longer = [(number, length + (number == 2), body) for number, length, body in rows]
     beyond = [*rows[:-1], (12, *rows[-1][1:])]
@@ -61,7 +59,8 @@ def _frames(sections):
         ("trailing_byte", "one byte too many", sound + b"\0", "container", 10, "length"),
         ("counted_trailing_byte", "one byte too many that the total length counts", framed(rows, tail=b"\0"),
          "container", 14, "length"),
-        ("wrong_magic", "line ends translated from CR LF to LF", sound.replace(b"\r\n", b"\n", 1), "container", 0, "magic"),
+        ("wrong_magic", "line ends translated from CR LF to LF", sound.replace(b"\r\n", b"\n", 1),
+         "container", 0, "magic"),
         ("wrong_version", "version 2", framed(rows, version=2), "container", 8, "version"),
         ("wrong_total", "a total length one too large, its checksum right", framed(rows, total=len(sound) + 1),
          "container", 10, "length"),
@@ -69,7 +68,8 @@ def _frames(sections):
         ("flipped_table_bit", "one bit of the section table", bytes(in_table), "container", table_end, "checksum"),
         ("swapped_sections", "rows and bodies of `positions` and `features` in each other's place",
          framed([rows[0], rows[2], rows[1], *rows[3:]]), "container", HEAD + 2 * ROW, "table"),
-        ("repeated_section", "`positions` twice, no `features`", framed([*rows[:2], rows[1], *rows[3:]]), "container", HEAD + 2 * ROW, "table"),
+        ("repeated_section", "`positions` twice, no `features`", framed([*rows[:2], rows[1], *rows[3:]]),
+         "container", HEAD + 2 * ROW, "table"),
         ("unknown_section", "id 12", framed(beyond), "container", HEAD + ROW * (len(rows) - 1), "table"),
         ("section_beyond_the_file", "a length one too large", framed(longer), "container", 14, "length"),
         ("missing_section", "no `scales`", framed([row for row in rows if row[0] != 4]), "scales", 0, "missing"),
@@ -112,7 +112,8 @@ def _contents(sections):
         ("box_upside_down", "lo and hi exchanged", "positions", hi + lo + sections["positions"][24:], 0, "number"),
         ("weights_short", "`anchor_mlps` lacks its last number", "anchor_mlps", sections["anchor_mlps"][:-2],
          len(sections["anchor_mlps"]) - 2, "length"),
-        ("improbable_masks", "a probability of (2^24 + 1) / 2^24", "masks", (2**24 + 1).to_bytes(4, "little"), 0, "stream"),
+        ("improbable_masks", "a probability of (2^24 + 1) / 2^24", "masks", (2**24 + 1).to_bytes(4, "little"), 0,
+         "stream"),
         ("masks_left_over", "a byte behind a stream of equal bits", "masks", sections["masks"] + b"\0", 4, "stream"),
     ]
     return [(name, says, framed(rows_of({**sections, section: body})), section, offset, kind)
@@ -123,8 +124,8 @@ def _streams(sections, quantised):
     """Defects of entropy-coded messages."""
     features, scales = sections["features"], sections["scales"]
     message = features[:-2]                         # behind it the escape's gamma code, thirteen bits
-    columns = slice(8, 14)
-    offsets = [a[:, columns].ravel() for a in (quantised.symbols, quantised.context.mu_units, quantised.context.sigma_units)]
+    ctx = quantised.context
+    offsets = [a[:, 8:].ravel() for a in (quantised.symbols, ctx.mu_units, ctx.sigma_units)]
 
     def started_high(states, starts, freqs):
         return rans.push_rows_plainly([states[0], states[1] + 2**31, *states[2:]], starts, freqs)
@@ -137,19 +138,21 @@ def _streams(sections, quantised):
     bodies = [
         ("stream_short", "`scales` lacks its last byte", "scales", scales[:-1], None),
         ("stream_long", "a zero byte behind `scales`", "scales", scales + b"\0", None),
-        ("fill_bits", "a one among the bits that fill the last byte", "features", features[:-1] + bytes([features[-1] | 128]),
-         None),
+        ("fill_bits", "a one among the bits that fill the last byte", "features",
+         features[:-1] + bytes([features[-1] | 128]), None),
         ("final_state", "the state begins with another bit 24, so it does not end at 2^31", "features",
          spliced(features, 4, bytes([features[4] ^ 1])), None),
-        ("state_too_small", "a state of 2^31 - 1", "scales", scales[:1] + b"\xff\xff\xff\x7f" + bytes(4) + scales[9:], 1),
+        ("state_too_small", "a state of 2^31 - 1", "scales", spliced(scales, 1, b"\xff\xff\xff\x7f" + bytes(4)), 1),
         ("idle_high_word", "a high word of the state, and it is zero", "masks",
          (2**24 - 1).to_bytes(4, "little") + b"\x80" + likely[1:] + bytes(4), 5),
         ("too_many_lanes", "2^11 lanes", "offsets", bytes([two_lanes[0] & 0x80 | 11]) + two_lanes[1:], 0),
-        ("lane_byte", "a bit of the lane byte that is not in use", "offsets", bytes([two_lanes[0] | 16]) + two_lanes[1:], 0),
+        ("lane_byte", "a bit of the lane byte that is not in use", "offsets",
+         bytes([two_lanes[0] | 16]) + two_lanes[1:], 0),
         ("lane_count", "two lanes declared as four", "offsets", bytes([two_lanes[0] + 1]) + two_lanes[1:], None),
         ("uneven_rows", "a tail that leaves an odd number of symbols to two lanes", "offsets",
          spliced(two_lanes, 1, (tail + 1).to_bytes(4, "little")), 1),
-        ("long_tail", "a tail longer than the message", "offsets", spliced(two_lanes, 1, (38).to_bytes(4, "little")), 1),
+        ("long_tail", "a tail longer than the message", "offsets",
+         spliced(two_lanes, 1, (38).to_bytes(4, "little")), 1),
         ("lane_start", "a lane that does not end where lanes start", "offsets",
          encode_gaussian(*offsets, lanes=2, push_rows=started_high), None),
         ("far_symbol", "an escape beyond 2^31", "features", message + gamma["far"], None),

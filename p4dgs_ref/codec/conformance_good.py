@@ -46,7 +46,7 @@ class Parts:
             n += 2 * width
 
     def prior(self, weights=0.0, mu=None, raw=None):
-        """Overwrite psi_p's last layer: every weight, and the biases of all mu and all raw sigma, repeated as needed."""
+        """Overwrite psi_p's last layer: all weights, and the biases of all mu and all raw sigma, repeated as needed."""
         W, b = (arrays[-1] for arrays in self.networks["psi_p"])
         W[...] = weights
         columns = np.split(np.arange(len(b)), np.cumsum(np.repeat(self.design.widths, 2))[:-1])
@@ -115,7 +115,7 @@ def escapes():
 
 
 def sigma_clamps():
-    """Raw at, beside and beyond -14 and 6; with these steps sigma/q runs beyond 2^-8 and 2^20, too.  mu/q = 511/1024."""
+    """Raw at, beside and beyond -14 and 6; with these steps sigma/q runs beyond 2^-8 and 2^20; mu/q is 511/1024."""
     parts = Parts(7, anchors=3, Q_0=(0.5, 2.0**-12, 2.0**-11, 2.0**-4))
     parts.steps(0.0, 0.0, 0.0, 0.0)
     mu = np.repeat(parts.design.Q_0, parts.design.widths) * 511 / 1024
@@ -161,7 +161,9 @@ def hashed():
 def lattice():
     """Anchors on nodes, on the upper faces, and in a box without extent along z."""
     parts = Parts(14, anchors=6, grid=(("xyz", 4), ("xz", 16), ("yz", 2)))
-    parts.positions[...] = [[0, 0, 0], [65535, 65535, 0], [21845, 43690, 0], [65535, 0, 0], [21844, 43691, 0], [4369, 1, 0]]
+    parts.positions[:, 0] = [0, 65535, 21845, 65535, 21844, 4369]
+    parts.positions[:, 1] = [0, 65535, 43690, 0, 43691, 1]
+    parts.positions[:, 2] = 0
     parts.box[1][2] = parts.box[0][2]
     return parts
 
@@ -218,7 +220,7 @@ def coarse_units():
 
 
 def deviations():
-    """q = 1/2, so log2 q is whole, and every float16 raw sigma that lies beside the edge of a sixteenth of log2 sigma."""
+    """q = 1/2, so log2 q is whole; every float16 raw sigma that lies beside the edge of a sixteenth of log2 sigma."""
     raw = np.arange(-14 << 16, 6 << 16)
     beyond = (raw * 94548 + 2**15 >> 16) % 4096 - 2048
     raw = raw[(-3 <= beyond) & (beyond < 7) & (np.float16(raw / 2**16) == raw / 2**16)] / 2**16

@@ -7,18 +7,32 @@ FORMAT.  Nothing here is a floating-point result: whole numbers below 2^53, and 
    and per axis the weight 65535 - t for the corner base and t for base + 1 (on the last node, t = 0 and the corner
    does not matter).  Products over the D axes, times the signs of the entries, add up to a whole number v with
    |v| <= 65535^D < 2^48.  h = floor((v + floor(Q / 2)) / Q), Q = floor(65535^D / 2^15): |h| <= 2^15, units 2^-15.
-   Which entry a corner reads, and the order of h, are those of Eq. (9) (`equations/grid_nodes.py`).
+   A corner has a coordinate per axis of the level, in the order of its name, each at most R - 1: it reads node
+   i + j R (+ k R^2) where R^D <= T, else (i XOR 2654435761 j (XOR 805459861 k)) mod T, products modulo 2^32 (in
+   JavaScript Math.imul, and >>> 0 before mod).  h runs level by level, F numbers each.
 2. Networks.  psi_q and psi_p on h as `fixed_point.py` says.
+   "y in units of 2^-c" below is floor((y + 2^(a-c-1)) / 2^(a-c)) for a > c, else y 2^(c-a); clip before it overflows.
 3. Steps.  u = psi_q's output in units of 2^-12, clipped to +-2^15;  v = clip(u + 4 * 2^12, 0, 10 * 2^12 - 1);
    i = floor(v / 64), r = v mod 64;  share = sigmoid[i] + floor((sigmoid[i+1] - sigmoid[i]) r / 64)    (units 2^-24)
        q_units = clip(floor((share + 128) / 256), 32, 65536)           q = q_units Q_0 2^-15, the one product of doubles
 4. One over q.  Q_0 = f 2^p with 1/2 <= f < 1;  D = floor(2^24 f) q_units;  n = bits of D - 24;
        R = floor(2^47 / floor(D / 2^n)),  so that 1/q is about R 2^(-8 - p - n)
-5. Means.  y = psi_p's mu in units of 2^-a with bound B;  t = max(0, bits of B - 28);  m = floor((y + 2^t/2) / 2^t);
-       S = a - t + p + n - 2;  mu_units = round(m R 2^-S), ties up, clipped to +-2^34          (|m R| <= 2^52)
+5. Means.  y = psi_p's mu, still in units of 2^-a;  t = max(0, bits of B - 28), B the bound of all psi_p's outputs;
+       m = floor((y + floor(2^t / 2)) / 2^t);          S = a - t + p + n - 2, of any sign;
+       mu_units = floor(m R 2^-S + 1/2), clipped to +-2^34;  |m R| <= 2^52, so it is 0 for S > 53
 6. Deviations.  raw in units of 2^-16, clipped to [-14, 6];  l = floor((94548 raw + 2^15) / 2^16);
        sigma_units = clip(floor((l - log2(D) - (p - 39) 2^16 + 2^11) / 2^12), -128, 319)
-   with log2 of D in units of 2^-16 as `fixed_point.log2` computes it.
+   log2(D) = (n + 23) 2^16 + log2[i] + floor((log2[i+1] - log2[i]) r / 2^15)  in units of 2^-16,
+       where floor(D / 2^n) - 2^23 = 2^15 i + r, 0 <= r < 2^15
+p, n, D and R of 4 are those of the column's group in 5 and 6 (D of 1 counts axes); "bits of" a whole number is how many
+binary digits it has, 0 for 0.
+
+WORKED NUMBERS.  Level xy, R = 3, T = 9, an anchor at (20000, 50000, .): base (0, 1), t (40000, 34465), nodes 3, 4, 6, 7
+with weights 793372450, 1242800000, 880063775, 1378600000.  Signs + - - + add up to v = 49108675; Q = 131068, h = 375.
+The network of `fixed_point.py` has y = 456327168, a = 30, B = 966393856.  As psi_q: u = 1741, v = 18125, i = 283, r = 13,
+share = 11753797, q_units = 45913, and with Q_0 = 0.1 q = 0.1401153564453125.  Then f = 0.8, p = -3, D = 13421772 *
+45913 = 616233817836, n = 16, R = floor(2^47 / 9402981) = 14967326.  As mu: t = 2, m = 114081792, S = 39, mu_units = 3106.
+raw = -3.5, -229376 in units of 2^-16: l = -330918, i = 30, r = 31333, log2(D) = 2566696, sigma_units = -35.
 """
 from typing import NamedTuple
 

@@ -3,18 +3,39 @@
 Section          content
 header           JSON: design, number of anchors A, background                                (header.py)
 positions        the box, 6 float32 (lo, then hi), then A times 3 uint16                      (raw)
-masks            A k bits, anchor by anchor: 1 where a child is kept                            (Bernoulli)
-hash_grid        one bit per entry, level by level, 1 for +1                                   (Bernoulli)
+masks            A k bits, anchor by anchor: 1 where a child is kept                           (Bernoulli)
+hash_grid        level by level T nodes of F entries, a bit each: 1 for +1, 0 for -1           (Bernoulli)
 features         A d symbols of f, anchor by anchor                                            (Gaussian)
 scales           A 3 symbols of s                                                              (Gaussian)
 offset_scales    A 3 symbols of l                                                              (Gaussian)
-offsets          3 symbols per kept child, anchor by anchor, child by child                    (Gaussian)
+offsets          3 symbols (x, y, z) per kept child, anchor by anchor, child by child          (Gaussian)
 anchor_mlps      psi_alpha, psi_c, psi_r, psi_s: layer by layer W (row by row), then b         (float16)
 context_mlps     psi_p, psi_q                                                                  (float16)
 deformation_mlp  psi_d; absent where nothing moves                                             (float16)
 
 All numbers are little-endian.  A decoder reads header, positions, hash_grid and context_mlps, computes the coding
-context (context.py), and can then read the Gaussian sections in any order; masks before offsets.
+context (context.py), and can then read the Gaussian sections in any order; masks before offsets.  Every section is
+there, but for deformation_mlp, which is there if and only if the header lists translation, rotation or scaling; empty
+ones (no kept child: offsets) too.  Sections of plain numbers have exactly their length, lo <= hi, |lo| and |hi| at most
+1e30 (the double), and every weight is finite.
+
+NETWORKS.  A layer of I inputs and J outputs is y = x W + b: I J numbers W[i][j], j fastest, then J numbers b[j].  Layers
+lead from the inputs over the widths that the header lists to the outputs:
+    psi_alpha, psi_c, psi_r, psi_s   inputs d, or d + 4 with the effect view_color (psi_c) or view_geometry (the others);
+                                     hidden; outputs k, 3 k, 4 k, 3 k
+    psi_p, psi_q                     inputs h, one of every level and entry of a node: levels x F;  context;  outputs
+                                     2 (d + 6 + 3 k): d mu of f, d raw sigma of f, 3 mu of s, 3 raw of s, 3 and 3 of l,
+                                     3 k and 3 k of O; and 4: one of f, s, l, O each
+    psi_d                            inputs 3 (1 + 2 L_x) + 1 + 2 L_t; deformation; then three layers beside each other
+                                     on the last of those, W and b each: 3, 3, 4 outputs for translation, scaling,
+                                     rotation, or 0 for what the header does not list
+
+NUMBERS.  Each operation on doubles is rounded by itself (no fused multiply-add).  A position is lo + n ((hi - lo) /
+65535) of its uint16 n, an attribute symbol times q, q being its anchor's and group's (context.py).  What is masked is 0.
+
+WORKED NUMBERS.  lo = -1.5, hi = 1.5, n = 20000: -1.5 + 20000 * (3 / 65535) = -0.5844586861982147.
+With d = 4, k = 2, hidden = [8] and both view effects, anchor_mlps holds (9 8 + 9 2) + (9 8 + 9 6) + (9 8 + 9 8) +
+(9 8 + 9 6) = 486 numbers, 972 bytes.
 """
 import numpy as np
 

@@ -12,7 +12,11 @@ FORMAT.  A number is an integer times 2^-a; a is fixed per layer by the weights,
    a JavaScript number, holds every partial sum exactly, so a product may add in any order, fused or not.
 3. Hidden layers.  s = max(0, bits of B - 22);  x = max(0, floor((y + floor(2^s / 2)) / 2^s));
    a becomes a + n - s and X becomes floor((B + floor(2^s / 2)) / 2^s).
-4. The last layer is left as y, with its units a + n and its bound B.
+4. The last layer is left as y, with its units a + n and its bound B.  Any of n, a and a + n may be negative.
+
+WORKED NUMBERS.  x = (16384, -8192), W = (0.5, -0.3)^T, b = (0.1), in float16 -0.300048828125 and 0.0999755859375:
+p = 0, p_b = -3, n = min(15, 38, 24) = 15, W' = (16384, -9832)^T, b' = 107347968, y = 456327168 in units of 2^-30
+(0.42499), B = 2^15 (16384 + 9832) + 107347968 = 966393856.  As a hidden layer: s = 8, x = 1782528, a = 22, X = 3774976.
 """
 import json
 from functools import cache

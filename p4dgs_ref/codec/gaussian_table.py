@@ -5,7 +5,8 @@ FORMAT.  A symbol k (an integer) comes with two integers from the context:
     mu_units     mu/q in units of 1/1024, within +-2^34
     sigma_units  log2(sigma/q) in units of 1/16, -128..319 (sigma/q from 2^-8 to almost 2^20)
 
-All divisions below by powers of two are floors (arithmetic shifts); every product stays below 2^53.
+All divisions below by powers of two are floors (arithmetic shifts; shifts of 32 bits are too short); every product stays
+below 2^53, if differences are taken first.
 
 1. sigma.  e = floor(sigma_units / 16), f = sigma_units mod 16.
 2. Grid.  One step is max(1/1024, 2^(e-4)) symbols: between sigma/32 and sigma/16.
@@ -22,7 +23,8 @@ All divisions below by powers of two are floors (arithmetic shifts); every produ
    It is 0 at K = c-W and 2^24 at K = c+W+1 by the choice of W.
 6. Cumulative frequency.  With n = 2W + 1 and j = K - (c-W):
        cum(K) = floor(C(K) * (2^24 - n - 1) / 2^24) + j,          freq(K) = cum(K+1) - cum(K) >= 1
-   The escape starts at cum = 2^24 - 1 and has frequency 1; the total is 2^24 exactly.
+   The escape starts at cum = 2^24 - 1 and has frequency 1; the total is 2^24 exactly.  cum rises with K, so a decoder
+   that wants no table finds its block by bisection.
 
 WORKED NUMBERS.  mu/q = 0.3, sigma/q = 1.5: mu_units = 307, sigma_units = 9.  Then e = 0, f = 9, step = 6, node = 5,
 mu' = 320, low = 0, c = 0, W = 13, n = 27, exp2[9] = 44376.  Boundary below 0: z = floor(-832 * 44376 / 4096) = -9014,

@@ -1,20 +1,25 @@
 """The header section: one JSON object (ASCII) with the number of anchors, the background and the fields of `Design`.
 
-anchors            A, how many anchors the positions section holds
-background         three numbers, red, green, blue
-d, k, F            widths: of a feature, of the children, of a hash grid's node
-hidden, context, deformation      lists of hidden widths: anchor networks, psi_p and psi_q, psi_d
-L_x, L_t           frequencies of the positional encoding
-grid               list of levels [axes, resolution], axes xyz, xy, xz or yz
-table              most entries of a level: [of a 3D one, of a 2D one]
-Q_0                four base steps: f, s, l, O
-tau_alpha          the opacity below which a Gaussian is not drawn
-effects            the model's effects that the scene lists
+anchors            A, how many anchors the positions section holds: 1 to 2^22
+background         three numbers, red, green, blue: -2^20 to 2^20
+d, k, F            widths: of a feature, of the children, of a hash grid's node: 1 to 4096, 256, 64
+hidden, context, deformation      lists of 0 to 8 hidden widths: anchor networks, psi_p and psi_q, psi_d: 1 to 2^14 each
+L_x, L_t           frequencies of the positional encoding: 1 to 64
+grid               list of 1 to 64 levels [axes, resolution R]: axes "xyz", "xy", "xz" or "yz", R from 1 to 2^16
+table              most nodes of a level: [of a 3D one, of a 2D one]: 1 to 2^24 each; a level of D axes stores
+                   T = min(R^D, table[0] where D = 3, table[1] where D = 2) nodes of F entries each
+Q_0                four base steps: f, s, l, O: 2^-100 to 2^100
+tau_alpha          the opacity below which a Gaussian is not drawn: -1 to 1
+effects            the model's effects that the scene lists, none twice: some of "translation", "rotation", "scaling",
+                   "view_color", "view_geometry", "occlusion", "background"; their order means nothing
+
+Every field is there once, in any order, and no other.  Whole numbers are written without point and exponent (a reader
+that cannot tell 4 from 4.0 may take both); the others are read as the nearest double, as JSON.parse and strtod do.
 
 The declared model are the arrays that this header promises, every number counted as 8 bytes: of each anchor 3 + d + 6
-+ 3 k attributes and k of the mask, the entries of the grid, the weights and biases of all networks.  LIMITS["entries"]
-and LIMITS["numbers"] bound them; a decoder takes at most 64 MiB plus four times that, beside the file itself.  The
-header has at most LIMITS["bytes"] bytes, as a parser of JSON takes many times its text.
++ 3 k attributes and k of the mask, the entries of the grid, the weights and biases of all networks.  At most 2^24
+entries and 2^25 numbers in all; a decoder takes at most 64 MiB plus four times that, beside the file itself.  The
+header has at most 2^14 bytes, as a parser of JSON takes many times its text.
 """
 import json
 

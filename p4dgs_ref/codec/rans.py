@@ -22,7 +22,12 @@ symbol i < n - m belongs to lane i mod L, the tail to lane 0 alone.  The encoder
     4. puts away lane L-1, then L-2, ... 1 into lane 0: with n = bit length of x minus 32 it pushes the 31 low
        bits of x, then the n bits under the top one, then n as 5 bits (about 4.5 bits a lane are lost here);
     5. writes lane 0 and then the stack, its top first.
-The decoder does the same backwards; at the end every lane of step 2 must lie in 2^31..2^32 - 1 and lane 0 at 2^31.
+The decoder does the same backwards, "push" and "pop" exchanged:
+    4. for lane 1, 2, ... L-1: pops n (5 bits), then v (n bits), then w (31 bits) from lane 0; the lane is
+       (2^n + v) 2^31 + w
+    3. pops symbol 0, 1, ... n-m-1, each from its lane
+    2. for lane L-1, L-2, ... 1, which must lie in 2^31..2^32 - 1: pushes its 31 low bits into lane 0
+    1. pops the tail from lane 0, which must end at 2^31.  Where L > 1 the tail is never empty.
 
 BYTES, little-endian.  Nothing at all for n = 0.  Otherwise
     1        bits 0-3: log2 L, 0..10;  bits 4-6: zero;  bit 7: lane 0 has a high word
@@ -208,7 +213,7 @@ def _read_head(data, at, count, section):
     if first & 0x70 or lanes > MAX_LANES:
         raise BitstreamError(section, at, f"lane byte {first:#04x} is not in use")
     tail = int.from_bytes(data[at + 1:at + 5], "little") if lanes > 1 else count
-    if tail > count or (count - tail) % lanes:
+    if tail > count or (count - tail) % lanes or lanes > 1 and not tail:
         raise BitstreamError(section, at + 1, f"a tail of {tail} of {count} symbols does not fit {lanes} lanes")
     x = int.from_bytes(data[start - size:start], "little")
     if not LOWEST <= x < 1 << 63 or size == 8 and x <= LOW_WORD:

@@ -7,7 +7,8 @@ GAUSSIAN STREAM.  n symbols, |k| <= 2^31, whose mu_units and sigma_units the dec
        a. for every symbol in order, its `low` low bits, lowest first (none where sigma/q < 32);
        b. for every escape in order, v >= 1 in Elias's gamma code: with v = 2^b + r, b zeros, a one, and the b bits of
           r, lowest first.  v = 2 (K - (c+W+1)) + 1 above the window, v = 2 (c-W - K) below it; b <= 33.
-Both parts are read exactly to their end; anything left over is an error.  The stream of no symbols is empty.
+Both parts are read exactly to their end; anything left over is an error, and so is a symbol beyond +-2^31.  The stream of
+no symbols is empty.
 
 BIT STREAM.  n bits.  Nothing for n = 0; else f, the probability of a one times 2^24 (4 bytes, little-endian).
 f = 0: all bits are zero; f = 2^24: all are one; nothing follows.  Otherwise the rANS message of the n bits with the one
