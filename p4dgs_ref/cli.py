@@ -84,12 +84,12 @@ def add_scene(entry, **optional):
 
 
 def add_camera(entry):
-    entry.add_argument("--azimuth", type=real(-360, 360), default=40.0, help="degrees about z (default 40)")
-    entry.add_argument("--elevation", type=real(-89, 89), default=30.0, help="degrees (default 30)")
-    entry.add_argument("--distance", type=real(1e-3, 1e6), default=3.6,
-                       help="from the middle of the anchors, scene units (default 3.6)")
-    entry.add_argument("--fov", type=real(1, 170), default=41.0, help="horizontal, degrees (default 41)")
-    entry.add_argument("--size", type=whole(1, 4096), default=128, help="pixels along each side (default 128)")
+    """The held camera; its defaults are `commands.CAMERA`, so that an option given in vain can be told from one not given."""
+    entry.add_argument("--azimuth", type=real(-360, 360), help="degrees about z (default 40)")
+    entry.add_argument("--elevation", type=real(-89, 89), help="degrees (default 30)")
+    entry.add_argument("--distance", type=real(1e-3, 1e6), help="from the middle of the anchors (default 3.6)")
+    entry.add_argument("--fov", type=real(1, 170), help="horizontal, degrees (default 41)")
+    entry.add_argument("--size", type=whole(1, 4096), help="pixels along each side (default 128)")
 
 
 def parser():
@@ -121,7 +121,7 @@ def parser():
     e.add_argument("file", help="a .p4dgs file"), add_output(e)
     e = command("render", "pictures of a file, from a held camera over time or from a scene's cameras")
     e.add_argument("file", help="a .p4dgs file"), add_output(e), add_camera(e), add_view(e)
-    e.add_argument("--frames", type=whole(1, 10_000), default=24, help="times from 0 to 1 (default 24)")
+    e.add_argument("--frames", type=whole(1, 10_000), help="times from 0 to 1 (default 24)")
     e.add_argument("--scene", help="render this scene's cameras and times instead of a held camera")
     e.add_argument("--split", default="test", choices=("train", "test", "val"), help="which of the scene's views")
     e.add_argument("--settings", default="fast", help="exact, paper or fast (default fast)")

@@ -159,16 +159,22 @@ def decode(arguments):
     show(arguments, done, f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json; {seconds:.3f} s")
 
 
+CAMERA = {"frames": 24, "azimuth": 40.0, "elevation": 30.0, "distance": 3.6, "fov": 41.0, "size": 128}
+
+
 def held_camera(arguments, model):
     """The camera that --azimuth, --elevation, --distance, --fov and --size describe, looking at the box's centre."""
     import numpy as np
 
     from .splatting.camera import look_at
-    azimuth, elevation = np.radians([arguments.azimuth, arguments.elevation])
+    azimuth, elevation, distance, fov, size = (
+        CAMERA[name] if getattr(arguments, name) is None else getattr(arguments, name)
+        for name in ("azimuth", "elevation", "distance", "fov", "size"))
+    azimuth, elevation = np.radians([azimuth, elevation])
     middle = (model.box[0].astype(float) + model.box[1]) / 2
     outward = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
-    focal = arguments.size / 2 / np.tan(np.radians(arguments.fov) / 2)
-    return look_at(middle + arguments.distance * outward, middle, focal, focal, arguments.size, arguments.size)
+    focal = size / 2 / np.tan(np.radians(fov) / 2)
+    return look_at(middle + distance * outward, middle, focal, focal, size, size)
 
 
 def views_to_render(arguments, model):
@@ -176,7 +182,11 @@ def views_to_render(arguments, model):
     import numpy as np
     if not arguments.scene:
         camera = held_camera(arguments, model)
-        return [(f"t_{i:03d}", camera, t) for i, t in enumerate(np.linspace(0, 1, arguments.frames))]
+        times = np.linspace(0, 1, arguments.frames or CAMERA["frames"])
+        return [(f"t_{i:03d}", camera, t) for i, t in enumerate(times)]
+    for name in CAMERA:
+        if getattr(arguments, name) is not None:
+            raise UsageError(f"--{name}: of the held camera; not expected with --scene, which has its own")
     scene = read_scene(arguments)
     views = getattr(scene, arguments.split)
     if not views:

@@ -191,6 +191,7 @@ LINES = [
     ("render good.p4dgs -o new --size -3", ("--size", "-3")),
     ("render good.p4dgs -o new --size 5000", ("--size", "4096")),
     ("render good.p4dgs -o new --frames 0", ("--frames", "1 ... 10000")),
+    ("render good.p4dgs -o new --scene packaged --size 9", ("--size", "--scene")),
     ("render good.p4dgs -o new --fov nan", ("--fov", "nan")),
     ("render good.p4dgs -o new --azimuth inf", ("--azimuth", "inf")),
     ("render good.p4dgs -o new --distance 0", ("--distance",)),
