@@ -1,6 +1,4 @@
 """What each effect of the closed list switches on in the model; what is off owns nothing and is never called."""
-from .scenes.scene import MODEL_EFFECTS  # noqa: F401  the list itself belongs to the scenes
-
 MOTION = ("translation", "scaling", "rotation")     # the heads of psi_d, in the order of its outputs
 HEAD_WIDTHS = (3, 3, 4)
 

@@ -46,8 +46,6 @@ from .gaussian_table import MU_BITS, MU_LIMIT, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN
 
 STEP_FLOOR, STEP_MAX = 32, 2**16       # q in units of 2 Q_0 / 2^16; the floor of Q7 is 2^-10 Q_0
 LOG2_E = 94548                         # log2(e) in units of 2^-16
-
-
 CHUNK = 2**18                          # numbers of one array on the way, so that memory does not grow with the anchors
 
 

@@ -1,6 +1,8 @@
 r"""Eq. (6): the Gaussians at time t.
 
 .. math:: (x', s', r') = (x + \Delta x,\; s + \Delta s,\; r + \Delta r)
+
+and r' is brought back to unit length (Q9).
 """
 from typing import NamedTuple
 

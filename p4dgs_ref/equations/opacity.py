@@ -1,6 +1,8 @@
 r"""Eq. (3): the opacities of an anchor's k Gaussians, predicted from its feature and the view.
 
 .. math:: \{\alpha_0,\dots,\alpha_{k-1}\} = \tanh\,\psi_\alpha(f_a, \delta_{vc}, d_{vc})
+
+The paper prints psi_alpha alone; the tanh is the activation of its parent, Scaffold-GS (Q4).
 """
 from typing import NamedTuple
 
@@ -27,7 +29,7 @@ def forward(f_a, delta_vc, d_vc, weights, biases):
     Units      opacity, dimensionless; delta_vc: scene units
     Domain     all reals; delta_vc and d_vc of zero width where the scene lists no view effect
     Raises     ValueError from NumPy where widths do not chain
-    Gradient   f_a, delta_vc, d_vc, weights, biases; kinks of the ReLUs only
+    Gradient   f_a, delta_vc, d_vc, weights, biases; kinks of the ReLUs; 0 where tanh rounds to +-1
     Choice     Q3: input order as printed; Q4: tanh, as the parent Scaffold-GS
     Reference  P-4DGS Eq. (3)
     """

@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 
 from .dnerf import read_json
-from .motion import MOTIONS
 from .scene import SIMULATOR_EFFECTS, SceneError, check_effects
 
 REQUIRED = object()

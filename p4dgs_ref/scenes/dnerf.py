@@ -38,7 +38,7 @@ def load_scene(path, background="white", downscale=1):
     for split in ("train", "test", "val"):
         file = folder / f"transforms_{split}.json"
         if split != "val" or file.is_file():
-            splits[split] = read_split(folder, file, split, color, int(downscale))
+            splits[split] = read_split(folder, file, color, int(downscale))
     first = splits["train"][0]
     for view in (view for views in splits.values() for view in views):
         if view.image.shape != first.image.shape:
@@ -100,7 +100,7 @@ def read_effects(folder):
     return check_effects(read_json(file).get("effects"), f"{file}: effects") if file.is_file() else None
 
 
-def read_split(folder, file, split, color, downscale):
+def read_split(folder, file, color, downscale):
     """The views of one transforms file; every field is checked before the first picture is opened."""
     data = read_json(file)
     frames = data.get("frames")
