@@ -3,13 +3,13 @@
 Fig. 1, rendering:  anchors -> canonical Gaussians -> Gaussians at time t -> image    (`predict`, `splatting.render`)
 Fig. 2, coding:     anchor positions -> hash grid -> steps q, means mu, deviations sigma    (`context`)
 """
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from . import effects as fx
-from .equations import (color, deformation, deformed, hash_grid, masking, offsets, opacity, prior, rotation, scale,
+from .equations import (color, deformation, deformed, hash_grid, masking, mlp, offsets, opacity, prior, rotation, scale,
                         step, view)
 from .splatting import render
 from .splatting.settings import FAST
@@ -235,3 +235,28 @@ class Model:
         out, _ = render.forward(g.x, g.s, g.r, g.alpha, g.color, camera, self.background, settings,
                                 "occlusion" in self.design.effects)
         return out.image
+
+
+def without_silent_units(model):
+    """The same model without hidden units of psi_alpha ... psi_r that no anchor ever wakes.
+
+    Without a view effect these networks read the features of the anchors and nothing else, a finite list; a ReLU that
+    is 0 at every entry of it adds nothing to any picture.  The networks share their widths (`Design`), so as many units
+    go from each as the one with the fewest can spare.  With a view effect nothing can be said: unchanged.
+
+    Choice     exact where features and weights are those of the file: call it after `quantise`, not before
+    """
+    if {"view_color", "view_geometry"} & set(model.design.effects) or not model.design.hidden:
+        return model
+    woken, slim = {}, {}
+    for name in ANCHOR_NETWORKS:                      # Res.inputs: what enters each layer; from 1 on, hidden units
+        res = mlp.forward(model.anchors.f_a, *model.networks[name])[1]
+        woken[name] = [units.any(axis=0) for units in res.inputs[1:]]
+    widths = tuple(max(1, *(int(layer.sum()) for layer in layers)) for layers in zip(*woken.values()))
+    for name, layers in woken.items():
+        kept = [np.sort(np.argsort(~layer, kind="stable")[:width]) for layer, width in zip(layers, widths)]
+        before, after = [np.arange(model.design.d), *kept], [*kept, slice(None)]
+        weights, biases = model.networks[name]
+        slim[name] = ([W[rows][:, columns] for W, rows, columns in zip(weights, before, after)],
+                      [b[columns] for b, columns in zip(biases, after)])
+    return replace(model, design=model.design._replace(hidden=widths), networks={**model.networks, **slim})

@@ -17,7 +17,7 @@ class Out(NamedTuple):
 
 
 class Res(NamedTuple):
-    color: np.ndarray  # (A, k, 3)  sigmoid' = sigmoid (1 - sigmoid)
+    slope: np.ndarray  # (A, k, 3)  sigmoid'
     mlp: mlp.Res
     d: int             # width of the feature, where the input splits
 
@@ -29,20 +29,19 @@ def forward(f_a, delta_vc, d_vc, weights, biases):
     Units      color: RGB of the images, 0 to 1; delta_vc: scene units
     Domain     all reals; delta_vc and d_vc of zero width where the scene lists no view effect
     Raises     ValueError from NumPy where widths do not chain or the last one is no multiple of 3
-    Gradient   f_a, delta_vc, d_vc, weights, biases; kinks of the ReLUs only; 0 where the sigmoid rounds to 1
+    Gradient   f_a, delta_vc, d_vc, weights, biases; kinks of the ReLUs only; fades as exp(-|psi|)
     Choice     Q3: input order as printed, outputs child by child; Q4: sigmoid, as the parent Scaffold-GS
     Reference  P-4DGS Eq. (3), "predicted analogously"
     """
     y, res = mlp.forward(np.concatenate([f_a, delta_vc, d_vc], axis=1), weights, biases)
     A, width = y.y.shape
-    color = sigmoid(y.y).reshape(A, width // 3, 3)
-    return Out(color), Res(color, res, f_a.shape[1])
+    color, rest = (sigmoid(v).reshape(A, width // 3, 3) for v in (y.y, -y.y))      # 1 - color cancels near 1
+    return Out(color), Res(color * rest, res, f_a.shape[1])
 
 
 def backward(res, color_bar):
-    A, k, _ = res.color.shape
-    y_bar = color_bar * res.color * (1 - res.color)
-    return split_view(mlp.backward(res.mlp, y_bar.reshape(A, 3 * k)), res.d)
+    A, k, _ = res.slope.shape
+    return split_view(mlp.backward(res.mlp, (color_bar * res.slope).reshape(A, 3 * k)), res.d)
 
 
 def cases():

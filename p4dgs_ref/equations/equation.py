@@ -8,6 +8,10 @@ An equation is an explicit pair of functions:
 A cotangent bears the name of its output plus `_bar`; `None` stands for zero.  Lists of arrays (the
 weights of a network, the levels of a hash grid) are allowed wherever an array is, and their gradient
 is a list of the same length.
+
+"Domain" in a docstring is where numbers are right to what `p4dgs_ref.stability.promises` says; there a NaN or an infinity
+is never born of finite numbers.  What comes in as NaN or infinity makes what depends on it NaN, infinite or a limit, without
+a word and in its own row alone, unless "Raises" or "Domain" say otherwise.
 """
 from typing import Callable, NamedTuple
 

@@ -27,13 +27,19 @@ def nodes(x_a, lo, hi, axes, res, table):
     Shapes     x_a (A, 3), lo, hi (3,) -> index int64 (A, 2^D), weight (A, 2^D)
     Units      x_a, lo, hi: scene units; index: row of the level's array; weights add up to 1
     Domain     all reals: outside the box the nearest face counts; u = 0 on an axis without extent (hi = lo); res >= 1
-    Raises     ValueError where axes names anything but x, y, z
+    Raises     ValueError where axes names anything but x, y, z, or a coordinate is not a number or the box not finite
     Choice     Q11: nodes at u (res - 1), borders included; dense where res^D <= table, else hashed
     Reference  P-4DGS Eq. (9); the hash of Instant-NGP
     """
     D, axis = len(axes), ["xyz".index(name) for name in axes]
+    wrong = np.argwhere(np.isnan(x_a))
+    if len(wrong):                               # it would become an index out of range
+        raise ValueError(f"x_a{wrong[0].tolist()} is nan: expected a coordinate")
+    if not np.isfinite([lo, hi]).all():
+        raise ValueError(f"box {lo.tolist()} to {hi.tolist()}: expected finite corners lo, hi")
     extent = (hi - lo)[axis]
-    u = np.divide((x_a - lo)[:, axis], extent, out=np.zeros((len(x_a), D), x_a.dtype), where=extent > 0)
+    with np.errstate(over="ignore"):            # far outside a flat box: infinity is clipped like any other number
+        u = np.divide((x_a - lo)[:, axis], extent, out=np.zeros((len(x_a), D), x_a.dtype), where=extent > 0)
     position = np.clip(u, 0, 1) * (res - 1)
     base = np.floor(position)
     step = np.array(np.meshgrid(*[[0, 1]] * D, indexing="ij")).reshape(D, -1).T        # (2^D, D) corners

@@ -26,7 +26,7 @@ def forward(x_a, lo, hi, grids, resolutions):
     Shapes     x_a (A, 3), lo, hi (3,), grids [(T, F), ...], resolutions ((axes, res), ...) -> h (A, L F)
     Units      x_a, lo, hi: scene units; grids, h: dimensionless
     Domain     all reals; one level or more, T free, F the same in all; outside the box the nearest face counts
-    Raises     ValueError where grids and resolutions differ in number
+    Raises     ValueError where grids and resolutions differ in number, or a coordinate is not a number or the box not finite
     Gradient   grids: straight through the sign where |parameter| <= 1, 0 elsewhere; x_a, lo, hi are data
     Choice     Q11: nodes at u (res - 1); dense where res^D <= T, else hashed; parameter >= 0 is +1
     Reference  P-4DGS Eq. (9), section 3.3; hash of Instant-NGP

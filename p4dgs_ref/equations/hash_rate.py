@@ -75,6 +75,7 @@ def cases():
         yield Case(name, dict(grids=[sign * np.abs(g) for g in grids]), ("zero",), smooth=False,
                    cotangents={"R_hash_bar": np.float64(3.0)},
                    expected={"R_hash": np.float64(0), "grids_bar": [np.zeros((7, 2)), np.zeros((5, 2))]})
+    yield Case("one_positive", dict(grids=[np.array([[0.5, -0.25, -0.5, -0.75]])]), ("single", "negative"))
     yield Case("no_entries", dict(grids=[np.zeros((0, 2))]), ("empty",), expected={"R_hash": np.float64(0)})
     # by hand: 0, -0, 1, 1.5 and one of -2 ... : six of eight positive; beyond +-1 nothing comes back
     row = np.array([[0.0, -0.0, 1.0, 1.5, 0.3, 0.7, -1.0, -2.0]])

@@ -28,11 +28,15 @@ def forward(f_noisy, mu, sigma, q, log_mass=gaussian_bin.stable):
     Shapes     f_noisy, mu, sigma, q (A, n) -> bits (A, n); no broadcasting
     Units      f_noisy, mu, sigma, q: units of the attribute; bits: bits
     Domain     sigma > 0, q > 0; accurate for |f_noisy - mu| <= 1000 sigma, 1e-12 <= q / sigma <= 1e6
-    Raises     nothing
+    Raises     ValueError naming the first sigma or q that is not positive
     Gradient   f_noisy, mu, sigma, q; smooth everywhere, finite however far the tail
     Choice     no floor under the mass; HAC's (19.93 bits, no gradient beyond) is the rung `hac`
     Reference  P-4DGS Eq. (11)
     """
+    for name, a in (("sigma", sigma), ("q", q)):
+        if a.min(initial=1) <= 0:
+            index = np.argwhere(a <= 0)[0].tolist()
+            raise ValueError(f"{name}{index} is {a[tuple(index)]}: expected a positive number")
     b = log_mass(f_noisy, mu, sigma, q)
     per_unit = -1 / (math.log(2) * sigma)              # from slopes of log p in z and w to bits per attribute unit
     slopes = (b.slope_z, -(b.z * b.slope_z + b.w * b.slope_w), b.slope_w)      # sigma scales both z and w
@@ -75,6 +79,7 @@ def cases():
     yield Case("tail", row(signed, 1), ("tail", "negative"))
     yield Case("tail_of_narrow_bins", row(signed, 1e-4), ("tail", "narrow"))
     yield Case("narrow", row([0, 0.5, -1, 3], [[1e-12], [1e-9], [1e-6], [1e-3]]), ("narrow", "zero"))
+    yield Case("nearly_narrow", row([0, 0.5, -0.5, 1, -1], [[0.031], [0.0624], [0.12]]), ("narrow",))       # a long series
     yield Case("wide", row([0, 0.5, -3, 10], 100), ("wide",), expected={"bits": np.zeros((1, 4))})
     yield Case("edge_of_a_wide_bin", row([50, -50, 49, 52], 100), ("wide", "negative"))
     # sigma of 2^-30 and 2^20: everything scales along, bit for bit

@@ -17,7 +17,8 @@ class Out(NamedTuple):
 
 
 class Res(NamedTuple):
-    alpha: np.ndarray  # (A, k)  tanh' = 1 - tanh^2
+    alpha: np.ndarray  # (A, k)  for who watches training: growing looks at opacities before the mask
+    slope: np.ndarray  # (A, k)  tanh'
     mlp: mlp.Res
     d: int             # width of the feature, where the input splits
 
@@ -29,25 +30,24 @@ def forward(f_a, delta_vc, d_vc, weights, biases):
     Units      opacity, dimensionless; delta_vc: scene units
     Domain     all reals; delta_vc and d_vc of zero width where the scene lists no view effect
     Raises     ValueError from NumPy where widths do not chain
-    Gradient   f_a, delta_vc, d_vc, weights, biases; kinks of the ReLUs; 0 where tanh rounds to +-1
+    Gradient   f_a, delta_vc, d_vc, weights, biases; kinks of the ReLUs only; fades as 4 exp(-2 |psi|)
     Choice     Q3: input order as printed; Q4: tanh, as the parent Scaffold-GS
     Reference  P-4DGS Eq. (3)
     """
     y, res = mlp.forward(np.concatenate([f_a, delta_vc, d_vc], axis=1), weights, biases)
+    fading = np.exp(-2 * np.abs(y.y))                # tanh' = 4 e / (1 + e)^2; 1 - tanh^2 cancels where tanh is near 1
     alpha = np.tanh(y.y)
-    return Out(alpha), Res(alpha, res, f_a.shape[1])
+    return Out(alpha), Res(alpha, 4 * fading / (1 + fading) ** 2, res, f_a.shape[1])
 
 
 def backward(res, alpha_bar):
-    return split_view(mlp.backward(res.mlp, alpha_bar * (1 - res.alpha**2)), res.d)
+    return split_view(mlp.backward(res.mlp, alpha_bar * res.slope), res.d)
 
 
 def split_view(gradients, d):
     """Give the gradient of a network's concatenated input back to feature, distance and direction."""
     x_bar = gradients.pop("x")
-    views = x_bar.shape[1] - d                       # 4, or 0 where the scene lists no view effect
-    return {"f_a": x_bar[:, :d], "delta_vc": x_bar[:, d:d + min(views, 1)], "d_vc": x_bar[:, d + min(views, 1):],
-            **gradients}
+    return {"f_a": x_bar[:, :d], "delta_vc": x_bar[:, d:d + 1], "d_vc": x_bar[:, d + 1:], **gradients}
 
 
 def view_inputs(rng, A=5, d=2, k=4, outputs=1, hidden=(7, 6)):

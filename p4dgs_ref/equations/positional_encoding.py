@@ -23,7 +23,7 @@ def forward(p, L):
 
     Shapes     p (N, D), L scalar integer -> E (N, D (1 + 2 L)): p, then per frequency all sines, then all cosines
     Units      p: scene units or normalised time, used as radians; E: the same, then dimensionless
-    Domain     all reals; L = 0 gives p alone; an error that p brings along grows by 2^j
+    Domain     2^(L-1) |p| finite; L = 0 gives p alone; an error that p brings along grows by 2^j
     Raises     nothing
     Gradient   p; smooth everywhere
     Choice     Q2: raw input first, no factor pi

@@ -35,8 +35,8 @@ def forward(image, truth, lambda_ssim, truth_moments=None):
     """
     difference = image - truth
     L1 = image.dtype.type(np.abs(difference).mean(dtype=np.float64))
-    similar, res = ssim.forward(image, truth, truth_moments)
-    D_SSIM = 1 - similar.ssim
+    D_SSIM, res = ssim.dissimilarity(image, truth, truth_moments)
+    D_SSIM = image.dtype.type(D_SSIM)
     return Out((1 - lambda_ssim) * L1 + lambda_ssim * D_SSIM, L1, D_SSIM), Res(np.sign(difference), lambda_ssim, res)
 
 

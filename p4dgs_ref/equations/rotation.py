@@ -9,6 +9,7 @@ import numpy as np
 from . import mlp
 from .equation import Case, declare
 from .opacity import split_view, view_inputs, without_view
+from .view import across
 
 EPSILON = 1e-12        # r / sqrt(|r|^2 + EPSILON^2): value and gradient stay finite where r = 0
 
@@ -34,7 +35,7 @@ def normalise(r):
 
 def normalise_backward(unit, norm, unit_bar):
     """(I - unit unit^T) / norm: what points along r only makes it longer, and its length is divided out."""
-    return (unit_bar - unit * np.einsum("...i,...i->...", unit, unit_bar)[..., None]) / norm
+    return (across(unit, unit_bar) + (EPSILON / norm) ** 2 * unit_bar) / norm       # |unit|^2 = 1 - (EPSILON / norm)^2
 
 
 def forward(f_a, delta_vc, d_vc, weights, biases):

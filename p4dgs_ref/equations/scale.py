@@ -18,7 +18,8 @@ class Out(NamedTuple):
 
 class Res(NamedTuple):
     s_a: np.ndarray        # (A, 3)  the untouched input
-    fraction: np.ndarray   # (A, k, 3)  of s_a; sigmoid' = sigmoid (1 - sigmoid)
+    fraction: np.ndarray   # (A, k, 3)  of s_a
+    slope: np.ndarray      # (A, k, 3)  sigmoid'
     mlp: mlp.Res
     d: int                 # width of the feature, where the input splits
 
@@ -30,19 +31,19 @@ def forward(s_a, f_a, delta_vc, d_vc, weights, biases):
     Units      s_a, s: scene units, standard deviations along the axes of the Gaussian; delta_vc: scene units
     Domain     all reals; delta_vc and d_vc of zero width where the scene lists no view effect
     Raises     ValueError from NumPy where widths do not chain or the last one is no multiple of 3
-    Gradient   s_a, f_a, delta_vc, d_vc, weights, biases; kinks of the ReLUs only; 0 where the sigmoid rounds to 1
+    Gradient   s_a, f_a, delta_vc, d_vc, weights, biases; kinks of the ReLUs only; fades as exp(-|psi|)
     Choice     Q3: input order as printed, outputs child by child; Q5: s_a is the linear value, not its logarithm
     Reference  P-4DGS Eq. (4)
     """
     y, res = mlp.forward(np.concatenate([f_a, delta_vc, d_vc], axis=1), weights, biases)
     A, width = y.y.shape
-    fraction = sigmoid(y.y).reshape(A, width // 3, 3)
-    return Out(s_a[:, None, :] * fraction), Res(s_a, fraction, res, f_a.shape[1])
+    fraction, rest = (sigmoid(v).reshape(A, width // 3, 3) for v in (y.y, -y.y))   # 1 - fraction cancels near 1
+    return Out(s_a[:, None, :] * fraction), Res(s_a, fraction, fraction * rest, res, f_a.shape[1])
 
 
 def backward(res, s_bar):
     A, k, _ = res.fraction.shape
-    y_bar = s_bar * res.s_a[:, None, :] * res.fraction * (1 - res.fraction)
+    y_bar = s_bar * res.s_a[:, None, :] * res.slope
     return {"s_a": (s_bar * res.fraction).sum(axis=1),       # one anchor scales all its children: sum over k
             **split_view(mlp.backward(res.mlp, y_bar.reshape(A, 3 * k)), res.d)}
 

@@ -8,21 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from .equation import Case, declare
-from .window import blur, to_rows
+from .window import blur, moments, to_rows
 
 C1, C2 = 0.01**2, 0.03**2
 
 
 class Out(NamedTuple):
     ssim: np.ndarray       # scalar
-
-
-class Moments(NamedTuple):
-    """What SSIM needs of the truth; constant per view, so a trainer may keep it.  Arrays are (H, C, W) float64."""
-
-    y: np.ndarray
-    mu: np.ndarray
-    var: np.ndarray
 
 
 class Res(NamedTuple):
@@ -48,6 +40,12 @@ def forward(image, truth, truth_moments=None):
     Choice     Q13: 11 x 11 Gaussian of sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2
     Reference  Wang et al. 2004; P-4DGS Eq. (16)
     """
+    D_SSIM, res = dissimilarity(image, truth, truth_moments)
+    return Out(image.dtype.type(1 - D_SSIM)), res
+
+
+def dissimilarity(image, truth, truth_moments=None):
+    """1 - SSIM in float64 and `forward`'s residual: of images that are nearly equal, 1 - ssim would lose all digits."""
     y, mu_y, var_y = moments(truth) if truth_moments is None else truth_moments
     x = to_rows(image)
     e = x - y
@@ -57,15 +55,8 @@ def forward(image, truth, truth_moments=None):
     mu_x = mu_y + mu_e
     D1, D2 = mu_x * mu_x + mu_y * mu_y + C1, square_x - mu_x * mu_x + var_y + C2
     luminance, structure = mu_e * mu_e / D1, (square_e - mu_e * mu_e) / D2
-    ssim = np.mean((1 - luminance) * (1 - structure))
-    return Out(image.dtype.type(ssim)), Res(x, e, mu_x, mu_e, luminance, structure, D1, D2, image.dtype)
-
-
-def moments(truth):
-    """Local mean and variance of the truth, for `forward`."""
-    y = to_rows(truth)
-    mu, square = blur(np.stack([y, y * y], axis=1)).swapaxes(0, 1)
-    return Moments(y, mu, square - mu * mu)
+    D_SSIM = np.mean(luminance + structure - luminance * structure)
+    return D_SSIM, Res(x, e, mu_x, mu_e, luminance, structure, D1, D2, image.dtype)
 
 
 def backward(res, ssim_bar):

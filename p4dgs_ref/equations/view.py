@@ -24,7 +24,7 @@ def forward(x_a, x_c):
 
     Shapes     x_a (A, 3), x_c (3,) -> delta_vc (A, 1), d_vc (A, 3)
     Units      x_a, x_c, delta_vc: scene units; d_vc: dimensionless
-    Domain     all reals whose difference is finite; x_c is taken in the precision of x_a
+    Domain     distance 0 or 1e-200 to 1e200 (float32: 1e-25 to 1e25); x_c is taken in the precision of x_a
     Raises     nothing
     Gradient   x_a; the camera is data; kink at delta_vc = 0: direction 0 and gradient 0
     Choice     Q22: x_a is the canonical anchor, not a deformed Gaussian
@@ -42,9 +42,18 @@ def backward(res, delta_vc_bar=None, d_vc_bar=None):
         x_a_bar += res.d_vc * delta_vc_bar
     if d_vc_bar is not None:
         # (I - d d^T) / delta: turning the direction needs a sideways step, the less the closer
-        across = d_vc_bar - res.d_vc * (res.d_vc * d_vc_bar).sum(axis=1, keepdims=True)
-        x_a_bar += np.divide(across, res.delta_vc, out=np.zeros_like(across), where=res.delta_vc > 0)
+        aside = across(res.d_vc, d_vc_bar)
+        x_a_bar += np.divide(aside, res.delta_vc, out=np.zeros_like(aside), where=res.delta_vc > 0)
     return {"x_a": x_a_bar}
+
+
+def across(unit, v):
+    """What of v (..., n) stands across the unit vector: v |unit|^2 - unit (unit . v), as sums of 2 x 2 minors.
+
+    So written no 1 - unit_i^2 cancels: along an axis that unit nearly follows, the small rest keeps its digits.
+    """
+    minors = v[..., :, None] * unit[..., None, :] - unit[..., :, None] * v[..., None, :]
+    return np.einsum("...ij,...j->...i", minors, unit)
 
 
 def cases():

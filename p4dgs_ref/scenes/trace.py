@@ -36,8 +36,7 @@ def trace(description, camera, t):
         return shade(*scene[i], viewer + hits[i][chosen, None] * directions[chosen], viewer, description.light, effects)
 
     color = (nearest if "occlusion" in effects else sum_up)(hits, light, len(directions))
-    covered = np.isfinite(hits).any(axis=0)
-    return develop(color, covered, camera, "background" in effects)
+    return develop(color, np.isfinite(hits).any(axis=0) if "background" in effects else None, camera)
 
 
 def rays(camera):
@@ -123,10 +122,10 @@ def specular(material, normal, to_light, facing, to_viewer):
     return material.strength * np.where(facing > 0, lobe, 0)
 
 
-def develop(color, covered, camera, background):
-    """Mean over a pixel's rays: colour over those that hit something, alpha their part of all."""
+def develop(color, covered, camera):
+    """Mean over a pixel's rays: colour over those that `covered` says hit something, alpha their part; None: all."""
     color = np.clip(color, 0, 1).reshape(camera.height, camera.width, SAMPLES**2, 3).sum(axis=2)
-    if not background:
+    if covered is None:
         return np.concatenate([color / SAMPLES**2, np.ones((camera.height, camera.width, 1))], axis=2)
     count = covered.reshape(camera.height, camera.width, SAMPLES**2, 1).sum(axis=2)
     return np.concatenate([color / np.maximum(count, 1), count / SAMPLES**2], axis=2)

@@ -34,7 +34,7 @@ def forward(mean2d, conic, alpha, color, depth, visible, background, height, wid
     Shapes     mean2d (N, 2), conic (N, 3), alpha (N,), color (N, 3), depth (N,), visible (N,), background (3,)
                -> image (height, width, 3), transmittance (height, width)
     Units      mean2d: pixels, centres at integers; conic: 1/pixel^2; alpha, color: dimensionless
-    Domain     alpha in [0, 1], conic positive definite; depth decides the order only, ties by index
+    Domain     finite, alpha in [0, 1], conic positive definite; depth decides the order only, ties by index
     Raises     nothing
     Gradient   mean2d, conic, alpha, color, background; 0 where alpha is clamped at alpha_max; none through the order
     Choice     Q21 `exact` keeps the 0.99 clamp; without `occlusion` splats add up and T = 1 everywhere
@@ -64,7 +64,8 @@ def _alphas(inputs, order, x, y):
     """Clamped opacities of the ordered Gaussians at some pixels (M, P), the falloff, and the offsets to the means."""
     e_x, e_y = x - inputs["mean2d"][order, :1], y - inputs["mean2d"][order, 1:]
     a, b, c = inputs["conic"][order].T[:, :, None]
-    falloff = np.exp(-0.5 * (a * e_x**2 + c * e_y**2) - b * e_x * e_y)
+    power = -0.5 * (a * e_x**2 + c * e_y**2) - b * e_x * e_y
+    falloff = np.exp(np.minimum(power, 0, out=power))            # above 0 only by rounding, far along a needle
     return np.minimum(inputs["alpha"][order, None] * falloff, inputs["alpha_max"]), falloff, e_x, e_y
 
 
@@ -138,6 +139,12 @@ def cases():
     flat = dict(mean2d=np.zeros((2, 2)), conic=np.zeros((2, 3)), alpha=np.array([0.5, 0.25]), color=np.eye(3)[:2],
                 depth=np.ones(2), visible=np.ones(2, bool), background=np.zeros(3), height=1, width=1)
     yield Case("equal_depths", flat, ("order",), expected={"image": np.array([[[0.5, 0.125, 0]]])})
+    limit = {**{name: a[:1] for name, a in flat.items() if name in splats}, "alpha": np.array([0.75]),
+             "color": np.array([[1.0, 0.5, 0.25]])}      # on the end of the clamp the gradient is that of the inside
+    yield Case("on_the_clamp", dict(**limit, **{name: flat[name] for name in ("background", "height", "width")}, alpha_max=0.75),
+               ("kink", "clamped"), smooth=False, cotangents={"image_bar": np.array([[[1.0, 2.0, -4.0]]])},
+               expected={"image": 0.75 * limit["color"][None], "alpha_bar": np.ones(1),
+                         "color_bar": 0.75 * np.array([[1.0, 2.0, -4.0]])})
     n = 200                                       # alpha 0.99 each: the second layer shows 1 %, the third 1e-4
     wall = dict(mean2d=np.zeros((n, 2)), conic=np.zeros((n, 3)), alpha=np.ones(n), color=np.ones((n, 3)),
                 depth=np.arange(1.0, n + 1), visible=np.ones(n, bool), background=np.zeros(3), height=1, width=1)

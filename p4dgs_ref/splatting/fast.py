@@ -82,7 +82,7 @@ def forward(mean2d, cov2d, conic, alpha, color, depth, visible, background, heig
         w, T[tiles] = _weights(A, T[tiles], settings, done, tiles) if occlusion else (A, T[tiles])
         C[tiles] += w.transpose(1, 2, 0) @ paint[pairs].transpose(1, 0, 2)
         chunks.append(Chunk(tiles, pairs, A, w, slope))
-    image = C + T[:, :, None] * background.astype(dtype)
+    image = C + T[:, :, None] * background.astype(dtype) if background.any() else C       # black adds nothing
     inputs = dict(conic=conic, paint=paint, background=background, size=(height, width), n=len(mean2d),
                   occlusion=occlusion)
     return (Out(_to_image(image, lists, side, height, width), _to_image(T, lists, side, height, width)),
@@ -156,7 +156,9 @@ def backward(res, image_bar):
     """Gradients of mean2d, conic, alpha, color (zeros for Gaussians that are in no list) and background."""
     settings, lists, inputs = res.settings, res.lists, res.inputs
     g = _to_tiles(np.asarray(image_bar, settings.dtype), lists, settings.tile)
-    behind = g @ inputs["background"].astype(settings.dtype) if inputs["occlusion"] else None
+    behind = np.zeros(g.shape[:2], g.dtype) if inputs["occlusion"] else None
+    if inputs["occlusion"] and inputs["background"].any():
+        behind = g @ inputs["background"].astype(settings.dtype)
     basis = monomials(settings.tile, settings.dtype).T
     moments = np.zeros((len(inputs["paint"]), 9), settings.dtype)       # per pair; the last row collects the padding
     for tiles, pairs, A, w, slope in reversed(res.chunks):

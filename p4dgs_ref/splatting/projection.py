@@ -38,16 +38,17 @@ def forward(x, Sigma, W, T, focal, center, size, near=0.2, blur=0.3, tan_clamp=1
     Shapes     x (N, 3), Sigma (N, 3, 3), W (3, 3) and T (3,) world to camera, focal, center, size (2,) as x, y
                -> mean2d (N, 2), cov2d (N, 3), conic (N, 3), depth (N,), visible (N,)
     Units      x, T, depth: scene units; focal, center, mean2d: pixels; size: width and height in pixels
-    Domain     Sigma symmetric; depth at or before `near`, or a determinant that is not positive: culled, zeros
+    Domain     Sigma symmetric; depth at or before `near`, a determinant that is not positive, any number that is none:
+               culled, zeros.  A needle L pixels long has its conic to eps L^2 / blur, the gradient of x to its square
     Raises     nothing
     Gradient   x, Sigma (symmetric); clamp: 1 inside and on its ends, 0 outside, exact in x, y and z; culled rows 0
     Choice     Q20 pixel centres at integers; Q21 constants; the clamp is about the optical axis
     Reference  Zwicker et al. 2001; Kerbl et al. 2023; the inside is float64 because needles cancel in the determinant
     """
-    dtype = np.result_type(x)
-    W, focal, Sigma = np.asarray(W, float), np.asarray(focal, float), Sigma.astype(float, copy=False)
-    x_c = x @ W.T + np.asarray(T, float)
-    visible = x_c[:, 2] > near
+    dtype, inner = np.result_type(x), np.result_type(x, np.float64)
+    W, focal, Sigma = np.asarray(W, inner), np.asarray(focal, inner), Sigma.astype(inner, copy=False)
+    x_c = x @ W.T + np.asarray(T, inner)
+    visible = (x_c[:, 2] > near) & np.isfinite(x_c).all(axis=1)
     x_c = np.where(visible[:, None], x_c, (0.0, 0.0, 1.0))
     z = x_c[:, 2:]
     ratio, limit = x_c[:, :2] / z, tan_clamp * np.asarray(size) / (2 * focal)
@@ -56,11 +57,12 @@ def forward(x, Sigma, W, T, focal, center, size, near=0.2, blur=0.3, tan_clamp=1
     mS = m @ Sigma
     a, c = (np.einsum("nij,nij->ni", mS, m) + blur).T
     b = ((mS[:, 0] * m[:, 1]).sum(axis=1) + (mS[:, 1] * m[:, 0]).sum(axis=1)) / 2      # both off-diagonal entries
-    det = a * c - b * b
+    with np.errstate(over="ignore", invalid="ignore"):             # beyond every image: culled below
+        det = a * c - b * b
     visible &= (det > 0) & np.isfinite(det)
-    det = np.where(visible, det, 1)
+    det, Sigma = np.where(visible, det, 1), np.where(visible[:, None, None], Sigma, 0)
     conic = np.where(visible, np.stack([c, -b, a]) / det, 0).T
-    outputs = [ratio * focal + np.asarray(center, float), np.stack([a, b, c], axis=1), conic, z[:, 0]]
+    outputs = [ratio * focal + np.asarray(center, inner), np.stack([a, b, c], axis=1), conic, z[:, 0]]
     outputs = [np.where(visible if o.ndim == 1 else visible[:, None], o, 0).astype(dtype, copy=False) for o in outputs]
     return Out(*outputs, visible), Res(x_c, uv, np.abs(ratio) <= limit, m, Sigma, conic, visible, W, focal, dtype)
 
@@ -68,7 +70,7 @@ def forward(x, Sigma, W, T, focal, center, size, near=0.2, blur=0.3, tan_clamp=1
 def backward(res, mean2d_bar=None, cov2d_bar=None, conic_bar=None, depth_bar=None):
     keep = res.visible
     z, m = res.x_c[:, 2:], res.m
-    D = np.zeros((len(z), 2, 2))                  # gradient of [[a, b], [b, c]] as a symmetric matrix
+    D = np.zeros((len(z), 2, 2), z.dtype)                  # gradient of [[a, b], [b, c]] as a symmetric matrix
     if conic_bar is not None:                     # d(K) = -K d(cov) K; b stands for both off-diagonal entries
         A, B, C = res.conic.T
         K = np.stack([A, B, B, C], axis=1).reshape(-1, 2, 2)
@@ -122,6 +124,19 @@ def cases():
                smooth=False, cotangents={"cov2d_bar": np.array([[2.0, 6, 5]])},
                expected={"cov2d": np.array([[0.3, 0, 0.3]]), "conic": np.array([[1 / 0.3, 0, 1 / 0.3]]),
                          "Sigma_bar": np.array([[[2.0, 3, 0], [3, 5, 0], [0, 0, 0]]])})
+    flat = np.array([[1.0, 1, 0], [1, 1, 0], [0, 0, 0]])          # of determinant 0: what is left is the blur, if it shows
+    nothing = {"visible": np.zeros(1, bool), "conic": np.zeros((1, 3)), "cov2d": np.zeros((1, 3)),
+               "Sigma_bar": np.zeros((1, 3, 3))}
+    for name, Sigma_at in (("no_determinant", 2.0**60 * flat), ("infinite_determinant", 1e200 * np.eye(3))):
+        yield Case(name, dict(x=np.zeros((1, 3)), Sigma=Sigma_at[None], **plain), ("extreme", "single"), smooth=False,
+                   cotangents={"conic_bar": np.array([[1.0, -2, 3]])}, expected=nothing)
+    # 1.3 * 64 / (2 * 32) and 1.3 * 48 / (2 * 24) are 1.3 in any order: x/z and y/z stand on the ends of the clamp
+    ends = {**plain, "T": np.zeros(3), "focal": np.array([32.0, 24.0]), "size": np.array([64, 48])}
+    turned = {"mean2d_bar": np.zeros((1, 2)), "cov2d_bar": np.array([[1.0, 0, 0]]), "conic_bar": np.zeros((1, 3)),
+              "depth_bar": np.zeros(1)}
+    yield Case("on_the_clamp", dict(x=np.array([[1.3, -1.3, 1.0]]), Sigma=np.eye(3)[None], **ends), ("kink", "clamped"),
+               smooth=False, cotangents=turned, tolerance=1e-13,
+               expected={"x_bar": 32**2 * np.array([[2 * 1.3, 0, -2 * (1 + 1.3**2) - 2 * 1.3**2]])})
     yield Case("needle", dict(x=np.zeros((1, 3)), Sigma=needle[None], **plain), ("extreme",), smooth=False, tolerance=1e-6,
                expected={"conic": _inverse_of_needle(1e8 + 0.3, 1e-4 + 0.3)})
 

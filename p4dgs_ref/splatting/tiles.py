@@ -6,6 +6,9 @@ import numpy as np
 from .compositing import depth_order
 
 
+MOST_PAIRS = 2**25         # of Gaussians and tiles, before memory is taken: about 200 bytes each
+
+
 class Lists(NamedTuple):
     """Gaussian-tile pairs, tile by tile, front to back within a tile."""
 
@@ -21,6 +24,7 @@ def bin_splats(mean2d, cov2d, conic, alpha, depth, visible, width, height, setti
     Shapes     as in `projection` and `compositing`; N Gaussians -> Lists of K pairs
     Domain     settings.footprint "ellipse": pairs where alpha reaches settings.cut at some point of the tile, decided
                exactly; "box": every tile of the square of side 2 ceil(3 sqrt(largest eigenvalue)); "all": every tile
+    Raises     ValueError where there are more than MOST_PAIRS, naming the widest Gaussian
     Reference  the box is the published kernel's rule (Kerbl et al. 2023, their rasteriser's `getRect`)
     """
     side = settings.tile
@@ -46,6 +50,10 @@ def bin_splats(mean2d, cov2d, conic, alpha, depth, visible, width, height, setti
     beyond = np.clip(high // side + 1, 0, (columns, rows))
     extent = np.where((low <= high).all(axis=1, keepdims=True), np.maximum(beyond - first, 0), 0).astype(np.int64)
     count = extent[:, 0] * extent[:, 1]
+    if count.sum() > MOST_PAIRS:
+        widest = int(np.argmax(count))
+        raise ValueError(f"{count.sum()} pairs of Gaussians and tiles: expected {MOST_PAIRS} at most; Gaussian "
+                         f"{order[widest]} alone touches {count[widest]} of {columns * rows} tiles")
     rank = np.repeat(np.arange(len(order)), count)            # ranks follow depth: they sort and they point back
     step = np.arange(len(rank)) - np.repeat(np.cumsum(count) - count, count)
     first = first.astype(np.int64)

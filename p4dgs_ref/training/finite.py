@@ -16,8 +16,8 @@ class NotFinite(ArithmeticError):
         super().__init__(f"iteration {iteration}: {found}")
 
 
-class _Found(Exception):
-    pass
+class Found(ArithmeticError):
+    """The first value that is none, in one sentence: equation, direction, array, index."""
 
 
 def _arrays(value, name):
@@ -39,35 +39,41 @@ def _check(where, value):
         wrong = np.argwhere(~np.isfinite(array))
         if len(wrong):
             index = tuple(int(i) for i in wrong[0])
-            raise _Found(f"{where}: {name}{list(index) if index else ''} is {array[index]}")
+            raise Found(f"{where}: {name}{list(index) if index else ''} is {array[index]}")
 
 
 @contextmanager
-def watched():
-    """Within it, every forward and backward of the table of equations raises at its first non-finite output."""
+def intercepted(wrap):
+    """Within it, `wrap(key, name, function)` stands for each forward and backward of equations and fast renderer."""
     modules = {equation.key: importlib.import_module(equation.module) for equation in EQUATIONS.values()}
     modules["compositing, fast"] = fast
     kept = {key: (module.forward, module.backward) for key, module in modules.items()}
-
-    running = []                                   # psi_d's network runs inside Eq. (5): name both
-
-    def watch(key, function, direction, outputs_of):
-        def run(*args, **kwargs):
-            running.append(key)
-            result = function(*args, **kwargs)
-            _check(f"equation {', its '.join(map(repr, running))}, {direction}", outputs_of(result))
-            running.pop()
-            return result
-        return run
-
     try:
         for key, module in modules.items():
-            module.forward = watch(key, kept[key][0], "forward", lambda result: result[0])
-            module.backward = watch(key, kept[key][1], "backward, gradient of", lambda gradients: gradients)
+            module.forward, module.backward = map(wrap, (key, key), ("forward", "backward"), kept[key])
         yield
     finally:
         for key, module in modules.items():
             module.forward, module.backward = kept[key]
+
+
+def watched():
+    """Within it, every forward and backward of the table of equations raises Found at its first non-finite output."""
+    running = []                                   # psi_d's network runs inside Eq. (5): name both
+
+    def watch(key, name, function):
+        direction = {"forward": "forward", "backward": "backward, gradient of"}[name]
+
+        def run(*args, **kwargs):
+            running.append(key)
+            result = function(*args, **kwargs)
+            outputs = result[0] if name == "forward" else result
+            _check(f"equation {', its '.join(map(repr, running))}, {direction}", outputs)
+            running.pop()
+            return result
+        return run
+
+    return intercepted(watch)
 
 
 def find_first(p, *inputs):
@@ -79,6 +85,6 @@ def find_first(p, *inputs):
             gradients, _ = objective.backward(res)
             _check("objective", losses._asdict())
             _check("gradient of", gradients.arrays)
-    except _Found as found:
+    except Found as found:
         return str(found)
     return "a non-finite value that did not come back when the iteration was repeated"

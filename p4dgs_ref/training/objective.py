@@ -84,7 +84,7 @@ def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
         volume = fixed.lambda_volume * float(np.prod(g.s, axis=1).mean())
     rate, L_rate, bits, res_b = None, 0.0, 0.0, None
     if ctx is not None:
-        rate, res_b = _rate_forward(noisy, ctx, grids, fixed.mask, design)
+        rate, res_b = rate_forward(noisy, ctx, grids, fixed.mask, design)
         L_rate, bits = float(rate.L_rate), float(rate.bits)
     total, res_t = total_loss.forward(np.float64(loss.L_render), np.float64(L_rate), fixed.lambda_rate)
     losses = Losses(float(total.L_total) + volume, float(loss.L_render), float(loss.L1), float(loss.D_SSIM), L_rate, bits)
@@ -94,7 +94,7 @@ def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
     return losses, seen, res
 
 
-def _rate_forward(noisy, ctx, grids, mask, design):
+def rate_forward(noisy, ctx, grids, mask, design):
     """Bits of the noisy attributes and of the grid (Eqs. 11, 13, 14, 17)."""
     columns = np.repeat(ctx.q, design.widths, axis=1)
     bits, res_bits = likelihood.forward(noisy, ctx.mu, ctx.sigma, columns)
@@ -105,7 +105,7 @@ def _rate_forward(noisy, ctx, grids, mask, design):
     return out, (res_bits, res_a, res_h, res)
 
 
-def _rate_backward(res, L_rate_bar, design):
+def rate_backward(res, L_rate_bar, design):
     """Gradients of the noisy attributes, mu, sigma, q (A, 4) and the grids."""
     res_bits, res_a, res_h, res_l = res
     top = rate_loss.backward(res_l, L_rate_bar=L_rate_bar)
@@ -133,7 +133,7 @@ def backward(res):
     noisy_bar = beside(*(anchors[name] for name in ("f_a", "s_a", "l_a", "O_a")))
     grids_bar = mu_bar = sigma_bar = rate_q = None
     if res["rate"] is not None:
-        rate_bar, mu_bar, sigma_bar, rate_q, grids_bar = _rate_backward(res["rate"], top["L_rate"], design)
+        rate_bar, mu_bar, sigma_bar, rate_q, grids_bar = rate_backward(res["rate"], top["L_rate"], design)
         noisy_bar = noisy_bar + rate_bar                       # one noisy tensor was rendered and rated (Q23)
     values_bar = noisy_bar
     if res["noise"]:

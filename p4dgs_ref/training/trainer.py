@@ -86,7 +86,8 @@ class Trainer:
         inputs = (p, self.design, self.networks, self.grids, self.fixed(), view, u, self.moments[id(view)])
         losses, seen, res = objective.forward(*inputs)
         gradients, mean2d_bar = objective.backward(res)
-        if not (np.isfinite(losses.L_total) and np.isfinite(gradients.vector).all()):
+        finite = np.isfinite(losses.L_total) and np.isfinite(gradients.vector).all()
+        if not (finite and np.isfinite(seen.alpha).all()):             # the mask would hide a NaN opacity from the loss
             raise NotFinite(self.iteration, find_first(*inputs))
         self.adam.step(p, gradients, self.rate_of)
         if self.iteration >= self.preset.collect_from:

@@ -1,0 +1,70 @@
+"""`python -m p4dgs_ref.sixty_digits.record [KEY ...]`: measure every case of every equation, or of those, and write it down.
+
+Run where the tests are: the file, tests/data/reference_errors.json, is what `tests/test_sixty_digits.py` compares with, and an
+equation that gets twice as wrong as recorded fails.  All equations together take three minutes.
+"""
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from ..equations import EQUATIONS
+from .errors import error
+
+FILE = Path("tests/data/reference_errors.json")
+SAMPLES = 12           # elements of a gradient array that the quick test, and every measurement in float32, look at
+HOW = ("Largest error of the NumPy equations against 60-digit decimals: per case, of the outputs and of the gradients, in units "
+       "of eps times the largest magnitude in the array. float64: all elements; float32: at most 12 of each gradient array. "
+       "Cases whose inputs leave the range of float32 are absent there; null: infinitely wrong, for the rounding of floats "
+       "decides what is computed. Made by `python -m p4dgs_ref.sixty_digits.record`.")
+
+
+def measure(key, case, dtype, samples=None):
+    """{"out": worst, "in_bar": worst} of one case; None if its inputs leave the range of `dtype`."""
+    try:
+        with np.errstate(all="ignore"):
+            errors = error(key, case, dtype, samples=samples)
+    except OverflowError:
+        return None
+    return {side: max((e for name, e in errors.items() if name.startswith(side + ".")), default=0.0)
+            for side in ("out", "in_bar")}
+
+
+def record(keys):
+    """{key: {dtype: {case: {"out": .., "in_bar": ..}}}}, three digits each, rounded up."""
+    errors = {}
+    for key in keys:
+        print(key, flush=True)
+        errors[key] = {}
+        for dtype, samples in (("float64", None), ("float32", SAMPLES)):
+            rows = {case.name: measure(key, case, np.dtype(dtype).type, samples) for case in EQUATIONS[key].cases()}
+            errors[key][dtype] = {name: {side: _up(e) for side, e in row.items()} for name, row in rows.items() if row}
+    return errors
+
+
+def _up(e):
+    return float(f"{e * 1.005:.3g}") if np.isfinite(e) else None
+
+
+def text(errors):
+    """The file's content, a line for every case."""
+    def block(name, rows, indent):
+        return f"{indent}{json.dumps(name)}: {{\n" + ",\n".join(rows) + "\n" + indent + "}"
+
+    keys = [block(key, [block(dtype, [f"   {json.dumps(case)}: {json.dumps(row)}" for case, row in cases.items()], "  ")
+                        for dtype, cases in by.items()], " ") for key, by in errors.items()]
+    return f'{{"how": {json.dumps(HOW)},\n' + block("errors", keys, "") + "}\n"
+
+
+def main(keys):
+    unknown = [key for key in keys if key not in EQUATIONS]
+    if unknown:
+        sys.exit(f"equation {unknown[0]!r}: expected one of {', '.join(EQUATIONS)}")
+    kept = json.loads(FILE.read_text(encoding="utf-8"))["errors"] if keys else {}
+    found = {**kept, **record(keys or EQUATIONS)}
+    FILE.write_text(text({key: found[key] for key in EQUATIONS if key in found}), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
