@@ -18,10 +18,13 @@ _HOME = {"load_scene": "scenes.dnerf", "Scene": "scenes.scene", "View": "scenes.
          "SETTINGS": "splatting.settings", "train": "training.fit", "PRESETS": "training.presets", "Model": "model",
          "encode": "codec.file", "decode": "codec.file", "BitstreamError": "codec.container",
          "evaluate": "experiments.evaluate", "main_job": "experiments.main_job", "EQUATIONS": "catalogue"}
-__all__ = sorted(_HOME)
+_ROOMS = ("oracle",)           # whole packages among the names
+__all__ = sorted([*_HOME, *_ROOMS])
 
 
 def __getattr__(name):
+    if name in _ROOMS:
+        return import_module(f"{__name__}.{name}")
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()[name] = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

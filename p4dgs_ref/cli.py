@@ -98,9 +98,9 @@ def parser():
     top.add_argument("--version", action="version", version=f"p4dgs_ref {__version__}")
     sub = top.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
 
-    def command(name, help):
-        entry = sub.add_parser(name, help=help, description=help)
-        entry.set_defaults(function=getattr(commands, name))
+    def command(name, help, among=sub, prefix=""):
+        entry = among.add_parser(name, help=help, description=help)
+        entry.set_defaults(function=getattr(commands, prefix + name))
         add_json(entry)
         return entry
 
@@ -124,9 +124,9 @@ def parser():
     e.add_argument("--frames", type=whole(1, 10_000), help="times from 0 to 1 (default 24)")
     e.add_argument("--scene", help="render this scene's cameras and times instead of a held camera")
     e.add_argument("--split", default="test", choices=("train", "test", "val"), help="which of the scene's views")
-    e.add_argument("--settings", default="fast", help="exact, paper or fast (default fast)")
+    e.add_argument("--settings", default="fast", help="exact, paper or fast (default fast)"), add_check(e)
     e = command("evaluate", "score a file on a scene's test views")
-    e.add_argument("file", help="a .p4dgs file"), add_scene(e)
+    e.add_argument("file", help="a .p4dgs file"), add_scene(e), add_check(e)
     add_output(e, "", "folder for the comparison picture and table (optional)")
     e = command("inspect", "a file's bytes, section by section, beside their entropy")
     e.add_argument("file", help="a .p4dgs file"), add_output(e, "", "folder for the table and the picture (optional)")
@@ -137,17 +137,73 @@ def parser():
     e.add_argument("preset", nargs="?", help="only this one, all fields")
     e = command("bench", "time the renderer, the parts of a training step and the coder")
     e.add_argument("--quick", action="store_true", help="small sizes, a few seconds")
+    add_studies(command)
+    e = sub.add_parser("oracle", help="golden vectors for ports, and the checker that names the wrong equation")
+    add_oracle(lambda name, help, among=e.add_subparsers(dest="action", required=True, metavar="ACTION", parser_class=Parser):
+               command(name, help, among, "oracle_"))
     return top
+
+
+def add_studies(command):
+    """What accuracy costs, what hard cases do, what effects are worth."""
+    e = command("accuracy", "what accuracy costs in time: studies, each with diagrams, tables and a reading")
+    e.add_argument("--only", action="append", default=[], metavar="NAME", help="only this study; may be repeated")
+    e.add_argument("--quick", action="store_true", help="small sizes, about a minute instead of ten")
+    e.add_argument("--summary", action="store_true", help="only error and time of the settings exact, paper and fast")
+    add_quiet(e), add_output(e, "report/accuracy", "folder of accuracy.md and its figures (default report/accuracy)")
+    e = command("stability", "hard cases: literal formula, ours, true value, errors; and the stability map")
+    e.add_argument("--only", metavar="ID", help="only cases whose id begins so, like H-R")
+    e.add_argument("--count", type=whole(0), default=0, help="also search for trouble with so many inputs (default 0)")
+    e.add_argument("--seed", type=whole(0), default=0, help="seed of the search (default 0)")
+    add_quiet(e), add_output(e, "report", "folder of the map (default report)")
+    e = command("effects", "what each effect of a scene costs and is worth, by training with and without it")
+    add_scene(e), add_quiet(e), add_output(e, "", "folder for the picture and the table (optional)")
+    e.add_argument("--suggest", action="store_true", help="only say which effects the pictures call for, and why")
+    much = e.add_mutually_exclusive_group()
+    much.add_argument("--full", action="store_true", help="all iterations of the preset tiny instead of half")
+    much.add_argument("--quick", action="store_true", help="the preset smoke: seconds, no judgement of PSNR")
+    e.add_argument("--seed", type=whole(0), default=0, help="seed of the trainings (default 0)")
+
+
+def add_check(entry):
+    entry.add_argument("--check-finite", action="store_true",
+                       help="stop at the first equation that makes a NaN or an infinity (training always does)")
+
+
+def add_quiet(entry):
+    entry.add_argument("--quiet", action="store_true", help="no progress line")
+
+
+def add_oracle(command):
+    """The actions of `oracle`."""
+    command("list", "the cases: what each tests")
+    command("path", "where the vectors are installed")
+    e = command("export", "write the vectors into a folder")
+    e.add_argument("folder", type=place, help="folder to write to")
+    e.add_argument("--regenerate", action="store_true", help="compute them anew instead of copying the published ones")
+    add_quiet(e)
+    e = command("check", "judge a port's answers; exit code 0 only if every required case passes")
+    e.add_argument("folder", type=place, nargs="?", help="where the port wrote <subject>.safetensors or .npz")
+    e.add_argument("--adapter", type=place, metavar="CMD", help="ask this process instead, line by line in JSON")
+    e.add_argument("--timeout", type=real(0.01, 86400), default=10.0, metavar="SECONDS",
+                   help="for one answer of the adapter (default 10)")
+    e.add_argument("--dtype", choices=("float64", "float32"), default="float64",
+                   help="precision of what the adapter is sent (default float64)")
+    e.add_argument("--level", action="append", choices=("L0", "L1", "L2", "L3", "L4"), help="only this level; may be repeated")
+    e.add_argument("--only", metavar="NAME", help="only this equation or subject")
+    add_quiet(e)
 
 
 def user_errors():
     """The exceptions that are a user's mistake or a damaged file, imported late."""
     from .codec.container import BitstreamError
     from .codec.quantise import EncodeError
+    from .oracle.adapter import AdapterError
+    from .oracle.safetensors import TensorError
     from .output import OutputError
     from .scenes.scene import SceneError
     from .training.checkpoint import RunError
-    return BitstreamError, EncodeError, OutputError, SceneError, RunError, commands.UsageError
+    return BitstreamError, EncodeError, OutputError, SceneError, RunError, TensorError, AdapterError, commands.UsageError
 
 
 def how_to_resume(argv, arguments):
@@ -160,7 +216,7 @@ def how_to_resume(argv, arguments):
 
 
 def run(argv, start):
-    """Parse and run; returns the exit code: 0 well, 1 training failed, 2 a mistake of the user, 130 stopped."""
+    """Parse and run; returns the exit code: 0 well, 1 training or a check failed, 2 a mistake of the user, 130 stopped."""
     arguments = parser().parse_args(argv)
     arguments.start = start
 
@@ -169,9 +225,9 @@ def run(argv, start):
         return code
 
     try:
-        arguments.function(arguments)
+        code = arguments.function(arguments) or 0
         sys.stdout.flush()
-        return 0
+        return code
     except KeyboardInterrupt:
         return fail(130, f"stopped{how_to_resume(argv, arguments)}")
     except BrokenPipeError:                        # `p4dgs-ref equations | head`

@@ -50,7 +50,7 @@ def demo():
     return {name: value for label, keys in names.items() for name, value in zip(keys, numbers(rows[label]), strict=True)}
 
 
-@pytest.mark.parametrize("program, output", PROGRAMS, ids=["example", "face", "slips", "sizes"])
+@pytest.mark.parametrize("program, output", PROGRAMS, ids=["example", "face", "port", "slips", "sizes"])
 def test_program_prints_what_stands_below_it(program, output):
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8"}
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=environment, capture_output=True, text=True)
@@ -113,14 +113,20 @@ def test_links_and_pictures_exist():
     assert (ROOT / "tutorials/pictures/demo.png").stat().st_size < 150_000
 
 
+def choices(parser):
+    """{name: parser} of its commands."""
+    return parser._subparsers._group_actions[0].choices
+
+
 def test_commands_and_options_are_those_of_the_parser():
-    commands = cli.parser()._subparsers._group_actions[0].choices
+    commands = choices(cli.parser())
     listed = re.findall(r"`p4dgs-ref (\w+)`", section("What each command does"))
     assert sorted(listed) == sorted(commands)
     for name, rest in re.findall(r"p4dgs-ref (\w+)([^`\n]*)`", README):
         arguments = commands[name].parse_args(rest.split()) if rest.strip() else None
         assert arguments is None or arguments.function
-    every = {option for command in commands.values() for option in command._option_string_actions}
+    deep = [*commands.values(), *choices(commands["oracle"]).values()]
+    every = {option for command in deep for option in command._option_string_actions}
     assert set(re.findall(r"(?<![\w-])--[a-z]+", README)) <= every
 
 

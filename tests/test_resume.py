@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref import cli, commands
+from p4dgs_ref import cli
+from p4dgs_ref.commands import job
 from p4dgs_ref.networks.adam import Adam
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.checkpoint import CHECKPOINT, load
@@ -154,7 +155,7 @@ def test_ctrl_c_without_a_checkpoint(tmp_path, monkeypatch, capsys):
     def stop(*args):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(commands, "read_scene", stop)
+    monkeypatch.setattr(job, "read_scene", stop)
     assert cli.run(["train", "bouncing", "-o", str(tmp_path)], time.perf_counter()) == 130
     assert capsys.readouterr().err == "p4dgs-ref: stopped\n"
 

@@ -1,32 +1,17 @@
-"""What each command does: one thin function a command, around one call of the Python face.
-
-Imports stand inside the functions, so that `p4dgs-ref --help` is quick and an error in an option comes first.
-"""
+"""What the commands of the main job do: fit, compress, decode, render, measure."""
 import json
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
-from . import text
-from .output import filled, made, new_file, write_atomically
-
-
-class UsageError(ValueError):
-    """A mistake in what the command line was given: one line naming the option or file and what was expected."""
-
-
-def show(arguments, value, lines):
-    """Print a value as JSON or, without --json, as text."""
-    print(json.dumps(value, indent=1) if arguments.json else lines)
-
-
-def log(arguments):
-    """Where progress goes: stderr, or nowhere with --quiet."""
-    return None if arguments.quiet else sys.stderr
+from .. import text
+from ..output import filled, made, new_file, write_atomically
+from .base import UsageError, log, show
 
 
 def read_scene(arguments, name=None):
-    from .scenes import load_scene
+    from ..scenes import load_scene
     return load_scene(name or arguments.scene, background=arguments.background, downscale=arguments.downscale)
 
 
@@ -40,7 +25,7 @@ def read_test_scene(arguments):
 
 def read_preset(arguments):
     """The preset with its --set changes, checked before any work begins."""
-    from .training.presets import choose
+    from ..training.presets import choose
     changes = {}
     for item in arguments.changes:
         key, equals, value = item.partition("=")
@@ -55,8 +40,8 @@ def read_preset(arguments):
 
 def read_file(path):
     """A file's bytes, its model, and the seconds that decoding took."""
-    from .codec.container import MAGIC, BitstreamError
-    from .codec.file import decode as decode_model
+    from ..codec.container import MAGIC, BitstreamError
+    from ..codec.file import decode as decode_model
     if Path(path).is_dir():
         raise UsageError(f"{path}: Is a directory; expected a .p4dgs file")
     data = Path(path).read_bytes()
@@ -73,7 +58,7 @@ def estimate(scene, preset, arguments):
     """Before a training of hours: time its first steps, say so, and go on only with --yes."""
     if preset.anchors <= 1000 and preset.iterations <= 10_000:
         return
-    from .training.trainer import Trainer
+    from ..training.trainer import Trainer
     trainer, start = Trainer(scene, preset, arguments.seed), time.perf_counter()
     steps = 0
     while steps < min(3, preset.iterations) and time.perf_counter() - start < 60:
@@ -87,8 +72,8 @@ def estimate(scene, preset, arguments):
 
 
 def demo(arguments):
-    from .experiments.evaluate import json_safe
-    from .experiments.main_job import main_job
+    from ..experiments.evaluate import json_safe
+    from ..experiments.main_job import main_job
     preset, scene = read_preset(arguments), read_test_scene(arguments)
     estimate(scene, preset, arguments)
     metrics = main_job(scene, preset, arguments.seed, arguments.output, arguments.start, log(arguments))
@@ -96,7 +81,7 @@ def demo(arguments):
 
 
 def simulate(arguments):
-    from .scenes import simulate as draw
+    from ..scenes import simulate as draw
     stream = log(arguments)
 
     def progress(done, total):
@@ -111,8 +96,8 @@ def simulate(arguments):
 
 
 def train(arguments):
-    from .training.checkpoint import CHECKPOINT
-    from .training.fit import fit
+    from ..training.checkpoint import CHECKPOINT
+    from ..training.fit import fit
     preset, scene, checkpoint = read_preset(arguments), read_scene(arguments), Path(arguments.output) / CHECKPOINT
     if checkpoint.exists() and not arguments.resume:
         raise UsageError(f"{checkpoint}: exists; --resume goes on from it, another -o starts anew")
@@ -124,7 +109,7 @@ def train(arguments):
                       save_every=arguments.save_every)
         run = {"scene": scene.name, "preset": preset.name, "seed": arguments.seed, "iterations": trainer.iteration,
                "anchors": len(trainer.mask), "seconds": time.perf_counter() - start, "output": str(folder)}
-        from .experiments.report import write_training
+        from ..experiments.report import write_training
         with filled(folder) as beside:
             write_training(beside, trainer.history, preset.stage_ends)
             (beside / "run.json").write_text(json.dumps(run, indent=1) + "\n")
@@ -132,16 +117,20 @@ def train(arguments):
 
 
 def encode(arguments):
-    from .codec.file import encode as encode_model
-    from .training.fit import load_model
+    from ..codec.file import encode as encode_model
+    from ..codec.quantise import underflows
+    from ..training.fit import load_model
     with new_file(arguments.output) as output:
         model, values = load_model(arguments.run)
         start = time.perf_counter()
         data = encode_model(model)
         seconds = time.perf_counter() - start
         write_atomically(output, lambda file: file.write(data))
-    done = {"output": str(output), "bytes": len(data), "iteration": values["iteration"], "seconds": seconds}
-    show(arguments, done, f"{output}: {len(data):,} bytes, from iteration {values['iteration']}, {seconds:.3f} s")
+    lost = underflows(model.networks)                          # what float16 cannot hold above 0 (Q18)
+    done = {"output": str(output), "bytes": len(data), "iteration": values["iteration"], "seconds": seconds,
+            "weights_rounded_to_zero": lost}
+    said = f"; {lost} weights of the networks round to 0 in float16" if lost else ""
+    show(arguments, done, f"{output}: {len(data):,} bytes, from iteration {values['iteration']}, {seconds:.3f} s{said}")
 
 
 def decode(arguments):
@@ -159,6 +148,12 @@ def decode(arguments):
     show(arguments, done, f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json; {seconds:.3f} s")
 
 
+def checked(arguments):
+    """With --check-finite, a context in which the first equation that makes a NaN or an infinity is named."""
+    from ..training.finite import watched
+    return watched() if arguments.check_finite else nullcontext()
+
+
 CAMERA = {"frames": 24, "azimuth": 40.0, "elevation": 30.0, "distance": 3.6, "fov": 41.0, "size": 128}
 
 
@@ -166,7 +161,7 @@ def held_camera(arguments, model):
     """The camera that --azimuth, --elevation, --distance, --fov and --size describe, looking at the box's centre."""
     import numpy as np
 
-    from .splatting.camera import look_at
+    from ..splatting.camera import look_at
     azimuth, elevation, distance, fov, size = (
         CAMERA[name] if getattr(arguments, name) is None else getattr(arguments, name)
         for name in ("azimuth", "elevation", "distance", "fov", "size"))
@@ -198,8 +193,8 @@ def render(arguments):
     import imageio.v3 as iio
     import numpy as np
 
-    from .experiments.report import write_gif
-    from .splatting.settings import SETTINGS
+    from ..experiments.report import write_gif
+    from ..splatting.settings import SETTINGS
     if arguments.settings not in SETTINGS:
         raise UsageError(f"--settings {arguments.settings}: expected one of {', '.join(SETTINGS)}")
     _, model, _ = read_file(arguments.file)
@@ -207,7 +202,8 @@ def render(arguments):
     with filled(arguments.output) as beside:
         for name, camera, t in views:
             start = time.perf_counter()
-            images.append(np.clip(model.render(camera, t, SETTINGS[arguments.settings]), 0, 1))
+            with checked(arguments):
+                images.append(np.clip(model.render(camera, t, SETTINGS[arguments.settings]), 0, 1))
             seconds.append(time.perf_counter() - start)
             iio.imwrite(beside / f"{name}.png", (images[-1] * 255).round().astype(np.uint8))
         if not arguments.scene and len(images) > 1:
@@ -217,29 +213,30 @@ def render(arguments):
 
 
 def evaluate(arguments):
-    from .codec.file import encode as encode_model
-    from .experiments.evaluate import compression, json_safe, timed
-    from .experiments.evaluate import evaluate as measure
+    from ..codec.file import encode as encode_model
+    from ..experiments.evaluate import compression, json_safe, timed
+    from ..experiments.evaluate import evaluate as measure
     data, model, seconds = read_file(arguments.file)
     scene = read_test_scene(arguments)
-    metrics, rows, images = measure(model, scene)
+    with checked(arguments):
+        metrics, rows, images = measure(model, scene)
     metrics = {"scene": scene.name, **metrics, **compression(model, data, metrics["gaussians"]),
                "encode_seconds": timed(encode_model, model)[1], "decode_seconds": seconds}
     if arguments.output:
-        from .experiments.report import write_comparison
+        from ..experiments.report import write_comparison
         with filled(arguments.output) as beside:
             write_comparison(beside, scene, rows, images)
     show(arguments, {**json_safe(metrics), "views": [json_safe(row) for row in rows]}, text.evaluation(metrics, rows))
 
 
 def inspect(arguments):
-    from .codec.inspect import GAPS, ledger
+    from ..codec.inspect import GAPS, ledger
     if arguments.heat and not arguments.output:
         raise UsageError("--heat: expected -o FOLDER, the picture goes there")
     data, _, _ = read_file(arguments.file)
     rows = ledger(data)
     if arguments.output:
-        from .experiments.report import draw_ledger, write_csv
+        from ..experiments.report import draw_ledger, write_csv
         with filled(arguments.output) as beside:
             write_csv(beside / "size.csv", rows)
             draw_ledger(beside / "size.png", rows)
@@ -252,9 +249,9 @@ def write_heat(arguments, data, folder):
     """heat.png, the scene coloured by the bits of its anchors, and heat.csv with every anchor's."""
     import numpy as np
 
-    from .codec.inspect import anchor_bits
-    from .experiments.heat import heat_image
-    from .experiments.report import HEAT, draw_heat, write_csv
+    from ..codec.inspect import anchor_bits
+    from ..experiments.heat import heat_image
+    from ..experiments.report import HEAT, draw_heat, write_csv
     model, bits = anchor_bits(data)
     limits = tuple(np.percentile(bits, (2, 98)))
     image = heat_image(model, bits, held_camera(arguments, model), arguments.time, limits, HEAT)
@@ -264,12 +261,12 @@ def write_heat(arguments, data, folder):
 
 
 def equations(arguments):
-    from . import catalogue
+    from .. import catalogue
     show(arguments, {"equations": catalogue.rows()}, catalogue.table())
 
 
 def presets(arguments):
-    from .training.presets import PAPER_REAL, PAPER_SYNTHETIC, PRESETS, differences
+    from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, PRESETS, differences
     if arguments.preset and arguments.preset not in PRESETS:
         raise UsageError(f"preset {arguments.preset!r}: expected one of {', '.join(PRESETS)}")
     chosen = [PRESETS[arguments.preset]] if arguments.preset else list(PRESETS.values())
@@ -279,7 +276,7 @@ def presets(arguments):
 
 
 def bench(arguments):
-    from .experiments.bench import bench as measure
-    from .experiments.bench import describe
+    from ..experiments.bench import bench as measure
+    from ..experiments.bench import describe
     result = measure(arguments.quick)
     show(arguments, result, describe(result))

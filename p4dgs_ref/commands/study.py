@@ -1,0 +1,66 @@
+"""What the commands of the three studies do: accuracy against time, hard cases, effects."""
+from pathlib import Path
+
+from ..output import filled
+from .base import Line, UsageError, show
+
+
+def accuracy(arguments):
+    from ..experiments.accuracy import STUDIES, describe, run, summary
+    if arguments.summary:
+        rows, lines = summary()
+        return show(arguments, {"settings": rows}, lines)
+    if unknown := [name for name in arguments.only if name not in STUDIES]:
+        raise UsageError(f"--only {unknown[0]}: expected one of {', '.join(STUDIES)}")
+    line = Line(arguments.quiet)
+    try:
+        with filled(arguments.output) as beside:
+            result = run(arguments.only or None, beside, arguments.quick, line)
+    finally:
+        line.close()
+    show(arguments, result, describe(result, arguments.output))
+
+
+def stability(arguments):
+    """Exit code 1 if a hard case or a found input is beyond what is promised."""
+    from ..stability.map import draw_map
+    from ..stability.search import run as search
+    from ..stability.table import describe, rows
+    line = Line(arguments.quiet)
+    try:
+        found = rows(arguments.only, lambda row: line(f"{row['id']} {row['dtype']}"))
+        if not found:
+            raise UsageError(f"--only {arguments.only}: expected the beginning of a case's id, like H-R1")
+        if arguments.output:
+            line("drawing the map")
+            with filled(arguments.output) as beside:
+                draw_map(beside / "stability.png")
+        tried = search(arguments.count, arguments.seed, report=lambda f: line(f"search: {f.key} {f.dtype}")) \
+            if arguments.count else []
+    finally:
+        line.close()
+    text = describe(found) + "".join(f"\nsearch {f.key} {f.dtype}: {f.tried:,} inputs, {f.non_finite} not finite, "
+                                     f"{f.beyond} beyond the declared error; worst {f.worst:.2f} of it" for f in tried)
+    show(arguments, {"cases": found, "search": [{name: value for name, value in f._asdict().items() if name != "inputs"}
+                                                for f in tried]}, text)
+    return int(any(row["verdict"] == "fails" for row in found) or any(f.non_finite + f.beyond for f in tried))
+
+
+def effects(arguments):
+    from ..experiments.effect_ledger import describe, draw_ledger, ledger
+    from ..experiments.suggest import suggest
+    from .job import read_scene, read_test_scene
+    if arguments.suggest:
+        rows = suggest(read_scene(arguments))
+        text = "\n".join(f"{row['effect']:<14} {'yes' if row['called_for'] else 'no':<4} {row['evidence']}" for row in rows)
+        return show(arguments, {"effects": rows}, text)
+    scene, line = read_test_scene(arguments), Line(arguments.quiet)
+    preset, share = ("smoke", 1) if arguments.quick else ("tiny", 1 if arguments.full else 0.5)
+    try:
+        rows = ledger(scene, preset, arguments.seed, share, line)
+    finally:
+        line.close()
+    if arguments.output:
+        with filled(arguments.output) as beside:
+            draw_ledger(Path(beside) / "effects.png", rows)
+    show(arguments, {"effects": rows}, describe(rows))
