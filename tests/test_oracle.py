@@ -114,7 +114,8 @@ def test_ids_are_unique_and_records_complete(manifest):
 
 def test_flags_say_what_they_hunt(manifest):
     flags = json.loads((vectors.FOLDER / "FLAGS.json").read_text())
-    assert {name: row["hunts"] for name, row in flags.items()} == FLAGS
+    assert {name: f"{row['description']}: {row['hunts']}" for name, row in flags.items()} == FLAGS
+    assert all(row["equations"] and set(row["equations"]) <= set(EQUATIONS) for row in flags.values())
     bear = {f: {s["key"] for s in manifest["subjects"] for c in s["cases"] if f in c["flags"]} for f in FLAGS}
     assert {f: set(row["subjects"]) for f, row in flags.items()} == bear
 

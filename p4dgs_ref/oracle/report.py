@@ -3,7 +3,7 @@ import json
 
 from ..equations import EQUATIONS
 
-SHOWN = 8              # names of failing cases a subject
+SHOWN, REASONS = 8, 3  # names and explanations of failing cases, at most, a subject
 
 
 def name_of(equation):
@@ -39,7 +39,9 @@ def _others(results, known):
         counts = [f"{sum(r.verdict == v for r in rows)} {v}" for v in sorted({r.verdict for r in rows} - {"fail"})]
         lines.append(f"  {key}: " + "; ".join([said] * bool(said) + counts))
         why = dict.fromkeys((bool(r.findings), r.explanation) for r in rows if r.explanation)
-        lines += [f"    {'explained by' if found else 'because'}: {said if said != known else 'the same'}" for found, said in why]
+        lines += [f"    {'explained by' if found else 'because'}: {said if said != known else 'the same'}"
+                  for found, said in list(why)[:REASONS]]
+        lines += [f"    and {len(why) - REASONS} more reasons"] if len(why) > REASONS else []
     return lines
 
 

@@ -63,7 +63,7 @@ def vector(subject, case):
 
 def says(case):
     """What a case tests, in a sentence."""
-    return f"{case.name.replace('_', ' ')}; hunts " + "; ".join(FLAGS[flag] for flag in case.flags)
+    return f"{case.name.replace('_', ' ')}; hunts " + "; ".join(FLAGS[flag].split(": ", 1)[1] for flag in case.flags)
 
 
 def constants(eq):
@@ -102,12 +102,13 @@ def build(only=None, progress=lambda text: None):
 
 
 def flags():
-    """FLAGS.json: what each flag hunts, and the equations whose cases bear it."""
+    """FLAGS.json: what each flag marks, the bug it hunts, and the subjects and equations whose cases bear it."""
     bear = {flag: [] for flag in FLAGS}
-    for key, subject in subjects().items():
+    for subject in subjects().values():
         for flag in sorted({flag for case in subject.cases() for flag in case.flags}):
-            bear[flag].append(key)
-    return {flag: {"hunts": text, "subjects": bear[flag]} for flag, text in FLAGS.items()}
+            bear[flag].append(subject)
+    return {flag: {**dict(zip(("description", "hunts"), text.split(": ", 1))), "subjects": [s.key for s in bear[flag]],
+                   "equations": list(dict.fromkeys(s.equation for s in bear[flag]))} for flag, text in FLAGS.items()}
 
 
 def write(folder, progress=lambda text: None):
@@ -139,6 +140,8 @@ def names():
 def export(folder, regenerate=False, progress=lambda text: None):
     """Copy the published vectors into a folder, or compute them anew; returns {output, files, bytes, cases}.
 
+    Beside them stands `codec`, what a right port answers to the streams: `oracle check` passes the whole folder.
+
     Raises     OutputError, OSError
     """
     with filled(folder) as beside:
@@ -146,6 +149,7 @@ def export(folder, regenerate=False, progress=lambda text: None):
             shutil.copyfile(FOLDER / name, beside / name)
         manifest = write(beside, progress) if regenerate else read_manifest()
         streams.copy(folder)
+        streams.write_expected(folder)
     files = [file for file in Path(folder).rglob("*") if file.is_file()]
     return {"output": str(folder), "files": len(files), "bytes": sum(file.stat().st_size for file in files),
             "cases": sum(len(s["cases"]) for s in manifest["subjects"]) + len(manifest["streams"])}
