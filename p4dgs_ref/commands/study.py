@@ -35,13 +35,14 @@ def stability(arguments):
             line("drawing the map")
             with filled(arguments.output) as beside:
                 draw_map(beside / "stability.png")
-        tried = search(arguments.count, arguments.seed, report=lambda f: line(f"search: {f.key} {f.dtype}")) \
+        tried = search(arguments.count, arguments.seed, report=lambda f: line(f"search: {f.equation} {f.dtype}")) \
             if arguments.count else []
     finally:
         line.close()
-    text = describe(found) + "".join(f"\nsearch {f.key} {f.dtype}: {f.tried:,} inputs, {f.non_finite} not finite, "
-                                     f"{f.beyond} beyond the declared error; worst {f.worst:.2f} of it" for f in tried)
-    show(arguments, {"cases": found, "search": [{name: value for name, value in f._asdict().items() if name != "inputs"}
+    text = describe(found) + "".join(f"\nsearch {f.equation} {f.dtype}: {f.inputs:,} inputs, {f.non_finite} not finite, "
+                                     f"{f.beyond} beyond the declared error; worst {f.worst:.2f} of it, in {f.where}"
+                                     for f in tried)
+    show(arguments, {"cases": found, "search": [{name: value for name, value in f._asdict().items() if name != "at"}
                                                 for f in tried]}, text)
     return int(any(row["verdict"] == "fails" for row in found) or any(f.non_finite + f.beyond for f in tried))
 
