@@ -9,7 +9,7 @@
 
 Names are imported when they are first used, so that a program can set the number of BLAS threads before NumPy loads.
 """
-from importlib import import_module
+from .lazy import offer
 
 __version__ = "0.1.0"
 
@@ -20,16 +20,4 @@ _HOME = {"load_scene": "scenes.dnerf", "Scene": "scenes.scene", "View": "scenes.
          "evaluate": "experiments.evaluate", "main_job": "experiments.main_job", "EQUATIONS": "catalogue"}
 _ROOMS = ("oracle",)           # whole packages among the names
 __all__ = sorted([*_HOME, *_ROOMS])
-
-
-def __getattr__(name):
-    if name in _ROOMS:
-        return import_module(f"{__name__}.{name}")
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-    return value
-
-
-def __dir__():
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = offer(__name__, _HOME, _ROOMS)

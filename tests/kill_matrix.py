@@ -27,9 +27,10 @@ from p4dgs_ref.oracle import doctor, published
 from p4dgs_ref.oracle.compare import compare, precision
 from p4dgs_ref.oracle.mistakes import MISTAKES
 from p4dgs_ref.oracle.subjects import run, subjects
-from p4dgs_ref.oracle.tolerance import cast, named
+from p4dgs_ref.oracle.tolerance import named
 from p4dgs_ref.oracle.vectors import FOLDER, read_manifest
 from p4dgs_ref.splatting import compositing
+from p4dgs_ref.stability.entry import cast
 
 MATRIX = Path(__file__).with_name("kill_matrix.csv")
 COLUMNS = ("id", "kind", "equation", "description", "killed", "named", "explained", "note")

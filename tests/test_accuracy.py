@@ -3,37 +3,19 @@ import json
 import math
 from pathlib import Path
 
-import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.codec.streams import decode_symbols
 from p4dgs_ref.equations import gaussian_bin, likelihood
 from p4dgs_ref.experiments import accuracy
-from p4dgs_ref.experiments.accuracy import (coder, diagram, fits, formulas, gradients, hash_grid, quantisation, rendering,
-                                            report, size, timing, training)
+from p4dgs_ref.experiments.accuracy import coder, diagram, fits, formulas, rendering, timing
 from p4dgs_ref.experiments.accuracy import likelihood as likelihood_study
-from p4dgs_ref.model import Context
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.splatting import fast
 from p4dgs_ref.splatting.settings import Settings
-from p4dgs_ref.training import objective
-from p4dgs_ref.training.trainer import Trainer
 
 TABLE = json.loads((Path(__file__).parent / "data" / "gaussian_bin_constants.json").read_text())
 Z, W, BITS, BITS_X, BITS_Q = (np.array(column) for column in zip(*TABLE["rows"]))
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return load_scene("bouncing", downscale=2)
-
-
-@pytest.fixture(scope="module")
-def model(scene):
-    """Trained so little that only its arithmetic means anything."""
-    return fits.train(scene, fits.reduced(40, anchors=60)).model
 
 
 # --- how it is measured ------------------------------------------------------------------------------------------

@@ -12,7 +12,8 @@ import pytest
 from p4dgs_ref.equations import EQUATIONS, FLAGS
 from p4dgs_ref.oracle import checker, published, report, safetensors, subjects, vectors
 from p4dgs_ref.oracle.compare import deviations
-from p4dgs_ref.oracle.tolerance import cast, named
+from p4dgs_ref.oracle.tolerance import named
+from p4dgs_ref.stability.entry import cast
 
 SPEC = ("offsets", "view", "opacity", "masking", "color", "rotation", "scale", "positional_encoding", "deformation", "deformed",
         "noise", "step", "hash_grid", "rounding", "likelihood", "prior", "anchor_rate", "hash_rate", "total_loss",

@@ -16,6 +16,7 @@ import zlib
 
 import numpy as np
 
+from ..stability.entry import cast
 from .compare import IMAGES
 from .subjects import flatten, run
 
@@ -75,15 +76,6 @@ def _moved(values, rng, delta):
 def named(out, gradients):
     """Outputs and gradients as flat tensors with their roles."""
     return {**flatten(out, "out."), **flatten(gradients, "in_bar.")}
-
-
-def cast(values, dtype):
-    """Float arrays in another precision; integers, masks and settings stay."""
-    def change(a):
-        if isinstance(a, list):
-            return [change(b) for b in a]
-        return a.astype(dtype) if isinstance(a, (np.ndarray, np.generic)) and a.dtype.kind == "f" else a
-    return {name: change(a) for name, a in values.items()}
 
 
 def float32_error(eq, case, cotangents, flat, scale):

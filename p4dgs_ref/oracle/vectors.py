@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from .. import __version__
-from ..equations import EQUATIONS, FLAGS
+from ..equations import FLAGS
 from ..output import filled
 from . import independent, safetensors, streams, tolerance
 from .subjects import flatten, run, settings, subjects

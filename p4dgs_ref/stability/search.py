@@ -13,6 +13,7 @@ from .. import splatting  # noqa: F401  declares covariance, projection, composi
 from ..equations import EQUATIONS
 from . import terms, twins
 from .arenas import ARENAS
+from .entry import cast
 from .promises import LEAST, PROMISES
 
 LONGER = {np.float32: np.float64, np.float64: np.longdouble}
@@ -34,15 +35,6 @@ class Found(NamedTuple):
     worst: float           # largest error in units of the promise
     where: str             # the array it is in
     at: dict               # the input: {name: array}, with its cotangents
-
-
-def cast(values, dtype):
-    """Float arrays in another precision, by way of nothing else; integers, masks and settings stay."""
-    def change(a):
-        if isinstance(a, list):
-            return [change(b) for b in a]
-        return np.asarray(a, dtype) if isinstance(a, (np.ndarray, np.generic)) and a.dtype.kind == "f" else a
-    return {name: change(a) for name, a in values.items()}
 
 
 def flat(values):

@@ -13,11 +13,11 @@ from ...codec.inspect import components
 from ...codec.quantise import quantise
 from ...equations import hash_grid, hash_rate, likelihood
 from ...equations.prior import layout
-from ...model import context, context_backward, join, snap
+from ...model import context, context_backward, join
 from ...networks.adam import Adam
 from ...networks.parameters import Parameters, random_layers
 from ...scenes import load_scene
-from .diagram import Axes, Finding, at, figure, finish, legend, lines, table
+from .diagram import Axes, Finding, figure, finish, legend, lines, table
 from .fits import multiply_adds, reduced, train
 from .quantisation import fixed
 from .timing import alternate

@@ -7,7 +7,7 @@ import numpy as np
 from ... import sixty_digits
 from ...equations import likelihood
 from ..report import pyplot
-from .diagram import COLORS, Axes, Finding, at, figure, finish, legend, lines, number, table, work_precision
+from .diagram import COLORS, Axes, Finding, at, figure, finish, lines, number, table
 from .formulas import FORMULAS, TABLES, truth
 from .formulas import table as table_formula
 from .timing import alternate, special_calls

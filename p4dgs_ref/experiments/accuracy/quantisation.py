@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...scenes import load_scene
-from .diagram import Axes, Finding, at, figure, finish, legend, lines, number, table
+from .diagram import Axes, Finding, at, figure, finish, legend, lines, table
 from .fits import judge, reduced, train
 
 STEPS = ("Q_f", "Q_s", "Q_l", "Q_O")
