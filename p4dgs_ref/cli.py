@@ -137,7 +137,7 @@ def parser():
     e.add_argument("preset", nargs="?", help="only this one, all fields")
     e = command("bench", "time the renderer, the parts of a training step and the coder")
     e.add_argument("--quick", action="store_true", help="small sizes, a few seconds")
-    add_studies(command)
+    add_studies(command), add_classroom(command)
     e = sub.add_parser("oracle", help="golden vectors for ports, and the checker that names the wrong equation")
     add_oracle(lambda name, help, among=e.add_subparsers(dest="action", required=True, metavar="ACTION", parser_class=Parser):
                command(name, help, among, "oracle_"))
@@ -163,6 +163,21 @@ def add_studies(command):
     much.add_argument("--full", action="store_true", help="all iterations of the preset tiny instead of half")
     much.add_argument("--quick", action="store_true", help="the preset smoke: seconds, no judgement of PSNR")
     e.add_argument("--seed", type=whole(0), default=0, help="seed of the trainings (default 0)")
+
+
+def add_classroom(command):
+    """A copy of the equations for students, and their grades."""
+    e = command("classroom", "write the equations with bodies removed for students, and the key for their teacher")
+    e.add_argument("folder", type=place, help="folder to write to; one that is a classroom already keeps what students wrote")
+    e.add_argument("--only", action="append", default=[], metavar="KEY", help="only this equation; may be repeated")
+    e.add_argument("--backward-only", action="store_true", help="leave the forwards as they are")
+    e.add_argument("--seed", type=whole(0), help="seed of the held-back inputs by which `grade` judges (default 0)")
+    e = command("grade", "points by equation, from inputs that the students have not seen")
+    e.add_argument("folder", type=place, help="folder that `classroom` wrote")
+    e.add_argument("--student", type=place, metavar="FOLDER", help="files of one student (default FOLDER/student)")
+    e.add_argument("--seed", type=whole(0), help="seed of the held-back inputs (default that of the classroom)")
+    e.add_argument("--timeout", type=real(0.1, 3600), default=5.0, metavar="SECONDS", help="for one case (default 5)")
+    add_quiet(e), add_output(e, "", "folder for grades.txt, .json and .csv (optional)")
 
 
 def add_check(entry):
@@ -202,8 +217,10 @@ def user_errors():
     from .oracle.safetensors import TensorError
     from .output import OutputError
     from .scenes.scene import SceneError
+    from .school import ClassroomError
     from .training.checkpoint import RunError
-    return BitstreamError, EncodeError, OutputError, SceneError, RunError, TensorError, AdapterError, commands.UsageError
+    return (BitstreamError, EncodeError, OutputError, SceneError, RunError, TensorError, AdapterError, ClassroomError,
+            commands.UsageError)
 
 
 def how_to_resume(argv, arguments):

@@ -9,9 +9,8 @@ import pytest
 from p4dgs_ref.codec.streams import decode_symbols
 from p4dgs_ref.equations import gaussian_bin, likelihood
 from p4dgs_ref.experiments import accuracy
-from p4dgs_ref.experiments.accuracy import coder, diagram, fits, formulas, rendering, timing
+from p4dgs_ref.experiments.accuracy import coder, diagram, formulas, rendering, timing
 from p4dgs_ref.experiments.accuracy import likelihood as likelihood_study
-from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting.settings import Settings
 
 TABLE = json.loads((Path(__file__).parent / "data" / "gaussian_bin_constants.json").read_text())

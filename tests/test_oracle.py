@@ -40,7 +40,8 @@ def regenerated(tmp_path_factory):
 # --- the format ----------------------------------------------------------------------------------------------------
 def test_safetensors_come_back():
     rng = np.random.default_rng(0)
-    arrays = {"a": rng.normal(size=(3, 2)), "none": np.zeros((0, 4), np.float32), "one": np.float64(2.5), "flag": np.array([True, False]),
+    arrays = {"a": rng.normal(size=(3, 2)), "none": np.zeros((0, 4), np.float32), "one": np.float64(2.5),
+              "flag": np.array([True, False]),
               "i": np.arange(-3, 4), "u": np.array([[2**32 - 1]], np.uint32), "big": np.arange(3, dtype=">f8")}
     data, places = safetensors.dump(arrays, {"license": "CC0-1.0"})
     back = safetensors.load(data)
@@ -55,7 +56,8 @@ def test_safetensors_come_back():
 @pytest.mark.parametrize("damage, says", [
     (lambda d: d[:5], "length"), (lambda d: struct.pack("<Q", 2**60) + d[8:], "header"), (lambda d: d[:-1], "data_offsets"),
     (lambda d: d.replace(b'"F64"', b'"F65"'), "dtype"), (lambda d: d.replace(b"[3,2]", b"[3,3]"), "data_offsets"),
-    (lambda d: d.replace(b"[3,2]", b"[-3,2]").replace(b"  ", b" "), "header|shape"), (lambda d: d.replace(b"{", b"<", 1), "header")])
+    (lambda d: d.replace(b"[3,2]", b"[-3,2]").replace(b"  ", b" "), "header|shape"),
+    (lambda d: d.replace(b"{", b"<", 1), "header")])
 def test_damaged_safetensors_are_refused(damage, says):
     data, _ = safetensors.dump({"a": np.ones((3, 2))})
     with pytest.raises(safetensors.TensorError, match=says):

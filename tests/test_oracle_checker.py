@@ -144,7 +144,9 @@ def test_commands(tmp_path, capsys):
     assert code == 1 and json.loads(out)["first_divergence"] == "view"
 
 
-@pytest.mark.parametrize("argv, says", [(["check"], "expected a folder"), (["check", "no such folder"], "expected a folder"), (["check", "a", "--adapter", "b"], "expected a folder"),
+@pytest.mark.parametrize("argv, says", [(["check"], "expected a folder"),
+                                        (["check", "no such folder"], "expected a folder"),
+                                        (["check", "a", "--adapter", "b"], "expected a folder"),
                                         (["check", ".", "--only", "nothing"], "expected one of")])
 def test_mistakes_of_the_user(capsys, argv, says):
     code, out, err = run(capsys, *argv)

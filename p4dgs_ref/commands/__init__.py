@@ -6,7 +6,8 @@ from .base import UsageError
 from .golden import oracle_check, oracle_export, oracle_list, oracle_path
 from .job import bench, decode, demo, encode, equations, evaluate, inspect, presets, render, simulate, train
 from .study import accuracy, effects, stability
+from .teach import classroom, grade
 
-__all__ = ["UsageError", "accuracy", "bench", "decode", "demo", "effects", "encode", "equations", "evaluate", "inspect",
-           "oracle_check", "oracle_export", "oracle_list", "oracle_path", "presets", "render", "simulate", "stability",
-           "train"]
+__all__ = ["UsageError", "accuracy", "bench", "classroom", "decode", "demo", "effects", "encode", "equations", "evaluate",
+           "grade", "inspect", "oracle_check", "oracle_export", "oracle_list", "oracle_path", "presets", "render", "simulate",
+           "stability", "train"]

@@ -24,7 +24,7 @@ PROBES = 12
 DELTA = 2.0**-34         # far above the rounding of float64, and small enough for terms that cancel to eight digits
 SAFETY, FLOOR = 4, 32
 LARGEST = 2.0**14        # a case that float32 misses by more asks for more than float32 has
-LEAST = 2.0**-20         # S of a number is at least this part of the largest S in its array
+LEAST = 2.0**-40         # S of a number is at least this part of the largest S in its array
 
 
 def scales(eq, case, cotangents, flat):

@@ -16,10 +16,10 @@ def _bins(z, w, sigma=1.0):
 
 
 def _literal(name, index=(0, 0)):
-    """Eq. (11) as printed, or its gradient by f under a cotangent of one."""
+    """Eq. (11) as printed, or its gradient by f under the case's cotangent."""
     def run(inputs):
         out, res = likelihood.literal(*(inputs[name] for name in ("f_noisy", "mu", "sigma", "q")))
-        return out.bits[index] if name == "bits" else likelihood.backward(res, np.ones_like(out.bits))[name[:-4]][index]
+        return out.bits[index] if name == "bits" else likelihood.backward(res, inputs["bits_bar"])[name[:-4]][index]
     return run
 
 

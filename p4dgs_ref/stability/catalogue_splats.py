@@ -160,13 +160,14 @@ def _stack(v, order):
 
 
 def _divided(v):
-    """The gradient of the first alpha as published kernels have it: what is behind, recovered by dividing by 1 - alpha."""
+    """The gradient of the first alpha as published kernels have it: every T recovered from the last by dividing by 1 - alpha."""
     T = np.cumprod(1 - v["alpha"])[-1]
     behind = v["background"] * T
     for i in reversed(range(1, len(v["alpha"]))):
         T = T / (1 - v["alpha"][i])
         behind = behind + v["alpha"][i] * T * v["color"][i]
-    return (v["image_bar"][0, 0] * (v["color"][0] - behind / (1 - v["alpha"][0]))).sum()
+    T = T / (1 - v["alpha"][0])
+    return (v["image_bar"][0, 0] * (T * v["color"][0] - behind / (1 - v["alpha"][0]))).sum()
 
 
 def _scene(dtype, n, height, width, seed=0):
