@@ -152,7 +152,7 @@ def add_studies(command):
     e.add_argument("--summary", action="store_true", help="only error and time of the settings exact, paper and fast")
     add_quiet(e), add_output(e, "report/accuracy", "folder of accuracy.md and its figures (default report/accuracy)")
     e = command("stability", "hard cases: literal formula, ours, true value, errors; and the stability map")
-    e.add_argument("--only", metavar="ID", help="only cases whose id begins so, like H-R")
+    e.add_argument("--only", metavar="ID", help="only this case, or those of a row of the catalogue, like H-R1")
     e.add_argument("--count", type=whole(0), default=0, help="also search for trouble with so many inputs (default 0)")
     e.add_argument("--seed", type=whole(0), default=0, help="seed of the search (default 0)")
     add_quiet(e), add_output(e, "report", "folder of the map (default report)")
@@ -199,13 +199,13 @@ def add_oracle(command):
     add_quiet(e)
     e = command("check", "judge a port's answers; exit code 0 only if every required case passes")
     e.add_argument("folder", type=place, nargs="?", help="where the port wrote <subject>.safetensors or .npz")
-    e.add_argument("--adapter", type=place, metavar="CMD", help="ask this process instead, line by line in JSON")
-    e.add_argument("--timeout", type=real(0.01, 86400), default=10.0, metavar="SECONDS",
-                   help="for one answer of the adapter (default 10)")
-    e.add_argument("--dtype", choices=("float64", "float32"), default="float64",
+    e.add_argument("--adapter", metavar="CMD", help="ask this process instead, line by line in JSON")
+    e.add_argument("--timeout", type=real(0.01, 86400), metavar="SECONDS", help="for one answer of the adapter (default 10)")
+    e.add_argument("--dtype", choices=("float64", "float32"),
                    help="precision of what the adapter is sent (default float64)")
-    e.add_argument("--level", action="append", choices=("L0", "L1", "L2", "L3", "L4"), help="only this level; may be repeated")
-    e.add_argument("--only", metavar="NAME", help="only this equation or subject")
+    e.add_argument("--level", action="append", default=[], choices=("L0", "L1", "L2", "L3", "L4"),
+                   help="only this level; may be repeated")
+    e.add_argument("--only", action="append", default=[], metavar="NAME", help="only this equation or subject; may be repeated")
     add_quiet(e)
 
 
@@ -234,6 +234,9 @@ def how_to_resume(argv, arguments):
 
 def run(argv, start):
     """Parse and run; returns the exit code: 0 well, 1 training or a check failed, 2 a mistake of the user, 130 stopped."""
+    for stream in (sys.stdout, sys.stderr):                    # what the terminal cannot show must not end the program
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
     arguments = parser().parse_args(argv)
     arguments.start = start
 
@@ -242,14 +245,9 @@ def run(argv, start):
         return code
 
     try:
-        code = arguments.function(arguments) or 0
-        sys.stdout.flush()
-        return code
+        return arguments.function(arguments) or 0
     except KeyboardInterrupt:
         return fail(130, f"stopped{how_to_resume(argv, arguments)}")
-    except BrokenPipeError:                        # `p4dgs-ref equations | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except user_errors() as error:
         return fail(2, error)
     except OSError as error:

@@ -62,12 +62,17 @@ def filled(path):
     """
     with made(path) as folder, tempfile.TemporaryDirectory(prefix=".part-", dir=folder) as beside:
         yield Path(beside)
-        files = sorted(Path(beside).iterdir(), key=lambda file: file.stat().st_mtime_ns)       # in order of writing
-        for file in files:
-            if (folder / file.name).is_dir():
-                raise OutputError(f"{folder / file.name}: expected a file or nothing, found a folder")
-        for file in files:
-            os.replace(file, folder / file.name)
+        files = sorted((file for file in Path(beside).rglob("*") if file.is_file()),
+                       key=lambda file: file.stat().st_mtime_ns)                               # in order of writing
+        places = [folder / file.relative_to(beside) for file in files]
+        for place in places:
+            if place.is_dir():
+                raise OutputError(f"{place}: expected a file or nothing, found a folder")
+            if any(above.exists() and not above.is_dir() for above in place.parents):
+                raise OutputError(f"{place.parent}: expected a folder or nothing, found a file")
+        for file, place in zip(files, places):
+            place.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(file, place)
 
 
 @contextmanager

@@ -15,7 +15,8 @@ def size(m):
 
 def times(m):
     """How long the coder and the renderer took."""
-    return (f"encode {m['encode_seconds']:.3f} s, decode {m['decode_seconds']:.3f} s, "
+    encode = "not by this encoder" if m["encode_seconds"] is None else f"{m['encode_seconds']:.3f} s"
+    return (f"encode {encode}, decode {m['decode_seconds']:.3f} s, "
             f"render {m['render_fps']:.0f} frames/s")
 
 

@@ -153,7 +153,7 @@ class Judge:
         return None
 
     def answers(self, subject):
-        """What the doctor is shown: [(case, tensors, whether they are wrong)] of an equation's or a stage's own cases.
+        """What the doctor is shown: [(case, tensors, names of the wrong ones)] of an equation's or a stage's own cases.
 
         Outputs alone where they are too wrong for backward; nothing where a change ends in an exception otherwise.
         """
@@ -165,7 +165,8 @@ class Judge:
                     if all(a.shape == case.tensors[name].shape for name, a in got.items()):
                         got = self.answer(case)
                     found.append((case, got))
-        return [(case, got, self._differs(case, got)) for case, got in found if precision(got) == "float64"]
+        return [(case, got, [f.tensor for f in compare(case.tensors, got, case.tolerance("float64"))])
+                for case, got in found if precision(got) == "float64"]
 
     def verdict(self, change, equation, places, subject=None):
         """(killed, named, the first failing case, what the doctor is shown of a subject) under a change."""

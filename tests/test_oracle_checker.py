@@ -121,6 +121,38 @@ def test_a_python_function_is_judged():
         oracle.check(offsets, "offset")
 
 
+def test_precision_is_that_of_the_answers_alone(tmp_path):
+    """Scales are F32 and may stand beside: float64 answers are judged as such, also where float32 is not asked."""
+    found = judge_folder(tmp_path, "noise", {f"{case.name}/{name}": a * 3 if name == "out.f_noisy" else a for case in
+                                             published.read(subject_of("noise")) for name, a in case.tensors.items()})
+    assert "noise/tiny" in {r.id for r in found.results if r.wrong} and not any(r.verdict == "unasked" for r in found.results)
+
+
+def subject_of(key):
+    return next(s for s in vectors.read_manifest()["subjects"] if s["key"] == key)
+
+
+def test_what_was_answered_wrongly_comes_before_what_was_not_answered(tmp_path):
+    found = judge_folder(tmp_path, "rounding", broken("rounding", "ties/out.symbols", lambda a: a + 1))
+    assert found.results[0].verdict == "missing" and found.first.id == "rounding/ties"       # L0 stands before and is missing
+    assert re.search(r"got -?\d+, expected -?\d+", str(found))
+
+
+def test_a_mistake_in_one_direction_alone_is_explained():
+    eq = EQUATIONS["likelihood"]
+    right = lambda inputs, bars: eq.vjp(**inputs)[1](**bars)
+    found = oracle.check(lambda **inputs: eq(**inputs).bits * np.log(2), "likelihood", right)
+    assert "[likelihood-nats]" in found.first.explanation and "the outputs alone" in found.first.explanation
+
+
+def test_levels_and_names_may_be_repeated_in_any_order(tmp_path):
+    port = ports.FolderPort(vectors.FOLDER)
+    found = checker.check_port(port, ["L1", "L1", "L0"], ["step", "noise", "step"])
+    assert [r.level for r in found.results] == sorted(r.level for r in found.results)
+    assert {r.equation for r in found.results} == {"step", "noise"} and len({r.id for r in found.results}) == len(found.results)
+    assert found.ok and not any(r.verdict == "unasked" for r in found.results)
+
+
 # --- commands --------------------------------------------------------------------------------------------------------------
 def run(capsys, *argv):
     code = cli.run(["oracle", *argv], 0.0)
@@ -144,9 +176,12 @@ def test_commands(tmp_path, capsys):
     assert code == 1 and json.loads(out)["first_divergence"] == "view"
 
 
-@pytest.mark.parametrize("argv, says", [(["check"], "expected a folder"),
+@pytest.mark.parametrize("argv, says", [(["check"], "expected either a folder"),
                                         (["check", "no such folder"], "expected a folder"),
-                                        (["check", "a", "--adapter", "b"], "expected a folder"),
+                                        (["check", "a", "--adapter", "b"], "expected either a folder"),
+                                        (["check", ".", "--dtype", "float32"], "of the adapter"),
+                                        (["check", ".", "--level", "L0", "--only", "offsets"], "no such case"),
+                                        (["export", "."], "expected an empty folder"),
                                         (["check", ".", "--only", "nothing"], "expected one of")])
 def test_mistakes_of_the_user(capsys, argv, says):
     code, out, err = run(capsys, *argv)

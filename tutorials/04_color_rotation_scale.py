@@ -22,8 +22,10 @@ rng = np.random.default_rng(4)
 # $$\{s_0,\dots,s_{k-1}\} = s_a \cdot \mathrm{sigmoid}\bigl(\psi_s(f_a, \delta_{vc}, d_{vc})\bigr) \tag{4}$$
 
 # %% [markdown]
-# The paper prints no activation for the other two; the parent's are $c_j = \mathrm{sigmoid}(\psi_c)_j$ and
-# $r_j = \psi_{r,j} / \|\psi_{r,j}\|_2$, a unit quaternion with the real part first: $(w, x, y, z)$. This is choice `Q4`.
+# The paper prints no activation for the other two; those of Scaffold-GS are $c_j = \mathrm{sigmoid}(\psi_c)_j$ and
+# $r_j = \psi_{r,j} / \|\psi_{r,j}\|_2$, a unit *quaternion*: four numbers $(w, x, y, z)$ of length one that name a rotation. The
+# real part $w$ is the cosine of half the angle, $(x, y, z)$ points along the axis; `13_covariance` needs the details. This is
+# choice `Q4`.
 
 # %% [markdown]
 # ## By hand
@@ -53,8 +55,8 @@ assert np.allclose(scale.forward(s_a[None], both, *seen, *network)[0].s, [[s_a *
 assert np.allclose(rotation.forward(y[None], *seen, [np.eye(4)], [np.zeros(4)])[0].r, [[y / 5]], rtol=1e-15)
 
 # %% [markdown]
-# What an anchor looks like then. The grey ellipse is the anchor's own scale, unturned. Its children have colours, turns and
-# scales of their own, but along no axis of theirs more than the anchor's: a sigmoid stays below one.
+# What an anchor looks like then, with random networks. The grey ellipse is the anchor's own scale, unturned. Its children have
+# colours, turns and scales of their own, but along no axis of theirs more than the anchor's: a sigmoid stays below one.
 
 # %%
 A, k = 3, 5
@@ -91,7 +93,8 @@ lessons.show(figure, "04_color_rotation_scale")
 # %% [markdown]
 # ## Backward by hand
 # **Sigmoid.** With $c = 1/(1+e^{-\psi})$: $\;dc = \frac{e^{-\psi}}{(1+e^{-\psi})^2}\,d\psi = c\,(1-c)\,d\psi$. The code takes
-# $\mathrm{sigmoid}(-\psi)$ for $1 - c$: the same number, but it keeps its digits where $c$ is nearly one. At 0.75 it is 0.1875.
+# $\mathrm{sigmoid}(-\psi)$ for $1 - c$: the same number, but it keeps its digits where $c$ is nearly one. Where $c$ is 0.75 the
+# slope is 0.1875.
 
 # %%
 c, rest = 1 / (1 + np.exp(-np.log(3))), 1 / (1 + np.exp(np.log(3)))
@@ -127,7 +130,8 @@ assert np.allclose(ours["biases"][-1], last.reshape(A, 3 * k).sum(axis=0), rtol=
 # %% [markdown]
 # **Quaternion.** Let $y$ be the four raw numbers and $n = \sqrt{y\cdot y}$. This is the direction of Eq. (2) in four dimensions:
 # $$dn = \frac{y\cdot dy}{n} = r\cdot dy, \qquad dr = \frac{dy}{n} - \frac{y\,dn}{n^2} = \frac{1}{n}\,(I - r r^T)\,dy.$$
-# It is symmetric: $\bar y = (\bar r - r\,(r\cdot\bar r))/n$. For $(1, 2, 2, 4)$, $\bar r = (50, 0, 0, 0)$: 9.6, -0.8, -0.8, -1.6.
+# The matrix is its own transpose: $\bar y = (\bar r - r\,(r\cdot\bar r))/n$. For $y = (1, 2, 2, 4)$ and $\bar r = (50, 0, 0, 0)$
+# that is 9.6, -0.8, -0.8, -1.6.
 
 # %%
 r, r_bar = y / 5, np.array([50.0, 0, 0, 0])
@@ -150,9 +154,10 @@ y_bar = rotation.normalise_backward(r, n, r_bar)
 assert abs((y_bar * dy).sum() - (r_bar * dr).sum()) < 1e-12
 
 # %% [markdown]
-# **At zero.** $0/0$ is no rotation. The code divides by $n = \sqrt{y\cdot y + \epsilon^2}$ with `1e-12` for $\epsilon$. Both
-# lines above stay exact; only $|r|^2$ is $1 - (\epsilon/n)^2$ now. That is the second term of `normalise_backward`, whose first
-# is `view.across`, $\bar r\,|r|^2 - r\,(r\cdot\bar r)$: together $\bar r - r\,(r\cdot\bar r)$.
+# **At zero.** $0/0$ is no rotation. The code divides by the *safe length* $n = \sqrt{y\cdot y + \epsilon^2}$ with `1e-12` for
+# $\epsilon$. The formulas for $dn$, $dr$ and $\bar y$ stay exact; only $|r|^2$ is $1 - (\epsilon/n)^2$ now. `normalise_backward`
+# adds two terms, `view.across`, $\bar r\,|r|^2 - r\,(r\cdot\bar r)$, and $(\epsilon/n)^2\,\bar r$: together
+# $\bar r - r\,(r\cdot\bar r)$.
 
 # %%
 tiny = rng.normal(size=4) * 2e-12
@@ -189,7 +194,7 @@ lessons.show(figure, "04_color_rotation_scale_quaternion")
 # %% [markdown]
 # ## Break it
 # Divide by $n$ and forget the projector, as if the length were a constant. Gradient descent towards a target rotation still
-# gets there: everything looks fine. But the raw length shrinks all the way, and the gradient is not that of the loss.
+# gets there: everything looks fine. But the raw length has shrunk, and the gradient is not that of the loss.
 
 # %%
 target = rotation.normalise(rng.normal(size=4))[0]
@@ -222,7 +227,7 @@ print(f"ten Gaussians: {k * explicit} numbers written out, {anchor} as an anchor
 
 # %% [markdown]
 # Because $s_a$ is a common factor, its rounding error is common too: all children of an anchor swell or shrink by the same
-# relative amount. With the paper's base step of 0.001 an axis of 0.02 is off by at most 2.5 percent, in every child.
+# relative amount. With the paper's base step of 0.001 for $s_a$, an axis of 0.02 is off by at most 2.5 percent, in every child.
 
 # %%
 Q_s, axis = 0.001, 0.02
@@ -232,8 +237,9 @@ assert Q_s == 0.001 and axis == 0.02 and np.allclose(relative, 2.5 / 100, rtol=1
 
 # %% [markdown]
 # ## Exercises
-# **04.1** $y = (0, 3, 0, 4)$, $\bar r = (0, 0, 0, 25)$. What is $\bar y$? **04.2** Write the colours.
-# **04.3** Write the backward of rotation, **04.4** of scale. The network's part of the work is given: `network`.
+# **04.1** $y = (0, 3, 0, 4)$, $\bar r = (0, 0, 0, 25)$. What is $\bar y$, as a list of four? **04.2** Write the colours: the
+# sigmoid of `psi (A, 3k)`, cut into children; $e^{800}$ is no float, so think of $e^{-|\psi|}$. **04.3** Write the backward of
+# rotation, **04.4** of scale: the derivations above give `psi_bar`, and the function that `network` returns does the rest.
 
 # %%
 answer_1 = ...
@@ -246,7 +252,7 @@ def network(f_a, delta_vc, d_vc, weights, biases):
 
 
 def my_color(f_a, delta_vc, d_vc, weights, biases):
-    """color (A, k, 3); right where psi is 800, -800 and -40."""
+    """f_a (A, d), delta_vc (A, 1), d_vc (A, 3), lists of arrays -> color (A, k, 3); right where psi is 800, -800 and -40."""
     raise NotImplementedError
 
 

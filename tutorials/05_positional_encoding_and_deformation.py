@@ -22,7 +22,8 @@ rng = np.random.default_rng(5)
 # $x$ is where a Gaussian stands without time, $t$ the time, $\mathcal{E}$ the positional encoding.
 
 # %% [markdown]
-# The paper does not print $\mathcal{E}$. Its parent `D3DGS` has the number, then waves of doubling frequency, without $\pi$:
+# The paper does not print $\mathcal{E}$. Its parent `D3DGS` has the number, then waves of $L$ doubling frequencies, without
+# $\pi$:
 # $$\mathcal{E}(p) = (p, \sin 2^0 p, \cos 2^0 p, \dots, \sin 2^{L-1} p, \cos 2^{L-1} p)$$
 
 # %% [markdown]
@@ -36,8 +37,9 @@ by_hand = [p, np.sin(p), np.cos(p), np.sin(2 * p), np.cos(2 * p)]
 assert np.allclose(by_hand[1:], [1, 0, 0, -1], atol=1e-15)
 
 # %% [markdown]
-# And a field by hand: no hidden layer, one frequency of time, and of all weights only one is not zero: the one from $\sin t$
-# to $\Delta x$'s first axis, 0.5. Every Gaussian then swings along x; at $t = \pi/2$ it stands 0.5 away, unstretched, unturned.
+# And a field by hand: no hidden layer, one frequency of time, none of place. Of all weights only one is not zero: the one from
+# $\sin t$ to $\Delta x$'s first axis, 0.5. Every Gaussian then swings along x; at $t = \pi/2$ it stands 0.5 away, unstretched,
+# unturned.
 
 # %%
 columns = 3 * (1 + 2 * 0) + 1 + 2 * 1                                   # E(x) with L_x = 0, E(t) with L_t = 1
@@ -50,14 +52,15 @@ assert np.allclose(swing.delta_x, [[0.5, 0, 0]] * 2) and not swing.delta_s.any()
 # %% [markdown]
 # ## In code
 # For vectors `p (N, D)` the columns are: all `D` raw numbers, then per frequency all sines, then all cosines. That makes
-# `D (1 + 2 L)`. $\psi_d$ ends in three heads of widths 3, 3 and 4; in the paper's preset it reads 63 and 13 columns.
+# `D (1 + 2 L)`. $\psi_d$ ends in three last layers side by side, its *heads*, of widths 3, 3 and 4. With $L_x = 10$ for places
+# and $L_t = 6$ for times (choice `Q2`; the paper prints neither) it reads 63 and 13 columns.
 
 # %%
 x = rng.uniform(-1.3, 1.3, (4, 3))
 E = positional_encoding.forward(x, 2)[0].E
 assert np.array_equal(E, np.concatenate([x, np.sin(x), np.cos(x), np.sin(2 * x), np.cos(2 * x)], axis=1))
 paper = PRESETS["paper_synthetic"]
-assert 3 * (1 + 2 * paper.L_x) == 63 and 1 + 2 * paper.L_t == 13
+assert (paper.L_x, paper.L_t) == (10, 6) and 3 * (1 + 2 * paper.L_x) == 63 and 1 + 2 * paper.L_t == 13
 assert [W[1] for W in design_of(paper, ("translation", "scaling", "rotation")).layers()["psi_d"][-3:]] == [3, 3, 4]
 
 # %% [markdown]
@@ -74,8 +77,8 @@ printed = mlp.forward(rows, [*W[:-3], np.concatenate(W[-3:], axis=1)], [*b[:-3],
 assert np.allclose(np.concatenate(out, axis=1), printed, rtol=1e-12)
 
 # %% [markdown]
-# What the waves are for: fit a motion that bounces, by least squares on the numbers of $\mathcal{E}(t)$. The raw number
-# alone gives a straight line. Slow waves round the corners off; faster waves follow them.
+# What the waves are for: fit a motion that bounces, by least squares on the numbers of $\mathcal{E}(t)$ and a constant. The raw
+# number alone gives a straight line. Slow waves miss the bounces, faster waves come closer, and even they round the corners off.
 
 # %%
 time = np.linspace(0, 1, 400)
@@ -137,7 +140,8 @@ assert np.allclose(positional_encoding.backward(encoding_res, E_bar)["p"], by_ha
 # %% [markdown]
 # **The field** is the network of `03_opacity_and_masking`; two things are new. Three heads on one trunk are one last layer with
 # three groups of columns: their cotangents stand side by side, the gradients are cut apart. And all $N$ rows sent the same
-# $\mathcal{E}(t)$ into the first layer: $\bar W_t = \mathcal{E}(t)^T \sum_n \bar y_n$, an outer product with $\bar b$.
+# $\mathcal{E}(t)$ into the first layer. With $y_n$ for what that layer makes of row $n$, before its ReLU:
+# $\bar W_t = \mathcal{E}(t)^T \sum_n \bar y_n = \mathcal{E}(t)^T\,\bar b$, an outer product.
 
 # %%
 x = rng.uniform(-1.3, 1.3, (N, 3))
@@ -176,9 +180,9 @@ assert np.isclose(frozen, (x_t_bar * arrow).sum(), rtol=1e-7)                   
 assert np.isclose(full, ((x_t_bar + opened) * arrow).sum(), rtol=1e-6)              # the whole truth
 
 # %% [markdown]
-# What the open way would do: each wave sends its gradient multiplied by $2^j$. Below: a random field with ten frequencies, and
-# how strong the gradient of $x$ is that comes back through each. The fastest wave decides the sum, and its slope changes sign
-# every $\pi/2^9$.
+# What the open way would do: each wave sends its gradient multiplied by $2^j$. Below: a field of random weights with ten
+# frequencies, and how strong the gradient of $x$ is that comes back through each. The fastest wave decides the sum, and its slope
+# changes sign every $\pi/2^9$.
 
 # %%
 L_x, N = 10, 400
@@ -198,7 +202,7 @@ figure, ax = plt.subplots(figsize=(9, 5))
 ax.bar(range(L_x), strength, color=lessons.COLORS[1], label=r"through wave $j$ of $\mathcal{E}(x)$: closed by Q10")
 ax.axhline(direct, color=lessons.COLORS[0], label=r"through $x' = x + \Delta x$: used")
 ax.set(yscale="log", xlabel="wave $j$ (frequency $2^j$)", ylabel=r"rms of its part of $\bar x$", xticks=range(L_x))
-ax.set_title("The fastest wave would decide where a Gaussian goes", fontsize=15)
+ax.set_title("Random weights: the fastest wave would decide where a Gaussian goes", fontsize=14)
 ax.legend()
 lessons.show(figure, "05_positional_encoding_and_deformation_gradient")
 assert strength.argmax() == L_x - 1 and strength[-1] > direct
@@ -226,7 +230,7 @@ print(f"by differences {difference:.2f}, right {(right * arrow).sum():.2f}, with
 # ## What a codec does with it
 # $\psi_d$ is the scene's motion vectors, and the file carries it once, in half precision, whatever the number of Gaussians, the
 # number of times or the rate. As the appendix describes it that is 53770 numbers. The paper's table has 0.241 MB: the two do
-# not agree (`Q1`). Either way it is the part that does not shrink: 0.241 of the low-rate file's 0.506 MB.
+# not agree (`Q1`). It is the largest of the parts that do not shrink with the rate: 0.241 of the low-rate file's 0.506 MB.
 
 # %%
 layers = design_of(paper, ("translation", "scaling", "rotation")).layers()["psi_d"]
@@ -237,7 +241,8 @@ print(f"{count} numbers, {2 * count} bytes; ten numbers for each of 20,000 Gauss
 # %% [markdown]
 # ## Exercises
 # **05.1** $\mathcal{E}(p) = (p, \sin p, \cos p, \sin 2p, \cos 2p)$ at $p = 0$, all cotangents are one. What is $\bar p$?
-# **05.2** Write the backward of $\mathcal{E}$ for vectors. **05.3** Write Eq. (5); layers before the heads have a ReLU.
+# **05.2** Write the backward of $\mathcal{E}$ for vectors. **05.3** Write Eq. (5), as printed: every row with a copy of
+# $\mathcal{E}(t)$, a ReLU after every layer before the heads, and then each head for itself.
 
 # %%
 answer_1 = ...
@@ -249,7 +254,8 @@ def my_encoding_backward(inputs, cotangents):
 
 
 def my_deformation(x, t, weights, biases, L_x, L_t):
-    """x (N, 3), weights [trunk ..., head x, head s, head r] -> delta_x, delta_s, delta_r; trunk and heads may be empty."""
+    """x (N, 3), t a number, weights and biases [trunk ..., head x, head s, head r] -> delta_x (N, 3), delta_s (N, 3),
+    delta_r (N, 4). There may be no trunk, and a head may have no columns: then its delta is (N, 0)."""
     raise NotImplementedError
 
 

@@ -39,8 +39,9 @@ assert np.linalg.norm(added) == 5 and np.allclose(added / 5, [[0.2, 0.4, 0.4, 0.
 
 # %% [markdown]
 # ## In code
-# Shapes are `(N, 3)`, `(N, 3)`, `(N, 4)` for both halves. An effect that the scene does not list has a delta of zero width
-# `(N, 0)`: its attribute passes as it is, and is not normalised again.
+# Shapes are `(N, 3)`, `(N, 3)`, `(N, 4)` for the canonical Gaussians and for the deltas. A scene of this project lists its
+# *effects*, of motion: translation, scaling, rotation. What it does not list has a delta of zero width `(N, 0)`: that attribute
+# passes as it is, and is not normalised again.
 
 # %%
 out, res = deformed.forward(x, s, r, delta_x, delta_s, delta_r)
@@ -75,7 +76,7 @@ for i, t in enumerate(times):
                          fc=("0.6", lessons.COLORS[0])[i > 0], ec="k", label=("canonical", "moved")[i] if i < 2 else None))
     ax.text(track.x_t[i, 0], track.x_t[i, 1] - 0.5, f"t = {t:.1f}\n{shown[i]:.0f}°", ha="center", fontsize=12)
 ax.set(xlabel="x (scene units)", ylabel="y (scene units)", aspect="equal", xlim=(-0.5, 3), ylim=(-0.65, 1.35))
-ax.set_title("One canonical Gaussian, six times: thrown, stretched and turned (1 sigma)", fontsize=15)
+ax.set_title("One canonical Gaussian at six times: thrown, stretched, turned (1 sigma)", fontsize=15)
 ax.legend(loc="upper right", fontsize=12)
 lessons.show(figure, "06_deformed")
 
@@ -114,8 +115,8 @@ print(f"by differences {difference:.8f}, by gradient {gradient:.8f}")
 
 # %% [markdown]
 # Who learns? At one time both sides of the sum get the same gradient: $\overline{\Delta x}$ goes on into the weights of
-# $\psi_d$, $\bar x$ to anchor, offset and reach. Over several times the canonical place collects them all, while each
-# $\Delta x(t)$ hears only its own.
+# $\psi_d$, $\bar x$ to place, offset and scaling of the anchor. Over several times the canonical place collects them all, while
+# each $\Delta x(t)$ hears only its own. Gradient descent, with four free numbers $\Delta x(t)$ per axis in place of a network:
 
 # %%
 targets = rng.normal(size=(4, 3))                                                    # where one Gaussian should be at four times
@@ -126,11 +127,11 @@ for _ in range(200):
 assert np.allclose(place + moves, targets, atol=1e-12) and np.allclose(place, moves.sum(axis=0), atol=1e-12)
 share = np.abs(place).mean() / np.abs(targets.mean(axis=0)).mean()
 assert np.isclose(share, 4 / 5, rtol=1e-9)                                           # T / (T + 1) of the mean, T times
-print(f"of the mean of four targets the canonical place learned {share:.2f}; the field learned the rest and the motion")
+print(f"of the mean of four targets the canonical place learned {share:.2f}; the deltas learned the rest and the motion")
 
 # %% [markdown]
-# A blind spot: where $s' = 0$ on an axis the covariance has slope 0 in it, for it holds $s'^2$. A Gaussian that is flat exactly
-# receives no gradient that would tell which way to open; the sign of the gradient flips with the sign of $s'$.
+# A blind spot: the covariance, which is what gets drawn (`13_covariance`), holds $s'^2$. Where $s' = 0$ on an axis its slope is
+# 0: an exactly flat Gaussian receives no gradient along it. Elsewhere the sign of the gradient flips with the sign of $s'$.
 
 # %%
 Sigma_bar = rng.normal(size=(1, 3, 3))
@@ -140,8 +141,8 @@ assert np.isclose(felt[0], -felt[1], rtol=1e-12) and felt[2] == 0 and abs(felt[0
 
 # %% [markdown]
 # ## Break it
-# Leave out the second normalisation, as `D3DGS` does. Small turns look fine: sideways, $\|r + \Delta r\|$ grows only with the
-# square of $\Delta r$. Larger ones blow the Gaussian up. The figure turns a Gaussian of scales 2, 1, 1 about one axis.
+# Leave out the second normalisation, as `D3DGS` does. The figure turns a Gaussian of scales 2, 1, 1 about its third axis. Small
+# turns look fine: the longest axis grows by the factor $\sqrt{1 + 4\|\Delta r\|^4}$. Larger ones blow the Gaussian up.
 
 # %%
 z = np.linspace(0, 1, 101)
@@ -151,6 +152,7 @@ right = deformed.forward(np.zeros((len(z), 3)), reach, unturned, np.zeros((len(z
 longest = {name: np.sqrt(np.linalg.eigvalsh(covariance.forward(reach, q)[0].Sigma)[:, -1])
            for name, q in (("normalised (Q9)", right), ("not normalised", unturned + delta_r))}
 assert np.allclose(longest["normalised (Q9)"], 2, rtol=1e-12) and reach[0].tolist() == [2, 1, 1]
+assert np.allclose(longest["not normalised"], 2 * np.sqrt(1 + 4 * z**4), rtol=1e-12)
 assert longest["not normalised"][10] < 2.05 and longest["not normalised"][-1] > 4
 figure, ax = plt.subplots(figsize=(9, 5))
 for (name, values), style in zip(longest.items(), ("-", "--")):
@@ -178,7 +180,7 @@ assert effects.heads(("translation",)) == (3, 0, 0) and "psi_d" not in design_of
 # ## Exercises
 # **06.1** $r = (1, 0, 0, 0)$ and $\Delta r = (0, 0, 0, 1)$: by how many degrees does the Gaussian turn? (The real part of a unit
 # quaternion is the cosine of half the angle.) **06.2** Write Eq. (6), a delta of width zero included. **06.3** Write its
-# backward; take `rotation.normalise` and `rotation.normalise_backward` if you like.
+# backward. In both take `rotation.normalise(y)`, which returns $y/n$ and $n$, and `rotation.normalise_backward(y / n, n, bar)`.
 
 # %%
 answer_1 = ...
@@ -190,7 +192,8 @@ def my_deformed(x, s, r, delta_x, delta_s, delta_r):
 
 
 def my_backward(inputs, cotangents):
-    """The six gradients, from inputs of the same names and cotangents["x_t_bar"], ["s_t_bar"], ["r_t_bar"]."""
+    """The six gradients, in the shapes of the inputs of the same names (width zero stays zero), from
+    cotangents["x_t_bar"] (N, 3), ["s_t_bar"] (N, 3), ["r_t_bar"] (N, 4)."""
     raise NotImplementedError
 
 
@@ -201,8 +204,8 @@ lessons.backward("06.3", my_backward, "deformed")
 
 # %% [markdown]
 # ## Check your port
-# `p4dgs-ref oracle check DIR --only deformed` reads what a port wrote. Other slips than the one above: adding $\Delta s$ to the
-# logarithm of the scale, where the parent keeps it, or multiplying quaternions. The checker tells them apart:
+# `p4dgs-ref oracle check DIR --only deformed` reads what a port wrote. Another slip than the one above is adding $\Delta s$ to
+# the logarithm of the scale, which is what 3DGS stores. The checker tells them apart:
 
 # %%
 from p4dgs_ref import oracle

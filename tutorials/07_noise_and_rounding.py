@@ -17,6 +17,7 @@ plt = lessons.pyplot()
 # ## Claim
 # A file holds whole numbers. So every attribute of an anchor is rounded to a multiple of a step $q$ when the file is written:
 # $$\hat{f_a} = \lfloor\frac{f_a}{q}\rceil \cdot q \tag{10}$$
+# $\lfloor\cdot\rceil$ is the nearest integer, the *symbol* that the file holds; $\hat{f_a}$ is what the decoder makes of it.
 
 # %% [markdown]
 # Rounding has no slope to learn from. While training, the paper adds noise of the same width instead:
@@ -34,7 +35,7 @@ assert abs(0.37 / 0.25 - 1.48) < 1e-15 and round(1.48) == 1 and 1 * 0.25 == 0.25
 
 # %% [markdown]
 # Half-way between two integers the rule is *ties to even*: quotients 0.5, 1.5 and 2.5 become 0, 2 and 2. Python's `round` and
-# NumPy's `rint` do so. Over many ties the errors cancel, and the rule is the same on both sides of zero.
+# NumPy's `rint` do so. Over many ties the errors cancel on average, and the rule is the same on both sides of zero.
 
 # %%
 assert (round(0.5), round(1.5), round(2.5)) == (0, 2, 2)
@@ -68,13 +69,15 @@ i = wrong[0]
 print(f"{len(wrong)} of {len(values)} symbols differ, as {values[i]} / {steps[i]}: {single[i]:.0f}, not {double[i]:.0f}")
 
 # %% [markdown]
-# **Why noise may stand in.** Let $f$ have the density $\phi$. The noisy value has that density averaged over one step:
+# **Why noise may stand in.** Let $f$ have the density $\phi$. The noisy value has that density averaged over one step, the
+# rounded one collects it over one step, around $kq$ with $k$ whole:
 # $$p_{\tilde f}(y) = \frac{1}{q}\int_{y-\frac{1}{2}q}^{y+\frac{1}{2}q}\phi(x)\,dx, \qquad
 # P(\hat f = kq) = \int_{kq-\frac{1}{2}q}^{kq+\frac{1}{2}q}\phi(x)\,dx = q\,p_{\tilde f}(kq)$$
 
 # %% [markdown]
-# So at every multiple of $q$ the two agree exactly, whatever $\phi$ is: one smooth curve passes through all the probabilities
-# of the rounded values. Eq. (11) is this integral. That is why bits counted on noisy values speak for bits of the file.
+# So at every multiple of $q$ the two agree but for the factor $q$, whatever $\phi$ is: one smooth curve passes through all the
+# probabilities of the rounded values. Eq. (11) is this integral. That is why bits counted on noisy values speak for bits of the
+# file. Below $\phi$ is a Gaussian; `ndtr` is SciPy's $\Phi$, its integral up to a point.
 
 # %%
 step, many = 0.5, rng.normal(0.2, 0.6, 400_000)
@@ -86,20 +89,22 @@ around = np.array([np.mean(np.abs(with_noise - v) < 0.05) / 0.1 for v in kq])
 assert np.abs(rounded - probability).max() < 0.004 and np.abs(step * around - probability).max() < 0.01
 
 # %% [markdown]
-# The two errors have the same size as well, $q/\sqrt{12}$, as long as $\phi$ is wider than the step. Where it is not, the noise
-# is too pessimistic: values that hug a multiple of $q$ lose little by rounding, and noise does not know.
+# The two errors have the same size as well, $q/\sqrt{12}$ (the mean of $u^2$ is $\int_{-1/2}^{1/2} u^2 du = 1/12$), as long as
+# $\phi$ is wider than the step. Where it is not, rounding knows something that noise does not: values that hug a multiple of $q$
+# lose less, values that hug a tie lose more, up to $q/2$.
 
 # %%
-def rounding_error(deviation):
-    """Root mean square error of rounding a Gaussian about 0 to whole numbers, q = 1: by a sum over its bins."""
+def rounding_error(deviation, middle):
+    """Root mean square error of rounding a Gaussian about `middle` to whole numbers, q = 1: by a sum over its bins."""
     x = np.linspace(-0.5, 0.5, 1001)
-    density = sum(np.exp(-0.5 * ((x + k) / deviation) ** 2) for k in range(-30, 31)) / (deviation * np.sqrt(2 * np.pi))
+    density = sum(np.exp(-0.5 * ((x + k - middle) / deviation) ** 2) for k in range(-30, 31)) / (deviation * np.sqrt(2 * np.pi))
     return np.sqrt(np.mean((x * x * density)[:-1]))                                  # both ends are equal: a plain mean
 
 
 widths = np.geomspace(0.05, 3, 40)
-errors = np.array([rounding_error(w) for w in widths])
+errors, at_a_tie = np.array([[rounding_error(w, middle) for w in widths] for middle in (0, 0.5)])
 assert abs(errors[-1] - 1 / np.sqrt(12)) < 1e-6 and abs(errors[0] - widths[0]) < 1e-6
+assert abs(at_a_tie[-1] - 1 / np.sqrt(12)) < 1e-6 and 0.45 < at_a_tie[0] < 0.5
 
 y = np.linspace(-2, 2.4, 500)
 smooth = (ndtr((y + step / 2 - 0.2) / 0.6) - ndtr((y - step / 2 - 0.2) / 0.6)) / step
@@ -111,11 +116,12 @@ axes[0].plot(kq, rounded / step, "o", color=lessons.COLORS[1], ms=8, label="roun
 axes[0].set(xlabel="value (units of the attribute)", ylabel="density (per unit)", xlim=(-2, 2.4), ylim=(0, 0.95),
             title="One curve through both ($q = 0.5$)")
 axes[0].legend(loc="upper left", fontsize=10)
-axes[1].semilogx(widths, errors, color=lessons.COLORS[1], label="rounding")
+axes[1].semilogx(widths, errors, color=lessons.COLORS[1], label="rounding, values about a multiple of $q$")
+axes[1].semilogx(widths, at_a_tie, ":", color=lessons.COLORS[2], lw=3, label="rounding, values about a tie")
 axes[1].axhline(1 / np.sqrt(12), color=lessons.COLORS[0], ls="--", label=r"noise: $q/\sqrt{12}$")
-axes[1].set(xlabel="deviation of the values, in steps $q$", ylabel="root mean square error, in steps $q$", ylim=(0, 0.33),
+axes[1].set(xlabel="deviation of the values, in steps $q$", ylabel="root mean square error, in steps $q$", ylim=(0, 0.55),
             title="Same error, unless a step is wider than the values")
-axes[1].legend(loc="lower right")
+axes[1].legend(loc="upper right", fontsize=11)
 lessons.show(figure, "07_noise_and_rounding")
 
 # %% [markdown]
@@ -126,9 +132,11 @@ lessons.show(figure, "07_noise_and_rounding")
 # %% [markdown]
 # Shapes: `f` and `u` have an entry for each number, so $\bar f$ is handed on unchanged (`"f": f_noisy_bar`). The step serves
 # all $n$ numbers of its anchor, so it collects: $\bar q_a = \sum_i u_{ai}\,\bar{\tilde f}_{ai}$.
-# In code: `(f_noisy_bar * res.u).sum(axis=1, keepdims=True)`.
+# In code: `(f_noisy_bar * res.u).sum(axis=1, keepdims=True)`. For the draws of "By hand" and $\bar{\tilde f} = (3, -8)$: -3.5.
 
 # %%
+one_anchor = noise.forward(np.array([[1.0, 2]]), np.array([[-0.5, 0.25]]), np.array([[0.2]]))[1]
+assert noise.backward(one_anchor, np.array([[3.0, -8]]))["q"] == -3.5
 f_noisy_bar = rng.normal(size=(A, n))
 bars = noise.backward(noise_res, f_noisy_bar)
 assert np.array_equal(bars["f"], f_noisy_bar)
@@ -138,8 +146,9 @@ change = noise.forward(f + d_f, u, q + d_q)[0].f_noisy - noisy.f_noisy          
 assert np.isclose((f_noisy_bar * change).sum(), (bars["f"] * d_f).sum() + (bars["q"] * d_q).sum(), rtol=1e-12)
 
 # %% [markdown]
-# What does $\bar f$ mean on average? Averaging the slope of a loss $L$ over the noise gives the slope of the averaged loss:
-# $$E_u\Bigl[\frac{dL}{df}(f+uq)\Bigr] = \frac{L(f+\frac{1}{2}q) - L(f-\frac{1}{2}q)}{q}$$
+# What does $\bar f$ mean on average? The mean $E_u$ over the draws is an integral over one step:
+# $$E_u\Bigl[\frac{dL}{df}(f+uq)\Bigr] = \frac{1}{q}\int_{f-\frac{1}{2}q}^{f+\frac{1}{2}q}\frac{dL}{df}(x)\,dx
+# = \frac{L(f+\frac{1}{2}q) - L(f-\frac{1}{2}q)}{q} = \frac{d}{df}E_u\bigl[L(f+uq)\bigr]$$
 # The gradient is right for a loss smoothed over one step; a single draw is an estimate of it, without bias.
 
 # %%
@@ -160,8 +169,8 @@ inner = rounding.forward(f + 1e-9, q)[0].f_hat
 assert np.abs(inner - hard.f_hat).max() == 0
 
 # %% [markdown]
-# *Straight-through* is the other way out: go forward with $\hat f$, go back as if it were $f$. That is Eq. (7) with one
-# particular draw, $u = (\hat f - f)/q$, always the same. Minimise $(x - 0.3)^2$ with step 1, starting at 0.
+# *Straight-through* is the other way out: go forward with $\hat f$, go back as if it were $f$. That is Eq. (7) with a draw
+# that is not random, $u = (\hat f - f)/q$. Minimise $(x - 0.3)^2$ with $q = 1$, starting at $f = 0$, in both ways.
 
 # %%
 def descend(draw, steps=4000, rate=0.02):
@@ -198,7 +207,7 @@ below = np.nextafter(0.5, 0)
 assert below < 0.5 and np.floor(below + 0.5) == 1 and np.rint(below) == 0 and np.floor(2.5 + 0.5) == 3
 
 # %% [markdown]
-# The cases with flag `tie` catch it, and the checker names the mistake.
+# The golden cases that stand on ties catch it, and the checker names the mistake.
 
 # %%
 from p4dgs_ref import oracle
@@ -216,8 +225,9 @@ print("passes all the same:", [r.id for r in report.results if r.verdict == "pas
 
 # %% [markdown]
 # ## What a codec does with it
-# Every lossy codec has this step size; in video it follows from the quantisation parameter. Halving it costs about 1 bit more
-# a number and makes the error 4 times smaller, 6.02 dB. This trade is what Eq. (8) learns, anchor by anchor.
+# Every lossy codec has this step size; in video it follows from the quantisation parameter. Where the values spread over several
+# steps, halving it costs about 1 bit more a number and makes the squared error 4 times smaller, 6.02 dB. This trade is what Eq.
+# (8) learns, anchor by anchor.
 
 # %%
 def entropy(step):
@@ -235,7 +245,7 @@ print({s: f"{entropy(s):.3f} bits, error {e:.2e}" for s, e in error.items()})
 
 # %% [markdown]
 # ## Exercises
-# **07.1** The symbols of $0.625$, $-0.3$, $0.125$ and $1.1$ with step $0.25$?
+# **07.1** The symbols of $0.625$, $-0.3$, $0.125$ and $1.1$ with step $0.25$? A list of four whole numbers.
 # **07.2** Write Eq. (10): symbols as integers, and `f_hat`. **07.3** Write the backward of Eq. (7).
 
 # %%
@@ -248,7 +258,7 @@ def my_rounding(f, q):
 
 
 def my_backward(inputs, cotangents):
-    """{"f", "q"}: gradients, from inputs["u"] (A, n) and cotangents["f_noisy_bar"] (A, n)."""
+    """{"f" (A, n), "q" (A, 1)}: gradients, from inputs["u"] (A, n) and cotangents["f_noisy_bar"] (A, n)."""
     raise NotImplementedError
 
 

@@ -21,7 +21,8 @@ rng = np.random.default_rng(8)
 # ## Claim
 # Not every anchor deserves the same precision. A network reads the context $h$ of the anchor and scales a base step:
 # $$q = Q_0\cdot\left(1+\tanh(\psi_q(h))\right) \tag{8}$$
-# So $q$ lies in $(0, 2Q_0)$, and a network that says nothing, $\psi_q = 0$, leaves $Q_0$.
+# $h$ is a row of numbers looked up at the anchor's place, the subject of `09_hash_grid`; here any numbers will do. So $q$ lies in
+# $(0, 2Q_0)$, and a network that says nothing, $\psi_q = 0$, leaves $Q_0$.
 
 # %% [markdown]
 # ## By hand
@@ -42,8 +43,9 @@ assert np.allclose(2 * expit(2 * u), 1 + np.tanh(u), rtol=1e-13)
 
 # %% [markdown]
 # ## In code
-# `h (A, I)` goes through `psi_q`, a network `I -> 4`; `Q_0 (4,)` has one base for each group of attributes, in the order
-# f, s, l, O; out comes `q (A, 4)`. Each column then serves all numbers of its group, as `07_noise_and_rounding` used it.
+# `h (A, I)` goes through `psi_q`, a network from `I` numbers to four; `Q_0 (4,)` has one base for each group of attributes, in
+# the order feature, scale, offset scaling, offsets: f, s, l, O. Out comes `q (A, 4)`. Each column then serves all numbers of its
+# group, as `07_noise_and_rounding` used it.
 
 # %%
 A, I = 6, 5
@@ -93,8 +95,8 @@ printed, sigmoid = (found[name, "float32"] for name in forms)
 assert printed[us <= -9].max() >= 1 and sigmoid.max() < 1e-6
 
 # %% [markdown]
-# What would a step of 0 do? The quotient $f/q$ is infinite, no integer is near it, and training stops on a number that is none.
-# And nothing would lead back: the slope $1 - \tanh^2 u$ is 0 there, too.
+# What would a step of 0 do? The quotient $f/q$ of Eq. (10) is infinite: no integer is near it, and no file can be written.
+# Nothing would lead training back, either: the slope $1 - \tanh^2 u$ is 0 there, too.
 
 # %%
 with np.errstate(divide="ignore"):
@@ -107,8 +109,9 @@ except OverflowError as error:
     print("rounding says:", error)
 
 # %% [markdown]
-# The sigmoid is alive at such $u$, but steps so small would ask for symbols beyond any integer. So the project adds a *floor*
-# (choice Q7): $q \ge 2^{-10} Q_0$, reached at $u = -3.812$. So far down the printed form has lost over two digits of seven.
+# The sigmoid is alive at such $u$, but the symbols $f/q$ would grow without bound as $q$ goes to zero. So the project adds a
+# *floor* (choice Q7): $q \ge 2^{-10} Q_0$, reached at $u = -3.812$. So far down the printed form has lost over two digits of
+# seven.
 
 # %%
 edge = 0.5 * np.log(step.FLOOR / 2 / (1 - step.FLOOR / 2))
@@ -144,11 +147,13 @@ by_difference = ((1 + np.tanh(0.5 + 1e-6)) - (1 + np.tanh(0.5 - 1e-6))) / 2e-6
 assert abs(u_bar(0.5, 1.0) - by_difference) < 1e-8 and 2 * 2 == 4
 
 # %% [markdown]
-# The code takes $1-s$ as `expit(-2u)`, the same number with all its digits. In floats $1 - s$ is 0 from $u = 19$ on: a step
-# at its upper end could then never come down. With `expit(-2u)` the slope at $u = 30$ is $4e^{-60}$: tiny, but alive.
+# The code takes $1-s$ as `expit(-2u)`, SciPy's sigmoid of $-2u$: the same number with all its digits. In `float64` $1 - s$ is 0
+# from $u = 19$ on: a step at its upper end could then never come down. With `expit(-2u)` the slope at $u = 30$ is $4e^{-60}Q_0$:
+# tiny, but alive. For a worked number take $u = 0$, $Q_0 = 1$, $\bar q = 3$:
+# $\bar u = 4\cdot\frac{1}{2}\cdot\frac{1}{2}\cdot 3 = 3$.
 
 # %%
-assert 1 - expit(2 * 19.0) == 0 and expit(-2 * 19.0) > 0
+assert 1 - expit(2 * 19.0) == 0 and expit(-2 * 19.0) > 0 and u_bar(0, 3) == 3
 assert np.isclose(u_bar(30.0, 1.0), 4 * np.exp(-60), rtol=1e-14)
 flat = step.forward(np.zeros((1, 1)), [np.zeros((1, 1))], [np.array([30.0])], np.ones(1))[1]
 assert np.isclose(step.backward(flat, np.array([[1.0]]))["biases"][0][0], 4 * np.exp(-60), rtol=1e-14)
@@ -186,8 +191,9 @@ print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
 
 # %% [markdown]
 # ## Break it
-# Drop the 2 inside: $q = 2Q_0\,\mathrm{sigmoid}(u)$. It still rises to $2Q_0$, it is $Q_0$ at $u = 0$, gradients fit it, and
-# training works. But a file that another program wrote gets other steps. The golden vectors name the mistake.
+# Drop the 2 inside: $q = 2Q_0\,\mathrm{sigmoid}(u)$. It still rises to $2Q_0$, and it is $Q_0$ at $u = 0$. Training makes up for
+# it: a last layer twice as large gives the old steps again. But a file that another program wrote gets other steps. The golden
+# vectors name the mistake.
 
 # %%
 def half_argument(h, weights, biases, Q_0):
@@ -197,14 +203,17 @@ def half_argument(h, weights, biases, Q_0):
 
 middle = half_argument(np.zeros((1, 1)), [np.zeros((1, 3))], [np.array([0.0, -40, 40])], Q_0[:3])[0] / Q_0[:3]
 assert middle[0] == 1 and middle[1] == step.FLOOR and middle[2] == 2
+doubled = half_argument(h, [weights[0], 2 * weights[1]], [biases[0], 2 * biases[1]], Q_0)
+assert np.allclose(doubled, out.q, rtol=1e-12)
 report = oracle.check(half_argument, "step")
 assert not report.ok and "2 psi_q" in report.first.explanation
 print(report.first.id, "fails:", report.first.explanation)
 
 
 # %% [markdown]
-# And the printed form under the same floor? It passes where $u$ is ordinary. Beside the floor the scalar vectors see that digits
-# are missing, though only a few of the many that `float64` has; a port in `float32` has none to spare.
+# And the printed form under the same floor? `step_floor` are golden vectors for the last line alone, $q$ from $u$. The form
+# passes where $u$ is ordinary. Beside the floor they see that digits are missing, though only a few of the many that `float64`
+# has; a port in `float32` has none to spare.
 
 # %%
 def printed_form(u, Q_0):
@@ -234,8 +243,9 @@ print("steps over Q_0, smallest and largest of each group:",
 
 # %% [markdown]
 # ## Exercises
-# **08.1** At which $u$ is the step half of $Q_0$?
-# **08.2** Write Eq. (8) with its floor; `mlp.forward` is yours to use. **08.3** Write its backward, with `mlp.backward`.
+# **08.1** At which $u$ is the step half of $Q_0$? **08.2** Write Eq. (8) with its floor;
+# `out, res = mlp.forward(x, weights, biases)` is yours to use, the network's output is `out.y`. **08.3** Write its backward,
+# no slope on the floor; `mlp.backward(res, u_bar)` gives a dictionary of `"x"`, `"weights"` and `"biases"`.
 
 # %%
 answer_1 = ...
@@ -247,7 +257,7 @@ def my_forward(h, weights, biases, Q_0):
 
 
 def my_backward(inputs, cotangents):
-    """{"h", "weights", "biases"}: gradients, from cotangents["q_bar"] (A, G)."""
+    """{"h" (A, I), "weights", "biases": lists}: gradients, from inputs as above and cotangents["q_bar"] (A, G)."""
     raise NotImplementedError
 
 

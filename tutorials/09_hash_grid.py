@@ -17,12 +17,13 @@ rng = np.random.default_rng(9)
 # ## Claim
 # Steps, Eq. (8), and priors, Eq. (12), are predicted from a context that the decoder has as well:
 # $$h = \mathcal{H}(x_a) \tag{9}$$
-# $\mathcal{H}$ is one grid in space and three in planes ($xy$, $xz$, $yz$), each in several resolutions. A grid at one
-# resolution is a *level*. Each of its nodes holds $F$ numbers, *features*, that are $+1$ or $-1$.
+# $\mathcal{H}$ is one grid in space and three in planes ($xy$, $xz$, $yz$). Each node holds $F$ numbers, *features*, that are
+# $+1$ or $-1$.
 
 # %% [markdown]
-# The paper prints no more. The rest is choice Q11: from Instant-NGP, which brought hash grids into graphics, and HAC, the codec
-# of still scenes whose prior the paper follows. Between nodes one interpolates, and $h$ is what all levels say, side by side:
+# The paper prints no more. The rest is choice Q11, from Instant-NGP, which brought hash grids into graphics, and HAC, the codec
+# of still scenes whose prior the paper follows: each grid in several resolutions, *levels*; between the nodes of a level one
+# interpolates; and $h$ is what all levels say, side by side. Level $l$ says
 # $$h_l(x_a) = \sum_{c} w_c(x_a)\,\mathrm{sign}\,\theta^l_{i_c(x_a)}$$
 
 # %% [markdown]
@@ -107,7 +108,7 @@ for r in set(row):
     axes[1].plot(*corner[row == r].T, "o", ms=30, color=color, mec="0.3", ls="")
 for (i, j), r in zip(corner, row):
     axes[1].text(i, j, r, ha="center", va="center", fontsize=13)
-axes[1].set(title=f"25 nodes, 11 entries: {np.count_nonzero(shared > 1)} nodes share one", aspect="equal",
+axes[1].set(title=f"25 nodes, 11 entries: {np.count_nonzero(shared > 1)} nodes share theirs", aspect="equal",
             xlim=(-0.6, 4.6), ylim=(-0.6, 4.6))
 for ax in axes:
     ax.set(xlabel="node along x", ylabel="node along y", xticks=range(5), yticks=range(5))

@@ -68,7 +68,7 @@ printed = -np.log2(ndtr(z + w / 2) - ndtr(z - w / 2))
 assert np.allclose(out.bits, printed, rtol=1e-9)
 
 # %% [markdown]
-# **The printed formula dies in the tail.** Right of the mean both values of $\Phi$ are near 1 and their difference is rounding.
+# **The printed formula dies in the tail.** Far right of the mean both values of $\Phi$ round to 1, and nothing is left between.
 # In `float64` it is 0 for $z = 9$, $w = 1$: infinite bits, and a gradient that is no number. In `float32`, $z = 6$ is enough.
 
 # %%
@@ -89,8 +89,8 @@ stable_9 = likelihood.forward(*(np.array([[v]]) for v in (9.0, 0.0, 1.0, 1.0)))[
 assert np.isclose(stable_9, -math.log2(ndtr(-8.5) - ndtr(-9.5)), rtol=1e-13)
 
 # %% [markdown]
-# At $z = 39$ even $\Phi(-low)$ is too small for a float. Its logarithm is not. $\Phi(-v) = \frac12\mathrm{erfc}(v/\sqrt2)$, and
-# $\mathrm{erfcx}(v) = e^{v^2}\mathrm{erfc}(v)$ is the tail with its main factor taken out, so $\log p = \log g - \frac{1}{2}low^2$ with
+# At $z = 39$ even $\Phi(-low)$ is too small for a float. Its logarithm is not. $\Phi(-v) = \frac12\mathrm{erfc}(v/\sqrt2)$,
+# and $\mathrm{erfcx}(v) = e^{v^2}\mathrm{erfc}(v)$ has the main factor taken out, so $\log p = \log g - \frac{1}{2}low^2$ with
 # $$g = \tfrac12\bigl(\mathrm{erfcx}(low/\sqrt2) - e^{(low^2 - high^2)/2}\,\mathrm{erfcx}(high/\sqrt2)\bigr).$$
 
 # %%
@@ -152,7 +152,7 @@ lessons.show(figure, "10_prior_and_likelihood")
 
 # %% [markdown]
 # ## Backward by hand
-# First in the two numbers. $\Phi' = \phi$, the edges move by $dz \pm \frac{1}{2}dw$. With $\phi_{up}$, $\phi_{low}$ for $\phi$ at the edges
+# First in the two numbers. $\Phi' = \phi$, the edges move by $dz \pm \frac{1}{2}dw$. With $\phi_{up}$, $\phi_{low}$ at the edges
 # $$dp = (\phi_{up} - \phi_{low})\,dz + \tfrac{1}{2}(\phi_{up} + \phi_{low})\,dw$$
 # What multiplies $dz$ and $dw$, divided by $p$, are the slopes of $\log p$: `slope_z` and `slope_w`.
 
@@ -166,7 +166,7 @@ assert np.allclose(b.slope_w, (phi_up + phi_low) / (2 * P), rtol=1e-8)
 # %% [markdown]
 # Then the four inputs. From $z = (\tilde f - \mu)/\sigma$ and $w = q/\sigma$, by the rule for quotients:
 # $$dz = \frac{d\tilde f - d\mu - z\,d\sigma}{\sigma}, \qquad dw = \frac{dq - w\,d\sigma}{\sigma}$$
-# $\sigma$ scales both, so it collects two terms. Bits are $-\log p/\ln 2$: every line below has the factor $\bar b/(\sigma\ln 2)$.
+# $\sigma$ scales both, so it collects two terms. Bits are $-\log p/\ln 2$: each line below has the factor $\bar b/(\sigma\ln 2)$.
 
 # %% [markdown]
 # $$\bar f = -\frac{\bar b}{\sigma\ln 2}\,slope_z, \quad \bar\mu = -\bar f, \quad \bar q = -\frac{\bar b}{\sigma\ln 2}\,slope_w,$$
@@ -214,8 +214,9 @@ assert prior.backward(clamped, sigma_bar=np.ones((1, 1)))["biases"][0].tolist() 
 
 # %% [markdown]
 # ## Break it
-# HAC puts a floor of 1e-6 under the mass: at most 19.93 bits, and never an infinity. Training runs, and reports a lower rate.
-# But on the floor the gradient is 0: a number 6 deviations out is never pulled in, though by Eq. (11) it costs 25.7 bits.
+# HAC, the codec of still scenes whose prior the paper follows, puts a floor of 1e-6 under the mass: at most 19.93 bits, and never
+# an infinity. Training runs, and reports a lower rate. But on the floor the gradient is 0: a number 6 deviations out is never
+# pulled in, though by Eq. (11) it costs 25.7 bits.
 
 # %%
 six = [np.array([[v]]) for v in (6.0, 0.0, 1.0, 1.0)]
@@ -234,9 +235,9 @@ assert all("tail" in names and "ordinary" not in names for names in found.values
 
 # %% [markdown]
 # ## What a codec does with it
-# The coder uses no floats: a last digit that differs on another machine would spoil all that follows. $\mu/q$ and $\log_2(\sigma/q)$
-# are rounded to multiples of small fractions, and $p$ becomes a count out of $2^{24}$. For $\mu = 0.3q$, $\sigma = 1.5q$ the symbol
-# $0$ costs 1.947 bits there. Eq. (11) says 1.965, and 1.947 with the rounded mean and deviation, $0.3125$ and $2^{9/16}$ steps.
+# The coder uses no floats: a last digit that differs on another machine would spoil all that follows. $\mu/q$ and
+# $\log_2(\sigma/q)$ are rounded to small fractions, and $p$ becomes a count out of $2^{24}$. For $\mu = 0.3q$, $\sigma = 1.5q$
+# the symbol $0$ costs 1.947 bits there. Eq. (11) says 1.965, and 1.947 with the rounded ones, $0.3125$ and $2^{9/16}$ steps.
 
 # %%
 from p4dgs_ref.codec.gaussian_table import gaussian_model
@@ -250,9 +251,9 @@ assert round(bits_in_file, 3) == 1.947 and [round(bits, 3) for bits in by_equati
 
 # %% [markdown]
 # ## Exercises
-# **10.1** $\log p$, natural, of the golden bins `z_golden`, `w_golden` below, an array as long: $|z|$ from $1$ to $40$, $w = 1$. The
-# formula with `erfcx` serves them all, mind the sign; so does `scipy.special.log_ndtr`, which is $\log\Phi$ with all its digits.
-# **10.2** The backward of Eq. (12), with `mlp.forward`, `mlp.backward`, `prior.layout` and the clamp, `prior.RAW_MIN` to `RAW_MAX`.
+# **10.1** $\log p$, natural, of the golden bins `z_golden`, `w_golden` below, an array as long: $|z|$ from $1$ to $40$, $w = 1$.
+# The formula with `erfcx` serves them all, mind $|z|$; so does `scipy.special.log_ndtr`, $\log\Phi$ with all its digits.
+# **10.2** The backward of Eq. (12), with `mlp.forward`, `mlp.backward`, `prior.layout`, `prior.RAW_MIN` and `RAW_MAX`.
 # **10.3** That of Eq. (11), from `gaussian_bin.stable(f, mu, sigma, q)`, which has `z`, `w`, `slope_z` and `slope_w`.
 
 # %%

@@ -20,7 +20,7 @@ rng = np.random.default_rng(11)
 # - \log_2 p(\tilde{s}_a)) \tag{13}$$
 
 # %% [markdown]
-# The grid's entries are $\pm 1$, and all share one probability $p_+$, which the entries themselves define, $p_\pm = N_\pm/N$:
+# The grid's $N$ entries are $+1$ ($N_+$ of them) or $-1$ ($N_-$). All share one $p_+$, which they define: $p_\pm = N_\pm/N$.
 # $$R_{\rm hash} = N_+(-\log_2(p_+)) + N_-(-\log_2(p_-)) \tag{14}$$
 # $$\mathcal{L}_{\rm rate} = R_{\rm anchor} + R_{\rm hash} \tag{17}$$
 
@@ -37,7 +37,8 @@ assert f"{by_hand:.3f}" == "6.490" and by_hand < 8 and abs(by_hand - 6.490) < 5e
 # %% [markdown]
 # ## In code
 # `anchor_rate` takes the bits of Eq. (11) in four arrays, `bits_f (A, d)`, `bits_O (A, k, 3)`, `bits_l (A, 3)`, `bits_s (A, 3)`,
-# and `mask (A, k)`: offsets of children that were given up (choice Q15) are not in the file and cost nothing.
+# and `mask (A, k)`: children that are hardly ever visible are masked for good (choice Q15); their offsets are not in the
+# file and cost nothing.
 
 # %%
 A, k, d = 5, 4, 7
@@ -51,7 +52,7 @@ assert np.isclose(anchors.R_anchor, one_by_one, rtol=1e-14) and anchors.R_anchor
 
 # %% [markdown]
 # `hash_rate` takes the levels `[(T, F), ...]` and counts over all of them together; a parameter of 0 counts as $+1$.
-# `rate_loss` adds the two, and also divides by the number of parameters, $A(d + 6 + 3k)$ (choice Q12).
+# `rate_loss` adds the two, and also divides by the number of the anchors' parameters, $A(d + 6 + 3k)$ (choice Q12).
 
 # %%
 grids = [np.array([[0.0, -0.4], [0.9, 0.2], [1.7, 0.1]]), np.array([[0.6, -1.3]])]
@@ -74,7 +75,7 @@ per_number = [rate_loss.forward(R, np.float64(0), a * (d + 6 + 3 * k))[0].L_rate
 assert np.isclose(*per_number, rtol=1e-14)
 
 # %% [markdown]
-# **All anchors, masked offsets counted.** Divide by the *coded* numbers instead, and masking a child whose offsets cost less
+# **All anchors, masked offsets counted.** Divide by the *coded* numbers instead, and masking children whose offsets cost less
 # than the mean would raise the loss, though it shortens the file.
 
 # %%
@@ -86,10 +87,13 @@ assert after / (A * (d + 6 + 3 * k)) < before / (A * (d + 6 + 3 * k))           
 
 # %% [markdown]
 # ## Backward by hand
-# Eq. (17) and Eq. (13) are sums: every kept number of bits receives what the sum receives, a masked one receives 0.
+# Eq. (17) and Eq. (13) are sums: every kept number of bits receives what the sum receives, a masked one receives 0. With
+# $n$ parameters, $bits$ for the undivided output, and $m$ the mask, $1$ for all that are no offsets:
 # $$\bar R_{\rm anchor} = \bar R_{\rm hash} = \frac{\bar{\mathcal L}_{\rm rate}}{n} + \overline{bits}, \qquad
 # \bar b_{aj} = m_{aj}\,\bar R_{\rm anchor}$$
-# $n$ is the number of parameters. In code: `np.full(shape, R_anchor_bar)`, then `bars["bits_O"][~res.mask] = 0`.
+
+# %% [markdown]
+# In code: `np.full(shape, R_anchor_bar)`, then `bars["bits_O"][~res.mask] = 0`. The function is linear: any step checks it.
 
 # %%
 n = A * (d + 6 + 3 * k)
@@ -105,15 +109,15 @@ assert np.isclose(top["R_anchor"] * change, sum((bars[m] * move[m]).sum() for m 
 # %% [markdown]
 # Eq. (14), as a function of $N_+$ alone, with $N_- = N - N_+$ and $R = N_+\log_2\frac{N}{N_+} + N_-\log_2\frac{N}{N_-}$:
 # $$\frac{dR}{dN_+} = \log_2\frac{N}{N_+} - \frac{1}{\ln 2} - \log_2\frac{N}{N_-} + \frac{1}{\ln 2} = \log_2\frac{N_-}{N_+}$$
-# The terms that come from $p_+$ and $p_-$ themselves cancel: to first order the price of a sign does not change.
+# One more $+1$ makes all $+1$ cheaper and all $-1$ dearer; to first order the two changes, $\mp\frac{1}{\ln 2}$, cancel.
 
 # %%
 R = lambda n_pos, N=8: n_pos * np.log2(N / n_pos) + (N - n_pos) * np.log2(N / (N - n_pos))
 assert np.isclose((R(6 + 1e-5) - R(6 - 1e-5)) / 2e-5, np.log2(2 / 6), rtol=1e-8)
 
 # %% [markdown]
-# Each entry is in $N_+$ by its sign $b$: $N_+ = \sum \frac{1}{2}(1 + b)$, since the way from $-1$ to $+1$ is 2 long and counts
-# one. So half of it per entry; and from $b$ to $\theta$ straight through, as in Eq. (9):
+# Each entry is counted in $N_+$ by its sign $b$: $N_+ = \sum \frac{1}{2}(1 + b)$, since the way from $-1$ to $+1$ is 2 long and
+# counts one. So each entry gets half the slope; and from $b$ to $\theta$ it goes straight through, as in Eq. (9):
 # $$\bar\theta = \tfrac{1}{2}\log_2\frac{N_-}{N_+}\;\bar R_{\rm hash} \quad\text{where } |\theta| \le 1, \text{ else } 0$$
 
 # %%
@@ -128,8 +132,8 @@ up, down = (smooth([g + s * 1e-6 * e for g, e in zip(grids, move)]).R_hash for s
 assert np.isclose(R_hash_bar * (up - down) / 2e-6, sum((b * e).sum() for b, e in zip(grid_bars, move)), rtol=1e-7)
 
 # %% [markdown]
-# All entries feel the same pull, away from 0 and toward the *majority*: the rate alone would make all signs equal, for 0 bits.
-# There the slope is infinite, and the code returns 0. What keeps signs apart is that $h$ must predict something.
+# All entries within $\pm 1$ feel the same pull, toward the sign of the *majority*. Below, the rate alone makes all signs equal,
+# for 0 bits. There the slope is infinite, and the code returns 0. What keeps signs apart is that $h$ must predict something.
 
 # %%
 theta, majority = rng.uniform(-0.3, 0.5, (200, 1)), []
@@ -141,8 +145,8 @@ assert majority == sorted(majority) and majority[-1] == 200 and out.R_hash == 0
 assert (hash_rate.backward(hash_rate.forward([theta])[1], 1.0)["grids"][0] == 0).all()
 
 # %% [markdown]
-# The picture: left, the price of a sign and the pull on it; right, a real file beside the sum. The model is that of the golden
-# vectors, whose numbers were drawn, not trained.
+# The picture: left, the mean price of a sign and the slope that all signs feel; right, a real file (bars) beside the sum (black
+# marks). The model is that of the golden vectors, whose numbers were drawn, not trained.
 
 # %%
 from p4dgs_ref.codec.inspect import ledger
@@ -193,7 +197,7 @@ print(report.first.id, "fails:", report.first.explanation)
 # %% [markdown]
 # ## What a codec does with it
 # The sum is an estimate; a file is what counts. Here the coded sections are longer than their equations say by 5 to 10 bytes
-# each: whole bytes, the coder's last state, a byte or five of header. Positions, masks and networks are in no equation.
+# each: the coder's last state, a short header, whole bytes. Positions, masks and networks are in no equation.
 
 # %%
 coded = {row["name"]: row for row in rows if row["name"] in IN_13 + IN_14}
@@ -205,7 +209,7 @@ print(f"{100 * seen:.0f} % of this file is in Eq. (17); it has 60 anchors, so it
 
 # %% [markdown]
 # ## Exercises
-# **11.1** The backward of Eq. (13). **11.2** The backward of Eq. (14).
+# **11.1** The backward of Eq. (13). **11.2** The backward of Eq. (14): one slope for all levels, from the signs of all.
 # **11.3** Eq. (17): the bits, and the bits per parameter; where there are no parameters, the loss is $0$.
 
 # %%
@@ -220,7 +224,7 @@ def my_hash_backward(inputs, cotangents):
 
 
 def my_rate(R_anchor, R_hash, n_parameters):
-    """bits (), L_rate ()."""
+    """All () -> bits, L_rate, in this order."""
     raise NotImplementedError
 
 

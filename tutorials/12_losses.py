@@ -22,8 +22,9 @@ truth = load_scene("bouncing").test[0].image[12:62, 4:58].astype(float) * 0.8 + 
 # $$\mathcal{L}_{render} = (1-\lambda_{SSIM})\,\mathcal{L}_1 + \lambda_{SSIM}\,\mathcal{L}_{D-SSIM} \tag{16}$$
 
 # %% [markdown]
-# $\mathcal{L}_1$ is the mean of $|x - y|$ over pixels and channels. The paper does not define $\mathcal{L}_{D-SSIM}$; we take
-# $1 - \mathrm{SSIM}$, as Gaussian splatting does. Means, variances and covariance are under a Gaussian window round each pixel:
+# $x$ is the rendered picture, $y$ the true one; $\mathcal{L}_1$ is the mean of $|x - y|$ over pixels and channels. The paper does
+# not define $\mathcal{L}_{D-SSIM}$; we take $1 - \mathrm{SSIM}$ (choice Q13), as Gaussian splatting does. SSIM compares means
+# $\mu$, variances $\sigma^2$ and the covariance $\sigma_{xy}$, all weighted by a Gaussian window round each pixel:
 
 # %% [markdown]
 # $$\mathrm{SSIM} = \operatorname{mean}\frac{(2\mu_x\mu_y + C_1)(2\sigma_{xy} + C_2)}
@@ -32,7 +33,7 @@ truth = load_scene("bouncing").test[0].image[12:62, 4:58].astype(float) * 0.8 + 
 # %% [markdown]
 # ## By hand
 # Take a window of two pixels with equal weights. The truth is 0.3 and 0.5, the picture 0.2 and 0.6: the right mean, 0.4, and
-# twice the contrast. Variances 0.04 and 0.01, covariance 0.02. The first factor is 1, the second and so SSIM is 0.8035.
+# twice the contrast. Variances 0.04 and 0.01, covariance 0.02. The first factor is 1; the second, and so SSIM, is 0.8035.
 # With $\mathcal{L}_1$ of 0.1 and $\lambda_{SSIM} = 0.2$ the render loss is 0.1193.
 
 # %%
@@ -49,7 +50,7 @@ assert round(0.8 * L1 + 0.2 * (1 - first * second), 4) == 0.1193
 # %% [markdown]
 # ## In code
 # Images are `(H, W, C)`; everything else is a number. The window is $11\times 11$, Gaussian of $\sigma = 1.5$, and around the
-# image lie zeros. Channels are treated apart. Here is the printed formula in SciPy's words, beside ours.
+# image lie zeros. Channels are treated apart. Here is the formula above in SciPy's words, beside ours.
 
 
 # %%
@@ -76,8 +77,9 @@ for name, image in images.items():
 assert scores["all brighter"] > scores["blurred"] > scores["noisy"]
 
 # %% [markdown]
-# Three damages with one and the same $\mathcal{L}_1$. For SSIM they are far apart, and it asks the pixels for different things.
-# The lower row shows $-\partial\mathrm{(loss)}/\partial x$ of the red channel, the way a descent would go.
+# Three damages with one and the same $\mathcal{L}_1$. For SSIM they are far apart, and it asks the pixels for different things:
+# of the brighter picture for almost nothing. Below each is $-n\,\partial(1-\mathrm{SSIM})/\partial x$ of the red channel, the way
+# a descent would go ($n$ is how many numbers a picture has); bottom left, where the blurred picture loses its SSIM.
 
 # %%
 figure, panels = plt.subplots(2, 4, figsize=(14, 7), layout="constrained")
@@ -90,7 +92,7 @@ for column, (name, image) in enumerate(images.items(), 1):
     shown = panels[1, column].imshow(wish, cmap="PuOr", vmin=-8, vmax=8)
     panels[1, column].set_title(r"what $1-$SSIM wants")
 panels[1, 0].imshow(1 - printed(images["blurred"], truth).mean(axis=2), cmap="cividis", vmin=0)
-panels[1, 0].set_title(r"$1-$SSIM of the blurred")
+panels[1, 0].set_title(r"blurred: map of $1-$SSIM")
 for ax in panels.ravel():
     ax.set(xticks=[0, 25, 50], yticks=[0, 25])
     ax.grid(False)
@@ -117,7 +119,7 @@ assert bars["L_rate"] == 1e-3 * 5 and bars["L_render"] == 5
 # **SSIM**, first one pixel's value as a function of its moments. A trick makes it short. With $e = x - y$, each numerator is
 # the denominator less a moment of $e$: $2\mu_x\mu_y = \mu_x^2+\mu_y^2-\mu_e^2$, $2\sigma_{xy}=\sigma_x^2+\sigma_y^2-\sigma_e^2$.
 # $$\mathrm{SSIM}_p = (1-\ell)(1-s),\quad \ell = \mu_e^2/D_1,\quad s = \sigma_e^2/D_2,$$
-# with $D_1$, $D_2$ the two denominators. Two pictures are equal where $\ell$ and $s$ are 0, and nothing cancels there.
+# with $D_1$, $D_2$ the two denominators, constants included. Where pictures are equal, $\ell = s = 0$, and nothing cancels.
 
 # %%
 blur = window.blur
@@ -149,7 +151,7 @@ steps = [np.subtract(at(*(np.array([m, E, X]) + d)), at(*(np.array([m, E, X]) - 
 assert np.allclose(steps, slopes, rtol=1e-7, atol=1e-9)
 
 # %% [markdown]
-# Now shapes. SSIM is a mean, so each pixel sends back a share of $1/n$. Collect what multiplies $dE$, $dX$ and $d\mu$:
+# Now shapes: all are maps, `(H, C, W)`; in the mean each entry has a share of $1/n$. Collect what multiplies $dE$, $dX$, $d\mu$:
 # $$\bar E = -\tfrac1n\frac{1-\ell}{D_2},\qquad \bar X = -s\,\bar E,\qquad
 #   \bar\mu = -\tfrac2n\frac{(1-s)(\mu_e - \ell\,\mu_x)}{D_1} + 2\bar E\,(s\,\mu_x - \mu_e).$$
 # In `ssim.py` these are `square_e_bar`, `square_x_bar` and `mu_bar`, in this order.
@@ -179,8 +181,9 @@ print(f"by differences {difference:.8f}, by gradient {inner(ours, d):.8f}")
 # %% [markdown]
 # ## Break it
 # At the border part of the window lies outside. Cut it and bring its weights back to one, instead of padding with zeros: a
-# sensible idea, and another function. Inside nothing differs, and training goes on. But the noisy picture has SSIM 0.933 with
-# zeros and 0.840 without: the edge to the zeros is structure that all pictures share. Such scores must not stand in one table.
+# sensible idea, and another function. Away from the border nothing differs, and training goes on. But the noisy picture has
+# SSIM 0.933 with zeros and 0.840 without: the edge to the zeros is structure that all pictures share. Such scores must not
+# stand in one table.
 
 
 # %%
@@ -199,7 +202,7 @@ print("the checker:", verdict.first.explanation)
 
 # %% [markdown]
 # ## What a codec does with it
-# Eq. (15) is what every encoder minimises: distortion plus $\lambda$ times rate. $\lambda$ is a price, loss per bit. Take the
+# Eq. (15) is what video encoders minimise: distortion plus $\lambda$ times rate. $\lambda$ is a price, loss per bit. Take the
 # simplest codec, pixels rounded to a step $q$ and coded at their entropy. For each price one step is best: the point where a
 # line of slope $-\lambda$ touches the curve from below.
 
@@ -232,7 +235,8 @@ assert all(rate[best[low]] >= rate[best[high]] for low, high in ((0.003, 0.01), 
 
 # %% [markdown]
 # ## Exercises
-# **12.1** For the golden case printed below, with $\lambda_{rate} = 10^{-3}$: $\mathcal{L}_{total}$ and its two gradients.
+# **12.1** For the golden case printed below, with $\lambda_{rate} = 10^{-3}$, three numbers: $\mathcal{L}_{total}$,
+# $\bar{\mathcal{L}}_{render}$, $\bar{\mathcal{L}}_{rate}$; `out_bar.L_total` is $\bar{\mathcal{L}}_{total}$.
 # **12.2** Write Eq. (16); `ssim.dissimilarity(image, truth)[0]` is $1 - \mathrm{SSIM}$ with all its digits, which $1$ less
 # a rounded SSIM is not: one golden case has nearly equal images. **12.3** Write the backward of SSIM, with `window.blur`.
 

@@ -16,9 +16,9 @@ ellipse = np.exp(1j * np.linspace(0, 2 * np.pi, 90)).view(float).reshape(-1, 2).
 
 # %% [markdown]
 # ## Claim
-# The networks give each Gaussian three scales $s$ and a unit quaternion $r = (w, x, y, z)$. The renderer wants a covariance:
+# Each Gaussian has three scales $s$ and a unit quaternion $r = (w, x, y, z)$, which stands for a turn. The renderer wants
 # $$\Sigma = R\,S\,S^T R^T, \qquad S = \mathrm{diag}(s).$$
-# The paper prints no number for this; it is taken over from Gaussian splatting. Eq. (6) hands in $s'$ and $r'$.
+# The paper does not print this covariance; it is that of Gaussian splatting. What comes in are $s'$ and $r'$ of Eq. (6).
 
 # %% [markdown]
 # The matrix of a unit quaternion is
@@ -49,8 +49,8 @@ assert np.allclose(R, [[0, -1], [1, 0]], atol=1e-15) and S.diagonal().tolist() =
 assert np.allclose(R @ S @ S @ R.T, [[4, 0], [0, 9]], atol=1e-14)
 
 # %% [markdown]
-# What the picture shows: $R S$ bends a circle into the ellipse. Its columns are the half axes, so $\Sigma = (RS)(RS)^T$ can
-# never have a negative variance, whatever the networks say. That is why nobody predicts the entries of $\Sigma$.
+# What the picture shows: $M = RS$ bends a circle into the ellipse; its columns are the half axes. As $v^T\Sigma v = |M^Tv|^2$,
+# no direction $v$ has a negative variance, whatever the networks say. Predicted one by one, entries of $\Sigma$ could have.
 
 # %%
 figure, panels = plt.subplots(1, 4, figsize=(13, 5), sharey=True, layout="constrained")
@@ -87,7 +87,7 @@ assert np.array_equal(covariance.forward(-s, -r)[0].Sigma, out.Sigma)
 
 # %% [markdown]
 # Where does the printed matrix come from? A quaternion turns a vector $v$ by the product $r\,v\,r^*$, where $v$ has real part
-# zero and $r^* = (w, -x, -y, -z)$. Multiply it out, use $w^2+x^2+y^2+z^2 = 1$ on the diagonal, and read off the matrix.
+# zero and $r^* = (w, -x, -y, -z)$. Multiply it out (`product`), use $w^2+x^2+y^2+z^2 = 1$ on the diagonal, read off the matrix.
 
 
 # %%
@@ -117,7 +117,7 @@ assert m_bar == 30 and abs(Sigma_bar * ((m + h) ** 2 - (m - h) ** 2) / (2 * h) -
 # %% [markdown]
 # As matrices we need two rules for $\langle A, B\rangle = \sum_{ij} A_{ij}B_{ij}$, the way a loss answers a small change:
 # $$\langle A,\; B\,C\rangle = \langle A\,C^T,\; B\rangle, \qquad \langle A,\; B^T\rangle = \langle A^T,\; B\rangle.$$
-# The first moves a factor to the other side, the second a transpose. All matrix gradients in this project follow from them.
+# The first moves a factor to the other side, the second a transpose. Matrix gradients here and in `14_projection` need no more.
 
 # %%
 A, B, C = rng.normal(size=(3, 4)), rng.normal(size=(3, 5)), rng.normal(size=(5, 4))
@@ -195,8 +195,8 @@ print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
 
 # %% [markdown]
 # One thing looks wrong and is not. $\bar r$ has a part along $r$, though only the direction of $r$ means anything. It is the
-# plain derivative of the printed matrix, which is a rotation on the unit sphere only. The normalisation before this step,
-# Eq. (6), takes that part away: its backward is the projector of `02_view`, with four axes.
+# plain derivative of the printed matrix, which is a rotation on the unit sphere only. The normalisation before this step
+# (choice Q9, in our Eq. (6)) takes that part away: its backward is the projector of `02_view`, with four axes.
 
 # %%
 unit, norm = normalise(2.5 * r)
@@ -253,8 +253,8 @@ assert round(100 * halved / difference) == 50
 
 # %% [markdown]
 # ## What a codec does with it
-# $\Sigma$ has six numbers, $s$ and $r$ have seven. Still nobody codes $\Sigma$: rounded on a grid it need not be a covariance any
-# more, while a rounded $s$ and a normalised rounded $r$ always give one.
+# P-4DGS predicts $s$ and $r$ and codes neither. A codec that does store shapes had better not round $\Sigma$: on a grid it need
+# not be a covariance any more, while a rounded $s$ and a normalised rounded $r$ always give one.
 
 # %%
 s_flat, r_many = np.exp(rng.uniform(-4, 0, (2000, 3))), normalise(rng.normal(size=(2000, 4)))[0]
@@ -267,7 +267,7 @@ print(f"no covariance any more: {100 * broken[0]:.0f} % of the rounded Sigma, {1
 
 # %% [markdown]
 # ## Exercises
-# **13.1** $\Sigma$ of $r = (\frac12, \frac12, \frac12, \frac12)$ and $s = (1, 2, 3)$, by hand: where does each axis go?
+# **13.1** $\Sigma$ `(3, 3)` of $r = (\frac12, \frac12, \frac12, \frac12)$, $s = (1, 2, 3)$, by hand: where does each axis go?
 # **13.2** Write the forward. **13.3** Write its backward. Replace the dots and the `raise` lines and run the cell.
 
 # %%
@@ -292,6 +292,7 @@ lessons.backward("13.3", my_backward, "covariance")
 # ## Check your port
 # `p4dgs-ref oracle check DIR --only covariance` reads what a port wrote. The vectors' $\bar\Sigma$ is not symmetric: a port
 # that takes it to be, and writes $2\bar\Sigma M$, fails. So does one that projects $\bar r$ on the sphere: that is Eq. (6).
+
 # %%
 port = lambda s, r: np.einsum("nij,nj,nkj->nik", covariance.rotation_matrix(r), s**2, covariance.rotation_matrix(r))
 verdict = oracle.check(port, "covariance")

@@ -15,15 +15,16 @@ inner = lambda a, b: (a * b).sum()
 
 # %% [markdown]
 # ## Claim
-# A camera sees a Gaussian's mean at a pixel and its $\Sigma$ as a covariance of pixels. With $x_c = W x_{world} + T = (x, y, z)$:
+# A camera (focal lengths $f_x, f_y$, centre $c_x, c_y$, in pixels) sees a mean at a pixel $\mu$ and $\Sigma$ as a covariance of
+# pixels. Along its axes the mean is $x_c = W x_{world} + T = (x, y, z)$ (in Eq. (2) $x_c$ was the camera's place), and
 # $$\mu = \Bigl(f_x \tfrac{x}{z} + c_x,\; f_y \tfrac{y}{z} + c_y\Bigr),\quad \Sigma_{2D} = J W \Sigma W^T J^T + 0.3\,I,\quad
 #   K = \Sigma_{2D}^{-1}.$$
 
 # %% [markdown]
-# $J$ is the slope of $\mu$ in $(x, y, z)$; $K$ is the *conic*, which the next tutorial reads at every pixel. The paper numbers
-# none of this: it is Gaussian splatting's.
+# $J$ is the slope of $\mu$ in $(x, y, z)$, but for the clip; $K$ is the *conic*, which the next tutorial reads at every pixel.
+# The paper prints none of this: it is Gaussian splatting's. What the clip and the $0.3$ are for is said under *In code*.
 # $$J = \begin{pmatrix} f_x/z & 0 & -f_x u/z \\ 0 & f_y/z & -f_y v/z \end{pmatrix},\quad
-#   u = \mathrm{clip}(x/z, \pm 1.3\,W/2f_x),\; v = \mathrm{clip}(y/z, \pm 1.3\,H/2f_y)$$
+#   u = \mathrm{clip}(x/z, \pm 1.3\,width/2f_x),\; v = \mathrm{clip}(y/z, \pm 1.3\,height/2f_y)$$
 
 # %% [markdown]
 # ## By hand
@@ -72,15 +73,14 @@ lessons.show(figure, "14_projection_line")
 
 # %% [markdown]
 # ## In code
-# The same with three axes. We run the module, and beside it the steps one by one; every name here is also in `projection.py`.
+# The same with three axes. We run the module, and beside it the steps one by one, with the names of `projection.py`.
 # Matrices are `m (N, 2, 3)`, the rows of $JW$; three numbers $(a, b, c)$ stand for the symmetric `[[a, b], [b, c]]`.
 
 # %%
 N = 5
 s, r = rng.uniform(0.1, 0.5, (N, 3)), rng.normal(size=(N, 4))
 Sigma = covariance.forward(s, r / np.linalg.norm(r, axis=1, keepdims=True))[0].Sigma
-W, T = np.linalg.qr(rng.normal(size=(3, 3)))[0], np.array([0.1, -0.2, 4.0])
-x = rng.normal(size=(N, 3)) * 0.7
+W, T, x = np.linalg.qr(rng.normal(size=(3, 3)))[0], np.array([0.1, -0.2, 4.0]), rng.normal(size=(N, 3)) * 0.7
 x[0] = (np.array([5, 0.4, 2.5]) - T) @ W                                              # far to the side: beyond the clamp
 view = dict(W=W, T=T, focal=np.array([80.0, 65]), center=np.array([30.2, 24.9]), size=np.array([64, 48]))
 out, res = projection.forward(x, Sigma, **view)
@@ -96,9 +96,9 @@ assert np.allclose(out.mean2d, view["focal"] * ratio + view["center"], rtol=1e-1
 assert np.allclose(out.cov2d, cov.reshape(N, 4)[:, [0, 1, 3]]) and np.allclose(out.conic, K.reshape(N, 4)[:, [0, 1, 3]])
 
 # %% [markdown]
-# Three constants. At a depth of 0.2 or less, or where the determinant is not positive, a row is *culled*: zeros, and no gradient.
-# The blur, 0.3 square pixels, keeps each standard deviation above 0.54 pixels. The clamp, at 1.3 times the half width: far to
-# the side $-f_x u/z$ grows without bound, and a splat beside the image would smear into it.
+# Three constants. At a depth of 0.2 or less, or where $\det\Sigma_{2D}$ is not positive or not finite, a row is *culled*: zeros,
+# no gradient. The blur, 0.3 square pixels, keeps standard deviations above 0.54 pixels. The clamp, at 1.3 times the half
+# width: far to the side $-f_x u/z$ would grow without bound, and a splat beside the image would smear into it.
 
 # %%
 side, straight = np.linspace(0, 3, 200), {**view, "W": np.eye(3), "T": np.zeros(3)}
@@ -135,7 +135,8 @@ assert matrix(np.array([[2, 6, 5]]))[0].tolist() == [[2, 3], [3, 5]] and np.arra
 # %% [markdown]
 # **Conic.** As scalars: $k = 1/v$ gives $dk = -dv/v^2 = -k^2\,dv$. As matrices: differentiate $K\Sigma_{2D} = I$,
 # $$dK\,\Sigma_{2D} + K\,d\Sigma_{2D} = 0 \;\Rightarrow\; dK = -K\,d\Sigma_{2D}\,K \;\Rightarrow\; D_\Sigma = -K\,D_K\,K,$$
-# the last step by $\langle A, BC\rangle = \langle AC^T, B\rangle$ twice, and $K = K^T$. No determinant is differentiated.
+# $D_K$, $D_\Sigma$ being $D$ of conic and covariance. The last step uses $\langle A, BC\rangle = \langle AC^T, B\rangle$, its
+# mirror image $\langle A, BC\rangle = \langle B^TA, C\rangle$, and $K = K^T$. No determinant is differentiated.
 
 # %%
 conic_bar, cov2d_bar = rng.normal(size=(2, N, 3))
@@ -173,7 +174,7 @@ answer = inner(D, dm @ Sigma @ m.transpose(0, 2, 1) + m @ Sigma @ dm.transpose(0
 assert np.isclose(answer, inner(m_bar, dm), rtol=1e-12)
 
 # %% [markdown]
-# **$JW$ to $u$, $v$ and $z$.** Row $i$ of $m$ is $\frac{f_i}{z}(W_i - u_i W_3)$: linear in $u_i$, and all of it over $z$. So
+# **$JW$ to $u_1 = u$, $u_2 = v$ and $z$.** With $W_i$ the rows of $W$, row $i$ of $m$ is $\frac{f_i}{z}(W_i - u_i W_3)$. So
 # $$\bar u_i = -\frac{f_i}{z}\,\bar m_i\cdot W_3,\qquad \bar z = -\frac1z\sum_{ij}\bar m_{ij}\,m_{ij}.$$
 # **Clamp**: $\bar u$ passes where $|x/z|$ is not beyond the limit, and is lost where it is.
 
@@ -203,7 +204,7 @@ assert abs(difference - sum(inner(ours[n], d[n]) for n in d)) < 1e-7 * abs(diffe
 
 # %% [markdown]
 # What does it mean in space? A wish about the *mean* moves a Gaussian across its ray: along the ray the pixel does not change,
-# so $\bar x_c\cdot x_c = 0$. A wish about the *size* is what moves it in depth: nearer is larger.
+# so $\bar x_c\cdot x_c = 0$. A wish for a larger *size* brings it nearer.
 
 # %%
 grid = np.stack(np.meshgrid(np.linspace(-1.2, 1.2, 7), [0.0], [2.0, 3.0, 4.0]), axis=-1).reshape(-1, 3)
@@ -219,8 +220,7 @@ for ax, arrows, color, what in ((panels[0], of_mean, "C0", r"one pixel to the ri
     ax.quiver(grid[:, 0], grid[:, 2], arrows[:, 0], arrows[:, 2], color=color, angles="xy", width=0.008)
     ax.plot([], [], color=color, label=r"gradient $\bar x$")
     ax.plot(grid[:, 0], grid[:, 2], "o", ms=5, color="0.4", label="Gaussians")
-    ax.set_title(what, fontsize=13)
-    ax.set(xlabel="x (scene units)", ylabel="depth z (scene units)", aspect="equal", xlim=(-2, 2), ylim=(-0.3, 4.6))
+    ax.set(title=what, xlabel="x (scene units)", ylabel="depth z (scene units)", aspect="equal", xlim=(-2, 2), ylim=(-0.3, 4.6))
 panels[1].legend(loc="lower right", fontsize=11)
 figure.suptitle("Which way a pixel's wish moves a Gaussian, seen from above", fontsize=16)
 lessons.show(figure, "14_projection")
@@ -268,7 +268,7 @@ assert off[8] > 1 and off[16] < 0.02 and sizes == (2.6, 4, 1111)
 # %% [markdown]
 # ## Exercises
 # **14.1** The flat Gaussian of "By hand" stands twice as far away, at $(1, 8)$. What is its variance in pixels, blur included?
-# **14.2** Write the forward. **14.3** Write its backward. Replace the dots and the `raise` lines and run the cell.
+# **14.2** Write the forward: what is too near as if at $(0, 0, 1)$, then zeros where culled. **14.3** Write its backward.
 
 # %%
 answer_1 = ...
@@ -280,7 +280,7 @@ def my_forward(x, Sigma, W, T, focal, center, size):
 
 
 def my_backward(inputs, cotangents):
-    """{"x", "Sigma"}, from cotangents["mean2d_bar"], ["cov2d_bar"], ["conic_bar"], ["depth_bar"]."""
+    """{"x" (N, 3), "Sigma" (N, 3, 3)}, from cotangents["mean2d_bar"], ["cov2d_bar"], ["conic_bar"], ["depth_bar"]."""
     raise NotImplementedError
 
 

@@ -21,7 +21,8 @@ inner = lambda a, b: (a * b).sum()
 
 # %% [markdown]
 # $T_i$ is the *transmittance* before splat $i$, $\alpha_i T_i$ its *weight*, $K_i$ the conic of `14_projection`, $\alpha_i$ the
-# opacity of Eq. (3). The paper prints no number for this sum; it is Gaussian splatting's.
+# opacity of Eq. (3), $N$ how many splats there are. $0.99$ lets some light through to all that is behind. The paper does not
+# print this sum; it is Gaussian splatting's.
 
 # %% [markdown]
 # ## By hand
@@ -109,15 +110,15 @@ print("gradient of the three opacities:", alpha_bar.round(4))
 # %% [markdown]
 # No division, and one sweep from the back: keep `behind` and update it by $B_{i-1} = B_i + \alpha_i(c_i - B_i)$. With colours,
 # $g$ has three entries; everything is linear in them, so the sweep carries numbers $v_i = c_i\cdot g$ in place of colours. If the
-# transmittance is an output too, it enters as a part of the background: `behind = g @ background + h`.
+# transmittance is an output too, its $\bar T_N$ joins the background's: `behind = g @ background + h`, with $h = \bar T_N$.
 
 # %%
 image_bar, T_bar = rng.normal(size=(height, width, 3)), rng.normal(size=(height, width))
 G = image_bar.reshape(-1, 3)
-V, light_behind = color @ G.T, G @ inputs["background"] + T_bar.ravel()
+v, light_behind = color @ G.T, G @ inputs["background"] + T_bar.ravel()
 A_bar = np.empty_like(A)
 for i in reversed(range(len(A))):
-    gain = V[i] - light_behind                                                        # v_i - B_i
+    gain = v[i] - light_behind                                                        # v_i - B_i
     light_behind = light_behind + A[i] * gain                                         # B_(i-1)
     A_bar[i] = before[i] * gain                                                       # T_i (v_i - B_i)
 ours = compositing.backward(res, image_bar, T_bar)
@@ -164,7 +165,7 @@ assert abs(difference - sum(inner(ours[n], d[n]) for n in moved)) < 1e-6 * abs(d
 # %% [markdown]
 # What do the pixels want of a splat? Two round splats, the front one out of place; the loss is $\frac12\|C - C^*\|^2$. Each pixel
 # pulls each opacity up where more of it is missing, down where it hides what should be seen: $-T_i\,(c_i - B_i)\cdot g$. These
-# pulls, each times its distance to the mean, add up to the arrow that moves the splat.
+# pulls, each times $\alpha_i(p)\,K_i(p - \mu_i)$ as above, add up to the arrow that moves the splat.
 
 # %%
 k, front, back = (0.06, 0.02), np.array([0.9, 0.6, 0]), np.array([0, 0.45, 0.7])
@@ -189,7 +190,7 @@ for i in range(2):
     panels[2 + i].quiver(*pair["mean2d"][i], *-5 * bars["mean2d"][i], angles="xy", scale_units="xy", scale=1, width=0.02)
 panels[0].set_ylabel("v (pixels)")
 figure.colorbar(shown, ax=panels, label=r"$-\bar\alpha_i(p)$: more (+) or less", shrink=0.7)
-figure.suptitle(r"Every pixel pulls at every splat that covers it; arrows: $-\bar\mu$", fontsize=16)
+figure.suptitle(r"Every pixel pulls at every splat that covers it; arrows: $-5\,\bar\mu$", fontsize=16)
 lessons.show(figure, "15_compositing")
 
 # %% [markdown]
@@ -242,9 +243,9 @@ print(f"by differences {truth:.4f}, by gradient {inner(right, d['alpha']):.4f}, 
 
 # %% [markdown]
 # ## What a codec does with it
-# A splat that nobody sees costs as many bits as any other. Its light, $\sum_p \alpha_i(p)\,T_i(p)$, is what $\bar c_i$ sums for
-# a cotangent of one, so it comes for free. Of 400 splats the half with the most light comes to 30 decibels of the whole.
-# That is why offsets whose opacity stays small are masked for good, and cost no bits in the file.
+# A splat that nobody sees costs bits like any other. Its light, $\sum_p \alpha_i(p)\,T_i(p)$, is what $\bar c_i$ sums for
+# a cotangent of one: a backward tells it. Of 400 splats the half with the most light alone gives the image to 30 decibels.
+# So children whose opacity stays small are masked for good (choice Q15), and their offsets cost no bits in the file.
 
 # %%
 many = dict(**compositing.random_splats(rng, 400, 48, 64, (1.5, 5), (0.1, 0.95)), background=np.ones(3), height=48, width=64)
@@ -260,20 +261,21 @@ assert len(share) == 400 and round(psnr["most"]) == 30 and psnr["least"] < 15
 
 # %% [markdown]
 # ## Exercises
-# **15.1** In the pixel of "By hand", layer $1$ turns white. Give four numbers: the pixel and the gradients of the opacities.
-# **15.2** Write the forward. **15.3** Write its backward. Replace the dots and the `raise` lines and run the cell.
+# **15.1** In the pixel of "By hand", layer $1$ turns white. Four numbers: the pixel and, for $g = 1$, the three $\bar\alpha_i$.
+# **15.2** Write the forward; `alpha_max` stands for $0.99$. **15.3** Write its backward; rows that are not visible get zeros.
 
 # %%
 answer_1 = ...
 
 
-def my_forward(mean2d, conic, alpha, color, depth, visible, background, height, width, occlusion=True):
+def my_forward(mean2d, conic, alpha, color, depth, visible, background, height, width, occlusion=True, alpha_max=0.99):
     """-> image (height, width, 3), transmittance (height, width); without occlusion every T is one, the last too."""
     raise NotImplementedError
 
 
 def my_backward(inputs, cotangents):
-    """{"mean2d", "conic", "alpha", "color", "background"}, from cotangents["image_bar"] and ["transmittance_bar"]."""
+    """{"mean2d", "conic", "alpha", "color", "background"}, from cotangents["image_bar"] and ["transmittance_bar"]; `inputs`
+    may lack "occlusion" and "alpha_max". Without occlusion nothing is behind anything: alpha_i_bar = c_i . g."""
     raise NotImplementedError
 
 

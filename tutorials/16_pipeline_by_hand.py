@@ -24,7 +24,7 @@ say = lambda name, values: print(f"{name:26s}", " ".join(f"{v:.4f}" for v in np.
 
 # %% [markdown]
 # ## Claim
-# Two chains start at an anchor. One ends in a pixel, the other in bits; Eq. (15) adds them up.
+# Two chains start at an anchor. One ends in $C(p)$, the colour of a pixel $p$, the other in bits; Eq. (15) adds them up.
 # $$\begin{gathered}\text{anchor} \xrightarrow{(1)-(4)} \text{Gaussians} \xrightarrow{(5), (6)} \text{Gaussians at } t \to C(p)
 #   \xrightarrow{(16)} \mathcal{L}_{render}\\ x_a \xrightarrow{(9)} h \xrightarrow{(8), (12)} q, \mu, \sigma
 #   \xrightarrow{(7), (11)} \text{bits} \xrightarrow{(13), (14), (17)} \mathcal{L}_{rate}\end{gathered}$$
@@ -44,7 +44,7 @@ draw = lambda *shape: rng.integers(-8, 9, shape) / 16
 networks = {name: ([draw(*pair) for pair in layers], [draw(columns) for _, columns in layers])
             for name, layers in design.layers().items()}
 networks["psi_alpha"][1][-1] += [1, 1]                                                # so that both children are seen
-networks["psi_d"] = tuple([part[0], *(a / 8 for a in part[1:])] for part in networks["psi_d"])
+networks["psi_d"] = tuple([part[0], *(a / 8 for a in part[1:])] for part in networks["psi_d"])       # changes stay small
 assert design.layers()["psi_alpha"] == [(6, 3), (3, 2)] and 2 + 1 + 3 == 6 and x_c == [0, 0, -4] and f_a == [0.5, -1]
 
 # %% [markdown]
@@ -112,7 +112,7 @@ for name in splat(moved[0]):
     say(f"{name} of both children", [splat(child)[name] for child in moved])
 
 # %% [markdown]
-# **Compositing.** Pixel $(18, 12)$, front to back: how strong is each splat, how much light reaches it, what is left behind?
+# **Compositing.** Pixel $(18, 12)$, front to back: how strong is each splat there, and what does it leave for those behind it?
 
 # %%
 def look(children):
@@ -134,7 +134,7 @@ say("weights, background last", [w for w, _ in parts]), say("red, green, blue of
 # **Pricing.** The anchor stands in the middle of the box from -1 to 1, where every level of the grid gives the plain mean of its
 # 8 or 4 signs: $h$, Eq. (9). Two networks make steps, means, deviations of it, Eqs. (8) and (12). The 2 + 3 + 3 + 6 = 14 numbers
 # are priced by Eq. (11), the 20 signs by Eq. (14). Noise, Eq. (7), is a draw; ours is 0. Eqs. (13) and (17) add up; the sum
-# is divided by 14 (choice Q12).
+# is divided by 14 (choice Q12; the README lists all choices).
 
 # %%
 levels = [draw(T, F) for T, F in design.levels()]
@@ -170,8 +170,8 @@ print(f"L_render {L_render:.6f}, L_total {L_total:.6f}")
 
 # %% [markdown]
 # ## In code
-# The same in four calls: `predict` is Fig. 1 up to the Gaussians at $t$, `render.forward` its last box, `context` is Fig. 2, and
-# `objective.forward` is all of it with the loss. Every number above must come out again. Pixel $(u, v)$ is `image[v, u]`.
+# The same in four calls: `predict` is Fig. 1 up to the Gaussians at $t$, `render.forward` its last box, `context` the
+# first half of Fig. 2, `objective.forward` all of it with the loss. Our numbers must come out again; `image[v, u]` is a pixel.
 
 # %%
 arrays, mask, background = [np.array([a], float) for a in (x_a, f_a, s_a, l_a, O_a)], np.ones((1, 2), bool), np.array(white)
@@ -201,16 +201,17 @@ for child, name in zip(moved, ("child 0", "child 1")):
     circle = np.linalg.cholesky([[a, b], [b, c]]) @ [np.cos(turn), np.sin(turn)] + np.array(splat(child)["mean2d"])[:, None]
     scene.plot(*circle, color="C1" if name == "child 0" else "C2", label=f"{name}, one deviation")
 scene.plot(*p, "s", ms=11, mfc="none", mec="k", mew=2.5, ls="none", label="our pixel")
-scene.set(xlabel="u (pixels)", ylabel="v (pixels)", title="Our anchor's picture at t = 0.5")
+scene.set(xlabel="u (pixels)", ylabel="v (pixels)", title="Our anchor's two children at t = 0.5")
 bars.set(xticks=range(3), xticklabels=["red", "green", "blue"], ylabel="value", title="What our pixel is made of", ylim=(0, 1))
 scene.legend(fontsize=10, loc="lower left"), bars.legend(fontsize=11)
 lessons.show(figure, "16_pipeline_by_hand")
 
 # %% [markdown]
 # ## Backward by hand
-# How does the pixel's blue depend on feature 0? One path of many: through child 0's blue. Its factors, from the pixel back:
-# $$\frac{\partial C_{blue}}{\partial f_0} \ni \underbrace{\alpha_0 T_0}_{weight}\cdot\underbrace{c(1-c)}_{sigmoid'}\cdot
-#   \sum_{m:\,\text{awake}} W^0_{0,m}\,W^1_{m,2}$$
+# How does the pixel's blue depend on feature 0? One path of many: through child 0's blue, $c$. From the pixel back, with $m$ over
+# the hidden units of $\psi_c$ that are awake, that is, that ReLU lets pass:
+# $$\frac{\partial C_{blue}}{\partial f_0} = \underbrace{\alpha_0 T_0}_{weight}\cdot\underbrace{c(1-c)}_{sigmoid'}\cdot
+#   \sum_{m:\,\text{awake}} W^0_{0,m}\,W^1_{m,2} + \text{other paths}$$
 
 # %%
 (W0, W1), (b0, b1) = networks["psi_c"]
@@ -235,13 +236,14 @@ bars_g = render.backward(res_r, image_bar)
 share = {n: predict_backward(res_g, **{**none, n: bars_g[n[:-4]]})[0]["f_a"][0, 0] for n in none}
 up, down = (look([temporal(child, t)[0] for child in spatial([f_a[0] + d, f_a[1]])[0]])[0][2] for d in (e, -e))
 assert share["x_bar"] == 0 and abs((up - down) / (2 * e) - sum(share.values())) < 1e-9
-print("through", {n[:-4]: f"{value:+.5f}" for n, value in share.items()})
-print(f"together {sum(share.values()):+.6f}, by differences {(up - down) / (2 * e):+.6f}")
+print("through", {n[:-4]: f"{value:+.5f}" for n, value in share.items()},
+      f"together {sum(share.values()):+.6f}, by differences {(up - down) / (2 * e):+.6f}")
 
 # %% [markdown]
 # ## Break it
-# Forget to normalise after adding $\Delta r$. The picture looks right: no pixel changes by more than 0.1, for another length of
-# the quaternion only stretches the splat. The golden vectors of the stage compare $r'$ itself, and name Eq. (6).
+# Forget to normalise after adding $\Delta r$; Eq. (6) does not print it (choice Q9). The picture looks right: no pixel changes by
+# more than 0.1, for a quaternion of another length turns and stretches the splat a little differently. The golden vectors of
+# the stage compare $r'$ itself, and name Eq. (6).
 
 # %%
 def careless(x, s, r, t, L_x, L_t, psi_d_weights, psi_d_biases):
@@ -268,22 +270,21 @@ print(f"symbols {symbols}; {len(data)} bytes; the pixel before {np.round(pixel, 
 
 # %% [markdown]
 # ## Exercises
-# **16.1** What is the pixel's colour, three numbers, at $t = 0$? **16.2** Write Eqs. (1) to (4) and masking for arrays.
-# **16.3** Write the backward of all of them together. Modules of `p4dgs_ref.equations` may be used: the exercise is the wiring.
+# **16.1** What is the pixel's colour, three numbers, at $t = 0$? (At $t = 0.5$ it is `pixel`.) **16.2** Write Eqs. (1) to (4) and
+# masking for arrays. Without `view_geometry` in `effects`, $\psi_\alpha$, $\psi_r$, $\psi_s$ read f alone, without
+# `view_color` $\psi_c$: give them two arrays `(A, 0)` for Eq. (2). **16.3** Write the backward of all of them together. Modules
+# of `p4dgs_ref.equations` may be used: the exercise is the wiring.
 
 # %%
 answer_1 = ...
-
 
 def my_forward(x_a, f_a, s_a, l_a, O_a, mask, x_c, tau_alpha, effects, **networks):
     """networks: psi_alpha_weights, psi_alpha_biases, ...; -> {"x", "s", "r", "alpha", "color", "index"} of what is kept."""
     raise NotImplementedError
 
-
 def my_backward(inputs, cotangents):
     """{"x_a", "f_a", "s_a", "l_a", "O_a"}, from cotangents["x_bar"], ["s_bar"], ["r_bar"], ["alpha_bar"], ["color_bar"]."""
     raise NotImplementedError
-
 
 lessons.number("16.1", answer_1, look([temporal(child, 0.0)[0] for child in canonical])[0])
 lessons.forward("16.2", my_forward, "spatial_prediction")

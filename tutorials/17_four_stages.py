@@ -22,9 +22,9 @@ plt, paper = lessons.pyplot(), PRESETS["paper_synthetic"]
 
 # %% [markdown]
 # ## Claim
-# The model is not trained all at once. Each stage adds one thing to the one before it (choice Q24): 1 a still scene;
+# The model is not trained all at once. Each stage adds one thing (choice Q24; the README lists all choices): 1 a still scene;
 # 2 noise, Eq. (7), with $q = Q_0$; 3 time, Eqs. (5) and (6); 4 the hash grid, steps of Eq. (8), and the rate in Eq. (15):
-# $$\tilde f = f + u\,q,\quad q = 0,\; Q_0,\; Q_0,\; Q_0(1+\tanh\psi_q(h)),\qquad
+# $$\tilde f = f + u\,q,\quad u \in [-\tfrac12, \tfrac12),\quad q = 0,\; Q_0,\; Q_0,\; Q_0(1+\tanh\psi_q(h)),\qquad
 #   \mathcal{L} = \mathcal{L}_{render} + \lambda\,[\text{stage 4}]\,\mathcal{L}_{rate}.$$
 
 # %%
@@ -34,7 +34,7 @@ assert stages == [1, 2, 3, 4]
 # %% [markdown]
 # ## By hand
 # The paper's synthetic scenes end their stages after 3000, 5000, 10000 and 40000 iterations: they last 3000, 2000, 5000 and
-# 30000. Counted from 0, iteration 4999 still belongs to stage 2. Three quarters of all work, 75 percent, is stage 4.
+# 30000. Counted from 0, iteration 4999 still belongs to stage 2. Stage 4 has 75 percent of all iterations.
 
 # %%
 ends = np.array(paper.stage_ends)
@@ -107,12 +107,12 @@ top.plot(changes["stage_ends"], scores, "D", ms=10, color="C1", ls="none", label
 low.plot(iteration[rate > 0], rate[rate > 0], color="C2")
 top.set(ylabel="PSNR (dB)", ylim=(10, 28.5), title="Each stage switches something on; the rate exists only in the last")
 low.set(xlabel="iteration", ylabel="bits per number", ylim=(0, None))
-top.legend(loc="lower right", framealpha=1), top.set_xlim(0, 530)
+top.legend(loc="lower right", framealpha=1), top.set_xlim(0, 540)
 lessons.show(figure, "17_four_stages_curve")
 
 # %% [markdown]
-# What it looks like: before time exists, whatever moves is a smear over all its places. Time sharpens it. The rate may not cost
-# a visible thing, or $\lambda$ is too large.
+# What it looks like: before time exists, whatever moves is a smear over all its places. Time sharpens it. The rate should
+# cost nothing that can be seen; otherwise $\lambda$ is too large.
 
 # %%
 view = max(scene.test, key=lambda v: np.abs(snapshots[0].render(v.camera, None) - v.image).mean())       # most to gain
@@ -124,7 +124,7 @@ figure, panels = plt.subplots(1, 5, figsize=(14, 4.2), layout="constrained")
 for ax, picture, title in zip(panels, (*pictures, view.image), ("1 still", "2 noise", "3 time", "4 rate", "truth")):
     ax.imshow(picture), ax.axis("off")
     ax.set_title(title if title == "truth" else f"{title}\n{psnr(picture, view.image):.1f} dB")
-figure.suptitle(f"A test view at t = {view.time:.2f}, at the end of each stage", fontsize=16)
+figure.suptitle(f"Time sharpens what moves: a test view at t = {view.time:.2f}, at the end of each stage", fontsize=16)
 lessons.show(figure, "17_four_stages")
 
 # %% [markdown]
@@ -170,8 +170,9 @@ assert difference(0 * noise)[0] == 0 and through_bits < 0            # no noise:
 
 # %% [markdown]
 # Now everything at once: in each stage the gradient against a difference along a random direction. What a stage does not use has
-# the gradient 0 in every entry, not only a learning rate of 0. Two ways are left out on purpose: once things move, none from
-# $\mathcal{E}(x)$ into places and what moves them (Q10); in the last stage the grid learns through its signs. These rest here.
+# the gradient 0 in every entry, not only a learning rate of 0. Two gradients differ from the slope on purpose: none flows through
+# $\mathcal{E}(x)$ back to x (choice Q10), and signs have no slope, so the grid gets a straight-through one (`09_hash_grid`).
+# Whatever a difference would move through these, rests: x_a, O_a, log_l, and in the last stage the grid and $\psi_q$.
 
 # %%
 for stage, p, on in saved:
@@ -220,7 +221,7 @@ assert without[0] > noisy[0] and without[1] < noisy[1] and coarse["mask_from"] =
 # %% [markdown]
 # ## What a codec does with it
 # An encoder in two passes: the first looks at the scene, the second spends the bits. Nothing before stage 4 knows what a number
-# costs; from there on, the same pictures get cheaper. And the decoder needs none of this: it has no stages.
+# costs; from there on, numbers get cheaper. And the decoder needs none of this: it has no stages.
 
 # %%
 in_stage_4 = rate[rate > 0]
@@ -235,6 +236,7 @@ assert in_stage_4[-1] < 0.8 * in_stage_4[0] and len(in_stage_4) == 200 and train
 # **17.1** Which percentage of its iterations does the preset `paper_real` spend in stage 3? **17.2** In which stage does each of
 # the arrays x_a, f_a, log_s, log_l, O_a, psi_alpha, psi_c, psi_r, psi_s, psi_d, psi_p, psi_q, grid first move, in `tiny`?
 # Thirteen numbers. **17.3** Write what the last stage adds: the gradients of all bits for the noisy numbers and the steps.
+# `bits` is Eq. (13) plus Eq. (14), without the offsets of masked children; `L_rate` is `bits` over all numbers, masked ones too.
 
 # %%
 answer_1 = ...
@@ -242,7 +244,10 @@ answer_2 = ...
 
 
 def my_backward(inputs, cotangents):
-    """{"noisy" (A, n), "q" (A, 4)}, from cotangents["bits_bar"] and ["L_rate_bar"], two scalars; use likelihood's backward."""
+    """{"noisy" (A, n), "q" (A, 4)}, from cotangents["bits_bar"] and ["L_rate_bar"], two scalars; use likelihood's backward.
+
+    inputs: "noisy", "mu", "sigma" (A, n), columns f, s, l, O; "q" (A, 4), a step serves a group; "mask" (A, k); "d", "k".
+    """
     raise NotImplementedError
 
 

@@ -119,7 +119,7 @@ assert (len(weights["context_mlps"]) * 2, x_a) == (len(sections["context_mlps"])
 f = int.from_bytes(sections["masks"], "little")
 assert f == 2**24 and len(sections["masks"]) == 4                     # probability one: no message follows
 f, = struct.unpack_from("<I", sections["hash_grid"])
-x, signs = int.from_bytes(sections["hash_grid"][5:13], "little"), []
+x, signs = int.from_bytes(sections["hash_grid"][5:13], "little"), []  # byte 4: size of x
 for _ in range(4):
     slot = x % 2**24
     begin, wide = (0, 2**24 - f) if slot < 2**24 - f else (2**24 - f, f)
@@ -129,8 +129,8 @@ assert f / 2**24 == 3 / 4 and 2**24 - f == 2**22 and signs == [1, 1, 1, -1] and 
 
 # %% [markdown]
 # **Features, scales, offsets** are whole numbers $\lfloor f/q\rceil$, each with a table of its own, made from the integers that
-# stand for $\mu/q$ and $\sigma/q$. For the one feature here they are 2331 (of 1024) and -56 (of 16, a logarithm): mean 2.28,
-# deviation 0.09 of a step. The message is `x = 0x80c0d682`; its slot lies in the block of the symbol 2. So $f = 2q$.
+# stand for $\mu/q$ and $\log_2(\sigma/q)$. For the one feature here they are 2331, in units of $1/1024$, and -56, in units of
+# $1/16$: mean 2.28, deviation 0.09 steps. The message is `x = 0x80c0d682`; its slot lies in the symbol 2's block: $f = 2q$.
 
 # %%
 q = quantised_of(sections)
@@ -167,6 +167,7 @@ lessons.show(figure, "19_file_byte_by_byte")
 # A file has no backward. Move one feature: its symbol changes at ties only, so the bytes are constant almost everywhere and
 # their gradient is 0 or does not exist. What training follows is the smooth estimate of Eq. (11), below beside the truth.
 # Here a trained model of 60 anchors: all features of one anchor moved together, step by step, the file written anew each time.
+# Far out the stairs stay below: a table gives a rare symbol one count of $2^{24}$, so 24 bits, where Eq. (11) asks for more.
 
 # %%
 golden = (oracle.path() / "model.p4dgs").read_bytes()
@@ -184,7 +185,7 @@ for values in moved:
 estimate, res = likelihood.forward(moved, *(np.tile(a[7, :d], (73, 1)) for a in (prior.mu, prior.sigma)), np.full((73, d), step))
 slope = likelihood.backward(res, np.ones((73, d)))["f_noisy"].sum(axis=1)
 assert len(g.positions) == 60 and 1 < len(set(lengths)) < len(set(integer)) < len(moved) == np.count_nonzero(slope)
-assert set(np.diff(lengths)) <= {-4, 0, 4}                            # words of 32 bits
+assert integer[-1] < 24 * d < estimate.bits[-1].sum() and set(np.diff(lengths)) <= {-4, 0, 4}      # words of 32 bits
 figure, axes = plt.subplots(figsize=(9, 5))
 axes.plot(steps_up, estimate.bits.sum(axis=1), label="estimate, Eq. (11)")
 axes.step(steps_up, integer, where="mid", label="ideal bits under whole-number tables")
@@ -197,7 +198,7 @@ lessons.show(figure, "19_what_no_gradient_sees")
 # %% [markdown]
 # ## Break it
 # Flip one bit of the file, any: it is refused, all 7840 times. Now the plausible mistake: a reader that skips the checksums.
-# Half of this file is weights, and a damaged weight is still a weight: the file opens, the picture is merely wrong.
+# Half of this file is weights, and a damaged weight is still a weight: the file opens, and nobody is told.
 
 # %%
 def flipped(message, bit):
@@ -225,7 +226,7 @@ assert taken > tried / 2
 # ## What a codec does with it
 # A video stream is built alike: a start code, units with a type and a length, parameter sets first, then coded symbols.
 # In the trained model the four sections that prediction and context act on are 748 of 9730 bytes; networks are most of the rest.
-# The paper's scenes have more anchors: there the attributes weigh more, and the frame nothing.
+# The paper's scenes have more anchors: there the attributes weigh more, and the frame hardly anything.
 
 # %%
 sizes = dict(container.layout(golden))
@@ -244,9 +245,8 @@ for row in inspect.ledger(golden):
 answer_1 = ...
 answer_2 = ...
 
-
 def my_container(data):
-    """{name of container.SECTIONS: bytes}; raises ValueError where frame, table or a checksum is wrong."""
+    """{name of container.SECTIONS: bytes}; ValueError: magic, version, lengths, checksums, ids unknown or not rising."""
     raise NotImplementedError
 
 
@@ -278,8 +278,8 @@ assert grade_container(container.read_container) == [23, 13]
 # %% [markdown]
 # ## Check your port
 # `p4dgs-ref oracle check DIR --only codec` reads what a port decoded from the streams; or from Python, an object that decodes.
-# What a port gets wrong here: native instead of little-endian numbers, lengths believed before they are checked, a section that
-# may be absent, and positions divided by `65536` instead of `65535`.
+# What a port gets wrong here: native instead of little-endian numbers, lengths believed before they are checked, a section
+# missed that may be absent, positions divided by `65536` instead of `65535`.
 
 # %%
 class Port:

@@ -69,7 +69,7 @@ assert found == "acab"
 # %% [markdown]
 # ## In code
 # Now six features of one anchor of a trained model. Each has its own Gaussian, so its own parts; the project's tables hold
-# them as whole numbers of $2^{24}$. Where the width is no power of two one bit more is enough for a number inside.
+# them as whole numbers of $2^{24}$. Any interval as wide as $2^{-b}$ holds a multiple of $2^{-b}$: bits are rounded up, once.
 
 # %%
 symbols = model.symbols[7, :6]
@@ -86,7 +86,7 @@ def parts_of(i):
 
 way = narrow(symbols.tolist(), [parts_of(i) for i in range(6)])
 low, width = way[-1]
-bits = math.ceil(-math.log2(width)) + 1
+bits = math.ceil(-math.log2(width))
 number = math.ceil(low * 2**bits)                                     # the first binary fraction of that length inside
 assert low <= Fraction(number, 2**bits) < low + width
 print(f"symbols {symbols.tolist()}: probability {float(width):.3g}, {-math.log2(width):.2f} bits, sent as {number:0{bits}b}")
@@ -142,7 +142,7 @@ for x in range(200):
 path = [1]
 for s in reversed("acab"):
     path.append(push(path[-1], s))
-print("states:", path, "so", math.log2(path[-1] / path[0]), "bits")
+print("states:", path, f"so {math.log2(path[-1] / path[0]):.2f} bits, not 6: while x is small, rounding counts")
 
 # %%
 figure, axes = plt.subplots(1, 3, figsize=(18, 5.5), layout="constrained")
@@ -179,7 +179,7 @@ lessons.show(figure, "20_intervals_to_rans")
 
 # %% [markdown]
 # **The state must not grow for ever.** Here $M = 2^{24}$, and $x$ is kept from $2^{31}$ to below $2^{63}$: before a push that
-# would go beyond, the 32 low bits go to a stack; after a pop that falls below, they come back. The worked message of
+# would go beyond, $x \ge f\,2^{39}$, the 32 low bits go to a stack; after a pop that falls below, they return. The message of
 # `rans.py`: probabilities $\frac34$ and $\frac14$, message $0\,1\,0$, 9 bytes: one for lanes and size, then $x$.
 
 # %%
@@ -232,8 +232,9 @@ for _ in range(2000):
 # %%
 bits = model.model.anchors.mask.ravel()
 bit_keys = np.array([0, 2**24 - sections.probability_of_one(bits.sum(), bits.size), 2**24])
-backwards = rans.decode(rans.encode(bits[::-1].astype(int), bit_keys), np.zeros(len(bits), int), bit_keys)[0]
-assert backwards.sum() == bits.sum() and np.array_equal(backwards[::-1], bits) and not np.array_equal(backwards, bits)
+right, wrong = (rans.encode(way.astype(int), bit_keys) for way in (bits, bits[::-1]))
+backwards = rans.decode(wrong, np.zeros(len(bits), int), bit_keys)[0]
+assert len(right) == len(wrong) and np.array_equal(backwards[::-1], bits) and not np.array_equal(backwards, bits)
 try:
     rans.decode(rans.encode(entries[::-1], every.keys), every.table, every.keys)
     raise AssertionError("a reversed message was taken")
@@ -260,14 +261,13 @@ for row in inspect.ledger(data):
 # %%
 answer_1 = ...
 
-
 def my_encode(entries, keys):
     """bytes: lane byte, x (low word, high word if there is one), the stack, its top first; entry i is keys[i] ... keys[i+1]."""
     raise NotImplementedError
 
 
 def my_decode(message, count, keys):
-    """The entries, as many as `count`, of what my_encode made."""
+    """The entries, as many as `count`, of what my_encode made; at the end x is 2^31 and no word is left."""
     raise NotImplementedError
 
 

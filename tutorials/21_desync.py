@@ -45,8 +45,8 @@ assert (55 * 9 + 8, 55 * 10 + 8) == (503, 558) and (503 % 16, 558 % 16) == (7, 1
 
 # %% [markdown]
 # ## In code
-# A codec as one writes it first: `float32`, tables $\lfloor 2^{16}\,\Phi\rfloor$ and one count more for each symbol.
-# All 1416 numbers of a trained model go into one message, anchor by anchor.
+# A codec as one writes it first: $\mu$, $\sigma$ in `float32`, for $n$ symbols $\lfloor(2^{16} - n)\,\Phi\rfloor$ and one count
+# more for each. All 1416 numbers of a trained model go into one message, anchor by anchor.
 
 # %%
 BITS = 16
@@ -97,7 +97,8 @@ assert len(sent) == 1416 and np.array_equal(received, sent) and last == 2**31
 
 # %% [markdown]
 # **One ulp.** Now the decoder has one deviation, of symbol 665, too large by one unit in the last place: less than a part in
-# eight million. That symbol itself comes out right. The next is wrong, and 643 of the 750 that follow.
+# eight million. Most such errors change no count of a table; this one does. The symbol itself comes out right, the next is
+# wrong, and in all 643 of the 750 that follow.
 
 # %%
 victim = 665
@@ -111,7 +112,7 @@ assert 0 < nudged[victim] / sigma[victim] - 1 < 1 / 8e6 and last != 2**31
 # %% [markdown]
 # What does it look like? The wrong symbols are not white noise. A random state read through the tables gives each symbol with
 # its own probability: the rest of the picture is *drawn at random from the prior*, plausible blobs in wrong places.
-# In bits under the tables it looks innocent, about as many as the true symbols have. Only the last state would tell.
+# In bits under the tables it looks innocent, about as many as the true symbols have. Only the last state, at the end, tells.
 
 # %%
 def price(symbols):
@@ -244,9 +245,10 @@ assert whole / floats - 1 < 0.001
 
 # %% [markdown]
 # ## Exercises
-# **21.1** Pop state $1001$ from the table by hand: which states follow, at $9$ and at $10$ slots for $A$? **21.2** Write
-# `my_network(x, layers)`, whole numbers in and out (`fixed_point.py`, items $2$ to $4$; a layer has `W`, `b`, `s`).
-# **21.3** Write $\sigma$ in units, item $6$ of `context.py`. Both are tried on the golden stream `full`.
+# **21.1** Pop state $1001$ from the table by hand: which two states follow, at $9$ and at $10$ slots for $A$? **21.2** Write
+# `my_network`: layers (`W`, `b`, `s`) make $y = xW + b$, hidden ones $\max(0, \lfloor(y + \lfloor 2^s/2\rfloor)/2^s\rfloor)$.
+# **21.3** Write $\sigma$ in units: with $l = \lfloor(94548\,raw + 2^{15})/2^{16}\rfloor$, $94548$ for $2^{16}\log_2 e$, it is
+# $\lfloor(l - \log_2 D - (p - 39)\,2^{16} + 2^{11})/2^{12}\rfloor$, clipped to $-128 \ldots 319$. The stream `full` is the test.
 
 # %%
 answer_1 = answer_2 = answer_3 = ...

@@ -1,5 +1,6 @@
 """What every command needs: its mistakes, its output, its progress line."""
 import json
+import os
 import shutil
 import sys
 import time
@@ -10,8 +11,12 @@ class UsageError(ValueError):
 
 
 def show(arguments, value, lines):
-    """Print a value as JSON or, without --json, as text."""
-    print(json.dumps(value, indent=1) if arguments.json else lines)
+    """Print a value as JSON or, without --json, as text.  A reader that has enough (`| head`) does not change the exit code."""
+    try:
+        print(json.dumps(value, indent=1) if arguments.json else lines)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def log(arguments):

@@ -8,7 +8,7 @@ def oracle_list(arguments):
     from ..oracle.report import listing
     from ..oracle.vectors import read_manifest
     manifest = read_manifest()
-    show(arguments, manifest["subjects"], listing(manifest))
+    show(arguments, {name: manifest[name] for name in ("subjects", "streams")}, listing(manifest))
 
 
 def oracle_path(arguments):
@@ -34,17 +34,24 @@ def oracle_check(arguments):
     from ..oracle.report import as_json
     from ..oracle.vectors import names
     if (arguments.folder is None) == (arguments.adapter is None):
-        raise UsageError("oracle check: expected a folder of a port's answers, or --adapter CMD")
+        raise UsageError("oracle check: expected either a folder of a port's answers or --adapter CMD")
     if arguments.folder and not Path(arguments.folder).is_dir():
         raise UsageError(f"{arguments.folder}: expected a folder of a port's answers")
-    if arguments.only not in (None, *names()):
-        raise UsageError(f"--only {arguments.only}: expected one of {', '.join(names())}")
-    port = FolderPort(arguments.folder) if arguments.folder else Adapter(arguments.adapter, arguments.timeout, arguments.dtype)
+    if arguments.folder and (arguments.dtype or arguments.timeout):
+        raise UsageError("--dtype, --timeout: of the adapter; a folder's precision is that of its tensors")
+    if unknown := [name for name in arguments.only if name not in names()]:
+        raise UsageError(f"--only {unknown[0]}: expected one of {', '.join(names())}")
+    port = FolderPort(arguments.folder) if arguments.folder else Adapter(
+        arguments.adapter, arguments.timeout or 10.0, arguments.dtype or "float64")
     line = Line(arguments.quiet)
     try:
-        report = check_port(port, arguments.level or None, arguments.only, progress=line)
+        report = check_port(port, arguments.level, arguments.only, progress=line)
     finally:
         port.close()
         line.close()
-    show(arguments, as_json(report), str(report))
+    if not report.results:
+        raise UsageError(f"--level {' '.join(arguments.level)} --only {' '.join(arguments.only)}: no such case")
+    note = "\nthis folder holds the vectors themselves, not a port's answers" if arguments.folder and (
+        Path(arguments.folder) / "manifest.json").is_file() else ""
+    show(arguments, as_json(report), str(report) + note)
     return 0 if report.ok else 1

@@ -214,14 +214,19 @@ def render(arguments):
 
 def evaluate(arguments):
     from ..codec.file import encode as encode_model
+    from ..codec.quantise import EncodeError
     from ..experiments.evaluate import compression, json_safe, timed
     from ..experiments.evaluate import evaluate as measure
     data, model, seconds = read_file(arguments.file)
     scene = read_test_scene(arguments)
     with checked(arguments):
         metrics, rows, images = measure(model, scene)
+    try:
+        encoding = timed(encode_model, model)[1]
+    except (OverflowError, EncodeError):           # a file may hold numbers that our encoder would not write
+        encoding = None
     metrics = {"scene": scene.name, **metrics, **compression(model, data, metrics["gaussians"]),
-               "encode_seconds": timed(encode_model, model)[1], "decode_seconds": seconds}
+               "encode_seconds": encoding, "decode_seconds": seconds}
     if arguments.output:
         from ..experiments.report import write_comparison
         with filled(arguments.output) as beside:

@@ -23,8 +23,9 @@ class Report(NamedTuple):
 
     @property
     def first(self):
-        """The first required case that diverges, or None."""
-        return next((r for r in self.results if r.wrong), None)
+        """The first required case that was answered wrongly, else the first that was not answered, else None."""
+        wrong = [r for r in self.results if r.wrong]
+        return next((r for r in wrong if r.findings), next(iter(wrong), None))
 
     def levels(self):
         """{level: {passed, of, says}} over the required cases."""
@@ -47,7 +48,7 @@ def judge(case, port, roles=("out.", "in_bar.")):
     try:
         got = {name: np.asarray(a) for name, a in port.run(case).items()}
     except PortError as error:
-        return result(error.kind, said=str(error)), None
+        return result(error.kind, said=printable(str(error))), None
     tolerance = case.tolerance(precision(got))
     if tolerance is None:
         return result("unasked")._replace(required=False), None
@@ -63,32 +64,38 @@ def check_subject(cases, port, roles=("out.", "in_bar.")):
         result, got = judge(case, port, roles)
         results.append(result)
         if got is not None:
-            answers.append((case, got, bool(result.findings)))
+            answers.append((case, got, [f.tensor for f in result.findings]))
     if any(r.findings for r in results):
-        said = sentence(doctor.explain(cases[0].subject, answers))
+        said = sentence(*doctor.diagnose(cases[0].subject, answers))
         results = [r._replace(explanation=said) if r.findings and not r.explanation else r for r in results]
     return results
 
 
-def sentence(explained):
+def printable(text):
+    """A port's words without what would move the cursor or cannot be written."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def sentence(explained, part=""):
     """What the doctor found, in one sentence; empty if nothing."""
     found = [f"{mistake.description} [{mistake.id}]" for mistake, _, _ in explained]
     if not found:
         return ""
     agreed, failed = explained[0][1:]
-    return " or ".join(found) + ("" if agreed == failed else f" (explains {agreed} of {failed} cases)")
+    limits = [f"{agreed} of {failed} cases"] * (agreed != failed) + [f"the {part} alone"] * bool(part)
+    return " or ".join(found) + (f" (explains {', '.join(limits)})" if limits else "")
 
 
-def check_port(port, levels=None, only=None, folder=FOLDER, progress=lambda text: None):
-    """A Report on everything, or some levels, or one subject."""
-    results = []
+def check_port(port, levels=(), only=(), folder=FOLDER, progress=lambda text: None):
+    """A Report on everything, or on some levels, or on `only` some subjects or equations, in the order of the data."""
+    results, only = [], (only,) if isinstance(only, str) else only
     manifest = read_manifest(folder)
-    for level in levels or LEVELS:
-        if level == "L3" and only in (None, "codec"):
+    for level in (level for level in LEVELS if not levels or level in levels):
+        if level == "L3" and (not only or "codec" in only):
             progress("codec")
             results += streams.check(port)
         for subject in manifest["subjects"]:
-            if subject["level"] == level and only in (None, subject["key"], subject["equation"]):
+            if subject["level"] == level and (not only or {subject["key"], subject["equation"]} & set(only)):
                 progress(subject["key"])
                 results += check_subject(published.read(subject, folder), port)
     return Report(_share(results), tuple(port.strangers()))

@@ -9,10 +9,27 @@ LENIENCE = 4           # a mistake's numbers are computed another way than the p
 HUGE = np.finfo(np.float32).max
 
 
+ROLES = {"outputs": ("out.",), "gradients": ("in_bar.",)}
+
+
+def diagnose(subject, answers):
+    """`explain` of all that was answered; if nothing explains that, of outputs or gradients: (mistakes, which alone).
+
+    A port that was written by hand often has the mistake in one direction only.
+    """
+    found = explain(subject, answers)
+    for part, roles in ROLES.items() if not found else ():
+        one = [(case, {n: a for n, a in got.items() if n.startswith(roles)}, [n for n in wrong if n.startswith(roles)])
+               for case, got, wrong in answers]
+        if any(wrong for *_, wrong in one) and (found := explain(subject, one)):
+            return found, part
+    return found, ""
+
+
 def explain(subject, answers):
     """The mistakes with which a port's answers agree, the best first: [(mistake, cases explained, cases that fail)].
 
-    Shapes     answers [(case of the vectors, got {name: array}, whether it is wrong)] of one subject, right ones too
+    Shapes     answers [(case of the vectors, got {name: array}, names of its wrong tensors)] of one subject, right ones too
     """
     found = []
     for mistake in MISTAKES:
@@ -22,8 +39,8 @@ def explain(subject, answers):
         contradicted = False
         for case, got, wrong in answers:
             agrees = _agrees(mistake, case, got, wrong)
-            failed += wrong
-            agreed += wrong and agrees
+            failed += bool(wrong)
+            agreed += bool(wrong) and agrees
             contradicted |= not wrong and not agrees       # the mistake would have shown in a case that is right
         if agreed:
             found.append((agreed, not contradicted, mistake, failed))

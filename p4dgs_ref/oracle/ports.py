@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 
 from . import safetensors
-from .subjects import flatten
+from .subjects import flatten, subjects
 
 
 class PortError(Exception):
@@ -20,6 +20,7 @@ class FolderPort:
 
     def __init__(self, folder):
         self.folder, self.loaded, self.asked = Path(folder), {}, {}
+        self.known = set(subjects())
 
     def run(self, case):
         """The tensors of one case.
@@ -47,15 +48,17 @@ class FolderPort:
         except safetensors.TensorError as error:
             raise PortError("damaged", str(error)) from None
         except Exception as error:                 # NumPy's reader raises what its zip, header and type parsers do
-            raise PortError("damaged", f"{path}: expected arrays ({error})") from None
+            raise PortError("damaged", f"{path}: expected a sound npz of numbers ({type(error).__name__})") from None
 
     def close(self):
         """Nothing to end here."""
 
     def strangers(self):
-        """`file: tensor` of every tensor that was in no case asked for."""
-        return [f"{path.name}: {name}" for key, (arrays, path) in self.loaded.items() for name in arrays
-                if name.split("/")[0] not in self.asked.get(key, ())]
+        """`file: tensor` of every tensor that was in no case asked for, and files of no subject at all."""
+        files = [p for p in self.folder.iterdir() if p.suffix in (".safetensors", ".npz")]
+        return [p.name for p in sorted(files) if p.stem not in self.known] + [
+            f"{path.name}: {name}" for key, (arrays, path) in self.loaded.items() for name in arrays
+            if name.split("/")[0] not in self.asked.get(key, ())]
 
 
 class FunctionPort:
@@ -73,7 +76,7 @@ class FunctionPort:
         try:
             got = self._outputs(self.forward(**inputs), case)
             if self.vjp is not None and (cotangents := case.cotangents()):
-                got.update(self._arrays(self.vjp(inputs, cotangents), "in_bar."))
+                got.update(self._arrays(self.vjp(inputs, cotangents), "in_bar.", case))
         except Exception as error:                                 # whatever a port does wrong is its verdict
             raise PortError("error", f"{type(error).__name__}: {error}") from None
         return got
@@ -83,10 +86,10 @@ class FunctionPort:
             out = out._asdict()
         if not isinstance(out, dict):
             names = list(dict.fromkeys(n.split(".")[1] for n in case.tensors if n.startswith("out.")))
-            out = dict(zip(names, out if isinstance(out, tuple) else (out,), strict=True))
-        return self._arrays(out, "out.")
+            out = dict(zip(names, out if isinstance(out, tuple) or len(names) > 1 else (out,), strict=True))
+        return self._arrays(out, "out.", case)
 
     @staticmethod
-    def _arrays(values, prefix):
-        return flatten({n: [np.asarray(b) for b in a] if isinstance(a, (list, tuple)) else np.asarray(a)
+    def _arrays(values, prefix, case):
+        return flatten({n: [np.asarray(b) for b in a] if f"{prefix}{n}.0" in case.tensors else np.asarray(a)
                         for n, a in values.items() if a is not None}, prefix)

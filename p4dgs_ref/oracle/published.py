@@ -1,6 +1,5 @@
 """The published vectors as a checker reads them: cases with their tensors, inputs put together again."""
 import hashlib
-import hashlib
 from typing import NamedTuple
 
 from . import safetensors

@@ -62,7 +62,8 @@ def load(data, source="safetensors"):
     for name, h in header.items():
         if name == "__metadata__":
             continue
-        need(isinstance(h, dict) and h.get("dtype") in DTYPES, f"{name}.dtype", f"one of {', '.join(DTYPES)}")
+        need(isinstance(h, dict) and isinstance(h.get("dtype"), str) and h["dtype"] in DTYPES, f"{name}.dtype",
+             f"one of {', '.join(DTYPES)}")
         need(_naturals(h.get("shape")), f"{name}.shape", "a list of whole numbers")
         need(_naturals(h.get("data_offsets")) and len(h["data_offsets"]) == 2, f"{name}.data_offsets", "two whole numbers")
         dtype, (start, end) = np.dtype(DTYPES[h["dtype"]]), h["data_offsets"]

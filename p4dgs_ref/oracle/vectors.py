@@ -15,7 +15,7 @@ import scipy
 
 from .. import __version__
 from ..equations import FLAGS
-from ..output import filled
+from ..output import OutputError, filled
 from . import independent, safetensors, streams, tolerance
 from .subjects import flatten, run, settings, subjects
 
@@ -67,9 +67,11 @@ def says(case):
 
 
 def constants(eq):
-    """The numbers that a forward takes for granted: {"near": 0.2, ...}."""
-    return {name: p.default for name, p in inspect.signature(eq.forward).parameters.items()
-            if isinstance(p.default, (int, float))}
+    """The numbers that an equation takes for granted, of its signature and its file: {"near": 0.2, "FLOOR": 2^-10, ...}."""
+    taken = {name: p.default for name, p in inspect.signature(eq.forward).parameters.items()}
+    named = {name: value for name, value in vars(sys.modules[eq.module]).items() if name.isupper() and name != "BLOCK"}
+    return {name: value for name, value in {**taken, **named}.items() if isinstance(value, (int, float))
+            or isinstance(value, tuple) and all(isinstance(v, (int, float)) for v in value)}
 
 
 def build(only=None, progress=lambda text: None):
@@ -142,16 +144,18 @@ def export(folder, regenerate=False, progress=lambda text: None):
 
     Beside them stands `codec`, what a right port answers to the streams: `oracle check` passes the whole folder.
 
-    Raises     OutputError, OSError
+    Raises     OutputError, OSError; a folder with other things in it is refused, for names would be overwritten
     """
+    if Path(folder).is_dir() and any(Path(folder).iterdir()) and not (Path(folder) / "manifest.json").is_file():
+        raise OutputError(f"{folder}: expected an empty folder, or an earlier export with its manifest.json")
     with filled(folder) as beside:
         for name in WRITTEN if regenerate else sorted(file.name for file in FOLDER.iterdir() if file.is_file()):
             shutil.copyfile(FOLDER / name, beside / name)
         manifest = write(beside, progress) if regenerate else read_manifest()
-        streams.copy(folder)
-        streams.write_expected(folder)
-    files = [file for file in Path(folder).rglob("*") if file.is_file()]
-    return {"output": str(folder), "files": len(files), "bytes": sum(file.stat().st_size for file in files),
+        streams.copy(beside)
+        streams.write_expected(beside)
+        sizes = [file.stat().st_size for file in beside.rglob("*") if file.is_file()]
+    return {"output": str(folder), "files": len(sizes), "bytes": sum(sizes),
             "cases": sum(len(s["cases"]) for s in manifest["subjects"]) + len(manifest["streams"])}
 
 

@@ -4,14 +4,14 @@ from .entry import DTYPES
 
 
 def rows(only=None, report=lambda row: None):
-    """Run the catalogue, or the entries whose id begins with `only`, in both precisions.
+    """Run the catalogue, or the one entry `only` or those whose id begins with it up to a dot, in both precisions.
 
     Returns    [{id, equation, says, dtype, literal, ours, true, error, grad_error, bound, grad_bound, verdict}, ...];
                numbers that JSON does not have are text, a gradient error where there is no gradient is null
     """
     found = []
     for id, entry in ENTRIES.items():
-        if only is not None and not id.startswith(only):
+        if only is not None and only != id and not id.startswith(only + "."):
             continue
         for dtype in DTYPES:
             found.append({"id": id, "equation": entry.equation, "says": entry.says, "dtype": dtype,

@@ -15,7 +15,8 @@ lessons.number("14.1", 4.55, np.array([80 / 8, -80 / 64]) ** 2 @ [0.04, 0.16] + 
 
 # %% [markdown]
 # **14.2** What is culled is computed at a harmless place, $(0, 0, 1)$, and set to zero afterwards: no division by zero, no NaN.
-# The determinant that is not positive belongs to needles that have lost all digits; they are culled too.
+# A determinant that is not positive belongs to needles that have lost all digits, an infinite one to splats beyond all size:
+# both are culled.
 
 # %%
 def steps(x, Sigma, W, T, focal, center, size):

@@ -30,14 +30,14 @@ def alphas(given):
     e = x - given["mean2d"][order, :1], y - given["mean2d"][order, 1:]
     a, b, c = given["conic"][order].T[:, :, None]
     falloff = np.exp(-0.5 * (a * e[0] ** 2 + c * e[1] ** 2) - b * e[0] * e[1])
-    raw = given["alpha"][order, None] * falloff
-    A = np.minimum(raw, 0.99)
+    raw, alpha_max = given["alpha"][order, None] * falloff, given.get("alpha_max", 0.99)
+    A = np.minimum(raw, alpha_max)
     light = np.cumprod(np.concatenate([np.ones((1, A.shape[1])), 1 - A]), axis=0)
-    return order, e, falloff, raw, A, light if given.get("occlusion", True) else np.ones_like(light)
+    return order, e, falloff, raw, raw <= alpha_max, A, light if given.get("occlusion", True) else np.ones_like(light)
 
 
 def my_forward(**given):
-    order, _, _, _, A, light = alphas(given)
+    order, _, _, _, _, A, light = alphas(given)
     shape = given["height"], given["width"]
     image = (A * light[:-1]).T @ given["color"][order] + light[-1][:, None] * given["background"]
     return image.reshape(*shape, 3), light[-1].reshape(shape)
@@ -51,7 +51,7 @@ lessons.forward("15.2", my_forward, "compositing")
 
 # %%
 def my_backward(inputs, cotangents):
-    order, (e_x, e_y), falloff, raw, A, light = alphas(inputs)
+    order, (e_x, e_y), falloff, raw, free, A, light = alphas(inputs)
     G, color = cotangents["image_bar"].reshape(-1, 3), inputs["color"][order]
     behind = G @ inputs["background"] + cotangents["transmittance_bar"].ravel()
     gain = color @ G.T
@@ -59,7 +59,7 @@ def my_backward(inputs, cotangents):
         for i in reversed(range(len(order))):
             gain[i] -= behind
             behind = behind + A[i] * gain[i]
-    A_bar = np.where(raw > 0.99, 0, light[:-1] * gain)
+    A_bar = light[:-1] * gain * free
     V = A_bar * raw
     a, b, c = inputs["conic"][order].T[:, :, None]
     rows = {"color": (A * light[:-1]) @ G, "alpha": (A_bar * falloff).sum(axis=1),

@@ -69,6 +69,17 @@ def plane_rows(z_axis, w_axis, maps):
             for i, z in enumerate(z_axis) for j, w in enumerate(w_axis)]
 
 
+def plane_tables(folder, rows, z_axis, w_axis):
+    """The numbers of the two maps and of the curves, each under its figure's name."""
+    def without(column):
+        return [{name: value for name, value in row.items() if name != column} for row in rows]
+
+    z, w = (axis[np.abs(np.log(axis)).argmin()] for axis in (z_axis, w_axis))             # the cuts of draw_curves
+    cuts = [row for row in without("gradient_error") if row["distance"] == z or row["bin_width"] == w]
+    return [table(folder, "likelihood_bits", without("gradient_error")),
+            table(folder, "likelihood_gradient", without("bits_error")), table(folder, "likelihood_curves", cuts)]
+
+
 def timed_rows(n, repeats):
     """Worst errors, nanoseconds and special functions a value, for bins of 0.01 to 10 sigma within each reach."""
     methods = {(name, dtype): (name, dtype, formula, dtype) for name, formula in FORMULAS.items()
@@ -112,7 +123,7 @@ def run(folder, quick, progress):
     progress("likelihood: times")
     repeats = 3 if quick else 9
     rows = timed_rows(2000 if quick else 20_000, repeats)
-    files = [table(folder, "likelihood_plane", plane_rows(z_axis, w_axis, maps)), table(folder, "likelihood", rows)]
+    files = [table(folder, "likelihood", rows), *plane_tables(folder, plane_rows(z_axis, w_axis, maps), z_axis, w_axis)]
     draw_times(folder / "likelihood.png", rows)
     for i, what in enumerate(("bits", "gradient")):
         draw_map(folder / f"likelihood_{what}.png", z_axis, w_axis, {name: maps[name, "float64"][i] for name in FORMULAS}, what)

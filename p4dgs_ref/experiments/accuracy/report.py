@@ -1,4 +1,5 @@
 """All studies in their order, the page that holds their figures and readings, and the three named points in short."""
+import shutil
 import time
 from pathlib import Path
 
@@ -27,7 +28,11 @@ def run(names, folder, quick=False, progress=lambda line: None):
     findings = []
     for name in (name for name in STUDIES if name in names):
         begun = time.perf_counter()
-        findings.append({**STUDIES[name](folder, quick, progress)._asdict(), "seconds": time.perf_counter() - begun})
+        found = STUDIES[name](folder, quick, progress)
+        for figure in (Path(file).stem for file, _ in found.figures):       # one that shows a study's main table again
+            if not (folder / f"{figure}.csv").exists():
+                shutil.copyfile(folder / f"{name}.csv", folder / f"{figure}.csv")
+        findings.append({**found._asdict(), "seconds": time.perf_counter() - begun})
     result = {"machine": machine(), "quick": quick, "seconds": time.perf_counter() - start, "studies": findings}
     (folder / PAGE).write_text(page(result), encoding="utf-8")
     return result
