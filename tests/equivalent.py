@@ -16,7 +16,7 @@ EQUIVALENT = {
     "mlp:backward:gt-gte:1": "a product that `needs_x=False` saves is computed, and not used",
     "gaussian_bin:NARROW:int:2": "between 1/17 and 1/16 both formulas have all their digits",
     "gaussian_bin:narrow_bin:int:11": "three millionths of a term that is 4e-11 at most",
-    "gaussian_bin:FAR:float:1": "between 1 and 1.01 sigma both formulas have all their digits",
+    "gaussian_bin:FAR:float:1": "between 2 and 2.02 sigma both formulas have all their digits",
     "gaussian_bin:_stable:lt-lte:1": "at low = 0 one minus the tails and their difference are the same number",
     "gaussian_bin:_stable:lt-lte:2": "at the border both formulas have all their digits",
     "gaussian_bin:_stable:gt-gte:1": "at the border both formulas have all their digits",

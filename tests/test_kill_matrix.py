@@ -48,7 +48,9 @@ def test_the_file_lists_the_code_as_it_is():
 
 # --- whether it is true ------------------------------------------------------------------------------------------
 def test_known_mistakes_anew(judge):
-    assert [mistake_row(judge, mistake) for mistake in MISTAKES] == of_kind("mistake")
+    """Every fourth; `test_everything_anew` takes all."""
+    chosen = list(zip(MISTAKES, of_kind("mistake"), strict=True))[::4]
+    assert [mistake_row(judge, mistake) for mistake, _ in chosen] == [row for _, row in chosen]
 
 
 def test_some_mutations_anew(judge):

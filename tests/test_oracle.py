@@ -143,6 +143,7 @@ def ids():
 
 
 # --- honest ------------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_regenerated_vectors_are_the_published_ones(manifest, golden, regenerated):
     """Integers equal, floats within 4 ulp of their scale S, scales within a factor of two."""
     anew, folder = regenerated

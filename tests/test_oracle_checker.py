@@ -128,6 +128,14 @@ def test_precision_is_that_of_the_answers_alone(tmp_path):
     assert "noise/tiny" in {r.id for r in found.results if r.wrong} and not any(r.verdict == "unasked" for r in found.results)
 
 
+def test_a_float32_port_may_leave_out_what_float32_cannot(tmp_path):
+    got = {name: a.astype(np.float32) for name, a in answers("noise").items() if not name.startswith("tiny/")}
+    found = judge_folder(tmp_path, "noise", got)
+    assert found.ok and [r.verdict for r in found.results if r.id == "noise/tiny"] == ["unasked"]
+    double = {name: a for name, a in answers("noise").items() if not name.startswith("tiny/")}
+    assert judge_folder(tmp_path, "noise", double).first.id == "noise/tiny"
+
+
 def subject_of(key):
     return next(s for s in vectors.read_manifest()["subjects"] if s["key"] == key)
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import erfcx, ndtr
 
 NARROW = 1 / 16            # of w max(1, z): above, a difference loses 4 bits at most; below, the series ends at 3e-16
-FAR = 1.0                  # of low: from here on the scaled tails have more digits than those of ndtr, 2 more at 8 sigma
+FAR = 2.0                  # of low: from here on the scaled tails have more digits than those of ndtr, 2 more at 8 sigma
 HAC_FLOOR = 1e-6           # of p, in HAC: 19.93 bits at most
 PIECE = 4096               # bins at a time, so that what is computed on the way stays in the cache: time only
 PHI_0 = 1 / math.sqrt(2 * math.pi)         # density of the standard Gaussian at 0

@@ -4,11 +4,12 @@ from pathlib import Path
 import numpy as np
 
 from . import safetensors
+from .compare import precision
 from .subjects import flatten, subjects
 
 
 class PortError(Exception):
-    """A port gave no answer to a case: kind is missing, damaged, died, hung, nonsense, error or skipped."""
+    """A port gave no answer to a case: kind is missing, damaged, died, hung, nonsense, error, skipped or unasked."""
 
     def __init__(self, kind, message):
         super().__init__(message)
@@ -33,6 +34,9 @@ class FolderPort:
         arrays, path = self.loaded[case.subject]
         found = {name[len(case.name) + 1:]: a for name, a in arrays.items() if name.startswith(case.name + "/")}
         if not found:
+            answers = {name.partition("/")[2]: a for name, a in arrays.items()}
+            if case.tolerance("float32") is None and precision(answers) == "float32":
+                raise PortError("unasked", f"{path}: float32, which this case does not ask for")
             raise PortError("missing", f"{path}: no tensor named {case.name}/...")
         return found
 

@@ -192,7 +192,7 @@ def bin_cases():
     yield case("edges_of_wide_bins", [50, -50, 49, 52, 5e5, -5e5], [100] * 4 + [1e6] * 2, "wide", "negative", "tail")
     # either side of where this project changes formulas: w = 1/32, z w = 1/32, and the lower edge at 8
     above, below = 1 + 1e-9, 1 - 1e-9
-    yield case("regimes", [0.4, 0.4, 4, 4, 1.5, 1.5],
+    yield case("regimes", [0.4, 0.4, 4, 4, 2.5, 2.5],
                [above / 16, below / 16, above / 64, below / 64, above, below], "narrow", "tail")
     p, phi = math.erf(0.5 / math.sqrt(2)), PHI_0 * math.exp(-1 / 8)       # one bin of width 1 about 0
     yield case("centred", [0], 1, "zero", "single", log_p=np.array([math.log(p)]), slope_z=np.zeros(1),
