@@ -6,7 +6,8 @@ import numpy as np
 
 WIDTH = 640            # pixels of a figure
 LARGEST = 1_500_000    # bytes of all pictures together
-JOB = "main job: "     # marks what is drawn by `p4dgs-ref demo`; all else is drawn by tutorials
+JOB = "main job: "     # marks what is drawn by `p4dgs-ref demo`, and the next by `p4dgs-ref accuracy`; all else by tutorials
+STUDY = "accuracy: "
 
 # Picture -> (where it comes from, what to see in it).
 PICTURES = {
@@ -19,6 +20,8 @@ PICTURES = {
     "file.png": ("19_file_byte_by_byte.png", "A whole model, byte by byte"),
     "intervals.gif": ("20_intervals_to_rans.gif", "Entropy coding: every symbol narrows the interval"),
     "desync.png": ("21_desync.png", "One unit in the last place, and the decoder reads another model"),
+    "accuracy_rendering.png": (STUDY + "rendering.png", "Rendering: error against time; what each cut, box and precision buys"),
+    "accuracy_likelihood.png": (STUDY + "likelihood_bits.png", "Eq. (11) in six ways, over distance and bin width; red fails"),
     "rate_distortion.png": ("27_rate_distortion.png", "Rate against distortion, in real bytes"),
 }
 
@@ -36,7 +39,7 @@ def take(out, pictures):
     from .output import filled
     with filled(pictures) as beside:
         for name, (source, _) in PICTURES.items():
-            path = Path(out) / source.removeprefix(JOB)
+            path = Path(out) / source.removeprefix(JOB).removeprefix(STUDY)
             if path.is_file() and name.endswith(".gif"):
                 animation(path, beside / name)
             elif path.is_file() and source.startswith(JOB):
@@ -59,6 +62,12 @@ def main_job(out):
             if source.startswith(JOB):
                 name = source.removeprefix(JOB)
                 (Path(out) / name).write_bytes((Path(report) / name).read_bytes())
+
+
+def studies(out):
+    """Run the two studies whose pictures are shown, and leave those in the folder `out`."""
+    from .experiments.accuracy import run
+    run(["rendering", "likelihood"], out)
 
 
 def picture(source, target):

@@ -2,6 +2,7 @@
 
     python -m p4dgs_ref.syllabus              run and measure every tutorial, draw the gallery anew, write the index
     python -m p4dgs_ref.syllabus 06 20 demo   only these tutorials, and the main job that draws the demo's pictures
+    python -m p4dgs_ref.syllabus accuracy     the studies of accuracy against time whose pictures are shown
     python -m p4dgs_ref.syllabus index        the index alone
 """
 import ast
@@ -208,11 +209,11 @@ def run(tutorial, out, folder=FOLDER):
 
 def main(chosen):
     """Measure what is chosen (all if nothing), renew its part of the gallery, write the index."""
-    from .gallery import main_job, take
+    from .gallery import main_job, studies, take
     from .output import write_atomically
-    unknown = set(chosen) - {"demo", "index", *(tutorial.number for tutorial in TUTORIALS)}
+    unknown = set(chosen) - {"demo", "accuracy", "index", *(tutorial.number for tutorial in TUTORIALS)}
     if unknown:
-        sys.exit(f"{' '.join(sorted(unknown))}: expected numbers of tutorials, 'demo' or 'index'")
+        sys.exit(f"{' '.join(sorted(unknown))}: expected numbers of tutorials, 'demo', 'accuracy' or 'index'")
     seconds = measured_before()
     with tempfile.TemporaryDirectory() as out:
         for tutorial in TUTORIALS:
@@ -223,6 +224,8 @@ def main(chosen):
                 print(f"{tutorial.name}: {seconds[tutorial.number]:.1f} s", flush=True)
         if not chosen or "demo" in chosen:
             main_job(out)
+        if not chosen or "accuracy" in chosen:
+            studies(out)
         take(out, FOLDER / "pictures")
     text = index(seconds).encode()
     write_atomically(FOLDER / "README.md", lambda file: file.write(text))

@@ -127,7 +127,7 @@ def test_commands_and_options_are_those_of_the_parser():
         assert arguments is None or arguments.function
     deep = [*commands.values(), *choices(commands["oracle"]).values()]
     every = {option for command in deep for option in command._option_string_actions}
-    assert set(re.findall(r"(?<![\w-])--[a-z]+", README)) <= every
+    assert set(re.findall(r"(?<![\w-])--[a-z]+(?:-[a-z]+)*", README)) <= every
 
 
 def test_names_exist():
