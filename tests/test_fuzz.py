@@ -148,6 +148,7 @@ LARGE = {"anchors of paper_real": (20_000, REAL), "narrow": (60_000, dict(d=1, k
          "large grid": (30, dict(F=64, grid=(("xyz", 47),), table=(2**24, 2**24)))}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LARGE)
 def test_large_models_stay_within_their_memory(name):
     """And well within: a large model takes nearly what each of its numbers may, a small one a part of the 64 MiB."""
@@ -170,6 +171,7 @@ def test_every_table_at_once_takes_a_third_of_the_room():
     assert len(model.first) > 65_000 and LIMITS["numbers"] * (33 - 32) < 2**26 * 5 // 8
 
 
+@pytest.mark.slow
 def test_nothing_but_escapes_stays_within_its_memory():
     """Their codes take up to 67 bits, eight times what a symbol has in memory."""
     mu = np.zeros(200_000, int)

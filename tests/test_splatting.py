@@ -43,7 +43,7 @@ def test_loop_and_fast_without_cuts_equal_the_exact_twin(height, width, alpha):
             assert relative(bar, exact_bars[name]) < 1e-11, (module.__name__, name)
 
 
-@pytest.mark.parametrize("n, size", [(1000, 64), (5000, 128)])
+@pytest.mark.parametrize("n, size", [(1000, 64), pytest.param(5000, 128, marks=pytest.mark.slow)])
 def test_fast_settings_stay_within_their_declared_error(n, size):
     """Image within 1e-4, gradients within 1e-3 (relative L2) of the exact twin, under a white-noise cotangent."""
     inputs = splats(n, size, size, seed=n)

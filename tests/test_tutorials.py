@@ -21,7 +21,7 @@ from p4dgs_ref.syllabus import TUTORIALS, tutorial_of
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "tutorials"
 INDEX = (FOLDER / "README.md").read_text(encoding="utf-8")
-SHORT_SECONDS, ALL_SHORT_SECONDS = 4, 40
+SHORT_SECONDS, ALL_SHORT_SECONDS = 2, 20
 RUN = """
 import json, runpy, sys
 from p4dgs_ref import lessons

@@ -23,7 +23,8 @@ eps = {dtype: float(np.finfo(dtype).eps) for dtype in (np.float32, np.float64)}
 # %% [markdown]
 # ## Claim
 # A float keeps its first digits: 7 in `float32`, 16 in `float64`. Each operation is right to half of $\epsilon$, the last digit's
-# size. One operation can still destroy everything that came before it, the difference of nearly equal numbers:
+# size. One operation can still destroy everything that came before it, the difference of nearly equal numbers. With $\delta$ for
+# an error, and $a$, $b$ rounded to floats:
 # $$\frac{|\delta(a-b)|}{|a-b|} \;\lesssim\; \epsilon\;\frac{|a|+|b|}{|a-b|}$$
 
 # %%
@@ -33,16 +34,17 @@ for a, b in ((1.0, 0.999), (1.0, 1 - 1e-6)):
     assert abs((float(a32 - b32) - (a - b)) / (a - b)) <= eps[np.float32] * (a + b) / (a - b)
 
 # %% [markdown]
-# The other three ways to lose a number: it leaves the range (below $10^{-45}$ a `float32` is 0), a 0 is divided by a 0, and a
-# rounded number meets a threshold. A formula is *hard* at an input where one of the four happens.
+# The other three ways to lose a number: it leaves the range (below $7\cdot10^{-46}$ a `float32` is 0), a 0 is divided by a 0, and
+# a rounded number meets a threshold. A formula is *hard* at an input where one of the four happens.
 
 # %%
-assert np.float32(1e-46) == 0 and np.float32(1e-44) > 0
+assert np.float32(7e-46) == 0 and np.float32(7.1e-46) > 0
 
 # %% [markdown]
 # ## By hand
 # Compute with four digits. Eq. (11), one deviation wide, three from the mean: $\Phi(3.5) - \Phi(2.5)$ is 0.9998 less 0.9938,
-# 0.0060; one digit is left. From the other side: 0.006210 less 0.0002326, 0.005977. At five deviations: 1.000 less 1.000.
+# 0.0060; two digits at most are left. From the other side: 0.006210 less 0.0002326, 0.005977. At five deviations: 1.000 less
+# 1.000.
 
 # %%
 four = lambda x: float(f"{x:.4g}")
@@ -60,7 +62,8 @@ assert round((0.9998 + 0.9938) / 0.0060) == 332 and round((0.006210 + 0.0002326)
 # %% [markdown]
 # ## In code
 # `p4dgs_ref/stability` is a catalogue of such inputs. Each is computed three times: as printed or as usual (`literal`), by this
-# project (`ours`), and with fifty digits (`true`). Below are some rows; `p4dgs-ref stability` prints them all.
+# project (`ours`), and with far more digits (`true`). Below are some rows; `p4dgs-ref stability` prints them all. The last
+# columns are the relative errors of `ours` and of its gradient, and whether they keep to the row's bound.
 
 # %%
 shown = ("H-R1.9sigma", "H-R1.1000sigma", "H-R5.width1e-09", "H-R4.u-19", "H-R6.positive", "H-R7.sum", "H-G3.1e4px", 
@@ -70,8 +73,9 @@ print(table.describe(list(rows.values())))
 assert all(row["verdict"] == "ok" for row in rows.values()) and len(rows) == 2 * len(shown)
 
 # %% [markdown]
-# **1, 2: tails and narrow bins.** Eq. (11) everywhere. As printed, it is infinite or no number on 56 % of this map in `float64`,
-# on 75 % in `float32`. A floor of $10^{-6}$ hides the red, but 80 % of the map is then wrong by more than a hundredth.
+# **1, 2: tails and narrow bins.** Eq. (11) over all distances and widths. As printed, it is infinite or no number on 56 % of this
+# map in `float64`, on 75 % in `float32`. A floor of $10^{-6}$ hides the red, but 80 % of the map is then wrong by more than a
+# hundredth.
 
 # %%
 found = stability_map.maps()
@@ -94,8 +98,9 @@ figure.suptitle("Eq. (11): red is infinite or no number, yellow all wrong, white
 lessons.show(figure, "24_hard_cases")
 
 # %% [markdown]
-# **3: a step that vanishes.** Eq. (8) at $u = -19$: $1 + \tanh u$ is 0 in `float64`, and $f/q$ in Eq. (10) is infinite. Written
-# as $2\,\mathrm{sigmoid}(2u)$ it has all its digits; and a floor of $2^{-10}Q_0$ keeps symbols within reach.
+# **3: a step that vanishes.** Eq. (8) with $u = \psi_q(h) = -19$: $1 + \tanh u$ is 0 in `float64`, and $f/q$ in Eq. (10) is
+# infinite. Written as $2\,\mathrm{sigmoid}(2u)$ it has all its digits; and this project lets no step fall below
+# $2^{-10}Q_0$, so that symbols stay within reach.
 
 # %%
 u = -19
@@ -104,8 +109,9 @@ one = step.forward(np.zeros((1, 1)), [np.zeros((1, 1))], [np.array([float(u)])],
 assert one == 2**-10
 
 # %% [markdown]
-# **4: a needle's determinant.** A splat $10^4$ px long and $0.5$ px thin, turned by $40^\circ$, has $ac \approx 2\cdot 10^{15}$
-# and $ac - b^2 \approx 5\cdot 10^7$. In `float32` the rounding of $ac$ alone is larger: the splat flickers, or is culled as flat.
+# **4: a needle's determinant.** A splat $10^4$ px long and $0.5$ px thin, turned by $40^\circ$. Its covariance with rows $(a, b)$
+# and $(b, c)$, blur of $0.3$ included, has $ac \approx 2.4\cdot 10^{15}$ and $ac - b^2 \approx 5.5\cdot 10^7$. In `float32` the
+# last digit of $ac$ alone is larger; here the difference is 0, and the splat is culled as flat.
 
 # %%
 turn = math.radians(40)
@@ -113,14 +119,14 @@ R = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)
 (a, b), (_, c) = R @ np.diag([10000.0**2, 0.5**2]) @ R.T + 0.3 * np.eye(2)
 det = {dtype: float(dtype(a) * dtype(c) - dtype(b) * dtype(b)) for dtype in (np.float32, np.float64)}
 true = (10000.0**2 + 0.3) * (0.5**2 + 0.3)
-assert 2e15 < a * c < 3e15 and 5e7 < true < 6e7 and eps[np.float32] * a * c > true
-assert abs(det[np.float32] / true - 1) > 0.5 and abs(det[np.float64] / true - 1) < 1e-6
+assert 2.35e15 < a * c < 2.45e15 and 5.45e7 < true < 5.55e7 and eps[np.float32] * a * c > true
+assert det[np.float32] == 0 and abs(det[np.float64] / true - 1) < 1e-6
 print({dtype.__name__: f"{value:.6g}" for dtype, value in det.items()}, f"true {true:.6g}")
 
 # %% [markdown]
 # **5: images that are nearly equal.** A constant picture beside one that is $2^{-17}$ brighter. $1 - SSIM$ is
-# $1.03\cdot 10^{-10}$; in `float32` the SSIM rounds to 1 and the loss is 0: nobody can see any more whether training gains. The
-# cure is to compute $1 - SSIM$ itself, from the difference $e = x - y$, and never the 1.
+# $1.03\cdot 10^{-10}$; in `float32` the SSIM rounds to 1, and this part of the loss is 0. The cure is to compute $1 - SSIM$
+# itself, from the difference $e = x - y$ of the two pictures, and never the 1.
 
 # %%
 flat = np.full((6, 5, 1), 0.75)
@@ -135,8 +141,9 @@ print(f"true {exact:.9e}, 1 - SSIM in float64 {by_subtraction:.9e}")
 
 # %% [markdown]
 # ## Backward by hand
-# **6: 200 opaque layers**, each of opacity 0.99. The light behind them is $0.01^{200} = 10^{-400}$: 0, even in `float64`. That is
-# harmless forwards. Backwards, published kernels save memory: they keep only the last $T$ and divide their way back.
+# **6: 200 opaque layers**, each of opacity 0.99. The light behind them is $T_N \approx 0.01^{200} = 10^{-400}$: 0, even in
+# `float64`. That is harmless forwards. Backwards, published kernels save memory: they keep only the last $T$ and divide their way
+# back.
 # $$T_i = T_{i+1}/(1-\alpha_i) \qquad\text{from}\qquad T_N = 0$$
 
 # %%
@@ -150,9 +157,10 @@ for a in alpha[::-1]:
 assert T[-1] == 0 and np.all(np.array(divided) == 0)                   # nothing comes back: all weights are 0
 
 # %% [markdown]
-# The recurrence of `15_compositing` has no division: one line for what is behind, one for the gradient; $T_i$ is kept.
+# The recurrence of `15_compositing` has no division: one line for $B_i$, the colour behind layer $i$, one for the gradient; $T_i$
+# is kept, and $g$ is the pixel's cotangent.
 # $$B_{N-1} = c_{bg}, \qquad B_{i-1} = \alpha_i c_i + (1-\alpha_i)B_i, \qquad \bar\alpha_i = T_i\,(c_i - B_i)\cdot g.$$
-# The vector's other cotangent, of $T_N$ itself, adds $-\bar T_N\,T_N/(1-\alpha_i)$, which is 0 here.
+# The golden vector has a second cotangent, of $T_N$ itself. It adds $-\bar T_N\,T_N/(1-\alpha_i)$, which is 0 here.
 
 # %%
 behind, alpha_bar = layers["in.background"].copy(), np.zeros(200)
@@ -173,7 +181,7 @@ assert not by_division.any()
 print(f"front layer: true {alpha_bar[0]:.6f}, by division {abs(by_division[0]):.6f}")
 
 # %% [markdown]
-# Why published renderers live with it: they stop where $T < 10^{-4}$, here after 2 layers, and the $T$ they divide is never tiny.
+# Why published renderers live with it: they stop where $T < 10^{-4}$, here after 2 layers, and the $T$ they divide is not tiny.
 # Leave out the stop, to be exact, and the division bites. One shortcut protected the other.
 
 # %%
@@ -198,8 +206,9 @@ lessons.show(figure, "24_hard_cases_layers")
 
 # %% [markdown]
 # ## Break it
-# Let a port take `float32` throughout. Its ordinary case passes, pictures look right, training works. What fails are vectors
-# chosen for it: needles, a splat too large for the format, a centre exactly on the near plane, 0.2, which `float32` rounds up.
+# Let a port invert the projected covariance in `float32`. All cases that the vectors ask of `float32` pass, the ordinary one
+# among them, but one: the needle of $10^4$ px. Two more are not even asked, since rounding their inputs to `float32` already
+# changes the answer: a needle thinner still, and a centre exactly on the near plane, 0.2, which `float32` rounds up.
 
 
 # %%
@@ -214,14 +223,17 @@ def single_conic(**inputs):
 
 
 report = oracle.check(single_conic, "projection")
-failing = [r.id.split("/")[1] for r in report.results if r.verdict != "pass"]
-print("fails:", failing)
-assert set(failing) == {"behind", "needle", "H-G3.1e4px", "H-G4.scale1e30"} and float(np.float32(0.2)) > 0.2
+verdicts = {r.id.split("/")[1]: r.verdict for r in report.results}
+print({name: verdict for name, verdict in verdicts.items() if verdict != "pass"})
+assert {name for name, verdict in verdicts.items() if verdict == "fail"} == {"H-G3.1e4px"} and verdicts["ordinary"] == "pass"
+assert {name for name, verdict in verdicts.items() if verdict == "unasked"} == {"behind", "needle"}
+assert float(np.float32(0.2)) > 0.2
 
 # %% [markdown]
 # ## What a codec does with it
-# A wrong loss disturbs a training; a wrong bound of one symbol ends a decoding. Move the predicted mean and deviation of 6000
-# symbols by the last digit of `float32`, and some bounds of 16 bits move too. With whole numbers none does.
+# A wrong loss disturbs a training; one wrong bound of an interval (`20_intervals_to_rans`) can spoil all that is decoded after
+# it. Move the predicted mean and deviation of 6000 symbols to the next `float32`: some bounds of 16 bits move too. With whole
+# numbers encoder and decoder agree on all of them.
 
 # %%
 moved = next(row for row in table.rows("H-E8") if row["dtype"] == "float32")
@@ -232,6 +244,12 @@ assert "of 6000" in moved["literal"] and int(moved["literal"].split()[0]) > 0 an
 # ## Exercises
 # **24.1** What is $1 + \tanh(-19)$ really, to six digits? **24.2** Write Eq. (14); a grid of one sign, or empty, costs nothing.
 # **24.3** The backward of $r = y/\sqrt{\|y\|^2 + 10^{-24}}$ for quaternions of any length, $0$ and $10^{25}$ among them.
+
+# %% [markdown]
+# For exercise 24.1: the step that vanishes, above. For exercise 24.2: three $+1$ and one $-1$ cost
+# $3\log_2\frac43 + \log_2 4 = 3.245$ bits; what should $0\log_2 0$ count? For exercise 24.3: differentiate the quotient, as in
+# `04_color_rotation_scale`. $y = (3, 0, 0, 4)$ and $\bar r = (1, 0, 0, 0)$ give $\bar y = (0.128, 0, 0, -0.096)$. Take out the
+# largest entry before you square.
 
 # %%
 answer_1 = ...

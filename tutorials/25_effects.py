@@ -46,9 +46,10 @@ for effect in MODEL_EFFECTS:
 
 # %% [markdown]
 # ## By hand
-# How large is $\psi_d$ with the paper's settings? The inputs are $E(x)$, $3\,(1 + 2\cdot 10)$ numbers, and $E(t)$,
-# $1 + 2\cdot 6$: 76. Two layers of 192 and three heads: 14784, 37056 and 1930 numbers. Of these, translation alone needs 579 that
-# nothing else does.
+# How large is $\psi_d$ with the paper's two layers of 192? The inputs are $E(x)$, $3\,(1 + 2\cdot 10)$ numbers, and $E(t)$,
+# $1 + 2\cdot 6$: 76 (the paper leaves the frequencies, $10$ and $6$, open; this project's preset sets them). Weights and biases
+# of the two layers and of the three heads together: 14784, 37056 and 1930. Of these, translation alone needs 579 that nothing
+# else does.
 
 # %%
 inputs = 3 * (1 + 2 * 10) + 1 + 2 * 6
@@ -107,9 +108,9 @@ assert all(np.array_equal(getattr(one, name), getattr(other, name)) for name in 
 assert 0 <= np.abs(one.r - other.r).max() < 4 * np.finfo(float).eps and len(one.x) > 1
 
 # %% [markdown]
-# **Occlusion** has no input to be neutral; what goes is $T_i$. Without it splats add up, $C = \sum_i \alpha_i c_i + T_N\,c_{bg}$,
-# like lamps. Where no splat stands before another this is the same picture; where two of opacity 0.5 do, it is 1.0 instead of
-# 0.75.
+# **Occlusion** has no input to be neutral; what goes is $T_i$: it is 1 everywhere. Splats and background add up like lamps,
+# $C = \sum_i \alpha_i c_i + c_{bg}$. Over black, where no splat stands before another, this is the same picture; where two white
+# ones of opacity 0.5 do, it is 1.0 instead of 0.75.
 
 # %%
 pair = dict(mean2d=np.zeros((2, 2)), conic=np.zeros((2, 3)), alpha=np.full(2, 0.5), color=np.ones((2, 3)), depth=np.arange(2.0),
@@ -118,10 +119,11 @@ with_it, without = (compositing.forward(**pair, occlusion=on)[0].image[0, 0, 0] 
 assert (pair["alpha"] == 0.5).all() and with_it == 0.75 and without == 1.0
 alone = {**pair, "visible": np.array([True, False])}
 assert np.array_equal(*(compositing.forward(**alone, occlusion=on)[0].image for on in (True, False)))
+assert np.all(compositing.forward(**pair, occlusion=False)[0].transmittance == 1)
 
 # %% [markdown]
 # ## Backward by hand
-# Is a head that is zero as good as none? Forward, yes. Backward, no. One head, $\Delta x = yW + b$ with $W = 0$, $b = 0$:
+# Is a zero head as good as none? Forward, yes. Backward, no. $\Delta x = yW + b$ with $W = 0$, $b = 0$, $y$ from the trunk:
 # $$\bar W = y^T\,\overline{\Delta x} \ne 0, \quad \bar b = \textstyle\sum\overline{\Delta x} \ne 0,
 #   \quad \bar y = \overline{\Delta x}\,W^T = 0.$$
 # The head starts to learn in the first step, the trunk in the second. A zero is a *starting point*; only absence is a decision.
@@ -167,7 +169,8 @@ assert ("deformation", "forward") in wasted.calls and ("deformation", "forward")
 # %% [markdown]
 # ## What a codec does with it
 # A video codec has *profiles* and *tools*: what a stream does not use, its header switches off, and the decoder neither reads nor
-# computes it. Here the header lists effects. The **ledger** trains one build as listed and a twin for each effect, side by side.
+# computes it. Here the header lists effects. The **ledger** trains one build as listed and, for each effect, a twin in which that
+# effect alone is switched the other way.
 
 # %%
 rows = ledger(scenes["static"], "smoke", seed=0, share=1, stage_ends=(15, 25, 100, 150))
@@ -178,8 +181,9 @@ assert all(of[effect]["work_on"] > 0 and of[effect]["bytes_on"] > 0 for effect i
 assert all(of[effect]["bytes_on"] == 0 < of[effect]["work_on"] for effect in ("occlusion", "background"))
 
 # %% [markdown]
-# Two kinds of cost. Motion and view own *weights*: bytes. Occlusion and background own none, and occlusion is most of the *work*:
-# it is the transmittance at every pair. Decibels of so short a training are worth little, except where they are large.
+# Two kinds of cost. Motion and view own *weights*: bytes. Occlusion and background own none, and occlusion is more *work* than
+# all other effects together: it is the transmittance at every pair of Gaussian and pixel. Decibels of so short a training are
+# worth little, except where they are large.
 
 # %%
 assert of["occlusion"]["work_on"] > sum(of[effect]["work_on"] for effect in MODEL_EFFECTS if effect != "occlusion")
@@ -189,7 +193,7 @@ figure, axes = plt.subplots(1, 3, figsize=(16, 5.4), sharey=True, layout="constr
 worth = [row["psnr_lost_when_off"] if row["called_for"] else row["psnr_gained_when_forced"] for row in rows]
 panels = (("work (thousand multiply-adds a step)", [row["work_on"] / 1000 for row in rows], "{:,.0f}"),
           ("weights in the file (bytes)", [row["bytes_on"] for row in rows], "{:,.0f}"),
-          ("PSNR with it, less without (dB)", worth, "{:+.1f}"))
+          ("PSNR with it, less without (dB)", worth, "{:+.2f}"))
 for panel, (label, values, form) in zip(axes, panels):
     bars_ = panel.barh([row["effect"] for row in rows], values, edgecolor="k",
                        color=[lessons.COLORS[0 if row["called_for"] else 4] for row in rows],
@@ -217,7 +221,14 @@ assert not evidence["static"]["translation"]["called_for"] and evidence["bouncin
 # %% [markdown]
 # ## Exercises
 # **25.1** Nothing in a scene turns. How many numbers does the paper's $\psi_d$ lose? **25.2** Write Eqs. (5) and (6) together,
-# with heads of zero width. **25.3** Write the backward of Eq. (3') for colours, with or without a view (`mlp` may be used).
+# with heads of zero width. **25.3** Write the backward of Eq. (3') for colours, with or without a view (`equations.mlp` may be
+# used): $y = \psi_c(f_a, \delta_{vc}, d_{vc})$, $(A, 3k)$, and $c = \mathrm{sigmoid}(y)$, as in `04_color_rotation_scale`.
+
+# %% [markdown]
+# For exercise 25.2: $E(p) = (p, \sin 2^0p, \cos 2^0p, \sin 2^1p, \dots)$ with $L$ pairs, each of the whole vector; ReLU between
+# layers. Where $r$ changes, $r' = (r + \Delta r)/\sqrt{\|r + \Delta r\|^2 + 10^{-24}}$; else it stays as it is. With weights of
+# $0$ and $\Delta x$'s bias $(1, 0, 0)$, $x = (0, 2, 0)$ gives $x' = (1, 2, 0)$. For exercise 25.3: where $y = 0$,
+# $\bar y = \bar c/4$; for large $y$ write $1 - c$ as a sigmoid. `mlp.backward(res, y_bar)` gives `x`, `weights`, `biases`.
 
 # %%
 answer_1 = ...

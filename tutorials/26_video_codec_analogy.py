@@ -28,7 +28,7 @@ plt = lessons.pyplot()
 # %% [markdown]
 # ## Claim
 # Frames repeat themselves. A video codec does not store what it can predict: from the same frame (*intra*), from another frame
-# and motion vectors (*inter*), and what remains from its context, with few bits. P-4DGS does the same to Gaussians:
+# and motion vectors (*inter*); what remains is coded with few bits, given its context. P-4DGS does the same to Gaussians:
 
 # %% [markdown]
 # | video codec | P-4DGS | equations |
@@ -48,8 +48,8 @@ plt = lessons.pyplot()
 
 # %% [markdown]
 # ## By hand
-# A video of 4 frames, one row of 8 pixels of 8 bits, in which everything moves on by one pixel a frame. Intra alone: 256 bits.
-# With one frame stored, and for each of the other 3 a motion vector of 4 bits, 76: not a pixel is coded again.
+# A video of 4 frames, one row of 8 pixels of 8 bits, in which everything moves on by one pixel a frame (round the end). Pixel by
+# pixel: 256 bits. With one frame stored, and for each of the other 3 a motion vector of 4 bits, 76: not a pixel is coded again.
 
 # %%
 row = np.array([0, 0, 90, 200, 90, 0, 0, 0])
@@ -138,6 +138,7 @@ scene_only = {name: part[2] + part[3] for name, part in parts.items()}
 factor = sum(scene_only[f"frame {i}"] for i in range(4)) / scene_only["inter"]
 print(f"scene only: {factor:.2f} times; with everything: {sum(bytes_intra) / bytes_inter:.2f} times")
 assert 3 < factor < 5 and parts["inter"][1] > 0 == parts["frame 0"][1]
+assert all(part[0] + part[1] > sum(part) / 2 for part in parts.values())
 
 # %%
 figure, (bars, growth) = plt.subplots(1, 2, figsize=(15, 5.6), layout="constrained", gridspec_kw={"width_ratios": [1.3, 1]})
@@ -175,8 +176,8 @@ lessons.show(figure, "26_video_codec_analogy_pictures")
 
 # %% [markdown]
 # ## Backward by hand
-# Why is a quarter of the training enough? In intra, $L = \sum_t L_t(\theta_t)$: a frame's error reaches its own anchors only. In
-# inter all frames use the *same* anchors, and what is used several times collects several gradients:
+# Why can a quarter of the training be enough? In intra, $L = \sum_t L_t(\theta_t)$: a frame's error reaches its own anchors only.
+# In inter all use the *same* anchors, and their gradients add up (a step draws one term, all steps move the same anchors):
 # $$L = \sum_t L_t(\theta) \;\Longrightarrow\; \bar\theta = \sum_t \bar\theta^{(t)},
 #   \qquad\text{for a feature}\quad \bar f_a = \sum_t \bar f_a^{(t)}.$$
 
@@ -232,14 +233,21 @@ assert np.array_equal(again, inter[0].render(camera, 0.5)) and p4.encode(inter[0
 
 # %%
 share = parts["inter"][1] / bytes_inter
-print(f"psi_d is {100 * share:.0f} % of the inter file, whatever lambda_rate is")
+print(f"psi_d: {parts['inter'][1]:,} bytes, which lambda_rate cannot change; {100 * share:.0f} % of this inter file")
 assert components(inter[1])["deformation_mlp"] == parts["inter"][1] and 0.3 < share < 0.7
 
 # %% [markdown]
 # ## Exercises
-# **26.1** At $30$ frames a second an intra frame has $5000$ bytes; one file for two seconds has $10000$. Both rates, in kbit/s?
-# **26.2** The motion vector of each block of $8$ pixels, from `reference` to `frame`: the shift of least absolute error.
-# **26.3** The backward of the motion model, Eq. (5), with `mlp` and `positional_encoding`.
+# **26.1** At $30$ frames a second an intra frame has $5000$ bytes; one file for two seconds has $10000$. Both rates, in kbit/s
+# (of $1000$ bits)? **26.2** The motion vector of each block of $8$ pixels, from `reference` to `frame`, as $8$ whole numbers: the
+# shift $v$ from $-8$ to $8$ for which `np.roll(reference, v)` has the least sum of absolute errors in the block.
+# **26.3** The backward of the motion model, Eq. (5), with `mlp` and `positional_encoding` of `p4dgs_ref.equations`.
+
+# %% [markdown]
+# For exercise 26.1, order `[intra, inter]`; $25$ frames of $1000$ bytes a second would be $200$. For exercise 26.2: the first
+# block has $v = 0$ (`frame` is brighter by $1$ everywhere, so no error is $0$). For exercise 26.3: $x$ is $(N, 3)$, `inputs` has
+# `x`, `t`, `weights`, `biases`, `L_x`, `L_t`; the last three weights are the heads, all of the same input: beside each other they
+# are one last layer. With a head $W$ of one row, $y = 2$ and $\overline{\Delta x} = (1, 0, -1)$, $\bar W = (2, 0, -2)$.
 
 # %%
 reference = np.random.default_rng(8).integers(0, 256, 64)

@@ -42,8 +42,8 @@ def dequantise(symbols, ctx, design):
 def quantise(model):
     """Round a model to what its file will hold.
 
-    Anchors whose children are all masked are dropped, except that one always stays.  What is dropped or masked may
-    hold any numbers; everything else must be finite.
+    Anchors whose children are all masked are dropped, except that one always stays; so are hidden units that no anchor
+    wakes, where no view effect is listed.  What is dropped or masked may hold any numbers; everything else must be finite.
 
     Raises     EncodeError naming the array; OverflowError naming the element where |f/q| is not below 2^31
     Choice     Q14: positions; Q15: masked children are not coded; Q18: float16 networks; Q19: rounding
