@@ -46,6 +46,13 @@ def test_the_file_lists_the_code_as_it_is():
     assert len({name for name, _, _ in now}) == len(now) and tuple(committed()[0]) == COLUMNS
 
 
+def test_the_readme_says_what_the_file_says():
+    readme = (MATRIX.parents[1] / "README.md").read_text(encoding="utf-8")
+    mutated, killed = of_kind("mutation"), [row for row in of_kind("mutation") if row["killed"] == "yes"]
+    assert f"knows {len(of_kind('mistake'))} mistakes" in readme and f"each of {len(mutated):,} one-token mutations" in readme
+    assert f"of the mutations {100 * len(killed) / len(mutated):.1f} % are noticed" in readme
+
+
 # --- whether it is true ------------------------------------------------------------------------------------------
 def test_known_mistakes_anew(judge):
     """Every fourth; `test_everything_anew` takes all."""
