@@ -30,8 +30,9 @@ def run(names, folder, quick=False, progress=lambda line: None):
         begun = time.perf_counter()
         found = STUDIES[name](folder, quick, progress)
         for figure in (Path(file).stem for file, _ in found.figures):       # one that shows a study's main table again
-            if not (folder / f"{figure}.csv").exists():
+            if f"{figure}.csv" not in found.tables:
                 shutil.copyfile(folder / f"{name}.csv", folder / f"{figure}.csv")
+                found.tables.append(f"{figure}.csv")
         findings.append({**found._asdict(), "seconds": time.perf_counter() - begun})
     result = {"machine": machine(), "quick": quick, "seconds": time.perf_counter() - start, "studies": findings}
     (folder / PAGE).write_text(page(result), encoding="utf-8")
