@@ -103,7 +103,7 @@ def check_port(port, levels=(), only=(), folder=FOLDER, progress=lambda text: No
 
 
 def _share(results):
-    """A scalar or a stage that diverges has no known mistakes of its own: it takes what explains its equation."""
+    """A scalar or a stage that diverges has few known mistakes of its own, or none: it takes what explains its equation."""
     said = {r.equation: r.explanation for r in reversed(results) if r.findings and r.explanation}
     return [r._replace(explanation=said.get(r.equation, "")) if r.findings and not r.explanation else r for r in results]
 

@@ -7,7 +7,7 @@ from ..sixty_digits import gradient, to_float, value
 from ..sixty_digits.functions import log, working
 from .subjects import flatten
 
-# Numbers that receive a gradient, at most: each costs two evaluations in decimals.  Beyond it, and for windows over whole
+# Numbers that receive a gradient, at most: each costs four evaluations in decimals.  Beyond it, and for windows over whole
 # images, the gradients stored are the reference's; `python -m p4dgs_ref.sixty_digits.record` judges samples of those too.
 FEW, MANY = 60, 260
 EXACT = 1e-12          # a closed form that is less sure of itself checks the code, but is no golden number

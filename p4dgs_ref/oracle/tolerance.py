@@ -93,7 +93,7 @@ def float32_error(eq, case, cotangents, flat, scale):
         if want.dtype.kind != "f":
             worst = worst if np.array_equal(got, want) else np.inf
             continue
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):        # not `deviations`: here what float32 cannot hold must show, nothing is free
             off = np.abs(got.astype(float) - want) / (np.finfo(np.float32).eps * scale[name].astype(float))
         off = np.where(got == want, 0, off)                    # equal infinities; 0 where S is 0
         worst = max(worst, float(np.nan_to_num(off, nan=np.inf).max(initial=0)))
