@@ -9,15 +9,30 @@
 
 Names are imported when they are first used, so that a program can set the number of BLAS threads before NumPy loads.
 """
+
 from .lazy import offer
 
 __version__ = "0.1.0"
 
-_HOME = {"load_scene": "scenes.dnerf", "Scene": "scenes.scene", "View": "scenes.scene", "SceneError": "scenes.scene",
-         "simulate": "scenes.simulate", "Camera": "splatting.camera", "look_at": "splatting.camera",
-         "SETTINGS": "splatting.settings", "train": "training.fit", "PRESETS": "training.presets", "Model": "model",
-         "encode": "codec.file", "decode": "codec.file", "BitstreamError": "codec.container",
-         "evaluate": "experiments.evaluate", "main_job": "experiments.main_job", "EQUATIONS": "catalogue"}
-_ROOMS = ("oracle",)           # whole packages among the names
+_HOME = {
+    "load_scene": "scenes.dnerf",
+    "Scene": "scenes.scene",
+    "View": "scenes.scene",
+    "SceneError": "scenes.scene",
+    "simulate": "scenes.simulator.simulate",
+    "Camera": "splatting.camera",
+    "look_at": "splatting.camera",
+    "SETTINGS": "splatting.settings",
+    "train": "training.fit",
+    "PRESETS": "training.presets",
+    "Model": "model",
+    "encode": "codec.file",
+    "decode": "codec.file",
+    "BitstreamError": "codec.container",
+    "evaluate": "studies.evaluate",
+    "main_job": "studies.main_job",
+    "EQUATIONS": "table",
+}
+_ROOMS = ("oracle",)  # whole packages among the names
 __all__ = sorted([*_HOME, *_ROOMS])
 __getattr__, __dir__ = offer(__name__, _HOME, _ROOMS)

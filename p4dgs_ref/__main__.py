@@ -1,10 +1,11 @@
 """`python -m p4dgs_ref` and `p4dgs-ref`: one BLAS thread and a tuned allocator first, then the command line."""
+
 import ctypes
 import os
 import sys
 import time
 
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3        # glibc's names in malloc.h
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # glibc's names in malloc.h
 
 
 def prepare():
@@ -20,14 +21,15 @@ def prepare():
         mallopt(M_MMAP_THRESHOLD, 1 << 30)
         mallopt(M_TRIM_THRESHOLD, 2**31 - 1)
     except (OSError, AttributeError):
-        pass                                       # another C library: slower by page faults, nothing else
+        pass  # another C library: slower by page faults, nothing else
 
 
 def main(argv=None):
     """Run the command line; returns the exit code."""
     start = time.perf_counter()
     prepare()
-    from .cli import run
+    from .cli.parser import run
+
     return run(sys.argv[1:] if argv is None else argv, start)
 
 

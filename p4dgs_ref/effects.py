@@ -1,5 +1,6 @@
 """What each effect of the closed list switches on in the model; what is off owns nothing and is never called."""
-MOTION = ("translation", "scaling", "rotation")     # the heads of psi_d, in the order of its outputs
+
+MOTION = ("translation", "scaling", "rotation")  # the heads of psi_d, in the order of its outputs
 HEAD_WIDTHS = (3, 3, 4)
 
 

@@ -1,10 +1,12 @@
 """Names that a package offers and imports only when they are first used, so that NumPy loads after the threads are set."""
+
 import sys
 from importlib import import_module
 
 
 def offer(package, home, rooms=()):
     """`__getattr__` and `__dir__` of a package: `home` says in which module a name stands, `rooms` are whole packages."""
+
     def get(name):
         if name in rooms:
             return import_module(f"{package}.{name}")

@@ -3,37 +3,51 @@
 Fig. 1, rendering:  anchors -> canonical Gaussians -> Gaussians at time t -> image    (`predict`, `splatting.render`)
 Fig. 2, coding:     anchor positions -> hash grid -> steps q, means mu, deviations sigma    (`context`)
 """
+
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from . import effects as fx
-from .equations import (color, deformation, deformed, hash_grid, masking, mlp, offsets, opacity, prior, rotation, scale,
-                        step, view)
+from .equations import (
+    color,
+    deformation,
+    deformed,
+    hash_grid,
+    masking,
+    mlp,
+    offsets,
+    opacity,
+    prior,
+    rotation,
+    scale,
+    step,
+    view,
+)
 from .splatting import render
 from .splatting.settings import FAST
 
 ANCHOR_NETWORKS = ("psi_alpha", "psi_c", "psi_r", "psi_s")
 CONTEXT_NETWORKS = ("psi_p", "psi_q")
-LATTICE = 2**16 - 1                  # positions have 16 bits per axis over the bounding box (Q14)
-GROUPS = ("f", "s", "l", "O")        # attribute groups in coding order, one step q each (Q6)
+LATTICE = 2**16 - 1  # positions have 16 bits per axis over the bounding box (Q14)
+GROUPS = ("f", "s", "l", "O")  # attribute groups in coding order, one step q each (Q6)
 
 
 class Design(NamedTuple):
     """What a decoder must know of a model besides its arrays; plain numbers and names, so it fits a JSON line."""
 
-    d: int                   # width of an anchor's feature
-    k: int                   # children of an anchor
-    hidden: tuple            # hidden widths of the anchor networks
-    deformation: tuple       # hidden widths of psi_d
-    L_x: int                 # frequencies of the positional encoding of x
-    L_t: int                 # and of t
-    context: tuple           # hidden widths of psi_p and psi_q
-    grid: tuple              # resolutions: (("xyz", 8), ("xy", 16), ...), order of Q11
-    table: tuple             # most entries of a level: (of a 3D grid, of a 2D grid)
-    F: int                   # features per grid node
-    Q_0: tuple               # base steps of f, s, l, O
+    d: int  # width of an anchor's feature
+    k: int  # children of an anchor
+    hidden: tuple  # hidden widths of the anchor networks
+    deformation: tuple  # hidden widths of psi_d
+    L_x: int  # frequencies of the positional encoding of x
+    L_t: int  # and of t
+    context: tuple  # hidden widths of psi_p and psi_q
+    grid: tuple  # resolutions: (("xyz", 8), ("xy", 16), ...), order of Q11
+    table: tuple  # most entries of a level: (of a 3D grid, of a 2D grid)
+    F: int  # features per grid node
+    Q_0: tuple  # base steps of f, s, l, O
     tau_alpha: float
     effects: tuple
 
@@ -44,39 +58,51 @@ class Design(NamedTuple):
 
     def levels(self):
         """Entries (T, F) of every level of the hash grid."""
-        return [(min(res ** len(axes), self.table[len(axes) == 2]), self.F) for axes, res in self.grid]
+        return [
+            (min(res ** len(axes), self.table[len(axes) == 2]), self.F) for axes, res in self.grid
+        ]
 
     def layers(self):
         """Rows and columns of every layer of every network; psi_d ends with its three heads, see `fx.heads`."""
-        geometry, seen = (self.d + fx.view_width(self.effects, which) for which in ("view_geometry", "view_color"))
+        geometry, seen = (
+            self.d + fx.view_width(self.effects, which) for which in ("view_geometry", "view_color")
+        )
         h = len(self.grid) * self.F
-        widths = {"psi_alpha": (geometry, *self.hidden, self.k), "psi_c": (seen, *self.hidden, 3 * self.k),
-                  "psi_r": (geometry, *self.hidden, 4 * self.k), "psi_s": (geometry, *self.hidden, 3 * self.k),
-                  "psi_p": (h, *self.context, 2 * sum(self.widths)), "psi_q": (h, *self.context, len(GROUPS))}
+        widths = {
+            "psi_alpha": (geometry, *self.hidden, self.k),
+            "psi_c": (seen, *self.hidden, 3 * self.k),
+            "psi_r": (geometry, *self.hidden, 4 * self.k),
+            "psi_s": (geometry, *self.hidden, 3 * self.k),
+            "psi_p": (h, *self.context, 2 * sum(self.widths)),
+            "psi_q": (h, *self.context, len(GROUPS)),
+        }
         layers = {name: list(zip(w[:-1], w[1:])) for name, w in widths.items()}
         if fx.moves(self.effects):
             trunk = (3 * (1 + 2 * self.L_x) + 1 + 2 * self.L_t, *self.deformation)
-            layers["psi_d"] = [*zip(trunk[:-1], trunk[1:]), *((trunk[-1], head) for head in fx.heads(self.effects))]
+            layers["psi_d"] = [
+                *zip(trunk[:-1], trunk[1:]),
+                *((trunk[-1], head) for head in fx.heads(self.effects)),
+            ]
         return layers
 
 
 class Anchors(NamedTuple):
     """The five attributes of every anchor, linear values (Q5), and which children are kept (Q15)."""
 
-    x_a: np.ndarray    # (A, 3)
-    f_a: np.ndarray    # (A, d)
-    s_a: np.ndarray    # (A, 3)
-    l_a: np.ndarray    # (A, 3)
-    O_a: np.ndarray    # (A, k, 3)
-    mask: np.ndarray   # (A, k) bool
+    x_a: np.ndarray  # (A, 3)
+    f_a: np.ndarray  # (A, d)
+    s_a: np.ndarray  # (A, 3)
+    l_a: np.ndarray  # (A, 3)
+    O_a: np.ndarray  # (A, k, 3)
+    mask: np.ndarray  # (A, k) bool
 
 
 class Gaussians(NamedTuple):
     """What is rendered: N Gaussians at one time, seen from one camera."""
 
-    x: np.ndarray      # (N, 3)
-    s: np.ndarray      # (N, 3)
-    r: np.ndarray      # (N, 4) unit quaternion (w, x, y, z)
+    x: np.ndarray  # (N, 3)
+    s: np.ndarray  # (N, 3)
+    r: np.ndarray  # (N, 4) unit quaternion (w, x, y, z)
     alpha: np.ndarray  # (N,)
     color: np.ndarray  # (N, 3)
     index: np.ndarray  # (N,) a k + j of the anchor and child each came from
@@ -90,7 +116,7 @@ class PredictRes(NamedTuple):
     scale: object
     offsets: object
     masking: object
-    deformation: object    # None where nothing moves or time has not started
+    deformation: object  # None where nothing moves or time has not started
     deformed: object
 
 
@@ -133,14 +159,19 @@ def predict(design, networks, anchors, x_c, t=None):
     r, res_r = rotation.forward(f_a, *geometry, *networks["psi_r"])
     s, res_s = scale.forward(anchors.s_a, f_a, *geometry, *networks["psi_s"])
     x, res_x = offsets.forward(anchors.x_a, anchors.O_a, anchors.l_a)
-    kept, res_m = masking.forward(alpha.alpha, anchors.mask, design.tau_alpha, x.x, c.color, s.s, r.r)
+    kept, res_m = masking.forward(
+        alpha.alpha, anchors.mask, design.tau_alpha, x.x, c.color, s.s, r.r
+    )
     canonical = Gaussians(kept.x, kept.s, kept.r, kept.alpha, kept.color, kept.index)
     res = PredictRes(res_view, res_alpha, res_c, res_r, res_s, res_x, res_m, None, None)
     if t is None or "psi_d" not in networks:
         return canonical, res
     delta, res_d = deformation.forward(kept.x, t, *networks["psi_d"], design.L_x, design.L_t)
     at_t, res_t = deformed.forward(kept.x, kept.s, kept.r, *delta)
-    return (canonical._replace(x=at_t.x_t, s=at_t.s_t, r=at_t.r_t), res._replace(deformation=res_d, deformed=res_t))
+    return (
+        canonical._replace(x=at_t.x_t, s=at_t.s_t, r=at_t.r_t),
+        res._replace(deformation=res_d, deformed=res_t),
+    )
 
 
 def predict_backward(res, x_bar, s_bar, r_bar, alpha_bar, color_bar):
@@ -152,19 +183,27 @@ def predict_backward(res, x_bar, s_bar, r_bar, alpha_bar, color_bar):
     if res.deformed is not None:
         moved = deformed.backward(res.deformed, x_bar, s_bar, r_bar)
         x_bar, s_bar, r_bar = moved["x"], moved["s"], moved["r"]
-        networks["psi_d"] = deformation.backward(res.deformation, moved["delta_x"], moved["delta_s"],
-                                                 moved["delta_r"], needs_x=False)
+        networks["psi_d"] = deformation.backward(
+            res.deformation, moved["delta_x"], moved["delta_s"], moved["delta_r"], needs_x=False
+        )
     full = masking.backward(res.masking, alpha_bar, x_bar, color_bar, s_bar, r_bar)
     placed = offsets.backward(res.offsets, full["x"])
     networks["psi_s"] = scale.backward(res.scale, full["s"])
     networks["psi_r"] = rotation.backward(res.rotation, full["r"])
     networks["psi_c"] = color.backward(res.color, full["color"])
     networks["psi_alpha"] = opacity.backward(res.opacity, full["alpha"])
-    anchors = {"x_a": placed["x_a"], "O_a": placed["O_a"], "l_a": placed["l_a"], "s_a": networks["psi_s"]["s_a"],
-               "f_a": sum(networks[name]["f_a"] for name in ANCHOR_NETWORKS)}
-    if res.view is not None:                      # every network that sees the view sends its gradient back
+    anchors = {
+        "x_a": placed["x_a"],
+        "O_a": placed["O_a"],
+        "l_a": placed["l_a"],
+        "s_a": networks["psi_s"]["s_a"],
+        "f_a": sum(networks[name]["f_a"] for name in ANCHOR_NETWORKS),
+    }
+    if res.view is not None:  # every network that sees the view sends its gradient back
         seen = [networks[name] for name in ANCHOR_NETWORKS if networks[name]["d_vc"].shape[1]]
-        back = view.backward(res.view, sum(n["delta_vc"] for n in seen), sum(n["d_vc"] for n in seen))
+        back = view.backward(
+            res.view, sum(n["delta_vc"] for n in seen), sum(n["d_vc"] for n in seen)
+        )
         anchors["x_a"] = anchors["x_a"] + back["x_a"]
     return anchors, networks
 
@@ -177,7 +216,9 @@ def bounding_box(x_a):
 def snap(x_a, lo, hi):
     """Positions on the 16-bit lattice of the box, round to nearest (Q14): (symbols int64, positions float64)."""
     lo, extent = lo.astype(float), hi.astype(float) - lo
-    symbols = np.rint((np.clip(x_a, lo, hi) - lo) / np.where(extent > 0, extent, 1) * LATTICE).astype(np.int64)
+    symbols = np.rint(
+        (np.clip(x_a, lo, hi) - lo) / np.where(extent > 0, extent, 1) * LATTICE
+    ).astype(np.int64)
     return symbols, unsnap(symbols, lo, hi)
 
 
@@ -189,8 +230,8 @@ def unsnap(symbols, lo, hi):
 class Context(NamedTuple):
     """How the attributes of every anchor are quantised and coded; columns as in `join`."""
 
-    q: np.ndarray      # (A, 4) steps of f, s, l, O
-    mu: np.ndarray     # (A, d + 3 + 3 + 3k)
+    q: np.ndarray  # (A, 4) steps of f, s, l, O
+    mu: np.ndarray  # (A, d + 3 + 3 + 3k)
     sigma: np.ndarray  # (A, d + 3 + 3 + 3k)
 
 
@@ -220,20 +261,35 @@ class Model:
 
     design: Design
     anchors: Anchors
-    networks: dict             # name -> (weights, biases)
-    grids: list                # levels (T, F); the sign of an entry is all that counts
-    box: tuple                 # (lo, hi), each (3,): the bounding box in which positions have 16 bits
-    background: np.ndarray     # (3,)
+    networks: dict  # name -> (weights, biases)
+    grids: list  # levels (T, F); the sign of an entry is all that counts
+    box: tuple  # (lo, hi), each (3,): the bounding box in which positions have 16 bits
+    background: np.ndarray  # (3,)
 
     def gaussians(self, t, camera):
         """The Gaussians at time t in [0, 1] as that camera sees them."""
-        return predict(self.design, self.networks, self.anchors, np.asarray(camera.center, self.anchors.x_a.dtype), t)[0]
+        return predict(
+            self.design,
+            self.networks,
+            self.anchors,
+            np.asarray(camera.center, self.anchors.x_a.dtype),
+            t,
+        )[0]
 
     def render(self, camera, t, settings=FAST):
         """An image (H, W, 3), values usually but not necessarily in [0, 1]; clip before you save it."""
         g = self.gaussians(t, camera)
-        out, _ = render.forward(g.x, g.s, g.r, g.alpha, g.color, camera, self.background, settings,
-                                "occlusion" in self.design.effects)
+        out, _ = render.forward(
+            g.x,
+            g.s,
+            g.r,
+            g.alpha,
+            g.color,
+            camera,
+            self.background,
+            settings,
+            "occlusion" in self.design.effects,
+        )
         return out.image
 
 
@@ -249,14 +305,23 @@ def without_silent_units(model):
     if {"view_color", "view_geometry"} & set(model.design.effects) or not model.design.hidden:
         return model
     woken, slim = {}, {}
-    for name in ANCHOR_NETWORKS:                      # Res.inputs: what enters each layer; from 1 on, hidden units
+    for name in ANCHOR_NETWORKS:  # Res.inputs: what enters each layer; from 1 on, hidden units
         res = mlp.forward(model.anchors.f_a, *model.networks[name])[1]
         woken[name] = [units.any(axis=0) for units in res.inputs[1:]]
-    widths = tuple(max(1, *(int(layer.sum()) for layer in layers)) for layers in zip(*woken.values()))
+    widths = tuple(
+        max(1, *(int(layer.sum()) for layer in layers)) for layers in zip(*woken.values())
+    )
     for name, layers in woken.items():
-        kept = [np.sort(np.argsort(~layer, kind="stable")[:width]) for layer, width in zip(layers, widths)]
+        kept = [
+            np.sort(np.argsort(~layer, kind="stable")[:width])
+            for layer, width in zip(layers, widths)
+        ]
         before, after = [np.arange(model.design.d), *kept], [*kept, slice(None)]
         weights, biases = model.networks[name]
-        slim[name] = ([W[rows][:, columns] for W, rows, columns in zip(weights, before, after)],
-                      [b[columns] for b, columns in zip(biases, after)])
-    return replace(model, design=model.design._replace(hidden=widths), networks={**model.networks, **slim})
+        slim[name] = (
+            [W[rows][:, columns] for W, rows, columns in zip(weights, before, after)],
+            [b[columns] for b, columns in zip(biases, after)],
+        )
+    return replace(
+        model, design=model.design._replace(hidden=widths), networks={**model.networks, **slim}
+    )

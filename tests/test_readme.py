@@ -1,4 +1,5 @@
 """The README says what is so: its code runs and prints what stands below it, its figures, names and links are true."""
+
 import json
 import math
 import os
@@ -8,13 +9,19 @@ import sys
 from pathlib import Path
 
 import pytest
+from p4dgs_ref.training import adam
 
-from p4dgs_ref import catalogue, cli
+from p4dgs_ref import table as catalogue
+from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.equations import prior, rotation, step
-from p4dgs_ref.experiments.evaluate import FLOATS_PER_GAUSSIAN, FLOATS_WITHOUT_SH_REST, evaluate, explicit_bytes
-from p4dgs_ref.networks import adam
 from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene, packaged_scenes
 from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
+from p4dgs_ref.studies.evaluate import (
+    FLOATS_PER_GAUSSIAN,
+    FLOATS_WITHOUT_SH_REST,
+    evaluate,
+    explicit_bytes,
+)
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, TINY
 
@@ -30,7 +37,11 @@ def section(title):
 
 def cells(text):
     """The rows of the tables in a text, each a list of cells, without their heads."""
-    rows = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in text.splitlines() if line.startswith("|")]
+    rows = [
+        [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
+        for line in text.splitlines()
+        if line.startswith("|")
+    ]
     rules = [i for i, row in enumerate(rows) if set("".join(row)) == {"-"}]
     return [row for i, row in enumerate(rows) if i not in rules and i + 1 not in rules]
 
@@ -43,17 +54,28 @@ def numbers(text):
 def demo():
     """The measured figures of the demo by name."""
     rows = {row[0]: row[1] for row in cells(section("Two commands"))}
-    names = {"PSNR of the test views; of the object only; SSIM": ("psnr_db", "psnr_fg_db", "ssim"),
-             "anchors; Gaussians": ("anchors", "gaussians"), "file": ("bytes",),
-             "the same Gaussians as float32": ("explicit_bytes",),
-             "ratio; with 14 numbers a Gaussian instead of 59": ("ratio", "ratio_without_sh")}
-    return {name: value for label, keys in names.items() for name, value in zip(keys, numbers(rows[label]), strict=True)}
+    names = {
+        "PSNR of the test views; of the object only; SSIM": ("psnr_db", "psnr_fg_db", "ssim"),
+        "anchors; Gaussians": ("anchors", "gaussians"),
+        "file": ("bytes",),
+        "the same Gaussians as float32": ("explicit_bytes",),
+        "ratio; with 14 numbers a Gaussian instead of 59": ("ratio", "ratio_without_sh"),
+    }
+    return {
+        name: value
+        for label, keys in names.items()
+        for name, value in zip(keys, numbers(rows[label]), strict=True)
+    }
 
 
-@pytest.mark.parametrize("program, output", PROGRAMS, ids=["example", "face", "port", "slips", "sizes"])
+@pytest.mark.parametrize(
+    "program, output", PROGRAMS, ids=["example", "face", "port", "slips", "sizes"]
+)
 def test_program_prints_what_stands_below_it(program, output):
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8"}
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=environment, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, env=environment, capture_output=True, text=True
+    )
     assert (done.stdout, done.stderr) == (output, "")
 
 
@@ -69,7 +91,9 @@ def test_table_of_equations_is_the_printed_one():
 
 
 def test_two_commands_are_those_of_the_check():
-    first, second = re.search(r"```sh\n(.*?)```", section("Two commands"), re.DOTALL)[1].splitlines()
+    first, second = re.search(r"```sh\n(.*?)```", section("Two commands"), re.DOTALL)[
+        1
+    ].splitlines()
     *install, main_job = first.split(" && ")
     script = (ROOT / ".ci" / "run").read_text().replace('"$room"/', "")
     lines = [line.strip() for line in script.splitlines()]
@@ -90,18 +114,29 @@ done
 """
 
 
-@pytest.mark.parametrize("tests, slow, code", [(0, 0, 0), (0, 5, 0), (1, 0, 1), (5, 0, 5), (0, 1, 1), (0, 2, 2)])
+@pytest.mark.parametrize(
+    "tests, slow, code", [(0, 0, 0), (0, 5, 0), (1, 0, 1), (5, 0, 5), (0, 1, 1), (0, 2, 2)]
+)
 def test_check_fails_where_a_test_fails_and_leaves_nothing(tmp_path, tests, slow, code):
     programs, temporary, log = tmp_path / "programs", tmp_path / "temporary", tmp_path / "log"
     programs.mkdir(), temporary.mkdir()
     (programs / "python3").write_text(STUB)
     (programs / "python3").chmod(0o755)
-    environment = {**os.environ, "PATH": f"{programs}:{os.environ['PATH']}", "TMPDIR": str(temporary), "CI": "true",
-                   "LOG": str(log), "TESTS": str(tests), "SLOW": str(slow)}
-    done = subprocess.run([ROOT / ".ci" / "run"], env=environment, stdin=subprocess.DEVNULL, capture_output=True)
+    environment = {
+        **os.environ,
+        "PATH": f"{programs}:{os.environ['PATH']}",
+        "TMPDIR": str(temporary),
+        "CI": "true",
+        "LOG": str(log),
+        "TESTS": str(tests),
+        "SLOW": str(slow),
+    }
+    done = subprocess.run(
+        [ROOT / ".ci" / "run"], env=environment, stdin=subprocess.DEVNULL, capture_output=True
+    )
     assert done.returncode == code, done.stderr
     calls = ["pip install .[test]", "python -m pytest", "python -m pytest -m slow"]
-    assert log.read_text().splitlines() == calls[:2 if tests else 3]
+    assert log.read_text().splitlines() == calls[: 2 if tests else 3]
     assert not list(temporary.iterdir())
 
 
@@ -131,7 +166,9 @@ def test_commands_and_options_are_those_of_the_parser():
 
 
 def test_names_exist():
-    assert set(re.findall(r"^\| `(\w+)", section("Effects"), re.MULTILINE)) <= set(SIMULATOR_EFFECTS)
+    assert set(re.findall(r"^\| `(\w+)", section("Effects"), re.MULTILINE)) <= set(
+        SIMULATOR_EFFECTS
+    )
     assert set(SIMULATOR_EFFECTS) <= set(re.findall(r"`(\w+)`", section("Effects")))
     assert "bouncing" in packaged_scenes()
 
@@ -157,27 +194,61 @@ RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # What the row of a choice must say, from the code that it describes.
 FACTS = {
     "Q1": [f"layers of {PAPER_REAL.deformation[0]},", "(3, 3, 4)"],
-    "Q2": [f"L_x = {PAPER_REAL.L_x};", f"L_t = {PAPER_SYNTHETIC.L_t} (synthetic), {PAPER_REAL.L_t} (real)",
-           f"`tiny` {TINY.L_x} and {TINY.L_t}", f"`smoke` {SMOKE.L_x} and {SMOKE.L_t}"],
+    "Q2": [
+        f"L_x = {PAPER_REAL.L_x};",
+        f"L_t = {PAPER_SYNTHETIC.L_t} (synthetic), {PAPER_REAL.L_t} (real)",
+        f"`tiny` {TINY.L_x} and {TINY.L_t}",
+        f"`smoke` {SMOKE.L_x} and {SMOKE.L_t}",
+    ],
     "Q4": [f"τ_α = {PAPER_SYNTHETIC.tau_alpha:g}", f"{plain(rotation.EPSILON**2)})"],
     "Q7": [f"2{str(int(math.log2(step.FLOOR))).translate(RAISED)} Q_0"],
     "Q8": [f"[{prior.RAW_MIN:g}, {prior.RAW_MAX:g}]"],
     "Q13": [f"{PAPER_SYNTHETIC.lambda_ssim:g};"],
-    "Q15": [f"{TINY.grow_every} iterations, more than {TINY.success * TINY.grow_every:g} of them",
-            f"below {PAPER_REAL.min_opacity:g} (`tiny` {TINY.min_opacity:g})", f"{plain(PAPER_SYNTHETIC.mask_from)} (synthetic)",
-            f"{plain(PAPER_REAL.mask_from)} (real), {plain(TINY.mask_from)} (`tiny`) on"],
-    "Q16": [f"every {TINY.grow_every} iterations from {plain(PAPER_REAL.grow_from)} to {plain(PAPER_REAL.grow_until)}",
-            f"threshold {plain(PAPER_REAL.gradient_threshold)}", f"voxel {PAPER_REAL.grow_init} ε",
-            f"hierarchy {PAPER_REAL.grow_hierarchy}", f"depth {PAPER_REAL.grow_depth}",
-            f"until iteration {plain(TINY.grow_until)} and"],
-    "Q17": [f"O{rate('lr_O')}", f"f{rate('lr_f')}", f"s and l{rate('lr_s')}", f"ψ_r and ψ_s{rate('lr_r')}",
-            f"ψ_c{rate('lr_c')}", f"ψ_α{rate('lr_alpha')}", f"ψ_d{rate('lr_d')}", f"grid{rate('lr_grid')}",
-            f"ψ_p and ψ_q{rate('lr_p')}", f"ε = {plain(adam.EPSILON)}"],
-    "Q21": [f"near {EXACT.near:g}", f"blur {EXACT.blur:g}", f"{EXACT.tan_clamp:g} tan clamp", f"α ≤ {EXACT.alpha_max:g}",
-            f"{PAPER.tile}×{PAPER.tile} tiles", f"1/{1 / PAPER.mask:.0f} per pixel", f"pass T < {plain(PAPER.stop)}",
-            f"{FAST.tile}×{FAST.tile} tiles cut at α ≥ {plain(FAST.cut)}", f"stops at T < {plain(FAST.stop)}"],
-    "Q24": [ends(PAPER_SYNTHETIC) + " (synthetic)", ends(PAPER_REAL) + " (real)", ends(TINY) + " (`tiny`)"],
-    "Q25": [f"weight {PAPER_SYNTHETIC.lambda_volume:g} in the paper presets, {TINY.lambda_volume:g} in `tiny`"],
+    "Q15": [
+        f"{TINY.grow_every} iterations, more than {TINY.success * TINY.grow_every:g} of them",
+        f"below {PAPER_REAL.min_opacity:g} (`tiny` {TINY.min_opacity:g})",
+        f"{plain(PAPER_SYNTHETIC.mask_from)} (synthetic)",
+        f"{plain(PAPER_REAL.mask_from)} (real), {plain(TINY.mask_from)} (`tiny`) on",
+    ],
+    "Q16": [
+        f"every {TINY.grow_every} iterations from {plain(PAPER_REAL.grow_from)} to {plain(PAPER_REAL.grow_until)}",
+        f"threshold {plain(PAPER_REAL.gradient_threshold)}",
+        f"voxel {PAPER_REAL.grow_init} ε",
+        f"hierarchy {PAPER_REAL.grow_hierarchy}",
+        f"depth {PAPER_REAL.grow_depth}",
+        f"until iteration {plain(TINY.grow_until)} and",
+    ],
+    "Q17": [
+        f"O{rate('lr_O')}",
+        f"f{rate('lr_f')}",
+        f"s and l{rate('lr_s')}",
+        f"ψ_r and ψ_s{rate('lr_r')}",
+        f"ψ_c{rate('lr_c')}",
+        f"ψ_α{rate('lr_alpha')}",
+        f"ψ_d{rate('lr_d')}",
+        f"grid{rate('lr_grid')}",
+        f"ψ_p and ψ_q{rate('lr_p')}",
+        f"ε = {plain(adam.EPSILON)}",
+    ],
+    "Q21": [
+        f"near {EXACT.near:g}",
+        f"blur {EXACT.blur:g}",
+        f"{EXACT.tan_clamp:g} tan clamp",
+        f"α ≤ {EXACT.alpha_max:g}",
+        f"{PAPER.tile}×{PAPER.tile} tiles",
+        f"1/{1 / PAPER.mask:.0f} per pixel",
+        f"pass T < {plain(PAPER.stop)}",
+        f"{FAST.tile}×{FAST.tile} tiles cut at α ≥ {plain(FAST.cut)}",
+        f"stops at T < {plain(FAST.stop)}",
+    ],
+    "Q24": [
+        ends(PAPER_SYNTHETIC) + " (synthetic)",
+        ends(PAPER_REAL) + " (real)",
+        ends(TINY) + " (`tiny`)",
+    ],
+    "Q25": [
+        f"weight {PAPER_SYNTHETIC.lambda_volume:g} in the paper presets, {TINY.lambda_volume:g} in `tiny`"
+    ],
 }
 
 
@@ -191,19 +262,45 @@ def test_choices_are_numbered_and_hold_the_code_s_values():
 
 def test_what_facts_share_is_shared():
     """A row quotes one preset for several; here is that the others agree."""
-    for field in ("deformation", "L_x", "grow_every", "grow_from", "grow_until", "gradient_threshold", "grow_init",
-                  "grow_hierarchy", "grow_depth", "min_opacity", "success", "lambda_ssim", "tau_alpha", "lambda_volume"):
+    for field in (
+        "deformation",
+        "L_x",
+        "grow_every",
+        "grow_from",
+        "grow_until",
+        "gradient_threshold",
+        "grow_init",
+        "grow_hierarchy",
+        "grow_depth",
+        "min_opacity",
+        "success",
+        "lambda_ssim",
+        "tau_alpha",
+        "lambda_volume",
+    ):
         assert getattr(PAPER_REAL, field) == getattr(PAPER_SYNTHETIC, field), field
     for preset in (PAPER_SYNTHETIC, PAPER_REAL, TINY):
-        assert (preset.grow_every, preset.success, preset.lambda_ssim, preset.tau_alpha) == (100, 0.8, 0.2, 0)
-        assert preset.lr_s == preset.lr_l and preset.lr_r == preset.lr_psi_s and preset.lr_p == preset.lr_q
+        assert (preset.grow_every, preset.success, preset.lambda_ssim, preset.tau_alpha) == (
+            100,
+            0.8,
+            0.2,
+            0,
+        )
+        assert (
+            preset.lr_s == preset.lr_l
+            and preset.lr_r == preset.lr_psi_s
+            and preset.lr_p == preset.lr_q
+        )
     assert PAPER_SYNTHETIC.lr_x == PAPER_REAL.lr_x == (0, 0) and min(TINY.lr_x) > 0
     assert (PAPER_REAL.grow, TINY.grow, SMOKE.grow) == ("scaffold", "reseed", "off")
 
 
 def test_every_choice_that_the_code_cites_exists():
-    cited = {int(n) for file in (ROOT / "p4dgs_ref").rglob("*.py")
-             for n in re.findall(r"\bQ(\d+)\b", file.read_text(encoding="utf-8"))}
+    cited = {
+        int(n)
+        for file in (ROOT / "p4dgs_ref").rglob("*.py")
+        for n in re.findall(r"\bQ(\d+)\b", file.read_text(encoding="utf-8"))
+    }
     assert {1, 4, 7, 12, 14, 21} <= cited <= set(range(1, 28))
 
 
@@ -211,8 +308,10 @@ def test_demo_figures_agree_with_each_other():
     m = demo()
     design = design_of(TINY, load_scene("bouncing").effects)
     weights = sum((rows + 1) * columns for rows, columns in design.layers()["psi_d"])
-    plain_float32 = {floats: 4 * (m["gaussians"] * floats + weights)
-                     for floats in (FLOATS_PER_GAUSSIAN, FLOATS_WITHOUT_SH_REST)}
+    plain_float32 = {
+        floats: 4 * (m["gaussians"] * floats + weights)
+        for floats in (FLOATS_PER_GAUSSIAN, FLOATS_WITHOUT_SH_REST)
+    }
     assert m["explicit_bytes"] == plain_float32[59]
     assert m["ratio"] == round(plain_float32[59] / m["bytes"], 1)
     assert m["ratio_without_sh"] == round(plain_float32[14] / m["bytes"], 1)
@@ -223,9 +322,14 @@ def test_demo_bytes_add_up():
     parts = [n for row in cells(text) for n in numbers(row[1])]
     networks, coded = parts[:2]
     design = design_of(TINY, load_scene("bouncing").effects)
-    weights = sum((rows + 1) * columns for layers in design.layers().values() for rows, columns in layers)
+    weights = sum(
+        (rows + 1) * columns for layers in design.layers().values() for rows, columns in layers
+    )
     assert sum(parts) == m["bytes"] and networks == 2 * weights
-    assert f"Networks are {100 * networks / m['bytes']:.0f} % of the file" in text and f"{coded:,.0f} bytes" in text
+    assert (
+        f"Networks are {100 * networks / m['bytes']:.0f} % of the file" in text
+        and f"{coded:,.0f} bytes" in text
+    )
     assert f"give {m['ratio']}; the other 14 give {m['ratio_without_sh']}" in text
     assert round(100 * (0.241 + 0.038) / 0.506) == 55 and round(100 * (0.241 + 0.038) / 0.893) == 31
 
@@ -234,13 +338,21 @@ def test_demo_bytes_add_up():
 def test_demo_figures_are_those_of_the_demo(tmp_path):
     """The same to the last digit where they were measured; another machine's last bits lead training elsewhere."""
     import p4dgs_ref as p4
+
     scene = load_scene("bouncing")
     data = p4.encode(p4.train(scene, preset="tiny", seed=0))
     model = p4.decode(data)
     measured, _, _ = evaluate(model, scene)
     measured.update(bytes=len(data), explicit_bytes=explicit_bytes(model, measured["gaussians"]))
-    slack = {"psnr_db": 0.6, "psnr_fg_db": 0.6, "ssim": 0.006, "bytes": 1500, "anchors": 20, "gaussians": 75,
-             "explicit_bytes": 20_000}
+    slack = {
+        "psnr_db": 0.6,
+        "psnr_fg_db": 0.6,
+        "ssim": 0.006,
+        "bytes": 1500,
+        "anchors": 20,
+        "gaussians": 75,
+        "explicit_bytes": 20_000,
+    }
     said = demo()
     found = {key: abs(measured[key] - said[key]) for key in slack}
     assert all(found[key] <= slack[key] for key in slack), json.dumps(measured)
@@ -255,5 +367,6 @@ def test_changelog_puts_numbers_before_code():
 
 def p4dgs_version():
     import p4dgs_ref
+
     assert f"\nversion = {p4dgs_ref.__version__}\n" in (ROOT / "setup.cfg").read_text()
     return p4dgs_ref.__version__

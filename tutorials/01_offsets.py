@@ -7,8 +7,9 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import EQUATIONS, lessons
+from p4dgs_ref import EQUATIONS
 from p4dgs_ref.equations import offsets
+from p4dgs_ref.school import lessons
 
 plt = lessons.pyplot()
 
@@ -45,14 +46,25 @@ assert out.x.shape == (1, 1, 3) and np.array_equal(out.x[0, 0], by_hand)
 
 rng = np.random.default_rng(1)
 anchors = rng.uniform(-1, 1, (4, 3))
-children = offsets.forward(anchors, rng.normal(size=(4, 6, 3)), np.full((4, 3), [0.25, 0.1, 0.2]))[0].x
+children = offsets.forward(anchors, rng.normal(size=(4, 6, 3)), np.full((4, 3), [0.25, 0.1, 0.2]))[
+    0
+].x
 figure, axes = plt.subplots()
 for a in range(4):
-    axes.plot(*np.stack([np.broadcast_to(anchors[a], (6, 3)), children[a]])[..., :2].transpose(2, 0, 1), "-", lw=1, color="0.7")
+    axes.plot(
+        *np.stack([np.broadcast_to(anchors[a], (6, 3)), children[a]])[..., :2].transpose(2, 0, 1),
+        "-",
+        lw=1,
+        color="0.7",
+    )
     axes.plot(*children[a, :, :2].T, "o", ms=7, label=f"children of anchor {a}")
     axes.plot(*anchors[a, :2], "k+", ms=16, mew=3)
-axes.set(xlabel="x (scene units)", ylabel="y (scene units)", aspect="equal",
-         title="Four anchors (+), six Gaussians each: $l_a$ is wider along x")
+axes.set(
+    xlabel="x (scene units)",
+    ylabel="y (scene units)",
+    aspect="equal",
+    title="Four anchors (+), six Gaussians each: $l_a$ is wider along x",
+)
 axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
 lessons.show(figure, "01_offsets")
 
@@ -64,7 +76,7 @@ lessons.show(figure, "01_offsets")
 # With $\bar x = 3$ on the first axis of our child: 3 for the place, 1.5 for the offset, 6 for the scaling.
 
 # %%
-x_bar = 3.0                                                                         # l = 0.5, O = 2 on this axis
+x_bar = 3.0  # l = 0.5, O = 2 on this axis
 assert (x_bar, l_a[0] * x_bar, O[0] * x_bar) == (3, 1.5, 6)
 
 # %% [markdown]
@@ -74,13 +86,17 @@ assert (x_bar, l_a[0] * x_bar, O[0] * x_bar) == (3, 1.5, 6)
 
 # %%
 A, k = 5, 4
-inputs = dict(x_a=rng.normal(size=(A, 3)), O_a=rng.normal(size=(A, k, 3)), l_a=rng.uniform(0.1, 1, (A, 3)))
+inputs = dict(
+    x_a=rng.normal(size=(A, 3)), O_a=rng.normal(size=(A, k, 3)), l_a=rng.uniform(0.1, 1, (A, 3))
+)
 x_bar = rng.normal(size=(A, k, 3))
 out, res = offsets.forward(**inputs)
 ours = offsets.backward(res, x_bar)
-assert np.array_equal(ours["x_a"], x_bar.sum(axis=1))                               # x_a_bar = sum over children
-assert np.array_equal(ours["O_a"], x_bar * inputs["l_a"][:, None])                  # O_a_bar = x_bar l_a
-assert np.allclose(ours["l_a"], (x_bar * inputs["O_a"]).sum(axis=1), rtol=1e-14)    # l_a_bar = sum of x_bar O_a
+assert np.array_equal(ours["x_a"], x_bar.sum(axis=1))  # x_a_bar = sum over children
+assert np.array_equal(ours["O_a"], x_bar * inputs["l_a"][:, None])  # O_a_bar = x_bar l_a
+assert np.allclose(
+    ours["l_a"], (x_bar * inputs["O_a"]).sum(axis=1), rtol=1e-14
+)  # l_a_bar = sum of x_bar O_a
 
 # %% [markdown]
 # Is it right? $\langle a, b\rangle$ is the sum of all products of entries. Take $L = \langle\bar x, x\rangle$, whose
@@ -90,7 +106,9 @@ assert np.allclose(ours["l_a"], (x_bar * inputs["O_a"]).sum(axis=1), rtol=1e-14)
 # %%
 d = {name: rng.normal(size=a.shape) for name, a in inputs.items()}
 h = 1e-6
-up, down = (offsets.forward(**{n: a + s * h * d[n] for n, a in inputs.items()})[0].x for s in (1, -1))
+up, down = (
+    offsets.forward(**{n: a + s * h * d[n] for n, a in inputs.items()})[0].x for s in (1, -1)
+)
 difference, gradient = (x_bar * (up - down)).sum() / (2 * h), sum((ours[n] * d[n]).sum() for n in d)
 assert abs(difference - gradient) < 1e-8 * abs(gradient)
 print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
@@ -156,5 +174,8 @@ from p4dgs_ref import oracle
 print(oracle.check(lambda x_a, O_a, l_a: x_a[:, None] + O_a * l_a[:, None], "offsets"))
 assert oracle.check(lambda x_a, O_a, l_a: x_a[:, None] + O_a * l_a[:, None], "offsets").ok
 report = oracle.check(lambda x_a, O_a, l_a: x_a[:, None] + O_a * np.exp(l_a)[:, None], "offsets")
-assert "l_a is taken for a logarithm" in report.first.explanation and EQUATIONS["offsets"].number == "1"
+assert (
+    "l_a is taken for a logarithm" in report.first.explanation
+    and EQUATIONS["offsets"].number == "1"
+)
 print(report.first.explanation)

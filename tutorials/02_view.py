@@ -7,9 +7,10 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import EQUATIONS, effects, lessons
+from p4dgs_ref import EQUATIONS, effects
 from p4dgs_ref.equations import mlp, view
 from p4dgs_ref.model import bounding_box, snap
+from p4dgs_ref.school import lessons
 
 plt = lessons.pyplot()
 
@@ -51,7 +52,9 @@ assert out.delta_vc[0, 0] == length and np.allclose(out.d_vc[0], d, rtol=1e-15)
 far = np.array([[2e200, -3e200, 6e200]])
 with np.errstate(over="ignore"):
     literal = np.sqrt((far**2).sum())
-assert literal == np.inf and np.isclose(view.forward(far, np.zeros(3))[0].delta_vc[0, 0], 7e200, rtol=1e-15)
+assert literal == np.inf and np.isclose(
+    view.forward(far, np.zeros(3))[0].delta_vc[0, 0], 7e200, rtol=1e-15
+)
 inside = view.forward(x_c[None], x_c)[0]
 divisor = np.where(inside.delta_vc > 0, inside.delta_vc, 1)
 assert inside.delta_vc[0, 0] == 0 and divisor[0, 0] == 1 and not inside.d_vc.any()
@@ -78,7 +81,11 @@ for on_a_line in (3.0, -0.5):
 # %%
 rng = np.random.default_rng(2)
 A = 5
-anchors, delta_bar, d_bar = rng.normal(size=(A, 3)), rng.normal(size=(A, 1)), rng.normal(size=(A, 3))
+anchors, delta_bar, d_bar = (
+    rng.normal(size=(A, 3)),
+    rng.normal(size=(A, 1)),
+    rng.normal(size=(A, 3)),
+)
 out, res = view.forward(anchors, x_c)
 assert np.array_equal(view.backward(res, delta_vc_bar=delta_bar)["x_a"], out.d_vc * delta_bar)
 assert np.allclose(d * 7, [2, -3, 6], rtol=1e-15)
@@ -90,7 +97,7 @@ assert np.allclose(d * 7, [2, -3, 6], rtol=1e-15)
 # lies across.
 
 # %%
-P = np.eye(3) - out.d_vc[:, :, None] * out.d_vc[:, None, :]                          # (A, 3, 3)
+P = np.eye(3) - out.d_vc[:, :, None] * out.d_vc[:, None, :]  # (A, 3, 3)
 assert np.allclose(P @ P, P, atol=1e-15) and np.allclose(P @ out.d_vc[..., None], 0, atol=1e-15)
 step = 1e-6 * rng.normal(size=(A, 3))
 turned = view.forward(anchors + step, x_c)[0].d_vc - view.forward(anchors - step, x_c)[0].d_vc
@@ -102,13 +109,19 @@ assert np.allclose(turned / 2, (P @ step[..., None])[..., 0] / out.delta_vc, rto
 # Far anchors turn little: hence the $1/\delta$. "By hand" with $\bar d_{vc} = (343, 0, 0)$ alone: 45, 6, -12.
 
 # %%
-assert np.allclose((np.array([343, 0, 0]) - d * (d @ [343, 0, 0])) / length, [45, 6, -12], rtol=1e-14)
+assert np.allclose(
+    (np.array([343, 0, 0]) - d * (d @ [343, 0, 0])) / length, [45, 6, -12], rtol=1e-14
+)
 ours = view.backward(res, delta_bar, d_bar)["x_a"]
 along = (out.d_vc * d_bar).sum(axis=1, keepdims=True)
-assert np.allclose(ours, out.d_vc * delta_bar + (d_bar - out.d_vc * along) / out.delta_vc, rtol=1e-12)
-move = rng.normal(size=(A, 3))                                                       # the adjoint identity
+assert np.allclose(
+    ours, out.d_vc * delta_bar + (d_bar - out.d_vc * along) / out.delta_vc, rtol=1e-12
+)
+move = rng.normal(size=(A, 3))  # the adjoint identity
 up, down = (view.forward(anchors + s * 1e-6 * move, x_c)[0] for s in (1, -1))
-difference = ((up.delta_vc - down.delta_vc) * delta_bar).sum() / 2e-6 + ((up.d_vc - down.d_vc) * d_bar).sum() / 2e-6
+difference = ((up.delta_vc - down.delta_vc) * delta_bar).sum() / 2e-6 + (
+    (up.d_vc - down.d_vc) * d_bar
+).sum() / 2e-6
 assert abs(difference - (ours * move).sum()) < 1e-8 * abs(difference)
 print(f"by differences {difference:.9f}, by gradient {(ours * move).sum():.9f}")
 
@@ -118,22 +131,42 @@ print(f"by differences {difference:.9f}, by gradient {(ours * move).sum():.9f}")
 
 # %%
 angle, radius = np.meshgrid(np.linspace(0, 2 * np.pi, 12, endpoint=False), [1.0, 2.5, 4.0])
-ring = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0 * radius], axis=-1).reshape(-1, 3)
+ring = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0 * radius], axis=-1).reshape(
+    -1, 3
+)
 seen, ring_res = view.forward(ring, np.zeros(3))
 of_length = view.backward(ring_res, delta_vc_bar=np.ones((len(ring), 1)))["x_a"]
 of_direction = view.backward(ring_res, d_vc_bar=np.tile([1.0, 0, 0], (len(ring), 1)))["x_a"]
 assert np.allclose((of_direction * seen.d_vc).sum(axis=1), 0, atol=1e-15)
 figure, axes = plt.subplots(1, 2, figsize=(11, 6), sharey=True, layout="constrained")
-for ax, arrows, what in ((axes[0], of_length, r"$\bar\delta_{vc} = 1$ gives: along the ray, equally long"),
-                         (axes[1], of_direction, r"$\bar d_{vc} = (1, 0, 0)$ gives: across, fading as $1/\delta_{vc}$")):
+for ax, arrows, what in (
+    (axes[0], of_length, r"$\bar\delta_{vc} = 1$ gives: along the ray, equally long"),
+    (axes[1], of_direction, r"$\bar d_{vc} = (1, 0, 0)$ gives: across, fading as $1/\delta_{vc}$"),
+):
     color = lessons.COLORS[0] if ax is axes[0] else lessons.COLORS[1]
     ax.plot(0, 0, "k^", ms=14, ls="none", label="camera")
     ax.plot(*ring[:, :2].T, "o", ms=6, color="0.5", label="anchors")
-    ax.quiver(*ring[:, :2].T, *arrows[:, :2].T, color=color, angles="xy", scale_units="xy", scale=0.8, width=0.008, zorder=3)
+    ax.quiver(
+        *ring[:, :2].T,
+        *arrows[:, :2].T,
+        color=color,
+        angles="xy",
+        scale_units="xy",
+        scale=0.8,
+        width=0.008,
+        zorder=3,
+    )
     ax.plot([], [], color=color, label=r"gradient $\bar x_a$, 1 drawn as 1.25")
     ax.set(xlabel="x (scene units)", aspect="equal", xlim=(-5.6, 5.6), ylim=(-5.6, 5.6))
     ax.set_title(what, fontsize=14)
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, fontsize=11, columnspacing=1, handletextpad=0.4)
+    ax.legend(
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.12),
+        ncols=3,
+        fontsize=11,
+        columnspacing=1,
+        handletextpad=0.4,
+    )
 axes[0].set_ylabel("y (scene units)")
 figure.suptitle("What a distance and a direction send back to an anchor", fontsize=16)
 lessons.show(figure, "02_view")
@@ -150,8 +183,12 @@ small, small_res = view.forward(nearly_x, np.zeros(3))
 bar = np.array([[1, 0, 0]], dtype=np.float32)
 minors = view.backward(small_res, d_vc_bar=bar)["x_a"][0, 0]
 literal = ((bar - small.d_vc * (small.d_vc * bar).sum()) / small.delta_vc)[0, 0]
-exact = 0.125**2 / (1000.0**2 + 0.125**2) ** 1.5                                     # (1 - d_x^2) / delta
-assert minors.dtype == np.float32 and abs(minors - exact) < 1e-6 * exact and abs(literal - exact) > 0.5 * exact
+exact = 0.125**2 / (1000.0**2 + 0.125**2) ** 1.5  # (1 - d_x^2) / delta
+assert (
+    minors.dtype == np.float32
+    and abs(minors - exact) < 1e-6 * exact
+    and abs(literal - exact) > 0.5 * exact
+)
 print(f"exact {exact:.6e}, by minors {minors:.6e}, literally {literal:.6e}")
 
 # %% [markdown]
@@ -165,7 +202,9 @@ ours = view.backward(res, d_vc_bar=d_bar)["x_a"]
 across = move - out.d_vc * (out.d_vc * move).sum(axis=1, keepdims=True)
 assert abs(((broken - ours) * across).sum()) < 1e-13
 further = anchors + 0.01 * out.d_vc
-assert np.allclose(view.forward(further, x_c)[0].d_vc, out.d_vc, atol=1e-15)         # walking away turns nothing
+assert np.allclose(
+    view.forward(further, x_c)[0].d_vc, out.d_vc, atol=1e-15
+)  # walking away turns nothing
 claimed = (broken * out.d_vc).sum(axis=1)
 assert np.abs(claimed).min() > 0.01 and np.abs((ours * out.d_vc).sum(axis=1)).max() < 1e-15
 print("change of the loss per unit walked away; truth: 0; broken:", claimed.round(3))
@@ -182,7 +221,9 @@ with np.errstate(invalid="ignore"):
     W, b = mlp.random_network(rng, 3, 4, 2)
     weights_bar = mlp.backward(mlp.forward(literal, W, b)[1], np.ones((3, 2)))["weights"][0]
 assert np.isnan(literal).any(axis=1).sum() == 1 and np.isnan(weights_bar).all()
-print(f"rows not finite: one of three; weights' gradients not finite: {np.isnan(weights_bar).sum()} of {weights_bar.size}")
+print(
+    f"rows not finite: one of three; weights' gradients not finite: {np.isnan(weights_bar).sum()} of {weights_bar.size}"
+)
 
 # %% [markdown]
 # ## What a codec does with it
@@ -191,9 +232,11 @@ print(f"rows not finite: one of three; weights' gradients not finite: {np.isnan(
 # them, the columns are left out and cost nothing at all.
 
 # %%
-d, hidden = 16, 32                                                                   # the paper's synthetic scenes
+d, hidden = 16, 32  # the paper's synthetic scenes
 columns = effects.view_width(("view_geometry",), "view_geometry")
-print(f"{columns} columns for 0 bytes per anchor; rows that read them: {4 * columns * hidden * 2} bytes in four float16 networks")
+print(
+    f"{columns} columns for 0 bytes per anchor; rows that read them: {4 * columns * hidden * 2} bytes in four float16 networks"
+)
 assert columns == 4 and effects.view_width((), "view_geometry") == 0
 
 # %% [markdown]
@@ -230,7 +273,11 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("02.1", answer_1, view.backward(view.forward(x_a[None], x_c)[1], np.ones((1, 1)))["x_a"][0] @ [0.7, 0, 0])
+lessons.number(
+    "02.1",
+    answer_1,
+    view.backward(view.forward(x_a[None], x_c)[1], np.ones((1, 1)))["x_a"][0] @ [0.7, 0, 0],
+)
 lessons.forward("02.2", my_forward, "view")
 lessons.backward("02.3", my_backward, "view")
 

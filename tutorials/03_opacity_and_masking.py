@@ -7,8 +7,9 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import EQUATIONS, lessons
+from p4dgs_ref import EQUATIONS
 from p4dgs_ref.equations import masking, mlp, opacity, view
+from p4dgs_ref.school import lessons
 
 plt = lessons.pyplot()
 
@@ -30,12 +31,17 @@ plt = lessons.pyplot()
 
 # %%
 f_a, delta_vc, d_vc = np.array([[1.0]]), np.array([[2.0]]), np.array([[0.0, 0.6, 0.8]])
-W_0 = np.array([[1.0, -2], [0.25, 0.5], [3, 1], [0, 1], [0, 0]])      # 5 inputs, 2 hidden units
+W_0 = np.array([[1.0, -2], [0.25, 0.5], [3, 1], [0, 1], [0, 0]])  # 5 inputs, 2 hidden units
 b_0, W_1, b_1 = np.array([0.0, -1]), np.array([[1.0, -1], [5, 7]]), np.array([-1.0, 0.5])
 z = [1 * 1 + 2 * 0.25, 1 * -2 + 2 * 0.5 + 0.6 * 1 - 1]
 hidden = [max(z[0], 0), max(z[1], 0)]
 psi = [hidden[0] * 1 + hidden[1] * 5 - 1, hidden[0] * -1 + hidden[1] * 7 + 0.5]
-assert hidden == [1.5, 0] and z[1] < 0 and psi == [0.5, -1] and (np.tanh(psi) >= 0).tolist() == [True, False]
+assert (
+    hidden == [1.5, 0]
+    and z[1] < 0
+    and psi == [0.5, -1]
+    and (np.tanh(psi) >= 0).tolist() == [True, False]
+)
 print("psi", psi, "alpha", np.tanh(psi).round(4), "drawn:", np.tanh(psi) >= 0)
 
 # %% [markdown]
@@ -46,7 +52,7 @@ print("psi", psi, "alpha", np.tanh(psi).round(4), "drawn:", np.tanh(psi) >= 0)
 # %%
 out, res = opacity.forward(f_a, delta_vc, d_vc, [W_0, W_1], [b_0, b_1])
 assert out.alpha.shape == (1, 2) and np.allclose(out.alpha[0], np.tanh([0.5, -1]), rtol=1e-15)
-assert res.mlp.inputs[1].tolist() == [hidden]                         # what entered the last layer
+assert res.mlp.inputs[1].tolist() == [hidden]  # what entered the last layer
 
 # %% [markdown]
 # Then `masking.forward` turns children of anchors `(A, k)` into one flat list of the `N` that are kept: not below the threshold,
@@ -58,7 +64,9 @@ attributes = {"x": 3, "color": 3, "s": 3, "r": 4}
 three = {name: np.arange(3.0 * width).reshape(1, 3, width) for name, width in attributes.items()}
 kept, kept_res = masking.forward(np.array([[0.4, -0.1, 0.0]]), np.ones((1, 3), bool), 0.0, **three)
 assert kept.index.tolist() == [0, 2] and kept.alpha.tolist() == [0.4, 0] and kept.x.shape == (2, 3)
-assert masking.backward(kept_res, np.array([5.0, 7]))["alpha"].tolist() == [[5, 0, 7]]          # what kept ones get; see below
+assert masking.backward(kept_res, np.array([5.0, 7]))["alpha"].tolist() == [
+    [5, 0, 7]
+]  # what kept ones get; see below
 
 # %% [markdown]
 # The same anchor shows other Gaussians from elsewhere. Here a camera walks around one anchor; the network is random.
@@ -67,18 +75,29 @@ assert masking.backward(kept_res, np.array([5.0, 7]))["alpha"].tolist() == [[5, 
 # %%
 rng = np.random.default_rng(1103)
 weights, biases = mlp.random_network(rng, 4 + 4, 16, 16, 4)
-weights[0][4:] *= np.array([[0.3], [2], [2], [2]])                     # little of the distance, much of the direction
+weights[0][4:] *= np.array([[0.3], [2], [2], [2]])  # little of the distance, much of the direction
 walk = np.radians(np.arange(0, 361))
 cameras = np.stack([3 * np.cos(walk), 3 * np.sin(walk), 1 + 0 * walk], axis=1)
-seen, _ = view.forward(-cameras, np.zeros(3))                          # the anchor stands at the origin
+seen, _ = view.forward(-cameras, np.zeros(3))  # the anchor stands at the origin
 around = opacity.forward(np.tile(rng.normal(size=4), (361, 1)), *seen, weights, biases)[0].alpha
 figure, ax = plt.subplots(figsize=(10, 5.2))
 for j, curve in enumerate(around.T):
-    ax.plot(np.degrees(walk), np.where(curve >= 0, curve, np.nan), color=lessons.COLORS[j], lw=3, label=f"child {j}")
+    ax.plot(
+        np.degrees(walk),
+        np.where(curve >= 0, curve, np.nan),
+        color=lessons.COLORS[j],
+        lw=3,
+        label=f"child {j}",
+    )
     ax.plot(np.degrees(walk), curve, color=lessons.COLORS[j], lw=1, ls=":")
 ax.axhspan(-1, 0, color="0.92", zorder=0)
 ax.text(183, -0.93, r"$\alpha < \tau_\alpha$: not drawn", fontsize=14, ha="center")
-ax.set(xlabel="direction of the camera (degrees)", ylabel=r"opacity $\alpha$", ylim=(-1, 1), xlim=(0, 360))
+ax.set(
+    xlabel="direction of the camera (degrees)",
+    ylabel=r"opacity $\alpha$",
+    ylim=(-1, 1),
+    xlim=(0, 360),
+)
 ax.set_xticks(range(0, 361, 45))
 ax.set_title("One anchor, four children: who is drawn depends on where you stand", fontsize=15)
 ax.legend(ncols=4, loc="upper center", fontsize=12)
@@ -95,7 +114,7 @@ assert 0 < (around >= 0).mean() < 1 and len({tuple(row) for row in around >= 0})
 A, k, d = 6, 4, 3
 alpha = rng.uniform(-1, 1, (A, k))
 given = {name: rng.normal(size=(A, k, width)) for name, width in attributes.items()}
-mask = rng.random((A, k)) < 0.8                                       # children dropped for good (Q15)
+mask = rng.random((A, k)) < 0.8  # children dropped for good (Q15)
 kept, kept_res = masking.forward(alpha, mask, 0.0, **given)
 kept_bar = rng.normal(size=kept.alpha.shape)
 alpha_bar = masking.backward(kept_res, alpha_bar=kept_bar)["alpha"]
@@ -111,7 +130,9 @@ assert np.array_equal(alpha_bar, by_hand.reshape(A, k)) and not alpha_bar[(alpha
 # %%
 e = np.exp(-2 * np.abs(psi))
 slope = 1 - np.tanh(psi) ** 2
-assert slope.round(4).tolist() == [0.7864, 0.42] and np.allclose(slope, 4 * e / (1 + e) ** 2, rtol=1e-14)
+assert slope.round(4).tolist() == [0.7864, 0.42] and np.allclose(
+    slope, 4 * e / (1 + e) ** 2, rtol=1e-14
+)
 assert np.allclose(res.slope[0], slope, rtol=1e-14)
 
 # %% [markdown]
@@ -120,18 +141,37 @@ assert np.allclose(res.slope[0], slope, rtol=1e-14)
 
 # %%
 reach = np.linspace(0, 40, 401, dtype=np.float32)
-literal = 1 - np.tanh(reach.astype(float)).astype(np.float32) ** 2    # from the best tanh that single precision has
-single = opacity.forward(reach[:, None], reach[:, None][:, :0], reach[:, None][:, :0], [np.ones((1, 1), np.float32)],
-                         [np.zeros(1, np.float32)])[1].slope[:, 0]
+literal = (
+    1 - np.tanh(reach.astype(float)).astype(np.float32) ** 2
+)  # from the best tanh that single precision has
+single = opacity.forward(
+    reach[:, None],
+    reach[:, None][:, :0],
+    reach[:, None][:, :0],
+    [np.ones((1, 1), np.float32)],
+    [np.zeros(1, np.float32)],
+)[1].slope[:, 0]
 true = 1 / np.cosh(reach.astype(float)) ** 2
-assert abs(reach[literal == 0][0] - 9) < 0.2 and (literal[reach > 9.1] == 0).all() and single.dtype == np.float32
+assert (
+    abs(reach[literal == 0][0] - 9) < 0.2
+    and (literal[reach > 9.1] == 0).all()
+    and single.dtype == np.float32
+)
 assert np.abs(single[-1] / true[-1] - 1) < 1e-5 and reach[-1] == 40
 figure, ax = plt.subplots(figsize=(9, 5))
 ax.semilogy(reach, true, color="0.75", lw=8, label="exact")
 ax.semilogy(reach, single, color=lessons.COLORS[0], label=r"$4e/(1+e)^2$, single precision")
-ax.semilogy(reach[literal > 0], literal[literal > 0], color=lessons.COLORS[1], label=r"$1 - \alpha^2$, single precision")
+ax.semilogy(
+    reach[literal > 0],
+    literal[literal > 0],
+    color=lessons.COLORS[1],
+    label=r"$1 - \alpha^2$, single precision",
+)
 ax.axvline(reach[literal == 0][0], color=lessons.COLORS[1], ls="--", label="from here on exactly 0")
-ax.set(xlabel=r"output of the network $\psi_\alpha$", ylabel=r"slope $\partial\alpha/\partial\psi_\alpha$")
+ax.set(
+    xlabel=r"output of the network $\psi_\alpha$",
+    ylabel=r"slope $\partial\alpha/\partial\psi_\alpha$",
+)
 ax.set_title(r"$1 - \alpha^2$ switches the gradient off, $4e/(1+e)^2$ does not", fontsize=15)
 ax.legend()
 lessons.show(figure, "03_opacity_and_masking_slope")
@@ -143,13 +183,19 @@ lessons.show(figure, "03_opacity_and_masking_slope")
 # \bar w_0 = x\,\bar z,\quad \bar b_0 = \bar z,\quad \bar x = w_0\bar z.$$
 
 # %%
-x, w_0, c_0, w_1, y_bar = 2.0, 1.5, -1.0, 3.0, 4.0                      # c_0 is the text's b_0
+x, w_0, c_0, w_1, y_bar = 2.0, 1.5, -1.0, 3.0, 4.0  # c_0 is the text's b_0
 h = max(0, x * w_0 + c_0)
 h_bar = w_1 * y_bar
 z_bar = (h > 0) * h_bar
-scalar = mlp.backward(mlp.forward(np.array([[x]]), [np.array([[w_0]]), np.array([[w_1]])],
-                                  [np.array([c_0]), np.zeros(1)])[1], np.array([[y_bar]]))
-assert [g.item() for g in scalar["weights"]] == [x * z_bar, h * y_bar] and scalar["x"].item() == w_0 * z_bar
+scalar = mlp.backward(
+    mlp.forward(
+        np.array([[x]]), [np.array([[w_0]]), np.array([[w_1]])], [np.array([c_0]), np.zeros(1)]
+    )[1],
+    np.array([[y_bar]]),
+)
+assert [g.item() for g in scalar["weights"]] == [x * z_bar, h * y_bar] and scalar[
+    "x"
+].item() == w_0 * z_bar
 assert [g.item() for g in scalar["biases"]] == [z_bar, y_bar] and (h, z_bar) == (2, 12)
 
 # %% [markdown]
@@ -159,12 +205,23 @@ assert [g.item() for g in scalar["biases"]] == [z_bar, y_bar] and (h, z_bar) == 
 
 # %%
 N, I, J = 7, 5, 3
-x, W, b, y_bar = rng.normal(size=(N, I)), rng.normal(size=(I, J)), rng.normal(size=J), rng.normal(size=(N, J))
+x, W, b, y_bar = (
+    rng.normal(size=(N, I)),
+    rng.normal(size=(I, J)),
+    rng.normal(size=J),
+    rng.normal(size=(N, J)),
+)
 one = mlp.backward(mlp.forward(x, [W], [b])[1], y_bar)
-assert np.allclose(one["x"], [[sum(y_bar[n, j] * W[i, j] for j in range(J)) for i in range(I)] for n in range(N)], rtol=1e-12)
+assert np.allclose(
+    one["x"],
+    [[sum(y_bar[n, j] * W[i, j] for j in range(J)) for i in range(I)] for n in range(N)],
+    rtol=1e-12,
+)
 by_hand = [[sum(x[n, i] * y_bar[n, j] for n in range(N)) for j in range(J)] for i in range(I)]
 assert np.allclose(one["weights"][0], by_hand, rtol=1e-12)
-assert np.allclose(one["biases"][0], [sum(y_bar[n, j] for n in range(N)) for j in range(J)], rtol=1e-12)
+assert np.allclose(
+    one["biases"][0], [sum(y_bar[n, j] for n in range(N)) for j in range(J)], rtol=1e-12
+)
 
 # %% [markdown]
 # Shapes leave no choice: from $x$ `(N, I)` and $\bar y$ `(N, J)` only $x^T\bar y$ has the shape of $W$. And as in `01_offsets`,
@@ -178,10 +235,12 @@ y_bar = rng.normal(size=(A, k))
 ours = mlp.backward(net, y_bar)
 W_bar, b_bar, bar = [None] * 3, [None] * 3, y_bar
 for i in (2, 1, 0):
-    W_bar[i] = net.inputs[i].T @ bar                                   # x^T y_bar
-    b_bar[i] = bar.sum(axis=0)                                         # sum over rows
-    bar = bar @ weights[i].T                                           # y_bar W^T
-    bar = bar * (net.inputs[i] > 0) if i else bar                      # the ReLU in front of this layer; none before the first
+    W_bar[i] = net.inputs[i].T @ bar  # x^T y_bar
+    b_bar[i] = bar.sum(axis=0)  # sum over rows
+    bar = bar @ weights[i].T  # y_bar W^T
+    bar = (
+        bar * (net.inputs[i] > 0) if i else bar
+    )  # the ReLU in front of this layer; none before the first
 pairs = zip([*W_bar, *b_bar, bar], [*ours["weights"], *ours["biases"], ours["x"]])
 assert all(np.allclose(mine, theirs, rtol=1e-12) for mine, theirs in pairs)
 
@@ -194,20 +253,35 @@ inputs = opacity.view_inputs(rng, A=A, d=d, k=k)
 out, res = opacity.forward(**inputs)
 alpha_bar = rng.normal(size=(A, k))
 ours = opacity.backward(res, alpha_bar)
-assert np.array_equal(mlp.backward(mlp.forward(np.zeros((1, 1)), [np.ones((1, 1))] * 2, [np.zeros(1)] * 2)[1],
-                                   np.ones((1, 1)))["x"], [[0]])       # at the kink
+assert np.array_equal(
+    mlp.backward(
+        mlp.forward(np.zeros((1, 1)), [np.ones((1, 1))] * 2, [np.zeros(1)] * 2)[1], np.ones((1, 1))
+    )["x"],
+    [[0]],
+)  # at the kink
 
 
 def moved(h):
     """All inputs, weights included, moved by h times their directions."""
-    return {name: [a + h * e for a, e in zip(value, move[name])] if isinstance(value, list) else value + h * move[name]
-            for name, value in inputs.items()}
+    return {
+        name: [a + h * e for a, e in zip(value, move[name])]
+        if isinstance(value, list)
+        else value + h * move[name]
+        for name, value in inputs.items()
+    }
 
 
-move = {name: [rng.normal(size=a.shape) for a in value] if isinstance(value, list) else rng.normal(size=value.shape)
-        for name, value in inputs.items()}
+move = {
+    name: [rng.normal(size=a.shape) for a in value]
+    if isinstance(value, list)
+    else rng.normal(size=value.shape)
+    for name, value in inputs.items()
+}
 up, down = (opacity.forward(**moved(h))[0].alpha for h in (1e-6, -1e-6))
-difference, gradient = ((up - down) * alpha_bar).sum() / 2e-6, sum((g * e).sum() for n in move for g, e in zip(ours[n], move[n]))
+difference, gradient = (
+    ((up - down) * alpha_bar).sum() / 2e-6,
+    sum((g * e).sum() for n in move for g, e in zip(ours[n], move[n])),
+)
 assert abs(difference - gradient) < 1e-7 * abs(gradient)
 print(f"by differences {difference:.8f}, by gradient {gradient:.8f}")
 
@@ -216,9 +290,14 @@ print(f"by differences {difference:.8f}, by gradient {gradient:.8f}")
 # dropped child hears nothing. Only what others teach the shared network, siblings, anchors, views, can bring it back.
 
 # %%
-alone = opacity.backward(res, np.where(np.arange(k) == 1, alpha_bar, 0))             # only child 1 was drawn
+alone = opacity.backward(res, np.where(np.arange(k) == 1, alpha_bar, 0))  # only child 1 was drawn
 last = alone["weights"][-1]
-assert last[:, 1].any() and not last[:, [0, 2, 3]].any() and alone["weights"][0].any() and alone["f_a"].any()
+assert (
+    last[:, 1].any()
+    and not last[:, [0, 2, 3]].any()
+    and alone["weights"][0].any()
+    and alone["f_a"].any()
+)
 
 # %% [markdown]
 # ## Break it
@@ -227,11 +306,13 @@ assert last[:, 1].any() and not last[:, [0, 2, 3]].any() and alone["weights"][0]
 
 # %%
 packed = np.zeros(A * k)
-packed[:len(kept_bar)] = kept_bar
+packed[: len(kept_bar)] = kept_bar
 right = masking.backward(kept_res, alpha_bar=kept_bar)["alpha"]
 assert np.isclose(packed.sum(), right.sum()) and np.isclose((packed**2).sum(), (right**2).sum())
 arrow = rng.normal(size=(A, k)) * 1e-3
-change = ((masking.forward(alpha + arrow, mask, 0.0, **given)[0].alpha - kept.alpha) * kept_bar).sum()
+change = (
+    (masking.forward(alpha + arrow, mask, 0.0, **given)[0].alpha - kept.alpha) * kept_bar
+).sum()
 assert np.isclose((right * arrow).sum(), change, rtol=1e-9, atol=0)
 claimed = (packed.reshape(A, k) * arrow).sum()
 assert abs(claimed - change) > 0.1 * abs(change)
@@ -244,9 +325,15 @@ print(f"packed: sum and norm agree, but the loss changes by {change:.2e}, not by
 
 # %%
 d, k, width = 16, 10, 32
-count = sum(rows * columns + columns for rows, columns in ((d + 4, width), (width, width), (width, k)))
-print(f"{count} weights, {2 * count} bytes; opacities one by one {2 * k} bytes an anchor: even at {count / k:.0f} anchors")
-assert count == sum(W.size + b.size for W, b in zip(*mlp.random_network(rng, d + 4, width, width, k)))
+count = sum(
+    rows * columns + columns for rows, columns in ((d + 4, width), (width, width), (width, k))
+)
+print(
+    f"{count} weights, {2 * count} bytes; opacities one by one {2 * k} bytes an anchor: even at {count / k:.0f} anchors"
+)
+assert count == sum(
+    W.size + b.size for W, b in zip(*mlp.random_network(rng, d + 4, width, width, k))
+)
 
 # %% [markdown]
 # ## Exercises
@@ -274,8 +361,18 @@ def my_masking_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("03.1", answer_1, opacity.forward(np.array([[np.arctanh(0.6)]]), np.zeros((1, 0)), np.zeros((1, 0)),
-                                                 [np.eye(1)], [np.zeros(1)])[1].slope[0, 0] * 2)
+lessons.number(
+    "03.1",
+    answer_1,
+    opacity.forward(
+        np.array([[np.arctanh(0.6)]]),
+        np.zeros((1, 0)),
+        np.zeros((1, 0)),
+        [np.eye(1)],
+        [np.zeros(1)],
+    )[1].slope[0, 0]
+    * 2,
+)
 lessons.forward("03.2", my_opacity, "opacity")
 lessons.backward("03.3", my_mlp_backward, "mlp")
 lessons.backward("03.4", my_masking_backward, "masking")
@@ -291,8 +388,13 @@ from p4dgs_ref import oracle
 for key, module in (("opacity", opacity), ("masking", masking), ("mlp", mlp)):
     print(oracle.check(lambda module=module, **given: module.forward(**given)[0], key))
     assert oracle.check(lambda module=module, **given: module.forward(**given)[0], key).ok
-strict = lambda tau_alpha, **given: masking.forward(tau_alpha=np.nextafter(tau_alpha, np.inf), **given)[0]
+strict = lambda tau_alpha, **given: masking.forward(
+    tau_alpha=np.nextafter(tau_alpha, np.inf), **given
+)[0]
 report = oracle.check(strict, "masking")
-assert report.first.id == "masking/at_the_threshold" and "alpha > tau_alpha" in report.first.explanation
+assert (
+    report.first.id == "masking/at_the_threshold"
+    and "alpha > tau_alpha" in report.first.explanation
+)
 print(report.first.id, "|", report.first.explanation)
 assert EQUATIONS["opacity"].number == "3"

@@ -8,8 +8,9 @@
 import numpy as np
 from matplotlib.patches import Ellipse
 
-from p4dgs_ref import EQUATIONS, lessons
+from p4dgs_ref import EQUATIONS
 from p4dgs_ref.equations import color, mlp, opacity, rotation, scale
+from p4dgs_ref.school import lessons
 from p4dgs_ref.splatting import covariance
 
 plt = lessons.pyplot()
@@ -38,7 +39,9 @@ fraction = 1 / (1 + np.exp(-psi))
 s_a = np.array([2, 1, 0.5])
 y = np.array([1.0, 2, 2, 4])
 length = np.sqrt((y * y).sum())
-assert np.allclose(fraction, [0.5, 0.75, 0.25], rtol=1e-15) and np.allclose(s_a * fraction, [1, 0.75, 0.125], rtol=1e-15)
+assert np.allclose(fraction, [0.5, 0.75, 0.25], rtol=1e-15) and np.allclose(
+    s_a * fraction, [1, 0.75, 0.125], rtol=1e-15
+)
 assert length == 5 and (y / length).tolist() == [0.2, 0.4, 0.4, 0.8]
 
 # %% [markdown]
@@ -47,12 +50,20 @@ assert length == 5 and (y / length).tolist() == [0.2, 0.4, 0.4, 0.8]
 # are the first child's. The anchor's `s_a (A, 3)` gets an axis of length one and serves all children.
 
 # %%
-seen = np.zeros((1, 0)), np.zeros((1, 0))                              # no view: the feature is the whole input
-both = np.concatenate([psi, psi[::-1]])[None]                          # two children; the network is the identity
+seen = np.zeros((1, 0)), np.zeros((1, 0))  # no view: the feature is the whole input
+both = np.concatenate([psi, psi[::-1]])[None]  # two children; the network is the identity
 network = [np.eye(6)], [np.zeros(6)]
-assert np.allclose(color.forward(both, *seen, *network)[0].color, [[fraction, fraction[::-1]]], rtol=1e-15)
-assert np.allclose(scale.forward(s_a[None], both, *seen, *network)[0].s, [[s_a * fraction, s_a * fraction[::-1]]], rtol=1e-15)
-assert np.allclose(rotation.forward(y[None], *seen, [np.eye(4)], [np.zeros(4)])[0].r, [[y / 5]], rtol=1e-15)
+assert np.allclose(
+    color.forward(both, *seen, *network)[0].color, [[fraction, fraction[::-1]]], rtol=1e-15
+)
+assert np.allclose(
+    scale.forward(s_a[None], both, *seen, *network)[0].s,
+    [[s_a * fraction, s_a * fraction[::-1]]],
+    rtol=1e-15,
+)
+assert np.allclose(
+    rotation.forward(y[None], *seen, [np.eye(4)], [np.zeros(4)])[0].r, [[y / 5]], rtol=1e-15
+)
 
 # %% [markdown]
 # What an anchor looks like then, with random networks. The grey ellipse is the anchor's own scale, unturned. Its children have
@@ -63,10 +74,14 @@ A, k = 3, 5
 inputs = opacity.view_inputs(rng, A=A, d=6, k=k, outputs=4, hidden=(12, 12))
 views = {name: inputs[name] for name in ("f_a", "delta_vc", "d_vc")}
 nets = {n: opacity.view_inputs(rng, A=A, d=6, k=k, outputs=n, hidden=(12, 12)) for n in (3, 4)}
-colors = color.forward(**views, weights=[W * 1.6 for W in nets[3]["weights"]], biases=nets[3]["biases"])[0].color
+colors = color.forward(
+    **views, weights=[W * 1.6 for W in nets[3]["weights"]], biases=nets[3]["biases"]
+)[0].color
 turns = rotation.forward(**views, weights=nets[4]["weights"], biases=nets[4]["biases"])[0].r
 own = np.array([[1.0, 0.35, 0.3], [0.4, 0.8, 0.3], [0.7, 0.7, 0.2]])
-sizes = scale.forward(own, **views, weights=[W * 1.2 for W in nets[3]["weights"]], biases=nets[3]["biases"])[0].s
+sizes = scale.forward(
+    own, **views, weights=[W * 1.2 for W in nets[3]["weights"]], biases=nets[3]["biases"]
+)[0].s
 assert (sizes < own[:, None]).all() and (sizes > 0).all()
 
 
@@ -74,20 +89,51 @@ def outline(ax, place, s, r, **style):
     """The one-sigma ellipse of a Gaussian seen along z."""
     flat = covariance.forward(s[None], r[None])[0].Sigma[0, :2, :2]
     long_short, axes_of = np.linalg.eigh(flat)
-    ax.add_patch(Ellipse(place, *2 * np.sqrt(long_short), angle=np.degrees(np.arctan2(axes_of[1, 0], axes_of[0, 0])), **style))
+    ax.add_patch(
+        Ellipse(
+            place,
+            *2 * np.sqrt(long_short),
+            angle=np.degrees(np.arctan2(axes_of[1, 0], axes_of[0, 0])),
+            **style,
+        )
+    )
 
 
 figure, axes = plt.subplots(1, 3, figsize=(12, 4.8), sharey=True, layout="constrained")
 for a, ax in enumerate(axes):
-    outline(ax, (0, 0), own[a], np.array([1.0, 0, 0, 0]), fc="0.9", ec="0.4", ls="--", lw=2, label="scale of the anchor $s_a$")
+    outline(
+        ax,
+        (0, 0),
+        own[a],
+        np.array([1.0, 0, 0, 0]),
+        fc="0.9",
+        ec="0.4",
+        ls="--",
+        lw=2,
+        label="scale of the anchor $s_a$",
+    )
     for j in range(k):
         angle = 2 * np.pi * j / k
         place = 1.05 * np.cos(angle), 1.05 * np.sin(angle)
-        outline(ax, place, sizes[a, j], turns[a, j], fc=colors[a, j], ec="k", lw=1, label="children" if j == 0 else None)
-    ax.set(title=f"anchor {a}", xlabel="x (scene units)", aspect="equal", xlim=(-2, 2), ylim=(-2, 2))
+        outline(
+            ax,
+            place,
+            sizes[a, j],
+            turns[a, j],
+            fc=colors[a, j],
+            ec="k",
+            lw=1,
+            label="children" if j == 0 else None,
+        )
+    ax.set(
+        title=f"anchor {a}", xlabel="x (scene units)", aspect="equal", xlim=(-2, 2), ylim=(-2, 2)
+    )
 axes[0].set_ylabel("y (scene units)")
 axes[1].legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
-figure.suptitle("Children choose colour, turn and size; none outgrows its anchor (1 sigma, set apart)", fontsize=15)
+figure.suptitle(
+    "Children choose colour, turn and size; none outgrows its anchor (1 sigma, set apart)",
+    fontsize=15,
+)
 lessons.show(figure, "04_color_rotation_scale")
 
 # %% [markdown]
@@ -100,7 +146,10 @@ lessons.show(figure, "04_color_rotation_scale")
 c, rest = 1 / (1 + np.exp(-np.log(3))), 1 / (1 + np.exp(np.log(3)))
 assert np.isclose(c, 0.75) and np.isclose(c * (1 - c), 0.1875) and np.isclose(c * rest, 0.1875)
 white, white_res = color.forward(np.full((1, 3), 40.0), *seen, [np.eye(3)], [np.zeros(3)])
-assert white.color[0, 0, 0] * (1 - white.color[0, 0, 0]) == 0 and abs(white_res.slope[0, 0, 0] - np.exp(-40)) < 1e-30
+assert (
+    white.color[0, 0, 0] * (1 - white.color[0, 0, 0]) == 0
+    and abs(white_res.slope[0, 0, 0] - np.exp(-40)) < 1e-30
+)
 
 # %% [markdown]
 # **Scale.** One axis, one child: $s = s_a\,\varphi$ with $\varphi = \mathrm{sigmoid}(\psi)$. The rule for products:
@@ -123,7 +172,9 @@ inputs = dict(s_a=rng.uniform(0.1, 2, (A, 3)), **opacity.view_inputs(rng, A=A, d
 out, res = scale.forward(**inputs)
 s_bar = rng.normal(size=(A, k, 3))
 ours = scale.backward(res, s_bar)
-assert np.allclose(ours["s_a"], sum(s_bar[:, j] * out.s[:, j] / inputs["s_a"] for j in range(k)), rtol=1e-12)
+assert np.allclose(
+    ours["s_a"], sum(s_bar[:, j] * out.s[:, j] / inputs["s_a"] for j in range(k)), rtol=1e-12
+)
 last = s_bar * inputs["s_a"][:, None] * res.fraction * (1 - res.fraction)
 assert np.allclose(ours["biases"][-1], last.reshape(A, 3 * k).sum(axis=0), rtol=1e-12)
 
@@ -162,9 +213,15 @@ assert abs((y_bar * dy).sum() - (r_bar * dr).sum()) < 1e-12
 # %%
 tiny = rng.normal(size=4) * 2e-12
 r, n = rotation.normalise(tiny)
-assert abs(n[0] - np.sqrt(tiny @ tiny + 1e-24)) < 1e-26 and abs(r @ r - (1 - (1e-12 / n[0]) ** 2)) < 1e-14 and r @ r < 0.99
+assert (
+    abs(n[0] - np.sqrt(tiny @ tiny + 1e-24)) < 1e-26
+    and abs(r @ r - (1 - (1e-12 / n[0]) ** 2)) < 1e-14
+    and r @ r < 0.99
+)
 bar = np.array([3.0, -5, 7, 11])
-assert np.allclose(rotation.normalise_backward(r, n, bar), (bar - r * (r @ bar)) / n, rtol=1e-12, atol=0)
+assert np.allclose(
+    rotation.normalise_backward(r, n, bar), (bar - r * (r @ bar)) / n, rtol=1e-12, atol=0
+)
 at_zero = rotation.normalise_backward(*rotation.normalise(np.zeros(4)), bar)
 assert np.allclose(at_zero, bar * 1e12, rtol=1e-12) and np.isfinite(at_zero).all()
 
@@ -182,11 +239,31 @@ assert np.abs((arrows * flat).sum(axis=1)).max() < 1e-15
 figure, ax = plt.subplots(figsize=(7.5, 6.8))
 ax.add_patch(plt.Circle((0, 0), 1, fill=False, lw=2, color="0.4", label="unit quaternions $r$"))
 ax.plot(*flat.T, "o", ms=6, color=lessons.COLORS[6], label=r"raw quaternions $\psi_r$")
-ax.quiver(*flat.T, *arrows.T, color=lessons.COLORS[1], angles="xy", scale_units="xy", scale=1, width=0.008, zorder=3)
+ax.quiver(
+    *flat.T,
+    *arrows.T,
+    color=lessons.COLORS[1],
+    angles="xy",
+    scale_units="xy",
+    scale=1,
+    width=0.008,
+    zorder=3,
+)
 ax.plot([], [], color=lessons.COLORS[1], label=r"gradient $\bar\psi_r$")
-ax.annotate("", (-2.5, 0.225), (-2.5, -0.225), arrowprops=dict(width=3, headwidth=11, color=lessons.COLORS[0]))
+ax.annotate(
+    "",
+    (-2.5, 0.225),
+    (-2.5, -0.225),
+    arrowprops=dict(width=3, headwidth=11, color=lessons.COLORS[0]),
+)
 ax.text(-2.55, -0.5, r"$\bar r$ everywhere", color=lessons.COLORS[0], ha="center", fontsize=13)
-ax.set(xlabel="real part $w$", ylabel="imaginary part $x$", aspect="equal", xlim=(-3.4, 2.6), ylim=(-2.6, 2.6))
+ax.set(
+    xlabel="real part $w$",
+    ylabel="imaginary part $x$",
+    aspect="equal",
+    xlim=(-3.4, 2.6),
+    ylim=(-2.6, 2.6),
+)
 ax.set_title("Normalising removes the radial part of a gradient", fontsize=15)
 ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, fontsize=11, columnspacing=1)
 lessons.show(figure, "04_color_rotation_scale_quaternion")
@@ -204,15 +281,19 @@ for name in ("right", "broken"):
     q = start.copy()
     for _ in range(4000):
         r, n = rotation.normalise(q)
-        r_bar = r - target                                             # of the loss |r - target|^2 / 2
+        r_bar = r - target  # of the loss |r - target|^2 / 2
         q -= 0.05 * (rotation.normalise_backward(r, n, r_bar) if name == "right" else r_bar / n)
     assert (np.linalg.norm(q) < np.linalg.norm(start)) == (name == "broken")
     found[name] = np.degrees(2 * np.arccos(np.clip(abs(rotation.normalise(q)[0] @ target), 0, 1)))
-    print(f"{name}: off the target by {found[name]:.4f} degrees, raw length {np.linalg.norm(q):.3f}")
+    print(
+        f"{name}: off the target by {found[name]:.4f} degrees, raw length {np.linalg.norm(q):.3f}"
+    )
 assert max(found.values()) < 0.1
 r, n = rotation.normalise(start)
 bar = r - target
-assert abs(rotation.normalise_backward(r, n, bar) @ r) < 1e-14 and abs(bar @ r / n[0]) > 0.1      # the one-line check
+assert (
+    abs(rotation.normalise_backward(r, n, bar) @ r) < 1e-14 and abs(bar @ r / n[0]) > 0.1
+)  # the one-line check
 
 # %% [markdown]
 # ## What a codec does with it

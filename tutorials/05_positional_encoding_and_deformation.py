@@ -8,8 +8,9 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import EQUATIONS, PRESETS, lessons
+from p4dgs_ref import EQUATIONS, PRESETS
 from p4dgs_ref.equations import deformation, deformed, mlp, positional_encoding
+from p4dgs_ref.school import lessons
 from p4dgs_ref.training.initial import design_of
 
 plt = lessons.pyplot()
@@ -42,12 +43,16 @@ assert np.allclose(by_hand[1:], [1, 0, 0, -1], atol=1e-15)
 # unturned.
 
 # %%
-columns = 3 * (1 + 2 * 0) + 1 + 2 * 1                                   # E(x) with L_x = 0, E(t) with L_t = 1
+columns = 3 * (1 + 2 * 0) + 1 + 2 * 1  # E(x) with L_x = 0, E(t) with L_t = 1
 heads = [np.zeros((columns, width)) for width in (3, 3, 4)]
-heads[0][columns - 2, 0] = 0.5                                          # the last two columns are sin t, cos t
+heads[0][columns - 2, 0] = 0.5  # the last two columns are sin t, cos t
 biases = [np.zeros(width) for width in (3, 3, 4)]
 swing = deformation.forward(rng.normal(size=(2, 3)), np.pi / 2, heads, biases, L_x=0, L_t=1)[0]
-assert np.allclose(swing.delta_x, [[0.5, 0, 0]] * 2) and not swing.delta_s.any() and not swing.delta_r.any()
+assert (
+    np.allclose(swing.delta_x, [[0.5, 0, 0]] * 2)
+    and not swing.delta_s.any()
+    and not swing.delta_r.any()
+)
 
 # %% [markdown]
 # ## In code
@@ -58,10 +63,16 @@ assert np.allclose(swing.delta_x, [[0.5, 0, 0]] * 2) and not swing.delta_s.any()
 # %%
 x = rng.uniform(-1.3, 1.3, (4, 3))
 E = positional_encoding.forward(x, 2)[0].E
-assert np.array_equal(E, np.concatenate([x, np.sin(x), np.cos(x), np.sin(2 * x), np.cos(2 * x)], axis=1))
+assert np.array_equal(
+    E, np.concatenate([x, np.sin(x), np.cos(x), np.sin(2 * x), np.cos(2 * x)], axis=1)
+)
 paper = PRESETS["paper_synthetic"]
-assert (paper.L_x, paper.L_t) == (10, 6) and 3 * (1 + 2 * paper.L_x) == 63 and 1 + 2 * paper.L_t == 13
-assert [W[1] for W in design_of(paper, ("translation", "scaling", "rotation")).layers()["psi_d"][-3:]] == [3, 3, 4]
+assert (
+    (paper.L_x, paper.L_t) == (10, 6) and 3 * (1 + 2 * paper.L_x) == 63 and 1 + 2 * paper.L_t == 13
+)
+assert [
+    W[1] for W in design_of(paper, ("translation", "scaling", "rotation")).layers()["psi_d"][-3:]
+] == [3, 3, 4]
 
 # %% [markdown]
 # All Gaussians of a picture share $t$. So what the first layer makes of $\mathcal{E}(t)$ is the same for every row, and the code
@@ -71,9 +82,11 @@ assert [W[1] for W in design_of(paper, ("translation", "scaling", "rotation")).l
 t, field = 0.3, deformation.random_field(rng, 2, 1, 6, 5)
 out, res = deformation.forward(x, t, **field)
 E_t = positional_encoding.forward(np.array([[t]]), 1)[0].E
-rows = np.concatenate([E, np.repeat(E_t, 4, axis=0)], axis=1)           # what Eq. (5) prints
+rows = np.concatenate([E, np.repeat(E_t, 4, axis=0)], axis=1)  # what Eq. (5) prints
 W, b = field["weights"], field["biases"]
-printed = mlp.forward(rows, [*W[:-3], np.concatenate(W[-3:], axis=1)], [*b[:-3], np.concatenate(b[-3:])])[0].y
+printed = mlp.forward(
+    rows, [*W[:-3], np.concatenate(W[-3:], axis=1)], [*b[:-3], np.concatenate(b[-3:])]
+)[0].y
 assert np.allclose(np.concatenate(out, axis=1), printed, rtol=1e-12)
 
 # %% [markdown]
@@ -85,19 +98,32 @@ time = np.linspace(0, 1, 400)
 height = np.abs(np.cos(3 * np.pi * time))
 figure, axes = plt.subplots(1, 2, figsize=(12.5, 5), layout="constrained", width_ratios=(1, 1.35))
 waves = positional_encoding.forward(time[:, None], 6)[0].E
-picture = axes[0].imshow(waves.T, aspect="auto", cmap="cividis", extent=(0, 1, 12.5, -0.5), interpolation="nearest")
-axes[0].set(xlabel="time $t$", yticks=range(13), title=r"The 13 numbers of $\mathcal{E}(t)$, $L_t = 6$")
-axes[0].set_yticklabels(["$t$"] + [rf"$\{f}\,{2**j}t$" for j in range(6) for f in ("sin", "cos")], fontsize=10)
+picture = axes[0].imshow(
+    waves.T, aspect="auto", cmap="cividis", extent=(0, 1, 12.5, -0.5), interpolation="nearest"
+)
+axes[0].set(
+    xlabel="time $t$", yticks=range(13), title=r"The 13 numbers of $\mathcal{E}(t)$, $L_t = 6$"
+)
+axes[0].set_yticklabels(
+    ["$t$"] + [rf"$\{f}\,{2**j}t$" for j in range(6) for f in ("sin", "cos")], fontsize=10
+)
 axes[0].grid(False)
 figure.colorbar(picture, ax=axes[0], label="value")
 axes[1].plot(time, height, color="0.75", lw=9, label="a bouncing motion")
 misses = {}
 for L, color in zip((0, 2, 4, 6), lessons.COLORS):
-    basis = np.concatenate([np.ones((400, 1)), positional_encoding.forward(time[:, None], L)[0].E], axis=1)
+    basis = np.concatenate(
+        [np.ones((400, 1)), positional_encoding.forward(time[:, None], L)[0].E], axis=1
+    )
     fit = basis @ np.linalg.lstsq(basis, height, rcond=None)[0]
     misses[L] = np.sqrt(((fit - height) ** 2).mean())
     axes[1].plot(time, fit, color=color, label=f"$L_t = {L}$, misses by {misses[L]:.3f} (rms)")
-axes[1].set(xlabel="time $t$", ylabel="height (scene units)", title="More waves follow sharper motion", ylim=(-0.1, 1.75))
+axes[1].set(
+    xlabel="time $t$",
+    ylabel="height (scene units)",
+    title="More waves follow sharper motion",
+    ylim=(-0.1, 1.75),
+)
 axes[1].legend(loc="upper center", fontsize=11)
 lessons.show(figure, "05_positional_encoding_and_deformation")
 assert misses[0] > misses[2] > misses[4] > misses[6]
@@ -114,9 +140,11 @@ E, encoding_res = positional_encoding.forward(np.array([[p]]), L)
 E_bar = rng.normal(size=(1, 1 + 2 * L))
 terms = [E_bar[0, 0]]
 for j in range(L):
-    s_bar, c_bar = E_bar[0, 1 + 2 * j:3 + 2 * j]
+    s_bar, c_bar = E_bar[0, 1 + 2 * j : 3 + 2 * j]
     terms.append(2**j * (np.cos(2**j * p) * s_bar - np.sin(2**j * p) * c_bar))
-assert len(terms) == 1 + L and np.isclose(positional_encoding.backward(encoding_res, E_bar)["p"].item(), sum(terms), rtol=1e-12)
+assert len(terms) == 1 + L and np.isclose(
+    positional_encoding.backward(encoding_res, E_bar)["p"].item(), sum(terms), rtol=1e-12
+)
 h = 1e-6
 up, down = (positional_encoding.forward(np.array([[p + s * h]]), L)[0].E for s in (1, -1))
 assert np.isclose(((up - down) * E_bar).sum() / (2 * h), sum(terms), rtol=1e-7)
@@ -131,11 +159,13 @@ N, D, L = 5, 3, 4
 x = rng.normal(size=(N, D))
 E, encoding_res = positional_encoding.forward(x, L)
 E_bar = rng.normal(size=E.E.shape)
-s, c = E.E[:, D:].reshape(N, L, 2, D).swapaxes(0, 2)                    # each (L, N, D)
+s, c = E.E[:, D:].reshape(N, L, 2, D).swapaxes(0, 2)  # each (L, N, D)
 s_bar, c_bar = E_bar[:, D:].reshape(N, L, 2, D).swapaxes(0, 2)
 assert np.array_equal(s[2], np.sin(4 * x)) and np.array_equal(c[3], np.cos(8 * x))
 by_hand = E_bar[:, :D] + sum(2**j * (c[j] * s_bar[j] - s[j] * c_bar[j]) for j in range(L))
-assert np.allclose(positional_encoding.backward(encoding_res, E_bar)["p"], by_hand, rtol=1e-12, atol=1e-13)
+assert np.allclose(
+    positional_encoding.backward(encoding_res, E_bar)["p"], by_hand, rtol=1e-12, atol=1e-13
+)
 
 # %% [markdown]
 # **The field** is the network of `03_opacity_and_masking`; two things are new. Three heads on one trunk are one last layer with
@@ -146,22 +176,35 @@ assert np.allclose(positional_encoding.backward(encoding_res, E_bar)["p"], by_ha
 # %%
 x = rng.uniform(-1.3, 1.3, (N, 3))
 out, res = deformation.forward(x, t, **field)
-bars = dict(delta_x_bar=rng.normal(size=(N, 3)), delta_s_bar=rng.normal(size=(N, 3)), delta_r_bar=rng.normal(size=(N, 4)))
+bars = dict(
+    delta_x_bar=rng.normal(size=(N, 3)),
+    delta_s_bar=rng.normal(size=(N, 3)),
+    delta_r_bar=rng.normal(size=(N, 4)),
+)
 ours = deformation.backward(res, **bars)
 E_x, E_x_res = positional_encoding.forward(x, field["L_x"])
 rows = np.concatenate([E_x.E, np.repeat(E_t, N, axis=0)], axis=1)
-_, net = mlp.forward(rows, [*W[:-3], np.concatenate(W[-3:], axis=1)], [*b[:-3], np.concatenate(b[-3:])])
+_, net = mlp.forward(
+    rows, [*W[:-3], np.concatenate(W[-3:], axis=1)], [*b[:-3], np.concatenate(b[-3:])]
+)
 printed = mlp.backward(net, np.concatenate(list(bars.values()), axis=1))
-assert np.allclose(ours["weights"][0], printed["weights"][0], rtol=1e-11, atol=1e-13)         # all rows of the first layer
-assert np.allclose(ours["weights"][0][-3:], np.outer(E_t, ours["biases"][0]), rtol=1e-11)     # those that read E(t)
-assert np.allclose(ours["weights"][-1], printed["weights"][-1][:, 6:], rtol=1e-11, atol=1e-13)          # the third head
-through = positional_encoding.backward(E_x_res, printed["x"][:, :E_x.E.shape[1]])["p"]
+assert np.allclose(
+    ours["weights"][0], printed["weights"][0], rtol=1e-11, atol=1e-13
+)  # all rows of the first layer
+assert np.allclose(
+    ours["weights"][0][-3:], np.outer(E_t, ours["biases"][0]), rtol=1e-11
+)  # those that read E(t)
+assert np.allclose(
+    ours["weights"][-1], printed["weights"][-1][:, 6:], rtol=1e-11, atol=1e-13
+)  # the third head
+through = positional_encoding.backward(E_x_res, printed["x"][:, : E_x.E.shape[1]])["p"]
 assert np.allclose(ours["x"], through, rtol=1e-11, atol=1e-12)
 
 # %% [markdown]
 # **Where the pipeline stops (`Q10`).** The equation has the gradient of $x$ just computed. The pipeline, like `D3DGS`, does
 # not ask for it: with `needs_x=False` the way from $\mathcal{E}(x)$ back to $x$ is closed. $x$ still learns through
 # $x' = x + \Delta x$, with slope one.
+
 
 # %%
 def moved(x, seen):
@@ -175,9 +218,11 @@ closed = deformation.backward(deformation.forward(x, t, **field)[1], x_t_bar, ne
 opened = deformation.backward(deformation.forward(x, t, **field)[1], x_t_bar)["x"]
 assert "x" not in closed
 frozen = ((moved(x + h * arrow, x) - moved(x - h * arrow, x)) * x_t_bar).sum() / (2 * h)
-full = ((moved(x + h * arrow, x + h * arrow) - moved(x - h * arrow, x - h * arrow)) * x_t_bar).sum() / (2 * h)
-assert np.isclose(frozen, (x_t_bar * arrow).sum(), rtol=1e-7)                       # what the pipeline uses
-assert np.isclose(full, ((x_t_bar + opened) * arrow).sum(), rtol=1e-6)              # the whole truth
+full = (
+    (moved(x + h * arrow, x + h * arrow) - moved(x - h * arrow, x - h * arrow)) * x_t_bar
+).sum() / (2 * h)
+assert np.isclose(frozen, (x_t_bar * arrow).sum(), rtol=1e-7)  # what the pipeline uses
+assert np.isclose(full, ((x_t_bar + opened) * arrow).sum(), rtol=1e-6)  # the whole truth
 
 # %% [markdown]
 # What the open way would do: each wave sends its gradient multiplied by $2^j$. Below: a field of random weights with ten
@@ -199,9 +244,19 @@ assert np.allclose(in_bar[:, :3] + parts.sum(axis=0), back, rtol=1e-9, atol=1e-9
 strength = np.sqrt((parts**2).mean(axis=(1, 2)))
 direct = np.sqrt((x_t_bar**2).mean())
 figure, ax = plt.subplots(figsize=(9, 5))
-ax.bar(range(L_x), strength, color=lessons.COLORS[1], label=r"through wave $j$ of $\mathcal{E}(x)$: closed by Q10")
+ax.bar(
+    range(L_x),
+    strength,
+    color=lessons.COLORS[1],
+    label=r"through wave $j$ of $\mathcal{E}(x)$: closed by Q10",
+)
 ax.axhline(direct, color=lessons.COLORS[0], label=r"through $x' = x + \Delta x$: used")
-ax.set(yscale="log", xlabel="wave $j$ (frequency $2^j$)", ylabel=r"rms of its part of $\bar x$", xticks=range(L_x))
+ax.set(
+    yscale="log",
+    xlabel="wave $j$ (frequency $2^j$)",
+    ylabel=r"rms of its part of $\bar x$",
+    xticks=range(L_x),
+)
 ax.set_title("Random weights: the fastest wave would decide where a Gaussian goes", fontsize=14)
 ax.legend()
 lessons.show(figure, "05_positional_encoding_and_deformation_gradient")
@@ -224,7 +279,9 @@ up, down = (positional_encoding.forward(x + s * h * arrow, L_x)[0].E for s in (1
 difference = ((up - down) * E_bar).sum() / (2 * h)
 assert abs((right * arrow).sum() - difference) < 1e-4 * abs(difference)
 assert abs((broken * arrow).sum() - difference) > 0.5 * abs(difference)
-print(f"by differences {difference:.2f}, right {(right * arrow).sum():.2f}, without the factor {(broken * arrow).sum():.2f}")
+print(
+    f"by differences {difference:.2f}, right {(right * arrow).sum():.2f}, without the factor {(broken * arrow).sum():.2f}"
+)
 
 # %% [markdown]
 # ## What a codec does with it
@@ -236,7 +293,9 @@ print(f"by differences {difference:.2f}, right {(right * arrow).sum():.2f}, with
 layers = design_of(paper, ("translation", "scaling", "rotation")).layers()["psi_d"]
 count = sum(rows * columns + columns for rows, columns in layers)
 assert count == 53770 and 0.241 / 0.506 > 0.47 and abs(2 * count / 2**20 - 0.241) > 0.1
-print(f"{count} numbers, {2 * count} bytes; ten numbers for each of 20,000 Gaussians at 100 times: {2 * 10 * 20_000 * 100} bytes")
+print(
+    f"{count} numbers, {2 * count} bytes; ten numbers for each of 20,000 Gaussians at 100 times: {2 * 10 * 20_000 * 100} bytes"
+)
 
 # %% [markdown]
 # ## Exercises

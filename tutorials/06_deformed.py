@@ -9,8 +9,9 @@
 import numpy as np
 from matplotlib.patches import Ellipse
 
-from p4dgs_ref import EQUATIONS, PRESETS, effects, lessons
+from p4dgs_ref import EQUATIONS, PRESETS, effects
 from p4dgs_ref.equations import deformed, rotation
+from p4dgs_ref.school import lessons
 from p4dgs_ref.splatting import covariance
 from p4dgs_ref.training.initial import design_of
 
@@ -32,9 +33,15 @@ rng = np.random.default_rng(6)
 
 # %%
 x, s, r = np.array([[1.0, 2, 3]]), np.array([[0.5, 0.1, 0.1]]), np.array([[1.0, 0, 0, 0]])
-delta_x, delta_s, delta_r = np.array([[0.5, 0, -1]]), np.array([[0, 0.2, -0.3]]), np.array([[0.0, 2, 2, 4]])
+delta_x, delta_s, delta_r = (
+    np.array([[0.5, 0, -1]]),
+    np.array([[0, 0.2, -0.3]]),
+    np.array([[0.0, 2, 2, 4]]),
+)
 added = r + delta_r
-assert (x + delta_x).tolist() == [[1.5, 2, 2]] and np.allclose(s + delta_s, [[0.5, 0.3, -0.2]], rtol=1e-14)
+assert (x + delta_x).tolist() == [[1.5, 2, 2]] and np.allclose(
+    s + delta_s, [[0.5, 0.3, -0.2]], rtol=1e-14
+)
 assert np.linalg.norm(added) == 5 and np.allclose(added / 5, [[0.2, 0.4, 0.4, 0.8]], rtol=1e-15)
 
 # %% [markdown]
@@ -49,7 +56,10 @@ assert np.array_equal(out.x_t, x + delta_x) and np.array_equal(out.s_t, s + delt
 assert np.allclose(out.r_t, added / 5, rtol=1e-15)
 still, _ = deformed.forward(x, s, r, delta_x, delta_s[:, :0], delta_r[:, :0])
 assert still.s_t is s and still.r_t is r
-sizes = covariance.forward(out.s_t, out.r_t)[0].Sigma, covariance.forward(np.abs(out.s_t), out.r_t)[0].Sigma
+sizes = (
+    covariance.forward(out.s_t, out.r_t)[0].Sigma,
+    covariance.forward(np.abs(out.s_t), out.r_t)[0].Sigma,
+)
 assert np.allclose(*sizes, rtol=1e-14)
 
 # %% [markdown]
@@ -60,9 +70,11 @@ assert np.allclose(*sizes, rtol=1e-14)
 times = np.linspace(0, 1, 6)
 canon = dict(x=np.zeros((6, 3)), s=np.tile([0.16, 0.07, 0.05], (6, 1)), r=np.eye(4)[[0] * 6])
 turn = np.radians(150 * times) / 2
-deltas = dict(delta_x=np.stack([2.4 * times, 3.2 * times * (1 - times), 0 * times], axis=1),
-              delta_s=np.stack([0.12 * times, 0 * times, 0 * times], axis=1),
-              delta_r=np.stack([0 * times, 0 * times, 0 * times, np.tan(turn)], axis=1))
+deltas = dict(
+    delta_x=np.stack([2.4 * times, 3.2 * times * (1 - times), 0 * times], axis=1),
+    delta_s=np.stack([0.12 * times, 0 * times, 0 * times], axis=1),
+    delta_r=np.stack([0 * times, 0 * times, 0 * times, np.tan(turn)], axis=1),
+)
 track, _ = deformed.forward(**canon, **deltas)
 Sigma = covariance.forward(track.s_t, track.r_t)[0].Sigma[:, :2, :2]
 shown = np.degrees(2 * np.arctan2(track.r_t[:, 3], track.r_t[:, 0]))
@@ -72,11 +84,34 @@ fine = np.linspace(0, 1, 101)
 ax.plot(2.4 * fine, 3.2 * fine * (1 - fine), "k:", lw=1.5, label=r"$x + \Delta x(t)$")
 for i, t in enumerate(times):
     size, axis = np.linalg.eigh(Sigma[i])
-    ax.add_patch(Ellipse(track.x_t[i, :2], *2 * np.sqrt(size), angle=np.degrees(np.arctan2(axis[1, 0], axis[0, 0])), alpha=0.75,
-                         fc=("0.6", lessons.COLORS[0])[i > 0], ec="k", label=("canonical", "moved")[i] if i < 2 else None))
-    ax.text(track.x_t[i, 0], track.x_t[i, 1] - 0.5, f"t = {t:.1f}\n{shown[i]:.0f}°", ha="center", fontsize=12)
-ax.set(xlabel="x (scene units)", ylabel="y (scene units)", aspect="equal", xlim=(-0.5, 3), ylim=(-0.65, 1.35))
-ax.set_title("One canonical Gaussian at six times: thrown, stretched, turned (1 sigma)", fontsize=15)
+    ax.add_patch(
+        Ellipse(
+            track.x_t[i, :2],
+            *2 * np.sqrt(size),
+            angle=np.degrees(np.arctan2(axis[1, 0], axis[0, 0])),
+            alpha=0.75,
+            fc=("0.6", lessons.COLORS[0])[i > 0],
+            ec="k",
+            label=("canonical", "moved")[i] if i < 2 else None,
+        )
+    )
+    ax.text(
+        track.x_t[i, 0],
+        track.x_t[i, 1] - 0.5,
+        f"t = {t:.1f}\n{shown[i]:.0f}°",
+        ha="center",
+        fontsize=12,
+    )
+ax.set(
+    xlabel="x (scene units)",
+    ylabel="y (scene units)",
+    aspect="equal",
+    xlim=(-0.5, 3),
+    ylim=(-0.65, 1.35),
+)
+ax.set_title(
+    "One canonical Gaussian at six times: thrown, stretched, turned (1 sigma)", fontsize=15
+)
 ax.legend(loc="upper right", fontsize=12)
 lessons.show(figure, "06_deformed")
 
@@ -87,13 +122,27 @@ lessons.show(figure, "06_deformed")
 
 # %%
 N = 6
-inputs = dict(x=rng.normal(size=(N, 3)), s=rng.uniform(0.1, 1, (N, 3)), r=rotation.normalise(rng.normal(size=(N, 4)))[0],
-              delta_x=rng.normal(size=(N, 3)), delta_s=rng.normal(size=(N, 3)), delta_r=rng.normal(size=(N, 4)))
+inputs = dict(
+    x=rng.normal(size=(N, 3)),
+    s=rng.uniform(0.1, 1, (N, 3)),
+    r=rotation.normalise(rng.normal(size=(N, 4)))[0],
+    delta_x=rng.normal(size=(N, 3)),
+    delta_s=rng.normal(size=(N, 3)),
+    delta_r=rng.normal(size=(N, 4)),
+)
 out, res = deformed.forward(**inputs)
-bars = dict(x_t_bar=rng.normal(size=(N, 3)), s_t_bar=rng.normal(size=(N, 3)), r_t_bar=rng.normal(size=(N, 4)))
+bars = dict(
+    x_t_bar=rng.normal(size=(N, 3)),
+    s_t_bar=rng.normal(size=(N, 3)),
+    r_t_bar=rng.normal(size=(N, 4)),
+)
 ours = deformed.backward(res, **bars)
-assert np.array_equal(ours["x"], bars["x_t_bar"]) and np.array_equal(ours["delta_x"], bars["x_t_bar"])
-assert np.array_equal(ours["s"], bars["s_t_bar"]) and np.array_equal(ours["delta_s"], bars["s_t_bar"])
+assert np.array_equal(ours["x"], bars["x_t_bar"]) and np.array_equal(
+    ours["delta_x"], bars["x_t_bar"]
+)
+assert np.array_equal(ours["s"], bars["s_t_bar"]) and np.array_equal(
+    ours["delta_s"], bars["s_t_bar"]
+)
 
 # %% [markdown]
 # The turn: first through the normalisation of `04_color_rotation_scale`, then through the sum. With $n = \|r + \Delta r\|$:
@@ -105,10 +154,14 @@ n = np.linalg.norm(inputs["r"] + inputs["delta_r"], axis=1, keepdims=True)
 along = (out.r_t * bars["r_t_bar"]).sum(axis=1, keepdims=True)
 assert np.allclose(ours["r"], (bars["r_t_bar"] - out.r_t * along) / n, rtol=1e-11, atol=1e-13)
 assert np.array_equal(ours["r"], ours["delta_r"])
-d = {name: rng.normal(size=a.shape) for name, a in inputs.items()}                   # the adjoint identity, all six
+d = {name: rng.normal(size=a.shape) for name, a in inputs.items()}  # the adjoint identity, all six
 h = 1e-6
-up, down = (deformed.forward(**{m: a + sign * h * d[m] for m, a in inputs.items()})[0] for sign in (1, -1))
-difference = sum((bars[m + "_bar"] * (a - b)).sum() for m, a, b in zip(out._fields, up, down)) / (2 * h)
+up, down = (
+    deformed.forward(**{m: a + sign * h * d[m] for m, a in inputs.items()})[0] for sign in (1, -1)
+)
+difference = sum((bars[m + "_bar"] * (a - b)).sum() for m, a, b in zip(out._fields, up, down)) / (
+    2 * h
+)
 gradient = sum((ours[m] * d[m]).sum() for m in d)
 assert abs(difference - gradient) < 1e-7 * abs(gradient)
 print(f"by differences {difference:.8f}, by gradient {gradient:.8f}")
@@ -119,15 +172,19 @@ print(f"by differences {difference:.8f}, by gradient {gradient:.8f}")
 # each $\Delta x(t)$ hears only its own. Gradient descent, with four free numbers $\Delta x(t)$ per axis in place of a network:
 
 # %%
-targets = rng.normal(size=(4, 3))                                                    # where one Gaussian should be at four times
+targets = rng.normal(size=(4, 3))  # where one Gaussian should be at four times
 place, moves = np.zeros(3), np.zeros((4, 3))
 for _ in range(200):
-    miss = place + moves - targets                                                   # x_t_bar of the squared error / 2
+    miss = place + moves - targets  # x_t_bar of the squared error / 2
     place, moves = place - 0.1 * miss.sum(axis=0), moves - 0.1 * miss
-assert np.allclose(place + moves, targets, atol=1e-12) and np.allclose(place, moves.sum(axis=0), atol=1e-12)
+assert np.allclose(place + moves, targets, atol=1e-12) and np.allclose(
+    place, moves.sum(axis=0), atol=1e-12
+)
 share = np.abs(place).mean() / np.abs(targets.mean(axis=0)).mean()
-assert np.isclose(share, 4 / 5, rtol=1e-9)                                           # T / (T + 1) of the mean, T times
-print(f"of the mean of four targets the canonical place learned {share:.2f}; the deltas learned the rest and the motion")
+assert np.isclose(share, 4 / 5, rtol=1e-9)  # T / (T + 1) of the mean, T times
+print(
+    f"of the mean of four targets the canonical place learned {share:.2f}; the deltas learned the rest and the motion"
+)
 
 # %% [markdown]
 # A blind spot: the covariance, which is what gets drawn (`13_covariance`), holds $s'^2$. Where $s' = 0$ on an axis its slope is
@@ -135,8 +192,12 @@ print(f"of the mean of four targets the canonical place learned {share:.2f}; the
 
 # %%
 Sigma_bar = rng.normal(size=(1, 3, 3))
-felt = [covariance.backward(covariance.forward(np.array([[thick, 0.2, 0.3]]), out.r_t[:1])[1], Sigma_bar)["s"][0, 0]
-        for thick in (0.1, -0.1, 0)]
+felt = [
+    covariance.backward(
+        covariance.forward(np.array([[thick, 0.2, 0.3]]), out.r_t[:1])[1], Sigma_bar
+    )["s"][0, 0]
+    for thick in (0.1, -0.1, 0)
+]
 assert np.isclose(felt[0], -felt[1], rtol=1e-12) and felt[2] == 0 and abs(felt[0]) > 1e-3
 
 # %% [markdown]
@@ -148,9 +209,13 @@ assert np.isclose(felt[0], -felt[1], rtol=1e-12) and felt[2] == 0 and abs(felt[0
 z = np.linspace(0, 1, 101)
 unturned, reach = np.eye(4)[[0] * len(z)], np.tile([2.0, 1, 1], (len(z), 1))
 delta_r = np.stack([0 * z, 0 * z, 0 * z, z], axis=1)
-right = deformed.forward(np.zeros((len(z), 3)), reach, unturned, np.zeros((len(z), 3)), np.zeros((len(z), 3)), delta_r)[0].r_t
-longest = {name: np.sqrt(np.linalg.eigvalsh(covariance.forward(reach, q)[0].Sigma)[:, -1])
-           for name, q in (("normalised (Q9)", right), ("not normalised", unturned + delta_r))}
+right = deformed.forward(
+    np.zeros((len(z), 3)), reach, unturned, np.zeros((len(z), 3)), np.zeros((len(z), 3)), delta_r
+)[0].r_t
+longest = {
+    name: np.sqrt(np.linalg.eigvalsh(covariance.forward(reach, q)[0].Sigma)[:, -1])
+    for name, q in (("normalised (Q9)", right), ("not normalised", unturned + delta_r))
+}
 assert np.allclose(longest["normalised (Q9)"], 2, rtol=1e-12) and reach[0].tolist() == [2, 1, 1]
 assert np.allclose(longest["not normalised"], 2 * np.sqrt(1 + 4 * z**4), rtol=1e-12)
 assert longest["not normalised"][10] < 2.05 and longest["not normalised"][-1] > 4

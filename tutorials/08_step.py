@@ -11,8 +11,9 @@ from decimal import Decimal, localcontext
 import numpy as np
 from scipy.special import expit
 
-from p4dgs_ref import EQUATIONS, lessons, oracle
+from p4dgs_ref import EQUATIONS, oracle
 from p4dgs_ref.equations import mlp, rounding, step
+from p4dgs_ref.school import lessons
 
 plt = lessons.pyplot()
 rng = np.random.default_rng(8)
@@ -64,7 +65,7 @@ assert np.allclose(out.q, Q_0 * (1 + np.tanh(u)), rtol=1e-12)
 gap = np.float32(1) - np.nextafter(np.float32(1), np.float32(0))
 assert abs(gap - 6e-8) < 1e-9
 plus_one = 1 + np.tanh(np.array([-9, -10], np.float32))
-assert plus_one[0] > 0 and plus_one[1] == 0 and plus_one.dtype == np.float32         # u = -9, -10
+assert plus_one[0] > 0 and plus_one[1] == 0 and plus_one.dtype == np.float32  # u = -9, -10
 first_64 = next(u for u in range(0, -40, -1) if 1 + np.tanh(float(u)) == 0)
 print("in float64 it is 0 from u =", first_64, "on")
 
@@ -73,6 +74,7 @@ print("in float64 it is 0 from u =", first_64, "on")
 # The sigmoid form adds a *large* number, $e^{-2u}$, to 1, and divides. No digits meet their opposite; none are lost.
 # Beside decimal arithmetic of $50$ digits, in `float32`: the printed form is wrong by more than its value where the sigmoid is
 # right to 1e-6.
+
 
 # %%
 def true_share(u):
@@ -89,8 +91,15 @@ def relative_error(form, dtype):
 
 
 us = np.linspace(-20, 4, 241) + 0.013
-forms = {"$1 + \\tanh u$": lambda u: 1 + np.tanh(u), "$2\\,$sigmoid$(2u)$": lambda u: 2 * expit(2 * u)}
-found = {(name, t.__name__): relative_error(form, t) for name, form in forms.items() for t in (np.float32, np.float64)}
+forms = {
+    "$1 + \\tanh u$": lambda u: 1 + np.tanh(u),
+    "$2\\,$sigmoid$(2u)$": lambda u: 2 * expit(2 * u),
+}
+found = {
+    (name, t.__name__): relative_error(form, t)
+    for name, form in forms.items()
+    for t in (np.float32, np.float64)
+}
 printed, sigmoid = (found[name, "float32"] for name in forms)
 assert printed[us <= -9].max() >= 1 and sigmoid.max() < 1e-6
 
@@ -118,21 +127,54 @@ edge = 0.5 * np.log(step.FLOOR / 2 / (1 - step.FLOOR / 2))
 assert step.FLOOR == 2.0**-10 and abs(edge - -3.812) < 5e-4
 lost = np.log10(printed[(us > -3.82) & (us < -3)].max() / np.finfo(np.float32).eps)
 assert 2 <= lost < 3
-on_floor = step.forward(np.zeros((1, 1)), [np.zeros((1, 2))], [np.array([-4.0, -1e4])], np.ones(2))[0].q
+on_floor = step.forward(np.zeros((1, 1)), [np.zeros((1, 2))], [np.array([-4.0, -1e4])], np.ones(2))[
+    0
+].q
 assert (on_floor == step.FLOOR).all()
 
 figure, axes = plt.subplots(1, 2, figsize=(13, 4.8), layout="constrained")
 axes[0].plot(us, 2 * expit(2 * us), color=lessons.COLORS[0], label="Eq. (8)")
-axes[0].plot(us, 2 * np.maximum(expit(2 * us), step.FLOOR / 2), "--", color=lessons.COLORS[1], label="with the floor")
-axes[0].set(xlabel=r"$u = \psi_q(h)$ (no unit)", ylabel="$q / Q_0$ (no unit)", yscale="log", xlim=(-8, 4), ylim=(1e-4, 4),
-            title="A step may shrink a thousandfold")
+axes[0].plot(
+    us,
+    2 * np.maximum(expit(2 * us), step.FLOOR / 2),
+    "--",
+    color=lessons.COLORS[1],
+    label="with the floor",
+)
+axes[0].set(
+    xlabel=r"$u = \psi_q(h)$ (no unit)",
+    ylabel="$q / Q_0$ (no unit)",
+    yscale="log",
+    xlim=(-8, 4),
+    ylim=(1e-4, 4),
+    title="A step may shrink a thousandfold",
+)
 axes[0].legend(loc="lower right")
 for i, ((name, precision), error) in enumerate(found.items()):
-    axes[1].semilogy(us, error, color=lessons.COLORS[1 - i // 2], ls=("-", "--")[i % 2], label=f"{name}, {precision}")
+    axes[1].semilogy(
+        us,
+        error,
+        color=lessons.COLORS[1 - i // 2],
+        ls=("-", "--")[i % 2],
+        label=f"{name}, {precision}",
+    )
 axes[1].axvline(edge, color="0.4", lw=1)
-axes[1].text(edge + 0.3, 1e-3, "left of this\nthe floor holds", ha="left", va="bottom", color="0.3", fontsize=11)
-axes[1].set(xlabel=r"$u = \psi_q(h)$ (no unit)", ylabel="relative error (1 = no digit right)", ylim=(1e-17, 30),
-            title="One plus tanh loses every digit, the sigmoid none", xlim=(-20, 4))
+axes[1].text(
+    edge + 0.3,
+    1e-3,
+    "left of this\nthe floor holds",
+    ha="left",
+    va="bottom",
+    color="0.3",
+    fontsize=11,
+)
+axes[1].set(
+    xlabel=r"$u = \psi_q(h)$ (no unit)",
+    ylabel="relative error (1 = no digit right)",
+    ylim=(1e-17, 30),
+    title="One plus tanh loses every digit, the sigmoid none",
+    xlim=(-20, 4),
+)
 axes[1].legend(loc=(0.02, 0.17), fontsize=11)
 lessons.show(figure, "08_step")
 
@@ -156,7 +198,9 @@ assert abs(u_bar(0.5, 1.0) - by_difference) < 1e-8 and 2 * 2 == 4
 assert 1 - expit(2 * 19.0) == 0 and expit(-2 * 19.0) > 0 and u_bar(0, 3) == 3
 assert np.isclose(u_bar(30.0, 1.0), 4 * np.exp(-60), rtol=1e-14)
 flat = step.forward(np.zeros((1, 1)), [np.zeros((1, 1))], [np.array([30.0])], np.ones(1))[1]
-assert np.isclose(step.backward(flat, np.array([[1.0]]))["biases"][0][0], 4 * np.exp(-60), rtol=1e-14)
+assert np.isclose(
+    step.backward(flat, np.array([[1.0]]))["biases"][0][0], 4 * np.exp(-60), rtol=1e-14
+)
 
 # %% [markdown]
 # Shapes: `q`, `u` and the slope are `(A, 4)`, so this line works entry by entry, with $Q_0$ along the columns. On the floor
@@ -167,12 +211,12 @@ assert np.isclose(step.backward(flat, np.array([[1.0]]))["biases"][0][0], 4 * np
 q_bar = rng.normal(size=(A, 4))
 bars = step.backward(res, q_bar)
 s, x = expit(2 * u), np.maximum(h @ weights[0] + biases[0], 0)
-u_bar = 4 * Q_0 * s * (1 - s) * q_bar * (s > step.FLOOR / 2)                         # 0 on the floor
-assert np.allclose(q_bar * res.slope, u_bar, rtol=1e-12)                            # the code's name for it
-assert np.allclose(bars["biases"][1], u_bar.sum(axis=0), rtol=1e-12)                # b_bar
-assert np.allclose(bars["weights"][1], x.T @ u_bar, rtol=1e-12, atol=1e-18)         # W_bar
-x_bar = (u_bar @ weights[1].T) * (x > 0)                                            # through the ReLU
-assert np.allclose(bars["h"], x_bar @ weights[0].T, rtol=1e-10, atol=1e-18)         # and the first layer
+u_bar = 4 * Q_0 * s * (1 - s) * q_bar * (s > step.FLOOR / 2)  # 0 on the floor
+assert np.allclose(q_bar * res.slope, u_bar, rtol=1e-12)  # the code's name for it
+assert np.allclose(bars["biases"][1], u_bar.sum(axis=0), rtol=1e-12)  # b_bar
+assert np.allclose(bars["weights"][1], x.T @ u_bar, rtol=1e-12, atol=1e-18)  # W_bar
+x_bar = (u_bar @ weights[1].T) * (x > 0)  # through the ReLU
+assert np.allclose(bars["h"], x_bar @ weights[0].T, rtol=1e-10, atol=1e-18)  # and the first layer
 
 # %% [markdown]
 # The adjoint identity over all inputs at once: move context, weights and biases, and compare with differences.
@@ -180,11 +224,21 @@ assert np.allclose(bars["h"], x_bar @ weights[0].T, rtol=1e-10, atol=1e-18)     
 # %%
 d_h = rng.normal(size=h.shape)
 d_W, d_b = ([rng.normal(size=a.shape) for a in arrays] for arrays in (weights, biases))
-moved = [step.forward(h + e * d_h, [W + e * d for W, d in zip(weights, d_W)], [b + e * d for b, d in zip(biases, d_b)], Q_0)[0].q
-         for e in (1e-6, -1e-6)]
+moved = [
+    step.forward(
+        h + e * d_h,
+        [W + e * d for W, d in zip(weights, d_W)],
+        [b + e * d for b, d in zip(biases, d_b)],
+        Q_0,
+    )[0].q
+    for e in (1e-6, -1e-6)
+]
 difference = (q_bar * (moved[0] - moved[1])).sum() / 2e-6
-gradient = (bars["h"] * d_h).sum() + sum((g * d).sum() for name, ds in (("weights", d_W), ("biases", d_b))
-                                         for g, d in zip(bars[name], ds))
+gradient = (bars["h"] * d_h).sum() + sum(
+    (g * d).sum()
+    for name, ds in (("weights", d_W), ("biases", d_b))
+    for g, d in zip(bars[name], ds)
+)
 assert abs(difference - gradient) < 1e-7 * abs(gradient)
 print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
 
@@ -195,13 +249,17 @@ print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
 # it: a last layer twice as large gives the old steps again. But a file that another program wrote gets other steps. The golden
 # vectors name the mistake.
 
+
 # %%
 def half_argument(h, weights, biases, Q_0):
     y = mlp.forward(h, weights, biases)[0].y
     return 2 * Q_0 * np.maximum(expit(y), step.FLOOR / 2)
 
 
-middle = half_argument(np.zeros((1, 1)), [np.zeros((1, 3))], [np.array([0.0, -40, 40])], Q_0[:3])[0] / Q_0[:3]
+middle = (
+    half_argument(np.zeros((1, 1)), [np.zeros((1, 3))], [np.array([0.0, -40, 40])], Q_0[:3])[0]
+    / Q_0[:3]
+)
 assert middle[0] == 1 and middle[1] == step.FLOOR and middle[2] == 2
 doubled = half_argument(h, [weights[0], 2 * weights[1]], [biases[0], 2 * biases[1]], Q_0)
 assert np.allclose(doubled, out.q, rtol=1e-12)
@@ -214,6 +272,7 @@ print(report.first.id, "fails:", report.first.explanation)
 # And the printed form under the same floor? `step_floor` are golden vectors for the last line alone, $q$ from $u$. The form
 # passes where $u$ is ordinary. Beside the floor they see that digits are missing, though only a few of the many that `float64`
 # has; a port in `float32` has none to spare.
+
 
 # %%
 def printed_form(u, Q_0):
@@ -238,8 +297,10 @@ from p4dgs_ref.codec.inspect import float_context
 model = decode((oracle.path() / "model.p4dgs").read_bytes())
 share = float_context(model).q / np.array(model.design.Q_0)
 assert (share >= step.FLOOR).all() and (share <= 2).all()
-print("steps over Q_0, smallest and largest of each group:",
-      {g: f"{a:.3f} to {b:.3f}" for g, a, b in zip("fslO", share.min(axis=0), share.max(axis=0))})
+print(
+    "steps over Q_0, smallest and largest of each group:",
+    {g: f"{a:.3f} to {b:.3f}" for g, a, b in zip("fslO", share.min(axis=0), share.max(axis=0))},
+)
 
 # %% [markdown]
 # ## Exercises
@@ -270,6 +331,7 @@ lessons.backward("08.3", my_backward, "step")
 # `p4dgs-ref oracle check DIR --only step`. Begin with the scalar, `--only step_floor`, and mind its gradient: on the floor it
 # is 0. A port that clamps the value alone, outside what its framework differentiates, lets the gradient through.
 
+
 # %%
 def port(u, Q_0):
     return 2 * Q_0 * np.maximum(expit(2 * u), step.FLOOR / 2)
@@ -277,7 +339,14 @@ def port(u, Q_0):
 
 def port_vjp(inputs, cotangents):
     s = expit(2 * inputs["u"])
-    return {"u": 4 * inputs["Q_0"] * s * expit(-2 * inputs["u"]) * (s > step.FLOOR / 2) * cotangents["q_bar"]}
+    return {
+        "u": 4
+        * inputs["Q_0"]
+        * s
+        * expit(-2 * inputs["u"])
+        * (s > step.FLOOR / 2)
+        * cotangents["q_bar"]
+    }
 
 
 print(oracle.check(port, "step_floor", port_vjp))

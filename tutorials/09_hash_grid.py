@@ -7,8 +7,9 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import EQUATIONS, lessons, oracle
+from p4dgs_ref import EQUATIONS, oracle
 from p4dgs_ref.equations import grid_nodes, hash_grid
+from p4dgs_ref.school import lessons
 
 plt = lessons.pyplot()
 rng = np.random.default_rng(9)
@@ -62,7 +63,9 @@ assert product == 3668339987 and product ^ 2 == 3668339985 and 3668339985 % 11 =
 square = dict(lo=np.zeros(3), hi=np.ones(3), resolutions=(("xy", 2),))
 h = hash_grid.forward(np.array([[0.25, 0.5, 0.9]]), grids=[theta[:, None]], **square)[0].h
 assert h.shape == (1, 1) and h[0, 0] == 0.75
-hashed = grid_nodes.entries(np.array([[2, 3]]), np.array([[0, 0]]), 20, 11)          # 20^2 nodes, 11 entries
+hashed = grid_nodes.entries(
+    np.array([[2, 3]]), np.array([[0, 0]]), 20, 11
+)  # 20^2 nodes, 11 entries
 assert hashed[0, 0] == 2
 
 # %% [markdown]
@@ -72,7 +75,7 @@ assert hashed[0, 0] == 2
 # %%
 A, F = 40, 2
 resolutions = (("xyz", 5), ("xy", 9), ("xz", 9), ("yz", 9))
-tables = [40, 81, 81, 81]                                                            # 125 nodes hashed into 40 entries
+tables = [40, 81, 81, 81]  # 125 nodes hashed into 40 entries
 x_a, lo, hi = rng.uniform(-1, 1, (A, 3)), np.full(3, -1.0), np.full(3, 1.0)
 grids = [rng.uniform(-1.2, 1.2, (T, F)) for T in tables]
 out, res = hash_grid.forward(x_a, lo, hi, grids, resolutions)
@@ -88,16 +91,28 @@ assert np.allclose(res.located.sum(axis=1), 1, rtol=1e-14) and np.abs(out.h).max
 coarse = rng.uniform(-1, 1, (25, 1))
 place = np.linspace(0, 1, 161)
 points = np.stack([*np.meshgrid(place, place), np.zeros((161, 161))], axis=-1).reshape(-1, 3)
-seen = hash_grid.forward(points, np.zeros(3), np.ones(3), [coarse], (("xy", 5),))[0].h.reshape(161, 161)
+seen = hash_grid.forward(points, np.zeros(3), np.ones(3), [coarse], (("xy", 5),))[0].h.reshape(
+    161, 161
+)
 corner = np.stack(np.meshgrid(np.arange(5), np.arange(5)), axis=-1).reshape(-1, 2)
 row = grid_nodes.entries(corner, np.zeros((1, 2), int), 5, 11)[:, 0]
 assert len(corner) == 25 and 1 < len(set(row)) <= 11
 
 figure, axes = plt.subplots(1, 2, figsize=(12.5, 5.4), layout="constrained")
-image = axes[0].imshow(seen, origin="lower", extent=(0, 4, 0, 4), cmap="PuOr", vmin=-1, vmax=1, alpha=0.75)
+image = axes[0].imshow(
+    seen, origin="lower", extent=(0, 4, 0, 4), cmap="PuOr", vmin=-1, vmax=1, alpha=0.75
+)
 for sign, marker in ((1, "P"), (-1, "s")):
-    axes[0].plot(*corner[np.where(coarse[:, 0] >= 0, 1, -1) == sign].T, marker, ms=15, mew=1.5, color="k" if sign > 0 else "w",
-                 mec="k", ls="", label=f"node of sign {sign:+d}")
+    axes[0].plot(
+        *corner[np.where(coarse[:, 0] >= 0, 1, -1) == sign].T,
+        marker,
+        ms=15,
+        mew=1.5,
+        color="k" if sign > 0 else "w",
+        mec="k",
+        ls="",
+        label=f"node of sign {sign:+d}",
+    )
 figure.colorbar(image, ax=axes[0], label="h (no unit)", shrink=0.85)
 axes[0].legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
 axes[0].set(title="Signs on the nodes, means between them", xlim=(-0.35, 4.35), ylim=(-0.35, 4.35))
@@ -108,8 +123,12 @@ for r in set(row):
     axes[1].plot(*corner[row == r].T, "o", ms=30, color=color, mec="0.3", ls="")
 for (i, j), r in zip(corner, row):
     axes[1].text(i, j, r, ha="center", va="center", fontsize=13)
-axes[1].set(title=f"25 nodes, 11 entries: {np.count_nonzero(shared > 1)} nodes share theirs", aspect="equal",
-            xlim=(-0.6, 4.6), ylim=(-0.6, 4.6))
+axes[1].set(
+    title=f"25 nodes, 11 entries: {np.count_nonzero(shared > 1)} nodes share theirs",
+    aspect="equal",
+    xlim=(-0.6, 4.6),
+    ylim=(-0.6, 4.6),
+)
 for ax in axes:
     ax.set(xlabel="node along x", ylabel="node along y", xticks=range(5), yticks=range(5))
     ax.grid(False)
@@ -129,11 +148,13 @@ lessons.show(figure, "09_hash_grid")
 h_bar = rng.normal(size=(A, L * F))
 b_bar = [np.zeros((T, F)) for T in tables]
 for level, ((axes_, res_), T) in enumerate(zip(resolutions, tables)):
-    index, weight = grid_nodes.nodes(x_a, lo, hi, axes_, res_, T)                    # (A, 2^D) each
+    index, weight = grid_nodes.nodes(x_a, lo, hi, axes_, res_, T)  # (A, 2^D) each
     for a in range(A):
         for i, w_c in zip(index[a], weight[a]):
-            b_bar[level][i] += w_c * h_bar[a, level * F:(level + 1) * F]
-assert np.allclose(res.located.T @ h_bar.reshape(-1, F), np.concatenate(b_bar), rtol=1e-12, atol=1e-14)
+            b_bar[level][i] += w_c * h_bar[a, level * F : (level + 1) * F]
+assert np.allclose(
+    res.located.T @ h_bar.reshape(-1, F), np.concatenate(b_bar), rtol=1e-12, atol=1e-14
+)
 
 # %% [markdown]
 # The first step, the sign, has slope 0 everywhere but at 0. Told the truth, a grid would never learn. So the backward tells a
@@ -145,7 +166,7 @@ bars = hash_grid.backward(res, h_bar)["grids"]
 for bar, b, grid in zip(bars, b_bar, grids):
     assert np.allclose(bar, b * (np.abs(grid) <= 1), rtol=1e-12, atol=1e-14)
 still = hash_grid.forward(x_a, lo, hi, [g * 1.0001 for g in grids], resolutions)[0].h
-assert np.abs(still - out.h).max() == 0                                              # the truth: no slope
+assert np.abs(still - out.h).max() == 0  # the truth: no slope
 
 # %% [markdown]
 # A lie can still be checked: it is the exact gradient of something else. `surrogate` is Eq. (9) with other numbers for signs,
@@ -156,8 +177,13 @@ assert np.abs(still - out.h).max() == 0                                         
 smooth = hash_grid.surrogate(x_a, lo, hi, grids, resolutions)
 d = [rng.normal(size=g.shape) for g in grids]
 up, down = (smooth(grids=[g + s * 1e-6 * e for g, e in zip(grids, d)]).h for s in (1, -1))
-difference, gradient = (h_bar * (up - down)).sum() / 2e-6, sum((b * e).sum() for b, e in zip(bars, d))
-assert np.allclose(smooth(grids=grids).h, out.h, atol=1e-14) and abs(difference - gradient) < 1e-8 * abs(gradient)
+difference, gradient = (
+    (h_bar * (up - down)).sum() / 2e-6,
+    sum((b * e).sum() for b, e in zip(bars, d)),
+)
+assert np.allclose(smooth(grids=grids).h, out.h, atol=1e-14) and abs(
+    difference - gradient
+) < 1e-8 * abs(gradient)
 print(f"surrogate by differences {difference:.8f}, by gradient {gradient:.8f}")
 
 # %% [markdown]
@@ -166,7 +192,7 @@ print(f"surrogate by differences {difference:.8f}, by gradient {gradient:.8f}")
 
 # %%
 wish = np.sign(x_a[:, :1] + 0.3 * x_a[:, 1:2]) * np.array([[0.8, -0.4]])
-mix = np.tile(np.eye(F), (L, 1)) / L                                                 # each feature: the mean over the levels
+mix = np.tile(np.eye(F), (L, 1)) / L  # each feature: the mean over the levels
 learnt, losses = [rng.uniform(-0.01, 0.01, (T, F)) for T in tables], []
 for _ in range(300):
     o, r = hash_grid.forward(x_a, lo, hi, learnt, resolutions)
@@ -174,7 +200,9 @@ for _ in range(300):
     losses.append(np.mean(miss**2))
     learnt = [g - 0.05 * b for g, b in zip(learnt, hash_grid.backward(r, miss @ mix.T)["grids"])]
 assert A == 40 and losses[-1] < losses[0] / 10
-assert any((np.abs(g) > 1).any() for g in grids) and not any(b[np.abs(g) > 1].any() for b, g in zip(bars, grids))
+assert any((np.abs(g) > 1).any() for g in grids) and not any(
+    b[np.abs(g) > 1].any() for b, g in zip(bars, grids)
+)
 print(f"mean squared miss: {losses[0]:.3f} at the start, {losses[-1]:.3f} after training")
 
 # %% [markdown]
@@ -194,6 +222,7 @@ assert symbols.min() == 0 and symbols.max() == LATTICE
 # Forget that the hash wraps at 32 bits, and multiply in 64. The program runs, and its rows still lie in the table.
 # Where its size is a power of two, they are even *right*: low bits never see the wrap. With 6007 entries most rows are wrong.
 
+
 # %%
 def row_without_wrap(corner, table):
     return np.bitwise_xor.reduce(corner * np.array([1, 2654435761, 805459861]), axis=-1) % table
@@ -209,11 +238,16 @@ assert (np.int64(1).nbytes * 8, np.uint32(1).nbytes * 8) == (64, 32)
 # %% [markdown]
 # So a port can pass with all of HAC's table sizes, powers of two, and fail with the first other one. The vectors hold both kinds.
 
+
 # %%
 def wide(corner, res, table):
     D = corner.shape[1]
-    return corner @ res ** np.arange(D) if res**D <= table else np.bitwise_xor.reduce(
-        corner * np.array([1, 2654435761, 805459861])[:D], axis=1) % table
+    return (
+        corner @ res ** np.arange(D)
+        if res**D <= table
+        else np.bitwise_xor.reduce(corner * np.array([1, 2654435761, 805459861])[:D], axis=1)
+        % table
+    )
 
 
 report = oracle.check(wide, "hash_index")
@@ -228,8 +262,14 @@ print("fails:", [r.id for r in report.results if r.verdict == "fail"])
 # %%
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC as paper
 
-entries = sum(min(res**3, 2**13) for res in paper.grid_3d) + 3 * sum(min(res**2, 2**15) for res in paper.grid_2d)
-assert entries * paper.F == 1766224 and round(1766224 / 8 / 2**20, 2) == 0.21 and np.float32(0).nbytes * 8 == 32
+entries = sum(min(res**3, 2**13) for res in paper.grid_3d) + 3 * sum(
+    min(res**2, 2**15) for res in paper.grid_2d
+)
+assert (
+    entries * paper.F == 1766224
+    and round(1766224 / 8 / 2**20, 2) == 0.21
+    and np.float32(0).nbytes * 8 == 32
+)
 
 # %% [markdown]
 # ## Exercises
@@ -252,7 +292,11 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("09.1", answer_1, hash_grid.forward(np.array([[0.75, 0.25, 0]]), grids=[theta[:, None]], **square)[0].h[0, 0])
+lessons.number(
+    "09.1",
+    answer_1,
+    hash_grid.forward(np.array([[0.75, 0.25, 0]]), grids=[theta[:, None]], **square)[0].h[0, 0],
+)
 lessons.forward("09.2", my_row, "hash_index")
 lessons.backward("09.3", my_backward, "hash_grid")
 
@@ -265,4 +309,7 @@ lessons.backward("09.3", my_backward, "hash_grid")
 # %%
 print(oracle.check(lambda **inputs: hash_grid.forward(**inputs)[0], "hash_grid"))
 assert oracle.check(lambda **inputs: hash_grid.forward(**inputs)[0], "hash_grid").ok
-assert (hash_grid.forward(np.zeros((1, 3)), grids=[np.array([[0.0], [0], [-0.0], [0]])], **square)[0].h == 1).all()
+assert (
+    hash_grid.forward(np.zeros((1, 3)), grids=[np.array([[0.0], [0], [-0.0], [0]])], **square)[0].h
+    == 1
+).all()

@@ -10,8 +10,9 @@ import math
 import numpy as np
 from scipy.special import erfcx, ndtr
 
-from p4dgs_ref import EQUATIONS, lessons, oracle
+from p4dgs_ref import EQUATIONS, oracle
 from p4dgs_ref.equations import gaussian_bin, likelihood, mlp, prior
+from p4dgs_ref.school import lessons
 
 plt = lessons.pyplot()
 rng = np.random.default_rng(10)
@@ -95,7 +96,9 @@ assert np.isclose(stable_9, -math.log2(ndtr(-8.5) - ndtr(-9.5)), rtol=1e-13)
 
 # %%
 low, high = 39.5, 40.5
-g = 0.5 * (erfcx(low / math.sqrt(2)) - math.exp((low**2 - high**2) / 2) * erfcx(high / math.sqrt(2)))
+g = 0.5 * (
+    erfcx(low / math.sqrt(2)) - math.exp((low**2 - high**2) / 2) * erfcx(high / math.sqrt(2))
+)
 bits_40 = -(math.log(g) - low**2 / 2) / math.log(2)
 ours = likelihood.forward(*(np.array([[v]]) for v in (40.0, 0.0, 1.0, 1.0)))[0].bits[0, 0]
 assert ndtr(0.5 - 39) == 0 and ndtr(-37.5) > 0 and abs(ours / bits_40 - 1) < 1e-12
@@ -110,9 +113,15 @@ print(f"40 deviations out: {bits_40:.6f} bits")
 
 # %%
 z_n, w_n = 0.7, np.geomspace(1e-14, 1e-2, 49)
-density = math.exp(-z_n**2 / 2) / math.sqrt(2 * math.pi)
-series = density * w_n * (1 + w_n**2 / 24 * (z_n**2 - 1) + w_n**4 / 1920 * (z_n**4 - 6 * z_n**2 + 3))
-stable = np.exp(gaussian_bin.stable(np.full((1, 49), z_n), np.zeros((1, 49)), np.ones((1, 49)), w_n[None]).log_p[0])
+density = math.exp(-(z_n**2) / 2) / math.sqrt(2 * math.pi)
+series = (
+    density * w_n * (1 + w_n**2 / 24 * (z_n**2 - 1) + w_n**4 / 1920 * (z_n**4 - 6 * z_n**2 + 3))
+)
+stable = np.exp(
+    gaussian_bin.stable(
+        np.full((1, 49), z_n), np.zeros((1, 49)), np.ones((1, 49)), w_n[None]
+    ).log_p[0]
+)
 assert np.abs(stable / series - 1).max() < 1e-13
 wrong_by = np.abs((ndtr(z_n + w_n / 2) - ndtr(z_n - w_n / 2)) / series - 1)
 assert wrong_by[w_n < 1e-13].max() > 1e-3
@@ -120,33 +129,66 @@ assert wrong_by[w_n < 1e-13].max() > 1e-3
 far = np.linspace(0, 14, 141)[None]
 one, none = np.ones_like(far), np.zeros_like(far)
 with np.errstate(divide="ignore", invalid="ignore"):
-    curves = {"stable": likelihood.forward(far, none, one, one)[0].bits[0],
-              "as printed, float64": likelihood.literal(far, none, one, one)[0].bits[0],
-              "as printed, float32": likelihood.literal(*(a.astype(np.float32) for a in (far, none, one, one)))[0].bits[0],
-              "HAC's floor of $10^{-6}$": likelihood.hac(far, none, one, one)[0].bits[0]}
+    curves = {
+        "stable": likelihood.forward(far, none, one, one)[0].bits[0],
+        "as printed, float64": likelihood.literal(far, none, one, one)[0].bits[0],
+        "as printed, float32": likelihood.literal(
+            *(a.astype(np.float32) for a in (far, none, one, one))
+        )[0].bits[0],
+        "HAC's floor of $10^{-6}$": likelihood.hac(far, none, one, one)[0].bits[0],
+    }
 figure, axes = plt.subplots(1, 3, figsize=(16, 4.8), layout="constrained")
 x = np.linspace(-3.5, 3.5, 701)
-phi = np.exp(-x**2 / 2) / math.sqrt(2 * math.pi)
+phi = np.exp(-(x**2) / 2) / math.sqrt(2 * math.pi)
 axes[0].plot(x, phi, color="k", label=r"density $\phi_{\mu,\sigma}$")
 for k, color in ((0, lessons.COLORS[0]), (1, lessons.COLORS[4]), (3, lessons.COLORS[1])):
     inside = np.abs(x - k) <= 0.5
-    axes[0].fill_between(x[inside], phi[inside], color=color, alpha=0.7, label=f"symbol {k}: {-math.log2(mass[k]):.2f} bits")
-axes[0].set(xlabel=r"value (in $\sigma$, from $\mu$)", ylabel=r"density (per $\sigma$)", ylim=(0, 0.58),
-            title="A symbol's probability is an area")
+    axes[0].fill_between(
+        x[inside],
+        phi[inside],
+        color=color,
+        alpha=0.7,
+        label=f"symbol {k}: {-math.log2(mass[k]):.2f} bits",
+    )
+axes[0].set(
+    xlabel=r"value (in $\sigma$, from $\mu$)",
+    ylabel=r"density (per $\sigma$)",
+    ylim=(0, 0.58),
+    title="A symbol's probability is an area",
+)
 axes[0].legend(loc="upper left", fontsize=10, ncols=2)
 for (name, bits), style, color in zip(curves.items(), ("-", "--", "--", ":"), (0, 1, 4, 3)):
-    axes[1].plot(far[0], np.where(np.isfinite(bits), bits, np.nan), style, lw=3.5 if style == "-" else 2.5,
-                 color=lessons.COLORS[color], label=name)
+    axes[1].plot(
+        far[0],
+        np.where(np.isfinite(bits), bits, np.nan),
+        style,
+        lw=3.5 if style == "-" else 2.5,
+        color=lessons.COLORS[color],
+        label=name,
+    )
     if np.isinf(bits).any():
-        wall = far[0][np.isinf(bits)][0]                                             # infinite bits from here on
-        axes[1].plot([wall, wall], [bits[np.isfinite(bits)][-1], 150], style, lw=2.5, color=lessons.COLORS[color])
-axes[1].set(xlabel=r"distance from $\mu$ (in $\sigma$)", ylabel="bits", ylim=(0, 150),
-            title="Tails: as printed, infinite from the wall on")
+        wall = far[0][np.isinf(bits)][0]  # infinite bits from here on
+        axes[1].plot(
+            [wall, wall],
+            [bits[np.isfinite(bits)][-1], 150],
+            style,
+            lw=2.5,
+            color=lessons.COLORS[color],
+        )
+axes[1].set(
+    xlabel=r"distance from $\mu$ (in $\sigma$)",
+    ylabel="bits",
+    ylim=(0, 150),
+    title="Tails: as printed, infinite from the wall on",
+)
 axes[1].legend(loc="upper left", fontsize=10)
 axes[2].loglog(w_n, wrong_by + 1e-17, color=lessons.COLORS[1], label="as printed, float64")
 axes[2].loglog(w_n, np.abs(stable / series - 1) + 1e-17, color=lessons.COLORS[0], label="stable")
-axes[2].set(xlabel=r"width of the bin $q/\sigma$", ylabel="relative error of the mass",
-            title="Narrow bins: digits gone one by one")
+axes[2].set(
+    xlabel=r"width of the bin $q/\sigma$",
+    ylabel="relative error of the mass",
+    title="Narrow bins: digits gone one by one",
+)
 axes[2].legend(loc="upper right", fontsize=10)
 lessons.show(figure, "10_prior_and_likelihood")
 
@@ -158,7 +200,9 @@ lessons.show(figure, "10_prior_and_likelihood")
 
 # %%
 b = gaussian_bin.stable(f, p.mu, p.sigma, q)
-phi_up, phi_low = (np.exp(-0.5 * edge**2) / math.sqrt(2 * math.pi) for edge in (z + w / 2, z - w / 2))
+phi_up, phi_low = (
+    np.exp(-0.5 * edge**2) / math.sqrt(2 * math.pi) for edge in (z + w / 2, z - w / 2)
+)
 P = ndtr(z + w / 2) - ndtr(z - w / 2)
 assert np.allclose(b.slope_z, (phi_up - phi_low) / P, rtol=1e-8, atol=1e-12)
 assert np.allclose(b.slope_w, (phi_up + phi_low) / (2 * P), rtol=1e-8)
@@ -179,10 +223,15 @@ bars, per_unit = likelihood.backward(res, bits_bar), -1 / (math.log(2) * p.sigma
 assert np.allclose(bars["f_noisy"], bits_bar * per_unit * b.slope_z, rtol=1e-13)
 assert np.array_equal(bars["mu"], -bars["f_noisy"])
 assert np.allclose(bars["q"], bits_bar * per_unit * b.slope_w, rtol=1e-13)
-assert np.allclose(bars["sigma"], bits_bar * per_unit * -(b.z * b.slope_z + b.w * b.slope_w), rtol=1e-13)
+assert np.allclose(
+    bars["sigma"], bits_bar * per_unit * -(b.z * b.slope_z + b.w * b.slope_w), rtol=1e-13
+)
 inputs = dict(f_noisy=f, mu=p.mu, sigma=p.sigma, q=q)
 d = {name: 0.1 * p.sigma * rng.normal(size=(A, n)) for name in inputs}
-up, down = (likelihood.forward(**{m: a + s * 1e-5 * d[m] for m, a in inputs.items()})[0].bits for s in (1, -1))
+up, down = (
+    likelihood.forward(**{m: a + s * 1e-5 * d[m] for m, a in inputs.items()})[0].bits
+    for s in (1, -1)
+)
 difference, gradient = (bits_bar * (up - down)).sum() / 2e-5, sum((bars[m] * d[m]).sum() for m in d)
 assert abs(difference - gradient) < 1e-7 * abs(gradient)
 print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
@@ -193,7 +242,9 @@ print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
 # The deviation rests where $z^2 = 1$, by $\bar\sigma = (1 - z^2)/(\sigma\ln 2)$.
 
 # %%
-narrow = likelihood.backward(likelihood.forward(f, p.mu, p.sigma, 1e-4 * p.sigma)[1], np.ones((A, n)))
+narrow = likelihood.backward(
+    likelihood.forward(f, p.mu, p.sigma, 1e-4 * p.sigma)[1], np.ones((A, n))
+)
 assert np.allclose(narrow["f_noisy"], z / (p.sigma * math.log(2)), rtol=1e-6)
 assert np.allclose(narrow["q"], -1 / (1e-4 * p.sigma * math.log(2)), rtol=1e-6)
 assert np.allclose(narrow["sigma"], (1 - z**2) / (p.sigma * math.log(2)), rtol=1e-4, atol=1e-6)
@@ -221,16 +272,32 @@ assert prior.backward(clamped, sigma_bar=np.ones((1, 1)))["biases"][0].tolist() 
 # %%
 six = [np.array([[v]]) for v in (6.0, 0.0, 1.0, 1.0)]
 floored, right = likelihood.hac(*six), likelihood.forward(*six)
-assert round(floored[0].bits[0, 0], 2) == 19.93 and abs(2.0 ** -floored[0].bits[0, 0] - 1e-6) < 1e-12
+assert (
+    round(floored[0].bits[0, 0], 2) == 19.93 and abs(2.0 ** -floored[0].bits[0, 0] - 1e-6) < 1e-12
+)
 assert likelihood.backward(floored[1], np.ones((1, 1)))["f_noisy"] == 0 and six[0] == 6
 assert round(right[0].bits[0, 0], 1) == 25.7
 assert likelihood.backward(right[1], np.ones((1, 1)))["f_noisy"] > 8
 found = {}
 for rung in (likelihood.hac, likelihood.literal):
     with np.errstate(all="ignore"):
-        report = oracle.check(lambda **i: rung(**i)[0], "likelihood", lambda i, c: likelihood.backward(rung(**i)[1], **c))
-    found[rung.__name__] = names = [r.id.split("/")[1] for r in report.results if r.verdict != "pass"]
-    print(rung.__name__, "passes", len(report.results) - len(names), "cases, fails", len(names), "as", names[:3])
+        report = oracle.check(
+            lambda **i: rung(**i)[0],
+            "likelihood",
+            lambda i, c: likelihood.backward(rung(**i)[1], **c),
+        )
+    found[rung.__name__] = names = [
+        r.id.split("/")[1] for r in report.results if r.verdict != "pass"
+    ]
+    print(
+        rung.__name__,
+        "passes",
+        len(report.results) - len(names),
+        "cases, fails",
+        len(names),
+        "as",
+        names[:3],
+    )
 assert all("tail" in names and "ordinary" not in names for names in found.values())
 
 # %% [markdown]
@@ -242,12 +309,17 @@ assert all("tail" in names and "ordinary" not in names for names in found.values
 # %%
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 
-table = gaussian_model(np.array([round(0.3 * 1024)]), np.array([9]))                 # log2(1.5) is about 9/16
+table = gaussian_model(np.array([round(0.3 * 1024)]), np.array([9]))  # log2(1.5) is about 9/16
 place = table.first[table.table[0]] - table.lowest[0]
 bits_in_file = 24 - math.log2(table.keys[place + 1] - table.keys[place])
-by_equation = [likelihood.forward(*(np.array([[v]]) for v in (0.0, mu, sigma, 1.0)))[0].bits[0, 0]
-               for mu, sigma in ((0.3, 1.5), (0.3125, 2 ** (9 / 16)))]
-assert round(bits_in_file, 3) == 1.947 and [round(bits, 3) for bits in by_equation] == [1.965, 1.947]
+by_equation = [
+    likelihood.forward(*(np.array([[v]]) for v in (0.0, mu, sigma, 1.0)))[0].bits[0, 0]
+    for mu, sigma in ((0.3, 1.5), (0.3125, 2 ** (9 / 16)))
+]
+assert round(bits_in_file, 3) == 1.947 and [round(bits, 3) for bits in by_equation] == [
+    1.965,
+    1.947,
+]
 
 # %% [markdown]
 # ## Exercises
@@ -285,6 +357,12 @@ lessons.backward("10.3", my_likelihood_backward, "likelihood")
 
 # %%
 print(oracle.check(lambda **i: likelihood.forward(**i)[0], "likelihood"))
-assert oracle.check(lambda **i: likelihood.forward(**i)[0], "likelihood", lambda i, c: likelihood.backward(
-    likelihood.forward(**i)[1], **c)).ok
-assert oracle.check(lambda **i: prior.forward(**i)[0], "prior").ok and EQUATIONS["likelihood"].number == "11"
+assert oracle.check(
+    lambda **i: likelihood.forward(**i)[0],
+    "likelihood",
+    lambda i, c: likelihood.backward(likelihood.forward(**i)[1], **c),
+).ok
+assert (
+    oracle.check(lambda **i: prior.forward(**i)[0], "prior").ok
+    and EQUATIONS["likelihood"].number == "11"
+)

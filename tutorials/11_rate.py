@@ -7,8 +7,9 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import EQUATIONS, lessons, oracle
+from p4dgs_ref import EQUATIONS, oracle
 from p4dgs_ref.equations import anchor_rate, hash_rate, rate_loss
+from p4dgs_ref.school import lessons
 
 plt = lessons.pyplot()
 rng = np.random.default_rng(11)
@@ -42,13 +43,21 @@ assert f"{by_hand:.3f}" == "6.490" and by_hand < 8 and abs(by_hand - 6.490) < 5e
 
 # %%
 A, k, d = 5, 4, 7
-bits = dict(bits_f=rng.gamma(2, size=(A, d)), bits_O=rng.gamma(2, size=(A, k, 3)), bits_l=rng.gamma(2, size=(A, 3)),
-            bits_s=rng.gamma(2, size=(A, 3)))
+bits = dict(
+    bits_f=rng.gamma(2, size=(A, d)),
+    bits_O=rng.gamma(2, size=(A, k, 3)),
+    bits_l=rng.gamma(2, size=(A, 3)),
+    bits_s=rng.gamma(2, size=(A, 3)),
+)
 mask = rng.random((A, k)) < 0.7
 anchors, anchors_res = anchor_rate.forward(**bits, mask=mask)
 one_by_one = sum(bits[name][a].sum() for a in range(A) for name in ("bits_f", "bits_l", "bits_s"))
 one_by_one += sum(bits["bits_O"][a, j].sum() for a in range(A) for j in range(k) if mask[a, j])
-assert np.isclose(anchors.R_anchor, one_by_one, rtol=1e-14) and anchors.R_anchor.shape == () and not mask.all()
+assert (
+    np.isclose(anchors.R_anchor, one_by_one, rtol=1e-14)
+    and anchors.R_anchor.shape == ()
+    and not mask.all()
+)
 
 # %% [markdown]
 # `hash_rate` takes the levels `[(T, F), ...]` and counts over all of them together; a parameter of 0 counts as $+1$.
@@ -58,9 +67,11 @@ assert np.isclose(anchors.R_anchor, one_by_one, rtol=1e-14) and anchors.R_anchor
 grids = [np.array([[0.0, -0.4], [0.9, 0.2], [1.7, 0.1]]), np.array([[0.6, -1.3]])]
 grid, grid_res = hash_rate.forward(grids)
 assert grid.n_pos == 6 and grid.n_neg == 2 and np.isclose(grid.R_hash, by_hand, rtol=1e-15)
-assert hash_rate.forward([np.zeros((1, 1))])[0].n_pos == 1                            # a parameter of 0
+assert hash_rate.forward([np.zeros((1, 1))])[0].n_pos == 1  # a parameter of 0
 total, total_res = rate_loss.forward(anchors.R_anchor, grid.R_hash, A * (d + 6 + 3 * k))
-assert total.bits == anchors.R_anchor + grid.R_hash and total.L_rate == total.bits / (A * (d + 6 + 3 * k))
+assert total.bits == anchors.R_anchor + grid.R_hash and total.L_rate == total.bits / (
+    A * (d + 6 + 3 * k)
+)
 
 # %% [markdown]
 # **Why divide?** The rendering loss is a mean over pixels, the rate a sum over anchors. Under one $\lambda_{\rm rate}$ a scene
@@ -68,10 +79,14 @@ assert total.bits == anchors.R_anchor + grid.R_hash and total.L_rate == total.bi
 # $\lambda_{\rm rate}$ serves all.
 
 # %%
-twice = anchor_rate.forward(**{n: np.concatenate([b, b]) for n, b in bits.items()}, mask=np.concatenate([mask, mask]))[0]
+twice = anchor_rate.forward(
+    **{n: np.concatenate([b, b]) for n, b in bits.items()}, mask=np.concatenate([mask, mask])
+)[0]
 assert np.isclose(twice.R_anchor, 2 * anchors.R_anchor, rtol=1e-14)
-per_number = [rate_loss.forward(R, np.float64(0), a * (d + 6 + 3 * k))[0].L_rate
-              for R, a in ((anchors.R_anchor, A), (twice.R_anchor, 2 * A))]
+per_number = [
+    rate_loss.forward(R, np.float64(0), a * (d + 6 + 3 * k))[0].L_rate
+    for R, a in ((anchors.R_anchor, A), (twice.R_anchor, 2 * A))
+]
 assert np.isclose(*per_number, rtol=1e-14)
 
 # %% [markdown]
@@ -80,10 +95,17 @@ assert np.isclose(*per_number, rtol=1e-14)
 
 # %%
 cheap = {**bits, "bits_O": np.full((A, k, 3), 0.5)}
-before, after = (anchor_rate.forward(**cheap, mask=np.arange(k) < kept + np.zeros((A, 1)))[0].R_anchor for kept in (k, k - 1))
-assert after < before                                                                 # fewer bits
-assert after / (A * (d + 6 + 3 * (k - 1))) > before / (A * (d + 6 + 3 * k))           # over coded numbers: a higher loss
-assert after / (A * (d + 6 + 3 * k)) < before / (A * (d + 6 + 3 * k))                 # over all numbers: a lower one
+before, after = (
+    anchor_rate.forward(**cheap, mask=np.arange(k) < kept + np.zeros((A, 1)))[0].R_anchor
+    for kept in (k, k - 1)
+)
+assert after < before  # fewer bits
+assert after / (A * (d + 6 + 3 * (k - 1))) > before / (
+    A * (d + 6 + 3 * k)
+)  # over coded numbers: a higher loss
+assert after / (A * (d + 6 + 3 * k)) < before / (
+    A * (d + 6 + 3 * k)
+)  # over all numbers: a lower one
 
 # %% [markdown]
 # ## Backward by hand
@@ -103,8 +125,13 @@ bars = anchor_rate.backward(anchors_res, top["R_anchor"])
 assert (bars["bits_f"] == top["R_anchor"]).all() and bars["bits_f"].shape == (A, d)
 assert (bars["bits_O"][mask] == top["R_anchor"]).all() and (bars["bits_O"][~mask] == 0).all()
 move = {name: rng.normal(size=b.shape) for name, b in bits.items()}
-change = anchor_rate.forward(**{m: b + move[m] for m, b in bits.items()}, mask=mask)[0].R_anchor - anchors.R_anchor
-assert np.isclose(top["R_anchor"] * change, sum((bars[m] * move[m]).sum() for m in bits), rtol=1e-10)    # linear
+change = (
+    anchor_rate.forward(**{m: b + move[m] for m, b in bits.items()}, mask=mask)[0].R_anchor
+    - anchors.R_anchor
+)
+assert np.isclose(
+    top["R_anchor"] * change, sum((bars[m] * move[m]).sum() for m in bits), rtol=1e-10
+)  # linear
 
 # %% [markdown]
 # Eq. (14), as a function of $N_+$ alone, with $N_- = N - N_+$ and $R = N_+\log_2\frac{N}{N_+} + N_-\log_2\frac{N}{N_-}$:
@@ -129,7 +156,9 @@ for bar, g in zip(grid_bars, grids):
 assert 1 - -1 == 2 and all((bar[np.abs(g) > 1] == 0).all() for bar, g in zip(grid_bars, grids))
 smooth, move = hash_rate.surrogate(grids), [rng.normal(size=g.shape) for g in grids]
 up, down = (smooth([g + s * 1e-6 * e for g, e in zip(grids, move)]).R_hash for s in (1, -1))
-assert np.isclose(R_hash_bar * (up - down) / 2e-6, sum((b * e).sum() for b, e in zip(grid_bars, move)), rtol=1e-7)
+assert np.isclose(
+    R_hash_bar * (up - down) / 2e-6, sum((b * e).sum() for b, e in zip(grid_bars, move)), rtol=1e-7
+)
 
 # %% [markdown]
 # All entries within $\pm 1$ feel the same pull, toward the sign of the *majority*. Below, the rate alone makes all signs equal,
@@ -157,21 +186,40 @@ share = np.linspace(0.005, 0.995, 199)
 price = -share * np.log2(share) - (1 - share) * np.log2(1 - share)
 figure, axes = plt.subplots(1, 2, figsize=(13.5, 5), layout="constrained", width_ratios=(1, 1.15))
 axes[0].plot(share, price, color=lessons.COLORS[0], label="bits per entry, $R_{hash}/N$")
-axes[0].plot(share, 0.5 * np.log2((1 - share) / share), "--", color=lessons.COLORS[1], label=r"slope in $\theta$ (bits)")
+axes[0].plot(
+    share,
+    0.5 * np.log2((1 - share) / share),
+    "--",
+    color=lessons.COLORS[1],
+    label=r"slope in $\theta$ (bits)",
+)
 axes[0].plot(6 / 8, by_hand / 8, "ko", ms=9, label="by hand: 6 of 8")
 axes[0].axhline(0, color="0.4", lw=1)
-axes[0].set(xlabel="share of positive entries $p_+$", ylabel="bits", ylim=(-2.6, 2.6),
-            title="Descent drives signs to the majority")
+axes[0].set(
+    xlabel="share of positive entries $p_+$",
+    ylabel="bits",
+    ylim=(-2.6, 2.6),
+    title="Descent drives signs to the majority",
+)
 axes[0].legend(loc="lower left", fontsize=11)
 for y, row in enumerate(reversed(rows)):
     color = lessons.COLORS[0 if row["name"] in IN_13 else 4 if row["name"] in IN_14 else 5]
     axes[1].barh(y, row["bytes"], color=color, alpha=1 if color != lessons.COLORS[5] else 0.5)
     if row["name"] in IN_13 + IN_14:
         axes[1].plot(row["estimate_bytes"], y, "k|", ms=16, mew=3)
-for color, alpha, label in ((0, 1, "in Eq. (13)"), (4, 1, "in Eq. (14)"), (5, 0.5, "in the file, in no equation")):
+for color, alpha, label in (
+    (0, 1, "in Eq. (13)"),
+    (4, 1, "in Eq. (14)"),
+    (5, 0.5, "in the file, in no equation"),
+):
     axes[1].barh(0, 0, color=lessons.COLORS[color], alpha=alpha, label=label)
 axes[1].plot([], [], "k|", ms=14, mew=3, ls="", label="by the equation")
-axes[1].set(xscale="log", xlim=(20, 6000), xlabel="bytes (log scale)", title="What the rate sees, and what it does not")
+axes[1].set(
+    xscale="log",
+    xlim=(20, 6000),
+    xlabel="bytes (log scale)",
+    title="What the rate sees, and what it does not",
+)
 axes[1].set_yticks(range(len(rows)), [row["name"] for row in reversed(rows)])
 axes[1].legend(loc="upper right", fontsize=11)
 lessons.show(figure, "11_rate")
@@ -181,6 +229,7 @@ lessons.show(figure, "11_rate")
 # Apply the mask by multiplying: `bits_O * mask`. It looks the same, and is, until a masked child far from its mean costs infinite
 # bits, as Eq. (11) does when computed as printed: 0 times infinity is no number, and the whole rate is gone.
 # The selection `np.where(mask[:, :, None], bits_O, 0)` never asks.
+
 
 # %%
 def multiplied(bits_f, bits_O, bits_l, bits_s, mask):
@@ -203,14 +252,22 @@ print(report.first.id, "fails:", report.first.explanation)
 coded = {row["name"]: row for row in rows if row["name"] in IN_13 + IN_14}
 extra = [row["bytes"] - row["estimate_bytes"] for row in coded.values()]
 assert 5 < min(extra) and max(extra) < 10
-print({name: f"{row['estimate_bytes']:.1f} by equation, {row['bytes']} in the file" for name, row in coded.items()})
+print(
+    {
+        name: f"{row['estimate_bytes']:.1f} by equation, {row['bytes']} in the file"
+        for name, row in coded.items()
+    }
+)
 seen = sum(row["bytes"] for row in coded.values()) / sum(row["bytes"] for row in rows)
-print(f"{100 * seen:.0f} % of this file is in Eq. (17); it has 60 anchors, so its networks outweigh them")
+print(
+    f"{100 * seen:.0f} % of this file is in Eq. (17); it has 60 anchors, so its networks outweigh them"
+)
 
 # %% [markdown]
 # ## Exercises
 # **11.1** The backward of Eq. (13). **11.2** The backward of Eq. (14): one slope for all levels, from the signs of all.
 # **11.3** Eq. (17): the bits, and the bits per parameter; where there are no parameters, the loss is $0$.
+
 
 # %%
 def my_anchor_backward(inputs, cotangents):
@@ -240,6 +297,10 @@ lessons.forward("11.3", my_rate, "rate_loss")
 # %%
 for key in ("anchor_rate", "hash_rate", "rate_loss"):
     equation = EQUATIONS[key]
-    report = oracle.check(lambda **i: equation(**i), key, lambda i, c: equation.backward(equation.forward(**i)[1], **c))
+    report = oracle.check(
+        lambda **i: equation(**i),
+        key,
+        lambda i, c: equation.backward(equation.forward(**i)[1], **c),
+    )
     print(key, report)
     assert report.ok

@@ -8,12 +8,15 @@
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from p4dgs_ref import EQUATIONS, lessons, load_scene, oracle
+from p4dgs_ref import EQUATIONS, load_scene, oracle
 from p4dgs_ref.equations import render_loss, ssim, total_loss, window
+from p4dgs_ref.school import lessons
 
 plt, rng, h = lessons.pyplot(), np.random.default_rng(12), 1e-6
 inner = lambda a, b: (a * b).sum()
-truth = load_scene("bouncing").test[0].image[12:62, 4:58].astype(float) * 0.8 + 0.1      # (50, 54, 3), away from 0 and 1
+truth = (
+    load_scene("bouncing").test[0].image[12:62, 4:58].astype(float) * 0.8 + 0.1
+)  # (50, 54, 3), away from 0 and 1
 
 # %% [markdown]
 # ## Claim
@@ -39,7 +42,9 @@ truth = load_scene("bouncing").test[0].image[12:62, 4:58].astype(float) * 0.8 + 
 # %%
 x, y = np.array([0.2, 0.6]), np.array([0.3, 0.5])
 cov = (x * y).mean() - x.mean() * y.mean()
-assert x.tolist() == [0.2, 0.6] and y.tolist() == [0.3, 0.5] and np.allclose([x.mean(), y.mean()], 0.4)
+assert (
+    x.tolist() == [0.2, 0.6] and y.tolist() == [0.3, 0.5] and np.allclose([x.mean(), y.mean()], 0.4)
+)
 assert np.allclose([x.var(), y.var(), cov], [0.04, 0.01, 0.02])
 first = (2 * x.mean() * y.mean() + ssim.C1) / (x.mean() ** 2 + y.mean() ** 2 + ssim.C1)
 second = (2 * cov + ssim.C2) / (x.var() + y.var() + ssim.C2)
@@ -62,18 +67,25 @@ def printed(x, y, blur=lambda a: gaussian_filter(a, 1.5, radius=5, mode="constan
     return first * (2 * cov + ssim.C2) / (var_x + var_y + ssim.C2)
 
 
-unit = lambda a: a / np.abs(a).mean()                                                 # so that L1 is one
+unit = lambda a: a / np.abs(a).mean()  # so that L1 is one
 smooth = gaussian_filter(truth, 1.5, radius=5, mode="nearest", axes=(0, 1))
-damages = {"all brighter": np.ones_like(truth), "noisy": unit(rng.normal(size=truth.shape)), "blurred": unit(
-    np.where(smooth < truth, -1, 1) * np.minimum(np.abs(smooth - truth), 0.1))}
+damages = {
+    "all brighter": np.ones_like(truth),
+    "noisy": unit(rng.normal(size=truth.shape)),
+    "blurred": unit(np.where(smooth < truth, -1, 1) * np.minimum(np.abs(smooth - truth), 0.1)),
+}
 images = {name: truth + 0.02 * change for name, change in damages.items()}
 scores = {name: ssim.forward(image, truth)[0].ssim for name, image in images.items()}
 for name, image in images.items():
     out, _ = render_loss.forward(image, truth, 0.2)
-    assert np.isclose(scores[name], printed(image, truth).mean(), rtol=1e-12) and np.isclose(out.L1, 0.02)
+    assert np.isclose(scores[name], printed(image, truth).mean(), rtol=1e-12) and np.isclose(
+        out.L1, 0.02
+    )
     assert np.isclose(out.L_render, 0.8 * out.L1 + 0.2 * (1 - scores[name]), rtol=1e-12)
     total = total_loss.forward(out.L_render, np.array(2.4), 1e-3)[0].L_total
-    print(f"{name}: L1 {out.L1:.3f}, SSIM {scores[name]:.4f}, L_render {out.L_render:.4f}, at 2.4 bits L_total {total:.4f}")
+    print(
+        f"{name}: L1 {out.L1:.3f}, SSIM {scores[name]:.4f}, L_render {out.L_render:.4f}, at 2.4 bits L_total {total:.4f}"
+    )
 assert scores["all brighter"] > scores["blurred"] > scores["noisy"]
 
 # %% [markdown]
@@ -123,7 +135,7 @@ assert bars["L_rate"] == 1e-3 * 5 and bars["L_render"] == 5
 
 # %%
 blur = window.blur
-x, y = window.to_rows(image), window.to_rows(truth)                                   # (H, C, W), as ssim.py keeps them
+x, y = window.to_rows(image), window.to_rows(truth)  # (H, C, W), as ssim.py keeps them
 mu_x, mu_y, mu_e = blur(x), blur(y), blur(x - y)
 var_y = blur(y * y) - mu_y**2
 D1, D2 = mu_x**2 + mu_y**2 + ssim.C1, blur(x * x) - mu_x**2 + var_y + ssim.C2
@@ -137,6 +149,7 @@ assert ssim.dissimilarity(truth, truth)[0] == 0
 # $$d\ell = \frac{2(\mu_e - \ell\,\mu_x)}{D_1}\,d\mu,\qquad
 #   ds = \frac{dE - s\,dX + 2(s\,\mu_x - \mu_e)\,d\mu}{D_2},\quad d\,\mathrm{SSIM}_p = -(1-s)\,d\ell - (1-\ell)\,ds.$$
 
+
 # %%
 def at(mu, E, X, y=0.4, var=0.02):
     ell = (mu - y) ** 2 / (mu**2 + y**2 + ssim.C1)
@@ -146,8 +159,13 @@ def at(mu, E, X, y=0.4, var=0.02):
 m, E, X = 0.5, 0.03, 0.3
 l_0, s_0 = at(m, E, X)
 d1, d2 = m**2 + 0.4**2 + ssim.C1, X - m**2 + 0.02 + ssim.C2
-slopes = np.array([[2 * ((m - 0.4) - l_0 * m) / d1, 2 * (s_0 * m - (m - 0.4)) / d2], [0, 1 / d2], [0, -s_0 / d2]])
-steps = [np.subtract(at(*(np.array([m, E, X]) + d)), at(*(np.array([m, E, X]) - d))) / (2 * h) for d in h * np.eye(3)]
+slopes = np.array(
+    [[2 * ((m - 0.4) - l_0 * m) / d1, 2 * (s_0 * m - (m - 0.4)) / d2], [0, 1 / d2], [0, -s_0 / d2]]
+)
+steps = [
+    np.subtract(at(*(np.array([m, E, X]) + d)), at(*(np.array([m, E, X]) - d))) / (2 * h)
+    for d in h * np.eye(3)
+]
 assert np.allclose(steps, slopes, rtol=1e-7, atol=1e-9)
 
 # %% [markdown]
@@ -169,12 +187,14 @@ mu_bar = -2 / n * (1 - s) * (mu_e - ell * mu_x) / D1 + 2 * E_bar * (s * mu_x - m
 
 # %%
 a, b = rng.normal(size=(2, *x.shape))
-assert np.isclose(inner(blur(a), b), inner(a, blur(b)), rtol=1e-10)                    # G is its own transpose
+assert np.isclose(inner(blur(a), b), inner(a, blur(b)), rtol=1e-10)  # G is its own transpose
 x_bar = blur(mu_bar) + 2 * (x - y) * blur(E_bar) + 2 * x * blur(X_bar)
 ours = ssim.backward(ssim.forward(image, truth)[1], 1.0)["image"]
 assert np.allclose(ours, x_bar.transpose(0, 2, 1), rtol=1e-8, atol=1e-14)
 d = rng.normal(size=image.shape)
-difference = (ssim.forward(image + h * d, truth)[0].ssim - ssim.forward(image - h * d, truth)[0].ssim) / (2 * h)
+difference = (
+    ssim.forward(image + h * d, truth)[0].ssim - ssim.forward(image - h * d, truth)[0].ssim
+) / (2 * h)
 assert abs(difference - inner(ours, d)) < 1e-6 * abs(difference)
 print(f"by differences {difference:.8f}, by gradient {inner(ours, d):.8f}")
 
@@ -194,7 +214,7 @@ def careless(image, truth):
 
 
 ours, theirs = printed(images["noisy"], truth).transpose(0, 2, 1), careless(images["noisy"], truth)
-assert np.allclose(ours[5:-5, :, 5:-5], theirs[5:-5, :, 5:-5], rtol=1e-9)              # the same inside
+assert np.allclose(ours[5:-5, :, 5:-5], theirs[5:-5, :, 5:-5], rtol=1e-9)  # the same inside
 assert round(ours.mean(), 3) == 0.933 and round(theirs.mean(), 3) == 0.840
 verdict = oracle.check(lambda image, truth: np.asarray(careless(image, truth).mean()), "ssim")
 assert not verdict.ok and "ssim-renormalised" in verdict.first.explanation
@@ -211,22 +231,37 @@ points = []
 for q in np.geomspace(0.01, 0.6, 40):
     symbols = np.round(truth / q)
     share = np.unique(symbols, return_counts=True)[1] / symbols.size
-    points.append((-(share * np.log2(share)).sum(), render_loss.forward(symbols * q, truth, 0.2)[0].L_render))
+    points.append(
+        (-(share * np.log2(share)).sum(), render_loss.forward(symbols * q, truth, 0.2)[0].L_render)
+    )
 rate, distortion = np.array(points).T
 figure, ax = plt.subplots(figsize=(9, 5))
 ax.plot(rate, distortion, "o", ms=5, color="0.6", label="one step q each")
 best = {}
 for price, color in zip((0.003, 0.01, 0.03, 0.1), lessons.COLORS):
     best[price] = i = np.argmin(price * rate + distortion)
-    assert (distortion >= distortion[i] - price * (rate - rate[i]) - 1e-15).all()        # the line touches from below
+    assert (
+        distortion >= distortion[i] - price * (rate - rate[i]) - 1e-15
+    ).all()  # the line touches from below
     reach = rate[i] + np.array([-1, 1]) * 0.8
-    ax.plot(reach, distortion[i] - price * (reach - rate[i]), color=color, label=rf"slope $-\lambda$, $\lambda$ = {price}")
+    ax.plot(
+        reach,
+        distortion[i] - price * (reach - rate[i]),
+        color=color,
+        label=rf"slope $-\lambda$, $\lambda$ = {price}",
+    )
     ax.plot(rate[i], distortion[i], "o", ms=11, color=color)
-ax.set(xlabel="rate (bits per number)", ylabel=r"$\mathcal{L}_{render}$", ylim=(-0.01, None),
-       title=r"$\lambda_{rate}$ picks a point: where its line touches the curve")
+ax.set(
+    xlabel="rate (bits per number)",
+    ylabel=r"$\mathcal{L}_{render}$",
+    ylim=(-0.01, None),
+    title=r"$\lambda_{rate}$ picks a point: where its line touches the curve",
+)
 ax.legend()
 lessons.show(figure, "12_losses_rate")
-assert all(rate[best[low]] >= rate[best[high]] for low, high in ((0.003, 0.01), (0.01, 0.03), (0.03, 0.1)))
+assert all(
+    rate[best[low]] >= rate[best[high]] for low, high in ((0.003, 0.01), (0.01, 0.03), (0.03, 0.1))
+)
 
 # %% [markdown]
 # Our $\mathcal{L}_{rate}$ is in bits per parameter (Q12), so that a $\lambda_{rate}$ means the same for small and large scenes.
@@ -256,7 +291,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("12.1", answer_1, [given[name] for name in ("out.L_total", "in_bar.L_render", "in_bar.L_rate")])
+lessons.number(
+    "12.1", answer_1, [given[name] for name in ("out.L_total", "in_bar.L_render", "in_bar.L_rate")]
+)
 lessons.forward("12.2", my_forward, "render_loss")
 lessons.backward("12.3", my_backward, "ssim")
 
@@ -267,8 +304,11 @@ lessons.backward("12.3", my_backward, "ssim")
 
 # %%
 for key, equation in (("total_loss", total_loss), ("render_loss", render_loss), ("ssim", ssim)):
-    verdict = oracle.check(lambda **inputs: equation.forward(**inputs)[0], key,
-                           lambda inputs, cotangents: equation.backward(equation.forward(**inputs)[1], **cotangents))
+    verdict = oracle.check(
+        lambda **inputs: equation.forward(**inputs)[0],
+        key,
+        lambda inputs, cotangents: equation.backward(equation.forward(**inputs)[1], **cotangents),
+    )
     print(key, verdict)
     assert verdict.ok
 assert EQUATIONS["total_loss"].number == "15" and EQUATIONS["render_loss"].number == "16"

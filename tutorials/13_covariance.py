@@ -7,12 +7,15 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import EQUATIONS, lessons, oracle
+from p4dgs_ref import EQUATIONS, oracle
 from p4dgs_ref.equations.rotation import normalise, normalise_backward
+from p4dgs_ref.school import lessons
 from p4dgs_ref.splatting import covariance
 
 plt = lessons.pyplot()
-ellipse = np.exp(1j * np.linspace(0, 2 * np.pi, 90)).view(float).reshape(-1, 2).T          # a unit circle, to be bent
+ellipse = (
+    np.exp(1j * np.linspace(0, 2 * np.pi, 90)).view(float).reshape(-1, 2).T
+)  # a unit circle, to be bent
 
 # %% [markdown]
 # ## Claim
@@ -35,7 +38,9 @@ ellipse = np.exp(1j * np.linspace(0, 2 * np.pi, 90)).view(float).reshape(-1, 2).
 for theta in np.linspace(-3, 3, 13):
     w, z = np.cos(theta / 2), np.sin(theta / 2)
     plane = np.array([[1 - 2 * z * z, -2 * w * z], [2 * w * z, 1 - 2 * z * z]])
-    assert np.allclose(plane, [[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]], atol=1e-15)
+    assert np.allclose(
+        plane, [[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]], atol=1e-15
+    )
 
 # %% [markdown]
 # A quarter turn, $w = z = \sqrt{1/2}$: the diagonal is 0, beside it stand -1 and 1. The x axis becomes the y axis.
@@ -45,7 +50,11 @@ for theta in np.linspace(-3, 3, 13):
 w = z = np.sqrt(0.5)
 R = np.array([[1 - 2 * z * z, -2 * w * z], [2 * w * z, 1 - 2 * z * z]])
 S = np.diag([3, 2])
-assert np.allclose(R, [[0, -1], [1, 0]], atol=1e-15) and S.diagonal().tolist() == [3, 2] and (S @ S).tolist() == [[9, 0], [0, 4]]
+assert (
+    np.allclose(R, [[0, -1], [1, 0]], atol=1e-15)
+    and S.diagonal().tolist() == [3, 2]
+    and (S @ S).tolist() == [[9, 0], [0, 4]]
+)
 assert np.allclose(R @ S @ S @ R.T, [[4, 0], [0, 9]], atol=1e-14)
 
 # %% [markdown]
@@ -56,17 +65,30 @@ assert np.allclose(R @ S @ S @ R.T, [[4, 0], [0, 9]], atol=1e-14)
 figure, panels = plt.subplots(1, 4, figsize=(13, 5), sharey=True, layout="constrained")
 for ax, degrees in zip(panels, (0, 30, 60, 90)):
     w, z = np.cos(np.radians(degrees) / 2), np.sin(np.radians(degrees) / 2)
-    M = np.array([[1 - 2 * z * z, -2 * w * z], [2 * w * z, 1 - 2 * z * z]]) * [3, 1]      # R S: column j times s_j
+    M = np.array([[1 - 2 * z * z, -2 * w * z], [2 * w * z, 1 - 2 * z * z]]) * [
+        3,
+        1,
+    ]  # R S: column j times s_j
     ax.fill(*(M @ ellipse), color=lessons.COLORS[5], alpha=0.35)
     for j, name in enumerate(("$s_1$", "$s_2$")):
-        ax.annotate("", M[:, j], (0, 0), arrowprops=dict(arrowstyle="-|>", lw=3, color=lessons.COLORS[j]))
+        ax.annotate(
+            "", M[:, j], (0, 0), arrowprops=dict(arrowstyle="-|>", lw=3, color=lessons.COLORS[j])
+        )
         ax.plot([], [], color=lessons.COLORS[j], label=f"column {j + 1} of RS, length {name}")
     (a, b), (_, c) = M @ M.T
-    ax.set(title=f"{degrees}°: w = {w:.3f}, z = {z:.3f}\na = {a:.1f}, b = {b:.1f}, c = {c:.1f}", xlabel="x (scene units)",
-           aspect="equal", xlim=(-3.4, 3.4), ylim=(-3.4, 3.4))
+    ax.set(
+        title=f"{degrees}°: w = {w:.3f}, z = {z:.3f}\na = {a:.1f}, b = {b:.1f}, c = {c:.1f}",
+        xlabel="x (scene units)",
+        aspect="equal",
+        xlim=(-3.4, 3.4),
+        ylim=(-3.4, 3.4),
+    )
 panels[0].set_ylabel("y (scene units)")
 figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
-figure.suptitle(r"Half the angle goes into the quaternion; $\Sigma$ = [[a, b], [b, c]] holds b twice", fontsize=16)
+figure.suptitle(
+    r"Half the angle goes into the quaternion; $\Sigma$ = [[a, b], [b, c]] holds b twice",
+    fontsize=16,
+)
 lessons.show(figure, "13_covariance")
 
 # %% [markdown]
@@ -102,7 +124,9 @@ for quaternion, matrix in zip(r, R):
     v = rng.normal(size=3)
     turned = product(product(quaternion, np.array([0, *v])), quaternion * star)
     assert np.allclose(turned, [0, *(matrix @ v)], atol=1e-14)
-    assert np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-14) and np.isclose(np.linalg.det(matrix), 1)
+    assert np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-14) and np.isclose(
+        np.linalg.det(matrix), 1
+    )
 
 # %% [markdown]
 # ## Backward by hand
@@ -122,7 +146,9 @@ assert m_bar == 30 and abs(Sigma_bar * ((m + h) ** 2 - (m - h) ** 2) / (2 * h) -
 # %%
 A, B, C = rng.normal(size=(3, 4)), rng.normal(size=(3, 5)), rng.normal(size=(5, 4))
 inner = lambda a, b: (a * b).sum()
-assert np.isclose(inner(A, B @ C), inner(A @ C.T, B), rtol=1e-12) and np.isclose(inner(A.T, C.T @ B.T), inner(A, B @ C))
+assert np.isclose(inner(A, B @ C), inner(A @ C.T, B), rtol=1e-12) and np.isclose(
+    inner(A.T, C.T @ B.T), inner(A, B @ C)
+)
 
 # %% [markdown]
 # Now $d\Sigma = dM\,M^T + M\,dM^T$, one term for each place of $M$. Move everything away from $dM$:
@@ -131,10 +157,17 @@ assert np.isclose(inner(A, B @ C), inner(A @ C.T, B), rtol=1e-12) and np.isclose
 # $$\Longrightarrow\quad \bar M = (\bar\Sigma + \bar\Sigma^T)\,M$$
 
 # %%
-Sigma_bar, dM = rng.normal(size=(N, 3, 3)), rng.normal(size=(N, 3, 3))                # Sigma_bar: not symmetric, on purpose
+Sigma_bar, dM = (
+    rng.normal(size=(N, 3, 3)),
+    rng.normal(size=(N, 3, 3)),
+)  # Sigma_bar: not symmetric, on purpose
 assert np.isclose(inner(Sigma_bar, dM @ M.transpose(0, 2, 1)), inner(Sigma_bar @ M, dM), rtol=1e-12)
-assert np.isclose(inner(Sigma_bar, M @ dM.transpose(0, 2, 1)), inner(Sigma_bar.transpose(0, 2, 1) @ M, dM), rtol=1e-12)
-M_bar = (Sigma_bar + Sigma_bar.transpose(0, 2, 1)) @ M                                # the first line of covariance.backward
+assert np.isclose(
+    inner(Sigma_bar, M @ dM.transpose(0, 2, 1)),
+    inner(Sigma_bar.transpose(0, 2, 1) @ M, dM),
+    rtol=1e-12,
+)
+M_bar = (Sigma_bar + Sigma_bar.transpose(0, 2, 1)) @ M  # the first line of covariance.backward
 
 # %% [markdown]
 # **Step two**, $M_{ij} = R_{ij} s_j$. A product of numbers, so $\bar R_{ij} = \bar M_{ij}\,s_j$. But $s_j$ serves three rows $i$:
@@ -147,7 +180,9 @@ ours = covariance.backward(res, Sigma_bar)
 assert np.array_equal(ours["s"], s_bar)
 for j in range(3):
     up, down = (covariance.forward(s + sign * h * np.eye(3)[j], r)[0].Sigma for sign in (1, -1))
-    assert np.allclose((Sigma_bar * (up - down)).sum(axis=(1, 2)) / (2 * h), s_bar[:, j], rtol=1e-6, atol=1e-8)
+    assert np.allclose(
+        (Sigma_bar * (up - down)).sum(axis=(1, 2)) / (2 * h), s_bar[:, j], rtol=1e-6, atol=1e-8
+    )
 
 # %% [markdown]
 # **Step three**, from $\bar R$ to $\bar r$. In the plane first. There $w$ stands in two entries and $z$ in all four:
@@ -157,7 +192,10 @@ for j in range(3):
 # %%
 flat = lambda w, z: np.array([[1 - 2 * z * z, -2 * w * z], [2 * w * z, 1 - 2 * z * z]])
 w, z, bar = 0.8, 0.6, rng.normal(size=(2, 2))
-w_bar, z_bar = 2 * z * (bar[1, 0] - bar[0, 1]), 2 * w * (bar[1, 0] - bar[0, 1]) - 4 * z * (bar[0, 0] + bar[1, 1])
+w_bar, z_bar = (
+    2 * z * (bar[1, 0] - bar[0, 1]),
+    2 * w * (bar[1, 0] - bar[0, 1]) - 4 * z * (bar[0, 0] + bar[1, 1]),
+)
 assert np.isclose(inner(bar, flat(w + h, z) - flat(w - h, z)) / (2 * h), w_bar, rtol=1e-8)
 assert np.isclose(inner(bar, flat(w, z + h) - flat(w, z - h)) / (2 * h), z_bar, rtol=1e-8)
 
@@ -173,10 +211,18 @@ assert np.isclose(inner(bar, flat(w, z + h) - flat(w, z - h)) / (2 * h), z_bar, 
 
 # %%
 w, x, y, z = r[0]
-slopes = 2 * np.array([[[0, -z, y], [z, 0, -x], [-y, x, 0]], [[0, y, z], [y, -2 * x, -w], [z, w, -2 * x]],
-                       [[-2 * y, x, w], [x, 0, z], [-w, z, -2 * y]], [[-2 * z, -w, x], [w, -2 * z, y], [x, y, 0]]])
+slopes = 2 * np.array(
+    [
+        [[0, -z, y], [z, 0, -x], [-y, x, 0]],
+        [[0, y, z], [y, -2 * x, -w], [z, w, -2 * x]],
+        [[-2 * y, x, w], [x, 0, z], [-w, z, -2 * y]],
+        [[-2 * z, -w, x], [w, -2 * z, y], [x, y, 0]],
+    ]
+)
 for letter, slope in zip(np.eye(4), slopes):
-    difference = covariance.rotation_matrix((r[0] + letter)[None]) - covariance.rotation_matrix((r[0] - letter)[None])
+    difference = covariance.rotation_matrix((r[0] + letter)[None]) - covariance.rotation_matrix(
+        (r[0] - letter)[None]
+    )
     assert np.allclose(difference[0] / 2, slope, atol=1e-14)
 
 # %% [markdown]
@@ -188,9 +234,14 @@ for letter, slope in zip(np.eye(4), slopes):
 # %%
 assert np.allclose(ours["r"][0], [inner(R_bar[0], slope) for slope in slopes], rtol=1e-12)
 d = {"s": rng.normal(size=s.shape), "r": rng.normal(size=r.shape)}
-up, down = (covariance.forward(s + sign * h * d["s"], r + sign * h * d["r"])[0].Sigma for sign in (1, -1))
-difference, gradient = inner(Sigma_bar, up - down) / (2 * h), inner(ours["s"], d["s"]) + inner(ours["r"], d["r"])
-assert abs(difference - gradient) < 1e-8 * abs(gradient)                              # the adjoint identity, all together
+up, down = (
+    covariance.forward(s + sign * h * d["s"], r + sign * h * d["r"])[0].Sigma for sign in (1, -1)
+)
+difference, gradient = (
+    inner(Sigma_bar, up - down) / (2 * h),
+    inner(ours["s"], d["s"]) + inner(ours["r"], d["r"]),
+)
+assert abs(difference - gradient) < 1e-8 * abs(gradient)  # the adjoint identity, all together
 print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
 
 # %% [markdown]
@@ -201,15 +252,17 @@ print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
 # %%
 unit, norm = normalise(2.5 * r)
 raw_bar = normalise_backward(unit, norm, ours["r"])
-assert np.abs((ours["r"] * r).sum(axis=1)).min() > 1e-3                               # r_bar has a part along r
-assert np.abs((raw_bar * r).sum(axis=1)).max() < 1e-14                                # what goes on backward has none
+assert np.abs((ours["r"] * r).sum(axis=1)).min() > 1e-3  # r_bar has a part along r
+assert np.abs((raw_bar * r).sum(axis=1)).max() < 1e-14  # what goes on backward has none
 
 # %% [markdown]
 # A gradient proves itself in a descent. We pull a Gaussian into the shape of another one by following $-\bar s$ and $-\bar r$ of
 # the loss $\frac12\|\Sigma - \Sigma^*\|^2$, whose $\bar\Sigma$ is $\Sigma - \Sigma^*$. It turns and stretches at once.
 
 # %%
-turn = lambda degrees: np.array([[np.cos(np.radians(degrees) / 2), 0, 0, np.sin(np.radians(degrees) / 2)]])
+turn = lambda degrees: np.array(
+    [[np.cos(np.radians(degrees) / 2), 0, 0, np.sin(np.radians(degrees) / 2)]]
+)
 target = covariance.forward(np.array([[1.6, 0.5, 0.4]]), turn(70))[0].Sigma
 scale, raw, path, losses = np.array([[1.0, 0.6, 0.4]]), turn(10), [], []
 for step in range(150):
@@ -225,8 +278,18 @@ for step, color in zip((0, 5, 8, 12, 149), lessons.COLORS):
     ax.plot(*(path[step] @ ellipse), color=color, label=f"after {step} steps")
     curve.plot(step, losses[step], "o", ms=10, color=color)
 curve.plot(losses, color="0.4", zorder=0)
-curve.set(yscale="log", xlabel="steps of descent", title=r"The loss $\frac{1}{2}\|\Sigma-\Sigma^*\|^2$", ylabel="scene units$^4$")
-ax.set(xlabel="x (scene units)", ylabel="y (scene units)", aspect="equal", title="The Gaussian, seen along z, at one sigma")
+curve.set(
+    yscale="log",
+    xlabel="steps of descent",
+    title=r"The loss $\frac{1}{2}\|\Sigma-\Sigma^*\|^2$",
+    ylabel="scene units$^4$",
+)
+ax.set(
+    xlabel="x (scene units)",
+    ylabel="y (scene units)",
+    aspect="equal",
+    title="The Gaussian, seen along z, at one sigma",
+)
 ax.legend(fontsize=11, loc="center left", bbox_to_anchor=(1, 0.5))
 figure.suptitle(r"$\bar s$ and $\bar r$ turn and stretch a Gaussian into another", fontsize=16)
 lessons.show(figure, "13_covariance_descent")
@@ -261,9 +324,13 @@ s_flat, r_many = np.exp(rng.uniform(-4, 0, (2000, 3))), normalise(rng.normal(siz
 onto_grid = lambda a: np.round(a / 0.02) * 0.02
 rounded = onto_grid(covariance.forward(s_flat, r_many)[0].Sigma)
 parts = covariance.forward(onto_grid(s_flat), normalise(onto_grid(r_many))[0])[0].Sigma
-broken = [(np.linalg.eigvalsh(covariances)[:, 0] < -1e-12).mean() for covariances in (rounded, parts)]
+broken = [
+    (np.linalg.eigvalsh(covariances)[:, 0] < -1e-12).mean() for covariances in (rounded, parts)
+]
 assert broken[0] > 0.1 and broken[1] == 0
-print(f"no covariance any more: {100 * broken[0]:.0f} % of the rounded Sigma, {100 * broken[1]:.0f} % from rounded s and r")
+print(
+    f"no covariance any more: {100 * broken[0]:.0f} % of the rounded Sigma, {100 * broken[1]:.0f} % from rounded s and r"
+)
 
 # %% [markdown]
 # ## Exercises
@@ -284,7 +351,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("13.1", answer_1, covariance.forward(np.array([[1.0, 2, 3]]), np.full((1, 4), 0.5))[0].Sigma[0])
+lessons.number(
+    "13.1", answer_1, covariance.forward(np.array([[1.0, 2, 3]]), np.full((1, 4), 0.5))[0].Sigma[0]
+)
 lessons.forward("13.2", my_forward, "covariance")
 lessons.backward("13.3", my_backward, "covariance")
 
@@ -294,7 +363,9 @@ lessons.backward("13.3", my_backward, "covariance")
 # that takes it to be, and writes $2\bar\Sigma M$, fails. So does one that projects $\bar r$ on the sphere: that is Eq. (6).
 
 # %%
-port = lambda s, r: np.einsum("nij,nj,nkj->nik", covariance.rotation_matrix(r), s**2, covariance.rotation_matrix(r))
+port = lambda s, r: np.einsum(
+    "nij,nj,nkj->nik", covariance.rotation_matrix(r), s**2, covariance.rotation_matrix(r)
+)
 verdict = oracle.check(port, "covariance")
 print(verdict)
 assert verdict.ok and EQUATIONS["covariance"].module == "p4dgs_ref.splatting.covariance"

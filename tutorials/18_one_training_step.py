@@ -7,14 +7,15 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import SETTINGS, lessons, load_scene, oracle
+from p4dgs_ref import SETTINGS, load_scene, oracle
 from p4dgs_ref.equations import likelihood, noise, render_loss, total_loss
 from p4dgs_ref.model import Anchors, context, groups, predict, predict_backward, split
-from p4dgs_ref.networks.adam import BETA_1, BETA_2, EPSILON, Adam
-from p4dgs_ref.networks.parameters import Parameters
 from p4dgs_ref.oracle.pipeline import trace_forward
+from p4dgs_ref.school import lessons
 from p4dgs_ref.splatting import render
 from p4dgs_ref.training import objective
+from p4dgs_ref.training.adam import BETA_1, BETA_2, EPSILON, Adam
+from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
 
@@ -38,7 +39,11 @@ plt, EXACT = lessons.pyplot(), SETTINGS["exact"]
 # %%
 weight, error = np.array([0.5, 0.25]), np.array([0.4, -0.2])
 shares = weight * error
-assert weight.tolist() == [0.5, 0.25] and np.allclose(shares, [0.2, -0.05]) and np.isclose(shares.sum(), 0.15)
+assert (
+    weight.tolist() == [0.5, 0.25]
+    and np.allclose(shares, [0.2, -0.05])
+    and np.isclose(shares.sum(), 0.15)
+)
 assert (0.4, 0.2) == tuple(abs(error))
 
 # %% [markdown]
@@ -47,15 +52,33 @@ assert (0.4, 0.2) == tuple(abs(error))
 # Then we take everything over in `float64`, and render with the exact settings.
 
 # %%
-changes = dict(anchors=80, d=8, hidden=(16, 16), deformation=(32, 32), stage_ends=(60, 90, 330, 400), decay_from=330,
-               grow_from=20, grow_every=20, grow_until=260, mask_from=400)
+changes = dict(
+    anchors=80,
+    d=8,
+    hidden=(16, 16),
+    deformation=(32, 32),
+    stage_ends=(60, 90, 330, 400),
+    decay_from=330,
+    grow_from=20,
+    grow_every=20,
+    grow_until=260,
+    mask_from=400,
+)
 trainer = Trainer(load_scene("bouncing"), choose("tiny", changes), seed=0)
 while trainer.iteration < 360:
     trainer.step()
-assert trainer.preset.anchors == 80 and trainer.iteration == 360 and 360 - trainer.preset.stage_ends[2] == 30
+assert (
+    trainer.preset.anchors == 80
+    and trainer.iteration == 360
+    and 360 - trainer.preset.stage_ends[2] == 30
+)
 assert trainer.stage == 4
-p, design, fixed, view = (Parameters(trainer.parameters.arrays, np.float64), trainer.design,
-                          trainer.fixed()._replace(settings=EXACT), trainer.next_view())
+p, design, fixed, view = (
+    Parameters(trainer.parameters.arrays, np.float64),
+    trainer.design,
+    trainer.fixed()._replace(settings=EXACT),
+    trainer.next_view(),
+)
 networks, grids = {name: p.network(name) for name in design.layers()}, p.listed("grid")
 A, n = len(p["x_a"]), sum(design.widths)
 u = np.random.default_rng(18).random((A, n)) - 0.5
@@ -65,12 +88,26 @@ u = np.random.default_rng(18).random((A, n)) - 0.5
 
 # %%
 table = []
-note = lambda name, array: table.append((name, np.shape(array), float(np.mean(array)), float(np.std(array))))
+note = lambda name, array: table.append(
+    (name, np.shape(array), float(np.mean(array)), float(np.std(array)))
+)
 values = objective.linear_values(p)
 ctx = context(design, networks, grids, fixed.located)[0]
-noisy = np.concatenate([noise.forward(part, draw, ctx.q[:, i:i + 1])[0].f_noisy
-                        for i, (part, draw) in enumerate(zip(groups(values, design), groups(u, design)))], axis=1)
-for name, array in (("values: f s l O", values), ("u", u), ("q", ctx.q), ("mu", ctx.mu), ("sigma", ctx.sigma), ("noisy", noisy)):
+noisy = np.concatenate(
+    [
+        noise.forward(part, draw, ctx.q[:, i : i + 1])[0].f_noisy
+        for i, (part, draw) in enumerate(zip(groups(values, design), groups(u, design)))
+    ],
+    axis=1,
+)
+for name, array in (
+    ("values: f s l O", values),
+    ("u", u),
+    ("q", ctx.q),
+    ("mu", ctx.mu),
+    ("sigma", ctx.sigma),
+    ("noisy", noisy),
+):
     note(name, array)
 
 # %% [markdown]
@@ -78,17 +115,28 @@ for name, array in (("values: f s l O", values), ("u", u), ("q", ctx.q), ("mu", 
 
 # %%
 f, s, l, O = split(noisy, design)
-g, res_p = predict(design, networks, Anchors(p["x_a"], f, s, l, O, fixed.mask), view.camera.center, view.time)
+g, res_p = predict(
+    design, networks, Anchors(p["x_a"], f, s, l, O, fixed.mask), view.camera.center, view.time
+)
 out, res_r = render.forward(*g[:5], view.camera, fixed.background, EXACT)
 truth = view.image.astype(float)
 loss, res_l = render_loss.forward(out.image, truth, fixed.lambda_ssim)
 rate, res_b = objective.rate_forward(noisy, ctx, grids, fixed.mask, design)
 total = total_loss.forward(loss.L_render, rate.L_rate, fixed.lambda_rate)[0].L_total
-for name, array in (*zip(g._fields[:5], g), ("mean2d", res_r.splats.mean2d), ("image", out.image), *loss._asdict().items(),
-                    ("bits", rate.bits), ("L_rate", rate.L_rate), ("L_total", total)):
+for name, array in (
+    *zip(g._fields[:5], g),
+    ("mean2d", res_r.splats.mean2d),
+    ("image", out.image),
+    *loss._asdict().items(),
+    ("bits", rate.bits),
+    ("L_rate", rate.L_rate),
+    ("L_total", total),
+):
     note(name, array)
 losses, _, res = objective.forward(p, design, networks, grids, fixed, view, u)
-assert np.isclose(losses.L_total, total, rtol=1e-12) and np.isclose(losses.bits, rate.bits, rtol=1e-12)
+assert np.isclose(losses.L_total, total, rtol=1e-12) and np.isclose(
+    losses.bits, rate.bits, rtol=1e-12
+)
 print(f"{'array':16s}{'shape':>16s}{'mean':>12s}{'deviation':>12s}")
 for name, shape, mean, deviation in table:
     print(f"{name:16s}{shape!s:>16s}{mean:12.4f}{deviation:12.4f}")
@@ -103,7 +151,9 @@ image_bar = render_loss.backward(res_l, L_render_bar=1.0)["image"]
 sign = np.sign(out.image - truth)
 of_l1 = (1 - fixed.lambda_ssim) * sign / sign.size
 assert sign.size == 3 * truth.shape[0] * truth.shape[1] and not np.allclose(image_bar, of_l1)
-assert np.allclose(render_loss.backward(res_l, L1_bar=1 - fixed.lambda_ssim)["image"], of_l1, rtol=1e-12)
+assert np.allclose(
+    render_loss.backward(res_l, L1_bar=1 - fixed.lambda_ssim)["image"], of_l1, rtol=1e-12
+)
 
 # %% [markdown]
 # **The features.** Through the renderer and the four networks, `render.backward` then `predict_backward`; through the bits,
@@ -114,7 +164,9 @@ assert np.allclose(render_loss.backward(res_l, L1_bar=1 - fixed.lambda_ssim)["im
 def feature_bar(cotangent):
     """What a cotangent of the picture asks of all features (A, d)."""
     bars = render.backward(res_r, cotangent)
-    return predict_backward(res_p, *(bars[name] for name in ("x", "s", "r", "alpha", "color")))[0]["f_a"]
+    return predict_backward(res_p, *(bars[name] for name in ("x", "s", "r", "alpha", "color")))[0][
+        "f_a"
+    ]
 
 
 of_picture, gradients = feature_bar(image_bar), objective.backward(res)[0]
@@ -126,7 +178,12 @@ assert np.allclose(gradients["f_a"], of_picture + of_bits, rtol=1e-9, atol=1e-15
 
 # %%
 half = np.arange(truth.size).reshape(truth.shape) % 2
-assert np.allclose(feature_bar(image_bar * half) + feature_bar(image_bar * (1 - half)), of_picture, rtol=1e-9, atol=1e-15)
+assert np.allclose(
+    feature_bar(image_bar * half) + feature_bar(image_bar * (1 - half)),
+    of_picture,
+    rtol=1e-9,
+    atol=1e-15,
+)
 
 # %% [markdown]
 # **Whose vote?** For one feature, anchor 12's feature 3, we want the share of all 12288 numbers of the picture. 12288 backwards
@@ -138,14 +195,18 @@ a, j, h = 12, 3, 1e-5
 picture = []
 for step in (h, -h):
     f[a, j] += step
-    moved = predict(design, networks, Anchors(p["x_a"], f, s, l, O, fixed.mask), view.camera.center, view.time)[0]
+    moved = predict(
+        design, networks, Anchors(p["x_a"], f, s, l, O, fixed.mask), view.camera.center, view.time
+    )[0]
     picture.append(render.forward(*moved[:5], view.camera, fixed.background, EXACT)[0].image)
     f[a, j] -= step
 slope = (picture[0] - picture[1]) / (2 * h)
 share = image_bar * slope
 assert share.size == 12288 and abs(share.sum() - of_picture[12, 3]) < 1e-6 * np.abs(share).sum()
 row, column = np.unravel_index(np.abs(share[..., 0]).argmax(), share.shape[:2])
-print(f"red of pixel ({column}, {row}): {out.image[row, column, 0]:.3f}, truth {truth[row, column, 0]:.3f}")
+print(
+    f"red of pixel ({column}, {row}): {out.image[row, column, 0]:.3f}, truth {truth[row, column, 0]:.3f}"
+)
 
 # %% [markdown]
 # **The other way round:** a cotangent that is zero but for that pixel's red, sent back. It arrives at every feature at once, and
@@ -157,7 +218,10 @@ one[row, column, 0] = image_bar[row, column, 0]
 asked = feature_bar(one)
 assert abs(asked[12, 3] - share[row, column, 0]) <= 1e-6 * abs(asked[12, 3])
 order = np.argsort(-np.abs(asked).max(axis=1))
-print("anchors that this pixel asks most:", *(f"{b} ({np.abs(asked[b]).max():.2e})" for b in order[:5]))
+print(
+    "anchors that this pixel asks most:",
+    *(f"{b} ({np.abs(asked[b]).max():.2e})" for b in order[:5]),
+)
 print(f"anchors that it does not reach: {(np.abs(asked).max(axis=1) == 0).sum()} of {A}")
 
 # %% [markdown]
@@ -170,18 +234,35 @@ adam, before = Adam(p), p["f_a"][a, j].copy()
 for mine, theirs in ((adam.first, trainer.adam.first), (adam.second, trainer.adam.second)):
     mine.vector[:] = theirs.vector
 adam.steps = dict(trainer.adam.steps)
-m_0, v_0, count, lr = adam.first["f_a"][a, j], adam.second["f_a"][a, j], adam.steps["f_a"] + 1, trainer.rate_of("f_a")
+m_0, v_0, count, lr = (
+    adam.first["f_a"][a, j],
+    adam.second["f_a"][a, j],
+    adam.steps["f_a"] + 1,
+    trainer.rate_of("f_a"),
+)
 divisor = np.sqrt(BETA_2 * v_0 + (1 - BETA_2) * gradients["f_a"][a, j] ** 2) + EPSILON
 per_m = -lr * np.sqrt(1 - BETA_2**count) / (1 - BETA_1**count) / divisor
 origin = p.vector.copy()
 adam.step(p, gradients, trainer.rate_of)
 move = p["f_a"][a, j] - before
 others = of_picture[a, j] - asked[a, j]
-parts = {"memory": BETA_1 * m_0 * per_m, "this red": 0.1 * asked[a, j] * per_m, "other pixels": 0.1 * others * per_m,
-         "bits": 0.1 * of_bits[a, j] * per_m}
-assert BETA_1 == 0.9 and BETA_2 == 0.999 and np.isclose(1 - BETA_1, 0.1) and np.isclose(sum(parts.values()), move, rtol=1e-6)
+parts = {
+    "memory": BETA_1 * m_0 * per_m,
+    "this red": 0.1 * asked[a, j] * per_m,
+    "other pixels": 0.1 * others * per_m,
+    "bits": 0.1 * of_bits[a, j] * per_m,
+}
+assert (
+    BETA_1 == 0.9
+    and BETA_2 == 0.999
+    and np.isclose(1 - BETA_1, 0.1)
+    and np.isclose(sum(parts.values()), move, rtol=1e-6)
+)
 print("this pixel's red error moved anchor 12's feature 3 by", f"{parts['this red']:+.2e}")
-print(f"in all it moved by {move:+.2e}:", ", ".join(f"{name} {part:+.2e}" for name, part in parts.items()))
+print(
+    f"in all it moved by {move:+.2e}:",
+    ", ".join(f"{name} {part:+.2e}" for name, part in parts.items()),
+)
 after = objective.forward(p, design, networks, grids, fixed, view, u)[0].L_total
 print(f"the loss of this view with this noise: {total:.5f} before, {after:.5f} after")
 p.vector[:] = origin
@@ -191,16 +272,27 @@ assert after < total
 figure, panels = plt.subplots(2, 2, figsize=(11.5, 9), layout="constrained")
 panels = panels.ravel()
 panels[0].imshow(out.image.clip(0, 1))
-maps = ((out.image[..., 0] - truth[..., 0], "picture - truth"), (share[..., 0] * 1e6, "share of the gradient, $10^{-6}$"))
+maps = (
+    (out.image[..., 0] - truth[..., 0], "picture - truth"),
+    (share[..., 0] * 1e6, "share of the gradient, $10^{-6}$"),
+)
 for ax, (array, label) in zip(panels[1:3], maps):
     shown = ax.imshow(array, cmap="PuOr", vmin=-np.abs(array).max(), vmax=np.abs(array).max())
     figure.colorbar(shown, ax=ax, label=label)
-for ax, title in zip(panels, ("The noisy picture and a pixel", "Its red error", "Whose red pulls at anchor 12's feature 3?")):
+for ax, title in zip(
+    panels,
+    ("The noisy picture and a pixel", "Its red error", "Whose red pulls at anchor 12's feature 3?"),
+):
     ax.plot(column, row, "s", ms=12, mfc="none", mec=lessons.COLORS[1], mew=2.5)
     ax.set(title=title, xlabel="u (pixels)", ylabel="v (pixels)"), ax.grid(False)
 panels[3].barh(list(parts), [1e3 * part for part in parts.values()], color=lessons.COLORS[:4])
 panels[3].axvline(1e3 * move, color="k", ls="--", label="the whole move")
-panels[3].set(title="What the feature's move is made of", xlabel="change of the feature, $10^{-3}$"), panels[3].invert_yaxis()
+(
+    panels[3].set(
+        title="What the feature's move is made of", xlabel="change of the feature, $10^{-3}$"
+    ),
+    panels[3].invert_yaxis(),
+)
 panels[3].legend()
 lessons.show(figure, "18_one_training_step")
 
@@ -225,8 +317,14 @@ def loss_after(step):
 assert loss_after(-1e-3 * broken) < total and np.array_equal(np.sign(p_bar), np.sign(broken))
 way = np.random.default_rng(1).normal(size=broken.shape)
 difference = (loss_after(1e-6 * way) - loss_after(-1e-6 * way)) / 2e-6
-print(f"by differences {difference:+.4e}, by gradient {(p_bar * way).sum():+.4e}, without the factor {(broken * way).sum():+.4e}")
-assert abs((p_bar * way).sum() - difference) < 1e-4 * abs(difference) < abs((broken * way).sum() - difference)
+print(
+    f"by differences {difference:+.4e}, by gradient {(p_bar * way).sum():+.4e}, without the factor {(broken * way).sum():+.4e}"
+)
+assert (
+    abs((p_bar * way).sum() - difference)
+    < 1e-4 * abs(difference)
+    < abs((broken * way).sum() - difference)
+)
 
 # %% [markdown]
 # ## What a codec does with it
@@ -236,7 +334,9 @@ assert abs((p_bar * way).sum() - difference) < 1e-4 * abs(difference) < abs((bro
 # %%
 bits = likelihood.forward(noisy, ctx.mu, ctx.sigma, np.repeat(ctx.q, design.widths, axis=1))[0].bits
 reach = (np.abs(slope).max(axis=2) > 1e-3 * np.abs(slope).max()).sum()
-print(f"anchor 12 costs {bits[12].sum():.0f} bits; its feature 3 reaches {reach} of {truth[..., 0].size} pixels")
+print(
+    f"anchor 12 costs {bits[12].sum():.0f} bits; its feature 3 reaches {reach} of {truth[..., 0].size} pixels"
+)
 assert a == 12 and j == 3 and bits[12].sum() > 0 and 0 < reach < truth[..., 0].size
 
 # %% [markdown]
@@ -263,7 +363,12 @@ fresh, pull = Adam(first), first.zeros()
 pull["w"][0] = -3e-5
 the_rate = 0.015
 fresh.step(first, pull, lambda name: the_rate)
-assert pull["w"][0] == -3e-5 and the_rate == 0.015 and truth.shape[:2] == (64, 64) and fixed.lambda_ssim == 0.2
+assert (
+    pull["w"][0] == -3e-5
+    and the_rate == 0.015
+    and truth.shape[:2] == (64, 64)
+    and fixed.lambda_ssim == 0.2
+)
 lessons.number("18.1", answer_1, np.abs(of_l1).max())
 lessons.number("18.2", answer_2, first["w"][0])
 lessons.backward("18.3", my_backward, "temporal_prediction", "x", "s", "r")

@@ -13,16 +13,19 @@ from dataclasses import replace
 import numpy as np
 
 import p4dgs_ref as p4
-from p4dgs_ref import lessons, oracle
+from p4dgs_ref import oracle
 from p4dgs_ref.codec import conformance, container, inspect
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.codec.streams import ideal_bits_gaussian
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.oracle import streams
+from p4dgs_ref.school import lessons
 
 plt = lessons.pyplot()
-data = (conformance.FOLDER / "one_anchor.p4dgs").read_bytes()        # the smallest model there is: one anchor, one child
+data = (
+    conformance.FOLDER / "one_anchor.p4dgs"
+).read_bytes()  # the smallest model there is: one anchor, one child
 
 # %% [markdown]
 # ## Claim
@@ -42,10 +45,18 @@ print(len(data), "bytes:", ", ".join(f"{name} {n}" for name, n in parts))
 # All integers are little-endian, the lowest byte first: the length 30 is `1e 00 00 00`.
 
 # %%
-head = b"\x89P4D\r\n\x1a\n" + struct.pack("<BBI", 1, 1, 30)           # magic, version, number of sections, total length
-head += struct.pack("<BII", 7, 3, zlib.crc32(b"\1\2\3"))              # one row of the table: id, length, checksum
+head = b"\x89P4D\r\n\x1a\n" + struct.pack(
+    "<BBI", 1, 1, 30
+)  # magic, version, number of sections, total length
+head += struct.pack(
+    "<BII", 7, 3, zlib.crc32(b"\1\2\3")
+)  # one row of the table: id, length, checksum
 smallest = head + struct.pack("<I", zlib.crc32(head)) + b"\1\2\3"
-assert len(smallest) == 30 and smallest[10:14].hex(" ") == "1e 00 00 00" and container.SECTIONS[7 - 1] == "masks"
+assert (
+    len(smallest) == 30
+    and smallest[10:14].hex(" ") == "1e 00 00 00"
+    and container.SECTIONS[7 - 1] == "masks"
+)
 assert container.read_container(smallest) == {"masks": b"\1\2\3"}
 
 # %% [markdown]
@@ -54,12 +65,17 @@ assert container.read_container(smallest) == {"masks": b"\1\2\3"}
 
 # %%
 assert container.MAGIC[0] >> 7 == 1
-for spoilt in (bytes(b & 127 for b in data), data.replace(b"\r\n", b"\n"), data.replace(b"\n", b"\r\n")):
+for spoilt in (
+    bytes(b & 127 for b in data),
+    data.replace(b"\r\n", b"\n"),
+    data.replace(b"\n", b"\r\n"),
+):
     assert spoilt[:8] != container.MAGIC
 
 # %% [markdown]
 # The checksum is the `CRC-32` of zlib: the message as one long polynomial over bits, divided by a fixed one, the remainder kept.
 # Bit by bit it is six lines. It finds every single wrong bit and every burst of up to 32 bits.
+
 
 # %%
 def crc32(message):
@@ -67,7 +83,9 @@ def crc32(message):
     for byte in message:
         c ^= byte
         for _ in range(8):
-            c = c >> 1 ^ (0xEDB88320 if c & 1 else 0)                 # subtract the divisor where the top term is there
+            c = c >> 1 ^ (
+                0xEDB88320 if c & 1 else 0
+            )  # subtract the divisor where the top term is there
     return c ^ 0xFFFFFFFF
 
 
@@ -75,7 +93,7 @@ assert crc32(b"\1\2\3") == zlib.crc32(b"\1\2\3") == 0x55BC801D
 rng = np.random.default_rng(19)
 for _ in range(500):
     burst, at = (1 << 31) + int(rng.integers(2**31)), int(rng.integers(8 * len(data) - 31))
-    assert burst.bit_length() == 32                                   # 32 bits, right and wrong ones at random
+    assert burst.bit_length() == 32  # 32 bits, right and wrong ones at random
     spoilt = int.from_bytes(data, "little") ^ burst << at
     assert zlib.crc32(spoilt.to_bytes(len(data), "little")) != zlib.crc32(data)
 
@@ -87,10 +105,10 @@ for _ in range(500):
 magic, version, count, total = struct.unpack_from("<8sBBI", data)
 assert magic == container.MAGIC and version == 1 and total == len(data)
 start, sections = 14 + 9 * count + 4, {}
-assert zlib.crc32(data[:start - 4]) == struct.unpack_from("<I", data, start - 4)[0]
+assert zlib.crc32(data[: start - 4]) == struct.unpack_from("<I", data, start - 4)[0]
 for row in range(count):
     number, length, crc = struct.unpack_from("<BII", data, 14 + 9 * row)
-    body = data[start:start + length]
+    body = data[start : start + length]
     assert zlib.crc32(body) == crc
     sections[container.SECTIONS[number - 1]] = body
     start += length
@@ -104,11 +122,21 @@ print(sections["header"].decode())
 
 # %%
 header = json.loads(sections["header"])
-box, n = struct.unpack_from("<6f", sections["positions"]), struct.unpack_from("<3H", sections["positions"], 24)
+box, n = (
+    struct.unpack_from("<6f", sections["positions"]),
+    struct.unpack_from("<3H", sections["positions"], 24),
+)
 x_a = [lo + i * ((hi - lo) / 65535) for lo, hi, i in zip(box[:3], box[3:], n)]
 assert len(sections["positions"]) == 24 + 6 * header["anchors"]
-weights = {name: np.frombuffer(sections[name], "<f2") for name in sections if name.endswith("mlps") or name.endswith("mlp")}
-assert (len(weights["context_mlps"]) * 2, x_a) == (len(sections["context_mlps"]), [-1.5, -1.0, 0.25])
+weights = {
+    name: np.frombuffer(sections[name], "<f2")
+    for name in sections
+    if name.endswith("mlps") or name.endswith("mlp")
+}
+assert (len(weights["context_mlps"]) * 2, x_a) == (
+    len(sections["context_mlps"]),
+    [-1.5, -1.0, 0.25],
+)
 
 # %% [markdown]
 # **Masks and hash grid** are bits with one common probability: four bytes say $p_+\cdot 2^{24}$, then a message follows, unless
@@ -117,15 +145,17 @@ assert (len(weights["context_mlps"]) * 2, x_a) == (len(sections["context_mlps"])
 
 # %%
 f = int.from_bytes(sections["masks"], "little")
-assert f == 2**24 and len(sections["masks"]) == 4                     # probability one: no message follows
-f, = struct.unpack_from("<I", sections["hash_grid"])
+assert f == 2**24 and len(sections["masks"]) == 4  # probability one: no message follows
+(f,) = struct.unpack_from("<I", sections["hash_grid"])
 x, signs = int.from_bytes(sections["hash_grid"][5:13], "little"), []  # byte 4: size of x
 for _ in range(4):
     slot = x % 2**24
     begin, wide = (0, 2**24 - f) if slot < 2**24 - f else (2**24 - f, f)
     signs.append(-1 if begin == 0 else 1)
     x = x // 2**24 * wide + slot - begin
-assert f / 2**24 == 3 / 4 and 2**24 - f == 2**22 and signs == [1, 1, 1, -1] and x == 2**31          # where it began
+assert (
+    f / 2**24 == 3 / 4 and 2**24 - f == 2**22 and signs == [1, 1, 1, -1] and x == 2**31
+)  # where it began
 
 # %% [markdown]
 # **Features, scales, offsets** are whole numbers $\lfloor f/q\rceil$, each with a table of its own, made from the integers that
@@ -135,31 +165,64 @@ assert f / 2**24 == 3 / 4 and 2**24 - f == 2**22 and signs == [1, 1, 1, -1] and 
 # %%
 q = quantised_of(sections)
 mu_units, sigma_units = int(q.context.mu_units[0, 0]), int(q.context.sigma_units[0, 0])
-assert (mu_units, sigma_units) == (2331, -56) and (round(2331 / 1024, 2), round(2 ** (-56 / 16), 2)) == (2.28, 0.09)
+assert (mu_units, sigma_units) == (2331, -56) and (
+    round(2331 / 1024, 2),
+    round(2 ** (-56 / 16), 2),
+) == (2.28, 0.09)
 table = gaussian_model(np.array([mu_units]), np.array([sigma_units]))
 x = int.from_bytes(sections["features"][1:], "little")
 place = int(np.searchsorted(table.keys, x % 2**24, "right")) - 1
-assert x == 0x80c0d682 and table.lowest[0] + place == 2 and q.model.anchors.f_a[0, 0] == 2 * q.context.q[0, 0]
-print("the feature's table:", dict(zip(range(table.lowest[0], table.lowest[0] + 5), np.diff(table.keys)[:5].tolist())))
+assert (
+    x == 0x80C0D682
+    and table.lowest[0] + place == 2
+    and q.model.anchors.f_a[0, 0] == 2 * q.context.q[0, 0]
+)
+print(
+    "the feature's table:",
+    dict(zip(range(table.lowest[0], table.lowest[0] + 5), np.diff(table.keys)[:5].tolist())),
+)
 
 # %%
 owners = np.repeat(np.arange(len(parts)), [n for _, n in parts])
-shade = lambda i: (*plt.matplotlib.colors.to_rgb(lessons.COLORS[i % 6]), 0.28 if i < 6 else 0.62 if i < 12 else 0.12)
+shade = lambda i: (
+    *plt.matplotlib.colors.to_rgb(lessons.COLORS[i % 6]),
+    0.28 if i < 6 else 0.62 if i < 12 else 0.12,
+)
 figure, axes = plt.subplots(figsize=(16, 9))
 for i, byte in enumerate(data):
     row, column = divmod(i, 32)
     axes.add_patch(plt.Rectangle((column, row), 1, 1, color=shade(owners[i]), lw=0))
-    axes.text(column + 0.5, row + 0.54, f"{byte:02x}", ha="center", va="center", family="monospace", fontsize=9.5)
+    axes.text(
+        column + 0.5,
+        row + 0.54,
+        f"{byte:02x}",
+        ha="center",
+        va="center",
+        family="monospace",
+        fontsize=9.5,
+    )
 at = 0
 for i, (name, size) in enumerate(parts):
     axes.add_patch(plt.Rectangle((33.2, 2.2 * i + 1), 1.4, 1.4, color=shade(i), lw=0))
     axes.text(35, 2.2 * i + 1.75, f"{at:3d}  {name}, {size} bytes", va="center", fontsize=13)
     at += size
-axes.set(frame_on=False, xlim=(0, 46), ylim=(31, 0), xticks=np.arange(0, 32, 8) + 0.5, xticklabels=range(0, 32, 8),
-         yticks=np.arange(31) + 0.5, yticklabels=range(0, 31 * 32, 32), ylabel="address (bytes)",
-         title="A whole model in 980 bytes: what entropy coding acts on is the thin stripe in the middle")
+axes.set(
+    frame_on=False,
+    xlim=(0, 46),
+    ylim=(31, 0),
+    xticks=np.arange(0, 32, 8) + 0.5,
+    xticklabels=range(0, 32, 8),
+    yticks=np.arange(31) + 0.5,
+    yticklabels=range(0, 31 * 32, 32),
+    ylabel="address (bytes)",
+    title="A whole model in 980 bytes: what entropy coding acts on is the thin stripe in the middle",
+)
 axes.grid(False)
-assert len(data) == 980 and sum(size for name, size in parts if name.endswith("mlp") or name.endswith("mlps")) > 980 / 2 - 3
+assert (
+    len(data) == 980
+    and sum(size for name, size in parts if name.endswith("mlp") or name.endswith("mlps"))
+    > 980 / 2 - 3
+)
 lessons.show(figure, "19_file_byte_by_byte")
 
 # %% [markdown]
@@ -174,24 +237,41 @@ golden = (oracle.path() / "model.p4dgs").read_bytes()
 g = quantised_of(container.open_container(golden))
 prior, d = inspect.float_context(g.model), g.model.design.d
 step, units = g.context.q[7, 0], (g.context.mu_units[7, :d], g.context.sigma_units[7, :d])
-steps_up = np.linspace(-6, 12, 73) + 0.003                            # never on a tie
-moved = g.model.anchors.f_a[7] + steps_up[:, None] * step             # (73, d)
+steps_up = np.linspace(-6, 12, 73) + 0.003  # never on a tie
+moved = g.model.anchors.f_a[7] + steps_up[:, None] * step  # (73, d)
 lengths, integer = [], []
 for values in moved:
     f_a = g.model.anchors.f_a.copy()
     f_a[7] = values
     lengths.append(len(p4.encode(replace(g.model, anchors=g.model.anchors._replace(f_a=f_a)))))
     integer.append(ideal_bits_gaussian(np.rint(values / step).astype(int), *units).sum())
-estimate, res = likelihood.forward(moved, *(np.tile(a[7, :d], (73, 1)) for a in (prior.mu, prior.sigma)), np.full((73, d), step))
+estimate, res = likelihood.forward(
+    moved, *(np.tile(a[7, :d], (73, 1)) for a in (prior.mu, prior.sigma)), np.full((73, d), step)
+)
 slope = likelihood.backward(res, np.ones((73, d)))["f_noisy"].sum(axis=1)
-assert len(g.positions) == 60 and 1 < len(set(lengths)) < len(set(integer)) < len(moved) == np.count_nonzero(slope)
-assert integer[-1] < 24 * d < estimate.bits[-1].sum() and set(np.diff(lengths)) <= {-4, 0, 4}      # words of 32 bits
+assert len(g.positions) == 60 and 1 < len(set(lengths)) < len(set(integer)) < len(
+    moved
+) == np.count_nonzero(slope)
+assert integer[-1] < 24 * d < estimate.bits[-1].sum() and set(np.diff(lengths)) <= {
+    -4,
+    0,
+    4,
+}  # words of 32 bits
 figure, axes = plt.subplots(figsize=(9, 5))
 axes.plot(steps_up, estimate.bits.sum(axis=1), label="estimate, Eq. (11)")
 axes.step(steps_up, integer, where="mid", label="ideal bits under whole-number tables")
-axes.step(steps_up, 8 * (np.array(lengths) - len(golden)), where="mid", ls="--", label="the file against its length at 0")
-axes.set(xlabel="how far the features of anchor 7 are moved (in steps q)", ylabel="bits",
-         title="The estimate has a slope, the file has stairs")
+axes.step(
+    steps_up,
+    8 * (np.array(lengths) - len(golden)),
+    where="mid",
+    ls="--",
+    label="the file against its length at 0",
+)
+axes.set(
+    xlabel="how far the features of anchor 7 are moved (in steps q)",
+    ylabel="bits",
+    title="The estimate has a slope, the file has stairs",
+)
 axes.legend(fontsize=11)
 lessons.show(figure, "19_what_no_gradient_sees")
 
@@ -200,9 +280,10 @@ lessons.show(figure, "19_what_no_gradient_sees")
 # Flip one bit of the file, any: it is refused, all 7840 times. Now the plausible mistake: a reader that skips the checksums.
 # Half of this file is weights, and a damaged weight is still a weight: the file opens, and nobody is told.
 
+
 # %%
 def flipped(message, bit):
-    return message[:bit // 8] + bytes([message[bit // 8] ^ 1 << bit % 8]) + message[bit // 8 + 1:]
+    return message[: bit // 8] + bytes([message[bit // 8] ^ 1 << bit % 8]) + message[bit // 8 + 1 :]
 
 
 def refused(read, *arguments):
@@ -213,11 +294,16 @@ def refused(read, *arguments):
     return False
 
 
-assert sum(refused(container.read_container, flipped(data, bit)) for bit in range(8 * len(data))) == 7840
+assert (
+    sum(refused(container.read_container, flipped(data, bit)) for bit in range(8 * len(data)))
+    == 7840
+)
 taken, tried = 0, 0
 for name, body in sections.items():
     for bit in range(3, 8 * len(body), 89):
-        forged = container.write_container({**sections, name: flipped(body, bit)})       # with checksums that fit
+        forged = container.write_container(
+            {**sections, name: flipped(body, bit)}
+        )  # with checksums that fit
         taken, tried = taken + (not refused(p4.decode, forged)), tried + 1
 print(f"without checksums {taken} of {tried} flipped bits go unnoticed")
 assert taken > tried / 2
@@ -231,7 +317,11 @@ assert taken > tried / 2
 # %%
 sizes = dict(container.layout(golden))
 attributes = sum(sizes[name] for name in ("features", "scales", "offset_scales", "offsets"))
-assert attributes == 748 and len(golden) == 9730 and sum(sizes[n] for n in sizes if "mlp" in n) > 0.8 * len(golden)
+assert (
+    attributes == 748
+    and len(golden) == 9730
+    and sum(sizes[n] for n in sizes if "mlp" in n) > 0.8 * len(golden)
+)
 for row in inspect.ledger(golden):
     print(f"{row['name']:16s} {row['bytes']:5d} bytes, estimate {row['estimate_bytes']:8.1f}")
 
@@ -244,6 +334,7 @@ for row in inspect.ledger(golden):
 # %%
 answer_1 = ...
 answer_2 = ...
+
 
 def my_container(data):
     """{name of container.SECTIONS: bytes}; ValueError: magic, version, lengths, checksums, ids unknown or not rising."""
@@ -280,6 +371,7 @@ assert grade_container(container.read_container) == [23, 13]
 # `p4dgs-ref oracle check DIR --only codec` reads what a port decoded from the streams; or from Python, an object that decodes.
 # What a port gets wrong here: native instead of little-endian numbers, lengths believed before they are checked, a section
 # missed that may be absent, positions divided by `65536` instead of `65535`.
+
 
 # %%
 class Port:

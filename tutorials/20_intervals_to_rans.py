@@ -15,14 +15,16 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from p4dgs_ref import lessons, oracle
-from p4dgs_ref.codec import container, inspect, rans, streams as sections
+from p4dgs_ref import oracle
+from p4dgs_ref.codec import container, inspect, rans
+from p4dgs_ref.codec import streams as sections
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.oracle import streams
+from p4dgs_ref.school import lessons
 
 plt = lessons.pyplot()
-data = (oracle.path() / "model.p4dgs").read_bytes()                  # a trained model of 60 anchors
+data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
 model = quantised_of(container.open_container(data))
 
 # %% [markdown]
@@ -38,7 +40,11 @@ model = quantised_of(container.open_container(data))
 # $$[0, 1) \to [0, \tfrac12) \to [\tfrac38, \tfrac12) \to [\tfrac38, \tfrac7{16}) \to [\tfrac{26}{64}, \tfrac{27}{64})$$
 
 # %%
-P = {"a": (Fraction(0), Fraction(1, 2)), "b": (Fraction(1, 2), Fraction(1, 4)), "c": (Fraction(3, 4), Fraction(1, 4))}
+P = {
+    "a": (Fraction(0), Fraction(1, 2)),
+    "b": (Fraction(1, 2), Fraction(1, 4)),
+    "c": (Fraction(3, 4), Fraction(1, 4)),
+}
 
 
 def narrow(message, parts):
@@ -51,7 +57,12 @@ def narrow(message, parts):
 
 
 way = narrow("acab", 4 * [P])
-assert way[0] == (0, 1) and [low for low, _ in way[1:]] == [0, Fraction(3, 8), Fraction(3, 8), Fraction(26, 64)]
+assert way[0] == (0, 1) and [low for low, _ in way[1:]] == [
+    0,
+    Fraction(3, 8),
+    Fraction(3, 8),
+    Fraction(26, 64),
+]
 
 # %% [markdown]
 # The width is $\frac12\cdot\frac14\cdot\frac12\cdot\frac14 = \frac1{64}$, the message's probability. Any number inside names it:
@@ -59,7 +70,12 @@ assert way[0] == (0, 1) and [low for low, _ in way[1:]] == [0, Fraction(3, 8), F
 # number lies in, that is the symbol, and stretches that part to a whole: $(v - start)/p$.
 
 # %%
-assert way[-1][1] == Fraction(1, 64) and -math.log2(way[-1][1]) == 6 and f"{26:06b}" == "011010" and 4 * 2 == 8
+assert (
+    way[-1][1] == Fraction(1, 64)
+    and -math.log2(way[-1][1]) == 6
+    and f"{26:06b}" == "011010"
+    and 4 * 2 == 8
+)
 v, found = Fraction(26, 64), ""
 for _ in range(4):
     symbol = max(s for s in P if P[s][0] <= v)
@@ -79,17 +95,23 @@ tables = gaussian_model(model.context.mu_units[7, :6], model.context.sigma_units
 def parts_of(i):
     """{symbol: (start, probability)} of the i-th feature, and what is beyond its table as None."""
     first, n = tables.first[tables.table[i]], tables.blocks[tables.table[i]]
-    cum = [*(int(key) % 2**24 for key in tables.keys[first:first + n + 1]), 2**24]
+    cum = [*(int(key) % 2**24 for key in tables.keys[first : first + n + 1]), 2**24]
     names = [*range(tables.lowest[i], tables.lowest[i] + n), None]
-    return {name: (Fraction(low, 2**24), Fraction(high - low, 2**24)) for name, low, high in zip(names, cum, cum[1:])}
+    return {
+        name: (Fraction(low, 2**24), Fraction(high - low, 2**24))
+        for name, low, high in zip(names, cum, cum[1:])
+    }
 
 
 way = narrow(symbols.tolist(), [parts_of(i) for i in range(6)])
 low, width = way[-1]
 bits = math.ceil(-math.log2(width))
-number = math.ceil(low * 2**bits)                                     # the first binary fraction of that length inside
+number = math.ceil(low * 2**bits)  # the first binary fraction of that length inside
 assert low <= Fraction(number, 2**bits) < low + width
-print(f"symbols {symbols.tolist()}: probability {float(width):.3g}, {-math.log2(width):.2f} bits, sent as {number:0{bits}b}")
+print(
+    f"symbols {symbols.tolist()}: probability {float(width):.3g}, {-math.log2(width):.2f} bits, sent as {number:0{bits}b}"
+)
+
 
 # %%
 def frame(canvas, i, lower, upper, text):
@@ -98,12 +120,26 @@ def frame(canvas, i, lower, upper, text):
     axes = canvas.figure.add_axes([0.09, 0.3, 0.82, 0.45])
     low, width = (float(v) for v in way[i])
     for n, (name, (start, p)) in enumerate(parts_of(i).items()):
-        left, right = (float(np.clip(low + width * float(edge), lower, upper)) for edge in (start, start + p))
+        left, right = (
+            float(np.clip(low + width * float(edge), lower, upper)) for edge in (start, start + p)
+        )
         chosen = name == symbols[i]
-        axes.axvspan(left, right, color=lessons.COLORS[1 if chosen else (0, 5)[n % 2]], alpha=1 if chosen else 0.55, lw=0)
+        axes.axvspan(
+            left,
+            right,
+            color=lessons.COLORS[1 if chosen else (0, 5)[n % 2]],
+            alpha=1 if chosen else 0.55,
+            lw=0,
+        )
         if right - left > 0.035 * (upper - lower):
             axes.text((left + right) / 2, 0.5, str(name), ha="center", va="center", fontsize=15)
-    axes.set(xlim=(lower, upper), ylim=(0, 1), yticks=[], xticks=[lower, upper], xticklabels=[f"{lower:.9f}", f"{upper:.9f}"])
+    axes.set(
+        xlim=(lower, upper),
+        ylim=(0, 1),
+        yticks=[],
+        xticks=[lower, upper],
+        xticklabels=[f"{lower:.9f}", f"{upper:.9f}"],
+    )
     canvas.figure.text(0.5, 0.86, text, ha="center", fontsize=14)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
@@ -114,7 +150,7 @@ for i in range(6):
     low, width, inner, part = (float(v) for v in (*way[i], *way[i + 1]))
     p, total = part / width, -math.log2(part)
     text = f"feature {i + 1} of 6: symbol {symbols[i]}, p = {p:.3f}, {-math.log2(p):.2f} bits; so far {total:.2f} bits"
-    for step in range(9):                                             # zoom: the width shrinks evenly in bits
+    for step in range(9):  # zoom: the width shrinks evenly in bits
         share = (part / width) ** (step / 8)
         left = low + (inner - low) * (1 - share) / (1 - part / width)
         frames.append(frame(canvas, i, left, left + width * share, text))
@@ -142,7 +178,11 @@ for x in range(200):
 path = [1]
 for s in reversed("acab"):
     path.append(push(path[-1], s))
-print("states:", path, f"so {math.log2(path[-1] / path[0]):.2f} bits, not 6: while x is small, rounding counts")
+print(
+    "states:",
+    path,
+    f"so {math.log2(path[-1] / path[0]):.2f} bits, not 6: while x is small, rounding counts",
+)
 
 # %%
 figure, axes = plt.subplots(1, 3, figsize=(18, 5.5), layout="constrained")
@@ -150,29 +190,74 @@ tint = dict(zip("abc", (lessons.COLORS[0], lessons.COLORS[4], lessons.COLORS[2])
 for row, (low, width) in enumerate(narrow("acab", 4 * [P])[:-1]):
     for s, (start, p) in P.items():
         left, wide = float(low + width * start), float(width * p)
-        axes[0].barh(row, wide, left=left, color=tint[s], alpha=1 if s == "acab"[row] else 0.3, height=0.8, lw=0)
+        axes[0].barh(
+            row,
+            wide,
+            left=left,
+            color=tint[s],
+            alpha=1 if s == "acab"[row] else 0.3,
+            height=0.8,
+            lw=0,
+        )
         if wide > 0.06:
             axes[0].text(left + wide / 2, row, s, ha="center", va="center", fontsize=14)
-axes[0].set(xlim=(0, 1), ylim=(3.6, -0.6), yticks=range(4), yticklabels=list("acab"), xlabel="from 0 to 1",
-            ylabel="symbol coded", title="Intervals: each symbol keeps its share")
+axes[0].set(
+    xlim=(0, 1),
+    ylim=(3.6, -0.6),
+    yticks=range(4),
+    yticklabels=list("acab"),
+    xlabel="from 0 to 1",
+    ylabel="symbol coded",
+    title="Intervals: each symbol keeps its share",
+)
 for x in range(56):
-    axes[1].add_patch(plt.Rectangle((x % 8, x // 8), 0.94, 0.94, color=tint[colour(x)], alpha=0.75 if x in path else 0.3))
-    axes[1].text(x % 8 + 0.47, x // 8 + 0.5, x, ha="center", va="center", fontsize=13, weight="bold" if x in path else None)
+    axes[1].add_patch(
+        plt.Rectangle(
+            (x % 8, x // 8), 0.94, 0.94, color=tint[colour(x)], alpha=0.75 if x in path else 0.3
+        )
+    )
+    axes[1].text(
+        x % 8 + 0.47,
+        x // 8 + 0.5,
+        x,
+        ha="center",
+        va="center",
+        fontsize=13,
+        weight="bold" if x in path else None,
+    )
 for old, new, s in zip(path, path[1:4], "bac"):
-    axes[1].annotate("", (new % 8 + 0.47, new // 8 + 0.5), (old % 8 + 0.47, old // 8 + 0.5),
-                     arrowprops=dict(arrowstyle="->", lw=2.5, shrinkA=14, shrinkB=14, connectionstyle="arc3,rad=0.3"))
-axes[1].set(xlim=(0, 8), ylim=(7, 0), xticks=[], yticks=[], title="rANS: push b, a, c: " + " → ".join(map(str, path[:4])))
-args = [a[:, :6].ravel() for a in (model.symbols, model.context.mu_units, model.context.sigma_units)]
+    axes[1].annotate(
+        "",
+        (new % 8 + 0.47, new // 8 + 0.5),
+        (old % 8 + 0.47, old // 8 + 0.5),
+        arrowprops=dict(
+            arrowstyle="->", lw=2.5, shrinkA=14, shrinkB=14, connectionstyle="arc3,rad=0.3"
+        ),
+    )
+axes[1].set(
+    xlim=(0, 8),
+    ylim=(7, 0),
+    xticks=[],
+    yticks=[],
+    title="rANS: push b, a, c: " + " → ".join(map(str, path[:4])),
+)
+args = [
+    a[:, :6].ravel() for a in (model.symbols, model.context.mu_units, model.context.sigma_units)
+]
 every = gaussian_model(*args[1:])
 entries = every.first[every.table] + args[0] - every.lowest
 x, reached = 2**31, []
-for start, freq in zip((every.keys[entries] % 2**24)[::-1].tolist(), np.diff(every.keys)[entries][::-1].tolist()):
-    x = x // freq * 2**24 + x % freq + start                          # no renormalising: Python's integers are long enough
+for start, freq in zip(
+    (every.keys[entries] % 2**24)[::-1].tolist(), np.diff(every.keys)[entries][::-1].tolist()
+):
+    x = x // freq * 2**24 + x % freq + start  # no renormalising: Python's integers are long enough
     reached.append(math.log2(x) - 31)
 ideal = sections.ideal_bits_gaussian(*args)[::-1].cumsum()
 axes[2].plot(ideal, lw=7, alpha=0.35, label=r"$\sum -\log_2 p$")
 axes[2].plot(reached, "--", color="k", label=r"growth of $\log_2 x$")
-axes[2].set(xlabel="features pushed", ylabel="bits", title="The state grows by what the prior promised")
+axes[2].set(
+    xlabel="features pushed", ylabel="bits", title="The state grows by what the prior promised"
+)
 axes[2].legend()
 assert abs(reached[-1] - ideal[-1]) < 0.001
 lessons.show(figure, "20_intervals_to_rans")
@@ -181,6 +266,7 @@ lessons.show(figure, "20_intervals_to_rans")
 # **The state must not grow for ever.** Here $M = 2^{24}$, and $x$ is kept from $2^{31}$ to below $2^{63}$: before a push that
 # would go beyond, $x \ge f\,2^{39}$, the 32 low bits go to a stack; after a pop that falls below, they return. The message of
 # `rans.py`: probabilities $\frac34$ and $\frac14$, message $0\,1\,0$, 9 bytes: one for lanes and size, then $x$.
+
 
 # %%
 def encode(starts, freqs):
@@ -199,7 +285,7 @@ worked = encode([0, 12582912, 0], [12582912, 4194304, 12582912])
 assert 12582912 / 2**24 == 3 / 4 and len(worked) == 9 and 2**32 - 1 == int(32 * "1", 2)
 assert worked.hex(" ") == "80 00 00 40 8e 03 00 00 00"
 mine = encode((every.keys[entries] % 2**24).tolist(), np.diff(every.keys)[entries].tolist())
-assert mine == container.read_container(data)["features"]            # the whole section of the file
+assert mine == container.read_container(data)["features"]  # the whole section of the file
 
 # %% [markdown]
 # ## Backward by hand
@@ -221,7 +307,12 @@ for _ in range(2000):
     y = x >> 32 if full else x
     pushed = y // freq * 2**24 + y % freq + start
     popped = (pushed // 2**24) * freq + pushed % 2**24 - start
-    assert 2**31 <= pushed < 2**63 and start <= pushed % 2**24 < start + freq and popped == y and (popped < 2**31) == full
+    assert (
+        2**31 <= pushed < 2**63
+        and start <= pushed % 2**24 < start + freq
+        and popped == y
+        and (popped < 2**31) == full
+    )
 
 # %% [markdown]
 # ## Break it
@@ -234,7 +325,11 @@ bits = model.model.anchors.mask.ravel()
 bit_keys = np.array([0, 2**24 - sections.probability_of_one(bits.sum(), bits.size), 2**24])
 right, wrong = (rans.encode(way.astype(int), bit_keys) for way in (bits, bits[::-1]))
 backwards = rans.decode(wrong, np.zeros(len(bits), int), bit_keys)[0]
-assert len(right) == len(wrong) and np.array_equal(backwards[::-1], bits) and not np.array_equal(backwards, bits)
+assert (
+    len(right) == len(wrong)
+    and np.array_equal(backwards[::-1], bits)
+    and not np.array_equal(backwards, bits)
+)
 try:
     rans.decode(rans.encode(entries[::-1], every.keys), every.table, every.keys)
     raise AssertionError("a reversed message was taken")
@@ -250,7 +345,9 @@ except container.BitstreamError as error:
 # %%
 for row in inspect.ledger(data):
     if row["name"] in ("features", "scales", "offset_scales", "offsets", "masks", "hash_grid"):
-        print(f"{row['name']:14s} ideal {row['integer_bytes']:6.1f}, coded {row['payload_bytes']} bytes")
+        print(
+            f"{row['name']:14s} ideal {row['integer_bytes']:6.1f}, coded {row['payload_bytes']} bytes"
+        )
         assert 0 < row["payload_bytes"] - row["integer_bytes"] < 8
 
 # %% [markdown]
@@ -260,6 +357,7 @@ for row in inspect.ledger(data):
 
 # %%
 answer_1 = ...
+
 
 def my_encode(entries, keys):
     """bytes: lane byte, x (low word, high word if there is one), the stack, its top first; entry i is keys[i] ... keys[i+1]."""
@@ -276,9 +374,13 @@ signs = np.concatenate([level.ravel() for level in model.model.grids]) > 0
 with suppress(NotImplementedError):
     answer_2 = np.frombuffer(my_encode(bits.astype(int), bit_keys), np.uint8)
 with suppress(NotImplementedError):
-    answer_3 = my_decode(grid[4:], len(signs), np.array([0, 2**24 - int.from_bytes(grid[:4], "little"), 2**24]))
+    answer_3 = my_decode(
+        grid[4:], len(signs), np.array([0, 2**24 - int.from_bytes(grid[:4], "little"), 2**24])
+    )
 lessons.number("20.1", answer_1, 7)
-lessons.number("20.2", answer_2, np.frombuffer(container.read_container(data)["masks"][4:], np.uint8))
+lessons.number(
+    "20.2", answer_2, np.frombuffer(container.read_container(data)["masks"][4:], np.uint8)
+)
 lessons.number("20.3", answer_3, signs)
 
 # %% [markdown]
@@ -286,6 +388,7 @@ lessons.number("20.3", answer_3, signs)
 # `p4dgs-ref oracle check DIR --only codec`; stream `lanes` has several lanes, `raw_bits` and `escapes` what no table holds.
 # What goes wrong: a state in a double, which is exact to 53 bits only (JavaScript wants BigInt), words put back in the
 # order in which they were put away, and a table whose frequencies do not add up to $2^{24}$.
+
 
 # %%
 def decode(name, stream):

@@ -13,15 +13,18 @@ from types import SimpleNamespace
 import numpy as np
 from scipy.special import ndtr
 
-from p4dgs_ref import BitstreamError, lessons, look_at, oracle
+from p4dgs_ref import BitstreamError, look_at, oracle
 from p4dgs_ref.codec import conformance, container, context, fixed_point, inspect
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
 from p4dgs_ref.codec.quantise import dequantise
 from p4dgs_ref.equations import hash_grid, prior
 from p4dgs_ref.oracle import streams
+from p4dgs_ref.school import lessons
 
 plt = lessons.pyplot()
-model = quantised_of(container.open_container((oracle.path() / "model.p4dgs").read_bytes()))      # trained, 60 anchors
+model = quantised_of(
+    container.open_container((oracle.path() / "model.p4dgs").read_bytes())
+)  # trained, 60 anchors
 
 # %% [markdown]
 # ## Claim
@@ -41,7 +44,12 @@ model = quantised_of(container.open_container((oracle.path() / "model.p4dgs").re
 
 # %%
 assert 9 + 7 == 10 + 6 == 16 and divmod(888, 16) == (55, 8)
-assert (55 * 9 + 8, 55 * 10 + 8) == (503, 558) and (503 % 16, 558 % 16) == (7, 14) and 7 < 9 and not 14 < 10
+assert (
+    (55 * 9 + 8, 55 * 10 + 8) == (503, 558)
+    and (503 % 16, 558 % 16) == (7, 14)
+    and 7 < 9
+    and not 14 < 10
+)
 
 # %% [markdown]
 # ## In code
@@ -89,7 +97,9 @@ kept, design = model.kept, model.model.design
 sent, q = model.symbols[kept], np.repeat(model.context.q, design.widths, axis=1)[kept]
 exact = inspect.float_context(model.model)
 mu, sigma = (a[kept].astype(np.float32) for a in (exact.mu, exact.sigma))
-build = lambda mu, sigma: [table_of(*numbers) for numbers in zip(mu.tolist(), sigma.tolist(), q.tolist())]
+build = lambda mu, sigma: [
+    table_of(*numbers) for numbers in zip(mu.tolist(), sigma.tolist(), q.tolist())
+]
 tables = build(mu, sigma)
 message = encode(sent, tables)
 received, last = decode(*message, tables)
@@ -114,10 +124,14 @@ assert 0 < nudged[victim] / sigma[victim] - 1 < 1 / 8e6 and last != 2**31
 # its own probability: the rest of the picture is *drawn at random from the prior*, plausible blobs in wrong places.
 # In bits under the tables it looks innocent, about as many as the true symbols have. Only the last state, at the end, tells.
 
+
 # %%
 def price(symbols):
     """Bits of symbols under the right tables, nothing rounded."""
-    return sum(BITS - math.log2(cum[k - first + 1] - cum[k - first]) for k, (first, cum) in zip(symbols, tables[-len(symbols):]))
+    return sum(
+        BITS - math.log2(cum[k - first + 1] - cum[k - first])
+        for k, (first, cum) in zip(symbols, tables[-len(symbols) :])
+    )
 
 
 camera = look_at((1.1, -1.9, 0.9), (0.05, 0, -0.45), 84.0, 84.0, 96, 72)
@@ -131,11 +145,11 @@ def picture(symbols):
     return np.clip(replace(model.model, anchors=anchors).render(camera, 0.35), 0, 1)
 
 
-true, broken = price(sent[victim + 1:]) / 750, price(received[victim + 1:]) / 750
+true, broken = price(sent[victim + 1 :]) / 750, price(received[victim + 1 :]) / 750
 print(f"bits a symbol after the accident: sent {true:.2f}, received {broken:.2f}")
 assert abs(broken / true - 1) < 0.1
 before, after = picture(sent), picture(received)
-print(f"PSNR {-10 * math.log10(((before - after)**2).mean()):.1f} dB")
+print(f"PSNR {-10 * math.log10(((before - after) ** 2).mean()):.1f} dB")
 
 # %%
 figure, axes = plt.subplots(1, 3, figsize=(17, 5), layout="constrained", width_ratios=(1, 1, 1.2))
@@ -145,8 +159,13 @@ for ax, image, title in zip(axes, (before, after), ("What was sent", "One ulp la
     ax.grid(False)
 axes[2].plot(np.abs(received - sent), ".", ms=5, color=lessons.COLORS[1])
 axes[2].axvline(victim, color=lessons.COLORS[0], label=f"one ulp in σ of symbol {victim}")
-axes[2].set(yscale="symlog", ylim=(-0.3, 2000), xlabel="symbol in the message", ylabel="|received − sent| (steps q)",
-            title="All is right, then nothing is")
+axes[2].set(
+    yscale="symlog",
+    ylim=(-0.3, 2000),
+    xlabel="symbol in the message",
+    ylabel="|received − sent| (steps q)",
+    title="All is right, then nothing is",
+)
 axes[2].legend(loc="upper left")
 lessons.show(figure, "21_desync")
 
@@ -155,29 +174,36 @@ lessons.show(figure, "21_desync")
 # another library, GPU or batch size may: nearly half of the deviations differ by a few ulps. Symbol 8 is the first to come
 # out wrong: decoding dies in the first anchor.
 
+
 # %%
 def network(h, weights, biases, order):
     """psi_p in float32, every sum in a given order."""
     for layer, (W, b) in enumerate(zip(weights, biases)):
         y = np.zeros((len(h), W.shape[1]), np.float32)
         for i in range(len(W))[::order]:
-            y = y + h[:, i:i + 1] * W[i].astype(np.float32)
+            y = y + h[:, i : i + 1] * W[i].astype(np.float32)
         h = y + b.astype(np.float32)
         h = np.maximum(h, 0) if layer < len(weights) - 1 else h
     return h
 
 
 box = [corner.astype(float) for corner in model.model.box]
-located = hash_grid.locate(model.model.anchors.x_a, *box, design.grid, [T for T, _ in design.levels()])
+located = hash_grid.locate(
+    model.model.anchors.x_a, *box, design.grid, [T for T, _ in design.levels()]
+)
 h = hash_grid.query(located, model.model.grids)[0].h.astype(np.float32)
 mu_columns, raw_columns = prior.layout(design.widths)
 two = []
 for order in (1, -1):
     y = network(h, *model.model.networks["psi_p"], order)
-    two.append((y[:, mu_columns][kept], np.exp(y[:, raw_columns].astype(float)).astype(np.float32)[kept]))
+    two.append(
+        (y[:, mu_columns][kept], np.exp(y[:, raw_columns].astype(float)).astype(np.float32)[kept])
+    )
 differ = np.mean(two[0][1] != two[1][1])
 first_wrong = np.flatnonzero(decode(*encode(sent, build(*two[0])), build(*two[1]))[0] != sent)[0]
-print(f"{100 * differ:.0f} % of the deviations differ, at most by {np.abs(two[0][1] / two[1][1] - 1).max():.1e}")
+print(
+    f"{100 * differ:.0f} % of the deviations differ, at most by {np.abs(two[0][1] / two[1][1] - 1).max():.1e}"
+)
 assert 0.4 < differ < 0.5 and first_wrong == 8 < kept[0].sum()
 
 # %% [markdown]
@@ -188,13 +214,17 @@ assert 0.4 < differ < 0.5 and first_wrong == 8 < kept[0].sum()
 
 # %%
 z = np.linspace(0, 5, 50001)
-worst = (z * np.exp(-z**2 / 2) / math.sqrt(2 * math.pi)).max()
+worst = (z * np.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)).max()
 assert round(worst, 3) == 0.242 and round(1 / (worst * 2.0 ** (BITS - 23))) == 529
 up = np.nextafter(sigma, np.float32(np.inf))
 expected, changed = 0.0, 0
-for (first, cum), (_, cum_up), m, s, s_up, step in zip(tables, build(mu, up), mu.tolist(), sigma.tolist(), up.tolist(), q):
+for (first, cum), (_, cum_up), m, s, s_up, step in zip(
+    tables, build(mu, up), mu.tolist(), sigma.tolist(), up.tolist(), q
+):
     inner = ((first + np.arange(1, len(cum) - 1) - 0.5) * step - m) / s
-    expected += (2**BITS * np.exp(-inner**2 / 2) / math.sqrt(2 * math.pi) * np.abs(inner)).sum() * (s_up / s - 1)
+    expected += (
+        2**BITS * np.exp(-(inner**2) / 2) / math.sqrt(2 * math.pi) * np.abs(inner)
+    ).sum() * (s_up / s - 1)
     changed += (cum != cum_up).sum() if len(cum) == len(cum_up) else 0
 print(f"boundaries moved by one ulp in every deviation: {changed} counted, {expected:.0f} expected")
 assert abs(changed - expected) < 4 * math.sqrt(expected)
@@ -212,7 +242,9 @@ edge = np.float32(2.0 ** (-40.5 / 16))
 while snap(edge) == snap(np.nextafter(edge, np.float32(1))):
     edge = np.nextafter(edge, np.float32(1) if snap(edge) < -40 else np.float32(0))
 assert snap(np.nextafter(edge, np.float32(1))) - snap(edge) == 1 and 1.04 < 2 ** (1 / 16) < 1.05
-crossings = 1e6 * 16 * np.abs(np.diff(np.log2([pair[1].astype(float) for pair in two]), axis=0)).mean()
+crossings = (
+    1e6 * 16 * np.abs(np.diff(np.log2([pair[1].astype(float) for pair in two]), axis=0)).mean()
+)
 assert round(crossings, 1) == 1.6
 
 # %% [markdown]
@@ -229,14 +261,19 @@ def shuffled(x, W):
     """x W with the terms of every sum in a random order, one after the other."""
     y = np.zeros((len(x), W.shape[1]))
     for i in rng.permutation(len(W)):
-        y = y + x[:, i:i + 1] * W[i]
+        y = y + x[:, i : i + 1] * W[i]
     return y
 
 
 fixed_point.product = shuffled
-again = [context.coding_context(design, model.model.networks, model.model.grids, model.positions) for _ in range(20)]
+again = [
+    context.coding_context(design, model.model.networks, model.model.grids, model.positions)
+    for _ in range(20)
+]
 fixed_point.product = ours
-assert len(again) == 20 and all(np.array_equal(a, b) for ctx in again for a, b in zip(ctx, model.context))
+assert len(again) == 20 and all(
+    np.array_equal(a, b) for ctx in again for a, b in zip(ctx, model.context)
+)
 rows = inspect.ledger((oracle.path() / "model.p4dgs").read_bytes())
 rows = [row for row in rows if row["name"] in ATTRIBUTE_SECTIONS]
 whole, floats = (sum(row[name] for row in rows) for name in ("integer_bytes", "estimate_bytes"))
@@ -266,17 +303,25 @@ def my_sigma_units(raw, log2_D, p):
 
 row = next(row for row in streams.read_rows()["good"] if row["name"] == "full")
 golden = {array["name"]: streams.stored(row, array) for array in row["arrays"]}
-full = quantised_of(container.open_container((conformance.FOLDER / "full.p4dgs").read_bytes())).model
+full = quantised_of(
+    container.open_container((conformance.FOLDER / "full.p4dgs").read_bytes())
+).model
 widths, (fraction, p) = full.design.widths, np.frexp(full.design.Q_0)
 layers = fixed_point.whole_layers(*full.networks["psi_p"])
 y = fixed_point.run_network(golden["h"].astype(float), layers)
-raw = np.clip(fixed_point.rescale(y[:, prior.layout(widths)[1]], layers[-1].bits, 16, 2**24), -14 << 16, 6 << 16)
-log2_D = np.repeat(fixed_point.log2(np.floor(fraction * 2**24).astype(int) * golden["q_units"]), widths, axis=1)
+raw = np.clip(
+    fixed_point.rescale(y[:, prior.layout(widths)[1]], layers[-1].bits, 16, 2**24),
+    -14 << 16,
+    6 << 16,
+)
+log2_D = np.repeat(
+    fixed_point.log2(np.floor(fraction * 2**24).astype(int) * golden["q_units"]), widths, axis=1
+)
 with suppress(NotImplementedError):
     answer_2 = my_network(golden["h"].astype(float), layers)
 with suppress(NotImplementedError):
     answer_3 = my_sigma_units(raw, log2_D, np.repeat(p.astype(int), widths))
-lessons.number("21.1", answer_1, [62 * 7 + 9 - 9, 62 * 10 + 9])          # B in one table, A in the other
+lessons.number("21.1", answer_1, [62 * 7 + 9 - 9, 62 * 10 + 9])  # B in one table, A in the other
 lessons.number("21.2", answer_2, y, digits=15)
 lessons.number("21.3", answer_3, golden["sigma_units"], digits=15)
 
@@ -285,6 +330,7 @@ lessons.number("21.3", answer_3, golden["sigma_units"], digits=15)
 # `p4dgs-ref oracle check DIR --only codec` compares `h`, `q_units`, `mu_units`, `sigma_units` bit for bit in this order: the
 # first difference names the step. What goes wrong: products in `float32`, a division that rounds towards zero where a floor
 # is meant, a fused multiply-add in `x_a`, a table taken from the machine's own `exp`.
+
 
 # %%
 def answer(name, stream):

@@ -11,11 +11,12 @@ import numpy as np
 from matplotlib.colors import Normalize
 from scipy.special import expit, ndtr
 
-from p4dgs_ref import lessons, oracle, sixty_digits
+from p4dgs_ref import oracle, sixty_digits
 from p4dgs_ref.equations import hash_rate, ssim, step
+from p4dgs_ref.school import lessons
 from p4dgs_ref.splatting import compositing, projection
-from p4dgs_ref.stability import map as stability_map
-from p4dgs_ref.stability import table
+from p4dgs_ref.studies.hard_cases import map as stability_map
+from p4dgs_ref.studies.hard_cases import table
 
 plt = lessons.pyplot()
 eps = {dtype: float(np.finfo(dtype).eps) for dtype in (np.float32, np.float64)}
@@ -48,8 +49,12 @@ assert np.float32(7e-46) == 0 and np.float32(7.1e-46) > 0
 
 # %%
 four = lambda x: float(f"{x:.4g}")
-assert (four(ndtr(3.5)), four(ndtr(2.5))) == (0.9998, 0.9938) and round(0.9998 - 0.9938, 4) == 0.0060
-assert (four(ndtr(-2.5)), four(ndtr(-3.5))) == (0.006210, 0.0002326) and four(0.006210 - 0.0002326) == 0.005977
+assert (four(ndtr(3.5)), four(ndtr(2.5))) == (0.9998, 0.9938) and round(
+    0.9998 - 0.9938, 4
+) == 0.0060
+assert (four(ndtr(-2.5)), four(ndtr(-3.5))) == (0.006210, 0.0002326) and four(
+    0.006210 - 0.0002326
+) == 0.005977
 assert four(ndtr(5.5)) == four(ndtr(4.5)) == 1.000 and four(ndtr(-4.5)) > 0
 
 # %% [markdown]
@@ -57,7 +62,9 @@ assert four(ndtr(5.5)) == four(ndtr(4.5)) == 1.000 and four(ndtr(-4.5)) > 0
 # two to three digits are lost; from the other side it is 1.1.
 
 # %%
-assert round((0.9998 + 0.9938) / 0.0060) == 332 and round((0.006210 + 0.0002326) / 0.005977, 1) == 1.1
+assert (
+    round((0.9998 + 0.9938) / 0.0060) == 332 and round((0.006210 + 0.0002326) / 0.005977, 1) == 1.1
+)
 
 # %% [markdown]
 # ## In code
@@ -66,9 +73,26 @@ assert round((0.9998 + 0.9938) / 0.0060) == 332 and round((0.006210 + 0.0002326)
 # columns are the relative errors of `ours` and of its gradient, and whether they keep to the row's bound.
 
 # %%
-shown = ("H-R1.9sigma", "H-R1.1000sigma", "H-R5.width1e-09", "H-R4.u-19", "H-R6.positive", "H-R7.sum", "H-G3.1e4px", 
-         "H-G7.0.99", "H-G5.undone", "H-P1.inside", "H-Q1.q1 ", "H-S1.color")
-rows = {(row["id"], row["dtype"]): row for id in shown for row in table.rows(id.strip()) if row["id"] == id.strip()}
+shown = (
+    "H-R1.9sigma",
+    "H-R1.1000sigma",
+    "H-R5.width1e-09",
+    "H-R4.u-19",
+    "H-R6.positive",
+    "H-R7.sum",
+    "H-G3.1e4px",
+    "H-G7.0.99",
+    "H-G5.undone",
+    "H-P1.inside",
+    "H-Q1.q1 ",
+    "H-S1.color",
+)
+rows = {
+    (row["id"], row["dtype"]): row
+    for id in shown
+    for row in table.rows(id.strip())
+    if row["id"] == id.strip()
+}
 print(table.describe(list(rows.values())))
 assert all(row["verdict"] == "ok" for row in rows.values()) and len(rows) == 2 * len(shown)
 
@@ -79,22 +103,46 @@ assert all(row["verdict"] == "ok" for row in rows.values()) and len(rows) == 2 *
 
 # %%
 found = stability_map.maps()
-share = lambda name, dtype, test: 100 * test(found[name, dtype][~np.isnan(found[name, dtype])]).mean()
-assert round(share("literal", "float64", np.isinf)) == 56 and round(share("literal", "float32", np.isinf)) == 75
+share = lambda name, dtype, test: (
+    100 * test(found[name, dtype][~np.isnan(found[name, dtype])]).mean()
+)
+assert (
+    round(share("literal", "float64", np.isinf)) == 56
+    and round(share("literal", "float32", np.isinf)) == 75
+)
 assert round(share("floor 1e-6", "float64", lambda e: e > -2)) == 80
-assert share("ours", "float32", lambda e: e > math.log10(2e-6)) == share("ours", "float64", lambda e: e > -12) == 0
+assert (
+    share("ours", "float32", lambda e: e > math.log10(2e-6))
+    == share("ours", "float64", lambda e: e > -12)
+    == 0
+)
 
 figure, axes = plt.subplots(2, 3, figsize=(14, 8), sharex=True, sharey=True, layout="constrained")
 colors, scale = plt.get_cmap("cividis").with_extremes(bad="white", over="red"), Normalize(-16, 0)
 for panel, ((name, dtype), error) in zip(axes.ravel(), found.items()):
-    mesh = panel.pcolormesh(stability_map.DISTANCES, stability_map.WIDTHS, np.ma.masked_invalid(np.where(np.isinf(error), 99,
-                            np.minimum(error, 0))), cmap=colors, norm=scale, rasterized=True)
-    panel.set(xscale="log", yscale="log", title={"literal": "as printed", "ours": "this project"}.get(name, name) + f", {dtype}")
+    mesh = panel.pcolormesh(
+        stability_map.DISTANCES,
+        stability_map.WIDTHS,
+        np.ma.masked_invalid(np.where(np.isinf(error), 99, np.minimum(error, 0))),
+        cmap=colors,
+        norm=scale,
+        rasterized=True,
+    )
+    panel.set(
+        xscale="log",
+        yscale="log",
+        title={"literal": "as printed", "ours": "this project"}.get(name, name) + f", {dtype}",
+    )
     panel.grid(False)
-figure.supxlabel(r"distance $|x-\mu|/\sigma$", fontsize=15), figure.supylabel(r"width of the bin $q/\sigma$", fontsize=15)
+(
+    figure.supxlabel(r"distance $|x-\mu|/\sigma$", fontsize=15),
+    figure.supylabel(r"width of the bin $q/\sigma$", fontsize=15),
+)
 bar = figure.colorbar(mesh, ax=axes, extend="max")
 bar.set_label("log10 of the relative error of the bits", fontsize=14)
-figure.suptitle("Eq. (11): red is infinite or no number, yellow all wrong, white nothing to code", fontsize=17)
+figure.suptitle(
+    "Eq. (11): red is infinite or no number, yellow all wrong, white nothing to code", fontsize=17
+)
 lessons.show(figure, "24_hard_cases")
 
 # %% [markdown]
@@ -105,7 +153,9 @@ lessons.show(figure, "24_hard_cases")
 # %%
 u = -19
 assert 1 + np.tanh(u) == 0 and expit(2 * u) > 0
-one = step.forward(np.zeros((1, 1)), [np.zeros((1, 1))], [np.array([float(u)])], np.array([1.0]))[0].q[0, 0]
+one = step.forward(np.zeros((1, 1)), [np.zeros((1, 1))], [np.array([float(u)])], np.array([1.0]))[
+    0
+].q[0, 0]
 assert one == 2**-10
 
 # %% [markdown]
@@ -117,7 +167,9 @@ assert one == 2**-10
 turn = math.radians(40)
 R = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
 (a, b), (_, c) = R @ np.diag([10000.0**2, 0.5**2]) @ R.T + 0.3 * np.eye(2)
-det = {dtype: float(dtype(a) * dtype(c) - dtype(b) * dtype(b)) for dtype in (np.float32, np.float64)}
+det = {
+    dtype: float(dtype(a) * dtype(c) - dtype(b) * dtype(b)) for dtype in (np.float32, np.float64)
+}
 true = (10000.0**2 + 0.3) * (0.5**2 + 0.3)
 assert 2.35e15 < a * c < 2.45e15 and 5.45e7 < true < 5.55e7 and eps[np.float32] * a * c > true
 assert det[np.float32] == 0 and abs(det[np.float64] / true - 1) < 1e-6
@@ -136,7 +188,7 @@ as_float32 = {name: a.astype(np.float32) for name, a in images.items()}
 assert round(exact * 1e10, 2) == 1.03 and 1 - ssim.forward(**as_float32)[0].ssim == 0
 assert abs(ssim.dissimilarity(**as_float32)[0] / exact - 1) < 1e-9
 by_subtraction = 1 - float(ssim.forward(**images)[0].ssim)
-assert 1e-8 < abs(by_subtraction / exact - 1) < 1e-5                   # float64 has lost half of its digits, too
+assert 1e-8 < abs(by_subtraction / exact - 1) < 1e-5  # float64 has lost half of its digits, too
 print(f"true {exact:.9e}, 1 - SSIM in float64 {by_subtraction:.9e}")
 
 # %% [markdown]
@@ -154,7 +206,7 @@ T = np.concatenate([[1], np.cumprod(1 - alpha)])
 divided = [T[-1]]
 for a in alpha[::-1]:
     divided.append(divided[-1] / (1 - a))
-assert T[-1] == 0 and np.all(np.array(divided) == 0)                   # nothing comes back: all weights are 0
+assert T[-1] == 0 and np.all(np.array(divided) == 0)  # nothing comes back: all weights are 0
 
 # %% [markdown]
 # The recurrence of `15_compositing` has no division: one line for $B_i$, the colour behind layer $i$, one for the gradient; $T_i$
@@ -169,12 +221,14 @@ for i in reversed(range(200)):
     behind = alpha[i] * color[i] + (1 - alpha[i]) * behind
 assert T[-1] == 0 and np.allclose(alpha_bar, layers["in_bar.alpha"], rtol=1e-12, atol=1e-300)
 names = ("mean2d", "conic", "alpha", "color", "depth", "visible", "background", "height", "width")
-out, res = compositing.forward(**{name: layers[f"in.{name}"] for name in names[:-2]}, height=1, width=1)
+out, res = compositing.forward(
+    **{name: layers[f"in.{name}"] for name in names[:-2]}, height=1, width=1
+)
 ours = compositing.backward(res, layers["out_bar.image"], layers["out_bar.transmittance"])
 assert np.allclose(ours["alpha"], alpha_bar, rtol=1e-12, atol=1e-300)
 
 by_division, behind = np.zeros(200), layers["in.background"].copy()
-for i in reversed(range(200)):                                         # the published kernel: the same but for T
+for i in reversed(range(200)):  # the published kernel: the same but for T
     by_division[i] = divided[200 - i] * ((color[i] - behind) @ g)
     behind = alpha[i] * color[i] + (1 - alpha[i]) * behind
 assert not by_division.any()
@@ -185,22 +239,38 @@ print(f"front layer: true {alpha_bar[0]:.6f}, by division {abs(by_division[0]):.
 # Leave out the stop, to be exact, and the division bites. One shortcut protected the other.
 
 # %%
-assert T[2] > 1e-4 > T[3]                                              # the third splat would bring it below
+assert T[2] > 1e-4 > T[3]  # the third splat would bring it below
 
 figure, (light, pull) = plt.subplots(1, 2, figsize=(14, 5.2), layout="constrained")
 T32 = np.concatenate([[1], np.cumprod((1 - alpha).astype(np.float32))])
 for values, name, style, hue in ((T, "float64", "-", 0), (T32, "float32", "--", 1)):
-    light.semilogy(np.where(values > 0, values, np.nan), style, lw=3, color=lessons.COLORS[hue], label=name)
+    light.semilogy(
+        np.where(values > 0, values, np.nan), style, lw=3, color=lessons.COLORS[hue], label=name
+    )
     light.axvline(np.flatnonzero(values == 0)[0], ls=style, color=lessons.COLORS[hue], lw=1.2)
 light.axhline(1e-4, color=lessons.COLORS[2], ls=":", label="where published kernels stop")
-light.set(xlabel="layer", ylabel="light that arrives, $T_i$ (of 1)", title="The light runs out; upright lines: it is exactly 0")
+light.set(
+    xlabel="layer",
+    ylabel="light that arrives, $T_i$ (of 1)",
+    title="The light runs out; upright lines: it is exactly 0",
+)
 light.set_yticks([1, 1e-100, 1e-200, 1e-300])
 light.legend()
 size = np.abs(alpha_bar[:8])
 pull.semilogy(size, "o-", ms=10, color=lessons.COLORS[0], label="by the recurrence (true)")
-pull.semilogy(np.full(8, size.min() / 30), "x", ms=11, mew=3, color=lessons.COLORS[1], label="by division: exactly 0")
-pull.set(xlabel="layer", ylabel=r"size of the gradient $|\bar\alpha_i|$",
-         title="Divided back from 0: no layer learns")
+pull.semilogy(
+    np.full(8, size.min() / 30),
+    "x",
+    ms=11,
+    mew=3,
+    color=lessons.COLORS[1],
+    label="by division: exactly 0",
+)
+pull.set(
+    xlabel="layer",
+    ylabel=r"size of the gradient $|\bar\alpha_i|$",
+    title="Divided back from 0: no layer learns",
+)
 pull.legend()
 lessons.show(figure, "24_hard_cases_layers")
 
@@ -214,18 +284,25 @@ lessons.show(figure, "24_hard_cases_layers")
 # %%
 def single_conic(**inputs):
     with np.errstate(all="ignore"):
-        given = {n: v.astype(np.float32) if isinstance(v, np.ndarray) and v.dtype.kind == "f" else v for n, v in inputs.items()}
+        given = {
+            n: v.astype(np.float32) if isinstance(v, np.ndarray) and v.dtype.kind == "f" else v
+            for n, v in inputs.items()
+        }
         out = projection.forward(**given)[0]
         a, b, c = out.cov2d.T
         det = a * c - b * b
-    conic = np.divide(np.stack([c, -b, a]), det, out=np.zeros((3, len(a)), np.float32), where=det > 0).T
+    conic = np.divide(
+        np.stack([c, -b, a]), det, out=np.zeros((3, len(a)), np.float32), where=det > 0
+    ).T
     return out._replace(conic=conic, visible=out.visible & (det > 0))
 
 
 report = oracle.check(single_conic, "projection")
 verdicts = {r.id.split("/")[1]: r.verdict for r in report.results}
 print({name: verdict for name, verdict in verdicts.items() if verdict != "pass"})
-assert {name for name, verdict in verdicts.items() if verdict == "fail"} == {"H-G3.1e4px"} and verdicts["ordinary"] == "pass"
+assert {name for name, verdict in verdicts.items() if verdict == "fail"} == {
+    "H-G3.1e4px"
+} and verdicts["ordinary"] == "pass"
 assert {name for name, verdict in verdicts.items() if verdict == "unasked"} == {"behind", "needle"}
 assert float(np.float32(0.2)) > 0.2
 
@@ -238,7 +315,12 @@ assert float(np.float32(0.2)) > 0.2
 # %%
 moved = next(row for row in table.rows("H-E8") if row["dtype"] == "float32")
 print(f"floats: {moved['literal']}; whole numbers: {moved['ours']}")
-assert "of 6000" in moved["literal"] and int(moved["literal"].split()[0]) > 0 and moved["ours"] == "0 moved" and 2**16 == 65536
+assert (
+    "of 6000" in moved["literal"]
+    and int(moved["literal"].split()[0]) > 0
+    and moved["ours"] == "0 moved"
+    and 2**16 == 65536
+)
 
 # %% [markdown]
 # ## Exercises
@@ -276,4 +358,7 @@ lessons.backward("24.3", my_quaternion_backward, "unit_quaternion")
 
 # %%
 print(oracle.check(lambda **i: step.forward(**i)[0], "step"))
-assert all(oracle.check(lambda e=e, **i: e.forward(**i)[0], key).ok for key, e in (("step", step), ("hash_rate", hash_rate)))
+assert all(
+    oracle.check(lambda e=e, **i: e.forward(**i)[0], key).ok
+    for key, e in (("step", step), ("hash_rate", hash_rate))
+)

@@ -12,15 +12,16 @@ import numpy as np
 
 import p4dgs_ref as p4
 from p4dgs_ref import effects as fx
-from p4dgs_ref import lessons, oracle
+from p4dgs_ref import oracle
 from p4dgs_ref.codec.fuzz import sample_model
 from p4dgs_ref.codec.inspect import components
 from p4dgs_ref.equations import color, deformation, deformed
-from p4dgs_ref.experiments.effect_ledger import describe, ledger
-from p4dgs_ref.experiments.effect_work import counted
-from p4dgs_ref.experiments.suggest import suggest
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
+from p4dgs_ref.school import lessons
 from p4dgs_ref.splatting import compositing
+from p4dgs_ref.studies.effect_ledger import describe, ledger
+from p4dgs_ref.studies.effect_work import counted
+from p4dgs_ref.studies.suggest import suggest
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, choose
 from p4dgs_ref.training.trainer import Trainer
@@ -38,8 +39,15 @@ plt = lessons.pyplot()
 # must look like it: **switched off equals fed with its neutral input**, $\Delta = 0$. The model has seven effects.
 
 # %%
-needs = {"translation": "Δx of ψ_d", "rotation": "Δr of ψ_d", "scaling": "Δs of ψ_d", "view_color": "Eq. (2) into ψ_c",
-         "view_geometry": "Eq. (2) into ψ_α, ψ_r, ψ_s", "occlusion": "depth order and T_i", "background": "a colour behind T_N"}
+needs = {
+    "translation": "Δx of ψ_d",
+    "rotation": "Δr of ψ_d",
+    "scaling": "Δs of ψ_d",
+    "view_color": "Eq. (2) into ψ_c",
+    "view_geometry": "Eq. (2) into ψ_α, ψ_r, ψ_s",
+    "occlusion": "depth order and T_i",
+    "background": "a colour behind T_N",
+}
 assert len(MODEL_EFFECTS) == 7 and set(needs) == set(MODEL_EFFECTS)
 for effect in MODEL_EFFECTS:
     print(f"{effect:14s} {needs[effect]}")
@@ -55,7 +63,9 @@ for effect in MODEL_EFFECTS:
 inputs = 3 * (1 + 2 * 10) + 1 + 2 * 6
 layers = [inputs * 192 + 192, 192 * 192 + 192, 192 * (3 + 3 + 4) + (3 + 3 + 4)]
 assert inputs == 76 and layers == [14784, 37056, 1930] and 192 * 3 + 3 == 579
-count = lambda effects: sum(i * o + o for i, o in design_of(PAPER_SYNTHETIC, effects).layers().get("psi_d", ()))
+count = lambda effects: sum(
+    i * o + o for i, o in design_of(PAPER_SYNTHETIC, effects).layers().get("psi_d", ())
+)
 assert count(MODEL_EFFECTS) == sum(layers)
 
 # %% [markdown]
@@ -85,7 +95,12 @@ for name, scene in scenes.items():
     with counted() as work[name]:
         trainer.step()
 called = {name: {key for key, _ in found.calls} for name, found in work.items()}
-assert called["bouncing"] - called["static"] == {"view", "positional_encoding", "deformation", "deformed"}
+assert called["bouncing"] - called["static"] == {
+    "view",
+    "positional_encoding",
+    "deformation",
+    "deformed",
+}
 assert len(called["bouncing"] - called["static"]) == 4 and called["static"] < called["bouncing"]
 assert work["static"].of("translation") == 0 < work["bouncing"].of("translation")
 
@@ -100,11 +115,17 @@ weights, biases = full.networks["psi_d"]
 rest = lambda arrays: [*arrays[:-3], *(0 * a for a in arrays[-3:])]
 neutral = replace(full, networks={**full.networks, "psi_d": (rest(weights), rest(biases))})
 less = tuple(effect for effect in full.design.effects if effect not in fx.MOTION)
-absent = replace(full, design=full.design._replace(effects=less),
-                 networks={name: net for name, net in full.networks.items() if name != "psi_d"})
+absent = replace(
+    full,
+    design=full.design._replace(effects=less),
+    networks={name: net for name, net in full.networks.items() if name != "psi_d"},
+)
 camera = scenes["bouncing"].test[0].camera
 one, other = (model.gaussians(0.3, camera) for model in (neutral, absent))
-assert all(np.array_equal(getattr(one, name), getattr(other, name)) for name in ("x", "s", "alpha", "color"))
+assert all(
+    np.array_equal(getattr(one, name), getattr(other, name))
+    for name in ("x", "s", "alpha", "color")
+)
 assert 0 <= np.abs(one.r - other.r).max() < 4 * np.finfo(float).eps and len(one.x) > 1
 
 # %% [markdown]
@@ -113,12 +134,25 @@ assert 0 <= np.abs(one.r - other.r).max() < 4 * np.finfo(float).eps and len(one.
 # ones of opacity 0.5 do, it is 1.0 instead of 0.75.
 
 # %%
-pair = dict(mean2d=np.zeros((2, 2)), conic=np.zeros((2, 3)), alpha=np.full(2, 0.5), color=np.ones((2, 3)), depth=np.arange(2.0),
-            visible=np.ones(2, bool), background=np.zeros(3), height=1, width=1)
-with_it, without = (compositing.forward(**pair, occlusion=on)[0].image[0, 0, 0] for on in (True, False))
+pair = dict(
+    mean2d=np.zeros((2, 2)),
+    conic=np.zeros((2, 3)),
+    alpha=np.full(2, 0.5),
+    color=np.ones((2, 3)),
+    depth=np.arange(2.0),
+    visible=np.ones(2, bool),
+    background=np.zeros(3),
+    height=1,
+    width=1,
+)
+with_it, without = (
+    compositing.forward(**pair, occlusion=on)[0].image[0, 0, 0] for on in (True, False)
+)
 assert (pair["alpha"] == 0.5).all() and with_it == 0.75 and without == 1.0
 alone = {**pair, "visible": np.array([True, False])}
-assert np.array_equal(*(compositing.forward(**alone, occlusion=on)[0].image for on in (True, False)))
+assert np.array_equal(
+    *(compositing.forward(**alone, occlusion=on)[0].image for on in (True, False))
+)
 assert np.all(compositing.forward(**pair, occlusion=False)[0].transmittance == 1)
 
 # %% [markdown]
@@ -135,10 +169,13 @@ field["weights"][-3], field["biases"][-3] = np.zeros((5, 3)), np.zeros(3)
 x, bar = rng.normal(size=(7, 3)), rng.normal(size=(7, 3))
 delta, res = deformation.forward(x, 0.3, **field)
 bars = deformation.backward(res, delta_x_bar=bar)
-y = np.maximum(res.mlp.inputs[-1], 0)                                  # what the head reads
+y = np.maximum(res.mlp.inputs[-1], 0)  # what the head reads
 assert not delta.delta_x.any() and np.allclose(bars["weights"][-3], y.T @ bar, rtol=1e-12)
-assert np.allclose(bars["biases"][-3], bar.sum(axis=0), rtol=1e-12) and np.abs(bars["weights"][-3]).max() > 0
-assert not any(a.any() for a in bars["weights"][:-3])                  # the trunk: nothing yet
+assert (
+    np.allclose(bars["biases"][-3], bar.sum(axis=0), rtol=1e-12)
+    and np.abs(bars["weights"][-3]).max() > 0
+)
+assert not any(a.any() for a in bars["weights"][:-3])  # the trunk: nothing yet
 
 # %% [markdown]
 # An absent head has zero *width*: its array is `(h, 0)`, its gradient too, and every product above is empty without a special
@@ -147,7 +184,9 @@ assert not any(a.any() for a in bars["weights"][:-3])                  # the tru
 # %%
 none = deformation.random_field(rng, 2, 1, 6, 5, heads=(3, 0, 4))
 delta, res = deformation.forward(x, 0.3, **none)
-assert delta.delta_s.shape == (7, 0) and deformation.backward(res, delta_x_bar=bar)["weights"][-2].shape == (5, 0)
+assert delta.delta_s.shape == (7, 0) and deformation.backward(res, delta_x_bar=bar)["weights"][
+    -2
+].shape == (5, 0)
 assert np.array_equal(deformed.forward(x, x, rng.normal(size=(7, 4)), *delta)[0].s_t, x)
 
 # %% [markdown]
@@ -161,8 +200,10 @@ with counted() as wasted:
 with counted() as spared:
     absent.gaussians(0.3, camera)
 paid = [components(p4.encode(model)).get("deformation_mlp", 0) for model in (neutral, absent)]
-print(f"multiply-adds {sum(wasted.of(e) for e in fx.MOTION):,.0f} and {sum(spared.of(e) for e in fx.MOTION):,.0f}; "
-      f"bytes of psi_d {paid[0]:,} and {paid[1]:,}")
+print(
+    f"multiply-adds {sum(wasted.of(e) for e in fx.MOTION):,.0f} and {sum(spared.of(e) for e in fx.MOTION):,.0f}; "
+    f"bytes of psi_d {paid[0]:,} and {paid[1]:,}"
+)
 assert all(wasted.of(e) > 0 == spared.of(e) for e in fx.MOTION) and paid[0] > 0 == paid[1]
 assert ("deformation", "forward") in wasted.calls and ("deformation", "forward") not in spared.calls
 
@@ -177,8 +218,13 @@ rows = ledger(scenes["static"], "smoke", seed=0, share=1, stage_ends=(15, 25, 10
 print(describe(rows))
 of = {row["effect"]: row for row in rows}
 assert all(row["work_off"] == row["bytes_off"] == 0 for row in rows)
-assert all(of[effect]["work_on"] > 0 and of[effect]["bytes_on"] > 0 for effect in (*fx.MOTION, "view_color", "view_geometry"))
-assert all(of[effect]["bytes_on"] == 0 < of[effect]["work_on"] for effect in ("occlusion", "background"))
+assert all(
+    of[effect]["work_on"] > 0 and of[effect]["bytes_on"] > 0
+    for effect in (*fx.MOTION, "view_color", "view_geometry")
+)
+assert all(
+    of[effect]["bytes_on"] == 0 < of[effect]["work_on"] for effect in ("occlusion", "background")
+)
 
 # %% [markdown]
 # Two kinds of cost. Motion and view own *weights*: bytes. Occlusion and background own none, and occlusion is more *work* than
@@ -186,26 +232,51 @@ assert all(of[effect]["bytes_on"] == 0 < of[effect]["work_on"] for effect in ("o
 # worth little, except where they are large.
 
 # %%
-assert of["occlusion"]["work_on"] > sum(of[effect]["work_on"] for effect in MODEL_EFFECTS if effect != "occlusion")
+assert of["occlusion"]["work_on"] > sum(
+    of[effect]["work_on"] for effect in MODEL_EFFECTS if effect != "occlusion"
+)
 assert of["occlusion"]["psnr_lost_when_off"] > 0.5
 
 figure, axes = plt.subplots(1, 3, figsize=(16, 5.4), sharey=True, layout="constrained")
-worth = [row["psnr_lost_when_off"] if row["called_for"] else row["psnr_gained_when_forced"] for row in rows]
-panels = (("work (thousand multiply-adds a step)", [row["work_on"] / 1000 for row in rows], "{:,.0f}"),
-          ("weights in the file (bytes)", [row["bytes_on"] for row in rows], "{:,.0f}"),
-          ("PSNR with it, less without (dB)", worth, "{:+.2f}"))
+worth = [
+    row["psnr_lost_when_off"] if row["called_for"] else row["psnr_gained_when_forced"]
+    for row in rows
+]
+panels = (
+    ("work (thousand multiply-adds a step)", [row["work_on"] / 1000 for row in rows], "{:,.0f}"),
+    ("weights in the file (bytes)", [row["bytes_on"] for row in rows], "{:,.0f}"),
+    ("PSNR with it, less without (dB)", worth, "{:+.2f}"),
+)
 for panel, (label, values, form) in zip(axes, panels):
-    bars_ = panel.barh([row["effect"] for row in rows], values, edgecolor="k",
-                       color=[lessons.COLORS[0 if row["called_for"] else 4] for row in rows],
-                       hatch=["" if row["called_for"] else "//" for row in rows])
+    bars_ = panel.barh(
+        [row["effect"] for row in rows],
+        values,
+        edgecolor="k",
+        color=[lessons.COLORS[0 if row["called_for"] else 4] for row in rows],
+        hatch=["" if row["called_for"] else "//" for row in rows],
+    )
     panel.bar_label(bars_, [form.format(v) for v in values], padding=4, fontsize=13)
     low, high = min(0, *values), max(values)
     panel.set_xlim(low - 0.35 * (high - low) * (low < 0), high + 0.25 * (high - low))
-    panel.set_xlabel(label, fontsize=14), panel.tick_params(labelsize=13), panel.axvline(0, color="k", lw=0.8)
+    (
+        panel.set_xlabel(label, fontsize=14),
+        panel.tick_params(labelsize=13),
+        panel.axvline(0, color="k", lw=0.8),
+    )
 axes[0].invert_yaxis()
-figure.legend([plt.Rectangle((0, 0), 1, 1, fc=lessons.COLORS[i], ec="k", hatch=h) for i, h in ((0, ""), (4, "//"))],
-              ["the scene calls for it", "forced on"], loc="outside lower center", ncols=2, fontsize=14)
-figure.suptitle("The scene `static`: what its two effects cost, and what five others would", fontsize=18)
+figure.legend(
+    [
+        plt.Rectangle((0, 0), 1, 1, fc=lessons.COLORS[i], ec="k", hatch=h)
+        for i, h in ((0, ""), (4, "//"))
+    ],
+    ["the scene calls for it", "forced on"],
+    loc="outside lower center",
+    ncols=2,
+    fontsize=14,
+)
+figure.suptitle(
+    "The scene `static`: what its two effects cost, and what five others would", fontsize=18
+)
 lessons.show(figure, "25_effects")
 
 # %% [markdown]
@@ -216,7 +287,10 @@ lessons.show(figure, "25_effects")
 evidence = {name: {row["effect"]: row for row in suggest(scene)} for name, scene in scenes.items()}
 for name, found in evidence.items():
     print(f"{name}: translation? {found['translation']['evidence']}")
-assert not evidence["static"]["translation"]["called_for"] and evidence["bouncing"]["translation"]["called_for"]
+assert (
+    not evidence["static"]["translation"]["called_for"]
+    and evidence["bouncing"]["translation"]["called_for"]
+)
 
 # %% [markdown]
 # ## Exercises
@@ -257,8 +331,13 @@ lessons.backward("25.3", my_color_backward, "color")
 
 # %%
 def port(x, s, r, t, L_x, L_t, psi_d_weights, psi_d_biases):
-    return deformed.forward(x, s, r, *deformation.forward(x, t, psi_d_weights, psi_d_biases, L_x, L_t)[0])[0]
+    return deformed.forward(
+        x, s, r, *deformation.forward(x, t, psi_d_weights, psi_d_biases, L_x, L_t)[0]
+    )[0]
 
 
 print(oracle.check(port, "temporal_prediction"))
-assert oracle.check(port, "temporal_prediction").ok and oracle.check(lambda **i: color.forward(**i)[0], "color").ok
+assert (
+    oracle.check(port, "temporal_prediction").ok
+    and oracle.check(lambda **i: color.forward(**i)[0], "color").ok
+)

@@ -11,17 +11,18 @@ import json
 import numpy as np
 
 import p4dgs_ref as p4
-from p4dgs_ref import lessons, oracle
+from p4dgs_ref import oracle
 from p4dgs_ref.codec.fuzz import sample_model
 from p4dgs_ref.codec.inspect import components
 from p4dgs_ref.equations import deformation
-from p4dgs_ref.experiments.accuracy import fits
-from p4dgs_ref.experiments.evaluate import decibel, evaluate, squared_error
 from p4dgs_ref.model import predict, predict_backward
-from p4dgs_ref.scenes.description import describe
 from p4dgs_ref.scenes.dnerf import packaged_folder
-from p4dgs_ref.scenes.simulate import place_cameras
-from p4dgs_ref.scenes.trace import trace
+from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.simulate import place_cameras
+from p4dgs_ref.scenes.simulator.trace import trace
+from p4dgs_ref.school import lessons
+from p4dgs_ref.studies.accuracy import fits
+from p4dgs_ref.studies.evaluate import decibel, evaluate, squared_error
 
 plt = lessons.pyplot()
 
@@ -55,7 +56,9 @@ plt = lessons.pyplot()
 row = np.array([0, 0, 90, 200, 90, 0, 0, 0])
 video = [np.roll(row, t) for t in range(4)]
 assert len(video) == 4 and len(row) == 8 and 4 * 8 * 8 == 256 and 8 * 8 + 3 * 4 == 76
-search = lambda reference, frame: min(range(-8, 8), key=lambda v: (np.abs(np.roll(reference, v) - frame).sum(), abs(v)))
+search = lambda reference, frame: min(
+    range(-8, 8), key=lambda v: (np.abs(np.roll(reference, v) - frame).sum(), abs(v))
+)
 vectors = [search(video[0], frame) for frame in video[1:]]
 assert vectors == [1, 2, 3] and all(-8 <= v < 8 for v in vectors) and 2**4 == 16
 assert all(np.array_equal(np.roll(video[0], v), frame) for v, frame in zip(vectors, video[1:]))
@@ -69,18 +72,39 @@ assert all(np.array_equal(np.roll(video[0], v), frame) for v, frame in zip(vecto
 given = json.loads((packaged_folder() / "bouncing" / "scene.json").read_text(encoding="utf-8"))
 given |= {"resolution": [32, 32], "lens": {"fl_x": 42.8, "fl_y": 42.8, "cx": 16, "cy": 16}}
 given["cameras"] |= {"train": 12, "test": 3}
-drawing, times, still = describe(given), [0.0, 1 / 3, 2 / 3, 1.0], ("view_color", "occlusion", "background")
-cameras = [(camera, split == "test") for split in ("train", "test") for camera, _ in place_cameras(drawing, split)]
+drawing, times, still = (
+    describe(given),
+    [0.0, 1 / 3, 2 / 3, 1.0],
+    ("view_color", "occlusion", "background"),
+)
+cameras = [
+    (camera, split == "test")
+    for split in ("train", "test")
+    for camera, _ in place_cameras(drawing, split)
+]
 pictures = {t: [trace(drawing, camera, t) for camera, _ in cameras] for t in times}
-assert len(times) == 4 and sum(not held for _, held in cameras) == 12 and sum(held for _, held in cameras) == 3
+assert (
+    len(times) == 4
+    and sum(not held for _, held in cameras) == 12
+    and sum(held for _, held in cameras) == 3
+)
 
 
 def clip(moments, moves):
     """A scene of some moments; one that does not move knows no time."""
-    shots = [(image, camera, t if moves else 0.0, held) for t in moments for image, (camera, held) in zip(pictures[t], cameras)]
+    shots = [
+        (image, camera, t if moves else 0.0, held)
+        for t in moments
+        for image, (camera, held) in zip(pictures[t], cameras)
+    ]
     images, seen_by, when, held = zip(*shots)
-    return p4.Scene.from_arrays(images, seen_by, when, test=np.flatnonzero(held).tolist(),
-                                effects=still + ("translation",) * moves)
+    return p4.Scene.from_arrays(
+        images,
+        seen_by,
+        when,
+        test=np.flatnonzero(held).tolist(),
+        effects=still + ("translation",) * moves,
+    )
 
 
 # %% [markdown]
@@ -89,7 +113,16 @@ def clip(moments, moves):
 # judged.
 
 # %%
-sizes = dict(anchors=80, d=6, hidden=(8, 8), deformation=(32, 32), context=(8, 8), grid_3d=(4,), grid_2d=(8,), F=1)
+sizes = dict(
+    anchors=80,
+    d=6,
+    hidden=(8, 8),
+    deformation=(32, 32),
+    context=(8, 8),
+    grid_3d=(4,),
+    grid_2d=(8,),
+    F=1,
+)
 
 
 def build(scene, steps):
@@ -100,16 +133,26 @@ def build(scene, steps):
 
 frames, whole = [clip([t], False) for t in times], clip(times, True)
 intra, inter = [build(frame, 400) for frame in frames], build(whole, 400)
-assert len(intra) + 1 == 5 and fits.reduced(400).iterations == 400 and all(
-    model.design.layers()["psi_c"] == inter[0].design.layers()["psi_c"] for model, _ in intra)
+assert (
+    len(intra) + 1 == 5
+    and fits.reduced(400).iterations == 400
+    and all(
+        model.design.layers()["psi_c"] == inter[0].design.layers()["psi_c"] for model, _ in intra
+    )
+)
 bytes_intra, bytes_inter = [len(data) for _, data in intra], len(inter[1])
-quality = {"intra": [evaluate(model, frame)[0]["psnr_db"] for (model, _), frame in zip(intra, frames)],
-           "inter": [evaluate(inter[0], clip([t], True))[0]["psnr_db"] for t in times],
-           "repeat frame 0": [evaluate(intra[0][0], frame)[0]["psnr_db"] for frame in frames]}
+quality = {
+    "intra": [evaluate(model, frame)[0]["psnr_db"] for (model, _), frame in zip(intra, frames)],
+    "inter": [evaluate(inter[0], clip([t], True))[0]["psnr_db"] for t in times],
+    "repeat frame 0": [evaluate(intra[0][0], frame)[0]["psnr_db"] for frame in frames],
+}
 for name, db in quality.items():
     print(f"{name:14s} PSNR {np.round(db, 2)}, mean {np.mean(db):.2f} dB")
 print(f"intra {bytes_intra} = {sum(bytes_intra):,} bytes; inter {bytes_inter:,} bytes")
-assert bytes_inter < 0.6 * sum(bytes_intra) and abs(np.mean(quality["inter"]) - np.mean(quality["intra"])) < 1
+assert (
+    bytes_inter < 0.6 * sum(bytes_intra)
+    and abs(np.mean(quality["inter"]) - np.mean(quality["intra"])) < 1
+)
 
 # %% [markdown]
 # About half the bytes, for pictures within 1 dB of each other. The control repeats frame 0 and costs nothing more: it is right at
@@ -117,8 +160,14 @@ assert bytes_inter < 0.6 * sum(bytes_intra) and abs(np.mean(quality["inter"]) - 
 
 # %%
 gap = min(quality["inter"][1:3]) - max(quality["repeat frame 0"][1:3])
-print(f"inter {sum(bytes_intra) / bytes_inter:.2f} times smaller; motion is worth {gap:.1f} dB where the balls are in the air")
-assert quality["repeat frame 0"][0] == quality["intra"][0] and gap > 3 and 1.6 < sum(bytes_intra) / bytes_inter < 2.6
+print(
+    f"inter {sum(bytes_intra) / bytes_inter:.2f} times smaller; motion is worth {gap:.1f} dB where the balls are in the air"
+)
+assert (
+    quality["repeat frame 0"][0] == quality["intra"][0]
+    and gap > 3
+    and 1.6 < sum(bytes_intra) / bytes_inter < 2.6
+)
 assert abs(np.mean(quality["inter"]) - np.mean(quality["intra"])) < 1
 
 # %% [markdown]
@@ -128,48 +177,94 @@ assert abs(np.mean(quality["inter"]) - np.mean(quality["intra"])) < 1
 
 # %%
 NETWORKS = ("anchor_mlps", "context_mlps", "deformation_mlp")
-kinds = {"networks": NETWORKS[:2], "ψ_d, the motion": NETWORKS[2:], "positions": ("positions",),
-         "attributes, masks, grid": ("features", "scales", "offset_scales", "offsets", "masks", "hash_grid"),
-         "header": ("header",)}
-parts = {name: [sum(components(data).get(part, 0) for part in kind) for kind in kinds.values()]
-         for name, data in (*((f"frame {i}", data) for i, (_, data) in enumerate(intra)), ("inter", inter[1]))}
-assert all(sum(parts[f"frame {i}"]) == len(data) for i, (_, data) in enumerate(intra)) and sum(parts["inter"]) == bytes_inter
+kinds = {
+    "networks": NETWORKS[:2],
+    "ψ_d, the motion": NETWORKS[2:],
+    "positions": ("positions",),
+    "attributes, masks, grid": (
+        "features",
+        "scales",
+        "offset_scales",
+        "offsets",
+        "masks",
+        "hash_grid",
+    ),
+    "header": ("header",),
+}
+parts = {
+    name: [sum(components(data).get(part, 0) for part in kind) for kind in kinds.values()]
+    for name, data in (
+        *((f"frame {i}", data) for i, (_, data) in enumerate(intra)),
+        ("inter", inter[1]),
+    )
+}
+assert (
+    all(sum(parts[f"frame {i}"]) == len(data) for i, (_, data) in enumerate(intra))
+    and sum(parts["inter"]) == bytes_inter
+)
 scene_only = {name: part[2] + part[3] for name, part in parts.items()}
 factor = sum(scene_only[f"frame {i}"] for i in range(4)) / scene_only["inter"]
-print(f"scene only: {factor:.2f} times; with everything: {sum(bytes_intra) / bytes_inter:.2f} times")
+print(
+    f"scene only: {factor:.2f} times; with everything: {sum(bytes_intra) / bytes_inter:.2f} times"
+)
 assert 3 < factor < 5 and parts["inter"][1] > 0 == parts["frame 0"][1]
 assert all(part[0] + part[1] > sum(part) / 2 for part in parts.values())
 
 # %%
-figure, (bars, growth) = plt.subplots(1, 2, figsize=(15, 5.6), layout="constrained", gridspec_kw={"width_ratios": [1.3, 1]})
+figure, (bars, growth) = plt.subplots(
+    1, 2, figsize=(15, 5.6), layout="constrained", gridspec_kw={"width_ratios": [1.3, 1]}
+)
 bottom = np.zeros(5)
 for i, (kind, color, hatch) in enumerate(zip(kinds, lessons.COLORS, ("", "//", "", "..", ""))):
     height = np.array([part[i] for part in parts.values()])
     bars.bar(range(5), height, bottom=bottom, color=color, hatch=hatch, edgecolor="k", label=kind)
     bottom += height
-bars.set_xticks(range(5), [f"intra\nframe {i}" for i in range(4)] + ["inter\nall frames"], fontsize=13)
+bars.set_xticks(
+    range(5), [f"intra\nframe {i}" for i in range(4)] + ["inter\nall frames"], fontsize=13
+)
 bars.set(ylabel="bytes", title="Four files with a scene each, or one scene and its motion")
 handles, labels = bars.get_legend_handles_labels()
 bars.legend(handles[::-1], labels[::-1], fontsize=12, loc="upper left")
 bars.set_ylim(0, 1.25 * max(bottom))
-for name, values, marker, hue in (("intra", np.cumsum(bytes_intra), "o-", 1), ("inter", np.full(4, bytes_inter), "s--", 0)):
-    growth.plot(range(1, 5), values, marker, ms=11, color=lessons.COLORS[hue],
-                label=f"{name}, mean PSNR {np.mean(quality[name]):.1f} dB")
-growth.set(xlabel="frames that can be shown", ylabel="bytes needed", xticks=range(1, 5), ylim=(0, 1.1 * sum(bytes_intra)),
-           title="Intra grows, inter is paid at once")
+for name, values, marker, hue in (
+    ("intra", np.cumsum(bytes_intra), "o-", 1),
+    ("inter", np.full(4, bytes_inter), "s--", 0),
+):
+    growth.plot(
+        range(1, 5),
+        values,
+        marker,
+        ms=11,
+        color=lessons.COLORS[hue],
+        label=f"{name}, mean PSNR {np.mean(quality[name]):.1f} dB",
+    )
+growth.set(
+    xlabel="frames that can be shown",
+    ylabel="bytes needed",
+    xticks=range(1, 5),
+    ylim=(0, 1.1 * sum(bytes_intra)),
+    title="Intra grows, inter is paid at once",
+)
 growth.legend(fontsize=13)
 lessons.show(figure, "26_video_codec_analogy")
 
 # %%
 over, camera = [frame.test[0].image for frame in frames], frames[0].test[0].camera
 render = lambda model, t: np.clip(model.render(camera, t), 0, 1)
-shown = {"truth": over, "intra": [render(model, 0.0) for model, _ in intra], "inter": [render(inter[0], t) for t in times],
-         "repeat frame 0": [render(intra[0][0], 0.0)] * 4}
+shown = {
+    "truth": over,
+    "intra": [render(model, 0.0) for model, _ in intra],
+    "inter": [render(inter[0], t) for t in times],
+    "repeat frame 0": [render(intra[0][0], 0.0)] * 4,
+}
 figure, axes = plt.subplots(4, 4, figsize=(9, 9.6), layout="constrained")
 for line, (name, images) in zip(axes, shown.items()):
     for panel, image, truth, t in zip(line, images, over, times):
         panel.imshow(image), panel.set(xticks=[], yticks=[]), panel.grid(False)
-        panel.set_xlabel(f"t = {t:.2f}" if name == "truth" else f"{decibel(squared_error(image, truth)):.1f} dB", fontsize=14)
+        panel.set_xlabel(
+            f"t = {t:.2f}" if name == "truth" else f"{decibel(squared_error(image, truth)):.1f} dB",
+            fontsize=14,
+        )
     line[0].set_ylabel(name, fontsize=16)
 figure.suptitle("One test view: only the last row ignores motion", fontsize=18)
 lessons.show(figure, "26_video_codec_analogy_pictures")
@@ -189,11 +284,18 @@ lessons.show(figure, "26_video_codec_analogy_pictures")
 rng = np.random.default_rng(26)
 small, when = sample_model(3, 9), (0.0, 0.4, 1.0)
 names = ("x", "s", "r", "alpha", "color")
-at = lambda f_a, t: predict(small.design, small.networks, small.anchors._replace(f_a=f_a), np.array([0.0, -3, 1]), t)
+at = lambda f_a, t: predict(
+    small.design, small.networks, small.anchors._replace(f_a=f_a), np.array([0.0, -3, 1]), t
+)
 f_a = small.anchors.f_a.astype(float)
 bars_t = [{n: rng.normal(size=getattr(at(f_a, t)[0], n).shape) for n in names} for t in when]
-f_bar = sum(predict_backward(at(f_a, t)[1], *(bar[n] for n in names))[0]["f_a"] for t, bar in zip(when, bars_t))
-loss = lambda f_a: sum((bar[n] * getattr(at(f_a, t)[0], n)).sum() for t, bar in zip(when, bars_t) for n in names)
+f_bar = sum(
+    predict_backward(at(f_a, t)[1], *(bar[n] for n in names))[0]["f_a"]
+    for t, bar in zip(when, bars_t)
+)
+loss = lambda f_a: sum(
+    (bar[n] * getattr(at(f_a, t)[0], n)).sum() for t, bar in zip(when, bars_t) for n in names
+)
 way, h = rng.normal(size=f_a.shape), 1e-5
 difference = (loss(f_a + h * way) - loss(f_a - h * way)) / (2 * h)
 assert abs(difference - (f_bar * way).sum()) < 1e-6 * np.abs(f_bar * way).sum()
@@ -206,14 +308,18 @@ print(f"by differences {difference:.8f}, by the sum of three gradients {(f_bar *
 # cures it.
 
 # %%
-signal = np.cumsum(rng.normal(size=(400, 500)), axis=0)                # 400 frames of 500 pixels
-rounded = np.rint(np.diff(signal, axis=0, prepend=0))                  # what is sent, predicted from the original
+signal = np.cumsum(rng.normal(size=(400, 500)), axis=0)  # 400 frames of 500 pixels
+rounded = np.rint(np.diff(signal, axis=0, prepend=0))  # what is sent, predicted from the original
 open_loop, closed_loop = np.cumsum(rounded, axis=0), np.zeros_like(signal)
 for t in range(400):
     before = closed_loop[t - 1] if t else 0
-    closed_loop[t] = before + np.rint(signal[t] - before)              # predicted from what the decoder has
+    closed_loop[t] = before + np.rint(signal[t] - before)  # predicted from what the decoder has
 drift, kept = (np.sqrt(np.mean((a - signal) ** 2, axis=1)) for a in (open_loop, closed_loop))
-assert abs(drift[0] - kept[0]) < 1e-12 and drift[-1] > 15 * kept[-1] and np.abs(closed_loop - signal).max() <= 0.5 + 1e-9
+assert (
+    abs(drift[0] - kept[0]) < 1e-12
+    and drift[-1] > 15 * kept[-1]
+    and np.abs(closed_loop - signal).max() <= 0.5 + 1e-9
+)
 for name, error in (("open loop", drift), ("closed loop", kept)):
     print(f"{name}: error {error[0]:.2f} steps in the first frame, {error[-1]:.2f} in the last")
 
@@ -233,7 +339,9 @@ assert np.array_equal(again, inter[0].render(camera, 0.5)) and p4.encode(inter[0
 
 # %%
 share = parts["inter"][1] / bytes_inter
-print(f"psi_d: {parts['inter'][1]:,} bytes, which lambda_rate cannot change; {100 * share:.0f} % of this inter file")
+print(
+    f"psi_d: {parts['inter'][1]:,} bytes, which lambda_rate cannot change; {100 * share:.0f} % of this inter file"
+)
 assert components(inter[1])["deformation_mlp"] == parts["inter"][1] and 0.3 < share < 0.7
 
 # %% [markdown]
@@ -251,8 +359,21 @@ assert components(inter[1])["deformation_mlp"] == parts["inter"][1] and 0.3 < sh
 
 # %%
 reference = np.random.default_rng(8).integers(0, 256, 64)
-frame = np.concatenate([np.roll(reference, v)[8 * i:8 * i + 8] for i, v in enumerate((0, 3, 3, -2, -2, 5, 0, -7))]) + 1
-errors = np.array([[np.abs(np.roll(reference, v) - frame)[8 * i:8 * i + 8].sum() for v in range(-8, 9)] for i in range(8)])
+frame = (
+    np.concatenate(
+        [
+            np.roll(reference, v)[8 * i : 8 * i + 8]
+            for i, v in enumerate((0, 3, 3, -2, -2, 5, 0, -7))
+        ]
+    )
+    + 1
+)
+errors = np.array(
+    [
+        [np.abs(np.roll(reference, v) - frame)[8 * i : 8 * i + 8].sum() for v in range(-8, 9)]
+        for i in range(8)
+    ]
+)
 answer_1 = answer_2 = ...
 
 

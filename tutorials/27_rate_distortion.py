@@ -9,10 +9,11 @@ import copy
 
 import numpy as np
 
-from p4dgs_ref import decode, encode, evaluate, lessons, load_scene, oracle
+from p4dgs_ref import decode, encode, evaluate, load_scene, oracle
 from p4dgs_ref.codec.inspect import components
 from p4dgs_ref.equations import likelihood, rate_loss, total_loss
 from p4dgs_ref.model import context
+from p4dgs_ref.school import lessons
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
 
@@ -43,14 +44,33 @@ assert [best(price) for price in (0.005, 0.02, 0.2)] == ["A", "B", "C"]
 
 # %%
 scene = load_scene("bouncing")
-changes = dict(anchors=60, d=6, hidden=(12, 12), deformation=(24, 24), L_x=3, L_t=3, context=(8,), grid_3d=(6,), grid_2d=(10,),
-               F=1, stage_ends=(50, 70, 350, 500), decay_from=350, grow_from=20, grow_every=20, grow_until=280, mask_from=350,
-               lr_q=(0.02, 0.002), lr_p=(0.02, 0.002))
+changes = dict(
+    anchors=60,
+    d=6,
+    hidden=(12, 12),
+    deformation=(24, 24),
+    L_x=3,
+    L_t=3,
+    context=(8,),
+    grid_3d=(6,),
+    grid_2d=(10,),
+    F=1,
+    stage_ends=(50, 70, 350, 500),
+    decay_from=350,
+    grow_from=20,
+    grow_every=20,
+    grow_until=280,
+    mask_from=350,
+    lr_q=(0.02, 0.002),
+    lr_p=(0.02, 0.002),
+)
 start = Trainer(scene, choose("tiny", changes), seed=0)
 while start.stage < 4:
     start.step()
 arrays, state = start.state()
-assert start.preset.anchors == 60 and start.iteration == 350 and start.preset.iterations - 350 == 150
+assert (
+    start.preset.anchors == 60 and start.iteration == 350 and start.preset.iterations - 350 == 150
+)
 assert 4e-3 / 5e-4 == 8 and 6.4e-2 / 1e-3 == 64
 
 
@@ -70,16 +90,28 @@ def measured(price):
     decoded = decode(data)
     part = components(data)
     q = context(trainer.design, trainer.networks, trainer.grids, trainer.located)[0].q.mean(axis=0)
-    return dict(price=price, bytes=len(data), attributes=sum(part[n] for n in ("features", "scales", "offset_scales", "offsets")),
-                grid=part["hash_grid"], networks=sum(part[n] for n in part if n.endswith("mlps") or n.endswith("mlp")),
-                estimate=losses.bits / 8, psnr=evaluate(decoded, scene)[0]["psnr_db"], q=q, model=decoded, trainer=trainer)
+    return dict(
+        price=price,
+        bytes=len(data),
+        attributes=sum(part[n] for n in ("features", "scales", "offset_scales", "offsets")),
+        grid=part["hash_grid"],
+        networks=sum(part[n] for n in part if n.endswith("mlps") or n.endswith("mlp")),
+        estimate=losses.bits / 8,
+        psnr=evaluate(decoded, scene)[0]["psnr_db"],
+        q=q,
+        model=decoded,
+        trainer=trainer,
+    )
 
 
 points = [measured(price) for price in (1e-3, 4e-3, 1.6e-2, 6.4e-2)]
 print("lambda   file  attributes  grid  networks  estimate  PSNR      mean steps of f, s, l, O")
 for m in points:
-    print(f"{m['price']:.4f}  {m['bytes']:5d}  {m['attributes']:10d}  {m['grid']:4d}  {m['networks']:8d}  {m['estimate']:8.0f}"
-          f"  {m['psnr']:.2f} dB ", *(f"{v:.4f}" for v in m["q"]))
+    print(
+        f"{m['price']:.4f}  {m['bytes']:5d}  {m['attributes']:10d}  {m['grid']:4d}  {m['networks']:8d}  {m['estimate']:8.0f}"
+        f"  {m['psnr']:.2f} dB ",
+        *(f"{v:.4f}" for v in m["q"]),
+    )
 column = lambda name: np.array([m[name] for m in points])
 assert all((np.diff(column(name)) < 0).all() for name in ("bytes", "attributes"))
 assert column("psnr")[0] > column("psnr")[3] + 0.5
@@ -96,16 +128,29 @@ curve.plot(column("attributes") + column("grid"), column("psnr"), "o-", ms=9)
 for m in points:
     at = m["attributes"] + m["grid"], m["psnr"]
     curve.annotate(rf"$\lambda$ = {m['price']:g}", at, xytext=(12, -18), textcoords="offset points")
-curve.set(xlabel="attributes and grid in the file (bytes)", ylabel="decoded test views, PSNR (dB)",
-          title="More bytes, better pictures")
+curve.set(
+    xlabel="attributes and grid in the file (bytes)",
+    ylabel="decoded test views, PSNR (dB)",
+    title="More bytes, better pictures",
+)
 curve.margins(0.2)
 bottom = np.zeros(len(points))
-for name, part in (("header, positions, masks", fixed - column("networks")), ("networks", column("networks")),
-                   ("attributes", column("attributes")), ("grid", column("grid"))):
+for name, part in (
+    ("header, positions, masks", fixed - column("networks")),
+    ("networks", column("networks")),
+    ("attributes", column("attributes")),
+    ("grid", column("grid")),
+):
     bars.bar(range(len(points)), part, bottom=bottom, label=name)
     bottom += part
-bars.set(xticks=range(len(points)), xticklabels=[f"{m['price']:g}" for m in points], xlabel=r"$\lambda_{rate}$",
-         ylabel="file (bytes)", title="What the price acts on, and what not", ylim=(0, 1.45 * bottom.max()))
+bars.set(
+    xticks=range(len(points)),
+    xticklabels=[f"{m['price']:g}" for m in points],
+    xlabel=r"$\lambda_{rate}$",
+    ylabel="file (bytes)",
+    title="What the price acts on, and what not",
+    ylim=(0, 1.45 * bottom.max()),
+)
 bars.legend(ncols=2, loc="upper center", fontsize=11)
 lessons.show(figure, "27_rate_distortion")
 
@@ -130,7 +175,9 @@ rng, w = np.random.default_rng(27), 0.5
 mean_cost = lambda q, price: w * q**2 / 12 - price * np.log2(q)
 steps = np.linspace(0.01, 0.5, 4901)
 for price in (1e-3, 4e-3):
-    assert abs(steps[mean_cost(steps, price).argmin()] - np.sqrt(6 * price / (w * np.log(2)))) < 1e-4
+    assert (
+        abs(steps[mean_cost(steps, price).argmin()] - np.sqrt(6 * price / (w * np.log(2)))) < 1e-4
+    )
 
 # %% [markdown]
 # Does Eq. (11) agree with $R = c - \log_2 q$? Its $q$ acts twice: in the width of the bin, and in the noise $\tilde f = f + uq$,
@@ -152,7 +199,9 @@ assert abs(slope * q * np.log(2) + 1) < 0.01
 
 # %%
 assert np.isclose(np.sqrt(4), 2) and np.log2(2) == 1 and round(10 * np.log10(4), 2) == 6.02
-wide = likelihood.forward(np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)), np.full((1, 1), 20.0))[0].bits[0, 0]
+wide = likelihood.forward(
+    np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)), np.full((1, 1), 20.0)
+)[0].bits[0, 0]
 assert 0 <= wide < 1e-6
 
 # %% [markdown]
@@ -162,8 +211,17 @@ assert 0 <= wide < 1e-6
 
 # %%
 ceiling, growth = 2 * np.array(start.design.Q_0), points[-1]["q"] / points[0]["q"]
-print("steps at the highest price over steps at the lowest:", growth.round(2), "; the law says", np.sqrt(64).round(2))
-assert np.allclose(ceiling, [0.5, 0.02, 0.02, 0.2]) and (growth[[0, 3]] > 1.3).all() and (points[-1]["q"] > 0.99 * ceiling).all()
+print(
+    "steps at the highest price over steps at the lowest:",
+    growth.round(2),
+    "; the law says",
+    np.sqrt(64).round(2),
+)
+assert (
+    np.allclose(ceiling, [0.5, 0.02, 0.02, 0.2])
+    and (growth[[0, 3]] > 1.3).all()
+    and (points[-1]["q"] > 0.99 * ceiling).all()
+)
 
 # %% [markdown]
 # ## Break it
@@ -172,11 +230,16 @@ assert np.allclose(ceiling, [0.5, 0.02, 0.02, 0.2]) and (growth[[0, 3]] > 1.3).a
 
 # %%
 free, paid = measured(0.0), points[0]
-assert free["price"] == 0 and all(np.array_equal(a, arrays[f"p/psi_p.{kind}{i}"]) for kind, part in
-                                  zip("Wb", free["trainer"].networks["psi_p"]) for i, a in enumerate(part))
+assert free["price"] == 0 and all(
+    np.array_equal(a, arrays[f"p/psi_p.{kind}{i}"])
+    for kind, part in zip("Wb", free["trainer"].networks["psi_p"])
+    for i, a in enumerate(part)
+)
 assert free["attributes"] > 1.5 * paid["attributes"] and abs(free["psnr"] - paid["psnr"]) < 0.5
-print(f"price 0: {free['attributes']} bytes of attributes, {free['psnr']:.2f} dB; "
-      f"price {paid['price']:g}: {paid['attributes']} bytes, {paid['psnr']:.2f} dB")
+print(
+    f"price 0: {free['attributes']} bytes of attributes, {free['psnr']:.2f} dB; "
+    f"price {paid['price']:g}: {paid['attributes']} bytes, {paid['psnr']:.2f} dB"
+)
 
 # %% [markdown]
 # ## What a codec does with it
@@ -186,7 +249,13 @@ print(f"price 0: {free['attributes']} bytes of attributes, {free['psnr']:.2f} dB
 # %%
 left_out = 100 * (1 - column("estimate") / column("bytes"))
 overhead = (column("attributes") + column("grid")) / column("estimate") - 1
-print("left out by the estimate:", left_out.round(1), "percent; streams over estimate:", (100 * overhead).round(1), "percent")
+print(
+    "left out by the estimate:",
+    left_out.round(1),
+    "percent; streams over estimate:",
+    (100 * overhead).round(1),
+    "percent",
+)
 assert (left_out > 80).all() and (np.abs(overhead) < 0.25).all()
 
 # %% [markdown]

@@ -22,6 +22,7 @@ Arrays, for A anchors and the n = d + 6 + 3 k columns f, s, l, O (three of every
 Children that are masked have symbols and attributes 0; mu_units and sigma_units are given all the same.
 Doubles are to be met bit for bit.
 """
+
 import argparse
 import hashlib
 import json
@@ -50,7 +51,9 @@ def stream_of(maker):
     for name, columns in attribute_columns(parts.design):
         if name in parts.lanes:
             kept = quantised.kept[:, columns]
-            coded = [a[:, columns][kept] for a in (quantised.symbols, ctx.mu_units, ctx.sigma_units)]
+            coded = [
+                a[:, columns][kept] for a in (quantised.symbols, ctx.mu_units, ctx.sigma_units)
+            ]
             sections[name] = encode_gaussian(*coded, parts.lanes[name])
     if "hash_grid" in parts.lanes:
         signs = np.concatenate([grid.ravel() for grid in parts.grids])
@@ -63,22 +66,37 @@ def expected(quantised):
     model, ctx = quantised.model, quantised.context
     h = hash_feature(quantised.positions, model.grids, model.design)
     signs = np.concatenate([grid.ravel() for grid in model.grids])
-    q_units = np.rint(ctx.q / (np.array(model.design.Q_0) * 2.0**-15))        # undoes the one rounded product
-    arrays = {"positions": ("u16", quantised.positions), "x_a": ("f64", model.anchors.x_a),
-              "masks": ("u8", model.anchors.mask), "signs": ("bit", signs > 0),
-              "h": ("i32", h), "q_units": ("i32", q_units), "q": ("f64", ctx.q),
-              "mu_units": (_whole(ctx.mu_units), ctx.mu_units), "sigma_units": ("i32", ctx.sigma_units),
-              "symbols": (_whole(quantised.symbols), quantised.symbols),
-              "attributes": ("f64", quantised.symbols * np.repeat(ctx.q, model.design.widths, axis=1))}
+    q_units = np.rint(
+        ctx.q / (np.array(model.design.Q_0) * 2.0**-15)
+    )  # undoes the one rounded product
+    arrays = {
+        "positions": ("u16", quantised.positions),
+        "x_a": ("f64", model.anchors.x_a),
+        "masks": ("u8", model.anchors.mask),
+        "signs": ("bit", signs > 0),
+        "h": ("i32", h),
+        "q_units": ("i32", q_units),
+        "q": ("f64", ctx.q),
+        "mu_units": (_whole(ctx.mu_units), ctx.mu_units),
+        "sigma_units": ("i32", ctx.sigma_units),
+        "symbols": (_whole(quantised.symbols), quantised.symbols),
+        "attributes": ("f64", quantised.symbols * np.repeat(ctx.q, model.design.widths, axis=1)),
+    }
     for section, members in NETWORK_SECTIONS.items():
-        layers = [a for name in members if name in model.networks for pair in zip(*model.networks[name]) for a in pair]
+        layers = [
+            a
+            for name in members
+            if name in model.networks
+            for pair in zip(*model.networks[name])
+            for a in pair
+        ]
         if layers:
             arrays[section] = "f32", np.concatenate([a.ravel() for a in layers])
     return arrays
 
 
 def _whole(array):
-    return "i32" if -2**31 <= array.min() <= array.max() < 2**31 else "i64"
+    return "i32" if -(2**31) <= array.min() <= array.max() < 2**31 else "i64"
 
 
 def _bytes(kind, array):
@@ -93,25 +111,47 @@ def files():
     for maker, says in SAYS.items():
         quantised, sections = stream_of(maker)
         row = _file_row(maker.__name__, says, write_container(sections), contents)
-        row["header"], row["sections"] = json.loads(sections["header"]), {key: len(sections[key]) for key in sections}
+        row["header"], row["sections"] = (
+            json.loads(sections["header"]),
+            {key: len(sections[key]) for key in sections},
+        )
         row["expected"], arrays, body = f"{row['name']}.bin", [], b""
         for name, (kind, array) in expected(quantised).items():
             part = _bytes(kind, array)
-            arrays.append({"name": name, "type": kind, "shape": list(array.shape), "offset": len(body),
-                           "sha256": hashlib.sha256(part).hexdigest()})
+            arrays.append(
+                {
+                    "name": name,
+                    "type": kind,
+                    "shape": list(array.shape),
+                    "offset": len(body),
+                    "sha256": hashlib.sha256(part).hexdigest(),
+                }
+            )
             body += part
         row["arrays"], contents[row["expected"]] = arrays, body
         good.append(row)
     for name, says, data, section, offset, kind in forgeries():
-        bad.append({**_file_row(name, says, data, contents), "section": section, "offset": offset, "kind": kind})
+        bad.append(
+            {
+                **_file_row(name, says, data, contents),
+                "section": section,
+                "offset": offset,
+                "kind": kind,
+            }
+        )
     contents["manifest.json"] = _manifest({"good": good, "bad": bad})
     return contents
 
 
 def _file_row(name, says, data, contents):
     contents[f"{name}.p4dgs"] = data
-    return {"name": name, "says": says, "file": f"{name}.p4dgs", "bytes": len(data),
-            "sha256": hashlib.sha256(data).hexdigest()}
+    return {
+        "name": name,
+        "says": says,
+        "file": f"{name}.p4dgs",
+        "bytes": len(data),
+        "sha256": hashlib.sha256(data).hexdigest(),
+    }
 
 
 def _manifest(lists):
@@ -135,7 +175,9 @@ def _line(value):
 
 def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("-o", metavar="DIR", type=Path, default=FOLDER, help="where to write (default: the package)")
+    parser.add_argument(
+        "-o", metavar="DIR", type=Path, default=FOLDER, help="where to write (default: the package)"
+    )
     folder, contents = parser.parse_args(arguments).o, files()
     os.makedirs(folder, exist_ok=True)
     for name, data in contents.items():

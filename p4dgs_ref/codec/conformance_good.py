@@ -1,4 +1,5 @@
 """The sound conformance streams: models made of integers alone, each to test one corner of the format."""
+
 import numpy as np
 
 from ..model import Anchors, Design, Model, split, unsnap
@@ -6,9 +7,22 @@ from ..scenes.scene import MODEL_EFFECTS
 from .context import coding_context
 from .quantise import Quantised, coded
 
-BASE = Design(d=2, k=2, hidden=(2,), deformation=(3,), L_x=1, L_t=1, context=(4,), grid=(("xyz", 3), ("xy", 5)),
-              table=(64, 64), F=2, Q_0=(0.5, 0.01, 0.01, 0.1), tau_alpha=0.0, effects=MODEL_EFFECTS)
-LARGEST, SUBNORMAL = 65504.0, 2.0**-24             # float16's largest number and its smallest
+BASE = Design(
+    d=2,
+    k=2,
+    hidden=(2,),
+    deformation=(3,),
+    L_x=1,
+    L_t=1,
+    context=(4,),
+    grid=(("xyz", 3), ("xy", 5)),
+    table=(64, 64),
+    F=2,
+    Q_0=(0.5, 0.01, 0.01, 0.1),
+    tau_alpha=0.0,
+    effects=MODEL_EFFECTS,
+)
+LARGEST, SUBNORMAL = 65504.0, 2.0**-24  # float16's largest number and its smallest
 
 
 class Draw:
@@ -34,15 +48,23 @@ class Parts:
         self.positions = self.draw(0, 65535, anchors, 3)
         self.box = np.array([-1.5, -1.0, 0.25], np.float32), np.array([1.5, 2.0, 1.75], np.float32)
         self.mask = self.draw(0, 3, anchors, self.design.k) > 0
-        self.mask[range(anchors), np.arange(anchors) % self.design.k] = True       # no anchor without a child
-        self.grids = [np.where(self.draw(0, 2, T, F) > 0, 1.0, -1.0) for T, F in self.design.levels()]
-        self.networks = {name: ([self.draw(-512, 512, *pair) / 512 for pair in layers],
-                                [self.draw(-512, 512, columns) / 1024 for _, columns in layers])
-                         for name, layers in self.design.layers().items()}
-        self.lanes = {}                            # section -> lanes, where not the encoder's own choice
+        self.mask[range(anchors), np.arange(anchors) % self.design.k] = (
+            True  # no anchor without a child
+        )
+        self.grids = [
+            np.where(self.draw(0, 2, T, F) > 0, 1.0, -1.0) for T, F in self.design.levels()
+        ]
+        self.networks = {
+            name: (
+                [self.draw(-512, 512, *pair) / 512 for pair in layers],
+                [self.draw(-512, 512, columns) / 1024 for _, columns in layers],
+            )
+            for name, layers in self.design.layers().items()
+        }
+        self.lanes = {}  # section -> lanes, where not the encoder's own choice
         prior, n = self.networks["psi_p"][1][-1], 0
-        for width in self.design.widths:           # raw sigma from exp(-4) to exp(0)
-            prior[n + width:n + 2 * width] = self.draw(-32, 0, width) / 8
+        for width in self.design.widths:  # raw sigma from exp(-4) to exp(0)
+            prior[n + width : n + 2 * width] = self.draw(-32, 0, width) / 8
             n += 2 * width
 
     def prior(self, weights=0.0, mu=None, raw=None):
@@ -65,12 +87,14 @@ class Parts:
         kept = coded(self.mask, self.design)
         if symbols is None:
             reach = np.minimum(1 << np.maximum(ctx.sigma_units >> 4, 0), 2**20)
-            away = self.draw(-2**20, 2**20, *kept.shape) * (2 * reach + 1) >> 21
-            symbols = np.clip((ctx.mu_units + 512 >> 10) + away, -2**31, 2**31)
+            away = self.draw(-(2**20), 2**20, *kept.shape) * (2 * reach + 1) >> 21
+            symbols = np.clip((ctx.mu_units + 512 >> 10) + away, -(2**31), 2**31)
         symbols = np.where(kept, symbols, 0)
         f, s, l, O = split(symbols * np.repeat(ctx.q, self.design.widths, axis=1), self.design)
         anchors = Anchors(unsnap(self.positions, *self.box), f, s, l, O, self.mask)
-        model = Model(self.design, anchors, self.networks, self.grids, self.box, np.array([0.25, 0.5, 1.0]))
+        model = Model(
+            self.design, anchors, self.networks, self.grids, self.box, np.array([0.25, 0.5, 1.0])
+        )
         return Quantised(model, self.positions, symbols, kept, ctx)
 
 
@@ -79,7 +103,9 @@ def smallest_grid():
 
 
 def one_anchor():
-    parts = Parts(2, anchors=1, d=1, k=1, grid=(("xy", 2),), F=1, hidden=(), context=(), deformation=())
+    parts = Parts(
+        2, anchors=1, d=1, k=1, grid=(("xy", 2),), F=1, hidden=(), context=(), deformation=()
+    )
     parts.box = parts.box[0], parts.box[0]
     return parts
 
@@ -109,8 +135,18 @@ def escapes():
     parts.prior(mu=0.0, raw=[-14.0, -14.0, *[0.0] * 3, *[6.0] * 9])
     parts.steps(0.0, 0.0, 0.0, 0.0)
     parts.mask[...] = True
-    table = np.array([[0, 1, 2], [-1, -2, -3], [12, 13, 14], [-12, -13, -14], [2**20, -2**20, 2**24],
-                      [2**31 - 1, -2**31 + 1, 2**31 - 2**20], [2**31, -2**31, 2**30], [-2**31, 2**31, 193 << 15]])
+    table = np.array(
+        [
+            [0, 1, 2],
+            [-1, -2, -3],
+            [12, 13, 14],
+            [-12, -13, -14],
+            [2**20, -(2**20), 2**24],
+            [2**31 - 1, -(2**31) + 1, 2**31 - 2**20],
+            [2**31, -(2**31), 2**30],
+            [-(2**31), 2**31, 193 << 15],
+        ]
+    )
     return parts, np.concatenate([table[:, :2], table, table, table, -table], axis=1)
 
 
@@ -140,7 +176,7 @@ def base_steps():
     parts = Parts(10, Q_0=(2.0**-100, 2.0**100, 0.1, 2 / 3))
     parts.prior(weights=0.25, mu=[1.0, -1.0, 0.0, 300.0, -300.0])
     symbols = parts.draw(-3, 3, 4, 14)
-    symbols[:, :2] = [2**31, -2**31 + 1]
+    symbols[:, :2] = [2**31, -(2**31) + 1]
     return parts, symbols
 
 
@@ -154,8 +190,13 @@ def no_effects():
 
 def hashed():
     """Tables smaller than their grids and no powers of two; at 65536 nodes an axis, positions are nodes."""
-    return Parts(13, anchors=9, grid=(("xyz", 65536), ("xyz", 514), ("xy", 65536), ("xz", 130), ("yz", 9)),
-                 table=(61, 37), context=(5, 4))
+    return Parts(
+        13,
+        anchors=9,
+        grid=(("xyz", 65536), ("xyz", 514), ("xy", 65536), ("xz", 130), ("yz", 9)),
+        table=(61, 37),
+        context=(5, 4),
+    )
 
 
 def lattice():
@@ -170,7 +211,9 @@ def lattice():
 
 def lanes():
     """Messages of more lanes than they deserve: every power of two that they carry, 1024 in the grid."""
-    parts = Parts(15, anchors=24, d=7, k=3, grid=(("xyz", 12), ("xy", 126), ("xz", 31)), table=(2**12, 2**14))
+    parts = Parts(
+        15, anchors=24, d=7, k=3, grid=(("xyz", 12), ("xy", 126), ("xz", 31)), table=(2**12, 2**14)
+    )
     parts.prior(weights=0.125, raw=[1.5, 1.5, 1.5, 0.25])
     parts.lanes = {"features": 16, "scales": 2, "offset_scales": 4, "offsets": 8, "hash_grid": 1024}
     return parts
@@ -188,8 +231,8 @@ def largest_weights():
     parts = Parts(17, anchors=3, context=(3,) * 8)
     for W, b in zip(*parts.networks["psi_p"]):
         W[...], b[...] = np.where(W < 0, -LARGEST, LARGEST), LARGEST
-        W[:, 0] = LARGEST                          # a way through all layers for what is not negative,
-    parts.networks["psi_p"][0][0][:, 1] = -LARGEST                             # and into it for what is
+        W[:, 0] = LARGEST  # a way through all layers for what is not negative,
+    parts.networks["psi_p"][0][0][:, 1] = -LARGEST  # and into it for what is
     return parts
 
 
@@ -224,8 +267,18 @@ def deviations():
     raw = np.arange(-14 << 16, 6 << 16)
     beyond = (raw * 94548 + 2**15 >> 16) % 4096 - 2048
     raw = raw[(-3 <= beyond) & (beyond < 7) & (np.float16(raw / 2**16) == raw / 2**16)] / 2**16
-    parts = Parts(23, anchors=1, d=len(raw) - 9, k=1, Q_0=(0.5,) * 4, grid=(("xy", 2),), F=1, hidden=(1,), context=(),
-                  effects=())
+    parts = Parts(
+        23,
+        anchors=1,
+        d=len(raw) - 9,
+        k=1,
+        Q_0=(0.5,) * 4,
+        grid=(("xy", 2),),
+        F=1,
+        hidden=(1,),
+        context=(),
+        effects=(),
+    )
     parts.steps(0.0, 0.0, 0.0, 0.0)
     parts.prior(weights=0.0, mu=0.0, raw=raw)
     return parts
@@ -244,9 +297,29 @@ def ties():
 
 def full():
     """Every effect, section and axis, several layers and levels, dense and hashed."""
-    return Parts(20, anchors=12, d=4, k=3, hidden=(6, 5), deformation=(5, 4), L_x=2, L_t=3, context=(6, 5), F=2,
-                 grid=(("xyz", 4), ("xyz", 7), ("xy", 6), ("xy", 11), ("xz", 6), ("xz", 11), ("yz", 6), ("yz", 11)),
-                 table=(100, 64))
+    return Parts(
+        20,
+        anchors=12,
+        d=4,
+        k=3,
+        hidden=(6, 5),
+        deformation=(5, 4),
+        L_x=2,
+        L_t=3,
+        context=(6, 5),
+        F=2,
+        grid=(
+            ("xyz", 4),
+            ("xyz", 7),
+            ("xy", 6),
+            ("xy", 11),
+            ("xz", 6),
+            ("xz", 11),
+            ("yz", 6),
+            ("yz", 11),
+        ),
+        table=(100, 64),
+    )
 
 
 SAYS = {

@@ -20,13 +20,25 @@ lengths, checksum of every section.  Which sections a model needs is decided by 
 WORKED NUMBERS.  The file of one section "masks" (id 7) with the bytes 01 02 03 has 18 + 9 + 3 = 30 bytes:
     89 50 34 44 0D 0A 1A 0A  01  01  1E 00 00 00  07 03 00 00 00 1D 80 BC 55  FB 2D 2B 50  01 02 03
 """
+
 import struct
 import zlib
 
 MAGIC = b"\x89P4D\r\n\x1a\n"
 VERSION = 1
-SECTIONS = ("header", "positions", "features", "scales", "offset_scales", "offsets", "masks", "hash_grid",
-            "deformation_mlp", "anchor_mlps", "context_mlps")
+SECTIONS = (
+    "header",
+    "positions",
+    "features",
+    "scales",
+    "offset_scales",
+    "offsets",
+    "masks",
+    "hash_grid",
+    "deformation_mlp",
+    "anchor_mlps",
+    "context_mlps",
+)
 MAX_LENGTH = 2**32 - 1
 _FIXED, _ROW, _CRC = struct.Struct("<8sBBI"), struct.Struct("<BII"), struct.Struct("<I")
 
@@ -74,9 +86,11 @@ def open_container(data):
     """
     sections, whole = {}, memoryview(data)
     for name, start, length, crc in _read_table(data):
-        body = whole[start:start + length]
+        body = whole[start : start + length]
         if zlib.crc32(body) != crc:
-            raise BitstreamError(name, 0, f"checksum {zlib.crc32(body):08x}, the table says {crc:08x}")
+            raise BitstreamError(
+                name, 0, f"checksum {zlib.crc32(body):08x}, the table says {crc:08x}"
+            )
         sections[name] = body
     return sections
 
@@ -87,14 +101,19 @@ def layout(data):
     Raises     BitstreamError where `read_container` does, but for the sections' own checksums
     """
     rows = _read_table(data)
-    return [("container_header", _FIXED.size), ("section_table", _ROW.size * len(rows) + _CRC.size),
-            *((name, length) for name, _, length, _ in rows)]
+    return [
+        ("container_header", _FIXED.size),
+        ("section_table", _ROW.size * len(rows) + _CRC.size),
+        *((name, length) for name, _, length, _ in rows),
+    ]
 
 
 def _read_table(data):
     """Rows (name, offset in the file, length, CRC-32) of a file whose header and table are sound."""
     if len(data) < _FIXED.size + _CRC.size:
-        raise BitstreamError("container", len(data), f"at least {_FIXED.size + _CRC.size} bytes expected")
+        raise BitstreamError(
+            "container", len(data), f"at least {_FIXED.size + _CRC.size} bytes expected"
+        )
     magic, version, count, total = _FIXED.unpack_from(data)
     if magic != MAGIC:
         raise BitstreamError("container", 0, "not a P-4DGS file (wrong magic)")
@@ -103,7 +122,9 @@ def _read_table(data):
     if count > len(SECTIONS):
         raise BitstreamError("container", 9, f"{count} sections, at most {len(SECTIONS)} expected")
     if total != len(data):
-        raise BitstreamError("container", 10, f"total length {total}, the file has {len(data)} bytes")
+        raise BitstreamError(
+            "container", 10, f"total length {total}, the file has {len(data)} bytes"
+        )
     table_end = _FIXED.size + _ROW.size * count
     if table_end + _CRC.size > total:
         raise BitstreamError("container", 9, f"{count} sections do not fit into {total} bytes")
@@ -113,10 +134,15 @@ def _read_table(data):
     for row in range(_FIXED.size, table_end, _ROW.size):
         number, length, crc = _ROW.unpack_from(data, row)
         if not last < number <= len(SECTIONS):
-            raise BitstreamError("container", row, f"section id {number} after {last}: ascending ids to "
-                                                   f"{len(SECTIONS)} expected")
+            raise BitstreamError(
+                "container",
+                row,
+                f"section id {number} after {last}: ascending ids to {len(SECTIONS)} expected",
+            )
         rows.append((SECTIONS[number - 1], start, length, crc))
         start, last = start + length, number
     if start != total:
-        raise BitstreamError("container", _FIXED.size, f"lengths of the sections add up to {start}, not to {total}")
+        raise BitstreamError(
+            "container", _FIXED.size, f"lengths of the sections add up to {start}, not to {total}"
+        )
     return rows

@@ -34,6 +34,7 @@ share = 11753797, q_units = 45913, and with Q_0 = 0.1 q = 0.1401153564453125.  T
 45913 = 616233817836, n = 16, R = floor(2^47 / 9402981) = 14967326.  As mu: t = 2, m = 114081792, S = 39, mu_units = 3106.
 raw = -3.5, -229376 in units of 2^-16: l = -330918, i = 30, r = 31333, log2(D) = 2566696, sigma_units = -35.
 """
+
 from typing import NamedTuple
 
 import numpy as np
@@ -41,18 +42,27 @@ import numpy as np
 from ..equations.grid_nodes import entries
 from ..equations.prior import RAW_MAX, RAW_MIN, layout
 from ..model import LATTICE
-from .fixed_point import INPUT_BITS, bit_length, halve, log2, rescale, run_network, table, whole_layers
+from .fixed_point import (
+    INPUT_BITS,
+    bit_length,
+    halve,
+    log2,
+    rescale,
+    run_network,
+    table,
+    whole_layers,
+)
 from .gaussian_table import MU_BITS, MU_LIMIT, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN
 
-STEP_FLOOR, STEP_MAX = 32, 2**16       # q in units of 2 Q_0 / 2^16; the floor of Q7 is 2^-10 Q_0
-LOG2_E = 94548                         # log2(e) in units of 2^-16
-CHUNK = 2**18                          # numbers of one array on the way, so that memory does not grow with the anchors
+STEP_FLOOR, STEP_MAX = 32, 2**16  # q in units of 2 Q_0 / 2^16; the floor of Q7 is 2^-10 Q_0
+LOG2_E = 94548  # log2(e) in units of 2^-16
+CHUNK = 2**18  # numbers of one array on the way, so that memory does not grow with the anchors
 
 
 class CodingContext(NamedTuple):
-    q: np.ndarray              # (A, 4) float64, the steps of f, s, l, O: the same double everywhere
-    mu_units: np.ndarray       # (A, n) int64, mu / q in units of 2^-MU_BITS; columns as `model.join`
-    sigma_units: np.ndarray    # (A, n) int32, log2(sigma / q) in units of 2^-SIGMA_BITS
+    q: np.ndarray  # (A, 4) float64, the steps of f, s, l, O: the same double everywhere
+    mu_units: np.ndarray  # (A, n) int64, mu / q in units of 2^-MU_BITS; columns as `model.join`
+    sigma_units: np.ndarray  # (A, n) int32, log2(sigma / q) in units of 2^-SIGMA_BITS
 
 
 def hash_feature(positions, grids, design):
@@ -61,10 +71,14 @@ def hash_feature(positions, grids, design):
     for (axes, res), grid in zip(design.grid, grids):
         place = positions[:, ["xyz".index(axis) for axis in axes]] * (res - 1)
         base, t = place // LATTICE, (place % LATTICE).astype(float)
-        corner = np.array(np.meshgrid(*[[0, 1]] * len(axes), indexing="ij")).reshape(len(axes), -1).T
-        weight = np.where(corner, t[:, None, :], LATTICE - t[:, None, :]).prod(axis=2)              # below 2^48
-        signs = grid.take(entries(base, corner, res, len(grid)), axis=0)                            # (A, 2^D, F)
-        v = np.einsum("ac,acf->af", weight, signs).astype(np.int64)        # exact in any order: sums of whole numbers
+        corner = (
+            np.array(np.meshgrid(*[[0, 1]] * len(axes), indexing="ij")).reshape(len(axes), -1).T
+        )
+        weight = np.where(corner, t[:, None, :], LATTICE - t[:, None, :]).prod(axis=2)  # below 2^48
+        signs = grid.take(entries(base, corner, res, len(grid)), axis=0)  # (A, 2^D, F)
+        v = np.einsum("ac,acf->af", weight, signs).astype(
+            np.int64
+        )  # exact in any order: sums of whole numbers
         unit = LATTICE ** len(axes) >> INPUT_BITS
         features.append((v + unit // 2) // unit)
     return np.concatenate(features, axis=1).astype(float)
@@ -73,7 +87,9 @@ def hash_feature(positions, grids, design):
 def step_units(h, psi_q):
     """q_units (A, 4) int64."""
     steps = table("sigmoid")
-    v = np.clip(rescale(run_network(h, psi_q), psi_q[-1].bits, 12, 2**15) + (4 << 12), 0, (10 << 12) - 1)
+    v = np.clip(
+        rescale(run_network(h, psi_q), psi_q[-1].bits, 12, 2**15) + (4 << 12), 0, (10 << 12) - 1
+    )
     i, r = v >> 6, v & 63
     share = steps[i] + ((steps[i + 1] - steps[i]) * r >> 6)
     return np.clip(share + 128 >> 8, STEP_FLOOR, STEP_MAX)
@@ -99,9 +115,9 @@ def coding_context(design, networks, grids, positions):
     ctx = CodingContext(np.empty((A, 4)), np.empty((A, n), np.int64), np.empty((A, n), np.int32))
     rows = CHUNK // max(len(design.grid) * design.F, 8 * max(design.F, 3), *design.context, 2 * n)
     for a in range(0, A, rows):
-        h = hash_feature(positions[a:a + rows], grids, design)
+        h = hash_feature(positions[a : a + rows], grids, design)
         for whole, part in zip(ctx, _context_of(h, psi_q, psi_p, design)):
-            whole[a:a + rows] = part
+            whole[a : a + rows] = part
     return ctx
 
 
@@ -109,17 +125,27 @@ def _context_of(h, psi_q, psi_p, design):
     """Steps 3 to 6: q, mu_units and sigma_units of some anchors."""
     q_units = step_units(h, psi_q)
     fraction, p = np.frexp(np.array(design.Q_0))
-    D = np.floor(fraction * 2.0**24).astype(np.int64) * q_units                # (A, 4), 28 to 41 bits
+    D = np.floor(fraction * 2.0**24).astype(np.int64) * q_units  # (A, 4), 28 to 41 bits
     n = bit_length(D) - 24
     R = 2**47 // (D >> n)
     log2_q = log2(D) + ((p.astype(np.int64) - 39) << 16)
-    spread = np.repeat(np.arange(4), design.widths)                            # group of every column
-    y, (mu_columns, raw_columns), bits = run_network(h, psi_p), layout(design.widths), psi_p[-1].bits
+    spread = np.repeat(np.arange(4), design.widths)  # group of every column
+    y, (mu_columns, raw_columns), bits = (
+        run_network(h, psi_p),
+        layout(design.widths),
+        psi_p[-1].bits,
+    )
     t = max(0, psi_p[-1].bound.bit_length() - 28)
     m = halve(y[:, mu_columns], t).astype(np.int64)
     S = bits - t + p.astype(np.int64) + n - (MU_BITS - 8)
     mu_units = shift(m * R[:, spread], S[:, spread])
-    raw = np.clip(rescale(y[:, raw_columns], bits, 16, 2**24), int(RAW_MIN) << 16, int(RAW_MAX) << 16)
+    raw = np.clip(
+        rescale(y[:, raw_columns], bits, 16, 2**24), int(RAW_MIN) << 16, int(RAW_MAX) << 16
+    )
     log2_sigma = raw * LOG2_E + 2**15 >> 16
     sigma_units = (log2_sigma - log2_q[:, spread] + (1 << 15 - SIGMA_BITS)) >> 16 - SIGMA_BITS
-    return q_units * (np.array(design.Q_0) * 2.0**-15), mu_units, np.clip(sigma_units, SIGMA_MIN, SIGMA_MAX)
+    return (
+        q_units * (np.array(design.Q_0) * 2.0**-15),
+        mu_units,
+        np.clip(sigma_units, SIGMA_MIN, SIGMA_MAX),
+    )

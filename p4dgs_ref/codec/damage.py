@@ -4,6 +4,7 @@ RAW damage leaves lengths and checksums as they were, so every changed file must
 order again and so reaches what is inside: bytes of one section, fields of the JSON header or of the container's table,
 sections exchanged, twice or missing.
 """
+
 import json
 import zlib
 from typing import NamedTuple
@@ -12,14 +13,44 @@ import numpy as np
 
 from .container import MAGIC, SECTIONS, VERSION, read_container, write_container
 
-VALUES = [0, 1, 2, 3, 5, 8, 255, 2**16, 2**22, 2**31, 10**400, -1, 0.5, 1e300, -0.0, True, None, "", "xyz", [], {}, [0],
-          [1, 2], [8, 8], [2**14] * 8, [["xyz", 300]], [["xy", 9], ["yz", 2]], ["rotation"], [0.1] * 3, [1e-30] * 4]
+VALUES = [
+    0,
+    1,
+    2,
+    3,
+    5,
+    8,
+    255,
+    2**16,
+    2**22,
+    2**31,
+    10**400,
+    -1,
+    0.5,
+    1e300,
+    -0.0,
+    True,
+    None,
+    "",
+    "xyz",
+    [],
+    {},
+    [0],
+    [1, 2],
+    [8, 8],
+    [2**14] * 8,
+    [["xyz", 300]],
+    [["xy", 9], ["yz", 2]],
+    ["rotation"],
+    [0.1] * 3,
+    [1e-30] * 4,
+]
 
 
 class Mutation(NamedTuple):
-    kind: str          # form and operation, as "raw flip"
+    kind: str  # form and operation, as "raw flip"
     data: bytes
-    original: bytes    # the good file it was made from
+    original: bytes  # the good file it was made from
 
 
 def mutation(seed, i, files):
@@ -33,7 +64,9 @@ def mutation(seed, i, files):
 
 def _bytes(rng, data, repaired):
     """One operation on the bytes of the file, or of one section that is then put back in order."""
-    operation = (truncate, extend, flip, overwrite, insert, remove, repeat, exchange)[rng.integers(8)]
+    operation = (truncate, extend, flip, overwrite, insert, remove, repeat, exchange)[
+        rng.integers(8)
+    ]
     if not repaired:
         return operation.__name__, operation(rng, data)
     sections = read_container(data)
@@ -48,7 +81,7 @@ def _stretch(rng, data):
 
 
 def truncate(rng, data):
-    return data[:rng.integers(len(data) + 1)]
+    return data[: rng.integers(len(data) + 1)]
 
 
 def extend(rng, data):
@@ -90,7 +123,9 @@ def exchange(rng, data):
 def _sections(rng, data, repaired):
     """Two sections exchanged, or only their bodies, one twice or one missing; raw: below a table that says otherwise."""
     rows = [(SECTIONS.index(name) + 1, body) for name, body in read_container(data).items()]
-    what = ("sections exchanged", "bodies exchanged", "section twice", "section missing")[rng.integers(4)]
+    what = ("sections exchanged", "bodies exchanged", "section twice", "section missing")[
+        rng.integers(4)
+    ]
     end, (i, j) = 18 + 9 * len(rows), rng.choice(len(rows), 2, replace=False)
     if what == "sections exchanged":
         rows[i], rows[j] = rows[j], rows[i]
@@ -108,7 +143,9 @@ def assemble(rows):
     total = 18 + 9 * len(rows) + sum(len(body) for _, body in rows)
     head = MAGIC + bytes([VERSION, len(rows)]) + total.to_bytes(4, "little")
     for i, body in rows:
-        head += bytes([i]) + len(body).to_bytes(4, "little") + zlib.crc32(body).to_bytes(4, "little")
+        head += (
+            bytes([i]) + len(body).to_bytes(4, "little") + zlib.crc32(body).to_bytes(4, "little")
+        )
     return head + zlib.crc32(head).to_bytes(4, "little") + b"".join(body for _, body in rows)
 
 
@@ -116,13 +153,17 @@ def _table(rng, data, repaired):
     """One field of the container's header or table; repaired: the checksum of these made right."""
     end = 14 + 9 * data[9]
     fields = [(0, 8), (8, 1), (9, 1), (10, 4)]
-    fields += [(row + at, size) for row in range(14, end, 9) for at, size in ((0, 1), (1, 4), (5, 4))]
+    fields += [
+        (row + at, size) for row in range(14, end, 9) for at, size in ((0, 1), (1, 4), (5, 4))
+    ]
     at, size = fields[rng.integers(len(fields))]
-    old = int.from_bytes(data[at:at + size], "little")
-    new = [0, 1, old + 1, old - 1, old + 9, 2**31, 2**32 - 1, int(rng.integers(2**32))][rng.integers(8)] % 256**size
-    head = data[:at] + new.to_bytes(size, "little") + data[at + size:end]
-    crc = zlib.crc32(head).to_bytes(4, "little") if repaired else data[end:end + 4]
-    return "table field", head + crc + data[end + 4:]
+    old = int.from_bytes(data[at : at + size], "little")
+    new = [0, 1, old + 1, old - 1, old + 9, 2**31, 2**32 - 1, int(rng.integers(2**32))][
+        rng.integers(8)
+    ] % 256**size
+    head = data[:at] + new.to_bytes(size, "little") + data[at + size : end]
+    crc = zlib.crc32(head).to_bytes(4, "little") if repaired else data[end : end + 4]
+    return "table field", head + crc + data[end + 4 :]
 
 
 def _header(rng, data, repaired):
@@ -134,15 +175,20 @@ def _header(rng, data, repaired):
         if how < 0.1:
             del fields[name]
         else:
-            fields[name] = _nudged(rng, fields[name]) if how < 0.5 else VALUES[rng.integers(len(VALUES))]
+            fields[name] = (
+                _nudged(rng, fields[name]) if how < 0.5 else VALUES[rng.integers(len(VALUES))]
+            )
     header, start = json.dumps(fields, separators=(",", ":")).encode(), 18 + 9 * len(sections)
-    return "header field", (write_container({**sections, "header": header}) if repaired else
-                            data[:start] + header + data[start + len(sections["header"]):])
+    return "header field", (
+        write_container({**sections, "header": header})
+        if repaired
+        else data[:start] + header + data[start + len(sections["header"]) :]
+    )
 
 
 def _nudged(rng, value):
     """A JSON value with one of the numbers in it a little off."""
     if isinstance(value, list) and value:
         i = int(rng.integers(len(value)))
-        return [*value[:i], _nudged(rng, value[i]), *value[i + 1:]]
+        return [*value[:i], _nudged(rng, value[i]), *value[i + 1 :]]
     return value + int(rng.choice([-1, 1, 7])) if isinstance(value, (int, float)) else value

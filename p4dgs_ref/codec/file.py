@@ -37,24 +37,32 @@ WORKED NUMBERS.  lo = -1.5, hi = 1.5, n = 20000: -1.5 + 20000 * (3 / 65535) = -0
 With d = 4, k = 2, hidden = [8] and both view effects, anchor_mlps holds (9 8 + 9 2) + (9 8 + 9 6) + (9 8 + 9 8) +
 (9 8 + 9 6) = 486 numbers, 972 bytes.
 """
+
 import numpy as np
 
 from ..model import ANCHOR_NETWORKS, CONTEXT_NETWORKS, Anchors, Model, unsnap
 from .container import BitstreamError, open_container, write_container
 from .context import coding_context
+from .gaussian_table import gaussian_model
 from .header import read_header, write_header
 from .quantise import LARGEST, Quantised, coded, dequantise, quantise
-from .gaussian_table import gaussian_model
 from .streams import decode_bits, decode_symbols, encode_bits, encode_gaussian
 
-NETWORK_SECTIONS = {"anchor_mlps": ANCHOR_NETWORKS, "context_mlps": CONTEXT_NETWORKS, "deformation_mlp": ("psi_d",)}
-ATTRIBUTE_SECTIONS = ("features", "scales", "offset_scales", "offsets")        # groups f, s, l, O
+NETWORK_SECTIONS = {
+    "anchor_mlps": ANCHOR_NETWORKS,
+    "context_mlps": CONTEXT_NETWORKS,
+    "deformation_mlp": ("psi_d",),
+}
+ATTRIBUTE_SECTIONS = ("features", "scales", "offset_scales", "offsets")  # groups f, s, l, O
 
 
 def attribute_columns(design):
     """The columns of `model.join` that each attribute section holds: [(section, slice), ...]."""
     ends = np.cumsum(design.widths)
-    return [(name, slice(end - width, end)) for name, end, width in zip(ATTRIBUTE_SECTIONS, ends, design.widths)]
+    return [
+        (name, slice(end - width, end))
+        for name, end, width in zip(ATTRIBUTE_SECTIONS, ends, design.widths)
+    ]
 
 
 def sections_of(quantised):
@@ -62,14 +70,25 @@ def sections_of(quantised):
     model, ctx = quantised.model, quantised.context
     box = np.concatenate(model.box).astype("<f4").tobytes()
     grid = np.concatenate([g.ravel() for g in model.grids])
-    sections = {"header": write_header(model), "positions": box + quantised.positions.astype("<u2").tobytes(),
-                "masks": encode_bits(model.anchors.mask.ravel()), "hash_grid": encode_bits(grid > 0)}
+    sections = {
+        "header": write_header(model),
+        "positions": box + quantised.positions.astype("<u2").tobytes(),
+        "masks": encode_bits(model.anchors.mask.ravel()),
+        "hash_grid": encode_bits(grid > 0),
+    }
     for name, columns in attribute_columns(model.design):
         kept = quantised.kept[:, columns]
-        sections[name] = encode_gaussian(*(a[:, columns][kept] for a in
-                                           (quantised.symbols, ctx.mu_units, ctx.sigma_units)))
+        sections[name] = encode_gaussian(
+            *(a[:, columns][kept] for a in (quantised.symbols, ctx.mu_units, ctx.sigma_units))
+        )
     for name, members in NETWORK_SECTIONS.items():
-        arrays = [a for net in members if net in model.networks for pair in zip(*model.networks[net]) for a in pair]
+        arrays = [
+            a
+            for net in members
+            if net in model.networks
+            for pair in zip(*model.networks[net])
+            for a in pair
+        ]
         if arrays:
             sections[name] = np.concatenate([a.ravel() for a in arrays]).astype("<f2").tobytes()
     return sections
@@ -98,12 +117,22 @@ def quantised_of(sections):
     """
     design, A, background = read_header(_section(sections, "header"))
     box, positions = _read_positions(_section(sections, "positions"), A)
-    networks, grids = _read_networks(sections, design), _read_grids(_section(sections, "hash_grid"), design)
-    mask = decode_bits(_section(sections, "masks"), A * design.k, section="masks").reshape(A, design.k)
+    networks, grids = (
+        _read_networks(sections, design),
+        _read_grids(_section(sections, "hash_grid"), design),
+    )
+    mask = decode_bits(_section(sections, "masks"), A * design.k, section="masks").reshape(
+        A, design.k
+    )
     x_a = unsnap(positions, *box)
     ctx, kept = coding_context(design, networks, grids, positions), coded(mask, design)
-    found = [(columns, _read_symbols(sections, name, ctx, columns, kept)) for name, columns in attribute_columns(design)]
-    symbols = np.zeros(kept.shape, np.int64)       # not before: beside the coder's arrays there is no room for it
+    found = [
+        (columns, _read_symbols(sections, name, ctx, columns, kept))
+        for name, columns in attribute_columns(design)
+    ]
+    symbols = np.zeros(
+        kept.shape, np.int64
+    )  # not before: beside the coder's arrays there is no room for it
     for columns, values in found:
         symbols[:, columns][kept[:, columns]] = values
     del found, values
@@ -128,10 +157,16 @@ def _read_symbols(sections, name, ctx, columns, kept):
 def _read_positions(data, A):
     """The box, two (3,) float32, and the symbols (A, 3) int64."""
     if len(data) != 24 + 6 * A:
-        raise BitstreamError("positions", len(data), f"expected {24 + 6 * A} bytes for {A} anchors, found {len(data)}")
+        raise BitstreamError(
+            "positions",
+            len(data),
+            f"expected {24 + 6 * A} bytes for {A} anchors, found {len(data)}",
+        )
     lo, hi = np.frombuffer(data, "<f4", 6).astype(np.float32).reshape(2, 3)
-    if not ((np.abs([lo, hi]) <= LARGEST).all() and (lo <= hi).all()):          # also false for NaN
-        raise BitstreamError("positions", 0, f"expected a box with lo <= hi, finite, to {LARGEST:g}")
+    if not ((np.abs([lo, hi]) <= LARGEST).all() and (lo <= hi).all()):  # also false for NaN
+        raise BitstreamError(
+            "positions", 0, f"expected a box with lo <= hi, finite, to {LARGEST:g}"
+        )
     return (lo, hi), np.frombuffer(data, "<u2", offset=24).astype(np.int64).reshape(A, 3)
 
 
@@ -140,7 +175,10 @@ def _read_grids(data, design):
     shapes = design.levels()
     ends = np.cumsum([T * F for T, F in shapes])
     bits = decode_bits(data, int(ends[-1]), section="hash_grid")
-    return [np.where(part, 1.0, -1.0).reshape(shape) for part, shape in zip(np.split(bits, ends[:-1]), shapes)]
+    return [
+        np.where(part, 1.0, -1.0).reshape(shape)
+        for part, shape in zip(np.split(bits, ends[:-1]), shapes)
+    ]
 
 
 def _read_networks(sections, design):
@@ -150,20 +188,26 @@ def _read_networks(sections, design):
         present = [name for name in members if name in layers]
         if not present:
             if section in sections:
-                raise BitstreamError(section, 0, "the scene lists no effect that needs this section")
+                raise BitstreamError(
+                    section, 0, "the scene lists no effect that needs this section"
+                )
             continue
         data, start = _section(sections, section), 0
         count = sum((rows + 1) * columns for name in present for rows, columns in layers[name])
         if len(data) != 2 * count:
-            raise BitstreamError(section, len(data), f"expected {2 * count} bytes, found {len(data)}")
+            raise BitstreamError(
+                section, len(data), f"expected {2 * count} bytes, found {len(data)}"
+            )
         numbers = np.frombuffer(data, "<f2").astype(float)
         if not np.isfinite(numbers).all():
-            raise BitstreamError(section, 2 * int(np.argmin(np.isfinite(numbers))), "expected finite weights")
+            raise BitstreamError(
+                section, 2 * int(np.argmin(np.isfinite(numbers))), "expected finite weights"
+            )
         for name in present:
             weights, biases = [], []
             for rows, columns in layers[name]:
-                weights.append(numbers[start:start + rows * columns].reshape(rows, columns))
-                biases.append(numbers[start + rows * columns:start + (rows + 1) * columns])
+                weights.append(numbers[start : start + rows * columns].reshape(rows, columns))
+                biases.append(numbers[start + rows * columns : start + (rows + 1) * columns])
                 start += (rows + 1) * columns
             networks[name] = (weights, biases)
     return networks

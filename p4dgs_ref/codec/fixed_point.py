@@ -18,6 +18,7 @@ WORKED NUMBERS.  x = (16384, -8192), W = (0.5, -0.3)^T, b = (0.1), in float16 -0
 p = 0, p_b = -3, n = min(15, 38, 24) = 15, W' = (16384, -9832)^T, b' = 107347968, y = 456327168 in units of 2^-30
 (0.42499), B = 2^15 (16384 + 9832) + 107347968 = 966393856.  As a hidden layer: s = 8, x = 1782528, a = 22, X = 3774976.
 """
+
 import json
 from functools import cache
 from importlib.resources import files
@@ -31,17 +32,19 @@ INPUT_BITS, ACTIVATION_BITS, WEIGHT_BITS, BIAS_BITS, MOST_SCALE = 15, 22, 15, 50
 class Layer(NamedTuple):
     """Whole numbers held in float64, exact because none reaches 2^53."""
 
-    W: np.ndarray          # (I, J)
-    b: np.ndarray          # (J,)
-    bits: int              # outputs y in units of 2^-bits
-    bound: int             # |y| <= bound, and so is every partial sum
-    s: int                 # how many bits of y a hidden layer rounds away
+    W: np.ndarray  # (I, J)
+    b: np.ndarray  # (J,)
+    bits: int  # outputs y in units of 2^-bits
+    bound: int  # |y| <= bound, and so is every partial sum
+    s: int  # how many bits of y a hidden layer rounds away
 
 
 @cache
 def table(name):
     """A normative table of `tables.json` as int64; `make_tables.py` says what it holds."""
-    return np.array(json.loads(files(__package__).joinpath("tables.json").read_text())[name], np.int64)
+    return np.array(
+        json.loads(files(__package__).joinpath("tables.json").read_text())[name], np.int64
+    )
 
 
 def exponent(values):
@@ -90,7 +93,7 @@ def run_network(x, layers):
 def rescale(y, unit, bits, limit):
     """Outputs y (A, n) in units of 2^-unit brought to units of 2^-bits, clipped to +-limit: int64."""
     s = unit - bits
-    if s < 0:                                     # few fractional bits: saturate first, so that the shift stays exact
+    if s < 0:  # few fractional bits: saturate first, so that the shift stays exact
         y = np.clip(y, -limit, limit) * 2.0 ** min(-s, 30)
     return np.clip(halve(y, s), -limit, limit).astype(np.int64)
 
@@ -103,6 +106,8 @@ def bit_length(values):
 def log2(values):
     """log2 of positive whole numbers, in units of 2^-16: bits before the leading one, then a table of 256 steps."""
     length = bit_length(values)
-    leading = np.where(length > 24, values >> np.maximum(length - 24, 0), values << np.maximum(24 - length, 0))
+    leading = np.where(
+        length > 24, values >> np.maximum(length - 24, 0), values << np.maximum(24 - length, 0)
+    )
     steps, i, r = table("log2"), leading >> 15 & 255, leading & 2**15 - 1
     return (length - 1 << 16) + steps[i] + ((steps[i + 1] - steps[i]) * r >> 15)

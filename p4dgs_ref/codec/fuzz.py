@@ -4,6 +4,7 @@ Every damaged file must be refused by `BitstreamError`; only where lengths and c
 ("repaired") may it also decode, to a model within every limit of the header.  Never another exception or a warning, never
 more memory than `memory_bound`, never more than PATIENCE seconds.
 """
+
 import argparse
 import faulthandler
 import sys
@@ -25,27 +26,55 @@ from .header import declared_numbers, read_header
 from .quantise import dequantise, quantise
 from .streams import encode_gaussian
 
-PATIENCE, HANGS = 5.0, 60.0              # seconds: too long for a small file; and when to give up on it with a traceback
+PATIENCE, HANGS = (
+    5.0,
+    60.0,
+)  # seconds: too long for a small file; and when to give up on it with a traceback
 ANSWERS = ("refused", "within limits", "unchanged", "failed")
 
 
 def sample_model(seed, anchors, **fields):
     """A small model whose symbols follow its own prior, a few far outside; `fields` replace those of the design."""
     rng = np.random.default_rng(seed)
-    design = Design(**{**dict(d=3, k=2, hidden=(4,), deformation=(3,), L_x=1, L_t=2, context=(4,), F=2, table=(20, 16),
-                              grid=(("xyz", 3), ("xy", 4), ("yz", 5)), Q_0=(0.5, 0.01, 0.02, 0.1), tau_alpha=0.0,
-                              effects=MODEL_EFFECTS), **fields})
-    networks = {name: ([rng.normal(size=pair) for pair in pairs], [rng.normal(size=n) for _, n in pairs])
-                for name, pairs in design.layers().items()}
+    design = Design(
+        **{
+            **dict(
+                d=3,
+                k=2,
+                hidden=(4,),
+                deformation=(3,),
+                L_x=1,
+                L_t=2,
+                context=(4,),
+                F=2,
+                table=(20, 16),
+                grid=(("xyz", 3), ("xy", 4), ("yz", 5)),
+                Q_0=(0.5, 0.01, 0.02, 0.1),
+                tau_alpha=0.0,
+                effects=MODEL_EFFECTS,
+            ),
+            **fields,
+        }
+    )
+    networks = {
+        name: ([rng.normal(size=pair) for pair in pairs], [rng.normal(size=n) for _, n in pairs])
+        for name, pairs in design.layers().items()
+    }
     grids = [np.where(rng.random(shape) < 0.4, 1.0, -1.0) for shape in design.levels()]
     x_a, mask = rng.normal(size=(anchors, 3)), rng.random((anchors, design.k)) < 0.7
-    mask[:, 0] = True                            # every anchor keeps a child, so that none is dropped
-    zero = Anchors(x_a, *(np.zeros((anchors, *shape)) for shape in ((design.d,), (3,), (3,), (design.k, 3))), mask)
+    mask[:, 0] = True  # every anchor keeps a child, so that none is dropped
+    zero = Anchors(
+        x_a,
+        *(np.zeros((anchors, *shape)) for shape in ((design.d,), (3,), (3,), (design.k, 3))),
+        mask,
+    )
     model = Model(design, zero, networks, grids, bounding_box(x_a), rng.random(3))
     ctx = quantise(model).context
-    symbols = np.rint(ctx.mu_units / 1024 + 2.0 ** (ctx.sigma_units / 16) * rng.normal(size=ctx.mu_units.shape))
+    symbols = np.rint(
+        ctx.mu_units / 1024 + 2.0 ** (ctx.sigma_units / 16) * rng.normal(size=ctx.mu_units.shape)
+    )
     symbols[rng.random(symbols.shape) < 0.03] -= 5e6
-    f, s, l, O = dequantise(np.clip(symbols, -2.0**30, 2.0**30), ctx, design)
+    f, s, l, O = dequantise(np.clip(symbols, -(2.0**30), 2.0**30), ctx, design)
     return replace(model, anchors=Anchors(x_a, f, s, l, O, mask))
 
 
@@ -71,17 +100,27 @@ def memory_bound(data):
 def beyond_limits(q):
     """The arrays of a decoded file that are not what its header declares, or hold what the format does not allow."""
     model, design, A = q.model, q.model.design, len(q.positions)
-    arrays, shapes = model.anchors._asdict(), {"x_a": (A, 3), "f_a": (A, design.d), "s_a": (A, 3), "l_a": (A, 3),
-                                               "O_a": (A, design.k, 3), "mask": (A, design.k)}
+    arrays, shapes = (
+        model.anchors._asdict(),
+        {
+            "x_a": (A, 3),
+            "f_a": (A, design.d),
+            "s_a": (A, 3),
+            "l_a": (A, 3),
+            "O_a": (A, design.k, 3),
+            "mask": (A, design.k),
+        },
+    )
     for i, (grid, shape) in enumerate(zip(model.grids, design.levels(), strict=True)):
         arrays[f"grid {i}"], shapes[f"grid {i}"] = grid, shape
     for name, pairs in design.layers().items():
         for i, (W, b, pair) in enumerate(zip(*model.networks[name], pairs, strict=True)):
             arrays.update({f"{name} W {i}": W, f"{name} b {i}": b})
             shapes.update({f"{name} W {i}": pair, f"{name} b {i}": pair[1:]})
-    ranges = {"positions": (q.positions, 0, 65535), "symbols": (q.symbols, -2**31, 2**31)}
-    return [name for name, a in arrays.items() if a.shape != shapes[name] or not np.isfinite(a).all()] + [
-        name for name, (a, low, high) in ranges.items() if not low <= a.min() <= a.max() <= high]
+    ranges = {"positions": (q.positions, 0, 65535), "symbols": (q.symbols, -(2**31), 2**31)}
+    return [
+        name for name, a in arrays.items() if a.shape != shapes[name] or not np.isfinite(a).all()
+    ] + [name for name, (a, low, high) in ranges.items() if not low <= a.min() <= a.max() <= high]
 
 
 def judge(case):
@@ -95,7 +134,7 @@ def judge(case):
         answer = "refused"
         if error.section not in (*SECTIONS, "container") or error.offset < 0 or "\n" in str(error):
             wrong.append(f"refused without a place: {error}")
-    except Exception as error:                   # whatever it is, it is what we are looking for
+    except Exception as error:  # whatever it is, it is what we are looking for
         return "failed", f"{type(error).__name__}: {error}"
     seconds, peak = time.perf_counter() - start, tracemalloc.get_traced_memory()[1] - before
     if answer != "refused":
@@ -113,11 +152,16 @@ def judge(case):
 
 def fuzz(count, seed=0, files=None):
     """Try mutations 0 ... count - 1 of a seed: ({kind: Counter of answers}, ["mutation i, kind: what is wrong", ...])."""
-    files, answers, failures, traced = files or good_files(), defaultdict(Counter), [], tracemalloc.is_tracing()
+    files, answers, failures, traced = (
+        files or good_files(),
+        defaultdict(Counter),
+        [],
+        tracemalloc.is_tracing(),
+    )
     tracemalloc.start()
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")       # an overflow or a NaN on the way is a failure, too
+            warnings.simplefilter("error")  # an overflow or a NaN on the way is a failure, too
             for i in range(count):
                 faulthandler.dump_traceback_later(HANGS, exit=True, file=sys.__stderr__)
                 case = mutation(seed, i, files)
@@ -132,10 +176,18 @@ def fuzz(count, seed=0, files=None):
 
 
 def main(arguments=None):
-    parser = argparse.ArgumentParser(prog="python -m p4dgs_ref.codec.fuzz", description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=2000, help="how many mutations (default: 2000)")
-    parser.add_argument("--seed", type=int, default=0, help="mutations are numbered under a seed (default: 0)")
-    parser.add_argument("file", nargs="?", help="a good file to start from instead of three small built-in ones")
+    parser = argparse.ArgumentParser(
+        prog="python -m p4dgs_ref.codec.fuzz", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument(
+        "--count", type=int, default=2000, help="how many mutations (default: 2000)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="mutations are numbered under a seed (default: 0)"
+    )
+    parser.add_argument(
+        "file", nargs="?", help="a good file to start from instead of three small built-in ones"
+    )
     options = parser.parse_args(arguments)
     files = None
     if options.file:
@@ -149,7 +201,10 @@ def main(arguments=None):
     print(f"{'':28}" + "".join(f"{name:>15}" for name in ANSWERS))
     for kind, counts in [*sorted(answers.items()), ("all", sum(answers.values(), Counter()))]:
         print(f"{kind:28}" + "".join(f"{counts[name]:15,}" for name in ANSWERS))
-    print("\n".join(failures[:20]) or "no unexpected exception, no accepted change, no hang, no excess of memory")
+    print(
+        "\n".join(failures[:20])
+        or "no unexpected exception, no accepted change, no hang, no excess of memory"
+    )
     return 1 if failures else 0
 
 

@@ -31,6 +31,7 @@ mu' = 320, low = 0, c = 0, W = 13, n = 27, exp2[9] = 44376.  Boundary below 0: z
 i = 348, r = 202, C = 4813177 + floor(89668 * 202 / 256) = 4883930, cum(0) = 4883921 + 13 = 4883934.  Boundary below
 1: z = 2080, cum(1) = 9236032.  So the symbol 0 has frequency 4352098 (probability 0.2594) and costs 1.947 bits.
 """
+
 from functools import cache
 from typing import NamedTuple
 
@@ -41,21 +42,27 @@ from .fixed_point import table as normative
 MU_BITS, SIGMA_BITS, PRECISION = 10, 4, 24
 MU_LIMIT = 1 << 34
 SIGMA_MIN, SIGMA_MAX = -8 << SIGMA_BITS, (20 << SIGMA_BITS) - 1
-Z_BITS, PHI_BITS, EXP2_BITS = 14, 6, 16          # z has 14 fractional bits; phi has 2^6 entries per unit of z
+Z_BITS, PHI_BITS, EXP2_BITS = (
+    14,
+    6,
+    16,
+)  # z has 14 fractional bits; phi has 2^6 entries per unit of z
 Z_LIMIT = 6 << Z_BITS
-HALF = 1 << MU_BITS - 1                          # half a symbol
+HALF = 1 << MU_BITS - 1  # half a symbol
 CHUNK, TABLES = 1 << 15, 1 << 12
 
 
 class Model(NamedTuple):
     """The frequency tables that n symbols use: U of them in one ascending array, for `rans`."""
 
-    keys: np.ndarray       # (E+1,) (u << 24) + cum for every entry of every table u, and U << 24 at the end
-    first: np.ndarray      # (U,)  index into keys of each table's first block
-    blocks: np.ndarray     # (U,)  2W + 1; entry first + blocks is the escape
-    low: np.ndarray        # (U,)  how many low bits of a symbol are written as they are
-    table: np.ndarray      # (n,)  which table each symbol uses, int32
-    lowest: np.ndarray     # (n,)  c - W, the block of that table's first entry, int32
+    keys: (
+        np.ndarray
+    )  # (E+1,) (u << 24) + cum for every entry of every table u, and U << 24 at the end
+    first: np.ndarray  # (U,)  index into keys of each table's first block
+    blocks: np.ndarray  # (U,)  2W + 1; entry first + blocks is the escape
+    low: np.ndarray  # (U,)  how many low bits of a symbol are written as they are
+    table: np.ndarray  # (n,)  which table each symbol uses, int32
+    lowest: np.ndarray  # (n,)  c - W, the block of that table's first entry, int32
 
 
 def shape_of(sigma_units):
@@ -77,7 +84,7 @@ def gaussian_model(mu_units, sigma_units):
     _check(mu_units, sigma_units)
     pair, lowest = np.empty(len(mu_units), np.int32), np.empty(len(mu_units), np.int32)
     used = np.zeros(SIGMA_MAX - SIGMA_MIN + 1 << MU_BITS, bool)
-    for a in range(0, len(pair), CHUNK):                      # in pieces that stay in the cache
+    for a in range(0, len(pair), CHUNK):  # in pieces that stay in the cache
         rows = slice(a, a + CHUNK)
         number = sigma_units[rows].astype(np.int64) - SIGMA_MIN
         _, step, low, reach = (values[number] for values in _shapes())
@@ -91,8 +98,8 @@ def gaussian_model(mu_units, sigma_units):
     _, _, low, reach = shape_of(sigma_units)
     keys, first = build_keys(sigma_units, place)
     table_of_pair = np.cumsum(used, dtype=np.int32) - 1
-    for a in range(0, len(pair), CHUNK):                      # in place: from here on a pair is its table
-        pair[a:a + CHUNK] = table_of_pair[pair[a:a + CHUNK]]
+    for a in range(0, len(pair), CHUNK):  # in place: from here on a pair is its table
+        pair[a : a + CHUNK] = table_of_pair[pair[a : a + CHUNK]]
     return Model(keys, first, 2 * reach + 1, low, pair, lowest)
 
 
@@ -105,9 +112,11 @@ def build_keys(sigma_units, place):
     entries = 2 * shape_of(sigma_units)[3] + 2
     ends = np.cumsum(entries)
     keys, first = np.empty(int(entries.sum()) + 1, np.int64), ends - entries
-    for a in range(0, len(entries), TABLES):                  # in pieces, for their memory
+    for a in range(0, len(entries), TABLES):  # in pieces, for their memory
         rows = slice(a, a + TABLES)
-        keys[first[a]:ends[rows][-1]] = _keys_of(sigma_units[rows], place[rows]) + (a << PRECISION)
+        keys[first[a] : ends[rows][-1]] = _keys_of(sigma_units[rows], place[rows]) + (
+            a << PRECISION
+        )
     keys[-1] = len(entries) << PRECISION
     return keys, first
 
@@ -127,7 +136,9 @@ def _keys_of(sigma_units, place):
     z = np.clip(z, -Z_LIMIT, Z_LIMIT - 1) + Z_LIMIT
     i, r = z >> Z_BITS - PHI_BITS, z & (1 << Z_BITS - PHI_BITS) - 1
     C = phi[i] + ((phi[i + 1] - phi[i]) * r >> Z_BITS - PHI_BITS)
-    cum = (C * ((1 << PRECISION) - entries)[table] >> PRECISION) + j      # entries = n + 1; product below 2^48
+    cum = (
+        C * ((1 << PRECISION) - entries)[table] >> PRECISION
+    ) + j  # entries = n + 1; product below 2^48
     return (table << PRECISION) + cum
 
 
@@ -138,11 +149,17 @@ def _shapes():
 
 
 def _check(mu_units, sigma_units):
-    for name, values, low, high in (("mu_units", mu_units, -MU_LIMIT, MU_LIMIT),
-                                    ("sigma_units", sigma_units, SIGMA_MIN, SIGMA_MAX)):
+    for name, values, low, high in (
+        ("mu_units", mu_units, -MU_LIMIT, MU_LIMIT),
+        ("sigma_units", sigma_units, SIGMA_MIN, SIGMA_MAX),
+    ):
         if values.dtype.kind != "i":
             raise ValueError(f"{name}: signed integers expected, got {values.dtype}")
         if values.size and not low <= values.min() <= values.max() <= high:
-            raise ValueError(f"{name}: values within {low}..{high} expected, got {values.min()}..{values.max()}")
+            raise ValueError(
+                f"{name}: values within {low}..{high} expected, got {values.min()}..{values.max()}"
+            )
     if mu_units.shape != sigma_units.shape or mu_units.ndim != 1:
-        raise ValueError(f"mu_units {mu_units.shape} and sigma_units {sigma_units.shape}: equal 1-d shapes expected")
+        raise ValueError(
+            f"mu_units {mu_units.shape} and sigma_units {sigma_units.shape}: equal 1-d shapes expected"
+        )

@@ -21,6 +21,7 @@ The declared model are the arrays that this header promises, every number counte
 entries and 2^25 numbers in all; a decoder takes at most 64 MiB plus four times that, beside the file itself.  The
 header has at most 2^14 bytes, as a parser of JSON takes many times its text.
 """
+
 import json
 
 import numpy as np
@@ -29,15 +30,36 @@ from ..model import Design
 from ..scenes.scene import MODEL_EFFECTS
 from .container import BitstreamError
 
-LIMITS = {"anchors": 2**22, "d": 4096, "k": 256, "F": 64, "L_x": 64, "L_t": 64, "width": 2**14, "layers": 8,
-          "levels": 64, "resolution": 2**16, "table": 2**24, "entries": 2**24, "numbers": 2**25, "bytes": 2**14}
-RANGES = {"background": (3, -(2.0**20), 2.0**20), "Q_0": (4, 2.0**-100, 2.0**100), "tau_alpha": (1, -1.0, 1.0)}
+LIMITS = {
+    "anchors": 2**22,
+    "d": 4096,
+    "k": 256,
+    "F": 64,
+    "L_x": 64,
+    "L_t": 64,
+    "width": 2**14,
+    "layers": 8,
+    "levels": 64,
+    "resolution": 2**16,
+    "table": 2**24,
+    "entries": 2**24,
+    "numbers": 2**25,
+    "bytes": 2**14,
+}
+RANGES = {
+    "background": (3, -(2.0**20), 2.0**20),
+    "Q_0": (4, 2.0**-100, 2.0**100),
+    "tau_alpha": (1, -1.0, 1.0),
+}
 
 
 def write_header(model):
     """The section's bytes: JSON without spaces, keys in a fixed order, every number as Python prints it."""
-    fields = {"anchors": len(model.anchors.mask), "background": [float(c) for c in model.background],
-              **model.design._asdict()}
+    fields = {
+        "anchors": len(model.anchors.mask),
+        "background": [float(c) for c in model.background],
+        **model.design._asdict(),
+    }
     return json.dumps(fields, separators=(",", ":")).encode("ascii")
 
 
@@ -60,11 +82,18 @@ def read_header(data):
     for name in ("d", "k", "F", "L_x", "L_t"):
         _whole(name, fields[name], LIMITS[name])
     for name in ("hidden", "deformation", "context"):
-        fields[name] = tuple(_whole(name, n, LIMITS["width"]) for n in _listed(name, fields[name], 0, LIMITS["layers"]))
-    fields["grid"] = tuple(_level(level) for level in _listed("grid", fields["grid"], 1, LIMITS["levels"]))
-    fields["table"] = tuple(_whole("table", size, LIMITS["table"]) for size in _listed("table", fields["table"], 2, 2))
+        fields[name] = tuple(
+            _whole(name, n, LIMITS["width"])
+            for n in _listed(name, fields[name], 0, LIMITS["layers"])
+        )
+    fields["grid"] = tuple(
+        _level(level) for level in _listed("grid", fields["grid"], 1, LIMITS["levels"])
+    )
+    fields["table"] = tuple(
+        _whole("table", size, LIMITS["table"]) for size in _listed("table", fields["table"], 2, 2)
+    )
     fields["Q_0"] = _numbers("Q_0", fields["Q_0"])
-    fields["tau_alpha"], = _numbers("tau_alpha", [fields["tau_alpha"]])
+    (fields["tau_alpha"],) = _numbers("tau_alpha", [fields["tau_alpha"]])
     effects = _listed("effects", fields["effects"], 0, len(MODEL_EFFECTS))
     if any(effect not in MODEL_EFFECTS for effect in effects) or len(set(effects)) != len(effects):
         raise _refusal(f"field 'effects': expected some of {', '.join(MODEL_EFFECTS)}, none twice")
@@ -76,18 +105,28 @@ def read_header(data):
 
 def declared_numbers(design, anchors):
     """How many numbers the arrays of the decoded model hold: (anchors' attributes and masks, grid, networks)."""
-    weights = sum((rows + 1) * columns for layers in design.layers().values() for rows, columns in layers)
-    return anchors * (3 + sum(design.widths) + design.k), sum(T * F for T, F in design.levels()), weights
+    weights = sum(
+        (rows + 1) * columns for layers in design.layers().values() for rows, columns in layers
+    )
+    return (
+        anchors * (3 + sum(design.widths) + design.k),
+        sum(T * F for T, F in design.levels()),
+        weights,
+    )
 
 
 def _check_size(design, anchors):
     """The largest model: 256 MiB, for example 400,000 anchors of `paper_real`."""
     per_kind = declared_numbers(design, anchors)
     if per_kind[1] > LIMITS["entries"]:
-        raise _refusal(f"field 'grid': {per_kind[1]} entries declared, at most {LIMITS['entries']} expected")
+        raise _refusal(
+            f"field 'grid': {per_kind[1]} entries declared, at most {LIMITS['entries']} expected"
+        )
     if sum(per_kind) > LIMITS["numbers"]:
-        raise _refusal(f"{sum(per_kind)} numbers declared (anchors {per_kind[0]}, grid {per_kind[1]}, networks "
-                       f"{per_kind[2]}), at most {LIMITS['numbers']} expected")
+        raise _refusal(
+            f"{sum(per_kind)} numbers declared (anchors {per_kind[0]}, grid {per_kind[1]}, networks "
+            f"{per_kind[2]}), at most {LIMITS['numbers']} expected"
+        )
 
 
 def _refusal(message):
@@ -101,17 +140,22 @@ def _once_each(pairs):
 
 
 def _whole(name, value, limit):
-    if type(value) is not int or not 1 <= value <= limit:              # type: a bool is not a number
+    if type(value) is not int or not 1 <= value <= limit:  # type: a bool is not a number
         raise _refusal(f"field {name!r}: expected a whole number from 1 to {limit}")
     return value
 
 
 def _numbers(name, values):
     count, least, most = RANGES[name]
-    if not isinstance(values, list) or len(values) != count or any(
-            type(v) not in (int, float) or not least <= v <= most for v in values):     # also false for NaN
-        raise _refusal(f"field {name!r}: expected {'a number' if count == 1 else f'{count} numbers'} "
-                       f"from {least:g} to {most:g}")
+    if (
+        not isinstance(values, list)
+        or len(values) != count
+        or any(type(v) not in (int, float) or not least <= v <= most for v in values)
+    ):  # also false for NaN
+        raise _refusal(
+            f"field {name!r}: expected {'a number' if count == 1 else f'{count} numbers'} "
+            f"from {least:g} to {most:g}"
+        )
     return tuple(float(v) for v in values)
 
 

@@ -1,4 +1,5 @@
 """Where the bytes of a file are, beside what the model says they should be."""
+
 import numpy as np
 from scipy.special import xlogy
 
@@ -19,7 +20,9 @@ def entropy_bits(flags):
 def float_context(model):
     """The context as training computes it, in float64: what the integers of `context.py` stand for."""
     design, box = model.design, [corner.astype(float) for corner in model.box]
-    located = hash_grid.locate(model.anchors.x_a, *box, design.grid, [T for T, _ in design.levels()])
+    located = hash_grid.locate(
+        model.anchors.x_a, *box, design.grid, [T for T, _ in design.levels()]
+    )
     return context(design, model.networks, model.grids, located)[0]
 
 
@@ -27,7 +30,8 @@ def float_context(model):
 GAPS = {
     "model": "means, deviations and frequencies are whole numbers, every symbol in the window has at least one count",
     "coder": "the coder ends with 4 to 8 bytes of state, a few bits a lane, and whole bytes",
-    "headers": "number of lanes, probability of a one, the box of the positions; the container's table of sections"}
+    "headers": "number of lanes, probability of a one, the box of the positions; the container's table of sections",
+}
 
 
 def stream_header(body, before):
@@ -50,35 +54,60 @@ def ledger(data):
     floats = likelihood.forward(q.symbols * steps, prior.mu, prior.sigma, steps)[0].bits
     integers = symbol_bits(q)
     found = {"positions": (q.positions.size, None, None, 24)}
-    for name, flags in (("masks", model.anchors.mask), ("hash_grid", np.concatenate([g.ravel() for g in model.grids]) > 0)):
+    for name, flags in (
+        ("masks", model.anchors.mask),
+        ("hash_grid", np.concatenate([g.ravel() for g in model.grids]) > 0),
+    ):
         ones, f = np.count_nonzero(flags), int.from_bytes(sections[name][:4], "little") / 2**24
         coded = -(xlogy(ones, f) + xlogy(flags.size - ones, 1 - f)) / np.log(2)
         found[name] = flags.size, entropy_bits(flags), coded, stream_header(sections[name], 4)
     for name, columns in attribute_columns(model.design):
         kept = q.kept[:, columns]
-        found[name] = (int(kept.sum()), floats[:, columns][kept].sum(), integers[:, columns][kept].sum(),
-                       stream_header(sections[name], 0))
+        found[name] = (
+            int(kept.sum()),
+            floats[:, columns][kept].sum(),
+            integers[:, columns][kept].sum(),
+            stream_header(sections[name], 0),
+        )
     frame = len(data) - sum(map(len, sections.values()))
     rows = [_row("container", frame, None, None, None, frame)]
     for name, body in sections.items():
         symbols, estimate, integer, header = found.get(name, (None, None, None, 0))
         symbols = len(body) // 2 if name in NETWORK_SECTIONS else symbols
-        rows.append(_row(name, len(body), symbols, estimate, integer, len(body) if name == "header" else header))
+        rows.append(
+            _row(
+                name,
+                len(body),
+                symbols,
+                estimate,
+                integer,
+                len(body) if name == "header" else header,
+            )
+        )
     return rows
 
 
 def _row(name, size, symbols, estimate, integer, header):
     payload = size - header
     sizes = [float(payload if bits is None else bits / 8) for bits in (estimate, integer)]
-    return {"name": name, "bytes": size, "estimate_bytes": sizes[0], "integer_bytes": sizes[1],
-            "payload_bytes": payload, "header_bytes": header, "symbols": symbols,
-            "bits_per_symbol": 8 * size / symbols if symbols else None}
+    return {
+        "name": name,
+        "bytes": size,
+        "estimate_bytes": sizes[0],
+        "integer_bytes": sizes[1],
+        "payload_bytes": payload,
+        "header_bytes": header,
+        "symbols": symbols,
+        "bits_per_symbol": 8 * size / symbols if symbols else None,
+    }
 
 
 def symbol_bits(q):
     """What every symbol costs under the integer frequencies (A, n), zero where nothing is coded."""
     bits = np.zeros(q.kept.shape)
-    bits[q.kept] = ideal_bits_gaussian(*(a[q.kept] for a in (q.symbols, q.context.mu_units, q.context.sigma_units)))
+    bits[q.kept] = ideal_bits_gaussian(
+        *(a[q.kept] for a in (q.symbols, q.context.mu_units, q.context.sigma_units))
+    )
     return bits
 
 

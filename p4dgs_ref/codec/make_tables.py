@@ -3,6 +3,7 @@
 The file is normative: a decoder reads it and never recomputes it.  The entry nearest to a rounding tie
 is 4.8e-6 away from it (measured), so a normal distribution function right to 13 digits makes the same integers.
 """
+
 import json
 
 import numpy as np
@@ -21,10 +22,14 @@ def make_tables():
     """
     u = np.arange(-4 * 64, 6 * 64 + 1) / 64
     z = np.arange(-PHI_REACH * PHI_STEPS, PHI_REACH * PHI_STEPS + 1) / PHI_STEPS
-    return {"phi": np.rint(2.0**PRECISION * ndtr(z)).astype(int).tolist(),
-            "exp2": np.rint(2.0**(EXP2_BITS - np.arange(EXP2_STEPS) / EXP2_STEPS)).astype(int).tolist(),
-            "sigmoid": np.rint(2.0**24 * expit(2 * u)).astype(int).tolist(),
-            "log2": np.rint(2.0**16 * np.log2(1 + np.arange(257) / 256)).astype(int).tolist()}
+    return {
+        "phi": np.rint(2.0**PRECISION * ndtr(z)).astype(int).tolist(),
+        "exp2": np.rint(2.0 ** (EXP2_BITS - np.arange(EXP2_STEPS) / EXP2_STEPS))
+        .astype(int)
+        .tolist(),
+        "sigmoid": np.rint(2.0**24 * expit(2 * u)).astype(int).tolist(),
+        "log2": np.rint(2.0**16 * np.log2(1 + np.arange(257) / 256)).astype(int).tolist(),
+    }
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
 """From a trained model to the integers of a file, and to the model that a decoder will find in it."""
+
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ from .container import BitstreamError
 from .context import coding_context
 from .header import read_header, write_header
 
-LARGEST = 1e30             # of a box's corners, so that an extent is finite in float32
+LARGEST = 1e30  # of a box's corners, so that an extent is finite in float32
 
 
 class EncodeError(ValueError):
@@ -18,11 +19,11 @@ class EncodeError(ValueError):
 
 
 class Quantised(NamedTuple):
-    model: Model               # every array as the decoder will have it, float64
-    positions: np.ndarray      # (A, 3) int64, 0 ... 65535
-    symbols: np.ndarray        # (A, n) int64, columns as `model.join`; 0 where nothing is coded
-    kept: np.ndarray           # (A, n) bool: coded; offsets of masked children are not
-    context: object            # context.CodingContext
+    model: Model  # every array as the decoder will have it, float64
+    positions: np.ndarray  # (A, 3) int64, 0 ... 65535
+    symbols: np.ndarray  # (A, n) int64, columns as `model.join`; 0 where nothing is coded
+    kept: np.ndarray  # (A, n) bool: coded; offsets of masked children are not
+    context: object  # context.CodingContext
 
 
 def coded(mask, design):
@@ -34,8 +35,10 @@ def coded(mask, design):
 def dequantise(symbols, ctx, design):
     """f, s, l, O (A, k, 3) from symbols (A, n): symbol times step."""
     values, starts = np.empty(symbols.shape), np.cumsum(design.widths[:3])
-    for i, (part, out) in enumerate(zip(np.split(symbols, starts, axis=1), np.split(values, starts, axis=1))):
-        np.multiply(part, ctx.q[:, i:i + 1], out=out)
+    for i, (part, out) in enumerate(
+        zip(np.split(symbols, starts, axis=1), np.split(values, starts, axis=1))
+    ):
+        np.multiply(part, ctx.q[:, i : i + 1], out=out)
     return split(values, design)
 
 
@@ -54,14 +57,19 @@ def quantise(model):
     alive[0] |= not alive.any()
     anchors, box = Anchors(*(a[alive] for a in model.anchors)), _round_box(model.box)
     networks = round_networks(model.networks)
-    grids = [np.where(_finite(f"hash grid level {i}", grid) >= 0, 1.0, -1.0) for i, grid in enumerate(model.grids)]
+    grids = [
+        np.where(_finite(f"hash grid level {i}", grid) >= 0, 1.0, -1.0)
+        for i, grid in enumerate(model.grids)
+    ]
     background = np.array(model.background, float)
     design = _as_decoded(replace(model, anchors=anchors, background=background))
     positions, x_a = snap(_finite("anchors x_a", anchors.x_a), *box)
     ctx, kept = coding_context(design, networks, grids, positions), coded(anchors.mask, design)
     symbols = _round_attributes(np.where(kept, join(anchors), 0), ctx.q, design)
     f, s, l, O = dequantise(symbols, ctx, design)
-    rounded = Model(design, Anchors(x_a, f, s, l, O, anchors.mask), networks, grids, box, background)
+    rounded = Model(
+        design, Anchors(x_a, f, s, l, O, anchors.mask), networks, grids, box, background
+    )
     return Quantised(without_silent_units(rounded), positions, symbols, kept, ctx)
 
 
@@ -73,16 +81,26 @@ def round_networks(networks):
     rounded = {}
     for name, pair in networks.items():
         with np.errstate(over="ignore"):
-            rounded[name] = tuple([np.array(a, np.float16, order="C").astype(float) for a in arrays] for arrays in pair)
+            rounded[name] = tuple(
+                [np.array(a, np.float16, order="C").astype(float) for a in arrays]
+                for arrays in pair
+            )
         if not all(np.isfinite(a).all() for arrays in rounded[name] for a in arrays):
-            raise EncodeError(f"network {name}: expected finite weights within float16's range, +-65504")
+            raise EncodeError(
+                f"network {name}: expected finite weights within float16's range, +-65504"
+            )
     return rounded
 
 
 def underflows(networks):
     """How many weights that are not 0 become 0 in float16: what Q18 loses without a word, below 3e-8."""
-    return sum(int(np.count_nonzero(a)) - int(np.count_nonzero(np.asarray(a).astype(np.float16)))
-               for pair in networks.values() for arrays in pair for a in arrays if np.isfinite(a).all())
+    return sum(
+        int(np.count_nonzero(a)) - int(np.count_nonzero(np.asarray(a).astype(np.float16)))
+        for pair in networks.values()
+        for arrays in pair
+        for a in arrays
+        if np.isfinite(a).all()
+    )
 
 
 def _round_attributes(values, q, design):
@@ -90,7 +108,11 @@ def _round_attributes(values, q, design):
     starts, columns = np.cumsum(design.widths[:3]), []
     for i, part in enumerate(np.split(values, starts, axis=1)):
         try:
-            columns.append(rounding.forward(_finite(f"anchors {GROUPS[i]}_a", part), q[:, i:i + 1])[0].symbols)
+            columns.append(
+                rounding.forward(_finite(f"anchors {GROUPS[i]}_a", part), q[:, i : i + 1])[
+                    0
+                ].symbols
+            )
         except OverflowError as error:
             raise OverflowError(f"anchors {GROUPS[i]}_a, those kept: {error}") from None
     return np.concatenate(columns, axis=1)
@@ -106,7 +128,9 @@ def _round_box(box):
     """The box in the precision of the file, which positions are snapped to."""
     with np.errstate(over="ignore"):
         lo, hi = (np.asarray(corner, np.float32) for corner in box)
-    if not (lo.shape == hi.shape == (3,) and (np.abs([lo, hi]) <= LARGEST).all() and (lo <= hi).all()):
+    if not (
+        lo.shape == hi.shape == (3,) and (np.abs([lo, hi]) <= LARGEST).all() and (lo <= hi).all()
+    ):
         raise EncodeError(f"box: expected two corners (3,) with lo <= hi, finite, to {LARGEST:g}")
     return lo, hi
 
@@ -122,13 +146,30 @@ def _as_decoded(model):
 def _check_shapes(model):
     """Every array's shape against the design, so that no file is written that cannot be read."""
     design, A = model.design, len(model.anchors.mask)
-    shapes = {"x_a": (A, 3), "f_a": (A, design.d), "s_a": (A, 3), "l_a": (A, 3), "O_a": (A, design.k, 3),
-              "mask": (A, design.k)}
-    found = [(f"anchors {name}", getattr(model.anchors, name).shape, shape) for name, shape in shapes.items()]
+    shapes = {
+        "x_a": (A, 3),
+        "f_a": (A, design.d),
+        "s_a": (A, 3),
+        "l_a": (A, 3),
+        "O_a": (A, design.k, 3),
+        "mask": (A, design.k),
+    }
+    found = [
+        (f"anchors {name}", getattr(model.anchors, name).shape, shape)
+        for name, shape in shapes.items()
+    ]
     found.append(("hash grid", [grid.shape for grid in model.grids], design.levels()))
-    layers = {name: ([*pairs], [(columns,) for _, columns in pairs]) for name, pairs in design.layers().items()}
-    given = {name: tuple([a.shape for a in arrays] for arrays in pair) for name, pair in model.networks.items()}
-    found += [(f"network {name}", given.get(name), layers.get(name)) for name in sorted({*layers, *given})]
+    layers = {
+        name: ([*pairs], [(columns,) for _, columns in pairs])
+        for name, pairs in design.layers().items()
+    }
+    given = {
+        name: tuple([a.shape for a in arrays] for arrays in pair)
+        for name, pair in model.networks.items()
+    }
+    found += [
+        (f"network {name}", given.get(name), layers.get(name)) for name in sorted({*layers, *given})
+    ]
     for name, shape, expected in found:
         if shape != expected:
             raise EncodeError(f"{name}: expected {expected} as the design says, got {shape}")

@@ -42,6 +42,7 @@ most 1024, or 1 where that is below 32.
 WORKED NUMBERS.  keys = 0, 12582912, 16777216 (one table, probabilities 3/4 and 1/4), message 0 1 0.  From the last
 symbol on, x = 2^31 becomes 2860515328, 11454644224, 15271460864 = 0x38E400000.  Bytes: 80 00 00 40 8E 03 00 00 00.
 """
+
 from bisect import bisect_right
 
 import numpy as np
@@ -69,20 +70,28 @@ def encode(entries, keys, lanes=None, push_rows=None):
     if lanes > 1:
         head = (len(entries) - left).to_bytes(4, "little")
         states = _start_lanes(x, lanes, stack)
-        states, row_words = (push_rows or _push_rows)(states, starts[:left].reshape(-1, lanes),
-                                                      freqs[:left].reshape(-1, lanes))
+        states, row_words = (push_rows or _push_rows)(
+            states, starts[:left].reshape(-1, lanes), freqs[:left].reshape(-1, lanes)
+        )
         x, top = _put_away(states)
     high = 0x80 if x > LOW_WORD else 0
     parts = (top[::-1], row_words, stack[::-1])
-    return (bytes([lanes.bit_length() - 1 | high]) + head + x.to_bytes(8 if high else 4, "little")
-            + b"".join(np.asarray(part, np.int64).astype("<u4").tobytes() for part in parts))
+    return (
+        bytes([lanes.bit_length() - 1 | high])
+        + head
+        + x.to_bytes(8 if high else 4, "little")
+        + b"".join(np.asarray(part, np.int64).astype("<u4").tobytes() for part in parts)
+    )
 
 
 def choose_lanes(freqs):
     """How many lanes the encoder takes, decided in integers so that every machine writes the same bytes."""
     # log2 f from below, by log2(1 + a) >= a; at most 0.09 bit a symbol too dear.  frexp is exact for integers
     length = np.frexp(freqs.astype(np.float64))[1].astype(np.int64)
-    bits = int(np.sum((PRECISION + 2 - length << PRECISION) - (freqs << PRECISION + 1 - length))) >> PRECISION
+    bits = (
+        int(np.sum((PRECISION + 2 - length << PRECISION) - (freqs << PRECISION + 1 - length)))
+        >> PRECISION
+    )
     lanes = min(1 << max((bits // BITS_PER_LANE).bit_length() - 1, 0), MAX_LANES)
     return lanes if lanes >= MIN_LANES else 1
 
@@ -91,7 +100,9 @@ def _push_tail(starts, freqs, lanes):
     """Step 1, lane 0 alone: its state, the stack, and how many symbols are left for the rows."""
     x, words, left = LOWEST, [], len(starts)
     for start, freq in zip(_backwards(starts), _backwards(freqs)):
-        if lanes > 1 and left % lanes == 0 and len(words) >= lanes:      # 31 bits a lane: `lanes` words feed them all
+        if (
+            lanes > 1 and left % lanes == 0 and len(words) >= lanes
+        ):  # 31 bits a lane: `lanes` words feed them all
             break
         if x >= freq << 39:
             words.append(x & LOW_WORD)
@@ -107,7 +118,7 @@ def _push_tail(starts, freqs, lanes):
 def _backwards(values):
     """Python integers of an array from its end, converted piece by piece."""
     for end in range(len(values), 0, -PIECE):
-        yield from reversed(values[max(end - PIECE, 0):end].tolist())
+        yield from reversed(values[max(end - PIECE, 0) : end].tolist())
 
 
 def _push_bits(x, b, v, words):
@@ -167,10 +178,10 @@ def _push_rows(states, starts, freqs):
         np.multiply(full[row], WORD, out=shift)
         x >>= shift
         np.floor_divide(x, freqs[row], out=high)
-        high *= rest[row]                # x + high * (2^24 - freq) = high * 2^24 + x mod freq
+        high *= rest[row]  # x + high * (2^24 - freq) = high * 2^24 + x mod freq
         x += high
         x += starts[row]
-    return x.tolist(), before[full] & LOW_WORD      # row by row, lane by lane: the decoder's order
+    return x.tolist(), before[full] & LOW_WORD  # row by row, lane by lane: the decoder's order
 
 
 def decode(data, tables, keys, at=0, section="stream", pop_rows=None):
@@ -185,21 +196,32 @@ def decode(data, tables, keys, at=0, section="stream", pop_rows=None):
         return entries, at
     lanes, left, x, start = _read_head(data, at, len(tables), section)
     # a symbol reads one word at most, a lane that is taken out three: more are not this message's
-    words = np.frombuffer(data, "<u4", min((len(data) - start) // 4, len(tables) + 3 * lanes), start)
+    words = np.frombuffer(
+        data, "<u4", min((len(data) - start) // 4, len(tables) + 3 * lanes), start
+    )
     end = start + 4 * len(words)
     try:
         if lanes > 1:
             states, words = _take_out(x, lanes, words)
-            states, words = (pop_rows or _pop_rows)(states, words, tables[:left].reshape(-1, lanes), keys,
-                                                    entries[:left].reshape(-1, lanes))
+            states, words = (pop_rows or _pop_rows)(
+                states,
+                words,
+                tables[:left].reshape(-1, lanes),
+                keys,
+                entries[:left].reshape(-1, lanes),
+            )
             if any(state >> 31 != 1 for state in states[1:]):
-                raise BitstreamError(section, end - 4 * len(words), "a lane does not end where lanes start")
+                raise BitstreamError(
+                    section, end - 4 * len(words), "a lane does not end where lanes start"
+                )
             x, words = _end_lanes(states, words)
         x, words = _pop_tail(x, words, tables[left:], keys, entries[left:])
-    except IndexError:                                       # of an empty stack
+    except IndexError:  # of an empty stack
         raise BitstreamError(section, len(data), "the data end before the last symbol") from None
     if x != LOWEST:
-        raise BitstreamError(section, end - 4 * len(words), f"lane 0 ends in state {x}, not in {LOWEST}")
+        raise BitstreamError(
+            section, end - 4 * len(words), f"lane 0 ends in state {x}, not in {LOWEST}"
+        )
     return entries, end - 4 * len(words)
 
 
@@ -212,10 +234,12 @@ def _read_head(data, at, count, section):
         raise BitstreamError(section, len(data), "the data end before the first symbol")
     if first & 0x70 or lanes > MAX_LANES:
         raise BitstreamError(section, at, f"lane byte {first:#04x} is not in use")
-    tail = int.from_bytes(data[at + 1:at + 5], "little") if lanes > 1 else count
+    tail = int.from_bytes(data[at + 1 : at + 5], "little") if lanes > 1 else count
     if tail > count or (count - tail) % lanes or lanes > 1 and not tail:
-        raise BitstreamError(section, at + 1, f"a tail of {tail} of {count} symbols does not fit {lanes} lanes")
-    x = int.from_bytes(data[start - size:start], "little")
+        raise BitstreamError(
+            section, at + 1, f"a tail of {tail} of {count} symbols does not fit {lanes} lanes"
+        )
+    x = int.from_bytes(data[start - size : start], "little")
     if not LOWEST <= x < 1 << 63 or size == 8 and x <= LOW_WORD:
         raise BitstreamError(section, start - size, f"state {x} is not one an encoder ends in")
     return lanes, count - tail, x, start
@@ -223,14 +247,14 @@ def _read_head(data, at, count, section):
 
 def _take_out(x, lanes, words):
     """Step 4 backwards: the states of all lanes and the words left."""
-    stack = words[:3 * lanes][::-1].tolist()                 # 67 bits a lane at most, so three words suffice
+    stack = words[: 3 * lanes][::-1].tolist()  # 67 bits a lane at most, so three words suffice
     states, given = [x], len(stack)
     for _ in range(1, lanes):
         states[0], n = _pop_bits(states[0], 5, stack)
         states[0], high = _pop_bits(states[0], n, stack)
         states[0], low = _pop_bits(states[0], 31, stack)
         states.append((1 << n) + high << 31 | low)
-    return states, words[given - len(stack):]
+    return states, words[given - len(stack) :]
 
 
 def _end_lanes(states, words):
@@ -243,20 +267,27 @@ def _end_lanes(states, words):
 
 def _pop_tail(x, words, tables, keys, entries):
     """Step 1 backwards: fill `entries`; the state and the words left."""
-    edges, first = keys.tolist(), keys.searchsorted(np.arange((int(keys[-1]) >> PRECISION) + 1) << PRECISION)
+    edges, first = (
+        keys.tolist(),
+        keys.searchsorted(np.arange((int(keys[-1]) >> PRECISION) + 1) << PRECISION),
+    )
     for a in range(0, len(tables), PIECE):
-        stack, found = words[:PIECE][::-1].tolist(), []      # a symbol reads one word at most
-        given, used = len(stack), tables[a:a + PIECE].astype(np.int64)
-        for base, low, high in zip((used << PRECISION).tolist(), first[used].tolist(), first[used + 1].tolist()):
+        stack, found = words[:PIECE][::-1].tolist(), []  # a symbol reads one word at most
+        given, used = len(stack), tables[a : a + PIECE].astype(np.int64)
+        for base, low, high in zip(
+            (used << PRECISION).tolist(), first[used].tolist(), first[used + 1].tolist()
+        ):
             target = base + (x & SLOT)
-            entry = bisect_right(edges, target, low, high)   # the one after; only its own table is searched
+            entry = bisect_right(
+                edges, target, low, high
+            )  # the one after; only its own table is searched
             start = edges[entry - 1]
             x = (x >> PRECISION) * (edges[entry] - start) + target - start
             if x < LOWEST:
                 x = x << WORD | stack.pop()
             found.append(entry)
-        entries[a:a + PIECE] = found
-        words = words[given - len(stack):]
+        entries[a : a + PIECE] = found
+        words = words[given - len(stack) :]
     entries -= 1
     return x, words
 
@@ -272,7 +303,7 @@ def pop_rows_plainly(states, words, tables, keys, entries):
             if x < LOWEST:
                 x = x << WORD | stack.pop()
             states[lane], entries[row, lane] = x, entry
-    return states, words[len(words) - len(stack):]
+    return states, words[len(words) - len(stack) :]
 
 
 def _pop_rows(states, words, tables, keys, entries):
@@ -291,7 +322,7 @@ def _pop_rows(states, words, tables, keys, entries):
         x += target
         short = (x < LOWEST).nonzero()[0]
         if len(short):
-            fresh = words[count:count + len(short)]
+            fresh = words[count : count + len(short)]
             if len(fresh) < len(short):
                 raise IndexError
             x[short] = x[short] << WORD | fresh

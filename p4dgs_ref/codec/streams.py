@@ -19,6 +19,7 @@ WORKED NUMBERS.  Symbols 0, 5, -40, each with mu_units = 307, sigma_units = 9, s
     80  CB 67 86 A4 03 00 00 00  FF FF FF 00  A0 05
 The bits 1 1 1 0: f = 12582912.  The whole stream: 00 00 C0 00  80 00 00 40 BE 04 00 00 00
 """
+
 import numpy as np
 
 from . import rans
@@ -57,7 +58,9 @@ def decode_gaussian(data, mu_units, sigma_units, section="stream", pop_rows=None
 def decode_symbols(data, model, section="stream", pop_rows=None):
     """`decode_gaussian` for a model already made, so that mu and sigma need not be kept while it runs."""
     entries, start = rans.decode(data, model.table, model.keys, 0, section, pop_rows)
-    pieces = [slice(a, a + CHUNK) for a in range(0, len(entries), CHUNK)]      # few bytes a symbol at any time
+    pieces = [
+        slice(a, a + CHUNK) for a in range(0, len(entries), CHUNK)
+    ]  # few bytes a symbol at any time
     low_bits = sum(int(model.low[model.table[rows]].sum()) for rows in pieces)
     escapes = sum(np.count_nonzero(entries[rows] == _escape(model, rows)) for rows in pieces)
     if len(data) - start > (low_bits + (2 * MAX_GAMMA + 1) * escapes + 7) // 8:
@@ -71,11 +74,15 @@ def decode_symbols(data, model, section="stream", pop_rows=None):
         escaped, count = np.flatnonzero(entries[rows] == _escape(model, rows)), int(widths.sum())
         gamma, end = _read_gammas(data, end, len(escaped), section)
         place[escaped] = np.where(gamma & 1, place[escaped] + (gamma >> 1), -(gamma >> 1))
-        symbols[rows] = (model.lowest[rows] + place << widths) + unpack_fields(_raw_bits(data, at, at + count), widths)
+        symbols[rows] = (model.lowest[rows] + place << widths) + unpack_fields(
+            _raw_bits(data, at, at + count), widths
+        )
         at += count
         wrong = symbols[rows][np.abs(symbols[rows]) > MAX_SYMBOL]
         if len(wrong):
-            raise BitstreamError(section, start, f"symbol {wrong[0]}, at most 2^31 in magnitude expected")
+            raise BitstreamError(
+                section, start, f"symbol {wrong[0]}, at most 2^31 in magnitude expected"
+            )
     left = _raw_bits(data, end, 8 * len(data))
     if len(left) >= 8 or left.any():
         raise BitstreamError(section, end // 8, "bits left over")
@@ -90,7 +97,7 @@ def _escape(model, rows):
 def _raw_bits(data, start, stop):
     """Bits start to stop of bytes, the lowest of a byte first: an array of 0 and 1."""
     raw = np.frombuffer(data, np.uint8, (stop + 7) // 8 - start // 8, start // 8)
-    return np.unpackbits(raw, bitorder="little")[start % 8:][:stop - start]
+    return np.unpackbits(raw, bitorder="little")[start % 8 :][: stop - start]
 
 
 def ideal_bits_gaussian(symbols, mu_units, sigma_units):
@@ -101,18 +108,24 @@ def ideal_bits_gaussian(symbols, mu_units, sigma_units):
     model = gaussian_model(mu_units, sigma_units)
     entries, gamma = _find_entries(symbols, model)
     bits = PRECISION - np.log2(np.diff(model.keys)[entries]) + model.low[model.table]
-    bits[entries - model.first[model.table] == model.blocks[model.table]] += 2 * _bit_length(gamma) - 1
+    bits[entries - model.first[model.table] == model.blocks[model.table]] += (
+        2 * _bit_length(gamma) - 1
+    )
     return bits
 
 
 def _find_entries(symbols, model):
     """The entry of every symbol, and v of the escapes."""
     if symbols.dtype.kind != "i" or symbols.shape != model.table.shape:
-        raise ValueError(f"symbols: signed integers of shape {model.table.shape} expected, "
-                         f"got {symbols.dtype} {symbols.shape}")
+        raise ValueError(
+            f"symbols: signed integers of shape {model.table.shape} expected, "
+            f"got {symbols.dtype} {symbols.shape}"
+        )
     wrong = np.flatnonzero((symbols > MAX_SYMBOL) | (symbols < -MAX_SYMBOL))
     if len(wrong):
-        raise ValueError(f"symbols[{wrong[0]}] = {symbols[wrong[0]]}: at most 2^31 in magnitude expected")
+        raise ValueError(
+            f"symbols[{wrong[0]}] = {symbols[wrong[0]]}: at most 2^31 in magnitude expected"
+        )
     place = (symbols >> model.low[model.table]) - model.lowest
     blocks = model.blocks[model.table]
     escaped = np.flatnonzero((place < 0) | (place >= blocks))
@@ -123,7 +136,7 @@ def _find_entries(symbols, model):
 
 
 def _bit_length(values):
-    return np.frexp(values.astype(np.float64))[1].astype(np.int64)       # exact: values below 2^53
+    return np.frexp(values.astype(np.float64))[1].astype(np.int64)  # exact: values below 2^53
 
 
 def _gamma_fields(gamma):
@@ -139,12 +152,16 @@ def _read_gammas(data, start, count, section):
     for i in range(count):
         one = text.find(1, at, at + MAX_GAMMA + 1)
         if one < 0 and len(text) - at > MAX_GAMMA:
-            raise BitstreamError(section, (start + at) // 8, f"an escape of more than {MAX_GAMMA} bits")
+            raise BitstreamError(
+                section, (start + at) // 8, f"an escape of more than {MAX_GAMMA} bits"
+            )
         b = one - at
         if one < 0 or one + b >= len(text):
             raise BitstreamError(section, len(data), "the data end before the last raw bit")
         at = one + b + 1
-        values[i] = (1 << b) + (int(text[one:at].translate(ascii_bits)[::-1], 2) >> 1)   # backwards it reads 2 r + 1
+        values[i] = (1 << b) + (
+            int(text[one:at].translate(ascii_bits)[::-1], 2) >> 1
+        )  # backwards it reads 2 r + 1
     return values, start + at
 
 

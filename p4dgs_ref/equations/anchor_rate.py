@@ -3,6 +3,7 @@ r"""Eq. (13): the bits of all anchors.
 .. math:: R_{anchor} = \sum_a \left(-\log_2 p(\tilde f_a) - \log_2 p(\tilde O_a) - \log_2 p(\tilde l_a)
     - \log_2 p(\tilde s_a)\right)
 """
+
 from typing import NamedTuple
 
 import numpy as np
@@ -11,12 +12,12 @@ from .equation import Case, declare
 
 
 class Out(NamedTuple):
-    R_anchor: np.ndarray   # () bits
+    R_anchor: np.ndarray  # () bits
 
 
 class Res(NamedTuple):
-    mask: np.ndarray       # (A, k)  the untouched input
-    d: int                 # width of the feature
+    mask: np.ndarray  # (A, k)  the untouched input
+    d: int  # width of the feature
     dtype: np.dtype
 
 
@@ -38,8 +39,12 @@ def forward(bits_f, bits_O, bits_l, bits_s, mask):
 
 
 def backward(res, R_anchor_bar):
-    shapes = {"bits_f": (len(res.mask), res.d), "bits_O": (*res.mask.shape, 3), "bits_l": (len(res.mask), 3),
-              "bits_s": (len(res.mask), 3)}
+    shapes = {
+        "bits_f": (len(res.mask), res.d),
+        "bits_O": (*res.mask.shape, 3),
+        "bits_l": (len(res.mask), 3),
+        "bits_s": (len(res.mask), 3),
+    }
     bars = {name: np.full(shape, R_anchor_bar, res.dtype) for name, shape in shapes.items()}
     bars["bits_O"][~res.mask] = 0
     return bars
@@ -48,18 +53,56 @@ def backward(res, R_anchor_bar):
 def cases():
     rng = np.random.default_rng(18)
     A, k, d = 6, 5, 4
-    bits = dict(bits_f=rng.gamma(2, size=(A, d)), bits_O=rng.gamma(2, size=(A, k, 3)), bits_l=rng.gamma(2, size=(A, 3)),
-                bits_s=rng.gamma(2, size=(A, 3)))
+    bits = dict(
+        bits_f=rng.gamma(2, size=(A, d)),
+        bits_O=rng.gamma(2, size=(A, k, 3)),
+        bits_l=rng.gamma(2, size=(A, 3)),
+        bits_s=rng.gamma(2, size=(A, 3)),
+    )
     yield Case("ordinary", dict(**bits, mask=rng.random((A, k)) < 0.7))
-    yield Case("all_masked", dict(**bits, mask=np.zeros((A, k), bool)), ("masked",),
-               expected={"R_anchor": np.float64(bits["bits_f"].sum() + bits["bits_l"].sum() + bits["bits_s"].sum())})
-    yield Case("infinite_behind_the_mask", dict(**{**bits, "bits_O": np.full((A, k, 3), np.inf)},
-                                                mask=np.zeros((A, k), bool)), ("masked", "extreme"), smooth=False,
-               expected={"R_anchor": np.float64(bits["bits_f"].sum() + bits["bits_l"].sum() + bits["bits_s"].sum())})
-    yield Case("no_anchor", dict(**{n: b[:0] for n, b in bits.items()}, mask=np.zeros((0, k), bool)), ("empty",),
-               expected={"R_anchor": np.float64(0)})
+    yield Case(
+        "all_masked",
+        dict(**bits, mask=np.zeros((A, k), bool)),
+        ("masked",),
+        expected={
+            "R_anchor": np.float64(
+                bits["bits_f"].sum() + bits["bits_l"].sum() + bits["bits_s"].sum()
+            )
+        },
+    )
+    yield Case(
+        "infinite_behind_the_mask",
+        dict(**{**bits, "bits_O": np.full((A, k, 3), np.inf)}, mask=np.zeros((A, k), bool)),
+        ("masked", "extreme"),
+        smooth=False,
+        expected={
+            "R_anchor": np.float64(
+                bits["bits_f"].sum() + bits["bits_l"].sum() + bits["bits_s"].sum()
+            )
+        },
+    )
+    yield Case(
+        "no_anchor",
+        dict(**{n: b[:0] for n, b in bits.items()}, mask=np.zeros((0, k), bool)),
+        ("empty",),
+        expected={"R_anchor": np.float64(0)},
+    )
 
 
-anchor_rate = declare("anchor_rate", "13", "R_anchor = sum of the bits of f, O, l, s over all anchors",
-                      {"bits_f": "A d", "bits_O": "A k 3", "bits_l": "A 3", "bits_s": "A 3", "mask": "A k",
-                       "R_anchor": ""}, ("bits_f", "bits_O", "bits_l", "bits_s"), forward, backward, cases)
+anchor_rate = declare(
+    "anchor_rate",
+    "13",
+    "R_anchor = sum of the bits of f, O, l, s over all anchors",
+    {
+        "bits_f": "A d",
+        "bits_O": "A k 3",
+        "bits_l": "A 3",
+        "bits_s": "A 3",
+        "mask": "A k",
+        "R_anchor": "",
+    },
+    ("bits_f", "bits_O", "bits_l", "bits_s"),
+    forward,
+    backward,
+    cases,
+)

@@ -2,6 +2,7 @@ r"""Eq. (3) applied to colour: the colours of an anchor's k Gaussians, predicted
 
 .. math:: \{c_0,\dots,c_{k-1}\} = \mathrm{sigmoid}\,\psi_c(f_a, \delta_{vc}, d_{vc})
 """
+
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ class Out(NamedTuple):
 class Res(NamedTuple):
     slope: np.ndarray  # (A, k, 3)  sigmoid'
     mlp: mlp.Res
-    d: int             # width of the feature, where the input splits
+    d: int  # width of the feature, where the input splits
 
 
 def forward(f_a, delta_vc, d_vc, weights, biases):
@@ -35,7 +36,9 @@ def forward(f_a, delta_vc, d_vc, weights, biases):
     """
     y, res = mlp.forward(np.concatenate([f_a, delta_vc, d_vc], axis=1), weights, biases)
     A, width = y.y.shape
-    color, rest = (sigmoid(v).reshape(A, width // 3, 3) for v in (y.y, -y.y))      # 1 - color cancels near 1
+    color, rest = (
+        sigmoid(v).reshape(A, width // 3, 3) for v in (y.y, -y.y)
+    )  # 1 - color cancels near 1
     return Out(color), Res(color * rest, res, f_a.shape[1])
 
 
@@ -48,15 +51,43 @@ def cases():
     inputs = view_inputs(np.random.default_rng(7), A=6, d=2, k=5, outputs=3)
     yield Case("ordinary", inputs)
     yield Case("no_view", without_view(inputs), ("off",))
-    yield Case("one_anchor", {n: a if isinstance(a, list) else a[:1] for n, a in inputs.items()}, ("single",))
-    yield Case("no_anchor", {n: a if isinstance(a, list) else a[:0] for n, a in inputs.items()}, ("empty",))
+    yield Case(
+        "one_anchor",
+        {n: a if isinstance(a, list) else a[:1] for n, a in inputs.items()},
+        ("single",),
+    )
+    yield Case(
+        "no_anchor", {n: a if isinstance(a, list) else a[:0] for n, a in inputs.items()}, ("empty",)
+    )
     # Constant logits: as 1 / (1 + exp(-psi)) they would overflow at -800, as (1 + tanh(psi / 2)) / 2 vanish at -40.
     weights = [*inputs["weights"][:-1], 0 * inputs["weights"][-1]]
-    for name, psi, exact in (("dark", -40.0, np.exp(-40.0)), ("black", -800.0, 0.0), ("white", 800.0, 1.0)):
-        yield Case(name, {**inputs, "weights": weights, "biases": [*inputs["biases"][:-1], np.full(15, psi)]},
-                   ("saturated",), expected={"color": np.full((6, 5, 3), exact)})
+    for name, psi, exact in (
+        ("dark", -40.0, np.exp(-40.0)),
+        ("black", -800.0, 0.0),
+        ("white", 800.0, 1.0),
+    ):
+        yield Case(
+            name,
+            {**inputs, "weights": weights, "biases": [*inputs["biases"][:-1], np.full(15, psi)]},
+            ("saturated",),
+            expected={"color": np.full((6, 5, 3), exact)},
+        )
 
 
-color = declare("color", "3'", "color = sigmoid(psi_c(f_a, delta_vc, d_vc))",
-                {"f_a": "A d", "delta_vc": "A 1", "d_vc": "A 3", "weights": "*I J", "biases": "*J", "color": "A k 3"},
-                ("f_a", "delta_vc", "d_vc", "weights", "biases"), forward, backward, cases)
+color = declare(
+    "color",
+    "3'",
+    "color = sigmoid(psi_c(f_a, delta_vc, d_vc))",
+    {
+        "f_a": "A d",
+        "delta_vc": "A 1",
+        "d_vc": "A 3",
+        "weights": "*I J",
+        "biases": "*J",
+        "color": "A k 3",
+    },
+    ("f_a", "delta_vc", "d_vc", "weights", "biases"),
+    forward,
+    backward,
+    cases,
+)

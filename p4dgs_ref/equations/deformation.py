@@ -2,6 +2,7 @@ r"""Eq. (5): how far every canonical Gaussian has moved, stretched and turned at
 
 .. math:: (\Delta x, \Delta s, \Delta r) = \psi_d(\mathrm{concat}(\mathcal{E}(x), \mathcal{E}(t)))
 """
+
 from typing import NamedTuple
 
 import numpy as np
@@ -11,16 +12,18 @@ from .equation import Case, declare
 
 
 class Out(NamedTuple):
-    delta_x: np.ndarray    # (N, 3), or (N, 0) where the scene does not list the effect; so too the others
-    delta_s: np.ndarray    # (N, 3)
-    delta_r: np.ndarray    # (N, 4)
+    delta_x: (
+        np.ndarray
+    )  # (N, 3), or (N, 0) where the scene does not list the effect; so too the others
+    delta_s: np.ndarray  # (N, 3)
+    delta_r: np.ndarray  # (N, 4)
 
 
 class Res(NamedTuple):
     E_x: positional_encoding.Res
-    E_t: np.ndarray        # (1, 1 + 2 L_t)
+    E_t: np.ndarray  # (1, 1 + 2 L_t)
     mlp: mlp.Res
-    widths: list           # of the three heads
+    widths: list  # of the three heads
 
 
 def forward(x, t, weights, biases, L_x, L_t):
@@ -41,7 +44,9 @@ def forward(x, t, weights, biases, L_x, L_t):
     first, *rest = *weights[:-3], np.concatenate(weights[-3:], axis=1)
     bias, *biases_rest = *biases[:-3], np.concatenate(biases[-3:])
     columns = E_x.E.shape[1]
-    y, res = mlp.forward(E_x.E, [first[:columns], *rest], [bias + (E_t @ first[columns:])[0], *biases_rest])
+    y, res = mlp.forward(
+        E_x.E, [first[:columns], *rest], [bias + (E_t @ first[columns:])[0], *biases_rest]
+    )
     widths = [W.shape[1] for W in weights[-3:]]
     return Out(*np.split(y.y, np.cumsum(widths[:2]), axis=1)), Res(res_x, E_t, res, widths)
 
@@ -49,14 +54,24 @@ def forward(x, t, weights, biases, L_x, L_t):
 def backward(res, delta_x_bar=None, delta_s_bar=None, delta_r_bar=None, needs_x=True):
     """Gradients of x, weights and biases; `needs_x=False` neither computes nor returns that of x."""
     N, dtype = len(res.E_x.E), res.E_x.E.dtype
-    bars = [np.zeros((N, width), dtype) if bar is None else bar
-            for bar, width in zip((delta_x_bar, delta_s_bar, delta_r_bar), res.widths)]
+    bars = [
+        np.zeros((N, width), dtype) if bar is None else bar
+        for bar, width in zip((delta_x_bar, delta_s_bar, delta_r_bar), res.widths)
+    ]
     gradients = mlp.backward(res.mlp, np.concatenate(bars, axis=1), needs_x)
-    weights_bar, biases_bar, cuts = gradients["weights"], gradients["biases"], np.cumsum(res.widths[:2])
-    weights_bar[0] = np.concatenate([weights_bar[0], np.outer(res.E_t, biases_bar[0])])   # every row saw the same E(t)
+    weights_bar, biases_bar, cuts = (
+        gradients["weights"],
+        gradients["biases"],
+        np.cumsum(res.widths[:2]),
+    )
+    weights_bar[0] = np.concatenate(
+        [weights_bar[0], np.outer(res.E_t, biases_bar[0])]
+    )  # every row saw the same E(t)
     x = positional_encoding.backward(res.E_x, gradients["x"])["p"] if needs_x else None
-    split = {"weights": [*weights_bar[:-1], *np.split(weights_bar[-1], cuts, axis=1)],
-             "biases": [*biases_bar[:-1], *np.split(biases_bar[-1], cuts)]}
+    split = {
+        "weights": [*weights_bar[:-1], *np.split(weights_bar[-1], cuts, axis=1)],
+        "biases": [*biases_bar[:-1], *np.split(biases_bar[-1], cuts)],
+    }
     return {"x": x, **split} if needs_x else split
 
 
@@ -64,8 +79,12 @@ def random_field(rng, L_x, L_t, *hidden, heads=(3, 3, 4)):
     """Weights and biases of a deformation network for test cases: hidden layers, then the three heads."""
     weights, biases = mlp.random_network(rng, 3 * (1 + 2 * L_x) + 1 + 2 * L_t, *hidden, sum(heads))
     cuts = np.cumsum(heads[:2])
-    return dict(weights=[*weights[:-1], *np.split(weights[-1], cuts, axis=1)],
-                biases=[*biases[:-1], *np.split(biases[-1], cuts)], L_x=L_x, L_t=L_t)
+    return dict(
+        weights=[*weights[:-1], *np.split(weights[-1], cuts, axis=1)],
+        biases=[*biases[:-1], *np.split(biases[-1], cuts)],
+        L_x=L_x,
+        L_t=L_t,
+    )
 
 
 def cases():
@@ -81,7 +100,23 @@ def cases():
     yield Case("no_trunk", dict(x=x, t=t, **random_field(rng, 1, 2)), ("single",))
 
 
-deformation = declare("deformation", "5", "(delta_x, delta_s, delta_r) = psi_d(concat(E(x), E(t)))",
-                      {"x": "N 3", "t": "", "weights": "*I J", "biases": "*J", "L_x": "", "L_t": "",
-                       "delta_x": "N 3", "delta_s": "N 3", "delta_r": "N 4"},
-                      ("x", "weights", "biases"), forward, backward, cases)
+deformation = declare(
+    "deformation",
+    "5",
+    "(delta_x, delta_s, delta_r) = psi_d(concat(E(x), E(t)))",
+    {
+        "x": "N 3",
+        "t": "",
+        "weights": "*I J",
+        "biases": "*J",
+        "L_x": "",
+        "L_t": "",
+        "delta_x": "N 3",
+        "delta_s": "N 3",
+        "delta_r": "N 4",
+    },
+    ("x", "weights", "biases"),
+    forward,
+    backward,
+    cases,
+)

@@ -9,13 +9,14 @@ A cotangent bears the name of its output plus `_bar`; `None` stands for zero.  L
 weights of a network, the levels of a hash grid) are allowed wherever an array is, and their gradient
 is a list of the same length.
 
-"Domain" in a docstring is where numbers are right to what `p4dgs_ref.stability.promises` says; there a NaN or an infinity
+"Domain" in a docstring is where numbers are right to what `p4dgs_ref.studies.hard_cases.promises` says; there a NaN or an infinity
 is never born of finite numbers.  What comes in as NaN or infinity makes what depends on it NaN, infinite or a limit, without
 a word and in its own row alone, unless "Raises" or "Domain" say otherwise.
 """
+
 from typing import Callable, NamedTuple
 
-EQUATIONS: dict[str, "Equation"] = {}      # key -> equation, in order of declaration (paper order)
+EQUATIONS: dict[str, "Equation"] = {}  # key -> equation, in order of declaration (paper order)
 
 # Why a case exists: the bug that each flag hunts.  Cases name these words; nothing else may be a flag.
 FLAGS = {
@@ -48,25 +49,29 @@ class Case(NamedTuple):
     name: str
     inputs: dict
     flags: tuple = ("ordinary",)
-    smooth: bool = True          # False: on a kink; finite differences do not apply, `expected` says what holds
-    cotangents: dict = {}        # {"x_bar": array}: used with `expected` gradients; random ones otherwise
-    expected: dict = {}          # closed forms: {"x": output} and {"x_a_bar": gradient}, checked to `tolerance`
-    tolerance: float = 1e-12     # relative to the largest expected magnitude
+    smooth: bool = (
+        True  # False: on a kink; finite differences do not apply, `expected` says what holds
+    )
+    cotangents: dict = {}  # {"x_bar": array}: used with `expected` gradients; random ones otherwise
+    expected: dict = {}  # closed forms: {"x": output} and {"x_a_bar": gradient}, checked to `tolerance`
+    tolerance: float = 1e-12  # relative to the largest expected magnitude
 
 
 class Equation(NamedTuple):
     """One row of the table of equations."""
 
-    key: str                     # stable name: module, vector, tutorial
-    number: str                  # as printed in the paper; "3'" by analogy; "" where the paper prints none
-    formula: str                 # one line of plain text for tables
-    shapes: dict                 # name -> axes, "A k 3"; "" is a scalar; "*I J" is a list of 2-d arrays
-    differentiable: tuple        # names of the inputs that receive a gradient; the others are data
+    key: str  # stable name: module, vector, tutorial
+    number: str  # as printed in the paper; "3'" by analogy; "" where the paper prints none
+    formula: str  # one line of plain text for tables
+    shapes: dict  # name -> axes, "A k 3"; "" is a scalar; "*I J" is a list of 2-d arrays
+    differentiable: tuple  # names of the inputs that receive a gradient; the others are data
     forward: Callable
     backward: Callable
-    cases: Callable              # () -> iterable of Case
-    surrogate: Callable | None   # straight-through parts: surrogate(**base)(**inputs) -> Out, smooth near base
-    rungs: dict                  # other formulas for the same outputs, the default first: name -> forward
+    cases: Callable  # () -> iterable of Case
+    surrogate: (
+        Callable | None
+    )  # straight-through parts: surrogate(**base)(**inputs) -> Out, smooth near base
+    rungs: dict  # other formulas for the same outputs, the default first: name -> forward
     module: str
 
     def __call__(self, **inputs):
@@ -79,10 +84,32 @@ class Equation(NamedTuple):
         return out, lambda **cotangents: self.backward(res, **cotangents)
 
 
-def declare(key, number, formula, shapes, differentiable, forward, backward, cases, surrogate=None, rungs=None):
+def declare(
+    key,
+    number,
+    formula,
+    shapes,
+    differentiable,
+    forward,
+    backward,
+    cases,
+    surrogate=None,
+    rungs=None,
+):
     """Register an equation once; tests, vectors, README and command line iterate over the table."""
     if key in EQUATIONS:
         raise ValueError(f"equation {key!r} is declared twice")
-    EQUATIONS[key] = Equation(key, number, formula, shapes, tuple(differentiable), forward, backward, cases,
-                              surrogate, rungs or {}, forward.__module__)
+    EQUATIONS[key] = Equation(
+        key,
+        number,
+        formula,
+        shapes,
+        tuple(differentiable),
+        forward,
+        backward,
+        cases,
+        surrogate,
+        rungs or {},
+        forward.__module__,
+    )
     return EQUATIONS[key]

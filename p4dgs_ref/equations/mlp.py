@@ -2,6 +2,7 @@ r"""Support: the multilayer perceptron behind every network of the paper (psi_al
 
 .. math:: y = W_n\,\mathrm{relu}(\dots \mathrm{relu}(x W_0 + b_0) \dots) + b_n
 """
+
 from typing import NamedTuple
 
 import numpy as np
@@ -10,12 +11,12 @@ from .equation import Case, declare
 
 
 class Out(NamedTuple):
-    y: np.ndarray      # (N, O)
+    y: np.ndarray  # (N, O)
 
 
 class Res(NamedTuple):
-    inputs: list       # what entered each layer, (N, width): the input, then the hidden activations
-    weights: list      # the untouched input
+    inputs: list  # what entered each layer, (N, width): the input, then the hidden activations
+    weights: list  # the untouched input
 
 
 def forward(x, weights, biases):
@@ -46,7 +47,7 @@ def backward(res, y_bar, needs_x=True):
         if i > 0 or needs_x:
             y_bar = y_bar @ res.weights[i].T
         if i > 0:
-            y_bar *= res.inputs[i] > 0          # the ReLU lets through what it let through
+            y_bar *= res.inputs[i] > 0  # the ReLU lets through what it let through
     gradients = {"weights": weights_bar, "biases": biases_bar}
     return {"x": y_bar, **gradients} if needs_x else gradients
 
@@ -54,8 +55,10 @@ def backward(res, y_bar, needs_x=True):
 def random_network(rng, *widths):
     """Weights and biases of the given widths for test cases, scaled to keep activations of order one."""
     pairs = list(zip(widths[:-1], widths[1:]))
-    return ([rng.normal(size=pair) / np.sqrt(max(pair[0], 1)) for pair in pairs],
-            [rng.normal(size=n) * 0.3 for _, n in pairs])
+    return (
+        [rng.normal(size=pair) / np.sqrt(max(pair[0], 1)) for pair in pairs],
+        [rng.normal(size=n) * 0.3 for _, n in pairs],
+    )
 
 
 def cases():
@@ -63,13 +66,29 @@ def cases():
     weights, biases = random_network(rng, 4, 6, 5, 2)
     yield Case("ordinary", dict(x=rng.normal(size=(7, 4)), weights=weights, biases=biases))
     yield Case("no_rows", dict(x=np.zeros((0, 4)), weights=weights, biases=biases), ("empty",))
-    yield Case("one_layer", dict(x=rng.normal(size=(7, 4)), weights=weights[:1], biases=biases[:1]), ("single",))
+    yield Case(
+        "one_layer",
+        dict(x=rng.normal(size=(7, 4)), weights=weights[:1], biases=biases[:1]),
+        ("single",),
+    )
     one = [np.ones((1, 1))] * 2
-    yield Case("at_the_kink", dict(x=np.array([[-1.0], [0.0], [2.0]]), weights=one, biases=[np.zeros(1)] * 2),
-               ("kink",), smooth=False, cotangents={"y_bar": np.array([[5.0], [7.0], [11.0]])},
-               expected={"y": np.array([[0.0], [0.0], [2.0]]), "x_bar": np.array([[0.0], [0.0], [11.0]])})
+    yield Case(
+        "at_the_kink",
+        dict(x=np.array([[-1.0], [0.0], [2.0]]), weights=one, biases=[np.zeros(1)] * 2),
+        ("kink",),
+        smooth=False,
+        cotangents={"y_bar": np.array([[5.0], [7.0], [11.0]])},
+        expected={"y": np.array([[0.0], [0.0], [2.0]]), "x_bar": np.array([[0.0], [0.0], [11.0]])},
+    )
 
 
-mlp = declare("mlp", "", "y = W_n relu(... relu(x W_0 + b_0) ...) + b_n",
-              {"x": "N I", "weights": "*I J", "biases": "*J", "y": "N O"},
-              ("x", "weights", "biases"), forward, backward, cases)
+mlp = declare(
+    "mlp",
+    "",
+    "y = W_n relu(... relu(x W_0 + b_0) ...) + b_n",
+    {"x": "N I", "weights": "*I J", "biases": "*J", "y": "N O"},
+    ("x", "weights", "biases"),
+    forward,
+    backward,
+    cases,
+)

@@ -2,6 +2,7 @@ r"""Eq. (7): additive uniform noise, the stand-in for rounding that has a gradie
 
 .. math:: \tilde f_a = f_a + \mathcal{U}(-\tfrac12, \tfrac12) \cdot q
 """
+
 from typing import NamedTuple
 
 import numpy as np
@@ -10,11 +11,11 @@ from .equation import Case, declare
 
 
 class Out(NamedTuple):
-    f_noisy: np.ndarray    # (A, n)
+    f_noisy: np.ndarray  # (A, n)
 
 
 class Res(NamedTuple):
-    u: np.ndarray          # (A, n)  the untouched input, needed by q_bar
+    u: np.ndarray  # (A, n)  the untouched input, needed by q_bar
 
 
 def forward(f, u, q):
@@ -41,10 +42,22 @@ def cases():
     yield Case("ordinary", dict(f=f, u=u, q=q))
     yield Case("no_noise", dict(f=f, u=0 * u, q=q), ("zero",), expected={"f_noisy": f})
     yield Case("tiny", dict(f=f * 1e-300, u=u, q=q * 1e-300), ("extreme",))
-    yield Case("by_hand", dict(f=np.array([[1.0, 2.0]]), u=np.array([[-0.5, 0.25]]), q=np.array([[0.2]])), ("single",),
-               cotangents={"f_noisy_bar": np.array([[3.0, -8.0]])},
-               expected={"f_noisy": np.array([[0.9, 2.05]]), "q_bar": np.array([[-3.5]])})
+    yield Case(
+        "by_hand",
+        dict(f=np.array([[1.0, 2.0]]), u=np.array([[-0.5, 0.25]]), q=np.array([[0.2]])),
+        ("single",),
+        cotangents={"f_noisy_bar": np.array([[3.0, -8.0]])},
+        expected={"f_noisy": np.array([[0.9, 2.05]]), "q_bar": np.array([[-3.5]])},
+    )
 
 
-noise = declare("noise", "7", "f_noisy = f + u q",
-                {"f": "A n", "u": "A n", "q": "A 1", "f_noisy": "A n"}, ("f", "q"), forward, backward, cases)
+noise = declare(
+    "noise",
+    "7",
+    "f_noisy = f + u q",
+    {"f": "A n", "u": "A n", "q": "A 1", "f_noisy": "A n"},
+    ("f", "q"),
+    forward,
+    backward,
+    cases,
+)

@@ -2,6 +2,7 @@ r"""Eq. (12): mean and deviation of every coded attribute, predicted from the ha
 
 .. math:: (\mu, \sigma) = \psi_p(h)
 """
+
 from typing import NamedTuple
 
 import numpy as np
@@ -9,18 +10,18 @@ import numpy as np
 from . import mlp
 from .equation import Case, declare
 
-RAW_MIN, RAW_MAX = -14.0, 6.0      # of log sigma: 8e-7 to 403 attribute units
+RAW_MIN, RAW_MAX = -14.0, 6.0  # of log sigma: 8e-7 to 403 attribute units
 
 
 class Out(NamedTuple):
-    mu: np.ndarray     # (A, n)  group by group f, s, l, O
+    mu: np.ndarray  # (A, n)  group by group f, s, l, O
     sigma: np.ndarray  # (A, n)
 
 
 class Res(NamedTuple):
     sigma: np.ndarray  # (A, n)
-    free: np.ndarray   # (A, n)  bool, raw within its clamp
-    columns: tuple     # where mu and raw sigma stand in the network's output, two index arrays (n,)
+    free: np.ndarray  # (A, n)  bool, raw within its clamp
+    columns: tuple  # where mu and raw sigma stand in the network's output, two index arrays (n,)
     mlp: mlp.Res
 
 
@@ -46,7 +47,9 @@ def forward(h, weights, biases, widths):
     columns = layout(widths)
     raw = y.y[:, columns[1]]
     sigma = np.exp(np.clip(raw, RAW_MIN, RAW_MAX))
-    return Out(y.y[:, columns[0]], sigma), Res(sigma, (raw >= RAW_MIN) & (raw <= RAW_MAX), columns, res)
+    return Out(y.y[:, columns[0]], sigma), Res(
+        sigma, (raw >= RAW_MIN) & (raw <= RAW_MAX), columns, res
+    )
 
 
 def backward(res, mu_bar=None, sigma_bar=None):
@@ -66,14 +69,35 @@ def cases():
     yield Case("ordinary", inputs)
     yield Case("no_anchor", {**inputs, "h": inputs["h"][:0]}, ("empty",))
     # by hand: groups of 1 and 2, output (mu_0, raw_0, mu_1, mu_2, raw_1, raw_2); raw on, beyond and inside its clamp
-    yield Case("clamped", dict(h=np.zeros((1, 1)), weights=[np.zeros((1, 6))], widths=(1, 2),
-                               biases=[np.array([1.0, -14.0, 2.0, 3.0, 7.0, 0.0])]), ("clamped", "single"),
-               smooth=False,
-               cotangents={"mu_bar": np.array([[2.0, 3.0, 5.0]]), "sigma_bar": np.array([[7.0, 11.0, 13.0]])},
-               expected={"mu": np.array([[1.0, 2.0, 3.0]]), "sigma": np.array([[np.exp(-14), np.exp(6), 1.0]]),
-                         "biases_bar": [np.array([2.0, 7 * np.exp(-14), 3.0, 5.0, 0.0, 13.0])]})
+    yield Case(
+        "clamped",
+        dict(
+            h=np.zeros((1, 1)),
+            weights=[np.zeros((1, 6))],
+            widths=(1, 2),
+            biases=[np.array([1.0, -14.0, 2.0, 3.0, 7.0, 0.0])],
+        ),
+        ("clamped", "single"),
+        smooth=False,
+        cotangents={
+            "mu_bar": np.array([[2.0, 3.0, 5.0]]),
+            "sigma_bar": np.array([[7.0, 11.0, 13.0]]),
+        },
+        expected={
+            "mu": np.array([[1.0, 2.0, 3.0]]),
+            "sigma": np.array([[np.exp(-14), np.exp(6), 1.0]]),
+            "biases_bar": [np.array([2.0, 7 * np.exp(-14), 3.0, 5.0, 0.0, 13.0])],
+        },
+    )
 
 
-prior = declare("prior", "12", "(mu, sigma) = psi_p(h)",
-                {"h": "A I", "weights": "*I J", "biases": "*J", "widths": "G", "mu": "A n", "sigma": "A n"},
-                ("h", "weights", "biases"), forward, backward, cases)
+prior = declare(
+    "prior",
+    "12",
+    "(mu, sigma) = psi_p(h)",
+    {"h": "A I", "weights": "*I J", "biases": "*J", "widths": "G", "mu": "A n", "sigma": "A n"},
+    ("h", "weights", "biases"),
+    forward,
+    backward,
+    cases,
+)

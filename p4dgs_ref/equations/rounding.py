@@ -2,22 +2,23 @@ r"""Eq. (10): hard quantisation, what a file holds instead of the noise of train
 
 .. math:: \hat f_a = \lfloor f_a / q \rceil \cdot q
 """
+
 from typing import NamedTuple
 
 import numpy as np
 
 from .equation import Case, declare
 
-LIMIT = 2.0**31        # symbols stay below this in magnitude
+LIMIT = 2.0**31  # symbols stay below this in magnitude
 
 
 class Out(NamedTuple):
-    symbols: np.ndarray    # (A, n) int64, the primary output: a decoder multiplies, it never rounds
-    f_hat: np.ndarray      # (A, n) symbols * q
+    symbols: np.ndarray  # (A, n) int64, the primary output: a decoder multiplies, it never rounds
+    f_hat: np.ndarray  # (A, n) symbols * q
 
 
 class Res(NamedTuple):
-    pass                   # rounding has no gradient: nothing to remember
+    pass  # rounding has no gradient: nothing to remember
 
 
 def forward(f, q):
@@ -32,7 +33,9 @@ def forward(f, q):
     Reference  P-4DGS Eq. (10)
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        ratio = np.rint(np.divide(f, q, dtype=np.float64))     # a quotient in float32 can fall on a tie that is none
+        ratio = np.rint(
+            np.divide(f, q, dtype=np.float64)
+        )  # a quotient in float32 can fall on a tie that is none
     wrong = np.argwhere(~(np.abs(ratio) < LIMIT))
     if len(wrong):
         a, i = (int(j) for j in wrong[0])
@@ -50,15 +53,38 @@ def cases():
     yield Case("ordinary", dict(f=rng.normal(size=(6, 5)) * 3, q=rng.lognormal(size=(6, 1))))
     ties = np.array([[-2.5, -1.5, -0.5, 0.5, 1.5, 2.5, -0.0]])
     even = np.array([[-2, -2, 0, 0, 2, 2, 0]])
-    yield Case("ties", dict(f=ties * 0.25, q=np.array([[0.25]])), ("tie", "single"),
-               expected={"symbols": even, "f_hat": even * 0.25}, tolerance=0)
+    yield Case(
+        "ties",
+        dict(f=ties * 0.25, q=np.array([[0.25]])),
+        ("tie", "single"),
+        expected={"symbols": even, "f_hat": even * 0.25},
+        tolerance=0,
+    )
     near = np.array([[np.nextafter(0.5, 0), 0.5, np.nextafter(0.5, 1), np.nextafter(1.5, 0)]])
-    yield Case("beside_ties", dict(f=near, q=np.ones((1, 1))), ("tie", "single"),
-               expected={"symbols": np.array([[0, 0, 1, 1]])}, tolerance=0)
-    yield Case("large", dict(f=np.array([[2.0**29, -(2.0**29)]]), q=np.array([[0.5]])), ("extreme", "single"),
-               expected={"symbols": np.array([[2**30, -(2**30)]])}, tolerance=0)
+    yield Case(
+        "beside_ties",
+        dict(f=near, q=np.ones((1, 1))),
+        ("tie", "single"),
+        expected={"symbols": np.array([[0, 0, 1, 1]])},
+        tolerance=0,
+    )
+    yield Case(
+        "large",
+        dict(f=np.array([[2.0**29, -(2.0**29)]]), q=np.array([[0.5]])),
+        ("extreme", "single"),
+        expected={"symbols": np.array([[2**30, -(2**30)]])},
+        tolerance=0,
+    )
     yield Case("no_anchor", dict(f=np.zeros((0, 5)), q=np.zeros((0, 1))), ("empty",))
 
 
-rounding = declare("rounding", "10", "f_hat = round_half_even(f / q) q",
-                   {"f": "A n", "q": "A 1", "symbols": "A n", "f_hat": "A n"}, (), forward, backward, cases)
+rounding = declare(
+    "rounding",
+    "10",
+    "f_hat = round_half_even(f / q) q",
+    {"f": "A n", "q": "A 1", "symbols": "A n", "f_hat": "A n"},
+    (),
+    forward,
+    backward,
+    cases,
+)

@@ -2,6 +2,7 @@ r"""Eq. (4): the scales of an anchor's k Gaussians, as fractions of the anchor's
 
 .. math:: \{s_0,\dots,s_{k-1}\} = s_a \cdot \mathrm{sigmoid}\,\psi_s(f_a, \delta_{vc}, d_{vc})
 """
+
 from typing import NamedTuple
 
 import numpy as np
@@ -13,15 +14,15 @@ from .opacity import split_view, view_inputs, without_view
 
 
 class Out(NamedTuple):
-    s: np.ndarray          # (A, k, 3)
+    s: np.ndarray  # (A, k, 3)
 
 
 class Res(NamedTuple):
-    s_a: np.ndarray        # (A, 3)  the untouched input
-    fraction: np.ndarray   # (A, k, 3)  of s_a
-    slope: np.ndarray      # (A, k, 3)  sigmoid'
+    s_a: np.ndarray  # (A, 3)  the untouched input
+    fraction: np.ndarray  # (A, k, 3)  of s_a
+    slope: np.ndarray  # (A, k, 3)  sigmoid'
     mlp: mlp.Res
-    d: int                 # width of the feature, where the input splits
+    d: int  # width of the feature, where the input splits
 
 
 def forward(s_a, f_a, delta_vc, d_vc, weights, biases):
@@ -37,15 +38,19 @@ def forward(s_a, f_a, delta_vc, d_vc, weights, biases):
     """
     y, res = mlp.forward(np.concatenate([f_a, delta_vc, d_vc], axis=1), weights, biases)
     A, width = y.y.shape
-    fraction, rest = (sigmoid(v).reshape(A, width // 3, 3) for v in (y.y, -y.y))   # 1 - fraction cancels near 1
+    fraction, rest = (
+        sigmoid(v).reshape(A, width // 3, 3) for v in (y.y, -y.y)
+    )  # 1 - fraction cancels near 1
     return Out(s_a[:, None, :] * fraction), Res(s_a, fraction, fraction * rest, res, f_a.shape[1])
 
 
 def backward(res, s_bar):
     A, k, _ = res.fraction.shape
     y_bar = s_bar * res.s_a[:, None, :] * res.slope
-    return {"s_a": (s_bar * res.fraction).sum(axis=1),       # one anchor scales all its children: sum over k
-            **split_view(mlp.backward(res.mlp, y_bar.reshape(A, 3 * k)), res.d)}
+    return {
+        "s_a": (s_bar * res.fraction).sum(axis=1),  # one anchor scales all its children: sum over k
+        **split_view(mlp.backward(res.mlp, y_bar.reshape(A, 3 * k)), res.d),
+    }
 
 
 def cases():
@@ -53,16 +58,38 @@ def cases():
     inputs = dict(s_a=rng.lognormal(size=(6, 3)), **view_inputs(rng, A=6, d=2, k=5, outputs=3))
     yield Case("ordinary", inputs)
     yield Case("no_view", without_view(inputs), ("off",))
-    yield Case("no_anchor", {n: a if isinstance(a, list) else a[:0] for n, a in inputs.items()}, ("empty",))
+    yield Case(
+        "no_anchor", {n: a if isinstance(a, list) else a[:0] for n, a in inputs.items()}, ("empty",)
+    )
     yield Case("negative", {**inputs, "s_a": -inputs["s_a"]}, ("negative",))
-    yield Case("flat", {**inputs, "s_a": 0 * inputs["s_a"]}, ("zero",), expected={"s": np.zeros((6, 5, 3))})
+    yield Case(
+        "flat", {**inputs, "s_a": 0 * inputs["s_a"]}, ("zero",), expected={"s": np.zeros((6, 5, 3))}
+    )
     weights = [*inputs["weights"][:-1], 0 * inputs["weights"][-1]]
     for name, psi, exact in (("needle", -40.0, np.exp(-40.0)), ("full", 800.0, 1.0)):
-        yield Case(name, {**inputs, "weights": weights, "biases": [*inputs["biases"][:-1], np.full(15, psi)]},
-                   ("saturated",), expected={"s": np.repeat(inputs["s_a"][:, None] * exact, 5, axis=1)})
+        yield Case(
+            name,
+            {**inputs, "weights": weights, "biases": [*inputs["biases"][:-1], np.full(15, psi)]},
+            ("saturated",),
+            expected={"s": np.repeat(inputs["s_a"][:, None] * exact, 5, axis=1)},
+        )
 
 
-scale = declare("scale", "4", "s = s_a * sigmoid(psi_s(f_a, delta_vc, d_vc))",
-                {"s_a": "A 3", "f_a": "A d", "delta_vc": "A 1", "d_vc": "A 3", "weights": "*I J", "biases": "*J",
-                 "s": "A k 3"},
-                ("s_a", "f_a", "delta_vc", "d_vc", "weights", "biases"), forward, backward, cases)
+scale = declare(
+    "scale",
+    "4",
+    "s = s_a * sigmoid(psi_s(f_a, delta_vc, d_vc))",
+    {
+        "s_a": "A 3",
+        "f_a": "A d",
+        "delta_vc": "A 1",
+        "d_vc": "A 3",
+        "weights": "*I J",
+        "biases": "*J",
+        "s": "A k 3",
+    },
+    ("s_a", "f_a", "delta_vc", "d_vc", "weights", "biases"),
+    forward,
+    backward,
+    cases,
+)

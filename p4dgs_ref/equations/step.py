@@ -2,6 +2,7 @@ r"""Eq. (8): the quantisation step of every anchor and attribute group, learnt f
 
 .. math:: q = Q_0 \cdot (1 + \tanh \psi_q(h)) = 2 Q_0\,\mathrm{sigmoid}(2 \psi_q(h))
 """
+
 from typing import NamedTuple
 
 import numpy as np
@@ -10,11 +11,13 @@ from scipy.special import expit
 from . import mlp
 from .equation import Case, declare
 
-FLOOR = 2.0**-10       # of Q_0: 1 + tanh is exactly 0 in float32 from psi_q = -10 on, and f/q would be infinite
+FLOOR = (
+    2.0**-10
+)  # of Q_0: 1 + tanh is exactly 0 in float32 from psi_q = -10 on, and f/q would be infinite
 
 
 class Out(NamedTuple):
-    q: np.ndarray      # (A, G)
+    q: np.ndarray  # (A, G)
 
 
 class Res(NamedTuple):
@@ -48,21 +51,45 @@ def backward(res, q_bar):
 def cases():
     rng = np.random.default_rng(13)
     weights, biases = mlp.random_network(rng, 5, 7, 4)
-    inputs = dict(h=rng.normal(size=(6, 5)), weights=weights, biases=biases, Q_0=np.array([1.0, 0.001, 0.002, 0.2]))
+    inputs = dict(
+        h=rng.normal(size=(6, 5)),
+        weights=weights,
+        biases=biases,
+        Q_0=np.array([1.0, 0.001, 0.002, 0.2]),
+    )
     yield Case("ordinary", inputs)
     yield Case("no_anchor", {**inputs, "h": inputs["h"][:0]}, ("empty",))
     flat = dict(h=np.zeros((1, 5)), weights=[np.zeros((5, 4))], Q_0=np.ones(4))
     # by hand: psi_q = 0 gives Q_0; tanh(1); on the floor; far below it
-    yield Case("saturated", {**flat, "biases": [np.array([0.0, 1.0, -10.0, -1e4])]}, ("saturated", "clamped"),
-               smooth=False, cotangents={"q_bar": np.array([[2.0, 3.0, 5.0, 7.0]])},
-               expected={"q": np.array([[1.0, 1.7615941559557649, FLOOR, FLOOR]]),
-                         "biases_bar": [np.array([2.0, 3 * 0.41997434161402607, 0.0, 0.0])]})
+    yield Case(
+        "saturated",
+        {**flat, "biases": [np.array([0.0, 1.0, -10.0, -1e4])]},
+        ("saturated", "clamped"),
+        smooth=False,
+        cotangents={"q_bar": np.array([[2.0, 3.0, 5.0, 7.0]])},
+        expected={
+            "q": np.array([[1.0, 1.7615941559557649, FLOOR, FLOOR]]),
+            "biases_bar": [np.array([2.0, 3 * 0.41997434161402607, 0.0, 0.0])],
+        },
+    )
     # 1 - tanh^2 is 0 in floats from 19 on; the slope is 4 exp(-2u)
-    yield Case("large", {**flat, "biases": [np.array([20.0, 30, 400, 1e4])]}, ("saturated", "extreme"), smooth=False,
-               cotangents={"q_bar": np.array([[0.0, 5.0, 7.0, 11.0]])},
-               expected={"q": np.full((1, 4), 2.0), "biases_bar": [np.array([0, 20 * np.exp(-60), 0, 0])]})
+    yield Case(
+        "large",
+        {**flat, "biases": [np.array([20.0, 30, 400, 1e4])]},
+        ("saturated", "extreme"),
+        smooth=False,
+        cotangents={"q_bar": np.array([[0.0, 5.0, 7.0, 11.0]])},
+        expected={"q": np.full((1, 4), 2.0), "biases_bar": [np.array([0, 20 * np.exp(-60), 0, 0])]},
+    )
 
 
-step = declare("step", "8", "q = Q_0 (1 + tanh(psi_q(h)))",
-               {"h": "A I", "weights": "*I J", "biases": "*J", "Q_0": "G", "q": "A G"},
-               ("h", "weights", "biases"), forward, backward, cases)
+step = declare(
+    "step",
+    "8",
+    "q = Q_0 (1 + tanh(psi_q(h)))",
+    {"h": "A I", "weights": "*I J", "biases": "*J", "Q_0": "G", "q": "A G"},
+    ("h", "weights", "biases"),
+    forward,
+    backward,
+    cases,
+)

@@ -2,6 +2,7 @@ r"""Eq. (15): what training minimises.
 
 .. math:: \mathcal{L}_{total} = \lambda_{rate} \mathcal{L}_{rate} + \mathcal{L}_{render}
 """
+
 from typing import NamedTuple
 
 import numpy as np
@@ -10,11 +11,11 @@ from .equation import Case, declare
 
 
 class Out(NamedTuple):
-    L_total: np.ndarray    # ()
+    L_total: np.ndarray  # ()
 
 
 class Res(NamedTuple):
-    lambda_rate: float     # the untouched input
+    lambda_rate: float  # the untouched input
 
 
 def forward(L_render, L_rate, lambda_rate):
@@ -32,19 +33,37 @@ def forward(L_render, L_rate, lambda_rate):
 
 
 def backward(res, L_total_bar):
-    return {"L_render": np.asarray(L_total_bar), "L_rate": np.asarray(res.lambda_rate * L_total_bar)}
+    return {
+        "L_render": np.asarray(L_total_bar),
+        "L_rate": np.asarray(res.lambda_rate * L_total_bar),
+    }
 
 
 def cases():
     one = lambda x: np.asarray(x, float)
     yield Case("ordinary", dict(L_render=one(0.07), L_rate=one(2.4), lambda_rate=1e-3))
-    yield Case("no_rate", dict(L_render=one(0.07), L_rate=one(2.4), lambda_rate=0.0), ("zero",),
-               cotangents={"L_total_bar": one(5)},
-               expected={"L_total": one(0.07), "L_rate_bar": one(0), "L_render_bar": one(5)})
-    yield Case("rate_alone", dict(L_render=one(0), L_rate=one(2.0), lambda_rate=1e6), ("extreme",),
-               expected={"L_total": one(2e6)})
+    yield Case(
+        "no_rate",
+        dict(L_render=one(0.07), L_rate=one(2.4), lambda_rate=0.0),
+        ("zero",),
+        cotangents={"L_total_bar": one(5)},
+        expected={"L_total": one(0.07), "L_rate_bar": one(0), "L_render_bar": one(5)},
+    )
+    yield Case(
+        "rate_alone",
+        dict(L_render=one(0), L_rate=one(2.0), lambda_rate=1e6),
+        ("extreme",),
+        expected={"L_total": one(2e6)},
+    )
 
 
-total_loss = declare("total_loss", "15", "L_total = lambda_rate L_rate + L_render",
-                     {"L_render": "", "L_rate": "", "lambda_rate": "", "L_total": ""},
-                     ("L_render", "L_rate"), forward, backward, cases)
+total_loss = declare(
+    "total_loss",
+    "15",
+    "L_total = lambda_rate L_rate + L_render",
+    {"L_render": "", "L_rate": "", "lambda_rate": "", "L_total": ""},
+    ("L_render", "L_rate"),
+    forward,
+    backward,
+    cases,
+)

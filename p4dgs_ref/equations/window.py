@@ -1,10 +1,11 @@
 """The Gaussian window of SSIM (Q13), applied to a stack of images as a few matrix products."""
+
 from typing import NamedTuple
 
 import numpy as np
 
-RADIUS, SIGMA = 5, 1.5     # 11 x 11 pixels
-BLOCK = 16                 # rows that one product blurs: short enough to skip most of the band's zeros; time only
+RADIUS, SIGMA = 5, 1.5  # 11 x 11 pixels
+BLOCK = 16  # rows that one product blurs: short enough to skip most of the band's zeros; time only
 
 _tap = np.exp(-0.5 * (np.arange(-RADIUS, RADIUS + 1) / SIGMA) ** 2)
 # Row i of a block weighs the input rows i ... i + 2 RADIUS, counted from RADIUS before the block.
@@ -38,8 +39,17 @@ def blur(a):
 def blocks(n):
     """Cut n rows into blocks: start, stop, the rows that a block draws on, and their weights."""
     for start in range(0, n, BLOCK):
-        stop, low, high = min(start + BLOCK, n), max(start - RADIUS, 0), min(start + BLOCK + RADIUS, n)
-        yield start, stop, slice(low, high), WINDOW[:stop - start, low - start + RADIUS:high - start + RADIUS]
+        stop, low, high = (
+            min(start + BLOCK, n),
+            max(start - RADIUS, 0),
+            min(start + BLOCK + RADIUS, n),
+        )
+        yield (
+            start,
+            stop,
+            slice(low, high),
+            WINDOW[: stop - start, low - start + RADIUS : high - start + RADIUS],
+        )
 
 
 def moments(truth):

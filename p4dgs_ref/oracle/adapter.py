@@ -17,6 +17,7 @@ ARRAY is {"dtype": "F64", "shape": [5, 3], "data": BASE64}: the numbers row by r
 of safetensors.  Lists are flat: weights.0, weights.1.  Floats come in the dtype of the first line.  At the end stdin is
 closed, and a port that still runs a second later is killed.  Processes and their groups are those of POSIX.
 """
+
 import base64
 import contextlib
 import json
@@ -35,9 +36,9 @@ from .ports import PortError
 from .safetensors import DTYPES, NAMES
 
 VERSION = 1
-LONGEST = 2**26        # bytes of an answer
-PATIENCE = 3           # cases lost in a row before a subject is given up; subjects, or starts of the process, before all is
-QUOTED = 300           # characters of stderr, or of a line that is no answer
+LONGEST = 2**26  # bytes of an answer
+PATIENCE = 3  # cases lost in a row before a subject is given up; subjects, or starts of the process, before all is
+QUOTED = 300  # characters of stderr, or of a line that is no answer
 
 
 class AdapterError(ValueError):
@@ -59,7 +60,7 @@ class Adapter:
         if not self.command or shutil.which(self.command[0]) is None:
             raise AdapterError(f"adapter {command!r}: expected a command that can be run")
         self.timeout, self.dtype = timeout, np.dtype(dtype)
-        self.child, self.lost, self.last = None, {}, None      # lost: subject -> cases in a row
+        self.child, self.lost, self.last = None, {}, None  # lost: subject -> cases in a row
 
     def run(self, case):
         """Outputs and gradients of one case of the vectors: {"out.x": array, "in_bar.x_a": array}.
@@ -68,11 +69,26 @@ class Adapter:
         """
         if case.tolerance(self.dtype.name) is None:
             raise PortError("unasked", case.record["tolerance"][f"{self.dtype.name}_reason"])
-        request = {"id": case.id, "subject": case.subject, "equation": case.equation, "settings": case.record["settings"],
-                   **{role: {name[len(role) + 1:]: self._packed(a) for name, a in case.tensors.items()
-                             if name.startswith(role + ".")} for role in ("in", "out_bar")}}
+        request = {
+            "id": case.id,
+            "subject": case.subject,
+            "equation": case.equation,
+            "settings": case.record["settings"],
+            **{
+                role: {
+                    name[len(role) + 1 :]: self._packed(a)
+                    for name, a in case.tensors.items()
+                    if name.startswith(role + ".")
+                }
+                for role in ("in", "out_bar")
+            },
+        }
         answer = self._ask(request, case.subject, ("out", "skip", "error"))
-        return {f"{role}.{name}": a for role in ("out", "in_bar") for name, a in unpacked(answer, role).items()}
+        return {
+            f"{role}.{name}": a
+            for role in ("out", "in_bar")
+            for name, a in unpacked(answer, role).items()
+        }
 
     def decode(self, name, data):
         """What the port finds in a file: ({name: array}, None), or (None, why it refuses it).
@@ -82,7 +98,9 @@ class Adapter:
         request = {"id": f"codec/{name}", "stream": base64.b64encode(data).decode()}
         answer = self._ask(request, "codec", ("arrays", "refused", "skip", "error"))
         refused = answer.get("refused")
-        return (unpacked(answer, "arrays"), None) if refused is None else (None, _short(str(refused)))
+        return (
+            (unpacked(answer, "arrays"), None) if refused is None else (None, _short(str(refused)))
+        )
 
     def close(self):
         """End the process, if there is one, with everything that it started."""
@@ -102,7 +120,9 @@ class Adapter:
 
     def _packed(self, array):
         if array.dtype.kind == "f":
-            with np.errstate(over="ignore"):       # beyond float32: infinite, as for every port that computes in it
+            with np.errstate(
+                over="ignore"
+            ):  # beyond float32: infinite, as for every port that computes in it
                 array = array.astype(self.dtype)
         return packed(array)
 
@@ -112,15 +132,18 @@ class Adapter:
         A process that died, hung, or may be a line ahead of us is of no more use: the next case starts another one.
         """
         if max(len(self.lost), self.lost.get(subject, 0)) >= PATIENCE:
-            raise PortError(self.last.kind, f"not asked, after {PATIENCE} failures in a row; the last: {self.last}")
-        stage = f"start {len(self.lost)}"          # another one each time: starts that fail add up
+            raise PortError(
+                self.last.kind,
+                f"not asked, after {PATIENCE} failures in a row; the last: {self.last}",
+            )
+        stage = f"start {len(self.lost)}"  # another one each time: starts that fail add up
         try:
             if self.child is None:
                 self.child = Child(self.command)
                 self._exchange({"p4dgs_oracle": VERSION, "dtype": self.dtype.name}, "p4dgs_oracle")
             stage = subject
             answer = self._exchange(request, "id")
-        except BaseException as error:             # Ctrl-C too must not leave a process that owes an answer
+        except BaseException as error:  # Ctrl-C too must not leave a process that owes an answer
             child, self.child = self.child, None
             words = child.end(grace=0.0) if child else ""
             if not isinstance(error, PortError):
@@ -131,9 +154,14 @@ class Adapter:
         self.lost.clear()
         found = [kind for kind in kinds if answer.get(kind) is not None]
         if len(found) != 1:
-            raise PortError("nonsense", f"expected one of the fields {', '.join(kinds)}, got {', '.join(answer)}")
+            raise PortError(
+                "nonsense",
+                f"expected one of the fields {', '.join(kinds)}, got {', '.join(answer)}",
+            )
         if found[0] in ("skip", "error"):
-            raise PortError("skipped" if found[0] == "skip" else "error", _short(str(answer[found[0]])))
+            raise PortError(
+                "skipped" if found[0] == "skip" else "error", _short(str(answer[found[0]]))
+            )
         return answer
 
     def _exchange(self, request, field):
@@ -144,10 +172,16 @@ class Adapter:
         except (ValueError, RecursionError):
             answer = None
         if not isinstance(answer, dict):
-            raise PortError("nonsense", f"expected a line with a JSON object, got {_short(repr(bytes(line[:QUOTED]))[1:])}")
+            raise PortError(
+                "nonsense",
+                f"expected a line with a JSON object, got {_short(repr(bytes(line[:QUOTED]))[1:])}",
+            )
         if answer.get(field) != request[field]:
-            raise PortError("nonsense", f"expected {field} {json.dumps(request[field])}, "
-                                        f"got {_short(json.dumps(answer.get(field)))}")
+            raise PortError(
+                "nonsense",
+                f"expected {field} {json.dumps(request[field])}, "
+                f"got {_short(json.dumps(answer.get(field)))}",
+            )
         return answer
 
 
@@ -157,11 +191,12 @@ class Child:
     def __init__(self, command):
         pipe = subprocess.PIPE
         try:
-            self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, bufsize=0,
-                                            start_new_session=True)       # a group of its own, to be killed as one
+            self.process = subprocess.Popen(
+                command, stdin=pipe, stdout=pipe, stderr=pipe, bufsize=0, start_new_session=True
+            )  # a group of its own, to be killed as one
         except OSError as error:
             raise PortError("died", f"cannot be started ({error.strerror})") from None
-        self.unread, self.words = bytearray(), b""         # of stdout, not yet a line; the end of stderr
+        self.unread, self.words = bytearray(), b""  # of stdout, not yet a line; the end of stderr
         for stream in self._streams():
             os.set_blocking(stream.fileno(), False)
 
@@ -175,23 +210,29 @@ class Child:
         """
         deadline, unsent, searched = time.monotonic() + seconds, memoryview(request), 0
         with selectors.DefaultSelector() as ready:
-            for stream, event in zip(self._streams(), (selectors.EVENT_WRITE, *[selectors.EVENT_READ] * 2)):
+            for stream, event in zip(
+                self._streams(), (selectors.EVENT_WRITE, *[selectors.EVENT_READ] * 2)
+            ):
                 if not stream.closed:
                     ready.register(stream, event)
             while True:
                 end = self.unread.find(b"\n", searched)
                 if end >= 0 and not unsent:
                     line = bytes(self.unread[:end])
-                    del self.unread[:end + 1]
+                    del self.unread[: end + 1]
                     return line
                 searched = end if end >= 0 else len(self.unread)
                 if len(self.unread) > LONGEST:
-                    raise PortError("nonsense", f"expected a line of at most {LONGEST:,} bytes, got more")
+                    raise PortError(
+                        "nonsense", f"expected a line of at most {LONGEST:,} bytes, got more"
+                    )
                 left = deadline - time.monotonic()
                 if left <= 0:
                     raise PortError("hung", f"no answer within {seconds:g} s")
                 events = ready.select(min(left, 0.1))
-                if not events and self.process.poll() is not None:     # a child of it may still hold its stdout
+                if (
+                    not events and self.process.poll() is not None
+                ):  # a child of it may still hold its stdout
                     raise self._death()
                 for key, _ in events:
                     unsent = self._serve(key.fileobj, ready, unsent)
@@ -200,7 +241,7 @@ class Child:
         """Move what one pipe is ready for; what is then still to be sent."""
         if stream is self.process.stdin:
             try:
-                unsent = unsent[os.write(stream.fileno(), unsent[:2**16]):] if unsent else unsent
+                unsent = unsent[os.write(stream.fileno(), unsent[: 2**16]) :] if unsent else unsent
             except BrokenPipeError:
                 raise self._death() from None
             if not unsent:
@@ -212,8 +253,8 @@ class Child:
                 raise self._death()
             self.unread += part
         elif part:
-            self.words = (self.words + part)[-4 * QUOTED:]
-        else:                                              # it may do without stderr
+            self.words = (self.words + part)[-4 * QUOTED :]
+        else:  # it may do without stderr
             ready.unregister(stream)
             stream.close()
         return unsent
@@ -223,9 +264,18 @@ class Child:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(0.5)
         code = self.process.returncode
-        how = "closed its pipes" if code is None else f"killed by signal {-code}" if code < 0 else f"exit code {code}"
-        return PortError("died", f"the process ended without an answer: {how}"
-                                 + (", in the middle of a line" if self.unread else ""))
+        how = (
+            "closed its pipes"
+            if code is None
+            else f"killed by signal {-code}"
+            if code < 0
+            else f"exit code {code}"
+        )
+        return PortError(
+            "died",
+            f"the process ended without an answer: {how}"
+            + (", in the middle of a line" if self.unread else ""),
+        )
 
     def end(self, grace):
         """Close stdin, wait `grace` seconds, kill what is left of the group; the last words on stderr."""
@@ -237,18 +287,26 @@ class Child:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.process.pid, signal.SIGKILL)
             self.process.wait()
-            with contextlib.suppress(OSError, ValueError):             # closed, or empty and still held by someone
+            with contextlib.suppress(
+                OSError, ValueError
+            ):  # closed, or empty and still held by someone
                 self.words += os.read(self.process.stderr.fileno(), 2**16)
             for stream in self._streams():
                 stream.close()
-        lines = [line.strip() for line in self.words[-4 * QUOTED:].decode(errors="replace").splitlines()]
+        lines = [
+            line.strip() for line in self.words[-4 * QUOTED :].decode(errors="replace").splitlines()
+        ]
         return " / ".join(line for line in lines if line)[-QUOTED:]
 
 
 def packed(array):
     """An array as {dtype, shape, data}."""
     dtype = NAMES[array.dtype.newbyteorder("<")]
-    return {"dtype": dtype, "shape": list(array.shape), "data": base64.b64encode(array.astype(DTYPES[dtype]).tobytes()).decode()}
+    return {
+        "dtype": dtype,
+        "shape": list(array.shape),
+        "data": base64.b64encode(array.astype(DTYPES[dtype]).tobytes()).decode(),
+    }
 
 
 def unpacked(answer, role):
@@ -258,7 +316,10 @@ def unpacked(answer, role):
     """
     fields = answer.get(role)
     if not isinstance(fields, dict):
-        raise PortError("nonsense", f"field {role!r}: expected an object of arrays, got {_short(json.dumps(fields))}")
+        raise PortError(
+            "nonsense",
+            f"field {role!r}: expected an object of arrays, got {_short(json.dumps(fields))}",
+        )
     try:
         return {name: _array(field, f"{role}.{name}") for name, field in fields.items()}
     except ValueError as error:
@@ -270,11 +331,18 @@ def _array(field, name):
         if not condition:
             raise ValueError(f"{name}: expected {expected}")
 
-    need(isinstance(field, dict) and {"dtype", "shape", "data"} <= set(field), "the fields dtype, shape and data")
+    need(
+        isinstance(field, dict) and {"dtype", "shape", "data"} <= set(field),
+        "the fields dtype, shape and data",
+    )
     code, shape = DTYPES.get(str(field["dtype"])), field["shape"]
     need(code, f"a dtype of {', '.join(DTYPES)}, got {_short(json.dumps(field['dtype']))}")
-    need(isinstance(shape, list) and len(shape) <= 32 and all(type(n) is int and 0 <= n < 2**31 for n in shape),
-         "a shape, a list of whole numbers")
+    need(
+        isinstance(shape, list)
+        and len(shape) <= 32
+        and all(type(n) is int and 0 <= n < 2**31 for n in shape),
+        "a shape, a list of whole numbers",
+    )
     need(isinstance(field["data"], str), "data in base64")
     try:
         data = base64.b64decode(field["data"], validate=True)

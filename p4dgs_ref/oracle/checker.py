@@ -1,4 +1,5 @@
 """The checker: every case put to a port, its answers judged, the first equation that diverges named and explained."""
+
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ class Report(NamedTuple):
     """All verdicts, in the order in which data flows."""
 
     results: list
-    strangers: tuple = ()      # tensors that belong to no case: a misspelt name, reported and otherwise ignored
+    strangers: tuple = ()  # tensors that belong to no case: a misspelt name, reported and otherwise ignored
 
     @property
     def ok(self):
@@ -29,12 +30,15 @@ class Report(NamedTuple):
 
     def levels(self):
         """{level: {passed, of, says}} over the required cases."""
-        return {level: {"passed": sum(not r.wrong for r in rows), "of": len(rows), "says": says}
-                for level, says in LEVELS.items()
-                if (rows := [r for r in self.results if r.level == level and r.required])}
+        return {
+            level: {"passed": sum(not r.wrong for r in rows), "of": len(rows), "says": says}
+            for level, says in LEVELS.items()
+            if (rows := [r for r in self.results if r.level == level and r.required])
+        }
 
     def __str__(self):
         from .report import text
+
         return text(self)
 
 
@@ -55,7 +59,9 @@ def judge(case, port, roles=("out.", "in_bar.")):
         return result("unasked")._replace(required=False), None
     tensors = {n: a for n, a in case.tensors.items() if n.startswith((*roles, "scale."))}
     findings = compare(tensors, got, tolerance)
-    return result("fail" if findings and required else "acceptable" if findings else "pass", findings), got
+    return result(
+        "fail" if findings and required else "acceptable" if findings else "pass", findings
+    ), got
 
 
 def check_subject(cases, port, roles=("out.", "in_bar.")):
@@ -68,7 +74,9 @@ def check_subject(cases, port, roles=("out.", "in_bar.")):
             answers.append((case, got, [f.tensor for f in result.findings]))
     if any(r.findings for r in results):
         said = sentence(*doctor.diagnose(cases[0].subject, answers))
-        results = [r._replace(explanation=said) if r.findings and not r.explanation else r for r in results]
+        results = [
+            r._replace(explanation=said) if r.findings and not r.explanation else r for r in results
+        ]
     return results
 
 
@@ -83,7 +91,9 @@ def sentence(explained, part=""):
     if not found:
         return ""
     agreed, failed = explained[0][1:]
-    limits = [f"{agreed} of {failed} cases"] * (agreed != failed) + [f"the {part} alone"] * bool(part)
+    limits = [f"{agreed} of {failed} cases"] * (agreed != failed) + [f"the {part} alone"] * bool(
+        part
+    )
     return " or ".join(found) + (f" (explains {', '.join(limits)})" if limits else "")
 
 
@@ -96,7 +106,9 @@ def check_port(port, levels=(), only=(), folder=FOLDER, progress=lambda text: No
             progress("codec")
             results += streams.check(port)
         for subject in manifest["subjects"]:
-            if subject["level"] == level and (not only or {subject["key"], subject["equation"]} & set(only)):
+            if subject["level"] == level and (
+                not only or {subject["key"], subject["equation"]} & set(only)
+            ):
                 progress(subject["key"])
                 results += check_subject(published.read(subject, folder), port)
     return Report(_share(results), tuple(port.strangers()))
@@ -105,7 +117,10 @@ def check_port(port, levels=(), only=(), folder=FOLDER, progress=lambda text: No
 def _share(results):
     """A scalar or a stage that diverges has few known mistakes of its own, or none: it takes what explains its equation."""
     said = {r.equation: r.explanation for r in reversed(results) if r.findings and r.explanation}
-    return [r._replace(explanation=said.get(r.equation, "")) if r.findings and not r.explanation else r for r in results]
+    return [
+        r._replace(explanation=said.get(r.equation, "")) if r.findings and not r.explanation else r
+        for r in results
+    ]
 
 
 def check(forward, key, vjp=None):
@@ -118,6 +133,8 @@ def check(forward, key, vjp=None):
     """
     subject = next((s for s in read_manifest()["subjects"] if s["key"] == key), None)
     if subject is None:
-        raise KeyError(f"{key!r}: expected one of {', '.join(s['key'] for s in read_manifest()['subjects'])}")
+        raise KeyError(
+            f"{key!r}: expected one of {', '.join(s['key'] for s in read_manifest()['subjects'])}"
+        )
     roles = ("out.", "in_bar.") if vjp else ("out.",)
     return Report(check_subject(published.read(subject), FunctionPort(forward, vjp), roles))

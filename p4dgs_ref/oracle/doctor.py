@@ -1,11 +1,12 @@
 """Which known mistake explains a port's numbers?  Every one is tried on every case that the port answered."""
+
 import numpy as np
 
 from .compare import compare, expected, precision
 from .mistakes import MISTAKES, NotApplicable
 from .tolerance import named
 
-LENIENCE = 4           # a mistake's numbers are computed another way than the port's: its bounds are this much wider
+LENIENCE = 4  # a mistake's numbers are computed another way than the port's: its bounds are this much wider
 HUGE = np.finfo(np.float32).max
 
 
@@ -19,8 +20,14 @@ def diagnose(subject, answers):
     """
     found = explain(subject, answers)
     for part, roles in ROLES.items() if not found else ():
-        one = [(case, {n: a for n, a in got.items() if n.startswith(roles)}, [n for n in wrong if n.startswith(roles)])
-               for case, got, wrong in answers]
+        one = [
+            (
+                case,
+                {n: a for n, a in got.items() if n.startswith(roles)},
+                [n for n in wrong if n.startswith(roles)],
+            )
+            for case, got, wrong in answers
+        ]
         if any(wrong for *_, wrong in one) and (found := explain(subject, one)):
             return found, part
     return found, ""
@@ -41,12 +48,18 @@ def explain(subject, answers):
             agrees = _agrees(mistake, case, got, wrong)
             failed += bool(wrong)
             agreed += bool(wrong) and agrees
-            contradicted |= not wrong and not agrees       # the mistake would have shown in a case that is right
+            contradicted |= (
+                not wrong and not agrees
+            )  # the mistake would have shown in a case that is right
         if agreed:
             found.append((agreed, not contradicted, mistake, failed))
     found.sort(key=lambda row: row[:2], reverse=True)
     best = found[0][:2] if found else None
-    return [(mistake, agreed, failed) for agreed, clean, mistake, failed in found if (agreed, clean) == best]
+    return [
+        (mistake, agreed, failed)
+        for agreed, clean, mistake, failed in found
+        if (agreed, clean) == best
+    ]
 
 
 def _agrees(mistake, case, got, wrong):
@@ -60,12 +73,21 @@ def _agrees(mistake, case, got, wrong):
     if any(name not in would or would[name].shape != np.shape(got[name]) for name in asked):
         return False
     tensors = {name: _number(would[name]) for name in asked}
-    tensors.update({f"scale.{name}": _largest(case.tensors[f"scale.{name}"], a) for name, a in tensors.items()
-                    if a.dtype.kind == "f"})
+    tensors.update(
+        {
+            f"scale.{name}": _largest(case.tensors[f"scale.{name}"], a)
+            for name, a in tensors.items()
+            if a.dtype.kind == "f"
+        }
+    )
     mine = {name: np.asarray(got[name]) for name in asked}
     bound = case.tolerance(precision(got))
     if wrong:
-        truth = {name: a for name, a in case.tensors.items() if name in asked or name.startswith("scale.")}
+        truth = {
+            name: a
+            for name, a in case.tensors.items()
+            if name in asked or name.startswith("scale.")
+        }
         if not compare(truth, {name: would[name] for name in asked}, bound):
             return False
     bound = {name: LENIENCE * c if name.endswith("eps_S") else c for name, c in bound.items()}

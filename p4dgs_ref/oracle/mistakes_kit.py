@@ -4,6 +4,7 @@ Every mistake answers `run(inputs, cotangents) -> (out, in_bar)`: what a port wi
 case.  `port` wraps the reference's own pair in transformations and their adjoints; `network` lets a network end in
 another head.  Where neither does, a file of mistakes writes the one differing step itself.
 """
+
 from typing import Callable, NamedTuple
 
 import numpy as np
@@ -25,10 +26,10 @@ class Mistake(NamedTuple):
     """One way in which ports go wrong."""
 
     id: str
-    equation: str          # to blame
-    description: str       # what the port does instead, said to its author
-    run: Callable          # (inputs, {"x_bar": array}) -> (outputs, gradients), both {name: array}
-    subject: str           # whose vectors show it: the equation's own, or those of a stage
+    equation: str  # to blame
+    description: str  # what the port does instead, said to its author
+    run: Callable  # (inputs, {"x_bar": array}) -> (outputs, gradients), both {name: array}
+    subject: str  # whose vectors show it: the equation's own, or those of a stage
 
 
 def subject_of(key):
@@ -38,11 +39,13 @@ def subject_of(key):
 
 def quiet(run, key):
     """Mistakes divide by zero and overflow as ports do: without a word."""
+
     def silently(inputs, cotangents):
         if not set(subject_of(key)[1].differentiable) <= set(inputs):
             raise NotApplicable("a case of another subject")
         with np.errstate(all="ignore"):
             return run(inputs, cotangents)
+
     return silently
 
 
@@ -60,6 +63,7 @@ def port(key, inputs=None, inputs_bar=None, outputs=None, outputs_bar=None):
     outputs      f(y) or f(out, inputs): what the port shows in place of the reference's output
     outputs_bar  f(bar, y) or f(bars, out, inputs): the cotangent that the reference is given
     """
+
     def run(given, cotangents):
         eq, bars = subject_of(key)[1], bars_of(cotangents)
         out, res = eq.forward(**changed(inputs, given, (), (given,)))
@@ -68,6 +72,7 @@ def port(key, inputs=None, inputs_bar=None, outputs=None, outputs_bar=None):
         bars = changed(outputs_bar, bars, (out,), (bars, out, given))
         in_bar = eq.backward(res, **{name + "_bar": bar for name, bar in bars.items()})
         return shown, changed(inputs_bar, in_bar, (given,), (in_bar, given))
+
     return quiet(run, key)
 
 
@@ -75,7 +80,13 @@ def changed(change, tree, beside, whole):
     """`tree` with some entries replaced: by functions of an entry and those of its name beside it, or of everything."""
     if callable(change):
         return change(*whole)
-    return {**tree, **{name: f(tree[name], *(other[name] for other in beside)) for name, f in (change or {}).items()}}
+    return {
+        **tree,
+        **{
+            name: f(tree[name], *(other[name] for other in beside))
+            for name, f in (change or {}).items()
+        },
+    }
 
 
 def known(subject, id, description, **changes):
@@ -104,24 +115,38 @@ def inverse(order):
 
 def first_rows(order):
     """The network's input is put together in another order: column order(inputs)[i] of ours stands at i."""
+
     def rows(tree, index):
         return {**tree, "weights": [tree["weights"][0][index], *tree["weights"][1:]]}
-    return dict(inputs=lambda given: rows(given, inverse(order(given))),
-                inputs_bar=lambda bars, given: rows(bars, order(given)))
+
+    return dict(
+        inputs=lambda given: rows(given, inverse(order(given))),
+        inputs_bar=lambda bars, given: rows(bars, order(given)),
+    )
 
 
 def last_columns(order):
     """The network's output is taken apart in another order: where we read column c, the port reads order(inputs)[c]."""
+
     def columns(tree, index):
         weights, biases = tree["weights"], tree["biases"]
-        return {**tree, "weights": [*weights[:-1], weights[-1][:, index]], "biases": [*biases[:-1], biases[-1][index]]}
-    return dict(inputs=lambda given: columns(given, order(given)),
-                inputs_bar=lambda bars, given: columns(bars, inverse(order(given))))
+        return {
+            **tree,
+            "weights": [*weights[:-1], weights[-1][:, index]],
+            "biases": [*biases[:-1], biases[-1][index]],
+        }
+
+    return dict(
+        inputs=lambda given: columns(given, order(given)),
+        inputs_bar=lambda bars, given: columns(bars, inverse(order(given))),
+    )
 
 
 def component_major(width):
     """Outputs of k children with `width` numbers each, read component by component instead of child by child."""
-    return last_columns(lambda given: np.arange(len(given["biases"][-1])).reshape(width, -1).T.ravel())
+    return last_columns(
+        lambda given: np.arange(len(given["biases"][-1])).reshape(width, -1).T.ravel()
+    )
 
 
 def hac_order(given):
@@ -153,14 +178,23 @@ def relu(y):
 
 def network(head):
     """`run` of a network equation: `head(y, inputs) -> out, pull` and `pull(bars) -> y_bar, {other input: gradient}`."""
+
     def run(given, cotangents):
         view = "h" not in given
-        x = np.concatenate([given[name] for name in ("f_a", "delta_vc", "d_vc")], axis=1) if view else given["h"]
+        x = (
+            np.concatenate([given[name] for name in ("f_a", "delta_vc", "d_vc")], axis=1)
+            if view
+            else given["h"]
+        )
         y, res = mlp.forward(x, given["weights"], given["biases"])
         out, pull = head(y.y, given)
         y_bar, others = pull(bars_of(cotangents))
         bars = mlp.backward(res, y_bar)
-        return out, {**others, **(split_view(bars, given["f_a"].shape[1]) if view else {"h": bars.pop("x"), **bars})}
+        return out, {
+            **others,
+            **(split_view(bars, given["f_a"].shape[1]) if view else {"h": bars.pop("x"), **bars}),
+        }
+
     return run
 
 
@@ -170,8 +204,10 @@ def headed(equation, id, description, head):
 
 def elementwise(name, width, activation):
     """A head that applies `activation(y) -> value, slope` to all outputs, `width` numbers a child (0: no such axis)."""
+
     def head(y, _):
         value, slope = activation(y)
         shape = (len(y), y.shape[1] // width, width) if width else y.shape
         return {name: value.reshape(shape)}, lambda bars: (bars[name].reshape(y.shape) * slope, {})
+
     return head

@@ -1,4 +1,5 @@
 """The published vectors as a checker reads them: cases with their tensors, inputs put together again."""
+
 import hashlib
 from typing import NamedTuple
 
@@ -14,12 +15,15 @@ class Golden(NamedTuple):
     subject: str
     equation: str
     level: str
-    record: dict       # of the manifest
-    tensors: dict      # name with role -> array
+    record: dict  # of the manifest
+    tensors: dict  # name with role -> array
 
     def inputs(self):
         """Keyword arguments of forward: tensors, lists of tensors and settings."""
-        return {**unflatten(self.tensors, "in."), **{n: _tuples(v) for n, v in self.record["settings"].items()}}
+        return {
+            **unflatten(self.tensors, "in."),
+            **{n: _tuples(v) for n, v in self.record["settings"].items()},
+        }
 
     def cotangents(self):
         """Keyword arguments of backward."""
@@ -35,7 +39,7 @@ def unflatten(tensors, prefix):
     values = {}
     for name, a in tensors.items():
         if name.startswith(prefix):
-            first, _, place = name[len(prefix):].partition(".")
+            first, _, place = name[len(prefix) :].partition(".")
             if place:
                 values.setdefault(first, []).append(a.copy())
             else:
@@ -56,15 +60,30 @@ def read(subject, folder=FOLDER):
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise safetensors.TensorError(f"{path}: expected a file of vectors ({error.strerror})") from None
+        raise safetensors.TensorError(
+            f"{path}: expected a file of vectors ({error.strerror})"
+        ) from None
     arrays = safetensors.load(data, path)
-    return [Golden(case["id"], case["name"], subject["key"], subject["equation"], subject["level"], case,
-                   {t["name"]: arrays[f"{case['name']}/{t['name']}"] for t in case["tensors"]})
-            for case in subject["cases"]]
+    return [
+        Golden(
+            case["id"],
+            case["name"],
+            subject["key"],
+            subject["equation"],
+            subject["level"],
+            case,
+            {t["name"]: arrays[f"{case['name']}/{t['name']}"] for t in case["tensors"]},
+        )
+        for case in subject["cases"]
+    ]
 
 
 def damaged(folder=FOLDER):
     """Names of files in a folder of vectors whose bytes are not those of the manifest."""
     files = read_manifest(folder)["files"]
-    return [name for name, file in files.items() if not (folder / name).is_file()
-            or hashlib.sha256((folder / name).read_bytes()).hexdigest() != file["sha256"]]
+    return [
+        name
+        for name, file in files.items()
+        if not (folder / name).is_file()
+        or hashlib.sha256((folder / name).read_bytes()).hexdigest() != file["sha256"]
+    ]

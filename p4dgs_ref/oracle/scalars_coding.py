@@ -1,4 +1,5 @@
 """Vectors of level L0, the half that coding needs: cells and hashes of the grid, steps, deviations, ties, bins."""
+
 import math
 from typing import NamedTuple
 
@@ -13,8 +14,8 @@ from .undeclared import identity, no_gradient, undeclared
 
 # --- the hash grid -------------------------------------------------------------------------------------------------
 class Cell(NamedTuple):
-    node: np.ndarray       # (n, 2) int64, the nodes to the left and right
-    weight: np.ndarray     # (n, 2)
+    node: np.ndarray  # (n, 2) int64, the nodes to the left and right
+    weight: np.ndarray  # (n, 2)
 
 
 def cell_forward(x, lo, hi, res):
@@ -33,20 +34,45 @@ def cell_forward(x, lo, hi, res):
 def cell_cases():
     box = dict(lo=np.float64(-1.0), hi=np.float64(3.0))
     yield Case("ordinary", dict(x=np.array([-0.9, -0.13, 0.77, 2.9, 1.6]), **box, res=7))
-    yield Case("on_nodes", dict(x=np.arange(-1.0, 4), **box, res=5), ("kink", "zero"), smooth=False, expected={
-        "node": np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 4]]), "weight": np.tile([1.0, 0], (5, 1))})
-    yield Case("outside", dict(x=np.array([-1.5, -1e30, 3.5, 1e30]), **box, res=5), ("outside", "clamped", "extreme"),
-               smooth=False, expected={"node": np.array([[0, 1], [0, 1], [4, 4], [4, 4]]),
-                                       "weight": np.tile([1.0, 0], (4, 1))})
+    yield Case(
+        "on_nodes",
+        dict(x=np.arange(-1.0, 4), **box, res=5),
+        ("kink", "zero"),
+        smooth=False,
+        expected={
+            "node": np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 4]]),
+            "weight": np.tile([1.0, 0], (5, 1)),
+        },
+    )
+    yield Case(
+        "outside",
+        dict(x=np.array([-1.5, -1e30, 3.5, 1e30]), **box, res=5),
+        ("outside", "clamped", "extreme"),
+        smooth=False,
+        expected={
+            "node": np.array([[0, 1], [0, 1], [4, 4], [4, 4]]),
+            "weight": np.tile([1.0, 0], (4, 1)),
+        },
+    )
     flat = dict(lo=np.float64(0.5), hi=np.float64(0.5))
-    yield Case("no_extent", dict(x=np.array([0.5, 0.4, 7.0]), **flat, res=5), ("zero", "outside"), smooth=False,
-               expected={"node": np.tile([0, 1], (3, 1)), "weight": np.tile([1.0, 0], (3, 1))})
-    yield Case("one_node", dict(x=np.array([-0.9, 3.0]), **box, res=1), ("single",), smooth=False,
-               expected={"node": np.zeros((2, 2), int), "weight": np.tile([1.0, 0], (2, 1))})
+    yield Case(
+        "no_extent",
+        dict(x=np.array([0.5, 0.4, 7.0]), **flat, res=5),
+        ("zero", "outside"),
+        smooth=False,
+        expected={"node": np.tile([0, 1], (3, 1)), "weight": np.tile([1.0, 0], (3, 1))},
+    )
+    yield Case(
+        "one_node",
+        dict(x=np.array([-0.9, 3.0]), **box, res=1),
+        ("single",),
+        smooth=False,
+        expected={"node": np.zeros((2, 2), int), "weight": np.tile([1.0, 0], (2, 1))},
+    )
 
 
 class Row(NamedTuple):
-    row: np.ndarray        # (n,) int64
+    row: np.ndarray  # (n,) int64
 
 
 def row_forward(corner, res, table):
@@ -63,13 +89,26 @@ def row_forward(corner, res, table):
 
 def row_cases():
     rng = np.random.default_rng(102)
-    yield Case("dense", dict(corner=np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 4], [1, 2, 3], [4, 4, 4]]), res=5,
-                             table=125), expected={"row": np.array([0, 4, 20, 100, 86, 124])})
-    yield Case("dense_plane", dict(corner=np.array([[0, 0], [6, 1], [1, 6], [6, 6]]), res=7, table=60),
-               expected={"row": np.array([0, 13, 43, 48])})
+    yield Case(
+        "dense",
+        dict(
+            corner=np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 4], [1, 2, 3], [4, 4, 4]]),
+            res=5,
+            table=125,
+        ),
+        expected={"row": np.array([0, 4, 20, 100, 86, 124])},
+    )
+    yield Case(
+        "dense_plane",
+        dict(corner=np.array([[0, 0], [6, 1], [1, 6], [6, 6]]), res=7, table=60),
+        expected={"row": np.array([0, 13, 43, 48])},
+    )
     # 2654435761 = 0x9E3779B1, 805459861 = 0x30025795: their last 13 bits are 0x19B1, 0x1795, the XOR of those is 0xE24
-    yield Case("primes", dict(corner=np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1]]), res=24, table=2**13),
-               expected={"row": np.array([1, 0x19B1, 0x1795, 0xE24])})
+    yield Case(
+        "primes",
+        dict(corner=np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1]]), res=24, table=2**13),
+        expected={"row": np.array([1, 0x19B1, 0x1795, 0xE24])},
+    )
     # a table of 6007 rows: nothing but the whole number of 32 bits will do, and a signed one is negative
     paper = np.concatenate([rng.integers(0, 514, (8, 3)), [[513, 513, 513], [0, 513, 1]]])
     yield Case("paper_3d", dict(corner=paper, res=514, table=2**13), ("extreme",))
@@ -78,7 +117,9 @@ def row_cases():
     yield Case("paper_2d", dict(corner=plane, res=1026, table=2**15), ("extreme",))
     # products beyond 2^53, which a double does not hold
     beyond = rng.integers(2**23, 2**24, (9, 3))
-    yield Case("products_beyond_doubles", dict(corner=beyond, res=2**24, table=2**15 - 19), ("extreme",))
+    yield Case(
+        "products_beyond_doubles", dict(corner=beyond, res=2**24, table=2**15 - 19), ("extreme",)
+    )
 
 
 # --- what follows psi_q and psi_p ------------------------------------------------------------------------------------
@@ -104,15 +145,26 @@ def step_cases():
     yield Case("ordinary", dict(u=np.array([[0.0, 0.3, -0.4], [1.1, -1.2, 2.0]]), Q_0=Q_0))
     beside = np.array([[-3.80, -3.81, -3.82], [-3.83, -3.805, -3.815]])
     yield Case("beside_the_floor", dict(u=beside, Q_0=Q_0), ("clamped",))
-    floored = np.array([[-5.0, -10, -19], [-44, -100, -1e4]])       # 1 + tanh is exactly 0 from -19.07 on
-    yield Case("on_the_floor", dict(u=floored, Q_0=Q_0), ("clamped", "saturated"), smooth=False,
-               cotangents={"q_bar": np.array([[2.0, -3, 5], [-7, 11, 13]])},
-               expected={"q": np.tile(Q_0 / 1024, (2, 1)), "u_bar": np.zeros((2, 3))})
-    yield Case("large", dict(u=np.array([[5.0, 12, 20], [44, 100, 1e4]]), Q_0=Q_0), ("saturated", "extreme"))
+    floored = np.array(
+        [[-5.0, -10, -19], [-44, -100, -1e4]]
+    )  # 1 + tanh is exactly 0 from -19.07 on
+    yield Case(
+        "on_the_floor",
+        dict(u=floored, Q_0=Q_0),
+        ("clamped", "saturated"),
+        smooth=False,
+        cotangents={"q_bar": np.array([[2.0, -3, 5], [-7, 11, 13]])},
+        expected={"q": np.tile(Q_0 / 1024, (2, 1)), "u_bar": np.zeros((2, 3))},
+    )
+    yield Case(
+        "large",
+        dict(u=np.array([[5.0, 12, 20], [44, 100, 1e4]]), Q_0=Q_0),
+        ("saturated", "extreme"),
+    )
 
 
 class Sigma(NamedTuple):
-    sigma: np.ndarray      # (n, w)
+    sigma: np.ndarray  # (n, w)
 
 
 def sigma_forward(raw):
@@ -125,9 +177,13 @@ def sigma_forward(raw):
     Choice     Q8
     Reference  P-4DGS Eq. (12)
     """
-    weights, biases = identity(raw)                # psi_p: mu = 0, raw as it is
-    predicted, res = prior.forward(raw, [np.concatenate([0 * weights[0], weights[0]], axis=1)], [np.tile(biases[0], 2)],
-                                   raw.shape[1:])
+    weights, biases = identity(raw)  # psi_p: mu = 0, raw as it is
+    predicted, res = prior.forward(
+        raw,
+        [np.concatenate([0 * weights[0], weights[0]], axis=1)],
+        [np.tile(biases[0], 2)],
+        raw.shape[1:],
+    )
     return Sigma(predicted.sigma), res
 
 
@@ -137,10 +193,19 @@ def sigma_backward(res, sigma_bar):
 
 def sigma_cases():
     yield Case("ordinary", dict(raw=np.array([[0.0, -1.5, 2.3], [-7.1, 4.4, -13.9]])))
-    raw, bar = np.array([[-14.0, -14.5], [6.0, 6.5], [-1e4, 1e4]]), np.array([[2.0, -3], [5, 7], [-11, 13]])
+    raw, bar = (
+        np.array([[-14.0, -14.5], [6.0, 6.5], [-1e4, 1e4]]),
+        np.array([[2.0, -3], [5, 7], [-11, 13]]),
+    )
     sigma = np.exp(np.array([[-14.0, -14], [6, 6], [-14, 6]]))
-    yield Case("clamped", dict(raw=raw), ("clamped", "kink"), smooth=False, cotangents={"sigma_bar": bar},
-               expected={"sigma": sigma, "raw_bar": bar * sigma * [[1, 0], [1, 0], [0, 0]]})
+    yield Case(
+        "clamped",
+        dict(raw=raw),
+        ("clamped", "kink"),
+        smooth=False,
+        cotangents={"sigma_bar": bar},
+        expected={"sigma": sigma, "raw_bar": bar * sigma * [[1, 0], [1, 0], [0, 0]]},
+    )
 
 
 # --- ties and bins -------------------------------------------------------------------------------------------------
@@ -148,21 +213,34 @@ def ties_cases():
     half = np.array([[-2.5, -1.5, -0.5, 0.5, 1.5, 2.5, 3.5]])
     even = np.array([[-2, -2, 0, 0, 2, 2, 4]])
     for name, q in (("ordinary", 1.0), ("power_of_two", 2.0**-9)):
-        yield Case(name, dict(f=half * q, q=np.array([[q]])), ("tie",), expected={"symbols": even, "f_hat": even * q})
+        yield Case(
+            name,
+            dict(f=half * q, q=np.array([[q]])),
+            ("tie",),
+            expected={"symbols": even, "f_hat": even * q},
+        )
     up, down = np.nextafter(half, np.inf), np.nextafter(half, -np.inf)
-    yield Case("beside", dict(f=np.concatenate([up, down]), q=np.ones((2, 1))), ("tie",), expected={
-        "symbols": np.array([[-2, -1, 0, 1, 2, 3, 4], [-3, -2, -1, 0, 1, 2, 3]])})
+    yield Case(
+        "beside",
+        dict(f=np.concatenate([up, down]), q=np.ones((2, 1))),
+        ("tie",),
+        expected={"symbols": np.array([[-2, -1, 0, 1, 2, 3, 4], [-3, -2, -1, 0, 1, 2, 3]])},
+    )
     # no decimal here is exact: the quotients of 0.15 and 0.35 fall short of the tie, the others are rounded onto it
     decimal = dict(f=np.array([[0.05, 0.15, 0.25, 0.35, 0.45, -0.25]]), q=np.array([[0.1]]))
     yield Case("decimal", decimal, ("tie",), expected={"symbols": np.array([[0, 1, 2, 3, 4, -2]])})
-    yield Case("zeros", dict(f=np.array([[0.0, -0.0, 1e-300, -1e-300]]), q=np.array([[0.25]])), ("zero", "negative"),
-               expected={"symbols": np.zeros((1, 4), int), "f_hat": np.zeros((1, 4))})
+    yield Case(
+        "zeros",
+        dict(f=np.array([[0.0, -0.0, 1e-300, -1e-300]]), q=np.array([[0.25]])),
+        ("zero", "negative"),
+        expected={"symbols": np.zeros((1, 4), int), "f_hat": np.zeros((1, 4))},
+    )
 
 
 class Mass(NamedTuple):
-    log_p: np.ndarray      # (n,)
-    slope_z: np.ndarray    # (n,) d log p / dz
-    slope_w: np.ndarray    # (n,) d log p / dw
+    log_p: np.ndarray  # (n,)
+    slope_z: np.ndarray  # (n,) d log p / dz
+    slope_w: np.ndarray  # (n,) d log p / dw
 
 
 def bin_forward(z, w):
@@ -175,7 +253,9 @@ def bin_forward(z, w):
     Reference  P-4DGS Eq. (11)
     """
     mass = stable(z, np.zeros_like(z), np.ones_like(z), w)
-    return Mass(*(a.astype(z.dtype, copy=False) for a in (mass.log_p, mass.slope_z, mass.slope_w))), None
+    return Mass(
+        *(a.astype(z.dtype, copy=False) for a in (mass.log_p, mass.slope_z, mass.slope_w))
+    ), None
 
 
 def bin_cases():
@@ -185,39 +265,133 @@ def bin_cases():
 
     both = lambda *z: np.array([sign * v for v in z for sign in (1, -1)])
     yield case("ordinary", [0.3, -1.1, 2.4, -0.7, 3.9], [0.5, 1.0, 0.2, 3.0, 1.5], "ordinary")
-    for name, w, *flag in (("tails", 1.0), ("tails_of_fine_bins", 0.01), ("tails_of_narrow_bins", 1e-4, "narrow")):
-        yield case(name, both(1, 3, 5.5, 6, 9, 12, 20, 37.5, 40, 200, 1000), w, "tail", "negative", *flag)
-    yield case("narrow", [0, 0.5, -1, 3, -6] * 4, np.repeat([1e-12, 1e-9, 1e-6, 1e-3], 5), "narrow", "zero")
-    yield case("wide", [0, 0.5, -3, 10], 1e6, "wide", log_p=np.zeros(4), slope_z=np.zeros(4), slope_w=np.zeros(4))
-    yield case("edges_of_wide_bins", [50, -50, 49, 52, 5e5, -5e5], [100] * 4 + [1e6] * 2, "wide", "negative", "tail")
+    for name, w, *flag in (
+        ("tails", 1.0),
+        ("tails_of_fine_bins", 0.01),
+        ("tails_of_narrow_bins", 1e-4, "narrow"),
+    ):
+        yield case(
+            name, both(1, 3, 5.5, 6, 9, 12, 20, 37.5, 40, 200, 1000), w, "tail", "negative", *flag
+        )
+    yield case(
+        "narrow", [0, 0.5, -1, 3, -6] * 4, np.repeat([1e-12, 1e-9, 1e-6, 1e-3], 5), "narrow", "zero"
+    )
+    yield case(
+        "wide",
+        [0, 0.5, -3, 10],
+        1e6,
+        "wide",
+        log_p=np.zeros(4),
+        slope_z=np.zeros(4),
+        slope_w=np.zeros(4),
+    )
+    yield case(
+        "edges_of_wide_bins",
+        [50, -50, 49, 52, 5e5, -5e5],
+        [100] * 4 + [1e6] * 2,
+        "wide",
+        "negative",
+        "tail",
+    )
     # either side of where this project changes formulas: w = 1/32, z w = 1/32, and the lower edge at 8
     above, below = 1 + 1e-9, 1 - 1e-9
-    yield case("regimes", [0.4, 0.4, 4, 4, 2.5, 2.5],
-               [above / 16, below / 16, above / 64, below / 64, above, below], "narrow", "tail")
-    p, phi = math.erf(0.5 / math.sqrt(2)), PHI_0 * math.exp(-1 / 8)       # one bin of width 1 about 0
-    yield case("centred", [0], 1, "zero", "single", log_p=np.array([math.log(p)]), slope_z=np.zeros(1),
-               slope_w=np.array([phi / p]))
+    yield case(
+        "regimes",
+        [0.4, 0.4, 4, 4, 2.5, 2.5],
+        [above / 16, below / 16, above / 64, below / 64, above, below],
+        "narrow",
+        "tail",
+    )
+    p, phi = math.erf(0.5 / math.sqrt(2)), PHI_0 * math.exp(-1 / 8)  # one bin of width 1 about 0
+    yield case(
+        "centred",
+        [0],
+        1,
+        "zero",
+        "single",
+        log_p=np.array([math.log(p)]),
+        slope_z=np.zeros(1),
+        slope_w=np.array([phi / p]),
+    )
 
 
 SUBJECTS_CODING = [
-    ("hash_grid", undeclared(
-        "grid_cell", "9", "u (res - 1) = node + fraction",
-        {"x": "n", "lo": "", "hi": "", "res": "", "node": "n 2", "weight": "n 2"}, (), cell_forward, no_gradient,
-        cell_cases)),
-    ("hash_grid", undeclared(
-        "hash_index", "9", "row = (i XOR 2654435761 j XOR 805459861 k) mod 2^32 mod table",
-        {"corner": "n D", "res": "", "table": "", "row": "n"}, (), row_forward, no_gradient, row_cases)),
-    ("step", undeclared(
-        "step_floor", "8", "q = max(2 Q_0 sigmoid(2 u), 2^-10 Q_0)", {"u": "n G", "Q_0": "G", "q": "n G"}, ("u",),
-        step_forward, step_backward, step_cases)),
-    ("prior", undeclared(
-        "sigma_clamp", "12", "sigma = exp(clip(raw, -14, 6))", {"raw": "n w", "sigma": "n w"}, ("raw",),
-        sigma_forward, sigma_backward, sigma_cases)),
-    ("rounding", undeclared(
-        "rounding_ties", "10", "symbol = round_half_even(f / q)",
-        {"f": "A n", "q": "A 1", "symbols": "A n", "f_hat": "A n"}, (), rounding.forward, rounding.backward,
-        ties_cases)),
-    ("likelihood", undeclared(
-        "gaussian_bin", "11", "log_p = log(Phi(z + w/2) - Phi(z - w/2))",
-        {"z": "n", "w": "n", "log_p": "n", "slope_z": "n", "slope_w": "n"}, (), bin_forward, no_gradient, bin_cases)),
+    (
+        "hash_grid",
+        undeclared(
+            "grid_cell",
+            "9",
+            "u (res - 1) = node + fraction",
+            {"x": "n", "lo": "", "hi": "", "res": "", "node": "n 2", "weight": "n 2"},
+            (),
+            cell_forward,
+            no_gradient,
+            cell_cases,
+        ),
+    ),
+    (
+        "hash_grid",
+        undeclared(
+            "hash_index",
+            "9",
+            "row = (i XOR 2654435761 j XOR 805459861 k) mod 2^32 mod table",
+            {"corner": "n D", "res": "", "table": "", "row": "n"},
+            (),
+            row_forward,
+            no_gradient,
+            row_cases,
+        ),
+    ),
+    (
+        "step",
+        undeclared(
+            "step_floor",
+            "8",
+            "q = max(2 Q_0 sigmoid(2 u), 2^-10 Q_0)",
+            {"u": "n G", "Q_0": "G", "q": "n G"},
+            ("u",),
+            step_forward,
+            step_backward,
+            step_cases,
+        ),
+    ),
+    (
+        "prior",
+        undeclared(
+            "sigma_clamp",
+            "12",
+            "sigma = exp(clip(raw, -14, 6))",
+            {"raw": "n w", "sigma": "n w"},
+            ("raw",),
+            sigma_forward,
+            sigma_backward,
+            sigma_cases,
+        ),
+    ),
+    (
+        "rounding",
+        undeclared(
+            "rounding_ties",
+            "10",
+            "symbol = round_half_even(f / q)",
+            {"f": "A n", "q": "A 1", "symbols": "A n", "f_hat": "A n"},
+            (),
+            rounding.forward,
+            rounding.backward,
+            ties_cases,
+        ),
+    ),
+    (
+        "likelihood",
+        undeclared(
+            "gaussian_bin",
+            "11",
+            "log_p = log(Phi(z + w/2) - Phi(z - w/2))",
+            {"z": "n", "w": "n", "log_p": "n", "slope_z": "n", "slope_w": "n"},
+            (),
+            bin_forward,
+            no_gradient,
+            bin_cases,
+        ),
+    ),
 ]

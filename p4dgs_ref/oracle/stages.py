@@ -1,4 +1,5 @@
 """Vectors of level L2: several equations at once, values and gradients.  Here Fig. 1; `stages_coding` has Fig. 2."""
+
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +14,17 @@ from ..splatting import covariance, projection, render
 from ..splatting.camera import look_at
 from ..splatting.settings import EXACT
 from .stages_coding import SUBJECTS_CODING
-from .undeclared import (CAMERA_SHAPES, SILENT, camera_of, described, flat_gradients, flat_networks, networks_of,
-                         shapes_of, undeclared)
+from .undeclared import (
+    CAMERA_SHAPES,
+    SILENT,
+    camera_of,
+    described,
+    flat_gradients,
+    flat_networks,
+    networks_of,
+    shapes_of,
+    undeclared,
+)
 
 UNSEEN = tuple(effect for effect in MODEL_EFFECTS if not effect.startswith("view"))
 
@@ -50,22 +60,42 @@ def spatial_surrogate(**base):
 def anchor_inputs(rng, A, d, k, hidden, effects):
     """Anchors about the origin, a camera centre, and anchor networks of the widths that the effects ask for."""
     design = SILENT._replace(d=d, k=k, hidden=hidden, effects=effects)
-    networks = {name: random_network(rng, layers[0][0], *(columns for _, columns in layers))
-                for name, layers in design.layers().items() if name in ANCHOR_NETWORKS}
+    networks = {
+        name: random_network(rng, layers[0][0], *(columns for _, columns in layers))
+        for name, layers in design.layers().items()
+        if name in ANCHOR_NETWORKS
+    }
     for _, biases in networks.values():
         for bias in biases[:-1]:
-            bias += 0.5                        # few units of a ReLU are dead
-    return dict(x_a=rng.uniform(-0.8, 0.8, (A, 3)), f_a=rng.normal(size=(A, d)), s_a=rng.uniform(0.2, 0.6, (A, 3)),
-                l_a=rng.uniform(0.1, 0.4, (A, 3)), O_a=rng.normal(size=(A, k, 3)), mask=np.ones((A, k), bool),
-                x_c=np.array([1.1, -2.3, 0.9]), tau_alpha=0.0, effects=effects, **flat_networks(networks))
+            bias += 0.5  # few units of a ReLU are dead
+    return dict(
+        x_a=rng.uniform(-0.8, 0.8, (A, 3)),
+        f_a=rng.normal(size=(A, d)),
+        s_a=rng.uniform(0.2, 0.6, (A, 3)),
+        l_a=rng.uniform(0.1, 0.4, (A, 3)),
+        O_a=rng.normal(size=(A, k, 3)),
+        mask=np.ones((A, k), bool),
+        x_c=np.array([1.1, -2.3, 0.9]),
+        tau_alpha=0.0,
+        effects=effects,
+        **flat_networks(networks),
+    )
 
 
 def spatial_cases():
-    yield Case("ordinary", anchor_inputs(np.random.default_rng(201), 7, 6, 5, (8, 9), MODEL_EFFECTS))
+    yield Case(
+        "ordinary", anchor_inputs(np.random.default_rng(201), 7, 6, 5, (8, 9), MODEL_EFFECTS)
+    )
     rng = np.random.default_rng(202)
     masked = anchor_inputs(rng, 6, 4, 5, (7,), MODEL_EFFECTS)
-    yield Case("masked_children", {**masked, "mask": rng.random((6, 5)) < 0.6, "tau_alpha": 0.125}, ("masked",))
-    yield Case("no_view", anchor_inputs(np.random.default_rng(203), 6, 5, 2, (8,), UNSEEN), ("off",))
+    yield Case(
+        "masked_children",
+        {**masked, "mask": rng.random((6, 5)) < 0.6, "tau_alpha": 0.125},
+        ("masked",),
+    )
+    yield Case(
+        "no_view", anchor_inputs(np.random.default_rng(203), 6, 5, 2, (8,), UNSEEN), ("off",)
+    )
     seeing = anchor_inputs(np.random.default_rng(204), 5, 4, 2, (7,), (*UNSEEN, "view_color"))
     yield Case("color_sees_the_view", seeing, ("off",))
 
@@ -88,15 +118,19 @@ def temporal_forward(x, s, r, t, L_x, L_t, psi_d_weights, psi_d_biases):
 
 def temporal_backward(res, x_t_bar=None, s_t_bar=None, r_t_bar=None):
     bars = deformed.backward(res[1], x_t_bar, s_t_bar, r_t_bar)
-    network = deformation.backward(res[0], bars["delta_x"], bars["delta_s"], bars["delta_r"], needs_x=False)
+    network = deformation.backward(
+        res[0], bars["delta_x"], bars["delta_s"], bars["delta_r"], needs_x=False
+    )
     return {"x": bars["x"], "s": bars["s"], "r": bars["r"], **flat_gradients({"psi_d": network})}
 
 
 def temporal_surrogate(**base):
     """Temporal prediction in which E(x) stays that of `base`."""
+
     def smooth(x, s, r, t, L_x, L_t, psi_d_weights, psi_d_biases):
         delta, _ = deformation.forward(base["x"], t, psi_d_weights, psi_d_biases, L_x, L_t)
         return deformed.forward(x, s, r, *delta)[0]
+
     return smooth
 
 
@@ -106,7 +140,7 @@ def temporal_cases():
         field = deformation.random_field(rng, L_x, L_t, *hidden, heads=heads)
         weights, biases = field.pop("weights"), field.pop("biases")
         for bias in biases[:-3]:
-            bias += 0.5                        # few units of a ReLU are dead
+            bias += 0.5  # few units of a ReLU are dead
         return dict(**gaussians(rng, N), t=t, **field, psi_d_weights=weights, psi_d_biases=biases)
 
     yield Case("ordinary", inputs(211, 7, (9, 8), 0.37))
@@ -118,16 +152,19 @@ def temporal_cases():
 def gaussians(rng, N):
     """Places, scales and unit quaternions."""
     r = rng.normal(size=(N, 4))
-    return dict(x=rng.uniform(-0.7, 0.7, (N, 3)), s=rng.uniform(0.1, 0.4, (N, 3)),
-                r=r / np.linalg.norm(r, axis=1, keepdims=True))
+    return dict(
+        x=rng.uniform(-0.7, 0.7, (N, 3)),
+        s=rng.uniform(0.1, 0.4, (N, 3)),
+        r=r / np.linalg.norm(r, axis=1, keepdims=True),
+    )
 
 
 # --- Fig. 1: Gaussians at t -> image ---------------------------------------------------------------------------------
 class Splats(NamedTuple):
-    mean2d: np.ndarray     # (N, 2)
-    conic: np.ndarray      # (N, 3)
-    depth: np.ndarray      # (N,)
-    visible: np.ndarray    # (N,) bool
+    mean2d: np.ndarray  # (N, 2)
+    conic: np.ndarray  # (N, 3)
+    depth: np.ndarray  # (N,)
+    visible: np.ndarray  # (N,) bool
 
 
 def projection_forward(x, s, r, W, T, focal, center, size):
@@ -146,7 +183,9 @@ def projection_forward(x, s, r, W, T, focal, center, size):
 
 
 def projection_backward(res, mean2d_bar=None, conic_bar=None, depth_bar=None):
-    places = projection.backward(res[1], mean2d_bar=mean2d_bar, conic_bar=conic_bar, depth_bar=depth_bar)
+    places = projection.backward(
+        res[1], mean2d_bar=mean2d_bar, conic_bar=conic_bar, depth_bar=depth_bar
+    )
     bars = {"x": places["x"], **covariance.backward(res[0], places["Sigma"])}
     return {name: bar.astype(res[2], copy=False) for name, bar in bars.items()}
 
@@ -162,14 +201,21 @@ def projection_cases():
     toward = VIEWPOINT.center * np.array([[0.0], [0.2], [0.5], [0.8], [0.97], [1.0], [1.5], [3.0]])
     yield Case("some_behind", dict(near, x=toward + 0.1 * near["x"], **view), ("behind",))
     wide = gaussians(np.random.default_rng(223), 6)
-    yield Case("beyond_the_clamp", dict(wide, x=wide["x"] + 5 * VIEWPOINT.R[0] * np.array([[1], [-1]] * 3), **view),
-               ("clamped", "outside"))
+    yield Case(
+        "beyond_the_clamp",
+        dict(wide, x=wide["x"] + 5 * VIEWPOINT.R[0] * np.array([[1], [-1]] * 3), **view),
+        ("clamped", "outside"),
+    )
     inside_out = gaussians(np.random.default_rng(224), 5)
-    yield Case("negative_scales", dict(inside_out, s=inside_out["s"] * [-1, 1, -0.3], **view), ("negative",))
+    yield Case(
+        "negative_scales",
+        dict(inside_out, s=inside_out["s"] * [-1, 1, -0.3], **view),
+        ("negative",),
+    )
 
 
 class Image(NamedTuple):
-    image: np.ndarray      # (H, W, 3)
+    image: np.ndarray  # (H, W, 3)
 
 
 def compositing_forward(x, s, r, alpha, color, W, T, focal, center, size, background, occlusion):
@@ -182,51 +228,148 @@ def compositing_forward(x, s, r, alpha, color, W, T, focal, center, size, backgr
     Choice     Q21: nothing skipped, the clamp of 0.99 kept
     Reference  Kerbl et al. 2023
     """
-    out, res = render.forward(x, s, r, alpha, color, camera_of(W, T, focal, center, size), background, EXACT, occlusion)
+    out, res = render.forward(
+        x, s, r, alpha, color, camera_of(W, T, focal, center, size), background, EXACT, occlusion
+    )
     return Image(out.image.astype(x.dtype, copy=False)), (res, x.dtype)
 
 
 def compositing_backward(res, image_bar):
     bars = render.backward(res[0], image_bar.astype(float))
-    return {name: bars[name].astype(res[1], copy=False) for name in ("x", "s", "r", "alpha", "color", "background")}
+    return {
+        name: bars[name].astype(res[1], copy=False)
+        for name in ("x", "s", "r", "alpha", "color", "background")
+    }
 
 
 def compositing_cases():
     def inputs(seed, N, **changes):
         rng = np.random.default_rng(seed)
-        return dict(**gaussians(rng, N), alpha=rng.uniform(0.3, 0.95, N), color=rng.random((N, 3)),
-                    **described(VIEWPOINT), background=np.array([0.9, 0.2, 0.4]), occlusion=True) | changes
+        return (
+            dict(
+                **gaussians(rng, N),
+                alpha=rng.uniform(0.3, 0.95, N),
+                color=rng.random((N, 3)),
+                **described(VIEWPOINT),
+                background=np.array([0.9, 0.2, 0.4]),
+                occlusion=True,
+            )
+            | changes
+        )
 
     yield Case("ordinary", inputs(231, 12))
     yield Case("no_occlusion", inputs(232, 9, occlusion=False), ("off",))
     some = inputs(233, 10)
     behind = np.where(np.arange(10)[:, None] % 4 == 3, 2 * VIEWPOINT.center, 0)
     yield Case("some_behind", {**some, "x": some["x"] + behind}, ("behind",))
-    yield Case("opaque", inputs(234, 8, alpha=np.tile([1.0, 0.5], 4), s=np.full((8, 3), 0.7)), ("opaque", "clamped"))
+    yield Case(
+        "opaque",
+        inputs(234, 8, alpha=np.tile([1.0, 0.5], 4), s=np.full((8, 3), 0.7)),
+        ("opaque", "clamped"),
+    )
 
 
 SUBJECTS_L2 = [
-    ("masking", undeclared(
-        "spatial_prediction", "1 to 4", "anchors -> canonical Gaussians",
-        {"x_a": "A 3", "f_a": "A d", "s_a": "A 3", "l_a": "A 3", "O_a": "A k 3", "mask": "A k", "x_c": "3",
-         "tau_alpha": "", "effects": "", **shapes_of(*ANCHOR_NETWORKS), "x": "N 3", "s": "N 3", "r": "N 4",
-         "alpha": "N", "color": "N 3", "index": "N"},
-        ("x_a", "f_a", "s_a", "l_a", "O_a", *shapes_of(*ANCHOR_NETWORKS)),
-        spatial_forward, spatial_backward, spatial_cases, spatial_surrogate)),
-    ("deformed", undeclared(
-        "temporal_prediction", "5, 6", "canonical Gaussians -> Gaussians at t",
-        {"x": "N 3", "s": "N 3", "r": "N 4", "t": "", "L_x": "", "L_t": "", **shapes_of("psi_d"), "x_t": "N 3",
-         "s_t": "N 3", "r_t": "N 4"},
-        ("x", "s", "r", *shapes_of("psi_d")), temporal_forward, temporal_backward, temporal_cases, temporal_surrogate)),
-    ("projection", undeclared(
-        "projection_stage", "", "Gaussians at t -> splats",
-        {"x": "N 3", "s": "N 3", "r": "N 4", **CAMERA_SHAPES, "mean2d": "N 2", "conic": "N 3", "depth": "N",
-         "visible": "N"},
-        ("x", "s", "r"), projection_forward, projection_backward, projection_cases)),
-    ("compositing", undeclared(
-        "compositing_stage", "", "Gaussians at t -> image",
-        {"x": "N 3", "s": "N 3", "r": "N 4", "alpha": "N", "color": "N 3", **CAMERA_SHAPES, "background": "3",
-         "occlusion": "", "image": "H W 3"},
-        ("x", "s", "r", "alpha", "color", "background"), compositing_forward, compositing_backward, compositing_cases)),
+    (
+        "masking",
+        undeclared(
+            "spatial_prediction",
+            "1 to 4",
+            "anchors -> canonical Gaussians",
+            {
+                "x_a": "A 3",
+                "f_a": "A d",
+                "s_a": "A 3",
+                "l_a": "A 3",
+                "O_a": "A k 3",
+                "mask": "A k",
+                "x_c": "3",
+                "tau_alpha": "",
+                "effects": "",
+                **shapes_of(*ANCHOR_NETWORKS),
+                "x": "N 3",
+                "s": "N 3",
+                "r": "N 4",
+                "alpha": "N",
+                "color": "N 3",
+                "index": "N",
+            },
+            ("x_a", "f_a", "s_a", "l_a", "O_a", *shapes_of(*ANCHOR_NETWORKS)),
+            spatial_forward,
+            spatial_backward,
+            spatial_cases,
+            spatial_surrogate,
+        ),
+    ),
+    (
+        "deformed",
+        undeclared(
+            "temporal_prediction",
+            "5, 6",
+            "canonical Gaussians -> Gaussians at t",
+            {
+                "x": "N 3",
+                "s": "N 3",
+                "r": "N 4",
+                "t": "",
+                "L_x": "",
+                "L_t": "",
+                **shapes_of("psi_d"),
+                "x_t": "N 3",
+                "s_t": "N 3",
+                "r_t": "N 4",
+            },
+            ("x", "s", "r", *shapes_of("psi_d")),
+            temporal_forward,
+            temporal_backward,
+            temporal_cases,
+            temporal_surrogate,
+        ),
+    ),
+    (
+        "projection",
+        undeclared(
+            "projection_stage",
+            "",
+            "Gaussians at t -> splats",
+            {
+                "x": "N 3",
+                "s": "N 3",
+                "r": "N 4",
+                **CAMERA_SHAPES,
+                "mean2d": "N 2",
+                "conic": "N 3",
+                "depth": "N",
+                "visible": "N",
+            },
+            ("x", "s", "r"),
+            projection_forward,
+            projection_backward,
+            projection_cases,
+        ),
+    ),
+    (
+        "compositing",
+        undeclared(
+            "compositing_stage",
+            "",
+            "Gaussians at t -> image",
+            {
+                "x": "N 3",
+                "s": "N 3",
+                "r": "N 4",
+                "alpha": "N",
+                "color": "N 3",
+                **CAMERA_SHAPES,
+                "background": "3",
+                "occlusion": "",
+                "image": "H W 3",
+            },
+            ("x", "s", "r", "alpha", "color", "background"),
+            compositing_forward,
+            compositing_backward,
+            compositing_cases,
+        ),
+    ),
     *SUBJECTS_CODING,
 ]

@@ -1,4 +1,5 @@
 """Vectors of level L2, the half of Fig. 2: from positions to what coding needs, and from noisy attributes to bits."""
+
 from typing import NamedTuple
 
 import numpy as np
@@ -14,10 +15,10 @@ from .undeclared import SILENT, flat_gradients, flat_networks, networks_of, shap
 
 # --- positions -> steps and priors ---------------------------------------------------------------------------------
 class Read(NamedTuple):
-    h: np.ndarray          # (A, I)
-    q: np.ndarray          # (A, 4)
-    mu: np.ndarray         # (A, n)
-    sigma: np.ndarray      # (A, n)
+    h: np.ndarray  # (A, I)
+    q: np.ndarray  # (A, 4)
+    mu: np.ndarray  # (A, n)
+    sigma: np.ndarray  # (A, n)
 
 
 def context_forward(x_a, lo, hi, grids, resolutions, Q_0, d, k, **networks):
@@ -46,25 +47,38 @@ def context_backward(res, h_bar, q_bar, mu_bar, sigma_bar):
 
 def context_surrogate(**base):
     """The context of grids whose signs stay those of `base` and move by the parameters' change."""
-    read = hash_grid.surrogate(*(base[name] for name in ("x_a", "lo", "hi", "grids", "resolutions")))
+    read = hash_grid.surrogate(
+        *(base[name] for name in ("x_a", "lo", "hi", "grids", "resolutions"))
+    )
 
     def smooth(grids, Q_0, d, k, **inputs):
         h = read(grids=grids).h
         networks = networks_of(inputs)
         q = model.step.forward(h, *networks["psi_q"], Q_0)[0].q
         return Read(h, q, *model.prior.forward(h, *networks["psi_p"], (d, 3, 3, 3 * k))[0])
+
     return smooth
 
 
 def context_cases():
     def inputs(seed, A, d, k, resolutions, tables, F, hidden):
         rng = np.random.default_rng(seed)
-        networks = {name: random_network(rng, F * len(tables), *hidden, columns)
-                    for name, columns in (("psi_q", 4), ("psi_p", 2 * (d + 6 + 3 * k)))}
+        networks = {
+            name: random_network(rng, F * len(tables), *hidden, columns)
+            for name, columns in (("psi_q", 4), ("psi_p", 2 * (d + 6 + 3 * k)))
+        }
         hi = np.array([1, 0.7, 0.4])
-        return dict(x_a=rng.uniform(-1, 1, (A, 3)) * hi, lo=-hi, hi=hi,
-                    grids=[rng.uniform(-0.9, 0.9, (T, F)) for T in tables], resolutions=resolutions,
-                    Q_0=np.array([1.0, 0.001, 0.002, 0.2]), d=d, k=k, **flat_networks(networks))
+        return dict(
+            x_a=rng.uniform(-1, 1, (A, 3)) * hi,
+            lo=-hi,
+            hi=hi,
+            grids=[rng.uniform(-0.9, 0.9, (T, F)) for T in tables],
+            resolutions=resolutions,
+            Q_0=np.array([1.0, 0.001, 0.002, 0.2]),
+            d=d,
+            k=k,
+            **flat_networks(networks),
+        )
 
     dense = (("xyz", 3), ("xy", 4), ("xz", 4), ("yz", 4))
     yield Case("ordinary", inputs(241, 7, 5, 2, dense, (27, 16, 16, 16), 2, (8,)))
@@ -76,8 +90,8 @@ def context_cases():
 
 # --- noisy attributes -> bits --------------------------------------------------------------------------------------
 class Rate(NamedTuple):
-    bits: np.ndarray       # ()
-    L_rate: np.ndarray     # ()
+    bits: np.ndarray  # ()
+    L_rate: np.ndarray  # ()
 
 
 def rate_forward(noisy, mu, sigma, q, mask, grids, d, k):
@@ -98,8 +112,10 @@ def rate_forward(noisy, mu, sigma, q, mask, grids, d, k):
 
 def rate_backward(res, bits_bar, L_rate_bar):
     inner, count, design = res
-    both = L_rate_bar + count * bits_bar           # bits = A n L_rate
-    return dict(zip(("noisy", "mu", "sigma", "q", "grids"), objective.rate_backward(inner, both, design)))
+    both = L_rate_bar + count * bits_bar  # bits = A n L_rate
+    return dict(
+        zip(("noisy", "mu", "sigma", "q", "grids"), objective.rate_backward(inner, both, design))
+    )
 
 
 def rate_surrogate(**base):
@@ -110,6 +126,7 @@ def rate_surrogate(**base):
         out = rate_forward(grids=base["grids"], **others)[0]
         more = priced(grids=grids).R_hash - held
         return Rate(out.bits + more, out.L_rate + more / others["noisy"].size)
+
     return smooth
 
 
@@ -118,9 +135,16 @@ def rate_cases():
         rng = np.random.default_rng(seed)
         n = d + 6 + 3 * k
         sigma, mu = rng.lognormal(-1, 0.5, (A, n)), rng.normal(size=(A, n))
-        return dict(noisy=mu + spread * sigma * rng.normal(size=(A, n)), mu=mu, sigma=sigma,
-                    q=rng.uniform(0.1, 0.8, (A, 4)), mask=rng.random((A, k)) < 0.7,
-                    grids=[rng.uniform(-0.5, 0.9, shape) for shape in tables], d=d, k=k)
+        return dict(
+            noisy=mu + spread * sigma * rng.normal(size=(A, n)),
+            mu=mu,
+            sigma=sigma,
+            q=rng.uniform(0.1, 0.8, (A, 4)),
+            mask=rng.random((A, k)) < 0.7,
+            grids=[rng.uniform(-0.5, 0.9, shape) for shape in tables],
+            d=d,
+            k=k,
+        )
 
     yield Case("ordinary", inputs(251, 6, 4, 5, 1.0))
     yield Case("tails", inputs(252, 5, 3, 2, 30.0), ("tail", "masked"))
@@ -129,14 +153,57 @@ def rate_cases():
 
 
 SUBJECTS_CODING = [
-    ("hash_grid", undeclared(
-        "context_stage", "8, 9, 12", "positions -> h, q, mu, sigma",
-        {"x_a": "A 3", "lo": "3", "hi": "3", "grids": "*T F", "resolutions": "", "Q_0": "G", "d": "", "k": "",
-         **shapes_of("psi_q", "psi_p"), "h": "A I", "q": "A G", "mu": "A n", "sigma": "A n"},
-        ("grids", *shapes_of("psi_q", "psi_p")), context_forward, context_backward, context_cases, context_surrogate)),
-    ("rate_loss", undeclared(
-        "rate_stage", "11, 13, 14, 17", "noisy attributes -> bits, L_rate",
-        {"noisy": "A n", "mu": "A n", "sigma": "A n", "q": "A 4", "mask": "A k", "grids": "*T F", "d": "", "k": "",
-         "bits": "", "L_rate": ""},
-        ("noisy", "mu", "sigma", "q", "grids"), rate_forward, rate_backward, rate_cases, rate_surrogate)),
+    (
+        "hash_grid",
+        undeclared(
+            "context_stage",
+            "8, 9, 12",
+            "positions -> h, q, mu, sigma",
+            {
+                "x_a": "A 3",
+                "lo": "3",
+                "hi": "3",
+                "grids": "*T F",
+                "resolutions": "",
+                "Q_0": "G",
+                "d": "",
+                "k": "",
+                **shapes_of("psi_q", "psi_p"),
+                "h": "A I",
+                "q": "A G",
+                "mu": "A n",
+                "sigma": "A n",
+            },
+            ("grids", *shapes_of("psi_q", "psi_p")),
+            context_forward,
+            context_backward,
+            context_cases,
+            context_surrogate,
+        ),
+    ),
+    (
+        "rate_loss",
+        undeclared(
+            "rate_stage",
+            "11, 13, 14, 17",
+            "noisy attributes -> bits, L_rate",
+            {
+                "noisy": "A n",
+                "mu": "A n",
+                "sigma": "A n",
+                "q": "A 4",
+                "mask": "A k",
+                "grids": "*T F",
+                "d": "",
+                "k": "",
+                "bits": "",
+                "L_rate": "",
+            },
+            ("noisy", "mu", "sigma", "q", "grids"),
+            rate_forward,
+            rate_backward,
+            rate_cases,
+            rate_surrogate,
+        ),
+    ),
 ]

@@ -5,6 +5,7 @@ one.  As files: `codec/<name>.safetensors` (or .npz), the arrays by their names,
 (null for a stream that was not refused).  Whole numbers may have any integer type, masks and signs may be BOOL; q, x_a
 and attributes are F64, the numbers of the networks F32.
 """
+
 import hashlib
 import json
 import shutil
@@ -20,9 +21,22 @@ from .compare import Finding, Result
 from .ports import FolderPort, PortError
 
 # In the order in which a decoder finds them: who is to blame where this array is the first that is wrong.
-BLAMED = {"positions": "codec", "x_a": "codec", "masks": "codec", "signs": "codec", "anchor_mlps": "codec",
-          "context_mlps": "codec", "deformation_mlp": "codec", "h": "hash_grid", "q_units": "step", "q": "step",
-          "mu_units": "prior", "sigma_units": "prior", "symbols": "codec", "attributes": "rounding"}
+BLAMED = {
+    "positions": "codec",
+    "x_a": "codec",
+    "masks": "codec",
+    "signs": "codec",
+    "anchor_mlps": "codec",
+    "context_mlps": "codec",
+    "deformation_mlp": "codec",
+    "h": "hash_grid",
+    "q_units": "step",
+    "q": "step",
+    "mu_units": "prior",
+    "sigma_units": "prior",
+    "symbols": "codec",
+    "attributes": "rounding",
+}
 
 
 def read_rows():
@@ -32,13 +46,27 @@ def read_rows():
 
 def records():
     """The streams as the manifest of the vectors lists them."""
+
     def record(row, result, **more):
-        return {"id": f"codec/{row['name']}", "name": row["name"], "says": row["says"], "result": result,
-                "file": f"streams/{row['file']}", "bytes": row["bytes"], "sha256": row["sha256"], **more}
+        return {
+            "id": f"codec/{row['name']}",
+            "name": row["name"],
+            "says": row["says"],
+            "result": result,
+            "file": f"streams/{row['file']}",
+            "bytes": row["bytes"],
+            "sha256": row["sha256"],
+            **more,
+        }
 
     rows = read_rows()
-    return ([record(row, "valid", expected=f"streams/{row['expected']}", arrays=row["arrays"]) for row in rows["good"]]
-            + [record(row, "invalid", **{key: row[key] for key in ("section", "offset", "kind")}) for row in rows["bad"]])
+    return [
+        record(row, "valid", expected=f"streams/{row['expected']}", arrays=row["arrays"])
+        for row in rows["good"]
+    ] + [
+        record(row, "invalid", **{key: row[key] for key in ("section", "offset", "kind")})
+        for row in rows["bad"]
+    ]
 
 
 def copy(folder):
@@ -66,13 +94,23 @@ def decoded(data):
     Raises     BitstreamError
     """
     found = conformance.expected(quantised_of(open_container(data)))
-    return {name: np.asarray(a).astype(bool if kind == "bit" else conformance.TYPES[kind]) for name, (kind, a) in found.items()}
+    return {
+        name: np.asarray(a).astype(bool if kind == "bit" else conformance.TYPES[kind])
+        for name, (kind, a) in found.items()
+    }
 
 
 def check(port):
     """Verdicts on every stream: of a port that decodes, or of the files that one wrote into its `folder`."""
-    decode, rows = port.decode if hasattr(port, "decode") else StreamFolder(port.folder).decode, read_rows()
-    return [judge(row, good, decode) for key, good in (("good", True), ("bad", False)) for row in rows[key]]
+    decode, rows = (
+        port.decode if hasattr(port, "decode") else StreamFolder(port.folder).decode,
+        read_rows(),
+    )
+    return [
+        judge(row, good, decode)
+        for key, good in (("good", True), ("bad", False))
+        for row in rows[key]
+    ]
 
 
 def judge(row, good, decode):
@@ -90,8 +128,15 @@ def judge(row, good, decode):
         else:
             findings = compare(row, arrays)
     blamed = BLAMED.get(findings[0].tensor, "codec") if findings else "codec"
-    return Result(f"codec/{row['name']}", blamed, "L3", verdict or ("fail" if findings or said else "pass"), True,
-                  tuple(findings), said)
+    return Result(
+        f"codec/{row['name']}",
+        blamed,
+        "L3",
+        verdict or ("fail" if findings or said else "pass"),
+        True,
+        tuple(findings),
+        said,
+    )
 
 
 class StreamFolder(FolderPort):
@@ -110,7 +155,7 @@ class StreamFolder(FolderPort):
         try:
             return self._load(f"codec/{name}")[0], None
         except PortError as error:
-            if error.kind == "missing" and name in reasons:        # null, and no arrays that anyone needs
+            if error.kind == "missing" and name in reasons:  # null, and no arrays that anyone needs
                 return {}, None
             raise PortError(error.kind, f"{error}, or why it is refused in {path}") from None
 
@@ -124,17 +169,28 @@ class StreamFolder(FolderPort):
             except (OSError, ValueError, RecursionError):
                 self.loaded["refusals"] = None
         if not isinstance(self.loaded["refusals"], dict):
-            raise PortError("damaged", f"{path}: expected a JSON object {{name of a stream: why it is refused, or null}}")
+            raise PortError(
+                "damaged",
+                f"{path}: expected a JSON object {{name of a stream: why it is refused, or null}}",
+            )
         return self.loaded["refusals"], path
 
 
 def compare(row, arrays):
     """Every way in which a port's arrays differ from those of a good stream, in the order in which data flow."""
     wanted = {entry["name"]: entry for entry in row["arrays"]}
-    findings = [Finding(name, "missing", f"expected {wanted[name]['type']} {tuple(wanted[name]['shape'])}")
-                if name not in arrays else _difference(row, wanted[name], np.asarray(arrays[name]))
-                for name in BLAMED if name in wanted]
-    findings += [Finding(name, "extra", "not expected of this stream") for name in arrays if name not in wanted]
+    findings = [
+        Finding(name, "missing", f"expected {wanted[name]['type']} {tuple(wanted[name]['shape'])}")
+        if name not in arrays
+        else _difference(row, wanted[name], np.asarray(arrays[name]))
+        for name in BLAMED
+        if name in wanted
+    ]
+    findings += [
+        Finding(name, "extra", "not expected of this stream")
+        for name in arrays
+        if name not in wanted
+    ]
     return [finding for finding in findings if finding]
 
 
@@ -144,19 +200,40 @@ def _difference(row, entry, mine):
     if mine.shape != shape:
         return Finding(name, "shape", f"{mine.shape}, expected {shape}")
     dtype = np.dtype("u1" if kind == "bit" else conformance.TYPES[kind])
-    if mine.dtype.kind not in "iub" if dtype.kind in "iu" else mine.dtype.newbyteorder("<") != dtype:
-        return Finding(name, "dtype", f"{mine.dtype}, expected {'integers' if dtype.kind in 'iu' else dtype}")
+    if (
+        mine.dtype.kind not in "iub"
+        if dtype.kind in "iu"
+        else mine.dtype.newbyteorder("<") != dtype
+    ):
+        return Finding(
+            name, "dtype", f"{mine.dtype}, expected {'integers' if dtype.kind in 'iu' else dtype}"
+        )
     narrow = mine.astype(dtype)
     data = np.packbits(narrow, bitorder="little").tobytes() if kind == "bit" else narrow.tobytes()
-    exact = dtype.kind == "f" or np.array_equal(narrow, mine) and (kind != "bit" or mine.size == 0 or narrow.max() <= 1)
+    exact = (
+        dtype.kind == "f"
+        or np.array_equal(narrow, mine)
+        and (kind != "bit" or mine.size == 0 or narrow.max() <= 1)
+    )
     if exact and hashlib.sha256(data).hexdigest() == entry["sha256"]:
         return None
     want = stored(row, entry)
-    wrong = narrow.view(f"u{dtype.itemsize}") != want.view(f"u{dtype.itemsize}") if dtype.kind == "f" else mine != want
+    wrong = (
+        narrow.view(f"u{dtype.itemsize}") != want.view(f"u{dtype.itemsize}")
+        if dtype.kind == "f"
+        else mine != want
+    )
     index = tuple(int(i) for i in np.argwhere(wrong)[0])
     got, right = (np.asarray(a)[index].item() for a in (mine, want))
-    return Finding(name, "value", f"{name}{list(index)}: got {got!r}, expected {right!r} ({int(wrong.sum())} of {wrong.size} "
-                                  f"numbers off; all bits count)", index, float(got), float(right))
+    return Finding(
+        name,
+        "value",
+        f"{name}{list(index)}: got {got!r}, expected {right!r} ({int(wrong.sum())} of {wrong.size} "
+        f"numbers off; all bits count)",
+        index,
+        float(got),
+        float(right),
+    )
 
 
 def stored(row, entry):
@@ -164,5 +241,7 @@ def stored(row, entry):
     count, kind, at = int(np.prod(entry["shape"])), entry["type"], entry["offset"]
     body = (conformance.FOLDER / row["expected"]).read_bytes()
     if kind == "bit":
-        return np.unpackbits(np.frombuffer(body, np.uint8, -(-count // 8), at), bitorder="little")[:count].reshape(entry["shape"])
+        return np.unpackbits(np.frombuffer(body, np.uint8, -(-count // 8), at), bitorder="little")[
+            :count
+        ].reshape(entry["shape"])
     return np.frombuffer(body, conformance.TYPES[kind], count, at).reshape(entry["shape"])

@@ -12,19 +12,22 @@ y's answer, over delta, estimates it.  For a sum it is the size of the terms; fo
 rounding of the inputs shows.  c is measured too: SAFETY times the largest error, in eps S, that this project's own
 evaluation in float32 makes, rounded up to a power of two, and at least FLOOR, for the order of a sum is free.
 """
+
 import zlib
 
 import numpy as np
 
-from ..stability.entry import cast
+from ..studies.hard_cases.entry import cast
 from .compare import IMAGES
 from .subjects import flatten, run
 
 PROBES = 12
-DELTA = 2.0**-34         # far above the rounding of float64, and small enough for terms that cancel to eight digits
+DELTA = (
+    2.0**-34
+)  # far above the rounding of float64, and small enough for terms that cancel to eight digits
 SAFETY, FLOOR = 4, 32
-LARGEST = 2.0**14        # a case that float32 misses by more asks for more than float32 has
-LEAST = 2.0**-40         # S of a number is at least this part of the largest S in its array
+LARGEST = 2.0**14  # a case that float32 misses by more asks for more than float32 has
+LEAST = 2.0**-40  # S of a number is at least this part of the largest S in its array
 
 
 def scales(eq, case, cotangents, flat):
@@ -33,7 +36,9 @@ def scales(eq, case, cotangents, flat):
     Shapes     flat {"out.x": array, "in_bar.x": array}: the values themselves
     """
     rng = np.random.default_rng(zlib.crc32(case.name.encode()))
-    wide, narrow = (_spread(eq, case, cotangents, flat, delta, rng) for delta in (DELTA, DELTA / 16))
+    wide, narrow = (
+        _spread(eq, case, cotangents, flat, delta, rng) for delta in (DELTA, DELTA / 16)
+    )
     return {name: _scale(name, flat[name], wide[name], narrow[name]) for name in wide}
 
 
@@ -43,12 +48,18 @@ def _spread(eq, case, cotangents, flat, delta, rng):
     with np.errstate(all="ignore"):
         for _ in range(PROBES):
             try:
-                moved = named(*run(eq, _moved(case.inputs, rng, delta), _moved(cotangents, rng, delta)))
-            except ValueError:             # at a threshold: another number of Gaussians is kept, the cotangents do not fit
+                moved = named(
+                    *run(eq, _moved(case.inputs, rng, delta), _moved(cotangents, rng, delta))
+                )
+            except (
+                ValueError
+            ):  # at a threshold: another number of Gaussians is kept, the cotangents do not fit
                 continue
             for name in squares:
                 step = (moved[name] - flat[name]) / delta
-                squares[name] += np.where(np.isfinite(step), np.minimum(np.abs(step), 1e150), 0) ** 2
+                squares[name] += (
+                    np.where(np.isfinite(step), np.minimum(np.abs(step), 1e150), 0) ** 2
+                )
     return {name: np.sqrt(square / PROBES) for name, square in squares.items()}
 
 
@@ -57,19 +68,25 @@ def _scale(name, values, wide, narrow):
     # Across a tie or a kink a sixteenth of the change makes the same jump, sixteen times the quotient: only |y| counts there.
     size = np.maximum(size, np.where(narrow > 4 * wide, 0, wide))
     largest = size.max(initial=0)
-    size = largest.reshape(()) if name.split(".")[1] in IMAGES else np.maximum(size, LEAST * largest)
-    inside = (size == 0) | (size > 1e-30) & (size < 1e30)          # six digits of S are enough where float32 has the range
+    size = (
+        largest.reshape(()) if name.split(".")[1] in IMAGES else np.maximum(size, LEAST * largest)
+    )
+    inside = (size == 0) | (size > 1e-30) & (
+        size < 1e30
+    )  # six digits of S are enough where float32 has the range
     return size.astype(np.float32) if inside.all() else size
 
 
 def _moved(values, rng, delta):
     """Every float array times 1 +- delta."""
+
     def move(a):
         if isinstance(a, list):
             return [move(b) for b in a]
         if isinstance(a, (np.ndarray, np.generic)) and np.asarray(a).dtype.kind == "f":
             return (a * (1 + delta * rng.choice([-1.0, 1.0], np.shape(a)))).astype(a.dtype)
         return a
+
     return {name: move(a) for name, a in values.items()}
 
 
@@ -93,9 +110,13 @@ def float32_error(eq, case, cotangents, flat, scale):
         if want.dtype.kind != "f":
             worst = worst if np.array_equal(got, want) else np.inf
             continue
-        with np.errstate(all="ignore"):        # not `deviations`: here what float32 cannot hold must show, nothing is free
-            off = np.abs(got.astype(float) - want) / (np.finfo(np.float32).eps * scale[name].astype(float))
-        off = np.where(got == want, 0, off)                    # equal infinities; 0 where S is 0
+        with np.errstate(
+            all="ignore"
+        ):  # not `deviations`: here what float32 cannot hold must show, nothing is free
+            off = np.abs(got.astype(float) - want) / (
+                np.finfo(np.float32).eps * scale[name].astype(float)
+            )
+        off = np.where(got == want, 0, off)  # equal infinities; 0 where S is 0
         worst = max(worst, float(np.nan_to_num(off, nan=np.inf).max(initial=0)))
     return worst
 
@@ -112,5 +133,8 @@ def tolerances(error, image=False):
     double = {**bounds, "reason": said if measured else f"{FLOOR} eps S: the order of sums is free"}
     if measured:
         return {"float64": double, "float32": {**bounds, "reason": said}}
-    return {"float64": double, "float32": None, "float32_reason":
-            "float32 cannot hold these inputs or misses their result by more than 2^14 eps S; do this case in float64"}
+    return {
+        "float64": double,
+        "float32": None,
+        "float32_reason": "float32 cannot hold these inputs or misses their result by more than 2^14 eps S; do this case in float64",
+    }

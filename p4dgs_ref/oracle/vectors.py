@@ -2,6 +2,7 @@
 
 `python -m p4dgs_ref.oracle.vectors [DIR]` computes them anew; `p4dgs-ref oracle export DIR` copies the published ones.
 """
+
 import hashlib
 import inspect
 import json
@@ -15,12 +16,17 @@ import scipy
 
 from .. import __version__
 from ..equations import FLAGS
-from ..output import OutputError, filled
+from ..scenes.output import OutputError, filled
 from . import independent, safetensors, streams, tolerance
 from .subjects import flatten, run, settings, subjects
 
 FOLDER = Path(__file__).with_name("v1")
-WRITTEN = ("README.md", "LICENSE", "example_adapter.py", "model.p4dgs")      # everything else in v1 is made here
+WRITTEN = (
+    "README.md",
+    "LICENSE",
+    "example_adapter.py",
+    "model.p4dgs",
+)  # everything else in v1 is made here
 
 # Cases in which another answer is defensible: reported, but not required.
 ACCEPTABLE = {
@@ -35,9 +41,13 @@ def cotangents_of(eq, case, out, seed):
     def draw(a):
         return [draw(b) for b in a] if isinstance(a, list) else rng.standard_normal(np.shape(a))
 
-    return {name + "_bar": case.cotangents.get(name + "_bar", draw(value)) for name, value in out._asdict().items()
-            if eq.differentiable and all(np.asarray(a).dtype.kind == "f" for a in flatten({"": value}).values())
-            and flatten({"": value})}
+    return {
+        name + "_bar": case.cotangents.get(name + "_bar", draw(value))
+        for name, value in out._asdict().items()
+        if eq.differentiable
+        and all(np.asarray(a).dtype.kind == "f" for a in flatten({"": value}).values())
+        and flatten({"": value})
+    }
 
 
 def vector(subject, case):
@@ -50,28 +60,51 @@ def vector(subject, case):
     better, provenance, by_reference = independent.values(subject, case, cotangents, flat)
     error = tolerance.float32_error(eq, case, cotangents, flat, scale)
     flat.update(better)
-    tensors = {**flatten(case.inputs, "in."), **flatten({n[:-4]: a for n, a in cotangents.items()}, "out_bar."), **flat,
-               **{f"scale.{name}": a for name, a in scale.items()}}
-    record = {"id": key, "name": case.name, "tests": says(case), "flags": list(case.flags),
-              "result": "acceptable" if key in ACCEPTABLE else "valid",
-              **({"why": ACCEPTABLE[key]} if key in ACCEPTABLE else {}), "provenance": provenance,
-              **({"reference": by_reference} if by_reference else {}),
-              "settings": settings(case.inputs), "tolerance": tolerance.tolerances(error, any(
-                  name.split(".")[1] in tolerance.IMAGES for name in flat))}
+    tensors = {
+        **flatten(case.inputs, "in."),
+        **flatten({n[:-4]: a for n, a in cotangents.items()}, "out_bar."),
+        **flat,
+        **{f"scale.{name}": a for name, a in scale.items()},
+    }
+    record = {
+        "id": key,
+        "name": case.name,
+        "tests": says(case),
+        "flags": list(case.flags),
+        "result": "acceptable" if key in ACCEPTABLE else "valid",
+        **({"why": ACCEPTABLE[key]} if key in ACCEPTABLE else {}),
+        "provenance": provenance,
+        **({"reference": by_reference} if by_reference else {}),
+        "settings": settings(case.inputs),
+        "tolerance": tolerance.tolerances(
+            error, any(name.split(".")[1] in tolerance.IMAGES for name in flat)
+        ),
+    }
     return record, {name: np.ascontiguousarray(a).reshape(a.shape) for name, a in tensors.items()}
 
 
 def says(case):
     """What a case tests, in a sentence."""
-    return f"{case.name.replace('_', ' ')}; hunts " + "; ".join(FLAGS[flag].split(": ", 1)[1] for flag in case.flags)
+    return f"{case.name.replace('_', ' ')}; hunts " + "; ".join(
+        FLAGS[flag].split(": ", 1)[1] for flag in case.flags
+    )
 
 
 def constants(eq):
     """The numbers that an equation takes for granted, of its signature and its file: {"near": 0.2, "FLOOR": 2^-10, ...}."""
     taken = {name: p.default for name, p in inspect.signature(eq.forward).parameters.items()}
-    named = {name: value for name, value in vars(sys.modules[eq.module]).items() if name.isupper() and name != "BLOCK"}
-    return {name: value for name, value in {**taken, **named}.items() if isinstance(value, (int, float))
-            or isinstance(value, tuple) and all(isinstance(v, (int, float)) for v in value)}
+    named = {
+        name: value
+        for name, value in vars(sys.modules[eq.module]).items()
+        if name.isupper() and name != "BLOCK"
+    }
+    return {
+        name: value
+        for name, value in {**taken, **named}.items()
+        if isinstance(value, (int, float))
+        or isinstance(value, tuple)
+        and all(isinstance(v, (int, float)) for v in value)
+    }
 
 
 def build(only=None, progress=lambda text: None):
@@ -90,16 +123,44 @@ def build(only=None, progress=lambda text: None):
             raise ValueError(f"{key}: two cases have one name")
         file = f"{key}.safetensors"
         files[file], places = safetensors.dump(tensors, {"license": "CC0-1.0"})
-        rows.append({"key": key, "level": subject.level, "equation": subject.equation, "number": subject.eq.number,
-                     "formula": subject.eq.formula, "file": file, "shapes": subject.eq.shapes,
-                     "differentiable": list(subject.eq.differentiable), "constants": constants(subject.eq),
-                     "cases": [{**record, "tensors": [{"name": name, **places[f"{record['name']}/{name}"]} for name in names]}
-                               for record, names in records]})
-    manifest = {"format": 1, "version": "v1", "license": "CC0-1.0",
-                "generator": {"p4dgs_ref": __version__, "numpy": np.__version__, "scipy": scipy.__version__},
-                "files": {name: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
-                          for name, data in files.items()},
-                "subjects": rows, "streams": streams.records()}
+        rows.append(
+            {
+                "key": key,
+                "level": subject.level,
+                "equation": subject.equation,
+                "number": subject.eq.number,
+                "formula": subject.eq.formula,
+                "file": file,
+                "shapes": subject.eq.shapes,
+                "differentiable": list(subject.eq.differentiable),
+                "constants": constants(subject.eq),
+                "cases": [
+                    {
+                        **record,
+                        "tensors": [
+                            {"name": name, **places[f"{record['name']}/{name}"]} for name in names
+                        ],
+                    }
+                    for record, names in records
+                ],
+            }
+        )
+    manifest = {
+        "format": 1,
+        "version": "v1",
+        "license": "CC0-1.0",
+        "generator": {
+            "p4dgs_ref": __version__,
+            "numpy": np.__version__,
+            "scipy": scipy.__version__,
+        },
+        "files": {
+            name: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+            for name, data in files.items()
+        },
+        "subjects": rows,
+        "streams": streams.records(),
+    }
     return files, manifest
 
 
@@ -109,8 +170,14 @@ def flags():
     for subject in subjects().values():
         for flag in sorted({flag for case in subject.cases() for flag in case.flags}):
             bear[flag].append(subject)
-    return {flag: {**dict(zip(("description", "hunts"), text.split(": ", 1))), "subjects": [s.key for s in bear[flag]],
-                   "equations": list(dict.fromkeys(s.equation for s in bear[flag]))} for flag, text in FLAGS.items()}
+    return {
+        flag: {
+            **dict(zip(("description", "hunts"), text.split(": ", 1))),
+            "subjects": [s.key for s in bear[flag]],
+            "equations": list(dict.fromkeys(s.equation for s in bear[flag])),
+        }
+        for flag, text in FLAGS.items()
+    }
 
 
 def write(folder, progress=lambda text: None):
@@ -124,8 +191,12 @@ def write(folder, progress=lambda text: None):
 
 def _json(value):
     """One line a record: small enough to ship, open enough to read."""
-    return (json.dumps(value, indent=None, separators=(",", ":")).replace('{"id"', '\n{"id"').replace('{"key"', '\n\n{"key"')
-            + "\n").encode()
+    return (
+        json.dumps(value, indent=None, separators=(",", ":"))
+        .replace('{"id"', '\n{"id"')
+        .replace('{"key"', '\n\n{"key"')
+        + "\n"
+    ).encode()
 
 
 def path():
@@ -136,7 +207,9 @@ def path():
 def names():
     """Every name by which `--only` can choose: subjects, equations, and the codec."""
     subjects_of = read_manifest()["subjects"]
-    return sorted({s["key"] for s in subjects_of} | {s["equation"] for s in subjects_of} | {"codec"})
+    return sorted(
+        {s["key"] for s in subjects_of} | {s["equation"] for s in subjects_of} | {"codec"}
+    )
 
 
 def export(folder, regenerate=False, progress=lambda text: None):
@@ -146,17 +219,31 @@ def export(folder, regenerate=False, progress=lambda text: None):
 
     Raises     OutputError, OSError; a folder with other things in it is refused, for names would be overwritten
     """
-    if Path(folder).is_dir() and any(Path(folder).iterdir()) and not (Path(folder) / "manifest.json").is_file():
-        raise OutputError(f"{folder}: expected an empty folder, or an earlier export with its manifest.json")
+    if (
+        Path(folder).is_dir()
+        and any(Path(folder).iterdir())
+        and not (Path(folder) / "manifest.json").is_file()
+    ):
+        raise OutputError(
+            f"{folder}: expected an empty folder, or an earlier export with its manifest.json"
+        )
     with filled(folder) as beside:
-        for name in WRITTEN if regenerate else sorted(file.name for file in FOLDER.iterdir() if file.is_file()):
+        for name in (
+            WRITTEN
+            if regenerate
+            else sorted(file.name for file in FOLDER.iterdir() if file.is_file())
+        ):
             shutil.copyfile(FOLDER / name, beside / name)
         manifest = write(beside, progress) if regenerate else read_manifest()
         streams.copy(beside)
         streams.write_expected(beside)
         sizes = [file.stat().st_size for file in beside.rglob("*") if file.is_file()]
-    return {"output": str(folder), "files": len(sizes), "bytes": sum(sizes),
-            "cases": sum(len(s["cases"]) for s in manifest["subjects"]) + len(manifest["streams"])}
+    return {
+        "output": str(folder),
+        "files": len(sizes),
+        "bytes": sum(sizes),
+        "cases": sum(len(s["cases"]) for s in manifest["subjects"]) + len(manifest["streams"]),
+    }
 
 
 def read_manifest(folder=FOLDER):
@@ -168,7 +255,9 @@ def read_manifest(folder=FOLDER):
     try:
         manifest = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise safetensors.TensorError(f"{path}: expected the JSON of the vectors' manifest ({error})") from None
+        raise safetensors.TensorError(
+            f"{path}: expected the JSON of the vectors' manifest ({error})"
+        ) from None
     if manifest.get("format") != 1:
         raise safetensors.TensorError(f"{path}: format: expected 1, got {manifest.get('format')!r}")
     return manifest

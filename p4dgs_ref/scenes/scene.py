@@ -1,4 +1,5 @@
 """A scene: posed and timed views, the effects that happen in them, the background; all checked when it is made."""
+
 import math
 from dataclasses import dataclass
 
@@ -7,11 +8,21 @@ import numpy as np
 from ..splatting.camera import Camera
 
 # The closed lists (README, "Effects").  The simulator knows the model's effects and three of its own.
-MODEL_EFFECTS = ("translation", "rotation", "scaling", "view_color", "view_geometry", "occlusion", "background")
+MODEL_EFFECTS = (
+    "translation",
+    "rotation",
+    "scaling",
+    "view_color",
+    "view_geometry",
+    "occlusion",
+    "background",
+)
 SIMULATOR_EFFECTS = MODEL_EFFECTS + ("texture", "diffuse", "specular")
 
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
-ROTATION_TOLERANCE = 1e-3      # files print six or seven digits; a scaled or mirrored matrix is off by far more
+ROTATION_TOLERANCE = (
+    1e-3  # files print six or seven digits; a scaled or mirrored matrix is off by far more
+)
 
 
 class SceneError(ValueError):
@@ -59,7 +70,9 @@ class Scene:
         for split in ("train", "test", "val"):
             object.__setattr__(self, split, tuple(getattr(self, split)))
         object.__setattr__(self, "effects", model_effects(self.effects, f"{self.name}: effects"))
-        object.__setattr__(self, "background", background_color(self.background, self.effects, self.name))
+        object.__setattr__(
+            self, "background", background_color(self.background, self.effects, self.name)
+        )
         if not self.train:
             raise SceneError(f"{self.name}: train", "no views; expected at least one")
         size = self.train[0].image.shape
@@ -67,7 +80,9 @@ class Scene:
             check_view(view, size, f"{self.name}: {view.name}")
 
     @classmethod
-    def from_arrays(cls, images, cameras, times, *, test=(), effects=None, background="white", name="arrays"):
+    def from_arrays(
+        cls, images, cameras, times, *, test=(), effects=None, background="white", name="arrays"
+    ):
         """A scene without files.
 
         Shapes     images n of (H, W, 3) or (H, W, 4); cameras n of Camera; times n; test: indices of held-out views
@@ -77,20 +92,31 @@ class Scene:
         """
         images, cameras, times, test = list(images), list(cameras), list(times), list(test)
         if not len(images) == len(cameras) == len(times):
-            raise SceneError(f"{name}: images, cameras, times",
-                             f"{len(images)}, {len(cameras)} and {len(times)}; expected equal numbers")
+            raise SceneError(
+                f"{name}: images, cameras, times",
+                f"{len(images)}, {len(cameras)} and {len(times)}; expected equal numbers",
+            )
         for position, i in enumerate(test):
             if not isinstance(i, (int, np.integer)) or not 0 <= i < len(images):
-                raise SceneError(f"{name}: test[{position}]", f"{i!r}; expected an index in 0..{len(images) - 1}")
+                raise SceneError(
+                    f"{name}: test[{position}]", f"{i!r}; expected an index in 0..{len(images) - 1}"
+                )
         effects = model_effects(effects, f"{name}: effects")
         color = background_color(background, effects, name)
         views = []
         for i, (image, camera, time) in enumerate(zip(images, cameras, times)):
             pixels, alpha = over_background(as_float(image, f"{name}: images[{i}]"), color)
-            views.append(View(f"images[{i}]", pixels, alpha, camera, check_time(time, f"{name}: times[{i}]")))
+            views.append(
+                View(f"images[{i}]", pixels, alpha, camera, check_time(time, f"{name}: times[{i}]"))
+            )
         held_out = {int(i) for i in test}
-        return cls(name, [v for i, v in enumerate(views) if i not in held_out], [views[i] for i in sorted(held_out)],
-                   effects=effects, background=color)
+        return cls(
+            name,
+            [v for i, v in enumerate(views) if i not in held_out],
+            [views[i] for i in sorted(held_out)],
+            effects=effects,
+            background=color,
+        )
 
 
 def check_effects(names, where):
@@ -101,7 +127,9 @@ def check_effects(names, where):
         raise SceneError(where, f"{names!r}; expected a list of names")
     for name in names:
         if name not in SIMULATOR_EFFECTS:
-            raise SceneError(where, f"unknown effect {name!r}; expected some of {', '.join(SIMULATOR_EFFECTS)}")
+            raise SceneError(
+                where, f"unknown effect {name!r}; expected some of {', '.join(SIMULATOR_EFFECTS)}"
+            )
     return tuple(effect for effect in SIMULATOR_EFFECTS if effect in names)
 
 
@@ -113,10 +141,16 @@ def model_effects(names, where):
 def background_color(background, effects, where):
     """Three float32 in [0, 1] from a name or numbers; black where the scene lists no background."""
     if isinstance(background, str) and background not in BACKGROUNDS:
-        raise SceneError(f"{where}: background", f"{background!r}; expected white, black or three numbers in [0, 1]")
+        raise SceneError(
+            f"{where}: background",
+            f"{background!r}; expected white, black or three numbers in [0, 1]",
+        )
     color = as_array(BACKGROUNDS[background] if isinstance(background, str) else background)
     if color is None or color.shape != (3,) or not (np.all(color >= 0) and np.all(color <= 1)):
-        raise SceneError(f"{where}: background", f"{background!r}; expected white, black or three numbers in [0, 1]")
+        raise SceneError(
+            f"{where}: background",
+            f"{background!r}; expected white, black or three numbers in [0, 1]",
+        )
     return color.astype(np.float32) if "background" in effects else np.zeros(3, np.float32)
 
 
@@ -145,7 +179,9 @@ def over_background(image, color):
     if image.shape[2] == 3:
         return image, None
     alpha = image[..., 3]
-    return image[..., :3] * alpha[..., None] + color * (1 - alpha[..., None]), np.ascontiguousarray(alpha)
+    return image[..., :3] * alpha[..., None] + color * (1 - alpha[..., None]), np.ascontiguousarray(
+        alpha
+    )
 
 
 def check_time(time, where):
@@ -162,7 +198,10 @@ def check_rotation(R, where):
         raise SceneError(where, "not finite; expected finite numbers")
     error = np.abs(R @ R.T - np.eye(3)).max()
     if error > ROTATION_TOLERANCE:
-        raise SceneError(where, f"off orthonormal by {error:.2g}; expected a rotation (to {ROTATION_TOLERANCE:g})")
+        raise SceneError(
+            where,
+            f"off orthonormal by {error:.2g}; expected a rotation (to {ROTATION_TOLERANCE:g})",
+        )
     if np.linalg.det(R) < 0:
         raise SceneError(where, "determinant -1, a mirror; expected a rotation, determinant +1")
 
@@ -171,21 +210,40 @@ def check_view(view, size, where):
     """One view against its camera, its range and the size that all views share."""
     camera = view.camera
     if view.image.shape != size or view.image.ndim != 3 or size[2] != 3:
-        raise SceneError(where, f"image of shape {view.image.shape}; expected {size}, the same for all views")
+        raise SceneError(
+            where, f"image of shape {view.image.shape}; expected {size}, the same for all views"
+        )
     if (camera.height, camera.width) != size[:2]:
-        raise SceneError(f"{where}: camera", f"{camera.width}x{camera.height} pixels; expected {size[1]}x{size[0]}")
+        raise SceneError(
+            f"{where}: camera",
+            f"{camera.width}x{camera.height} pixels; expected {size[1]}x{size[0]}",
+        )
     for name, values in (("image", view.image), ("alpha", view.alpha)):
-        if values is not None and not (values.min() >= 0 and values.max() <= 1 + 1e-6):      # also false for NaN
-            raise SceneError(f"{where}: {name}", "values beyond [0, 1] or not finite; expected finite ones in [0, 1]")
+        if values is not None and not (
+            values.min() >= 0 and values.max() <= 1 + 1e-6
+        ):  # also false for NaN
+            raise SceneError(
+                f"{where}: {name}",
+                "values beyond [0, 1] or not finite; expected finite ones in [0, 1]",
+            )
     if view.alpha is not None and view.alpha.shape != size[:2]:
         raise SceneError(f"{where}: alpha", f"shape {view.alpha.shape}; expected {size[:2]}")
     if np.shape(camera.R) != (3, 3) or np.shape(camera.T) != (3,):
-        raise SceneError(f"{where}: camera", f"R {np.shape(camera.R)}, T {np.shape(camera.T)}; expected (3, 3), (3,)")
+        raise SceneError(
+            f"{where}: camera",
+            f"R {np.shape(camera.R)}, T {np.shape(camera.T)}; expected (3, 3), (3,)",
+        )
     check_rotation(camera.R, f"{where}: camera.R")
     if not np.all(np.isfinite(camera.T)):
         raise SceneError(f"{where}: camera.T", "not finite; expected finite numbers")
     if not (0 < camera.f_x < math.inf and 0 < camera.f_y < math.inf):
-        raise SceneError(f"{where}: camera", f"focal lengths {camera.f_x}, {camera.f_y}; expected positive numbers")
+        raise SceneError(
+            f"{where}: camera",
+            f"focal lengths {camera.f_x}, {camera.f_y}; expected positive numbers",
+        )
     if not (math.isfinite(camera.c_x) and math.isfinite(camera.c_y)):
-        raise SceneError(f"{where}: camera", f"principal point {camera.c_x}, {camera.c_y}; expected finite numbers")
+        raise SceneError(
+            f"{where}: camera",
+            f"principal point {camera.c_x}, {camera.c_y}; expected finite numbers",
+        )
     check_time(view.time, f"{where}: time")

@@ -1,4 +1,5 @@
 """Does a student's file ask the reference for the answer?  A look at its syntax, meant to be fair rather than tight."""
+
 import ast
 
 from ..equations import EQUATIONS
@@ -6,7 +7,17 @@ from .room import source_of
 
 # Ways to a module that no import statement shows, and the table that holds every reference.
 DOORS = {"EQUATIONS", "__import__", "import_module", "exec", "eval", "globals", "modules"}
-LOADERS = {"importlib", "runpy", "pkgutil", "gc", "inspect", "builtins", "subprocess", "multiprocessing", "ctypes"}
+LOADERS = {
+    "importlib",
+    "runpy",
+    "pkgutil",
+    "gc",
+    "inspect",
+    "builtins",
+    "subprocess",
+    "multiprocessing",
+    "ctypes",
+}
 
 
 def suspicions(source, key):
@@ -15,7 +26,9 @@ def suspicions(source, key):
     Raises     SyntaxError, ValueError where the file cannot be parsed
     """
     given = {what for _, what in _doors(source_of(key), key)}
-    return [f"line {line}: {what}" for line, what in sorted(_doors(source, key)) if what not in given]
+    return [
+        f"line {line}: {what}" for line, what in sorted(_doors(source, key)) if what not in given
+    ]
 
 
 def _doors(source, key):
@@ -24,7 +37,7 @@ def _doors(source, key):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            base = package[:len(package) + 1 - node.level] if node.level else []
+            base = package[: len(package) + 1 - node.level] if node.level else []
             module = ".".join([*base, *([node.module] if node.module else [])])
             names = [f"{module}.{alias.name}" for alias in node.names]
         elif isinstance(node, (ast.Name, ast.Attribute)):
@@ -34,4 +47,8 @@ def _doors(source, key):
             continue
         else:
             continue
-        yield from ((node.lineno, f"imports {name}") for name in names if name.split(".")[0] in {"p4dgs_ref", *LOADERS})
+        yield from (
+            (node.lineno, f"imports {name}")
+            for name in names
+            if name.split(".")[0] in {"p4dgs_ref", *LOADERS}
+        )

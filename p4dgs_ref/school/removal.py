@@ -1,4 +1,5 @@
 """Takes the bodies of functions out of a Python file and leaves all else as it is."""
+
 import ast
 import json
 
@@ -28,9 +29,15 @@ def without_bodies(source, names, say):
     Raises     KeyError where a function is not there
     """
     lines = source.splitlines(keepends=True)
-    found = {node.name: node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef)}
-    for node in sorted((found[name] for name in names), key=lambda node: -node.lineno):       # from below: lines stay valid
-        lines[_first_line(node, lines):node.end_lineno] = [f"    raise NotImplementedError({json.dumps(say(node.name))})\n"]
+    found = {
+        node.name: node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef)
+    }
+    for node in sorted(
+        (found[name] for name in names), key=lambda node: -node.lineno
+    ):  # from below: lines stay valid
+        lines[_first_line(node, lines) : node.end_lineno] = [
+            f"    raise NotImplementedError({json.dumps(say(node.name))})\n"
+        ]
     return "".join(lines)
 
 
@@ -47,7 +54,11 @@ def _first_line(node, lines):
 def unwritten(source, name):
     """Whether a function of a file is still as `without_bodies` left it, or is gone; False in a file that cannot be read."""
     try:
-        nodes = [node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef) and node.name == name]
+        nodes = [
+            node
+            for node in ast.parse(source).body
+            if isinstance(node, ast.FunctionDef) and node.name == name
+        ]
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         return False
     if not nodes:

@@ -1,11 +1,12 @@
 """Writes a classroom: the students' files, the teacher's key, and a README that says what is asked."""
+
 import json
 from importlib import import_module
 from pathlib import Path
 
 from ..equations import EQUATIONS
 from ..oracle.subjects import FLOW
-from ..output import OutputError, filled
+from ..scenes.output import OutputError, filled
 from ..syllabus import tutorial_of
 from .removal import functions_of, without_bodies
 
@@ -34,15 +35,25 @@ def classroom(folder, only=None, backward_only=False, seed=None):
         if asked and key not in record["equations"]:
             new[key] = asked
     kept = sorted(record["equations"])
-    record = {**record, "seed": record["seed"] if seed is None else seed, "equations": {**record["equations"], **new}}
+    record = {
+        **record,
+        "seed": record["seed"] if seed is None else seed,
+        "equations": {**record["equations"], **new},
+    }
     emptied = 0
     try:
-        with filled(folder) as top, filled(folder / "key") as full, filled(folder / "student") as open_:
+        with (
+            filled(folder) as top,
+            filled(folder / "key") as full,
+            filled(folder / "student") as open_,
+        ):
             for key, asked in new.items():
                 source, names = source_of(key), functions_of(key, asked)
                 emptied += len(names)
                 (full / f"{key}.py").write_text(source, encoding="utf-8")
-                (open_ / f"{key}.py").write_text(without_bodies(source, names, lambda name: _task(key, name)), encoding="utf-8")
+                (open_ / f"{key}.py").write_text(
+                    without_bodies(source, names, lambda name: _task(key, name)), encoding="utf-8"
+                )
             (top / "README.md").write_text(readme(record), encoding="utf-8")
             (top / RECORD).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     except FileExistsError as error:
@@ -63,12 +74,18 @@ def read_record(folder):
     path = Path(folder) / RECORD
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
-        right = (record["p4dgs_classroom"] == 1 and type(record["seed"]) is int and set(record["equations"]) <= set(EQUATIONS)
-                 and all(parts and set(parts) <= set(PARTS) for parts in record["equations"].values()))
+        right = (
+            record["p4dgs_classroom"] == 1
+            and type(record["seed"]) is int
+            and set(record["equations"]) <= set(EQUATIONS)
+            and all(parts and set(parts) <= set(PARTS) for parts in record["equations"].values())
+        )
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         right = False
     if not right:
-        raise ClassroomError(f"{folder}: expected a classroom, a folder with the {RECORD} of `p4dgs-ref classroom`")
+        raise ClassroomError(
+            f"{folder}: expected a classroom, a folder with the {RECORD} of `p4dgs-ref classroom`"
+        )
     return record
 
 
@@ -76,7 +93,9 @@ def _record(folder):
     """The record of a classroom that is there already, or that of an empty one."""
     if folder.is_dir() and any(folder.iterdir()):
         if not (folder / RECORD).exists():
-            raise ClassroomError(f"{folder}: expected an empty folder, a new one or a classroom; there are other files in it")
+            raise ClassroomError(
+                f"{folder}: expected an empty folder, a new one or a classroom; there are other files in it"
+            )
         return read_record(folder)
     return {"p4dgs_classroom": 1, "seed": 0, "equations": {}}
 
@@ -132,10 +151,20 @@ count by the share of right answers.
 def readme(record):
     """The text of DIR/README.md."""
     from .grading import FORWARD, GRADIENTS, HARD
+
     head = README
-    for name, value in {"WHOLE": FORWARD + GRADIENTS + HARD, "FORWARD": FORWARD, "GRADIENTS": GRADIENTS, "HARD": HARD}.items():
+    for name, value in {
+        "WHOLE": FORWARD + GRADIENTS + HARD,
+        "FORWARD": FORWARD,
+        "GRADIENTS": GRADIENTS,
+        "HARD": HARD,
+    }.items():
         head = head.replace("{" + name + "}", str(value))
-    rows = [f"| {EQUATIONS[key].number} | `student/{key}.py` | `tutorials/{tutorial_of(key).name}.py` | "
-            + ", ".join(f"`{name}`" for name in functions_of(key, record["equations"][key])) + " |"
-            for key in FLOW if key in record["equations"]]
+    rows = [
+        f"| {EQUATIONS[key].number} | `student/{key}.py` | `tutorials/{tutorial_of(key).name}.py` | "
+        + ", ".join(f"`{name}`" for name in functions_of(key, record["equations"][key]))
+        + " |"
+        for key in FLOW
+        if key in record["equations"]
+    ]
     return head + "\n".join(rows) + "\n"

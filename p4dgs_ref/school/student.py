@@ -2,6 +2,7 @@
 
 The process speaks the oracle's protocol; `answer` may leave out what the student's functions do not give, and says why.
 """
+
 import json
 import os
 import shlex
@@ -33,7 +34,7 @@ def read(path):
     module = types.ModuleType(f"{package}.{path.stem}_of_a_student")
     module.__package__, module.__file__ = package, str(path)
     saved = dict(EQUATIONS)
-    del EQUATIONS[path.stem]                              # so that the file can declare its own
+    del EQUATIONS[path.stem]  # so that the file can declare its own
     try:
         exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), module.__dict__)
         module.declared = EQUATIONS.get(path.stem)
@@ -69,7 +70,9 @@ class Student(Adapter):
 
     def _exchange(self, request, field):
         starting, own = field == "p4dgs_oracle", self.timeout
-        self.timeout = max(START_SECONDS, own) if starting else own        # importing NumPy is not the student's time
+        self.timeout = (
+            max(START_SECONDS, own) if starting else own
+        )  # importing NumPy is not the student's time
         try:
             return super()._exchange(request, field)
         finally:
@@ -89,12 +92,15 @@ def main(path):
     """Answer requests from stdin until it ends; whatever else is printed goes to stderr."""
     asked, told = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)          # a student's input() ends at once
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # a student's input() ends at once
     read_module = _once(lambda: read(path))
     for line in asked:
         request = json.loads(line)
-        reply = {"p4dgs_oracle": 1} if "p4dgs_oracle" in request else {
-            "id": request["id"], **answer(read_module, Path(path).stem, request)}
+        reply = (
+            {"p4dgs_oracle": 1}
+            if "p4dgs_oracle" in request
+            else {"id": request["id"], **answer(read_module, Path(path).stem, request)}
+        )
         told.write(json.dumps(reply).encode() + b"\n")
         told.flush()
 
@@ -107,27 +113,46 @@ def _once(make):
         if not kept:
             try:
                 kept.append((make(), None))
-            except BaseException as error:                # a file may well call sys.exit
+            except BaseException as error:  # a file may well call sys.exit
                 kept.append((None, error))
         value, error = kept[0]
         if error is not None:
             raise error
         return value
+
     return get
 
 
 def answer(read_module, key, request):
     """The fields of a reply to one case."""
     reference, said = EQUATIONS[key], {}
-    tensors = {f"{role}.{name}": a for role in ("in", "out_bar") for name, a in unpacked(request, role).items()}
-    case = Golden(request["id"], "", key, key, "", {"settings": request["settings"]}, tensors)     # copies at every call
-    out, res = _tried(lambda: _outputs(read_module().forward(**case.inputs()), reference), said, "forward") or ({}, None)
+    tensors = {
+        f"{role}.{name}": a
+        for role in ("in", "out_bar")
+        for name, a in unpacked(request, role).items()
+    }
+    case = Golden(
+        request["id"], "", key, key, "", {"settings": request["settings"]}, tensors
+    )  # copies at every call
+    out, res = _tried(
+        lambda: _outputs(read_module().forward(**case.inputs()), reference), said, "forward"
+    ) or ({}, None)
     in_bar = follow = {}
     if reference.differentiable:
         if out:
-            in_bar = _tried(lambda: _gradients(read_module(), res, case, reference), said, "backward") or {}
+            in_bar = (
+                _tried(lambda: _gradients(read_module(), res, case, reference), said, "backward")
+                or {}
+            )
         remembered = reference.forward(**case.inputs())[1]
-        follow = _tried(lambda: _gradients(read_module(), remembered, case, reference), {} if out else said, "backward") or {}
+        follow = (
+            _tried(
+                lambda: _gradients(read_module(), remembered, case, reference),
+                {} if out else said,
+                "backward",
+            )
+            or {}
+        )
     return {"out": _packed(out), "in_bar": _packed(in_bar), "follow": _packed(follow), "said": said}
 
 
@@ -162,11 +187,19 @@ def _gradients(module, res, case, reference):
 
 
 def _flat(values):
-    return flatten({name: [np.asarray(b) for b in a] if isinstance(a, (list, tuple)) else np.asarray(a)
-                    for name, a in values.items() if a is not None})
+    return flatten(
+        {
+            name: [np.asarray(b) for b in a] if isinstance(a, (list, tuple)) else np.asarray(a)
+            for name, a in values.items()
+            if a is not None
+        }
+    )
 
 
 def _packed(arrays):
     """Numbers alone: what else a student returns is left out, and thus missing."""
-    return {name: packed(np.ascontiguousarray(a).reshape(a.shape)) for name, a in arrays.items()
-            if a.dtype.kind in "fiub" and a.dtype.itemsize <= 8}
+    return {
+        name: packed(np.ascontiguousarray(a).reshape(a.shape))
+        for name, a in arrays.items()
+        if a.dtype.kind in "fiub" and a.dtype.itemsize <= 8
+    }

@@ -4,6 +4,7 @@ Nothing here calls the equations or their backwards: values come from the printe
 from difference quotients of those values.  60 digits of a value and 50 of a gradient may be trusted.
 `python -m p4dgs_ref.sixty_digits.record` measures the reference against it.
 """
+
 from .errors import error
 from .floats import text, to_float
 from .functions import DIGITS

@@ -1,4 +1,5 @@
 """How far the NumPy equations are from the decimal ones, in units of eps times the size of what they add up."""
+
 import zlib
 from decimal import Decimal
 
@@ -28,7 +29,9 @@ def error(key, case, dtype=np.float64, scale=None, samples=None):
         got |= flat(eq.backward(res, **bars), "in_bar.")
         want |= flat(gradient(key, inputs, bars, samples=samples), "in_bar.")
     if set(want) - set(got):
-        raise ValueError(f"{key}, case {case.name}: the reference lacks {sorted(set(want) - set(got))}")
+        raise ValueError(
+            f"{key}, case {case.name}: the reference lacks {sorted(set(want) - set(got))}"
+        )
     return {name: _worst(got[name], want[name], (scale or {}).get(name), eps) for name in want}
 
 
@@ -41,8 +44,11 @@ def _worst(got, want, S, eps):
         return 0.0 if np.array_equal(wrapped(got), want) else float("inf")
     if S is None:
         S = np.abs(got[np.isfinite(got)]).max(initial=0)
-    off = [_off(g, w, s, eps) for g, w, s in zip(got.ravel(), want.ravel(), np.broadcast_to(S, got.shape).ravel())
-           if not w.is_nan()]
+    off = [
+        _off(g, w, s, eps)
+        for g, w, s in zip(got.ravel(), want.ravel(), np.broadcast_to(S, got.shape).ravel())
+        if not w.is_nan()
+    ]
     return max(off, default=0.0)
 
 
@@ -59,12 +65,17 @@ def flat(values, prefix):
     """{"weights": [W]} -> {"in_bar.weights.0": W}."""
     arrays = {}
     for name, a in values.items():
-        arrays.update({f"{prefix}{name}.{i}": b for i, b in enumerate(a)} if isinstance(a, list) else {prefix + name: a})
+        arrays.update(
+            {f"{prefix}{name}.{i}": b for i, b in enumerate(a)}
+            if isinstance(a, list)
+            else {prefix + name: a}
+        )
     return arrays
 
 
 def cast(values, dtype):
     """Float arrays in another precision; everything else stays."""
+
     def change(a):
         if isinstance(a, list):
             return [change(b) for b in a]
@@ -75,11 +86,17 @@ def cast(values, dtype):
         if (np.isfinite(a) & ~np.isfinite(b)).any():
             raise OverflowError(f"inputs beyond the largest {np.dtype(dtype).name}")
         return b
+
     return {name: change(a) for name, a in values.items()}
 
 
 def cotangents(eq, case, out):
     """The case's own, else normal numbers drawn by its name; of every float output."""
     rng = np.random.default_rng(zlib.crc32(f"{eq.key}/{case.name}".encode()))
-    return {name + "_bar": case.cotangents.get(name + "_bar", np.asarray(rng.standard_normal(np.shape(a))))
-            for name, a in out.items() if np.asarray(a).dtype.kind == "f" and eq.differentiable}
+    return {
+        name + "_bar": case.cotangents.get(
+            name + "_bar", np.asarray(rng.standard_normal(np.shape(a)))
+        )
+        for name, a in out.items()
+        if np.asarray(a).dtype.kind == "f" and eq.differentiable
+    }

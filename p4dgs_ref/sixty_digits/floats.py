@@ -1,18 +1,25 @@
 """From floats to decimals, exactly, and back, correctly rounded."""
+
 from decimal import Decimal
 
 import numpy as np
 
 from .functions import DIGITS, working
 
-BEYOND_FLOAT32 = Decimal(2**128)         # where the next number after the largest would be: rounding ends in infinity
+BEYOND_FLOAT32 = Decimal(
+    2**128
+)  # where the next number after the largest would be: rounding ends in infinity
 
 
 def exact(a):
     """Every float as the decimal that it is: arrays become arrays of objects, lists stay lists, masks and settings as is."""
     if isinstance(a, list):
         return [exact(b) for b in a]
-    if isinstance(a, float) or isinstance(a, (np.ndarray, np.generic)) and np.asarray(a).dtype.kind in "fiu":
+    if (
+        isinstance(a, float)
+        or isinstance(a, (np.ndarray, np.generic))
+        and np.asarray(a).dtype.kind in "fiu"
+    ):
         return each(Decimal, np.asarray(a).astype(object))
     return a
 
@@ -25,7 +32,9 @@ def each(function, *arrays):
 def wrapped(a):
     """An output as an array of decimals, whole numbers and masks (0, 1) too."""
     a = np.asarray(a, object)
-    return np.array([v if isinstance(v, Decimal) else Decimal(int(v)) for v in a.ravel()], object).reshape(a.shape)
+    return np.array(
+        [v if isinstance(v, Decimal) else Decimal(int(v)) for v in a.ravel()], object
+    ).reshape(a.shape)
 
 
 def to_float(a, dtype=np.float64):
@@ -37,7 +46,7 @@ def to_float(a, dtype=np.float64):
     """
     nearest = {"d": float, "f": _nearest_float32}[np.dtype(dtype).char]
     a = np.asarray(a, object)
-    with working():                        # else distances would be rounded to the 28 digits of Python's own context
+    with working():  # else distances would be rounded to the 28 digits of Python's own context
         return np.array([nearest(v) for v in a.ravel()], dtype).reshape(a.shape)
 
 

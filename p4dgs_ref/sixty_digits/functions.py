@@ -4,16 +4,19 @@ The standard library gives +, -, *, /, sqrt, exp and ln; everything else is made
 so that nothing is shared with the libraries that it is to judge.  Where a formula cancels, the digits that it will lose are
 added first (`guard`), and where two formulas meet, either is right on both sides.
 """
+
 from contextlib import contextmanager
 from decimal import MAX_EMAX, MIN_EMIN, ROUND_HALF_EVEN, Context, Decimal, getcontext, localcontext
 from functools import lru_cache, wraps
 
-DIGITS = 60            # of a value that may be trusted
-WORKING = 160          # carried: difference quotients lose two thirds of them and have more than 50 left
-CONTEXT = Context(prec=WORKING, Emin=MIN_EMIN, Emax=MAX_EMAX)      # e^(-10^11) is a number here, not an underflow
+DIGITS = 60  # of a value that may be trusted
+WORKING = 160  # carried: difference quotients lose two thirds of them and have more than 50 left
+CONTEXT = Context(
+    prec=WORKING, Emin=MIN_EMIN, Emax=MAX_EMAX
+)  # e^(-10^11) is a number here, not an underflow
 
 HALF = Decimal("0.5")
-SERIES = 8             # of a tail's distance: below, a power series; from here on, a continued fraction
+SERIES = 8  # of a tail's distance: below, a power series; from here on, a continued fraction
 
 
 def working():
@@ -36,6 +39,7 @@ def remembered(function):
     @wraps(function)
     def ask(x):
         return kept(x, getcontext().prec)
+
     return ask
 
 
@@ -141,7 +145,10 @@ def sin_cos(x):
     """(sin x, cos x), either with all its digits, also beside its zeros."""
     turns, r = _quadrant(x)
     square = -r * r
-    s, c = sum_of(_powers_over_factorials(r, square, 1, 2)), sum_of(_powers_over_factorials(Decimal(1), square, 0, 2))
+    s, c = (
+        sum_of(_powers_over_factorials(r, square, 1, 2)),
+        sum_of(_powers_over_factorials(Decimal(1), square, 0, 2)),
+    )
     return ((s, c), (c, -s), (-s, -c), (-c, s))[turns]
 
 
@@ -158,7 +165,9 @@ def cos(x):
 def mills(z):
     """The tail beyond z >= 0 over the density at z: (1 - Phi(z)) / phi(z)."""
     if z < SERIES:
-        with guard(20):                    # e^(z^2/2) sqrt(pi/2) less a sum of about that size: e^32 of cancellation at most
+        with guard(
+            20
+        ):  # e^(z^2/2) sqrt(pi/2) less a sum of about that size: e^32 of cancellation at most
             result = exp(z * z / 2) * (pi() / 2).sqrt() - sum_of(_odd_double_factorials(z))
         return +result
     # 1 / (z + 1 / (z + 2 / (z + 3 / ...))): successive convergents P/Q lie on either side of the value, which proves the stop
@@ -202,11 +211,13 @@ def erfc(x):
 def log_mass(z, w):
     """log(Phi(z + w/2) - Phi(z - w/2)) for w > 0: on one side of the mean from scaled tails, so that nothing underflows."""
     z = abs(z)
-    lost = max(0, z.adjusted()) - w.adjusted() + 5             # digits that the edges, and their tails, have in common
+    lost = (
+        max(0, z.adjusted()) - w.adjusted() + 5
+    )  # digits that the edges, and their tails, have in common
     with guard(lost):
         low, high = z - w / 2, z + w / 2
         if low < 0:
             result = log1p(-tail(-low) - tail(high))
-        else:                                                  # high^2 - low^2 = 2 z w
+        else:  # high^2 - low^2 = 2 z w
             result = log(mills(low) - exp(-z * w) * mills(high)) - low * low / 2 - log(2 * pi()) / 2
     return +result

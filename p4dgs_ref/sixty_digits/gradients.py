@@ -5,6 +5,7 @@ second like h^2, each to 30 digits: then the quotient at the smaller step is rig
 they do not, the step was wider than some feature of the formula, and a narrower one is tried; where none will do, the input
 sits on a kink or a jump, and the gradient is NaN, for there is none.
 """
+
 import zlib
 from decimal import Decimal
 
@@ -14,16 +15,25 @@ from . import images, prediction, rates
 from .floats import exact, wrapped
 from .functions import WORKING, working
 
-GRADIENT_DIGITS = 50                                   # trusted, relative to the largest term of the gradient
+GRADIENT_DIGITS = 50  # trusted, relative to the largest term of the gradient
 FORMULAS = {**prediction.FORMULAS, **rates.FORMULAS, **images.FORMULAS}
-STRAIGHT_THROUGH = ("hash_grid", "hash_rate")          # `grids` through a sign: held, while the clipped parameter moves
-MEETS = {"deformation": ("t", "x"), "masking": ("tau_alpha", "alpha"), "compositing": ("alpha_max", "alpha")}
+STRAIGHT_THROUGH = (
+    "hash_grid",
+    "hash_rate",
+)  # `grids` through a sign: held, while the clipped parameter moves
+MEETS = {
+    "deformation": ("t", "x"),
+    "masking": ("tau_alpha", "alpha"),
+    "compositing": ("alpha_max", "alpha"),
+}
 
 NAN = Decimal("NaN")
-STEPS = Decimal("1e-40"), Decimal("1e-65")             # of the size of x, of its array, or of one
+STEPS = Decimal("1e-40"), Decimal("1e-65")  # of the size of x, of its array, or of one
 FINER = Decimal("1e-10")
-AGREE = Decimal("1e-30")                               # error of the first difference, or the second, between the two steps
-NOISE = Decimal(10) ** (20 - WORKING)                  # of the terms summed: what rounding may have left, twenty digits kept back
+AGREE = Decimal("1e-30")  # error of the first difference, or the second, between the two steps
+NOISE = Decimal(10) ** (
+    20 - WORKING
+)  # of the terms summed: what rounding may have left, twenty digits kept back
 
 
 def value(key, inputs):
@@ -65,7 +75,9 @@ def gradient(key, inputs, cotangents, name=None, samples=None):
             out = formula(**{**start, **changed})
             if any(np.shape(a) != shapes[n] for n, a in out.items()):
                 return None
-            return np.concatenate([np.zeros(0, object), *(np.ravel(bar * out[n]) for n, bar in bars.items())])
+            return np.concatenate(
+                [np.zeros(0, object), *(np.ravel(bar * out[n]) for n, bar in bars.items())]
+            )
 
         return {n: _gradient_of(terms, n, start[n], samples) for n in ([name] if name else names)}
 
@@ -82,7 +94,13 @@ def _gradient_of(terms, name, x, samples):
             def along(step, i=i, a=a, at=at):
                 moved = a.copy()
                 moved[at] += step
-                return terms(**{name: [*arrays[:i], moved, *arrays[i + 1:]] if isinstance(x, list) else moved})
+                return terms(
+                    **{
+                        name: [*arrays[:i], moved, *arrays[i + 1 :]]
+                        if isinstance(x, list)
+                        else moved
+                    }
+                )
 
             found[i][at] = slope(along, sizes(a, at))
     return found if isinstance(x, list) else found[0]
@@ -105,7 +123,7 @@ def slope(f, scales):
     """The derivative at 0 of the sum of the terms f(step); NaN where there is none."""
     middle, tried = f(Decimal(0)), None
     for h in sorted((scale * step for scale in scales for step in STEPS), reverse=True):
-        if tried is not None and h * 100 > tried:          # as good as one that failed
+        if tried is not None and h * 100 > tried:  # as good as one that failed
             continue
         tried = h
         found = _quotient(f, middle, h)
@@ -122,7 +140,9 @@ def _quotient(f, middle, h):
     noise = NOISE * sum(max(abs(v) for v in row) for row in zip(middle, *ends[:2]))
     first, second = ends[0] - ends[1], ends[0] + ends[1] - 2 * middle
     first_finer, second_finer = ends[2] - ends[3], ends[2] + ends[3] - 2 * middle
-    first, second, first_finer, second_finer = (sum(v, Decimal(0)) for v in (first, second, first_finer, second_finer))
+    first, second, first_finer, second_finer = (
+        sum(v, Decimal(0)) for v in (first, second, first_finer, second_finer)
+    )
     if abs(first_finer) <= noise:
         first_finer = Decimal(0)
     for wide, fine in ((first, first_finer / FINER), (second, second_finer / FINER**2)):

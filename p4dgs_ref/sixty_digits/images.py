@@ -1,4 +1,5 @@
 """Covariance, projection, compositing, SSIM and Eq. (16), from the printed formulas, in decimals: from Gaussians to the loss."""
+
 from decimal import Decimal, getcontext
 from functools import lru_cache
 
@@ -7,25 +8,34 @@ import numpy as np
 from .floats import each
 from .functions import exp
 
-C1, C2 = Decimal("0.0001"), Decimal("0.0009")      # Q13: 0.01^2, 0.03^2
-RADIUS, WIDTH = 5, Decimal("1.5")                  # Q13: 11 pixels, sigma 1.5
+C1, C2 = Decimal("0.0001"), Decimal("0.0009")  # Q13: 0.01^2, 0.03^2
+RADIUS, WIDTH = 5, Decimal("1.5")  # Q13: 11 pixels, sigma 1.5
 # Q21.  Thresholds are floats like the inputs they are compared with, so that a depth of 0.2 is not beyond a plane at 0.2.
 NEAR, BLUR, TAN_CLAMP = (Decimal(v) for v in (0.2, 0.3, 1.3))
-ALPHA_MAX = 0.99                                   # rounded further where opacities are float32
+ALPHA_MAX = 0.99  # rounded further where opacities are float32
 
 
 def forward_covariance(s, r):
     """R S S^T R^T with the printed matrix of an unnormalised quaternion (w, x, y, z)."""
     w, x, y, z = r.T
-    R = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                  [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                  [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]], object).reshape(3, 3, len(s))
+    R = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ],
+        object,
+    ).reshape(3, 3, len(s))
     return {"Sigma": np.einsum("ijn,nj,kjn->nik", R, s * s, R)}
 
 
-def forward_projection(x, Sigma, W, T, focal, center, size, near=NEAR, blur=BLUR, tan_clamp=TAN_CLAMP):
+def forward_projection(
+    x, Sigma, W, T, focal, center, size, near=NEAR, blur=BLUR, tan_clamp=TAN_CLAMP
+):
     """Gaussian by Gaussian; what is culled is zero."""
-    rows = [_project(p, S, W, T, focal, center, size, near, blur, tan_clamp) for p, S in zip(x, Sigma)]
+    rows = [
+        _project(p, S, W, T, focal, center, size, near, blur, tan_clamp) for p, S in zip(x, Sigma)
+    ]
     nothing = np.zeros((0, 2), object), np.zeros((0, 3), object), np.zeros((0, 3), object), [], []
     columns = [np.array(column, object) for column in zip(*rows)] or nothing
     return dict(zip(("mean2d", "cov2d", "conic", "depth", "visible"), columns))
@@ -39,7 +49,13 @@ def _project(p, Sigma, W, T, focal, center, size, near, blur, tan_clamp):
     slope = np.array([X / z, Y / z], object)
     limit = tan_clamp * size / (2 * focal)
     u, v = np.clip(slope, -limit, limit)
-    J = np.array([[focal[0] / z, Decimal(0), -focal[0] * u / z], [Decimal(0), focal[1] / z, -focal[1] * v / z]], object)
+    J = np.array(
+        [
+            [focal[0] / z, Decimal(0), -focal[0] * u / z],
+            [Decimal(0), focal[1] / z, -focal[1] * v / z],
+        ],
+        object,
+    )
     cov = J @ W @ Sigma @ W.T @ J.T
     a, b, c = cov[0, 0] + blur, (cov[0, 1] + cov[1, 0]) / 2, cov[1, 1] + blur
     det = a * c - b * b
@@ -48,16 +64,33 @@ def _project(p, Sigma, W, T, focal, center, size, near, blur, tan_clamp):
     return list(focal * slope + center), [a, b, c], [c / det, -b / det, a / det], z, True
 
 
-def forward_compositing(mean2d, conic, alpha, color, depth, visible, background, height, width, occlusion=True, *,
-                        alpha_max):
+def forward_compositing(
+    mean2d,
+    conic,
+    alpha,
+    color,
+    depth,
+    visible,
+    background,
+    height,
+    width,
+    occlusion=True,
+    *,
+    alpha_max,
+):
     """Pixel by pixel, front to back; without occlusion splats add up."""
-    order = sorted((i for i in range(len(depth)) if visible[i]), key=lambda i: depth[i])      # stable: ties by index
+    order = sorted(
+        (i for i in range(len(depth)) if visible[i]), key=lambda i: depth[i]
+    )  # stable: ties by index
     image, transmittance = np.empty((height, width, 3), object), np.empty((height, width), object)
     for row in range(height):
         for column in range(width):
             C, T = [Decimal(0)] * 3, Decimal(1)
             for i in order:
-                opacity = min(alpha[i] * _falloff(column - mean2d[i, 0], row - mean2d[i, 1], conic[i]), alpha_max)
+                opacity = min(
+                    alpha[i] * _falloff(column - mean2d[i, 0], row - mean2d[i, 1], conic[i]),
+                    alpha_max,
+                )
                 C = C + color[i] * (opacity * T)
                 T *= 1 - opacity if occlusion else 1
             image[row, column], transmittance[row, column] = C + T * background, T
@@ -78,7 +111,7 @@ def blur(a):
 @lru_cache(8)
 def _blurred(shape, numbers, precision):
     a = np.array(numbers, object).reshape(shape)
-    tap = np.array([exp(-(i / WIDTH) ** 2 / 2) for i in range(-RADIUS, RADIUS + 1)], object)
+    tap = np.array([exp(-((i / WIDTH) ** 2) / 2) for i in range(-RADIUS, RADIUS + 1)], object)
     tap = tap / tap.sum()
     for axis in (0, 1):
         n = a.shape[axis]
@@ -93,8 +126,16 @@ def _blurred(shape, numbers, precision):
 def similarity(x, y):
     """The mean of SSIM over pixels and channels."""
     mu_x, mu_y = blur(x), blur(y)
-    var_x, var_y, cov = blur(x * x) - mu_x * mu_x, blur(y * y) - mu_y * mu_y, blur(x * y) - mu_x * mu_y
-    ssim = (2 * mu_x * mu_y + C1) * (2 * cov + C2) / ((mu_x * mu_x + mu_y * mu_y + C1) * (var_x + var_y + C2))
+    var_x, var_y, cov = (
+        blur(x * x) - mu_x * mu_x,
+        blur(y * y) - mu_y * mu_y,
+        blur(x * y) - mu_x * mu_y,
+    )
+    ssim = (
+        (2 * mu_x * mu_y + C1)
+        * (2 * cov + C2)
+        / ((mu_x * mu_x + mu_y * mu_y + C1) * (var_x + var_y + C2))
+    )
     return ssim.sum() / ssim.size
 
 
@@ -107,7 +148,7 @@ def forward_render_loss(image, truth, lambda_ssim):
     return {"L_render": (1 - lambda_ssim) * L1 + lambda_ssim * D_SSIM, "L1": L1, "D_SSIM": D_SSIM}
 
 
-FORMULAS = {                                       # key -> formula, inputs that receive a gradient
+FORMULAS = {  # key -> formula, inputs that receive a gradient
     "covariance": (forward_covariance, ("s", "r")),
     "projection": (forward_projection, ("x", "Sigma")),
     "compositing": (forward_compositing, ("mean2d", "conic", "alpha", "color", "background")),

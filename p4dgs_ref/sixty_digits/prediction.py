@@ -1,4 +1,5 @@
 """Eqs. (1) to (6) and what they stand on, from the printed formulas, in decimals: from anchors to Gaussians at time t."""
+
 from decimal import Decimal
 
 import numpy as np
@@ -6,7 +7,7 @@ import numpy as np
 from .floats import each
 from .functions import cos, sigmoid, sin, tanh
 
-NO_LENGTH = Decimal("1e-24")           # Q4: r / sqrt(|r|^2 + 1e-24)
+NO_LENGTH = Decimal("1e-24")  # Q4: r / sqrt(|r|^2 + 1e-24)
 
 
 def network(x, weights, biases):
@@ -61,7 +62,9 @@ def forward_rotation(f_a, delta_vc, d_vc, weights, biases):
 
 
 def forward_scale(s_a, f_a, delta_vc, d_vc, weights, biases):
-    return {"s": s_a[:, None, :] * each(sigmoid, predicted(f_a, delta_vc, d_vc, weights, biases, 3))}
+    return {
+        "s": s_a[:, None, :] * each(sigmoid, predicted(f_a, delta_vc, d_vc, weights, biases, 3))
+    }
 
 
 def forward_masking(alpha, mask, tau_alpha, x, color, s, r):
@@ -97,12 +100,15 @@ def forward_deformation(x, t, weights, biases, L_x, L_t):
 
 def forward_deformed(x, s, r, delta_x, delta_s, delta_r):
     """A delta of zero width is an effect that is off: its attribute passes."""
-    return {"x_t": x + delta_x if delta_x.shape[1] else x, "s_t": s + delta_s if delta_s.shape[1] else s,
-            "r_t": unit(r + delta_r) if delta_r.shape[1] else r}
+    return {
+        "x_t": x + delta_x if delta_x.shape[1] else x,
+        "s_t": s + delta_s if delta_s.shape[1] else s,
+        "r_t": unit(r + delta_r) if delta_r.shape[1] else r,
+    }
 
 
 VIEW = ("f_a", "delta_vc", "d_vc", "weights", "biases")
-FORMULAS = {                                       # key -> formula, inputs that receive a gradient
+FORMULAS = {  # key -> formula, inputs that receive a gradient
     "mlp": (forward_mlp, ("x", "weights", "biases")),
     "offsets": (forward_offsets, ("x_a", "O_a", "l_a")),
     "view": (forward_view, ("x_a",)),

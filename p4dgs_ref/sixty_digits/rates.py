@@ -1,4 +1,5 @@
 """Eqs. (7) to (15) and (17), from the printed formulas, in decimals: context, quantisation, bits, and what training weighs."""
+
 from decimal import ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from itertools import product
 
@@ -8,9 +9,9 @@ from .floats import each
 from .functions import exp, log, log1p, log_mass, sigmoid
 from .prediction import network
 
-FLOOR = Decimal(2) ** -10              # Q7, of Q_0
-RAW = Decimal(-14), Decimal(6)         # Q8
-PRIMES = 1, 2654435761, 805459861      # Q11
+FLOOR = Decimal(2) ** -10  # Q7, of Q_0
+RAW = Decimal(-14), Decimal(6)  # Q8
+PRIMES = 1, 2654435761, 805459861  # Q11
 
 
 def forward_noise(f, u, q):
@@ -32,8 +33,14 @@ def forward_rounding(f, q):
 def forward_hash_grid(x_a, lo, hi, grids, resolutions, held=None):
     """Multilinear reads of signs; `held`: parameters whose signs stay, while the clipped ones move (straight-through)."""
     signs = [sign_of(grid, at) for grid, at in zip(grids, grids if held is None else held)]
-    h = [[value for grid, (axes, res) in zip(signs, resolutions) for value in read(grid, axes, res, point, lo, hi)]
-         for point in x_a]
+    h = [
+        [
+            value
+            for grid, (axes, res) in zip(signs, resolutions)
+            for value in read(grid, axes, res, point, lo, hi)
+        ]
+        for point in x_a
+    ]
     return {"h": np.array(h, object).reshape(len(x_a), sum(grid.shape[1] for grid in grids))}
 
 
@@ -59,7 +66,11 @@ def read(grid, axes, res, point, lo, hi):
         weight = Decimal(1)
         for step, part in zip(corner, fraction):
             weight *= part if step else 1 - part
-        total = total + weight * grid[entry([min(b + step, res - 1) for b, step in zip(base, corner)], res, len(grid))]
+        total = (
+            total
+            + weight
+            * grid[entry([min(b + step, res - 1) for b, step in zip(base, corner)], res, len(grid))]
+        )
     return total
 
 
@@ -77,10 +88,13 @@ def forward_prior(h, weights, biases, widths):
     """Group by group: all mu, then all raw sigma."""
     y, mu, raw, start = network(h, weights, biases), [], [], 0
     for width in widths:
-        mu.append(y[:, start:start + width])
-        raw.append(y[:, start + width:start + 2 * width])
+        mu.append(y[:, start : start + width])
+        raw.append(y[:, start + width : start + 2 * width])
         start += 2 * width
-    return {"mu": np.concatenate(mu, axis=1), "sigma": each(exp, np.clip(np.concatenate(raw, axis=1), *RAW))}
+    return {
+        "mu": np.concatenate(mu, axis=1),
+        "sigma": each(exp, np.clip(np.concatenate(raw, axis=1), *RAW)),
+    }
 
 
 # --- bits --------------------------------------------------------------------------------------------------------
@@ -90,13 +104,18 @@ def forward_likelihood(f_noisy, mu, sigma, q):
 
 def forward_anchor_rate(bits_f, bits_O, bits_l, bits_s, mask):
     """Masked offsets cost nothing, whatever their bits."""
-    return {"R_anchor": sum((bits.sum() for bits in (bits_f, bits_O[mask], bits_l, bits_s)), Decimal(0))}
+    return {
+        "R_anchor": sum((bits.sum() for bits in (bits_f, bits_O[mask], bits_l, bits_s)), Decimal(0))
+    }
 
 
 def forward_hash_rate(grids, held=None):
     """N+ is a count, or with `held` signs one that moves by half the change of every clipped parameter."""
     n = Decimal(sum(grid.size for grid in grids))
-    n_pos = sum(((1 + sign_of(grid, at)) / 2).sum() for grid, at in zip(grids, grids if held is None else held))
+    n_pos = sum(
+        ((1 + sign_of(grid, at)) / 2).sum()
+        for grid, at in zip(grids, grids if held is None else held)
+    )
     return {"R_hash": _cost(n_pos, n) + _cost(n - n_pos, n), "n_pos": n_pos, "n_neg": n - n_pos}
 
 
@@ -115,7 +134,7 @@ def forward_rate_loss(R_anchor, R_hash, n_parameters):
 
 
 CONTEXT_NET = ("h", "weights", "biases")
-FORMULAS = {                                       # key -> formula, inputs that receive a gradient
+FORMULAS = {  # key -> formula, inputs that receive a gradient
     "noise": (forward_noise, ("f", "q")),
     "step": (forward_step, CONTEXT_NET),
     "hash_grid": (forward_hash_grid, ("grids",)),

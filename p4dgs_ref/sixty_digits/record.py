@@ -3,6 +3,7 @@
 Run where the tests are: the file, tests/data/reference_errors.json, is what `tests/test_sixty_digits.py` compares with, and an
 equation that gets twice as wrong as recorded fails.  All equations together take three minutes.
 """
+
 import json
 import sys
 from pathlib import Path
@@ -13,11 +14,13 @@ from ..equations import EQUATIONS
 from .errors import error
 
 FILE = Path("tests/data/reference_errors.json")
-SAMPLES = 12           # elements of a gradient array that the quick test, and every measurement in float32, look at
-HOW = ("Largest error of the NumPy equations against 60-digit decimals: per case, of the outputs and of the gradients, in units "
-       "of eps times the largest magnitude in the array. float64: all elements; float32: at most 12 of each gradient array. "
-       "Cases whose inputs leave the range of float32 are absent there; null: infinitely wrong, for the rounding of floats "
-       "decides what is computed. Made by `python -m p4dgs_ref.sixty_digits.record`.")
+SAMPLES = 12  # elements of a gradient array that the quick test, and every measurement in float32, look at
+HOW = (
+    "Largest error of the NumPy equations against 60-digit decimals: per case, of the outputs and of the gradients, in units "
+    "of eps times the largest magnitude in the array. float64: all elements; float32: at most 12 of each gradient array. "
+    "Cases whose inputs leave the range of float32 are absent there; null: infinitely wrong, for the rounding of floats "
+    "decides what is computed. Made by `python -m p4dgs_ref.sixty_digits.record`."
+)
 
 
 def measure(key, case, dtype, samples=None):
@@ -27,8 +30,10 @@ def measure(key, case, dtype, samples=None):
             errors = error(key, case, dtype, samples=samples)
     except OverflowError:
         return None
-    return {side: max((e for name, e in errors.items() if name.startswith(side + ".")), default=0.0)
-            for side in ("out", "in_bar")}
+    return {
+        side: max((e for name, e in errors.items() if name.startswith(side + ".")), default=0.0)
+        for side in ("out", "in_bar")
+    }
 
 
 def record(keys):
@@ -38,8 +43,13 @@ def record(keys):
         print(key, flush=True)
         errors[key] = {}
         for dtype, samples in (("float64", None), ("float32", SAMPLES)):
-            rows = {case.name: measure(key, case, np.dtype(dtype).type, samples) for case in EQUATIONS[key].cases()}
-            errors[key][dtype] = {name: {side: _up(e) for side, e in row.items()} for name, row in rows.items() if row}
+            rows = {
+                case.name: measure(key, case, np.dtype(dtype).type, samples)
+                for case in EQUATIONS[key].cases()
+            }
+            errors[key][dtype] = {
+                name: {side: _up(e) for side, e in row.items()} for name, row in rows.items() if row
+            }
     return errors
 
 
@@ -49,11 +59,25 @@ def _up(e):
 
 def text(errors):
     """The file's content, a line for every case."""
+
     def block(name, rows, indent):
         return f"{indent}{json.dumps(name)}: {{\n" + ",\n".join(rows) + "\n" + indent + "}"
 
-    keys = [block(key, [block(dtype, [f"   {json.dumps(case)}: {json.dumps(row)}" for case, row in cases.items()], "  ")
-                        for dtype, cases in by.items()], " ") for key, by in errors.items()]
+    keys = [
+        block(
+            key,
+            [
+                block(
+                    dtype,
+                    [f"   {json.dumps(case)}: {json.dumps(row)}" for case, row in cases.items()],
+                    "  ",
+                )
+                for dtype, cases in by.items()
+            ],
+            " ",
+        )
+        for key, by in errors.items()
+    ]
     return f'{{"how": {json.dumps(HOW)},\n' + block("errors", keys, "") + "}\n"
 
 

@@ -1,4 +1,5 @@
 """The pinhole camera (Q20): OpenCV axes, x right, y down, z forward; pixel centres at integer coordinates."""
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,15 @@ def look_at(position, target, f_x, f_y, width, height, c_x=None, c_y=None, up=(0
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
-    R = np.stack([right, np.cross(forward, right), forward])     # y points down: forward x right
+    R = np.stack([right, np.cross(forward, right), forward])  # y points down: forward x right
     c_x, c_y = (width - 1) / 2 if c_x is None else c_x, (height - 1) / 2 if c_y is None else c_y
-    return Camera(R, -R @ np.asarray(position, float), float(f_x), float(f_y), float(c_x), float(c_y), width, height)
+    return Camera(
+        R,
+        -R @ np.asarray(position, float),
+        float(f_x),
+        float(f_y),
+        float(c_x),
+        float(c_y),
+        width,
+        height,
+    )

@@ -9,6 +9,7 @@ matrix, one exp, and then a loop over depth ranks whose body works on all tiles 
 product returns the six moments of the gradient, from which mean, conic and opacity follow in closed form.
 The cost follows the listed pairs, not N H W.
 """
+
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -18,23 +19,34 @@ from scipy.sparse import csr_array
 from .compositing import Out
 from .tiles import bin_splats
 
-RANKS = 32             # depth ranks that are evaluated together; 16 to 32 cost about the same
-NOTHING = (-1e4, 0, 0, 0, 0, 0)        # coefficients of a pair with alpha 0: exp(-1e4) is zero in every dtype
+RANKS = 32  # depth ranks that are evaluated together; 16 to 32 cost about the same
+NOTHING = (
+    -1e4,
+    0,
+    0,
+    0,
+    0,
+    0,
+)  # coefficients of a pair with alpha 0: exp(-1e4) is zero in every dtype
 
 
 class Chunk(NamedTuple):
-    tiles: np.ndarray      # (G,)  tiles that still have a splat at this rank and still let light through
-    pairs: np.ndarray      # (K, G) row of the pair, or the padding row
-    A: np.ndarray          # (K, G, P) alphas
-    w: np.ndarray          # (K, G, P) weights alpha T
-    slope: object          # (K G, P) d log(clamped alpha) / d log alpha; None where nothing is clamped
+    tiles: (
+        np.ndarray
+    )  # (G,)  tiles that still have a splat at this rank and still let light through
+    pairs: np.ndarray  # (K, G) row of the pair, or the padding row
+    A: np.ndarray  # (K, G, P) alphas
+    w: np.ndarray  # (K, G, P) weights alpha T
+    slope: object  # (K G, P) d log(clamped alpha) / d log alpha; None where nothing is clamped
 
 
 class Res(NamedTuple):
     chunks: list
-    lists: object          # tiles.Lists
-    local: np.ndarray      # (M, 3) per pair: log alpha's offset to the tile's middle (e_x, e_y), and opacity
-    T: np.ndarray          # (G, P) behind the last splat
+    lists: object  # tiles.Lists
+    local: (
+        np.ndarray
+    )  # (M, 3) per pair: log alpha's offset to the tile's middle (e_x, e_y), and opacity
+    T: np.ndarray  # (G, P) behind the last splat
     inputs: dict
     settings: object
 
@@ -47,7 +59,20 @@ def monomials(side, dtype):
     return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v]).astype(dtype)
 
 
-def forward(mean2d, cov2d, conic, alpha, color, depth, visible, background, height, width, settings, occlusion=True):
+def forward(
+    mean2d,
+    cov2d,
+    conic,
+    alpha,
+    color,
+    depth,
+    visible,
+    background,
+    height,
+    width,
+    settings,
+    occlusion=True,
+):
     """Composite splats over a background, to the accuracy that `settings` names.
 
     Shapes     as in `compositing`, and cov2d (N, 3) -> image (height, width, 3), transmittance (height, width)
@@ -82,21 +107,34 @@ def forward(mean2d, cov2d, conic, alpha, color, depth, visible, background, heig
         w, T[tiles] = _weights(A, T[tiles], settings, done, tiles) if occlusion else (A, T[tiles])
         C[tiles] += w.transpose(1, 2, 0) @ paint[pairs].transpose(1, 0, 2)
         chunks.append(Chunk(tiles, pairs, A, w, slope))
-    image = C + T[:, :, None] * background.astype(dtype) if background.any() else C       # black adds nothing
-    inputs = dict(conic=conic, paint=paint, background=background, size=(height, width), n=len(mean2d),
-                  occlusion=occlusion)
-    return (Out(_to_image(image, lists, side, height, width), _to_image(T, lists, side, height, width)),
-            Res(chunks, lists, local, T, inputs, settings))
+    image = (
+        C + T[:, :, None] * background.astype(dtype) if background.any() else C
+    )  # black adds nothing
+    inputs = dict(
+        conic=conic,
+        paint=paint,
+        background=background,
+        size=(height, width),
+        n=len(mean2d),
+        occlusion=occlusion,
+    )
+    return (
+        Out(_to_image(image, lists, side, height, width), _to_image(T, lists, side, height, width)),
+        Res(chunks, lists, local, T, inputs, settings),
+    )
 
 
 def _coefficients(mean2d, conic, alpha, lists, side, dtype):
     """The six coefficients of every pair (M + 1, 6), the last row padding with alpha 0, and what backward needs."""
-    middle = np.stack([lists.tile % lists.columns, lists.tile // lists.columns], axis=1) * side + (side - 1) / 2
+    middle = (
+        np.stack([lists.tile % lists.columns, lists.tile // lists.columns], axis=1) * side
+        + (side - 1) / 2
+    )
     e_x, e_y = (middle - mean2d[lists.row]).T
     a, b, c = conic[lists.row].T
     opacity = alpha[lists.row]
     g_x, g_y = a * e_x + b * e_y, b * e_x + c * e_y
-    some = opacity > 0                                        # log 0 = -inf would be nan in the product
+    some = opacity > 0  # log 0 = -inf would be nan in the product
     constant = np.log(np.where(some, opacity, 1)) - (e_x * g_x + e_y * g_y) / 2
     coefficients = np.empty((len(e_x) + 1, 6), dtype)
     coefficients[:-1] = np.stack([constant, -g_x, -g_y, -a / 2, -b, -c / 2], axis=1)
@@ -128,8 +166,8 @@ def _weights(A, T, settings, done, tiles):
     stopped = done[tiles] if settings.stop_by_pixel else None
     for j in range(len(A)):
         np.multiply(T, A[j], out=w[j])
-        if settings.stop_by_pixel:                            # the splat that would pass the stop is left out, and
-            stopped |= T - w[j] < settings.stop               # so is everything behind it
+        if settings.stop_by_pixel:  # the splat that would pass the stop is left out, and
+            stopped |= T - w[j] < settings.stop  # so is everything behind it
             A[j][stopped] = 0
             w[j][stopped] = 0
         T = np.subtract(T, w[j])
@@ -149,7 +187,11 @@ def _to_tiles(image, lists, side):
     height, width = image.shape[:2]
     padded = np.zeros((lists.rows * side, lists.columns * side, 3), image.dtype)
     padded[:height, :width] = image
-    return padded.reshape(lists.rows, side, lists.columns, side, 3).swapaxes(1, 2).reshape(-1, side * side, 3)
+    return (
+        padded.reshape(lists.rows, side, lists.columns, side, 3)
+        .swapaxes(1, 2)
+        .reshape(-1, side * side, 3)
+    )
 
 
 def backward(res, image_bar):
@@ -160,19 +202,27 @@ def backward(res, image_bar):
     if inputs["occlusion"] and inputs["background"].any():
         behind = g @ inputs["background"].astype(settings.dtype)
     basis = monomials(settings.tile, settings.dtype).T
-    moments = np.zeros((len(inputs["paint"]), 9), settings.dtype)       # per pair; the last row collects the padding
+    moments = np.zeros(
+        (len(inputs["paint"]), 9), settings.dtype
+    )  # per pair; the last row collects the padding
     for tiles, pairs, A, w, slope in reversed(res.chunks):
         g_tiles = g[tiles]
-        moments[pairs.ravel(), 6:] = (w.transpose(1, 0, 2) @ g_tiles).transpose(1, 0, 2).reshape(-1, 3)
-        V = np.empty_like(A)                                  # what a pixel gains per unit of a splat's weight
-        np.matmul(inputs["paint"][pairs].transpose(1, 0, 2), g_tiles.transpose(0, 2, 1), out=V.transpose(1, 0, 2))
+        moments[pairs.ravel(), 6:] = (
+            (w.transpose(1, 0, 2) @ g_tiles).transpose(1, 0, 2).reshape(-1, 3)
+        )
+        V = np.empty_like(A)  # what a pixel gains per unit of a splat's weight
+        np.matmul(
+            inputs["paint"][pairs].transpose(1, 0, 2),
+            g_tiles.transpose(0, 2, 1),
+            out=V.transpose(1, 0, 2),
+        )
         if inputs["occlusion"]:
-            seen = behind[tiles]                              # value seen through rank j: no division by 1 - alpha
+            seen = behind[tiles]  # value seen through rank j: no division by 1 - alpha
             for j in range(len(A) - 1, -1, -1):
                 V[j] -= seen
                 seen += A[j] * V[j]
             behind[tiles] = seen
-        V *= w                                                # gradient of log alpha
+        V *= w  # gradient of log alpha
         if slope is not None:
             V *= slope.reshape(V.shape)
         moments[pairs.ravel(), :6] = V.reshape(-1, V.shape[2]) @ basis
@@ -184,11 +234,35 @@ def _to_gaussians(moments, res):
     """From the moments of every pair to the gradients of every Gaussian: closed form, then one sparse product."""
     (m_0, m_u, m_v, m_uu, m_uv, m_vv), (e_x, e_y, opacity) = moments[:, :6].T, res.local.T
     a, b, c = res.inputs["conic"][res.lists.row].T
-    m_x, m_y = m_u + e_x * m_0, m_v + e_y * m_0              # moments about the splat's mean instead of the tile's
-    per = np.concatenate([np.stack([
-        a * m_x + b * m_y, b * m_x + c * m_y,
-        -0.5 * (m_uu + e_x * (m_u + m_x)), -(m_uv + e_x * m_v + e_y * m_x), -0.5 * (m_vv + e_y * (m_v + m_y)),
-        m_0 / np.where(opacity == 0, 1, opacity)], axis=1), moments[:, 6:]], axis=1)
+    m_x, m_y = (
+        m_u + e_x * m_0,
+        m_v + e_y * m_0,
+    )  # moments about the splat's mean instead of the tile's
+    per = np.concatenate(
+        [
+            np.stack(
+                [
+                    a * m_x + b * m_y,
+                    b * m_x + c * m_y,
+                    -0.5 * (m_uu + e_x * (m_u + m_x)),
+                    -(m_uv + e_x * m_v + e_y * m_x),
+                    -0.5 * (m_vv + e_y * (m_v + m_y)),
+                    m_0 / np.where(opacity == 0, 1, opacity),
+                ],
+                axis=1,
+            ),
+            moments[:, 6:],
+        ],
+        axis=1,
+    )
     row, pairs = res.lists.row, len(res.lists.row)
-    total = csr_array((np.ones(pairs), row, np.arange(pairs + 1)), shape=(pairs, res.inputs["n"])).T @ per
-    return {"mean2d": total[:, :2], "conic": total[:, 2:5], "alpha": total[:, 5], "color": total[:, 6:]}
+    total = (
+        csr_array((np.ones(pairs), row, np.arange(pairs + 1)), shape=(pairs, res.inputs["n"])).T
+        @ per
+    )
+    return {
+        "mean2d": total[:, :2],
+        "conic": total[:, 2:5],
+        "alpha": total[:, 5],
+        "color": total[:, 6:],
+    }

@@ -2,6 +2,7 @@
 
 Read this file first; `compositing` does the same for all Gaussians at all pixels, `fast` for lists by tile.
 """
+
 import numpy as np
 
 from .compositing import Out, depth_order
@@ -11,21 +12,26 @@ def rectangle(mean, cov, alpha, width, height, settings):
     """Pixel rows and columns (two slices) on which a Gaussian is evaluated under `settings.footprint`."""
     if settings.footprint == "all":
         return slice(0, height), slice(0, width)
-    if settings.footprint == "ellipse":                       # alpha exp(-form / 2) >= cut, as a bounding box
+    if settings.footprint == "ellipse":  # alpha exp(-form / 2) >= cut, as a bounding box
         if alpha <= settings.cut:
             return slice(0, 0), slice(0, 0)
         reach = np.sqrt(2 * np.log(alpha / settings.cut) * cov[::2])
         low, high = np.ceil(mean - reach), np.floor(mean + reach) + 1
-    else:                                                     # whole tiles that meet the 3-sigma square
+    else:  # whole tiles that meet the 3-sigma square
         half = (cov[0] + cov[2]) / 2
         largest = half + np.sqrt(max(0.1, half**2 - (cov[0] * cov[2] - cov[1] ** 2)))
         radius, side = np.ceil(3 * np.sqrt(largest)), settings.tile
-        low, high = np.trunc((mean - radius) / side) * side, np.trunc((mean + radius + side - 1) / side) * side
+        low, high = (
+            np.trunc((mean - radius) / side) * side,
+            np.trunc((mean + radius + side - 1) / side) * side,
+        )
     (x_0, y_0), (x_1, y_1) = (np.clip(edge, 0, (width, height)).astype(int) for edge in (low, high))
     return slice(y_0, max(y_0, y_1)), slice(x_0, max(x_0, x_1))
 
 
-def forward(mean2d, cov2d, conic, alpha, color, depth, visible, background, height, width, settings):
+def forward(
+    mean2d, cov2d, conic, alpha, color, depth, visible, background, height, width, settings
+):
     """Composite splats; arguments and outputs as in `fast.forward` with occlusion, tile stop not used."""
     image, T = np.zeros((height, width, 3)), np.ones((height, width))
     done, drawn = np.zeros((height, width), bool), []
@@ -52,9 +58,13 @@ def backward(res, image_bar):
     """Gradients of mean2d, conic, alpha, color and background, back to front."""
     drawn, inputs = res
     conic, alpha, settings = inputs["conic"], inputs["alpha"], inputs["settings"]
-    bars = {"mean2d": np.zeros((len(alpha), 2)), "conic": np.zeros((len(alpha), 3)),
-            "alpha": np.zeros(len(alpha)), "color": np.zeros((len(alpha), 3))}
-    behind = image_bar @ inputs["background"]                 # value of what each pixel sees behind the Gaussian
+    bars = {
+        "mean2d": np.zeros((len(alpha), 2)),
+        "conic": np.zeros((len(alpha), 3)),
+        "alpha": np.zeros(len(alpha)),
+        "color": np.zeros((len(alpha), 3)),
+    }
+    behind = image_bar @ inputs["background"]  # value of what each pixel sees behind the Gaussian
     for i, rows, columns, e_x, e_y, falloff, A, before in reversed(drawn):
         g = image_bar[rows, columns]
         bars["color"][i] = ((before * A)[:, :, None] * g).sum(axis=(0, 1))

@@ -1,17 +1,29 @@
 """Run folders: settings and an atomic checkpoint from which training goes on to the same bytes."""
+
 import json
 import zlib
 from pathlib import Path
 
 import numpy as np
 
-from ..output import remove_leftovers, write_atomically
+from ..scenes.output import remove_leftovers, write_atomically
 from .presets import Preset
 
 VERSION = 1
 CHECKPOINT = "checkpoint.npz"
-FIELDS = {"version", "preset", "seed", "effects", "background", "settings", "scene",      # the settings: `identity`
-          "iteration", "steps", "rng", "history"}                                         # the state, beside the arrays
+FIELDS = {
+    "version",
+    "preset",
+    "seed",
+    "effects",
+    "background",
+    "settings",
+    "scene",  # the settings: `identity`
+    "iteration",
+    "steps",
+    "rng",
+    "history",
+}  # the state, beside the arrays
 
 
 class RunError(ValueError):
@@ -23,16 +35,31 @@ def fingerprint(scene):
     crc = zlib.crc32(np.asarray(scene.background, float).tobytes())
     for view in scene.train:
         camera = view.camera
-        numbers = [*camera.R.ravel(), *camera.T, camera.f_x, camera.f_y, camera.c_x, camera.c_y, view.time]
-        crc = zlib.crc32(np.ascontiguousarray(view.image), zlib.crc32(np.array(numbers, float), crc))
+        numbers = [
+            *camera.R.ravel(),
+            *camera.T,
+            camera.f_x,
+            camera.f_y,
+            camera.c_x,
+            camera.c_y,
+            view.time,
+        ]
+        crc = zlib.crc32(
+            np.ascontiguousarray(view.image), zlib.crc32(np.array(numbers, float), crc)
+        )
     return crc
 
 
 def identity(trainer):
     """What a checkpoint and the training that goes on from it must have in common, as JSON values."""
-    return {"preset": trainer.preset._asdict(), "seed": trainer.seed, "effects": list(trainer.design.effects),
-            "background": [float(c) for c in trainer.scene.background], "settings": trainer.settings._asdict(),
-            "scene": fingerprint(trainer.scene)}
+    return {
+        "preset": trainer.preset._asdict(),
+        "seed": trainer.seed,
+        "effects": list(trainer.design.effects),
+        "background": [float(c) for c in trainer.scene.background],
+        "settings": trainer.settings._asdict(),
+        "scene": fingerprint(trainer.scene),
+    }
 
 
 def save(trainer, folder, common):
@@ -54,21 +81,33 @@ def load(folder):
         values = json.loads(arrays.pop("_values").tobytes())
         version = values["version"]
     except FileNotFoundError:
-        raise RunError(f"{path}: no such checkpoint; `p4dgs-ref train SCENE -o {folder}` makes one") from None
+        raise RunError(
+            f"{path}: no such checkpoint; `p4dgs-ref train SCENE -o {folder}` makes one"
+        ) from None
     except OSError as error:
-        raise RunError(f"{path}: cannot be read ({error.strerror or 'damaged'}); expected a checkpoint of `p4dgs-ref "
-                       f"train`") from None
-    except Exception:                                      # a damaged archive can fail in any layer of its reader
+        raise RunError(
+            f"{path}: cannot be read ({error.strerror or 'damaged'}); expected a checkpoint of `p4dgs-ref "
+            f"train`"
+        ) from None
+    except Exception:  # a damaged archive can fail in any layer of its reader
         raise RunError(f"{path}: damaged, or not a checkpoint of `p4dgs-ref train`") from None
-    if version != VERSION or not FIELDS <= set(values) or set(values["preset"]) != set(Preset._fields):
-        raise RunError(f"{path}: field 'version': {version}, or fields of another one; expected a checkpoint of this "
-                       f"release, version {VERSION}")
+    if (
+        version != VERSION
+        or not FIELDS <= set(values)
+        or set(values["preset"]) != set(Preset._fields)
+    ):
+        raise RunError(
+            f"{path}: field 'version': {version}, or fields of another one; expected a checkpoint of this "
+            f"release, version {VERSION}"
+        )
     return arrays, values
 
 
 def preset_of(values):
     """The preset a checkpoint was made with."""
-    return Preset(**{name: tuple(v) if isinstance(v, list) else v for name, v in values["preset"].items()})
+    return Preset(
+        **{name: tuple(v) if isinstance(v, list) else v for name, v in values["preset"].items()}
+    )
 
 
 def resume(trainer, folder, common):
@@ -80,8 +119,14 @@ def resume(trainer, folder, common):
     for field, ours in json.loads(json.dumps(common)).items():
         theirs = values[field]
         if ours != theirs:
-            inner = [f".{name}" for name in ours if ours[name] != theirs.get(name)] if isinstance(ours, dict) else [""]
-            raise RunError(f"{Path(folder) / CHECKPOINT}: field '{field}{inner[0]}': made with another one; expected "
-                           f"the settings that the training was started with")
+            inner = (
+                [f".{name}" for name in ours if ours[name] != theirs.get(name)]
+                if isinstance(ours, dict)
+                else [""]
+            )
+            raise RunError(
+                f"{Path(folder) / CHECKPOINT}: field '{field}{inner[0]}': made with another one; expected "
+                f"the settings that the training was started with"
+            )
     trainer.restore(arrays, values)
     remove_leftovers(Path(folder) / CHECKPOINT)

@@ -1,8 +1,9 @@
 """How many anchors there are: statistics over windows of views, growing, re-seeding, pruning, masking (Q15, Q16)."""
+
 import numpy as np
 
-ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")      # arrays with one row per anchor
-LARGEST_LOG_SCALE = 0.05                             # Scaffold-GS clamps log s_a to this at every adjustment
+ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")  # arrays with one row per anchor
+LARGEST_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this at every adjustment
 
 
 class Statistics:
@@ -11,10 +12,12 @@ class Statistics:
     NAMES = ("visits", "opacity", "gradient", "seen")
 
     def __init__(self, A, k):
-        self.visits = np.zeros(A)                    # views in which the anchor took part
-        self.opacity = np.zeros((A, k))              # positive opacities of its children
-        self.gradient = np.zeros((A, k))             # lengths of the gradient of the projected centre, NDC units
-        self.seen = np.zeros((A, k))                 # views in which the child was rendered in front of the camera
+        self.visits = np.zeros(A)  # views in which the anchor took part
+        self.opacity = np.zeros((A, k))  # positive opacities of its children
+        self.gradient = np.zeros(
+            (A, k)
+        )  # lengths of the gradient of the projected centre, NDC units
+        self.seen = np.zeros((A, k))  # views in which the child was rendered in front of the camera
 
     def collect(self, seen, mean2d_bar, width, height):
         """Add one view; `mean2d_bar` (N, 2) is per pixel, NDC spans two units over the image (3DGS)."""
@@ -71,16 +74,21 @@ def grow(p, statistics, preset, rng):
         return empty_rows(p)
     x_a, log_size = np.concatenate(taken), np.concatenate(sizes)
     reach = np.repeat(log_size[:, None], 3, axis=1).astype(x_a.dtype)
-    return {"x_a": x_a, "f_a": np.concatenate(features), "log_s": reach, "log_l": reach,
-            "O_a": np.zeros((len(x_a), *p["O_a"].shape[1:]), x_a.dtype)}
+    return {
+        "x_a": x_a,
+        "f_a": np.concatenate(features),
+        "log_s": reach,
+        "log_l": reach,
+        "O_a": np.zeros((len(x_a), *p["O_a"].shape[1:]), x_a.dtype),
+    }
 
 
 def _among(cells, present):
     """Which rows of `cells` occur in `present`."""
     both, which = np.unique(np.concatenate([present, cells]), axis=0, return_inverse=True)
     occupied = np.zeros(len(both), bool)
-    occupied[which.ravel()[:len(present)]] = True
-    return occupied[which.ravel()[len(present):]]
+    occupied[which.ravel()[: len(present)]] = True
+    return occupied[which.ravel()[len(present) :]]
 
 
 def empty_rows(p):
@@ -90,7 +98,9 @@ def empty_rows(p):
 def dead_anchors(statistics, mask, preset):
     """Anchors whose kept children's opacities together stayed below min_opacity, of those seen often (A,) bool."""
     often = statistics.visits > preset.grow_every * preset.success
-    return often & ((statistics.opacity * mask).sum(axis=1) < preset.min_opacity * statistics.visits)
+    return often & (
+        (statistics.opacity * mask).sum(axis=1) < preset.min_opacity * statistics.visits
+    )
 
 
 def faint_children(statistics, preset):

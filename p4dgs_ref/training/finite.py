@@ -1,4 +1,5 @@
 """Where did the first number that is none come from?  Runs one iteration again and watches every equation."""
+
 import importlib
 from contextlib import contextmanager
 
@@ -30,7 +31,9 @@ def _arrays(value, name):
     elif isinstance(value, (list, tuple)):
         for i, item in enumerate(value):
             yield from _arrays(item, f"{name}[{i}]")
-    elif isinstance(value, (np.ndarray, np.floating, float)) and np.asarray(value).dtype.kind == "f":
+    elif (
+        isinstance(value, (np.ndarray, np.floating, float)) and np.asarray(value).dtype.kind == "f"
+    ):
         yield name, np.asarray(value)
 
 
@@ -45,12 +48,16 @@ def _check(where, value):
 @contextmanager
 def intercepted(wrap):
     """Within it, `wrap(key, name, function)` stands for each forward and backward of equations and fast renderer."""
-    modules = {equation.key: importlib.import_module(equation.module) for equation in EQUATIONS.values()}
+    modules = {
+        equation.key: importlib.import_module(equation.module) for equation in EQUATIONS.values()
+    }
     modules["compositing, fast"] = fast
     kept = {key: (module.forward, module.backward) for key, module in modules.items()}
     try:
         for key, module in modules.items():
-            module.forward, module.backward = map(wrap, (key, key), ("forward", "backward"), kept[key])
+            module.forward, module.backward = map(
+                wrap, (key, key), ("forward", "backward"), kept[key]
+            )
         yield
     finally:
         for key, module in modules.items():
@@ -59,7 +66,7 @@ def intercepted(wrap):
 
 def watched():
     """Within it, every forward and backward of the table of equations raises Found at its first non-finite output."""
-    running = []                                   # psi_d's network runs inside Eq. (5): name both
+    running = []  # psi_d's network runs inside Eq. (5): name both
 
     def watch(key, name, function):
         direction = {"forward": "forward", "backward": "backward, gradient of"}[name]
@@ -71,6 +78,7 @@ def watched():
             _check(f"equation {', its '.join(map(repr, running))}, {direction}", outputs)
             running.pop()
             return result
+
         return run
 
     return intercepted(watch)

@@ -1,25 +1,37 @@
 """Training from Python in one call."""
+
 import signal
 import threading
 from contextlib import contextmanager
 
 import numpy as np
 
-from ..networks.parameters import Parameters
 from ..splatting.settings import FAST
 from .checkpoint import identity, load, preset_of, save
 from .checkpoint import resume as restore
 from .finite import NotFinite
 from .initial import design_of
+from .parameters import Parameters
 from .presets import choose
 from .progress import Progress
 from .trainer import Trainer, assemble
 
-SAVE_EVERY = 20.0      # seconds between checkpoints
+SAVE_EVERY = 20.0  # seconds between checkpoints
 
 
-def train(scene, preset="tiny", seed=0, *, settings=FAST, points=None, folder=None, resume=False, stream=None,
-          save_every=SAVE_EVERY, **changes):
+def train(
+    scene,
+    preset="tiny",
+    seed=0,
+    *,
+    settings=FAST,
+    points=None,
+    folder=None,
+    resume=False,
+    stream=None,
+    save_every=SAVE_EVERY,
+    **changes,
+):
     """Fit a scene; returns the Model, ready to render or encode.
 
     Takes      a Scene; a preset's name (or a Preset) and fields of it to change, a seed; `points` (A, 3) to start
@@ -29,11 +41,23 @@ def train(scene, preset="tiny", seed=0, *, settings=FAST, points=None, folder=No
                NotFinite where a number stops being one, with the first equation and array in which it did;
                KeyboardInterrupt after Ctrl-C, which waits for the end of the iteration (a second one does not)
     """
-    return fit(scene, preset, seed, settings, points, folder, resume, stream, save_every, **changes).model()
+    return fit(
+        scene, preset, seed, settings, points, folder, resume, stream, save_every, **changes
+    ).model()
 
 
-def fit(scene, preset, seed, settings=FAST, points=None, folder=None, resume=False, stream=None, save_every=SAVE_EVERY,
-        **changes):
+def fit(
+    scene,
+    preset,
+    seed,
+    settings=FAST,
+    points=None,
+    folder=None,
+    resume=False,
+    stream=None,
+    save_every=SAVE_EVERY,
+    **changes,
+):
     """As `train`, but returns the Trainer, with its history."""
     chosen = choose(preset, changes)
     if not (isinstance(seed, int) and seed >= 0):
@@ -43,6 +67,7 @@ def fit(scene, preset, seed, settings=FAST, points=None, folder=None, resume=Fal
         trainer, progress = Trainer(scene, chosen, seed, settings, points), Progress(stream)
         keep = keeper(trainer, folder, resume)
         with stopping_between_steps() as asked:
+
             def after_step(trainer, *seen):
                 refuse_non_finite(trainer)
                 progress(trainer, *seen)
@@ -81,8 +106,10 @@ def stopping_between_steps():
         signal.signal(signal.SIGINT, signal.default_int_handler)
         asked.append(number)
 
-    ours = (threading.current_thread() is threading.main_thread()
-            and signal.getsignal(signal.SIGINT) is signal.default_int_handler)
+    ours = (
+        threading.current_thread() is threading.main_thread()
+        and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    )
     if ours:
         signal.signal(signal.SIGINT, ask)
     try:
@@ -90,7 +117,7 @@ def stopping_between_steps():
     finally:
         if ours:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-    if asked:                                    # it came after the last step: the work is whole, but stop here
+    if asked:  # it came after the last step: the work is whole, but stop here
         raise KeyboardInterrupt
 
 
@@ -98,9 +125,13 @@ def refuse_non_finite(trainer):
     """Raise NotFinite where a step has made a parameter infinite or NaN, before it can reach a checkpoint."""
     if np.isfinite(trainer.parameters.vector).all():
         return
-    name, array = next((name, a) for name, a in trainer.parameters.arrays.items() if not np.isfinite(a).all())
+    name, array = next(
+        (name, a) for name, a in trainer.parameters.arrays.items() if not np.isfinite(a).all()
+    )
     index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-    raise NotFinite(trainer.iteration - 1, f"Adam's step made the parameter {name}{list(index)} {array[index]}")
+    raise NotFinite(
+        trainer.iteration - 1, f"Adam's step made the parameter {name}{list(index)} {array[index]}"
+    )
 
 
 def load_model(folder):

@@ -3,29 +3,47 @@
 Every equation of the paper meets here: `forward` runs them in the order of the paper's figures, `backward`
 runs their backwards in the opposite order and adds up where a quantity was used twice.
 """
+
 from typing import NamedTuple
 
 import numpy as np
 
-from ..equations import anchor_rate, hash_rate, likelihood, noise, rate_loss, render_loss, total_loss
-from ..model import Anchors, beside, context, context_backward, groups, predict, predict_backward, split
+from ..equations import (
+    anchor_rate,
+    hash_rate,
+    likelihood,
+    noise,
+    rate_loss,
+    render_loss,
+    total_loss,
+)
+from ..model import (
+    Anchors,
+    beside,
+    context,
+    context_backward,
+    groups,
+    predict,
+    predict_backward,
+    split,
+)
 from ..splatting import render
 
-ATTRIBUTES = ("f_a", "log_s", "log_l", "O_a")      # the parameters behind the groups f, s, l, O
+ATTRIBUTES = ("f_a", "log_s", "log_l", "O_a")  # the parameters behind the groups f, s, l, O
 
 
 class Fixed(NamedTuple):
     """What an iteration takes as given."""
 
-    mask: np.ndarray       # (A, k) children kept (Q15)
-    located: object        # hash_grid.locate of the frozen positions; None before stage 4
-    background: np.ndarray # (3,)
-    noisy: bool            # stage 2 on
-    moving: bool           # stage 3 on
+    mask: np.ndarray  # (A, k) children kept (Q15)
+    located: object  # hash_grid.locate of the frozen positions; None before stage 4
+    background: np.ndarray  # (3,)
+    noisy: bool  # stage 2 on
+    moving: bool  # stage 3 on
     lambda_rate: float
     lambda_ssim: float
     lambda_volume: float
-    settings: object       # of the renderer
+    settings: object  # of the renderer
 
 
 class Losses(NamedTuple):
@@ -33,17 +51,17 @@ class Losses(NamedTuple):
     L_render: float
     L1: float
     D_SSIM: float
-    L_rate: float          # bits per coded number; 0 before stage 4
+    L_rate: float  # bits per coded number; 0 before stage 4
     bits: float
 
 
 class Seen(NamedTuple):
     """What growing and pruning look at."""
 
-    alpha: np.ndarray      # (A, k) opacities before masking
-    index: np.ndarray      # (N,) a k + j of the rendered Gaussians
-    visible: np.ndarray    # (N,) bool
-    image: np.ndarray      # (H, W, 3)
+    alpha: np.ndarray  # (A, k) opacities before masking
+    index: np.ndarray  # (N,) a k + j of the rendered Gaussians
+    visible: np.ndarray  # (N,) bool
+    image: np.ndarray  # (H, W, 3)
 
 
 def linear_values(p):
@@ -70,27 +88,68 @@ def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
     res_n, noisy = [], values
     if q is not None:
         pairs = zip(groups(values, design), groups(u, design))
-        moved = [noise.forward(f, part, q[:, i:i + 1]) for i, (f, part) in enumerate(pairs)]
-        noisy, res_n = np.concatenate([out.f_noisy for out, _ in moved], axis=1), [res for _, res in moved]
+        moved = [noise.forward(f, part, q[:, i : i + 1]) for i, (f, part) in enumerate(pairs)]
+        noisy, res_n = (
+            np.concatenate([out.f_noisy for out, _ in moved], axis=1),
+            [res for _, res in moved],
+        )
     f, s, l, O = split(noisy, design)
     anchors = Anchors(p["x_a"], f, s, l, O, fixed.mask)
-    g, res_p = predict(design, networks, anchors, view.camera.center.astype(values.dtype),
-                       view.time if fixed.moving else None)
-    out, res_r = render.forward(g.x, g.s, g.r, g.alpha, g.color, view.camera, fixed.background, fixed.settings,
-                                "occlusion" in design.effects)
-    loss, res_l = render_loss.forward(out.image, view.image.astype(out.image.dtype), fixed.lambda_ssim, truth_moments)
-    volume = 0.0                                   # 0 times an overflow would not be 0
+    g, res_p = predict(
+        design,
+        networks,
+        anchors,
+        view.camera.center.astype(values.dtype),
+        view.time if fixed.moving else None,
+    )
+    out, res_r = render.forward(
+        g.x,
+        g.s,
+        g.r,
+        g.alpha,
+        g.color,
+        view.camera,
+        fixed.background,
+        fixed.settings,
+        "occlusion" in design.effects,
+    )
+    loss, res_l = render_loss.forward(
+        out.image, view.image.astype(out.image.dtype), fixed.lambda_ssim, truth_moments
+    )
+    volume = 0.0  # 0 times an overflow would not be 0
     if fixed.lambda_volume and len(g.s):
         volume = fixed.lambda_volume * float(np.prod(g.s, axis=1).mean())
     rate, L_rate, bits, res_b = None, 0.0, 0.0, None
     if ctx is not None:
         rate, res_b = rate_forward(noisy, ctx, grids, fixed.mask, design)
         L_rate, bits = float(rate.L_rate), float(rate.bits)
-    total, res_t = total_loss.forward(np.float64(loss.L_render), np.float64(L_rate), fixed.lambda_rate)
-    losses = Losses(float(total.L_total) + volume, float(loss.L_render), float(loss.L1), float(loss.D_SSIM), L_rate, bits)
+    total, res_t = total_loss.forward(
+        np.float64(loss.L_render), np.float64(L_rate), fixed.lambda_rate
+    )
+    losses = Losses(
+        float(total.L_total) + volume,
+        float(loss.L_render),
+        float(loss.L1),
+        float(loss.D_SSIM),
+        L_rate,
+        bits,
+    )
     seen = Seen(res_p.opacity.alpha, g.index, res_r.splats.visible, out.image)
-    res = dict(p=p, design=design, values=values, noise=res_n, context=res_c, predict=res_p, render=res_r, g=g,
-               loss=res_l, rate=res_b, total=res_t, fixed=fixed, n=len(g.s))
+    res = dict(
+        p=p,
+        design=design,
+        values=values,
+        noise=res_n,
+        context=res_c,
+        predict=res_p,
+        render=res_r,
+        g=g,
+        loss=res_l,
+        rate=res_b,
+        total=res_t,
+        fixed=fixed,
+        n=len(g.s),
+    )
     return losses, seen, res
 
 
@@ -114,7 +173,13 @@ def rate_backward(res, L_rate_bar, design):
     bits_bar = beside(parts["bits_f"], parts["bits_s"], parts["bits_l"], parts["bits_O"])
     bars = likelihood.backward(res_bits, bits_bar)
     starts = np.cumsum((0, *design.widths[:3]))
-    return bars["f_noisy"], bars["mu"], bars["sigma"], np.add.reduceat(bars["q"], starts, axis=1), grids
+    return (
+        bars["f_noisy"],
+        bars["mu"],
+        bars["sigma"],
+        np.add.reduceat(bars["q"], starts, axis=1),
+        grids,
+    )
 
 
 def backward(res):
@@ -125,16 +190,20 @@ def backward(res):
     image_bar = render_loss.backward(res["loss"], L_render_bar=top["L_render"])["image"]
     bars = render.backward(res["render"], image_bar)
     s_bar = bars["s"]
-    if fixed.lambda_volume and res["n"]:                       # the mean of s_0 s_1 s_2
+    if fixed.lambda_volume and res["n"]:  # the mean of s_0 s_1 s_2
         s = g.s.astype(float)
         s_bar = s_bar + fixed.lambda_volume / res["n"] * s[:, [1, 2, 0]] * s[:, [2, 0, 1]]
-    anchors, networks = predict_backward(res["predict"], *(bar.astype(dtype) for bar in (
-        bars["x"], s_bar, bars["r"], bars["alpha"], bars["color"])))
+    anchors, networks = predict_backward(
+        res["predict"],
+        *(bar.astype(dtype) for bar in (bars["x"], s_bar, bars["r"], bars["alpha"], bars["color"])),
+    )
     noisy_bar = beside(*(anchors[name] for name in ("f_a", "s_a", "l_a", "O_a")))
     grids_bar = mu_bar = sigma_bar = rate_q = None
     if res["rate"] is not None:
-        rate_bar, mu_bar, sigma_bar, rate_q, grids_bar = rate_backward(res["rate"], top["L_rate"], design)
-        noisy_bar = noisy_bar + rate_bar                       # one noisy tensor was rendered and rated (Q23)
+        rate_bar, mu_bar, sigma_bar, rate_q, grids_bar = rate_backward(
+            res["rate"], top["L_rate"], design
+        )
+        noisy_bar = noisy_bar + rate_bar  # one noisy tensor was rendered and rated (Q23)
     values_bar = noisy_bar
     if res["noise"]:
         parts = [noise.backward(r, bar) for r, bar in zip(res["noise"], groups(noisy_bar, design))]
@@ -145,7 +214,9 @@ def backward(res):
             networks.update(context_nets)
             for i, (a, b) in enumerate(zip(context_grids, grids_bar)):
                 gradients[f"grid.{i}"][...] = a + b
-    values_bar[:, design.d:design.d + 6] *= res["values"][:, design.d:design.d + 6]      # through exp: log_s, log_l
+    values_bar[:, design.d : design.d + 6] *= res["values"][
+        :, design.d : design.d + 6
+    ]  # through exp: log_s, log_l
     for name, bar in zip(ATTRIBUTES, groups(values_bar, design)):
         gradients[name][...] = bar.reshape(gradients[name].shape)
     gradients["x_a"][...] = anchors["x_a"]

@@ -1,11 +1,12 @@
 """The line that shows how training is getting on, and the numbers behind training.csv."""
+
 import shutil
 import sys
 import time
 
 import numpy as np
 
-EVERY = 20         # most iterations between two rows of training.csv; short trainings get a row more often
+EVERY = 20  # most iterations between two rows of training.csv; short trainings get a row more often
 COLUMNS = ("iteration", "stage", "loss", "psnr_db", "bits_per_parameter", "anchors", "gaussians")
 
 
@@ -34,8 +35,17 @@ class Progress:
             return
         decibel = psnr(seen.image, view.image)
         if kept:
-            trainer.history.append([done, trainer.preset.stage(done - 1), losses.L_total, decibel, losses.L_rate,
-                                    len(trainer.mask), len(seen.index)])
+            trainer.history.append(
+                [
+                    done,
+                    trainer.preset.stage(done - 1),
+                    losses.L_total,
+                    decibel,
+                    losses.L_rate,
+                    len(trainer.mask),
+                    len(seen.index),
+                ]
+            )
         if self.stream is None:
             return
         self.window = [*self.window[-49:], (ms, decibel, losses.L_total)]
@@ -50,11 +60,13 @@ class Progress:
         ms, decibel, loss = np.mean(self.window, axis=0)
         left = (now - self.start) / max(done - self.first, 1) * (total - done)
         rate = f"{losses.L_rate:.2f}" if losses.L_rate else "-"
-        line = (f"{done:{len(str(total))}d}/{total}  {left:.0f} s left  stage {trainer.preset.stage(done - 1)}  "
-                f"loss {loss:.4f}  PSNR {decibel:.2f} dB  {rate} bits/parameter  {len(trainer.mask)} anchors  "
-                f"{len(seen.index)} Gaussians  {ms:.1f} ms/step")
+        line = (
+            f"{done:{len(str(total))}d}/{total}  {left:.0f} s left  stage {trainer.preset.stage(done - 1)}  "
+            f"loss {loss:.4f}  PSNR {decibel:.2f} dB  {rate} bits/parameter  {len(trainer.mask)} anchors  "
+            f"{len(seen.index)} Gaussians  {ms:.1f} ms/step"
+        )
         if self.live:
-            self.open, line = True, f"\r{line[:shutil.get_terminal_size().columns - 1]}\x1b[K"
+            self.open, line = True, f"\r{line[: shutil.get_terminal_size().columns - 1]}\x1b[K"
         self.stream.write(line if self.live else line + "\n")
         self.stream.flush()
 

@@ -1,31 +1,53 @@
 """The four stages of training: one view an iteration, Adam, growing and pruning, a state that can be saved."""
+
 import time
 
 import numpy as np
 
 from ..equations import hash_grid, ssim
 from ..model import Anchors, Model, bounding_box, snap, split
-from ..networks.adam import Adam, exponential
-from ..networks.parameters import Parameters
 from ..splatting.settings import FAST
 from . import density, objective
+from .adam import Adam, exponential
 from .finite import NotFinite, find_first
 from .initial import design_of, initial_parameters
+from .parameters import Parameters
 
-LEARNING_RATES = {"x_a": "lr_x", "f_a": "lr_f", "log_s": "lr_s", "log_l": "lr_l", "O_a": "lr_O",
-                  "psi_alpha": "lr_alpha", "psi_c": "lr_c", "psi_r": "lr_r", "psi_s": "lr_psi_s", "psi_d": "lr_d",
-                  "psi_p": "lr_p", "psi_q": "lr_q", "grid": "lr_grid"}
-CONTEXT = ("psi_p", "psi_q", "grid")        # take part from stage 4 on; psi_d from stage 3 on
+LEARNING_RATES = {
+    "x_a": "lr_x",
+    "f_a": "lr_f",
+    "log_s": "lr_s",
+    "log_l": "lr_l",
+    "O_a": "lr_O",
+    "psi_alpha": "lr_alpha",
+    "psi_c": "lr_c",
+    "psi_r": "lr_r",
+    "psi_s": "lr_psi_s",
+    "psi_d": "lr_d",
+    "psi_p": "lr_p",
+    "psi_q": "lr_q",
+    "grid": "lr_grid",
+}
+CONTEXT = ("psi_p", "psi_q", "grid")  # take part from stage 4 on; psi_d from stage 3 on
 
 
 def assemble(p, design, mask, box, background):
     """The Model of some parameters: linear attributes, everything in float64; without a box, the exact one."""
     f, s, l, O = split(objective.linear_values(p).astype(float), design)
     x_a = p["x_a"].astype(float)
-    networks = {name: tuple([a.astype(float) for a in arrays] for arrays in p.network(name)) for name in design.layers()}
+    networks = {
+        name: tuple([a.astype(float) for a in arrays] for arrays in p.network(name))
+        for name in design.layers()
+    }
     grids = [grid.astype(float) for grid in p.listed("grid")]
-    return Model(design, Anchors(x_a, f, s, l, O, mask.copy()), networks, grids, box or bounding_box(x_a),
-                 np.asarray(background, float))
+    return Model(
+        design,
+        Anchors(x_a, f, s, l, O, mask.copy()),
+        networks,
+        grids,
+        box or bounding_box(x_a),
+        np.asarray(background, float),
+    )
 
 
 class Trainer:
@@ -40,7 +62,10 @@ class Trainer:
         self.adopt(initial_parameters(preset, self.design, self.rng, points))
         self.adam = Adam(self.parameters)
         A = len(self.parameters["x_a"])
-        self.mask, self.statistics = np.ones((A, self.design.k), bool), density.Statistics(A, self.design.k)
+        self.mask, self.statistics = (
+            np.ones((A, self.design.k), bool),
+            density.Statistics(A, self.design.k),
+        )
 
     def adopt(self, parameters):
         """Take parameters over and find the networks and grids in them."""
@@ -55,10 +80,19 @@ class Trainer:
     def rate_of(self, name):
         """The learning rate of an array now; 0 where the stage does not use it."""
         stem = name.split(".")[0]
-        if stem in CONTEXT and self.stage < 4 or stem == "psi_d" and self.stage < 3 or stem == "x_a" and self.stage == 4:
+        if (
+            stem in CONTEXT
+            and self.stage < 4
+            or stem == "psi_d"
+            and self.stage < 3
+            or stem == "x_a"
+            and self.stage == 4
+        ):
             return 0.0
         first, last = getattr(self.preset, LEARNING_RATES[stem])
-        return exponential(self.iteration, first, last, self.preset.iterations, self.preset.decay_from)
+        return exponential(
+            self.iteration, first, last, self.preset.iterations, self.preset.decay_from
+        )
 
     def next_view(self):
         """Views in random order without replacement, then again."""
@@ -69,8 +103,17 @@ class Trainer:
 
     def fixed(self):
         preset, stage = self.preset, self.stage
-        return objective.Fixed(self.mask, self.located, self.scene.background, stage >= 2, stage >= 3,
-                               preset.lambda_rate, preset.lambda_ssim, preset.lambda_volume, self.settings)
+        return objective.Fixed(
+            self.mask,
+            self.located,
+            self.scene.background,
+            stage >= 2,
+            stage >= 3,
+            preset.lambda_rate,
+            preset.lambda_ssim,
+            preset.lambda_volume,
+            self.settings,
+        )
 
     def step(self):
         """One iteration; returns its Losses, what was Seen, and the View.
@@ -81,13 +124,24 @@ class Trainer:
             self.freeze_positions()
         view, p = self.next_view(), self.parameters
         u = self.rng.random((len(self.mask), sum(self.design.widths)), np.float32) - np.float32(0.5)
-        if id(view) not in self.moments:           # SSIM's averages of the truth are the same in every visit
+        if id(view) not in self.moments:  # SSIM's averages of the truth are the same in every visit
             self.moments[id(view)] = ssim.moments(view.image)
-        inputs = (p, self.design, self.networks, self.grids, self.fixed(), view, u, self.moments[id(view)])
+        inputs = (
+            p,
+            self.design,
+            self.networks,
+            self.grids,
+            self.fixed(),
+            view,
+            u,
+            self.moments[id(view)],
+        )
         losses, seen, res = objective.forward(*inputs)
         gradients, mean2d_bar = objective.backward(res)
         finite = np.isfinite(losses.L_total) and np.isfinite(gradients.vector).all()
-        if not (finite and np.isfinite(seen.alpha).all()):             # the mask would hide a NaN opacity from the loss
+        if not (
+            finite and np.isfinite(seen.alpha).all()
+        ):  # the mask would hide a NaN opacity from the loss
             raise NotFinite(self.iteration, find_first(*inputs))
         self.adam.step(p, gradients, self.rate_of)
         if self.iteration >= self.preset.collect_from:
@@ -105,22 +159,31 @@ class Trainer:
     def locate(self):
         x_a = self.parameters["x_a"]
         x_a[...] = snap(x_a, *self.box)[1]
-        self.located = hash_grid.locate(x_a, *self.box, self.design.grid, [T for T, _ in self.design.levels()])
+        self.located = hash_grid.locate(
+            x_a, *self.box, self.design.grid, [T for T, _ in self.design.levels()]
+        )
 
     def adjust(self):
         """Grow, re-seed, prune and mask as the preset says, then start a new window."""
         preset, statistics, now = self.preset, self.statistics, self.iteration
         if now >= preset.mask_from:
             self.mask &= ~density.faint_children(statistics, preset)
-        dead, growing = density.dead_anchors(statistics, self.mask, preset), preset.grow_from < now <= preset.grow_until
+        dead, growing = (
+            density.dead_anchors(statistics, self.mask, preset),
+            preset.grow_from < now <= preset.grow_until,
+        )
         if preset.grow == "reseed" and growing:
-            density.reseed(self.parameters, self.adam.first, self.adam.second, dead, statistics, self.rng)
+            density.reseed(
+                self.parameters, self.adam.first, self.adam.second, dead, statistics, self.rng
+            )
             self.mask[dead] = True
         elif preset.grow == "reseed" and now > preset.grow_until:
-            self.keep_rows(~dead)                  # too late to learn something new: they only cost
+            self.keep_rows(~dead)  # too late to learn something new: they only cost
         elif preset.grow == "scaffold" and growing:
             self.keep_rows(~dead, density.grow(self.parameters, statistics, preset, self.rng))
-            self.parameters["log_s"][...] = np.minimum(self.parameters["log_s"], density.LARGEST_LOG_SCALE)
+            self.parameters["log_s"][...] = np.minimum(
+                self.parameters["log_s"], density.LARGEST_LOG_SCALE
+            )
         self.statistics.clear()
 
     def keep_rows(self, keep, added=None):
@@ -132,7 +195,9 @@ class Trainer:
         self.adopt(self.parameters.with_rows(density.ROWS, keep, added))
         self.adam.first = self.adam.first.with_rows(density.ROWS, keep, fresh)
         self.adam.second = self.adam.second.with_rows(density.ROWS, keep, fresh)
-        self.mask = np.concatenate([self.mask[keep], np.ones((len(added["x_a"]), self.design.k), bool)])
+        self.mask = np.concatenate(
+            [self.mask[keep], np.ones((len(added["x_a"]), self.design.k), bool)]
+        )
         self.statistics = self.statistics.with_rows(keep, len(added["x_a"]))
         if self.located is not None:
             self.locate()
@@ -157,21 +222,36 @@ class Trainer:
     def state(self):
         """Everything that a later process needs to go on as if nothing had happened: {name: array or JSON value}."""
         groups = {"p": self.parameters, "m": self.adam.first, "v": self.adam.second}
-        arrays = {f"{tag}/{name}": a for tag, group in groups.items() for name, a in group.arrays.items()}
-        arrays.update({f"stat/{name}": getattr(self.statistics, name) for name in density.Statistics.NAMES})
+        arrays = {
+            f"{tag}/{name}": a for tag, group in groups.items() for name, a in group.arrays.items()
+        }
+        arrays.update(
+            {f"stat/{name}": getattr(self.statistics, name) for name in density.Statistics.NAMES}
+        )
         arrays.update({"mask": self.mask, "order": self.order})
         if self.box is not None:
             arrays["box"] = np.stack(self.box)
-        return arrays, {"iteration": self.iteration, "steps": self.adam.steps, "rng": self.rng.bit_generator.state,
-                        "history": self.history}
+        return arrays, {
+            "iteration": self.iteration,
+            "steps": self.adam.steps,
+            "rng": self.rng.bit_generator.state,
+            "history": self.history,
+        }
 
     def restore(self, arrays, values):
         """The inverse of `state`."""
+
         def group(tag):
-            return Parameters({name[2:]: a for name, a in arrays.items() if name.startswith(tag + "/")})
+            return Parameters(
+                {name[2:]: a for name, a in arrays.items() if name.startswith(tag + "/")}
+            )
 
         self.adopt(group("p"))
-        self.adam.first, self.adam.second, self.adam.steps = group("m"), group("v"), dict(values["steps"])
+        self.adam.first, self.adam.second, self.adam.steps = (
+            group("m"),
+            group("v"),
+            dict(values["steps"]),
+        )
         self.mask, self.order, self.iteration = arrays["mask"], arrays["order"], values["iteration"]
         self.statistics = density.Statistics(len(self.mask), self.design.k)
         for name in density.Statistics.NAMES:

@@ -4,7 +4,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import lessons
+from p4dgs_ref.school import lessons
 
 x_a, l_a = np.array([1, 2, 0]), np.array([0.5, 0.5, 2])
 
@@ -18,6 +18,7 @@ lessons.number("01.1", [1, 4, -1], x_a + np.array([0, 4, -0.5]) * l_a)
 # %% [markdown]
 # **01.2** and **01.3** A new axis of length one is what NumPy stretches along the children; its transpose is the sum.
 
+
 # %%
 def my_forward(x_a, O_a, l_a):
     return x_a[:, None] + O_a * l_a[:, None]
@@ -25,7 +26,11 @@ def my_forward(x_a, O_a, l_a):
 
 def my_backward(inputs, cotangents):
     x_bar = cotangents["x_bar"]
-    return {"x_a": x_bar.sum(axis=1), "O_a": x_bar * inputs["l_a"][:, None], "l_a": (x_bar * inputs["O_a"]).sum(axis=1)}
+    return {
+        "x_a": x_bar.sum(axis=1),
+        "O_a": x_bar * inputs["l_a"][:, None],
+        "l_a": (x_bar * inputs["O_a"]).sum(axis=1),
+    }
 
 
 lessons.forward("01.2", my_forward, "offsets")

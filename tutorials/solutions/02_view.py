@@ -4,8 +4,8 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import lessons
 from p4dgs_ref.equations import view
+from p4dgs_ref.school import lessons
 
 x_a, x_c = np.array([3.0, -1, 7]), np.array([1.0, 2, 1])
 
@@ -13,12 +13,17 @@ x_a, x_c = np.array([3.0, -1, 7]), np.array([1.0, 2, 1])
 # **02.1** The gradient of a length is the direction: $d_{vc} = (2, -3, 6)/7$, and $d_{vc}\cdot(0.7, 0, 0) = 0.2$.
 
 # %%
-lessons.number("02.1", 2 / 7 * 0.7, view.backward(view.forward(x_a[None], x_c)[1], np.ones((1, 1)))["x_a"][0] @ [0.7, 0, 0])
+lessons.number(
+    "02.1",
+    2 / 7 * 0.7,
+    view.backward(view.forward(x_a[None], x_c)[1], np.ones((1, 1)))["x_a"][0] @ [0.7, 0, 0],
+)
 
 
 # %% [markdown]
 # **02.2** Dividing by the largest component first keeps every square in range; where it is zero, so is the direction.
 # **02.3** The gradient of the length along the ray, plus what of $\bar d_{vc}$ lies across, over the length.
+
 
 # %%
 def my_forward(x_a, x_c):

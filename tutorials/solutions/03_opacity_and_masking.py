@@ -4,7 +4,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import lessons
+from p4dgs_ref.school import lessons
 
 # %% [markdown]
 # **03.1** The slope is $1 - 0.6^2 = 0.64$.
@@ -15,6 +15,7 @@ lessons.number("03.1", 2 * (1 - 0.6**2), 1.28)
 
 # %% [markdown]
 # **03.2** Side by side, layer by layer, a ReLU after every layer but the last, then $\tanh$.
+
 
 # %%
 def my_mlp(x, weights, biases):
@@ -35,6 +36,7 @@ lessons.forward("03.2", my_opacity, "opacity")
 # %% [markdown]
 # **03.3** From the last layer to the first: the two gradients of the layer, then through its weights and the ReLU before it.
 
+
 # %%
 def my_mlp_backward(inputs, cotangents):
     entered, _ = my_mlp(**inputs)
@@ -53,6 +55,7 @@ lessons.backward("03.3", my_mlp_backward, "mlp")
 
 # %% [markdown]
 # **03.4** Zeros in the shape of the inputs, and the cotangents where the kept ones stand; a Boolean index keeps the order.
+
 
 # %%
 def my_masking_backward(inputs, cotangents):

@@ -4,8 +4,8 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import lessons
 from p4dgs_ref.equations import mlp, opacity, rotation
+from p4dgs_ref.school import lessons
 
 
 def network(f_a, delta_vc, d_vc, weights, biases):
@@ -19,11 +19,14 @@ def network(f_a, delta_vc, d_vc, weights, biases):
 
 # %%
 raw, bar = np.array([0.0, 3, 0, 4]), np.array([0, 0, 0, 25])
-lessons.number("04.1", [0, -2.4, 0, 1.8], rotation.normalise_backward(*rotation.normalise(raw), bar))
+lessons.number(
+    "04.1", [0, -2.4, 0, 1.8], rotation.normalise_backward(*rotation.normalise(raw), bar)
+)
 
 
 # %% [markdown]
 # **04.2** $e^{-|\psi|}$ never overflows; the sigmoid is $1/(1+e)$ on the right and $e/(1+e)$ on the left.
+
 
 # %%
 def my_color(**inputs):
@@ -37,6 +40,7 @@ lessons.forward("04.2", my_color, "color")
 
 # %% [markdown]
 # **04.3** The projector over the safe length. **04.4** One factor each; the anchor's sums over its children.
+
 
 # %%
 def my_rotation_backward(inputs, cotangents):

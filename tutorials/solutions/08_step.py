@@ -5,8 +5,8 @@
 import numpy as np
 from scipy.special import expit
 
-from p4dgs_ref import lessons
 from p4dgs_ref.equations import mlp, step
+from p4dgs_ref.school import lessons
 
 # %% [markdown]
 # **08.1** $1 + \tanh u = \frac{1}{2}$, so $\tanh u = -\frac{1}{2}$. By the sigmoid: $e^{-2u} = 3$, $u = -\frac{1}{2}\ln 3$.
@@ -17,6 +17,7 @@ lessons.number("08.1", -0.5 * np.log(3), np.arctanh(-0.5))
 
 # %% [markdown]
 # **08.2** The floor is a maximum over the share, so that $Q_0$ multiplies once.
+
 
 # %%
 def my_forward(h, weights, biases, Q_0):
@@ -29,6 +30,7 @@ lessons.forward("08.2", my_forward, "step")
 
 # %% [markdown]
 # **08.3** The slope of the head, with $1 - s$ written as the sigmoid of $-2u$; then the network's backward.
+
 
 # %%
 def my_backward(inputs, cotangents):

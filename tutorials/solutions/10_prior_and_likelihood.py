@@ -7,8 +7,8 @@ import math
 import numpy as np
 from scipy.special import erfcx, log_ndtr
 
-from p4dgs_ref import lessons
 from p4dgs_ref.equations import gaussian_bin, mlp, prior
+from p4dgs_ref.school import lessons
 
 # %% [markdown]
 # **10.1** Seen from the left, $p = \Phi(-low) - \Phi(-high) = \Phi(-low)\,(1 - r)$ with the ratio of two tails $r$. Taking both
@@ -34,6 +34,7 @@ assert np.allclose(np.log(g) - low**2 / 2, answer_1, rtol=1e-11)
 # %% [markdown]
 # **10.2** Means go back as they came, raw deviations through $e^{raw}$ and its clamp.
 
+
 # %%
 def my_prior_backward(inputs, cotangents):
     y, res = mlp.forward(inputs["h"], inputs["weights"], inputs["biases"])
@@ -52,13 +53,18 @@ lessons.backward("10.2", my_prior_backward, "prior")
 # %% [markdown]
 # **10.3** Two slopes, four inputs; $\sigma$ collects from both.
 
+
 # %%
 def my_likelihood_backward(inputs, cotangents):
     f, mu, sigma, q = (inputs[name] for name in ("f_noisy", "mu", "sigma", "q"))
     b = gaussian_bin.stable(f, mu, sigma, q)
     bar = -cotangents["bits_bar"] / (sigma * math.log(2))
-    return {"f_noisy": bar * b.slope_z, "mu": -bar * b.slope_z, "q": bar * b.slope_w,
-            "sigma": -bar * (b.z * b.slope_z + b.w * b.slope_w)}
+    return {
+        "f_noisy": bar * b.slope_z,
+        "mu": -bar * b.slope_z,
+        "q": bar * b.slope_w,
+        "sigma": -bar * (b.z * b.slope_z + b.w * b.slope_w),
+    }
 
 
 lessons.backward("10.3", my_likelihood_backward, "likelihood")

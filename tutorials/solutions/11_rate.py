@@ -4,15 +4,18 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import lessons
-
+from p4dgs_ref.school import lessons
 
 # %% [markdown]
 # **11.1** A sum hands its cotangent to every term; what is masked is no term.
 
+
 # %%
 def my_anchor_backward(inputs, cotangents):
-    bars = {name: np.full(inputs[name].shape, cotangents["R_anchor_bar"]) for name in ("bits_f", "bits_O", "bits_l", "bits_s")}
+    bars = {
+        name: np.full(inputs[name].shape, cotangents["R_anchor_bar"])
+        for name in ("bits_f", "bits_O", "bits_l", "bits_s")
+    }
     bars["bits_O"] = np.where(inputs["mask"][:, :, None], bars["bits_O"], 0)
     return bars
 
@@ -22,6 +25,7 @@ lessons.backward("11.1", my_anchor_backward, "anchor_rate")
 
 # %% [markdown]
 # **11.2** $\frac{dR}{dN_+} = \log_2\frac{N_-}{N_+}$, half of it per sign, straight through where $|\theta| \le 1$.
+
 
 # %%
 def my_hash_backward(inputs, cotangents):
@@ -37,6 +41,7 @@ lessons.backward("11.2", my_hash_backward, "hash_rate")
 
 # %% [markdown]
 # **11.3** A model without parameters has nothing to code.
+
 
 # %%
 def my_rate(R_anchor, R_hash, n_parameters):

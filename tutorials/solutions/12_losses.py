@@ -4,8 +4,8 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import lessons
 from p4dgs_ref.equations import ssim, window
+from p4dgs_ref.school import lessons
 
 given = lessons.golden("total_loss/ordinary")
 
@@ -14,12 +14,17 @@ given = lessons.golden("total_loss/ordinary")
 
 # %%
 bar = given["out_bar.L_total"]
-lessons.number("12.1", [0.0724, bar, 1e-3 * bar], [given[n] for n in ("out.L_total", "in_bar.L_render", "in_bar.L_rate")])
+lessons.number(
+    "12.1",
+    [0.0724, bar, 1e-3 * bar],
+    [given[n] for n in ("out.L_total", "in_bar.L_render", "in_bar.L_rate")],
+)
 
 
 # %% [markdown]
 # **12.2** A weighted mean of two numbers. With `1 - ssim.forward(...)` the case `H-P7.nearly_equal` fails: of a number near one,
 # rounded, little is left after subtracting one.
+
 
 # %%
 def my_forward(image, truth, lambda_ssim):
@@ -32,6 +37,7 @@ lessons.forward("12.2", my_forward, "render_loss")
 
 # %% [markdown]
 # **12.3** The moments, the three gradients of the moments, and the blur as its own transpose.
+
 
 # %%
 def my_backward(inputs, cotangents):

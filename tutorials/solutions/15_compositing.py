@@ -4,7 +4,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import lessons
+from p4dgs_ref.school import lessons
 from p4dgs_ref.splatting import compositing
 
 # %% [markdown]
@@ -12,8 +12,17 @@ from p4dgs_ref.splatting import compositing
 # The pixel is $0.5\cdot 1 + 0.5\cdot 0.8 = 0.9$. The gradients are $1\,(1 - 0.8)$, $0.5\,(1 - 0.6)$ and $0.25\,(0.5 - 1)$.
 
 # %%
-layers = dict(mean2d=np.zeros((3, 2)), conic=np.zeros((3, 3)), alpha=np.array([0.5, 0.5, 0.8]), depth=np.arange(3.0),
-              color=np.outer([1, 1, 0.5], np.ones(3)), visible=np.ones(3, bool), background=np.ones(3), height=1, width=1)
+layers = dict(
+    mean2d=np.zeros((3, 2)),
+    conic=np.zeros((3, 3)),
+    alpha=np.array([0.5, 0.5, 0.8]),
+    depth=np.arange(3.0),
+    color=np.outer([1, 1, 0.5], np.ones(3)),
+    visible=np.ones(3, bool),
+    background=np.ones(3),
+    height=1,
+    width=1,
+)
 white, residual = compositing.forward(**layers)
 alpha_bar = compositing.backward(residual, np.array([[[1.0, 0, 0]]]))["alpha"]
 lessons.number("15.1", [0.9, 0.2, 0.2, -0.125], [white.image[0, 0, 0], *alpha_bar])
@@ -21,6 +30,7 @@ lessons.number("15.1", [0.9, 0.2, 0.2, -0.125], [white.image[0, 0, 0], *alpha_ba
 
 # %% [markdown]
 # **15.2** A stable sort keeps equal depths in order of index. `T` is appended once more at the end: what is left.
+
 
 # %%
 def alphas(given):
@@ -33,7 +43,15 @@ def alphas(given):
     raw, alpha_max = given["alpha"][order, None] * falloff, given.get("alpha_max", 0.99)
     A = np.minimum(raw, alpha_max)
     light = np.cumprod(np.concatenate([np.ones((1, A.shape[1])), 1 - A]), axis=0)
-    return order, e, falloff, raw, raw <= alpha_max, A, light if given.get("occlusion", True) else np.ones_like(light)
+    return (
+        order,
+        e,
+        falloff,
+        raw,
+        raw <= alpha_max,
+        A,
+        light if given.get("occlusion", True) else np.ones_like(light),
+    )
 
 
 def my_forward(**given):
@@ -49,6 +67,7 @@ lessons.forward("15.2", my_forward, "compositing")
 # %% [markdown]
 # **15.3** The sweep from the back; without occlusion nothing stands behind anything, so nothing is taken away.
 
+
 # %%
 def my_backward(inputs, cotangents):
     order, (e_x, e_y), falloff, raw, free, A, light = alphas(inputs)
@@ -62,9 +81,14 @@ def my_backward(inputs, cotangents):
     A_bar = light[:-1] * gain * free
     V = A_bar * raw
     a, b, c = inputs["conic"][order].T[:, :, None]
-    rows = {"color": (A * light[:-1]) @ G, "alpha": (A_bar * falloff).sum(axis=1),
-            "mean2d": np.stack([V * (a * e_x + b * e_y), V * (b * e_x + c * e_y)], axis=1).sum(axis=2),
-            "conic": np.stack([-0.5 * V * e_x**2, -V * e_x * e_y, -0.5 * V * e_y**2], axis=1).sum(axis=2)}
+    rows = {
+        "color": (A * light[:-1]) @ G,
+        "alpha": (A_bar * falloff).sum(axis=1),
+        "mean2d": np.stack([V * (a * e_x + b * e_y), V * (b * e_x + c * e_y)], axis=1).sum(axis=2),
+        "conic": np.stack([-0.5 * V * e_x**2, -V * e_x * e_y, -0.5 * V * e_y**2], axis=1).sum(
+            axis=2
+        ),
+    }
     bars = {name: np.zeros_like(inputs[name]) for name in rows}
     for name, values in rows.items():
         bars[name][order] = values

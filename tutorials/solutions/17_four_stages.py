@@ -4,8 +4,9 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import PRESETS, lessons
+from p4dgs_ref import PRESETS
 from p4dgs_ref.equations import likelihood
+from p4dgs_ref.school import lessons
 from p4dgs_ref.training.trainer import LEARNING_RATES
 
 # %% [markdown]
@@ -35,11 +36,16 @@ lessons.number("17.2", [first.get(stem, 1) for stem in LEARNING_RATES], want)
 def my_backward(inputs, cotangents):
     d, k, noisy, mask = (inputs[name] for name in ("d", "k", "noisy", "mask"))
     widths = (d, 3, 3, 3 * k)
-    res = likelihood.forward(noisy, inputs["mu"], inputs["sigma"], np.repeat(inputs["q"], widths, axis=1))[1]
+    res = likelihood.forward(
+        noisy, inputs["mu"], inputs["sigma"], np.repeat(inputs["q"], widths, axis=1)
+    )[1]
     factor = cotangents["bits_bar"] + cotangents["L_rate_bar"] / noisy.size
     coded = np.concatenate([np.ones((len(mask), d + 6), bool), np.repeat(mask, 3, axis=1)], axis=1)
     bars = likelihood.backward(res, np.where(coded, factor, 0).astype(noisy.dtype))
-    return {"noisy": bars["f_noisy"], "q": np.add.reduceat(bars["q"], np.cumsum((0, *widths[:3])), axis=1)}
+    return {
+        "noisy": bars["f_noisy"],
+        "q": np.add.reduceat(bars["q"], np.cumsum((0, *widths[:3])), axis=1),
+    }
 
 
 lessons.backward("17.3", my_backward, "rate_stage", "noisy", "q")

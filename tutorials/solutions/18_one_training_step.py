@@ -4,10 +4,10 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import lessons
 from p4dgs_ref.equations import deformation, deformed, render_loss
-from p4dgs_ref.networks.adam import Adam
-from p4dgs_ref.networks.parameters import Parameters
+from p4dgs_ref.school import lessons
+from p4dgs_ref.training.adam import Adam
+from p4dgs_ref.training.parameters import Parameters
 
 # %% [markdown]
 # **18.1** $(1 - \lambda_{SSIM})/(3HW)$ is $0.8 / 12288$, whatever the error: L1 pulls at a nearly right
@@ -37,8 +37,14 @@ lessons.number("18.2", 0.015, first["w"][0])
 
 # %%
 def my_backward(inputs, cotangents):
-    delta, _ = deformation.forward(inputs["x"], inputs["t"], inputs["psi_d_weights"], inputs["psi_d_biases"], inputs["L_x"],
-                                   inputs["L_t"])
+    delta, _ = deformation.forward(
+        inputs["x"],
+        inputs["t"],
+        inputs["psi_d_weights"],
+        inputs["psi_d_biases"],
+        inputs["L_x"],
+        inputs["L_t"],
+    )
     _, res = deformed.forward(inputs["x"], inputs["s"], inputs["r"], *delta)
     return deformed.backward(res, **cotangents)
 

@@ -4,9 +4,10 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import lessons, oracle
+from p4dgs_ref import oracle
 from p4dgs_ref.codec import container, streams
 from p4dgs_ref.codec.file import quantised_of
+from p4dgs_ref.school import lessons
 
 sections = container.read_container((oracle.path() / "model.p4dgs").read_bytes())
 model = quantised_of(sections).model
@@ -21,6 +22,7 @@ lessons.number("20.1", 2 + 2 + 2 + 1, 7)
 # %% [markdown]
 # **20.2** From the last entry to the first. The test before a push asks whether $x$ would reach $2^{63}$:
 # $\lfloor x/f\rfloor 2^{24} < 2^{63}$ exactly if $x < f\,2^{39}$.
+
 
 # %%
 def my_encode(entries, keys):
@@ -44,6 +46,7 @@ lessons.number("20.2", mine, np.frombuffer(sections["masks"][4:], np.uint8))
 # %% [markdown]
 # **20.3** The same backwards. The words of the stack come in the order in which they are needed, so one walks through them.
 
+
 # %%
 def my_decode(message, count, keys):
     words = np.frombuffer(message, "<u4", offset=1).tolist()
@@ -63,4 +66,10 @@ def my_decode(message, count, keys):
 
 grid = sections["hash_grid"]
 signs = np.concatenate([level.ravel() for level in model.grids]) > 0
-lessons.number("20.3", my_decode(grid[4:], len(signs), np.array([0, 2**24 - int.from_bytes(grid[:4], "little"), 2**24])), signs)
+lessons.number(
+    "20.3",
+    my_decode(
+        grid[4:], len(signs), np.array([0, 2**24 - int.from_bytes(grid[:4], "little"), 2**24])
+    ),
+    signs,
+)

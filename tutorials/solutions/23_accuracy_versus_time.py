@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.special import ndtr, roots_legendre
 
-from p4dgs_ref import lessons
+from p4dgs_ref.school import lessons
 
 # %% [markdown]
 # **23.1** The error must fall by $10^8$ and falls as $n^{-4}$, so $n$ grows by $10^{8/4} = 100$.
@@ -20,7 +20,10 @@ lessons.number("23.1", 800, 8 * (1e-4 / 1e-12) ** (1 / 4))
 # is on the front. The row of time 34 is cheaper, but its error of 3e-6 is above what is asked.
 
 # %%
-choices, need = np.array([[5, 4e-2], [34, 3e-6], [36, 3e-11], [57, 5e-11], [67, 8e-15], [36, 2e-7]]), 1e-6
+choices, need = (
+    np.array([[5, 4e-2], [34, 3e-6], [36, 3e-11], [57, 5e-11], [67, 8e-15], [36, 2e-7]]),
+    1e-6,
+)
 good = np.flatnonzero(choices[:, 1] <= need)
 assert len(good) == 4 and choices[2, 0] == choices[5, 0] == 36 and choices[1].tolist() == [34, 3e-6]
 lessons.number("23.2", 2, good[np.lexsort(choices[good].T[::-1])[0]])
@@ -38,7 +41,7 @@ nodes, weights = ((np.arange(4)[:, None] + (x + 1) / 2) / 4).ravel(), np.tile(we
 
 def scaled(low, w):
     """The mass from low to low + w, over phi(low), for low >= 0."""
-    end = np.minimum(w, 80 / (low + np.sqrt(low**2 + 80)))             # low t + t^2/2 = 40 there
+    end = np.minimum(w, 80 / (low + np.sqrt(low**2 + 80)))  # low t + t^2/2 = 40 there
     t = end[:, None] * nodes
     return end * (np.exp(-(low[:, None] + t / 2) * t) @ weights)
 
@@ -47,11 +50,20 @@ def my_bin(z, w):
     a = np.abs(z)
     low, high = a - w / 2, a + w / 2
     outside, short = low >= 0, w < 2
-    log_phi = -low**2 / 2 - math.log(2 * math.pi) / 2
-    across = w * (np.exp(-(low[:, None] + w[:, None] * nodes) ** 2 / 2) @ weights) / math.sqrt(2 * math.pi)
-    inside = np.where(short, np.log(np.where(short, across, 1)), np.log1p(-ndtr(np.minimum(low, 0)) - ndtr(-high)))
+    log_phi = -(low**2) / 2 - math.log(2 * math.pi) / 2
+    across = (
+        w
+        * (np.exp(-((low[:, None] + w[:, None] * nodes) ** 2) / 2) @ weights)
+        / math.sqrt(2 * math.pi)
+    )
+    inside = np.where(
+        short, np.log(np.where(short, across, 1)), np.log1p(-ndtr(np.minimum(low, 0)) - ndtr(-high))
+    )
     log_p = np.where(outside, log_phi + np.log(scaled(np.maximum(low, 0), w)), inside)
-    ratio, drop = np.exp(log_phi - log_p), -np.expm1(-a * w)           # phi(low) / p; 1 - phi(high) / phi(low)
+    ratio, drop = (
+        np.exp(log_phi - log_p),
+        -np.expm1(-a * w),
+    )  # phi(low) / p; 1 - phi(high) / phi(low)
     ratio = np.where(outside, 1 / scaled(np.maximum(low, 0), w), ratio)
     return log_p, np.copysign(ratio * drop, -z), ratio * (1 - drop / 2)
 

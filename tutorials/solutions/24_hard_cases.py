@@ -5,7 +5,7 @@
 import numpy as np
 from scipy.special import expit
 
-from p4dgs_ref import lessons
+from p4dgs_ref.school import lessons
 
 # %% [markdown]
 # **24.1** $1 + \tanh u = 2/(1 + e^{-2u})$. For $u = -19$ this is $2e^{-38}$, and what is left out is smaller than $e^{-76}$.
@@ -16,6 +16,7 @@ lessons.number("24.1", 2 * np.exp(-38.0), 2 * expit(-38.0))
 
 # %% [markdown]
 # **24.2** A share of zero contributes no bits: such terms are left out instead of computing $0\cdot\log 0$.
+
 
 # %%
 def my_hash_rate(grids):
@@ -31,6 +32,7 @@ lessons.forward("24.2", my_hash_rate, "hash_rate")
 # %% [markdown]
 # **24.3** With $n = \sqrt{\|y\|^2 + 10^{-24}}$: $dr = dy/n - y\,(y\cdot dy)/n^3$, so $\bar y = (\bar r - r\,(r\cdot\bar r))/n$.
 # At $y = 0$ it is $10^{12}\,\bar r$. Squares of $10^{25}$ leave `float32`, so the largest entry is divided out first.
+
 
 # %%
 def my_quaternion_backward(inputs, cotangents):

@@ -5,9 +5,9 @@
 import numpy as np
 from scipy.special import expit
 
-from p4dgs_ref import lessons
 from p4dgs_ref.equations import mlp
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
+from p4dgs_ref.school import lessons
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC
 
@@ -15,14 +15,17 @@ from p4dgs_ref.training.presets import PAPER_SYNTHETIC
 # **25.1** The head of $\Delta r$: $192\cdot 4$ weights and $4$ biases. The trunk stays, the other two heads read it.
 
 # %%
-sizes = [sum(i * o + o for i, o in design_of(PAPER_SYNTHETIC, effects).layers()["psi_d"])
-         for effects in (MODEL_EFFECTS, [e for e in MODEL_EFFECTS if e != "rotation"])]
+sizes = [
+    sum(i * o + o for i, o in design_of(PAPER_SYNTHETIC, effects).layers()["psi_d"])
+    for effects in (MODEL_EFFECTS, [e for e in MODEL_EFFECTS if e != "rotation"])
+]
 lessons.number("25.1", 192 * 4 + 4, sizes[0] - sizes[1])
 
 
 # %% [markdown]
 # **25.2** A head of zero width gives an array of zero width. Only two places ask: does anything come back, and was $r$ touched?
 # An untouched quaternion is not divided by its length again.
+
 
 # %%
 def encode(p, L):
@@ -50,14 +53,23 @@ lessons.forward("25.2", my_motion, "temporal_prediction")
 # are made at the widths that are there. The sigmoid's slope is $c\,(1 - c)$, with $1 - c$ as a sigmoid of its own
 # (`24_hard_cases`).
 
+
 # %%
 def my_color_backward(inputs, cotangents):
     names = ("f_a", "delta_vc", "d_vc")
-    y, res = mlp.forward(np.concatenate([inputs[name] for name in names], axis=1), inputs["weights"], inputs["biases"])
+    y, res = mlp.forward(
+        np.concatenate([inputs[name] for name in names], axis=1),
+        inputs["weights"],
+        inputs["biases"],
+    )
     slope = expit(y.y) * expit(-y.y)
     bars = mlp.backward(res, cotangents["color_bar"].reshape(y.y.shape) * slope)
     cuts = np.cumsum([inputs[name].shape[1] for name in names])[:2]
-    return {**dict(zip(names, np.split(bars["x"], cuts, axis=1))), "weights": bars["weights"], "biases": bars["biases"]}
+    return {
+        **dict(zip(names, np.split(bars["x"], cuts, axis=1))),
+        "weights": bars["weights"],
+        "biases": bars["biases"],
+    }
 
 
 lessons.backward("25.3", my_color_backward, "color")

@@ -4,7 +4,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import lessons
+from p4dgs_ref.school import lessons
 
 # %% [markdown]
 # **27.1** $6\lambda + 0.01 = 3\lambda + 0.05$: the price is the error that is gained over the bits that are spent, the slope
@@ -23,7 +23,9 @@ lessons.number("27.1", price, 0.04 / 3)
 best = lambda w: np.sqrt(6 * 0.001 / (w * np.log(2)))
 assert np.isclose(best(8), best(2) / 2)
 steps = np.linspace(0.06, 0.07, 100_001)
-lessons.number("27.2", best(2), steps[(2 * steps**2 / 12 - 0.001 * np.log2(steps)).argmin()], digits=5)
+lessons.number(
+    "27.2", best(2), steps[(2 * steps**2 / 12 - 0.001 * np.log2(steps)).argmin()], digits=5
+)
 
 # %% [markdown]
 # **27.3** Both rates enter both outputs in the same way, so they receive the same gradient. Without numbers, `L_rate` is the

@@ -1,0 +1,1 @@
+"""The command line: the parser, one thin function a command, and what they print."""

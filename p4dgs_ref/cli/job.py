@@ -1,0 +1,417 @@
+"""What the commands of the main job do: fit, compress, decode, render, measure."""
+
+import json
+import sys
+import time
+from contextlib import nullcontext
+from pathlib import Path
+
+from ..scenes.output import filled, made, new_file, write_atomically
+from . import text
+from .base import UsageError, log, show
+
+
+def read_scene(arguments, name=None):
+    from ..scenes import load_scene
+
+    return load_scene(
+        name or arguments.scene, background=arguments.background, downscale=arguments.downscale
+    )
+
+
+def read_test_scene(arguments):
+    """The scene, which must have views to be judged by."""
+    scene = read_scene(arguments)
+    if not scene.test:
+        raise UsageError(
+            f"{scene.source}: split 'test': no views; expected at least one to measure on"
+        )
+    return scene
+
+
+def read_preset(arguments):
+    """The preset with its --set changes, checked before any work begins."""
+    from ..training.presets import choose
+
+    changes = {}
+    for item in arguments.changes:
+        key, equals, value = item.partition("=")
+        if not equals:
+            raise UsageError(f"--set {item}: expected KEY=VALUE")
+        changes[key] = value
+    try:
+        return choose(arguments.preset, changes)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+
+
+def read_file(path):
+    """A file's bytes, its model, and the seconds that decoding took."""
+    from ..codec.container import MAGIC, BitstreamError
+    from ..codec.file import decode as decode_model
+
+    if Path(path).is_dir():
+        raise UsageError(f"{path}: Is a directory; expected a .p4dgs file")
+    data = Path(path).read_bytes()
+    if not data.startswith(MAGIC[:4]):
+        raise UsageError(
+            f"{path}: not a P-4DGS file: expected it to begin with {MAGIC[:4].hex(' ')} (hexadecimal)"
+        )
+    start = time.perf_counter()
+    try:
+        return data, decode_model(data), time.perf_counter() - start
+    except BitstreamError as error:
+        raise UsageError(f"{path}: {error}") from None
+
+
+def estimate(scene, preset, arguments):
+    """Before a training of hours: time its first steps, say so, and go on only with --yes."""
+    if preset.anchors <= 1000 and preset.iterations <= 10_000:
+        return
+    from ..training.trainer import Trainer
+
+    trainer, start = Trainer(scene, preset, arguments.seed), time.perf_counter()
+    steps = 0
+    while steps < min(3, preset.iterations) and time.perf_counter() - start < 60:
+        trainer.step()
+        steps += 1
+    minutes = (time.perf_counter() - start) / steps * preset.iterations / 60
+    print(
+        f"preset {preset.name}: about {minutes:.0f} minutes for {preset.iterations} iterations, judging by the first "
+        f"{steps} (later stages cost more)",
+        file=sys.stderr,
+    )
+    if minutes > 60 and not arguments.yes:
+        raise UsageError("--yes: expected, to start a training of more than an hour")
+
+
+def demo(arguments):
+    from ..studies.evaluate import json_safe
+    from ..studies.main_job import main_job
+
+    preset, scene = read_preset(arguments), read_test_scene(arguments)
+    estimate(scene, preset, arguments)
+    metrics = main_job(
+        scene, preset, arguments.seed, arguments.output, arguments.start, log(arguments)
+    )
+    show(arguments, json_safe(metrics), text.metrics(metrics, arguments.output))
+
+
+def simulate(arguments):
+    from ..scenes.simulator import simulate as draw
+
+    stream = log(arguments)
+
+    def progress(done, total):
+        if stream and (stream.isatty() or done == total):
+            stream.write(f"\r{done}/{total} pictures" + ("\n" if done == total else ""))
+
+    start = time.perf_counter()
+    with made(arguments.output) as folder:
+        draw(arguments.scene, folder, progress=progress)
+    seconds = time.perf_counter() - start
+    show(
+        arguments,
+        {"output": str(folder), "seconds": seconds},
+        f"{folder}: drawn in {seconds:.1f} s",
+    )
+
+
+def train(arguments):
+    from ..training.checkpoint import CHECKPOINT
+    from ..training.fit import fit
+
+    preset, scene, checkpoint = (
+        read_preset(arguments),
+        read_scene(arguments),
+        Path(arguments.output) / CHECKPOINT,
+    )
+    if checkpoint.exists() and not arguments.resume:
+        raise UsageError(f"{checkpoint}: exists; --resume goes on from it, another -o starts anew")
+    if not arguments.resume:
+        estimate(scene, preset, arguments)
+    start = time.perf_counter()
+    with made(arguments.output) as folder:
+        trainer = fit(
+            scene,
+            preset,
+            arguments.seed,
+            folder=folder,
+            resume=arguments.resume,
+            stream=log(arguments),
+            save_every=arguments.save_every,
+        )
+        run = {
+            "scene": scene.name,
+            "preset": preset.name,
+            "seed": arguments.seed,
+            "iterations": trainer.iteration,
+            "anchors": len(trainer.mask),
+            "seconds": time.perf_counter() - start,
+            "output": str(folder),
+        }
+        from ..studies.report import write_training
+
+        with filled(folder) as beside:
+            write_training(beside, trainer.history, preset.stage_ends)
+            (beside / "run.json").write_text(json.dumps(run, indent=1) + "\n")
+    show(
+        arguments,
+        run,
+        f"{folder}: {run['iterations']} iterations, {run['anchors']} anchors, {run['seconds']:.1f} s",
+    )
+
+
+def encode(arguments):
+    from ..codec.file import encode as encode_model
+    from ..codec.quantise import underflows
+    from ..training.fit import load_model
+
+    with new_file(arguments.output) as output:
+        model, values = load_model(arguments.run)
+        start = time.perf_counter()
+        data = encode_model(model)
+        seconds = time.perf_counter() - start
+        write_atomically(output, lambda file: file.write(data))
+    lost = underflows(model.networks)  # what float16 cannot hold above 0 (Q18)
+    done = {
+        "output": str(output),
+        "bytes": len(data),
+        "iteration": values["iteration"],
+        "seconds": seconds,
+        "weights_rounded_to_zero": lost,
+    }
+    said = f"; {lost} weights of the networks round to 0 in float16" if lost else ""
+    show(
+        arguments,
+        done,
+        f"{output}: {len(data):,} bytes, from iteration {values['iteration']}, {seconds:.3f} s{said}",
+    )
+
+
+def decode(arguments):
+    import numpy as np
+
+    _, model, seconds = read_file(arguments.file)
+    arrays = {
+        **model.anchors._asdict(),
+        "lo": model.box[0],
+        "hi": model.box[1],
+        "background": model.background,
+    }
+    arrays.update({f"grid.{i}": grid for i, grid in enumerate(model.grids)})
+    for name, (weights, biases) in model.networks.items():
+        arrays.update({f"{name}.W{i}": W for i, W in enumerate(weights)})
+        arrays.update({f"{name}.b{i}": b for i, b in enumerate(biases)})
+    with filled(arguments.output) as beside:
+        np.savez(beside / "model.npz", **arrays)
+        (beside / "model.json").write_text(json.dumps(model.design._asdict(), indent=1) + "\n")
+    done = {
+        "output": arguments.output,
+        "anchors": len(model.anchors.mask),
+        "arrays": len(arrays),
+        "seconds": seconds,
+    }
+    show(
+        arguments,
+        done,
+        f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json; {seconds:.3f} s",
+    )
+
+
+def checked(arguments):
+    """With --check-finite, a context in which the first equation that makes a NaN or an infinity is named."""
+    from ..training.finite import watched
+
+    return watched() if arguments.check_finite else nullcontext()
+
+
+CAMERA = {
+    "frames": 24,
+    "azimuth": 40.0,
+    "elevation": 30.0,
+    "distance": 3.6,
+    "fov": 41.0,
+    "size": 128,
+}
+
+
+def held_camera(arguments, model):
+    """The camera that --azimuth, --elevation, --distance, --fov and --size describe, looking at the box's centre."""
+    import numpy as np
+
+    from ..splatting.camera import look_at
+
+    azimuth, elevation, distance, fov, size = (
+        CAMERA[name] if getattr(arguments, name) is None else getattr(arguments, name)
+        for name in ("azimuth", "elevation", "distance", "fov", "size")
+    )
+    azimuth, elevation = np.radians([azimuth, elevation])
+    middle = (model.box[0].astype(float) + model.box[1]) / 2
+    outward = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
+    focal = size / 2 / np.tan(np.radians(fov) / 2)
+    return look_at(middle + distance * outward, middle, focal, focal, size, size)
+
+
+def views_to_render(arguments, model):
+    """[(name, camera, time)]: a scene's views of one split, or even times from one held camera."""
+    import numpy as np
+
+    if not arguments.scene:
+        camera = held_camera(arguments, model)
+        times = np.linspace(0, 1, arguments.frames or CAMERA["frames"])
+        return [(f"t_{i:03d}", camera, t) for i, t in enumerate(times)]
+    for name in CAMERA:
+        if getattr(arguments, name) is not None:
+            raise UsageError(
+                f"--{name}: of the held camera; not expected with --scene, which has its own"
+            )
+    scene = read_scene(arguments)
+    views = getattr(scene, arguments.split)
+    if not views:
+        raise UsageError(
+            f"{scene.source}: split '{arguments.split}': no views; expected at least one to render"
+        )
+    return [(view.name.replace("/", "_"), view.camera, view.time) for view in views]
+
+
+def render(arguments):
+    import imageio.v3 as iio
+    import numpy as np
+
+    from ..splatting.settings import SETTINGS
+    from ..studies.report import write_gif
+
+    if arguments.settings not in SETTINGS:
+        raise UsageError(f"--settings {arguments.settings}: expected one of {', '.join(SETTINGS)}")
+    _, model, _ = read_file(arguments.file)
+    views, images, seconds = views_to_render(arguments, model), [], []
+    with filled(arguments.output) as beside:
+        for name, camera, t in views:
+            start = time.perf_counter()
+            with checked(arguments):
+                images.append(np.clip(model.render(camera, t, SETTINGS[arguments.settings]), 0, 1))
+            seconds.append(time.perf_counter() - start)
+            iio.imwrite(beside / f"{name}.png", (images[-1] * 255).round().astype(np.uint8))
+        if not arguments.scene and len(images) > 1:
+            write_gif(beside / "motion.gif", images)
+    done = {
+        "output": arguments.output,
+        "images": len(images),
+        "ms_per_image": 1e3 * float(np.median(seconds)),
+    }
+    show(
+        arguments,
+        done,
+        f"{arguments.output}: {len(images)} images, {done['ms_per_image']:.1f} ms each",
+    )
+
+
+def evaluate(arguments):
+    from ..codec.file import encode as encode_model
+    from ..codec.quantise import EncodeError
+    from ..studies.evaluate import compression, json_safe, timed
+    from ..studies.evaluate import evaluate as measure
+
+    data, model, seconds = read_file(arguments.file)
+    scene = read_test_scene(arguments)
+    with checked(arguments):
+        metrics, rows, images = measure(model, scene)
+    try:
+        encoding = timed(encode_model, model)[1]
+    except (OverflowError, EncodeError):  # a file may hold numbers that our encoder would not write
+        encoding = None
+    metrics = {
+        "scene": scene.name,
+        **metrics,
+        **compression(model, data, metrics["gaussians"]),
+        "encode_seconds": encoding,
+        "decode_seconds": seconds,
+    }
+    if arguments.output:
+        from ..studies.report import write_comparison
+
+        with filled(arguments.output) as beside:
+            write_comparison(beside, scene, rows, images)
+    show(
+        arguments,
+        {**json_safe(metrics), "views": [json_safe(row) for row in rows]},
+        text.evaluation(metrics, rows),
+    )
+
+
+def inspect(arguments):
+    from ..codec.inspect import GAPS, ledger
+
+    if arguments.heat and not arguments.output:
+        raise UsageError("--heat: expected -o FOLDER, the picture goes there")
+    data, _, _ = read_file(arguments.file)
+    rows = ledger(data)
+    if arguments.output:
+        from ..studies.report import draw_ledger, write_csv
+
+        with filled(arguments.output) as beside:
+            write_csv(beside / "size.csv", rows)
+            draw_ledger(beside / "size.png", rows)
+            if arguments.heat:
+                write_heat(arguments, data, beside)
+    show(arguments, {"bytes": len(data), "sections": rows, "gaps": GAPS}, text.ledger(rows, GAPS))
+
+
+def write_heat(arguments, data, folder):
+    """heat.png, the scene coloured by the bits of its anchors, and heat.csv with every anchor's."""
+    import numpy as np
+
+    from ..codec.inspect import anchor_bits
+    from ..studies.heat import heat_image
+    from ..studies.report import HEAT, draw_heat, write_csv
+
+    model, bits = anchor_bits(data)
+    limits = tuple(np.percentile(bits, (2, 98)))
+    image = heat_image(model, bits, held_camera(arguments, model), arguments.time, limits, HEAT)
+    write_csv(
+        folder / "heat.csv",
+        [[a, *x, b] for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))],
+        ("anchor", "x", "y", "z", "bits"),
+    )
+    draw_heat(folder / "heat.png", image, bits, limits)
+
+
+def equations(arguments):
+    from .. import table as catalogue
+
+    show(arguments, {"equations": catalogue.rows()}, catalogue.table())
+
+
+def presets(arguments):
+    from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, PRESETS, differences
+
+    if arguments.preset and arguments.preset not in PRESETS:
+        raise UsageError(f"preset {arguments.preset!r}: expected one of {', '.join(PRESETS)}")
+    chosen = [PRESETS[arguments.preset]] if arguments.preset else list(PRESETS.values())
+    value = {
+        preset.name: {
+            "fields": preset._asdict(),
+            "differs": [dict(zip(("field", "paper", "here"), row)) for row in differences(preset)],
+        }
+        for preset in chosen
+    }
+    show(
+        arguments,
+        value,
+        text.presets(chosen, (PAPER_SYNTHETIC, PAPER_REAL), differences, bool(arguments.preset)),
+    )
+
+
+def bench(arguments):
+    from ..studies.bench import bench as measure
+    from ..studies.bench import describe
+
+    result = measure(arguments.quick)
+    show(arguments, result, describe(result))

@@ -1,1 +1,0 @@
-"""Parameters of networks and anchors, their initial values, Adam, and learning-rate schedules."""

@@ -1,0 +1,5 @@
+"""Draws described scenes: shapes, motions, light and a ray tracer."""
+
+from .simulate import simulate
+
+__all__ = ["simulate"]

@@ -1,0 +1,91 @@
+"""Short trainings for the studies: `tiny` with its stages shrunk, its work counted, its file written and judged."""
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from ...codec.file import decode, encode
+from ...codec.inspect import components
+from ...model import ANCHOR_NETWORKS, CONTEXT_NETWORKS
+from ...training.presets import TINY
+from ...training.trainer import Trainer
+from ..evaluate import evaluate
+
+
+class Fit(NamedTuple):
+    model: object
+    seconds: float  # of processor time
+    work: dict  # counted over all iterations: multiply_adds, rated_symbols
+
+
+def reduced(iterations, **changes):
+    """`tiny` for that many iterations: all that is counted in iterations shrinks by the same share."""
+    share = iterations / TINY.iterations
+    ends = tuple(round(share * end) for end in TINY.stage_ends[:3])
+    return TINY._replace(
+        **{
+            **dict(
+                stage_ends=(*ends, iterations),
+                decay_from=ends[1],
+                mask_from=ends[2],
+                grow_from=round(share * TINY.grow_from),
+                grow_every=max(20, round(share * TINY.grow_every)),
+                grow_until=round(share * TINY.grow_until),
+            ),
+            **changes,
+        }
+    )
+
+
+def multiply_adds(design, names, rows):
+    """Of the products of some networks for that many rows, forward and both products of the backward."""
+    layers = design.layers()
+    return 3 * rows * sum(I * J for name in names if name in layers for I, J in layers[name])
+
+
+def train(scene, preset, seed=0, prepare=None, rated_share=1.0):
+    """Train without pictures or checkpoints; `prepare(trainer)` may change it before the first step."""
+    trainer, work = Trainer(scene, preset, seed), dict(multiply_adds=0, rated_symbols=0)
+    if prepare:
+        prepare(trainer)
+
+    def count(trainer, losses, seen, view, ms):
+        A, stage, design = len(seen.alpha), preset.stage(trainer.iteration - 1), trainer.design
+        work["multiply_adds"] += multiply_adds(design, ANCHOR_NETWORKS, A)
+        if stage >= 3:
+            work["multiply_adds"] += multiply_adds(design, ("psi_d",), len(seen.index))
+        if stage == 4:
+            work["multiply_adds"] += multiply_adds(design, CONTEXT_NETWORKS, A)
+            work["rated_symbols"] += sampled(A, rated_share) * sum(design.widths)
+
+    start = time.process_time()  # a training runs once: other programs must not count
+    with np.errstate(all="ignore"):  # an overflow is looked for and named by the trainer itself
+        model = trainer.run(count)
+    return Fit(model, time.process_time() - start, work)
+
+
+def sampled(A, share):
+    """How many of A anchors a share of them is: one at least."""
+    return max(1, round(share * A))
+
+
+def judge(model, scene):
+    """A model's file, decoded again, on the test views: bytes, bytes by kind, decibels."""
+    start = time.perf_counter()
+    data = encode(model)
+    seconds = time.perf_counter() - start
+    metrics, sizes = evaluate(decode(data), scene)[0], components(data)
+    return {
+        "psnr_db": metrics["psnr_db"],
+        "bytes": len(data),
+        "attribute_bytes": sum(
+            sizes[name] for name in ("features", "scales", "offset_scales", "offsets")
+        ),
+        "grid_bytes": sizes["hash_grid"],
+        "network_bytes": sum(
+            size for name, size in sizes.items() if name.endswith(("mlp", "mlps"))
+        ),
+        "anchors": metrics["anchors"],
+        "encode_ms": 1e3 * seconds,
+    }

@@ -1,0 +1,58 @@
+"""Random inputs of typical size: for benchmarks, hard cases, tutorials and tests."""
+
+import numpy as np
+
+
+def random_network(rng, *widths):
+    """Weights and biases of an MLP of the given widths, scaled to keep activations of order one."""
+    pairs = list(zip(widths[:-1], widths[1:]))
+    weights = [rng.normal(size=pair) / np.sqrt(max(pair[0], 1)) for pair in pairs]
+    return weights, [rng.normal(size=n) * 0.3 for _, n in pairs]
+
+
+def random_field(rng, L_x, L_t, *hidden, heads=(3, 3, 4)):
+    """Inputs of the deformation network: weights and biases (hidden layers, three heads), L_x, L_t."""
+    weights, biases = random_network(rng, 3 * (1 + 2 * L_x) + 1 + 2 * L_t, *hidden, sum(heads))
+    cuts = np.cumsum(heads[:2])
+    weights[-1:] = np.split(weights[-1], cuts, axis=1)
+    biases[-1:] = np.split(biases[-1], cuts)
+    return dict(weights=weights, biases=biases, L_x=L_x, L_t=L_t)
+
+
+def random_anchor_network(rng, A=5, d=2, k=4, outputs=1, hidden=(7, 6)):
+    """Inputs of an anchor network (Eqs. 3 and 4): features, view, weights and biases."""
+    d_vc = rng.normal(size=(A, 3))
+    weights, biases = random_network(rng, d + 4, *hidden, k * outputs)
+    return dict(
+        f_a=rng.normal(size=(A, d)),
+        delta_vc=rng.uniform(1, 5, size=(A, 1)),
+        d_vc=d_vc / np.linalg.norm(d_vc, axis=1, keepdims=True),
+        weights=weights,
+        biases=biases,
+    )
+
+
+def without_view(inputs):
+    """The same anchor network in a scene without view effects: no view columns, no view weights."""
+    d = inputs["f_a"].shape[1]
+    return {
+        **inputs,
+        "delta_vc": inputs["delta_vc"][:, :0],
+        "d_vc": inputs["d_vc"][:, :0],
+        "weights": [inputs["weights"][0][:d], *inputs["weights"][1:]],
+    }
+
+
+def random_splats(rng, n, height, width, sigma=(1.5, 4.0), alpha=(0.05, 0.9)):
+    """Inputs of compositing: n splats of the given size in pixels, spread over an image."""
+    angle, radii = rng.uniform(0, np.pi, n), rng.uniform(*sigma, size=(2, n))
+    c, s, (p, q) = np.cos(angle), np.sin(angle), radii**-2.0
+    center = ((width - 1) / 2, (height - 1) / 2)
+    return dict(
+        mean2d=rng.uniform(-0.5, 0.5, (n, 2)) * (width, height) + center,
+        conic=np.stack([c * c * p + s * s * q, c * s * (p - q), s * s * p + c * c * q], axis=1),
+        alpha=rng.uniform(*alpha, size=n),
+        color=rng.uniform(size=(n, 3)),
+        depth=rng.uniform(1, 5, size=n),
+        visible=np.ones(n, bool),
+    )

@@ -1,0 +1,253 @@
+"""The pictures of a run: truth beside decoded beside error, the motion, the bytes, the training; a CSV beside each."""
+
+import csv
+
+import numpy as np
+
+from ..training.progress import COLUMNS
+
+STAGE_NAMES = ("static", "+ noise", "+ motion", "+ rate")
+LABELS = {
+    "header": "header",
+    "positions": "anchor positions",
+    "features": "features f",
+    "scales": "scales s",
+    "offset_scales": "offset scales l",
+    "offsets": "offsets O",
+    "masks": "masks",
+    "hash_grid": "hash grid",
+    "deformation_mlp": "deformation MLP",
+    "anchor_mlps": "anchor MLPs",
+    "context_mlps": "context MLPs",
+}
+BLUE, LIGHT_BLUE, RED = (
+    "#0072B2",
+    "#56B4E9",
+    "#D55E00",
+)  # of Okabe and Ito's palette, for colour-blind readers
+STACK = (BLUE, "#E69F00", "#009E73", "#CC79A7")
+HEAT = "viridis"
+LARGEST_ERROR = 0.25  # of the error pictures' colours, the same in every report
+
+
+def pyplot():
+    """matplotlib.pyplot without a window, with type that stays readable when a README shrinks it."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    plt.rcParams.update(
+        {
+            "font.size": 13,
+            "axes.titlesize": 13,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "figure.dpi": 110,
+            "savefig.bbox": "tight",
+        }
+    )
+    return plt
+
+
+def save_figure(figure, path):
+    """Write a PNG without the version that would make equal pictures differ, and close it."""
+    figure.savefig(path, metadata={"Software": None})
+    pyplot().close(figure)
+
+
+def write_csv(path, rows, columns=None):
+    """Write rows (dictionaries, or lists under `columns`) as CSV."""
+    columns = columns or list(rows[0])
+    with open(path, "w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(
+            [row[c] for c in columns] if isinstance(row, dict) else row for row in rows
+        )
+
+
+def draw_comparison(path, scene, rows, images, count=4):
+    """Truth, decoded, and absolute error of a few test views spread over time."""
+    plt, views = pyplot(), scene.test
+    order = np.argsort([view.time for view in views], kind="stable")
+    chosen = order[np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int)]
+    figure, axes = plt.subplots(
+        3, len(chosen), figsize=(2.6 * len(chosen) + 0.5, 9.2), squeeze=False, layout="constrained"
+    )
+    for column, i in enumerate(chosen):
+        image = np.clip(images[i], 0, 1)
+        error = np.abs(image - views[i].image).mean(axis=2)
+        axes[0, column].set_title(f"t = {views[i].time:.2f}")
+        axes[0, column].imshow(views[i].image, vmin=0, vmax=1)
+        axes[1, column].set_title(f"PSNR {rows[i]['psnr_db']:.1f} dB")
+        axes[1, column].imshow(image)
+        axes[2, column].set_title(f"mean {error.mean():.3f}")
+        shown = axes[2, column].imshow(error, cmap="magma", vmin=0, vmax=LARGEST_ERROR)
+    for ax, label in zip(axes[:, 0], ("truth", "decoded", "absolute error")):
+        ax.set_ylabel(label, fontsize=15)
+    for ax in axes.ravel():
+        ax.set(xticks=[], yticks=[])
+        ax.spines[:].set_visible(False)
+    figure.colorbar(
+        shown,
+        ax=axes,
+        location="bottom",
+        extend="max",
+        aspect=40,
+        shrink=0.7,
+        pad=0.01,
+        label="absolute error, mean of R, G, B (of 1)",
+    )
+    figure.suptitle(f"{scene.name}: test views, not seen in training", fontsize=15)
+    save_figure(figure, path)
+
+
+def write_gif(path, images):
+    """Images (H, W, 3) in [0, 1] as a GIF that plays forth and back."""
+    import imageio.v3 as iio
+
+    pixels = [(image * 255).round().astype(np.uint8) for image in images]
+    iio.imwrite(path, pixels + pixels[-2:0:-1], extension=".gif", duration=60, loop=0)
+
+
+def write_motion(path, model, camera, frames=24, zoom=4):
+    """A GIF of the model over t from one held camera."""
+    write_gif(
+        path,
+        [
+            np.clip(model.render(camera, t), 0, 1).repeat(zoom, 0).repeat(zoom, 1)
+            for t in np.linspace(0, 1, frames)
+        ],
+    )
+
+
+def draw_size(path, components, explicit):
+    """Bytes by component, and the file beside the same Gaussians as plain float32."""
+    plt = pyplot()
+    names = sorted(components, key=components.get)
+    values = [components[name] for name in names]
+    total = sum(values)
+    figure, ax = plt.subplots(figsize=(8.5, 5))
+    bars = ax.barh([LABELS[name] for name in names], values, color=BLUE)
+    ax.bar_label(bars, [f" {v:,} ({100 * v / total:.1f} %)" for v in values])
+    ax.set(xlabel="bytes in the file", xlim=(0, 1.35 * max(values)))
+    ax.xaxis.set_major_formatter("{x:,.0f}")
+    ax.locator_params(axis="x", nbins=5)
+    figure.suptitle(
+        f"file: {total:,} bytes\nsame Gaussians as float32: {explicit:,} bytes, "
+        f"{explicit / total:.1f} times as many",
+        fontsize=14,
+    )
+    save_figure(figure, path)
+
+
+def draw_ledger(path, rows):
+    """Every section as a stacked bar: entropy, what whole numbers, the coder and headers add to it.
+
+    Two panels, because the gaps are a hundredth of the sections: all bytes, and what is beyond the entropy alone.
+    """
+    plt = pyplot()
+    rows = sorted(rows, key=lambda row: row["bytes"])
+    names = [LABELS.get(row["name"], row["name"]) for row in rows]
+    parts = {
+        "entropy (or stored as it is)": [row["estimate_bytes"] for row in rows],
+        "+ whole-number model": [row["integer_bytes"] - row["estimate_bytes"] for row in rows],
+        "+ coder": [row["payload_bytes"] - row["integer_bytes"] for row in rows],
+        "+ headers": [row["header_bytes"] for row in rows],
+    }
+    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 5.5), sharey=True, layout="constrained")
+    for ax, skip in ((left, 0), (right, 1)):
+        start = np.zeros(len(rows))
+        for color, (label, values) in list(zip(STACK, parts.items()))[skip:]:
+            ax.barh(names, values, left=start, color=color, label=label)
+            start = start + values
+        ax.xaxis.set_major_formatter("{x:,.0f}")
+        ax.locator_params(axis="x", nbins=5)
+    left.set(xlabel="bytes", title=f"file: {sum(row['bytes'] for row in rows):,} bytes")
+    right.set(xlabel="bytes", title="beyond the entropy")
+    left.legend(loc="lower right", frameon=False)
+    save_figure(figure, path)
+
+
+def draw_heat(path, image, bits, limits):
+    """The scene with every Gaussian in the colour of the bits its anchor cost, beside how often each cost occurs."""
+    plt = pyplot()
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(11, 5), layout="constrained", width_ratios=(1.2, 1)
+    )
+    left.imshow(np.clip(image, 0, 1))
+    left.set(xticks=[], yticks=[], title="what an anchor costs, where it stands")
+    left.spines[:].set_visible(False)
+    scale = plt.cm.ScalarMappable(plt.Normalize(*limits), HEAT)
+    figure.colorbar(scale, ax=left, label="bits of the Gaussian's anchor", shrink=0.9)
+    right.hist(bits, bins=30, color=BLUE)
+    right.set(
+        xlabel="bits of an anchor: position, f, s, l, O, masks",
+        ylabel="anchors",
+        title=f"{len(bits):,} anchors, {bits.mean():.0f} bits on average",
+    )
+    save_figure(figure, path)
+
+
+def draw_training(path, history, stage_ends):
+    """PSNR of the training views and coded bits per number, over iterations, with the paper's four stages."""
+    plt = pyplot()
+    table = {name: np.array([row[i] for row in history], float) for i, name in enumerate(COLUMNS)}
+    figure, (top, bottom) = plt.subplots(2, 1, figsize=(8.5, 6), sharex=True, layout="constrained")
+    at, values = table["iteration"], table["psnr_db"]
+    top.plot(at, values, ".", color=LIGHT_BLUE, markersize=4, label="the iteration's view")
+    width = max(1, min(10, len(values) // 4))
+    smooth = np.convolve(values, np.full(width, 1 / width), "valid")
+    top.plot(
+        at[len(at) - len(smooth) :], smooth, color=BLUE, label=f"mean of the last {width} dots"
+    )
+    top.set(ylabel="PSNR, training view (dB)")
+    top.legend(loc="lower right", frameon=False)
+    rated = table["stage"] == 4
+    bottom.plot(at[rated], table["bits_per_parameter"][rated], color=RED)
+    bottom.set(
+        ylabel="bits per coded number",
+        ylim=(0, None),
+        xlim=(0, stage_ends[-1]),
+        xlabel="iteration (stages: "
+        + ", ".join(f"{i} {name}" for i, name in enumerate(STAGE_NAMES, 1))
+        + ")",
+    )
+    for number, (start, end) in enumerate(zip((0, *stage_ends[:3]), stage_ends), 1):
+        if end > start:
+            for ax in (top, bottom):
+                ax.axvline(start, color="#bbbbbb", linewidth=0.8)
+            label = f"stage {number}" if end - start > 0.12 * stage_ends[-1] else f"{number}"
+            top.text(
+                start + 0.005 * stage_ends[-1],
+                1.01,
+                label,
+                va="bottom",
+                transform=top.get_xaxis_transform(),
+            )
+    save_figure(figure, path)
+
+
+def write_comparison(folder, scene, rows, images):
+    """comparison.png and .csv."""
+    draw_comparison(folder / "comparison.png", scene, rows, images)
+    write_csv(folder / "comparison.csv", rows)
+
+
+def write_training(folder, history, stage_ends):
+    """training.png and .csv."""
+    draw_training(folder / "training.png", history, stage_ends)
+    write_csv(folder / "training.csv", history, COLUMNS)
+
+
+def write_report(folder, model, scene, rows, images, metrics, history, stage_ends):
+    """All pictures and tables of a run into the Path `folder`."""
+    write_comparison(folder, scene, rows, images)
+    write_motion(folder / "motion.gif", model, scene.test[0].camera)
+    draw_size(folder / "size.png", metrics["components"], metrics["explicit_bytes"])
+    write_csv(
+        folder / "size.csv",
+        [{"component": name, "bytes": n} for name, n in metrics["components"].items()],
+    )
+    write_training(folder, history, stage_ends)

@@ -1,0 +1,47 @@
+"""Adam over one flat vector, and the exponential learning-rate schedule of 3DGS and its children."""
+
+import numpy as np
+
+BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-15  # as every parent of the method sets them
+
+
+class Adam:
+    """Adam (Kingma and Ba 2015); an array counts its steps from the first one in which it takes part.
+
+    `first` and `second` are Parameters with the layout of what is optimised, so that rows can be added and removed.
+    """
+
+    def __init__(self, parameters):
+        self.first, self.second = parameters.zeros(), parameters.zeros()
+        self.steps = dict.fromkeys(parameters.arrays, 0)
+
+    def step(self, parameters, gradients, rate_of):
+        """Move `parameters` in place; `rate_of(name)` is an array's learning rate, 0 for one that does not take part."""
+        rates = {name: rate_of(name) for name in self.steps}
+        for name, rate in rates.items():
+            self.steps[name] += rate > 0
+
+        def corrected(name):
+            # Both moments start at zero and are divided by the sum of weights they have seen so far.
+            n = self.steps[name]
+            return rates[name] * np.sqrt(1 - BETA_2**n) / (1 - BETA_1**n) if n else 0.0
+
+        g, m, v = gradients.vector, self.first.vector, self.second.vector
+        m += (1 - BETA_1) * (g - m)
+        v += (1 - BETA_2) * (g * g - v)
+        change = np.sqrt(v)
+        change += EPSILON
+        np.divide(m, change, out=change)
+        change *= parameters.per_element(corrected)
+        parameters.vector -= change
+
+
+def exponential(step, first, last, until, start=0):
+    """The learning rate at `step`: geometric from `first` (up to `start`) to `last` (from `until` on).
+
+    Reference  the schedule of Kerbl et al. 2023 without its warm-up, which every caller leaves inert
+    """
+    if first == last or first == 0:
+        return first
+    share = min(max((step - start) / max(until - start, 1), 0.0), 1.0)
+    return float(np.exp((1 - share) * np.log(first) + share * np.log(last)))

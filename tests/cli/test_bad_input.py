@@ -1,0 +1,416 @@
+"""Mistakes of a user: one line that names file or option and field, exit code 2, and nothing left behind."""
+
+import json
+import math
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+import p4dgs_ref as p4
+from p4dgs_ref.cli import parser as cli
+from p4dgs_ref.equations import opacity
+from p4dgs_ref.training.checkpoint import load
+from p4dgs_ref.training.finite import NotFinite
+from p4dgs_ref.training.fit import fit
+
+ROOT = Path(p4.__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory):
+    """A folder with a scene, a run of it, a file, and things that are none of these."""
+    place = tmp_path_factory.mktemp("original")
+    (place / "scene").mkdir()
+    rng = np.random.default_rng(0)
+    for split in ("train", "test"):
+        frames = []
+        for i in range(2):
+            (place / "scene" / split).mkdir(exist_ok=True)
+            iio.imwrite(
+                place / "scene" / split / f"r_{i}.png",
+                rng.integers(0, 256, (8, 12, 4), dtype=np.uint8),
+            )
+            pose = np.eye(4)
+            pose[2, 3] = 4.0 + i
+            frames.append(
+                {
+                    "file_path": f"./{split}/r_{i}",
+                    "time": float(i),
+                    "transform_matrix": pose.tolist(),
+                }
+            )
+        (place / "scene" / f"transforms_{split}.json").write_text(
+            json.dumps({"camera_angle_x": 0.7, "frames": frames})
+        )
+    (place / "run").mkdir()
+    trainer = fit(p4.load_scene(place / "scene"), "smoke", 0, folder=place / "run")
+    data = p4.encode(trainer.model())
+    (place / "good.p4dgs").write_bytes(data)
+    (place / "cut.p4dgs").write_bytes(data[:-5])
+    (place / "text").write_text("not what you think\n")
+    for name, change in (
+        ("cut", lambda b: b[:-50]),
+        ("empty", lambda b: b""),
+        ("text", lambda b: b"hello" * 99),
+        (
+            "flipped",
+            lambda b: b[: len(b) // 2] + bytes([b[len(b) // 2] ^ 8]) + b[len(b) // 2 + 1 :],
+        ),
+    ):
+        (place / f"run_{name}").mkdir()
+        (place / f"run_{name}" / "checkpoint.npz").write_bytes(
+            change((place / "run" / "checkpoint.npz").read_bytes())
+        )
+    (place / "run_npz").mkdir()
+    np.savez(place / "run_npz" / "checkpoint.npz", a=np.zeros(3))
+    arrays, values = load(place / "run")
+    (place / "run_old").mkdir()
+    old = json.dumps({**values, "version": 0}).encode()
+    np.savez(place / "run_old" / "checkpoint.npz", _values=np.frombuffer(old, np.uint8), **arrays)
+    return place
+
+
+@pytest.fixture
+def place(original, tmp_path, monkeypatch):
+    """A copy of it, to work in."""
+    shutil.copytree(original, tmp_path / "place")
+    monkeypatch.chdir(tmp_path / "place")
+    return tmp_path / "place"
+
+
+def tree(place):
+    """Every path below a folder, and the bytes of every file."""
+    return {
+        str(path): path.read_bytes() if path.is_file() else None
+        for path in sorted(place.rglob("*"))
+    }
+
+
+def run(line, capsys):
+    """Exit code and what was printed to stderr."""
+    try:
+        code = cli.run(shlex.split(line), time.perf_counter())
+    except SystemExit as stopped:
+        code = stopped.code
+    out, err = capsys.readouterr()
+    assert out == ""
+    return code, err
+
+
+def refused(line, words, place, capsys):
+    before = tree(place)
+    code, err = run(line, capsys)
+    assert code == 2, err
+    assert (
+        err.startswith("p4dgs-ref: ")
+        and err.count("\n") == 1
+        and err.endswith("\n")
+        and "Traceback" not in err
+    ), err
+    assert [word for word in words if word not in err] == [], err
+    assert tree(place) == before
+
+
+def edit_frame(name, **fields):
+    """Change fields of the second frame of a split; None takes one away."""
+
+    def edit(place):
+        file = place / "scene" / f"transforms_{name}.json"
+        data = json.loads(file.read_text())
+        data["frames"][1].update(fields)
+        data["frames"][1] = {
+            key: value for key, value in data["frames"][1].items() if value is not None
+        }
+        file.write_text(json.dumps(data))
+
+    return edit
+
+
+def rewrite(file, change):
+    return lambda place: (place / "scene" / file).write_text(
+        change((place / "scene" / file).read_text())
+    )
+
+
+def without_frames(value):
+    return lambda text: json.dumps(
+        {**{k: v for k, v in json.loads(text).items() if k != "frames"}, **value}
+    )
+
+
+POSE = np.eye(4).tolist()
+SCENES = [
+    (
+        "no file",
+        lambda place: (place / "scene/transforms_test.json").unlink(),
+        ("transforms_test.json", "missing"),
+    ),
+    (
+        "not JSON",
+        rewrite("transforms_train.json", lambda text: text[:-9]),
+        ("transforms_train.json", "line 1", "JSON"),
+    ),
+    (
+        "no frames",
+        rewrite("transforms_train.json", without_frames({})),
+        ("transforms_train.json: frames", "list"),
+    ),
+    (
+        "empty split",
+        rewrite("transforms_test.json", without_frames({"frames": []})),
+        ("transforms_test.json: frames", "at least one"),
+    ),
+    (
+        "3x4 matrix",
+        edit_frame("train", transform_matrix=POSE[:3]),
+        ("train.json: frames[1].transform_matrix", "4 rows"),
+    ),
+    (
+        "no rotation",
+        edit_frame("test", transform_matrix=np.diag([1, 2, 1, 1.0]).tolist()),
+        ("test.json: frames[1].transform_matrix", "rotation"),
+    ),
+    (
+        "absent image",
+        lambda place: (place / "scene/train/r_1.png").unlink(),
+        ("train.json: frames[1].file_path", "r_1.png"),
+    ),
+    (
+        "damaged image",
+        lambda place: (place / "scene/train/r_1.png").write_bytes(b"\x89PNG"),
+        ("r_1.png", "PNG"),
+    ),
+    (
+        "another size",
+        lambda place: iio.imwrite(place / "scene/test/r_1.png", np.zeros((8, 8, 4), np.uint8)),
+        ("test/r_1", "8x8", "12x8"),
+    ),
+    ("no time", edit_frame("train", time=None), ("train.json: frames[1].time", "[0, 1]")),
+    (
+        "time NaN",
+        edit_frame("train", time=math.nan),
+        ("train.json: frames[1].time", "nan", "[0, 1]"),
+    ),
+    ("time 1.01", edit_frame("train", time=1.01), ("train.json: frames[1].time", "1.01", "[0, 1]")),
+    (
+        "unknown effect",
+        lambda place: (place / "scene/scene.json").write_text(
+            '{"effects": ["rotation", "teleport"]}'
+        ),
+        ("scene.json: effects", "teleport", "translation"),
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    "mistake, words", [case[1:] for case in SCENES], ids=[case[0] for case in SCENES]
+)
+def test_mistakes_in_scenes(place, capsys, mistake, words):
+    mistake(place)
+    for line in (
+        "demo scene -o out --preset smoke --quiet",
+        "train scene -o new/run --preset smoke --quiet",
+        "evaluate good.p4dgs scene -o out",
+        "render good.p4dgs -o out --scene scene",
+    ):
+        refused(line, words, place, capsys)
+
+
+LINES = [
+    ("", ("COMMAND",)),
+    ("fly", ("fly", "demo")),
+    ("train scene", ("-o",)),
+    ("demo --fast", ("--fast",)),
+    ("demo nowhere", ("nowhere", "bouncing")),
+    ("demo text", ("text", "folder")),
+    ("demo good.p4dgs", ("folder",)),
+    ("demo --preset huge", ("huge", "tiny")),
+    ("presets huge", ("huge", "tiny")),
+    ("train scene -o new --preset huge", ("huge", "smoke")),
+    ("demo --seed two", ("--seed", "two", "whole number")),
+    ("demo --seed -1", ("--seed", "-1")),
+    ("demo --seed 1.5", ("--seed",)),
+    ("demo --set nonsense", ("--set nonsense", "KEY=VALUE")),
+    ("demo --set anchor=3", ("'anchor'", "presets")),
+    ("demo --set anchors=many", ("'anchors'", "many")),
+    ("demo --set anchors=-3", ("'anchors'", "positive")),
+    ("demo --set voxel=nan", ("'voxel'", "positive")),
+    ("demo --set stage_ends=9,5,3,1", ("'stage_ends'",)),
+    ("demo --set upright=perhaps", ("'upright'", "perhaps")),
+    ("demo --set grow=wild", ("'grow'", "wild")),
+    ("demo --set name=x", ("'name'",)),
+    ("demo --set lr_x=1", ("'lr_x'", "first,last")),
+    ("demo --set lambda_rate=nan", ("'lambda_rate'", "finite")),
+    ("demo --set lr_c=0.1,-1", ("'lr_c'", "rates")),
+    ("demo scene --downscale 3", ("transforms_train.json", "downscale 3", "12x8")),
+    ("demo scene --downscale 0", ("--downscale", "'0'")),
+    ("demo scene --downscale half", ("--downscale", "half")),
+    ("demo scene --background nonsense", ("background", "nonsense", "white")),
+    ("demo scene --background 1,x,0", ("--background", "1,x,0")),
+    ("demo scene --background 1,0", ("background", "three")),
+    ("demo scene --background 0,0,2", ("background", "[0, 1]")),
+    ("demo scene -o text --preset smoke --quiet", ("text", "folder that can be written")),
+    ("demo scene -o text/out --preset smoke --quiet", ("text/out", "folder that can be written")),
+    (
+        "demo scene -o /proc/out/deep --preset smoke --quiet",
+        ("/proc/out/deep", "folder that can be written"),
+    ),
+    ("train scene -o text/run --preset smoke --quiet", ("text/run", "folder that can be written")),
+    ("train scene -o run --preset smoke", ("checkpoint.npz", "--resume")),
+    ("train scene -o new --preset smoke --resume", ("new/checkpoint.npz", "no such checkpoint")),
+    ("train scene -o run --preset tiny --resume", ("checkpoint.npz", "'preset.name'")),
+    (
+        "train scene -o run --preset smoke --set lr_f=1,1 --resume",
+        ("checkpoint.npz", "'preset.lr_f'"),
+    ),
+    ("train scene -o run --preset smoke --seed 1 --resume", ("checkpoint.npz", "'seed'")),
+    ("train scene -o run --preset smoke --downscale 2 --resume", ("checkpoint.npz", "'scene'")),
+    (
+        "train scene -o run --preset smoke --background black --resume",
+        ("checkpoint.npz", "'background'"),
+    ),
+    ("train bouncing -o run --preset smoke --resume", ("checkpoint.npz", "'effects'")),
+    ("train scene -o run --save-every -1", ("--save-every", "-1")),
+    *(
+        (command.format(run), (f"run_{run}/checkpoint.npz", *words))
+        for run, words in (
+            ("cut", ("damaged",)),
+            ("empty", ("damaged",)),
+            ("text", ("damaged",)),
+            ("flipped", ("damaged",)),
+            ("npz", ("not a checkpoint",)),
+            ("old", ("version", "expected")),
+        )
+        for command in (
+            "encode run_{} -o new/x.p4dgs",
+            "train scene -o run_{} --preset smoke --resume --quiet",
+        )
+    ),
+    ("encode nowhere -o x.p4dgs", ("nowhere/checkpoint.npz", "no such checkpoint")),
+    ("encode text -o x.p4dgs", ("text/checkpoint.npz", "Not a directory")),
+    ("encode run -o scene", ("scene", "file")),
+    ("encode run -o text/x.p4dgs", ("text", "folder that can be written")),
+    *(
+        (f"{command} {file}{rest}", (file, *words))
+        for command, rest in (
+            ("inspect", " -o new"),
+            ("decode", " -o new"),
+            ("render", " -o new"),
+            ("evaluate", " scene -o new"),
+        )
+        for file, words in (
+            ("text", ("not a P-4DGS file",)),
+            ("nowhere.p4dgs", ("No such file",)),
+            ("scene", ("Is a directory",)),
+            ("cut.p4dgs", ("container", "length")),
+        )
+    ),
+    ("decode good.p4dgs -o text", ("text", "folder that can be written")),
+    ("inspect good.p4dgs -o text/new", ("text/new", "folder that can be written")),
+    ("evaluate good.p4dgs nowhere", ("nowhere", "packaged")),
+    ("render good.p4dgs -o new --size -3", ("--size", "-3")),
+    ("render good.p4dgs -o new --size 5000", ("--size", "4096")),
+    ("render good.p4dgs -o new --frames 0", ("--frames", "1 ... 10000")),
+    ("render good.p4dgs -o new --scene packaged --size 9", ("--size", "--scene")),
+    ("render good.p4dgs -o new --fov nan", ("--fov", "nan")),
+    ("render good.p4dgs -o new --azimuth inf", ("--azimuth", "inf")),
+    ("render good.p4dgs -o new --distance 0", ("--distance",)),
+    ("render good.p4dgs -o new --elevation 90", ("--elevation",)),
+    ("render good.p4dgs -o new --settings pretty", ("--settings pretty", "exact")),
+    ("render good.p4dgs -o new --scene scene --split val", ("split 'val'", "no views")),
+    ("render good.p4dgs -o new --split none", ("--split", "none")),
+    ("simulate nowhere.json -o new", ("nowhere.json",)),
+    ("simulate text -o new", ("text", "JSON")),
+    (
+        "simulate scene/transforms_train.json -o new",
+        ("transforms_train.json", "camera_angle_x", "unknown field"),
+    ),
+    ("simulate scene -o new", ("scene", "directory")),
+    ("bench --json=yes", ("--json",)),
+]
+
+
+@pytest.mark.parametrize("line, words", LINES, ids=[line or "nothing" for line, _ in LINES])
+def test_mistakes_on_the_command_line(place, capsys, line, words):
+    refused(line, words, place, capsys)
+
+
+def test_in_a_process_of_its_own(place):
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    argv = [sys.executable, "-m", "p4dgs_ref", "demo", "nowhere"]
+    done = subprocess.run(argv, env=env, text=True, capture_output=True)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+
+
+def test_a_report_over_a_folder_of_the_same_name(place, capsys):
+    (place / "out/size.png").mkdir(parents=True)
+    refused("demo scene -o out --preset smoke --quiet", ("out/size.png", "folder"), place, capsys)
+
+
+def test_no_test_views():
+    view = p4.load_scene("bouncing", downscale=8).train[0]
+    scene = p4.Scene("only", (view,))
+    for job in (lambda: p4.main_job(scene, "smoke"), lambda: p4.evaluate(None, scene)):
+        with pytest.raises(ValueError, match="only: split 'test'.*no views"):
+            job()
+
+
+@pytest.mark.filterwarnings("error")  # NumPy's would be more lines than one
+def test_learning_rate_that_explodes(place, capsys):
+    before = tree(place)
+    code, err = run(
+        "train scene -o new --preset smoke --set lr_d=1e30,1e30 --save-every 0 --quiet", capsys
+    )
+    assert code == 1 and err.count("\n") == 1
+    assert err.startswith("p4dgs-ref: iteration 16: equation '") and "[0, 0] is" in err
+    arrays, values = load(place / "new")
+    assert values["iteration"] == 16 and all(
+        np.isfinite(a).all() for a in arrays.values() if a.dtype.kind == "f"
+    )
+    shutil.rmtree(place / "new")
+    code, err = run("demo scene -o new/deep --preset smoke --set lr_d=1e30,1e30 --quiet", capsys)
+    assert code == 1 and err.count("\n") == 1 and tree(place) == before
+    code, err = run(
+        "demo scene -o new --preset smoke --set lr_c=1e39,1e39 --quiet", capsys
+    )  # beyond float32
+    assert code == 1 and err.startswith(
+        "p4dgs-ref: iteration 0: Adam's step made the parameter psi_c.W0["
+    )
+
+
+def test_out_of_memory(place, capsys):
+    before = tree(place)
+    code, err = run("demo scene -o new --preset smoke --quiet --set anchors=10000000000000", capsys)
+    assert (
+        code == 1
+        and err.startswith("p4dgs-ref: out of memory: ")
+        and err.count("\n") == 1
+        and tree(place) == before
+    )
+
+
+def test_nan_in_an_equation_is_named(place, monkeypatch):
+    forward, calls = opacity.forward, []
+
+    def broken(*inputs):
+        out, res = forward(*inputs)
+        calls.append(None)
+        if len(calls) > 20:
+            out.alpha[3, 1] = np.nan
+        return out, res
+
+    monkeypatch.setattr(opacity, "forward", broken)
+    (place / "new").mkdir()
+    with pytest.raises(
+        NotFinite, match=r"iteration 20: equation 'opacity', forward: alpha\[3, 1\] is nan"
+    ):
+        p4.train(p4.load_scene("scene"), "smoke", folder=place / "new", save_every=0)
+    assert load(place / "new")[1]["iteration"] == 20

@@ -1,0 +1,187 @@
+"""The conformance streams: written again to the same bytes, decoded to what they promise, refused where they say."""
+
+import hashlib
+import json
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.codec import conformance
+from p4dgs_ref.codec.container import SECTIONS, BitstreamError, layout, read_container
+from p4dgs_ref.codec.file import decode, encode, quantised_of
+from p4dgs_ref.codec.inspect import ledger
+from p4dgs_ref.model import join
+
+MANIFEST = json.loads((conformance.FOLDER / "manifest.json").read_text())
+GOOD, BAD = ({row["name"]: row for row in MANIFEST[key]} for key in ("good", "bad"))
+NOT_OURS = {"all_masked_but_one", "one_anchor", "lattice", "escapes", "base_steps", "lanes"}
+KINDS = {
+    "length": r"total length|at least 18 bytes|add up to|expected \d+ bytes",
+    "magic": "wrong magic",
+    "version": "version 2",
+    "checksum": "checksum",
+    "table": "ascending ids",
+    "missing": "section is missing",
+    "unexpected": "no effect that needs",
+    "header": "expected",
+    "number": "finite",
+    "stream": r"left over|the data end before|state \d+|lane|tail|probability|symbol|an escape",
+}
+
+
+def read(name):
+    return (conformance.FOLDER / name).read_bytes()
+
+
+def arrays_of(row):
+    """The expected arrays of a good stream, {name: array}, by the manifest's words alone."""
+    body, arrays, end = read(row["expected"]), {}, 0
+    for entry in row["arrays"]:
+        count, start = int(np.prod(entry["shape"])), entry["offset"]
+        assert start == end
+        if entry["type"] == "bit":
+            end += (count + 7) // 8
+            array = np.unpackbits(np.frombuffer(body[start:end], np.uint8), bitorder="little")
+            assert not array[count:].any()
+        else:
+            kind = np.dtype(
+                "<"
+                + {"u": "u", "i": "i", "f": "f"}[entry["type"][0]]
+                + str(int(entry["type"][1:]) // 8)
+            )
+            end += count * kind.itemsize
+            array = np.frombuffer(body[start:end], kind)
+        assert hashlib.sha256(body[start:end]).hexdigest() == entry["sha256"], entry["name"]
+        arrays[entry["name"]] = array[:count].reshape(entry["shape"])
+    assert end == len(body)
+    return arrays
+
+
+def test_written_again_they_are_the_same_bytes(tmp_path, capsys):
+    conformance.main(["-o", str(tmp_path / "new")])
+    assert capsys.readouterr().out.startswith(f"{tmp_path / 'new'}: ")
+    names = sorted(path.name for path in conformance.FOLDER.iterdir())
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == names
+    for name in names:
+        assert (tmp_path / "new" / name).read_bytes() == read(name), name
+    assert sum(len(read(name)) for name in names) < 250_000
+    files = [
+        row[key]
+        for row in [*GOOD.values(), *BAD.values()]
+        for key in ("file", "expected")
+        if key in row
+    ]
+    assert sorted([*files, "manifest.json"]) == names
+    assert len(GOOD) == len(MANIFEST["good"]) and len(BAD) == len(MANIFEST["bad"])
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_good_streams_decode_to_what_is_expected(name):
+    row, data = GOOD[name], read(GOOD[name]["file"])
+    assert (len(data), hashlib.sha256(data).hexdigest()) == (row["bytes"], row["sha256"])
+    sections = read_container(data)
+    assert {key: len(body) for key, body in sections.items()} == row["sections"]
+    assert json.loads(sections["header"]) == row["header"] and sum(
+        n for _, n in layout(data)
+    ) == len(data)
+    expected, found = arrays_of(row), quantised_of(sections)
+    model, ctx = decode(data), found.context
+    anchors, signs = model.anchors, np.concatenate([grid.ravel() for grid in model.grids])
+    values = {
+        "positions": found.positions,
+        "symbols": found.symbols,
+        "masks": anchors.mask,
+        "x_a": anchors.x_a,
+        "signs": signs > 0,
+        "mu_units": ctx.mu_units,
+        "sigma_units": ctx.sigma_units,
+        "q": ctx.q,
+        "attributes": join(anchors),
+    }
+    for section, members in (
+        ("anchor_mlps", "alpha c r s"),
+        ("context_mlps", "p q"),
+        ("deformation_mlp", "d"),
+    ):
+        layers = [
+            pair
+            for member in members.split()
+            for pair in zip(*model.networks.get(f"psi_{member}", ((), ())))
+        ]
+        if layers:
+            values[section] = np.concatenate([np.append(W, b) for W, b in layers])
+    assert set(expected) == {*values, "h", "q_units"}
+    for key, value in values.items():
+        assert value.shape == expected[key].shape and np.array_equal(value, expected[key]), key
+    assert values["attributes"].tobytes() == expected["attributes"].tobytes()  # to the sign of zero
+    assert np.array_equal(
+        expected["q"], expected["q_units"] * (np.array(row["header"]["Q_0"]) * 2.0**-15)
+    )
+    assert np.abs(expected["h"]).max() <= 2**15
+    assert all(np.isfinite(row["bytes"]) for row in ledger(data))
+    # the encoder's own bytes, but where it would drop an anchor, move it in a flat box, or refuse or split otherwise
+    if name not in NOT_OURS:
+        assert encode(model) == data
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_streams_are_refused_where_they_are_bad(name):
+    row, data = BAD[name], read(BAD[name]["file"])
+    assert (len(data), hashlib.sha256(data).hexdigest()) == (row["bytes"], row["sha256"])
+    assert row["section"] in (*SECTIONS, "container")
+    for reader in (decode, ledger):
+        with pytest.raises(BitstreamError, match=KINDS[row["kind"]]) as caught:
+            reader(data)
+        assert caught.value.section == row["section"] and row["offset"] in (
+            None,
+            caught.value.offset,
+        )
+
+
+def test_they_test_what_they_say():
+    """The corners that names promise are in the numbers."""
+    of = {name: arrays_of(row) for name, row in GOOD.items()}
+    head = {name: row["header"] for name, row in GOOD.items()}
+    assert (
+        len(GOOD) >= 12 and len(BAD) >= 12 and set(KINDS) == {row["kind"] for row in BAD.values()}
+    )
+    assert of["smallest_grid"]["signs"].size == 1 and of["one_anchor"]["masks"].shape == (1, 1)
+    assert (
+        np.ptp(of["one_anchor"]["x_a"] - of["one_anchor"]["x_a"][0]) == 0
+        and of["one_child"]["masks"].all()
+    )
+    assert not of["all_masked"]["masks"].any() and GOOD["all_masked"]["sections"]["offsets"] == 0
+    assert of["all_masked_but_one"]["masks"].sum() == 1 and head["one_child"]["k"] == 1
+    assert {-(2**31), -(2**31) + 1, 2**31 - 1, 2**31} <= set(
+        of["escapes"]["symbols"].ravel().tolist()
+    )
+    for name in ("escapes", "sigma_clamps"):
+        assert of[name]["sigma_units"].min() == -128 and of[name]["sigma_units"].max() == 319
+    assert (
+        of["smallest_steps"]["q_units"].min() == 32
+        and of["largest_steps"]["q_units"].max() == 2**16
+    )
+    assert (
+        np.abs(of["base_steps"]["mu_units"]).max() == 2**34
+        and min(head["base_steps"]["Q_0"]) == 2.0**-100
+    )
+    assert "deformation_mlp" not in GOOD["static"]["sections"] and set(
+        GOOD["full"]["sections"]
+    ) == set(SECTIONS)
+    assert all(
+        res ** len(axes) > head["hashed"]["table"][len(axes) == 2]
+        for axes, res in head["hashed"]["grid"]
+    )
+    assert (
+        set(of["lattice"]["positions"].ravel().tolist()) >= {0, 65535}
+        and of["raw_bits"]["sigma_units"].min() >= 80
+    )
+    first = {
+        name: body[4 * (name == "hash_grid")]
+        for name, body in read_container(read("lanes.p4dgs")).items()
+    }
+    assert {
+        name: 1 << (byte & 15)
+        for name, byte in first.items()
+        if name in ("features", "scales", "hash_grid")
+    } == {"features": 16, "scales": 2, "hash_grid": 1024}

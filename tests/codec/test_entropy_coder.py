@@ -1,0 +1,355 @@
+"""The entropy coder: integer frequencies, rANS and its readable twin, Gaussian and bit streams."""
+
+import ast
+import hashlib
+import inspect
+
+import numpy as np
+import pytest
+from scipy.special import log_ndtr
+
+from p4dgs_ref.codec import fixed_point, gaussian_table, make_tables, rans, streams
+from p4dgs_ref.codec.gaussian_table import (
+    MU_BITS,
+    MU_LIMIT,
+    SIGMA_BITS,
+    SIGMA_MAX,
+    SIGMA_MIN,
+    gaussian_model,
+)
+from p4dgs_ref.codec.streams import (
+    decode_bits,
+    decode_gaussian,
+    encode_bits,
+    encode_gaussian,
+    ideal_bits_gaussian,
+)
+
+TWIN = dict(push_rows=rans.push_rows_plainly)
+
+
+def draw(n, low, high, seed=0, offset=0.0):
+    """Symbols from Gaussians with sigma/q log-uniform in low..high: symbols, units, and float64 entropy in bits."""
+    rng = np.random.default_rng(seed)
+    sigma = np.exp(rng.uniform(np.log(low), np.log(high), n))
+    mu = offset + rng.normal(size=n) * 10
+    symbols = np.rint(mu + sigma * rng.normal(size=n)).astype(np.int64)
+    x = np.abs(symbols - mu)  # even: use the left tail
+    upper, lower = log_ndtr((0.5 - x) / sigma), log_ndtr((-0.5 - x) / sigma)
+    bits = -(upper + np.log1p(-np.exp(lower - upper))) / np.log(2)
+    mu_units = np.rint(mu * 2**MU_BITS).astype(np.int64)
+    sigma_units = np.clip(np.rint(np.log2(sigma) * 2**SIGMA_BITS), SIGMA_MIN, SIGMA_MAX).astype(
+        np.int64
+    )
+    return symbols, mu_units, sigma_units, float(bits.sum())
+
+
+def formula(n, spread):
+    """Inputs of the golden streams, from integer formulas alone."""
+    i = np.arange(n, dtype=np.int64)
+    scramble = i * 2654435761 % 2**32
+    sigma_units = SIGMA_MIN + scramble % (SIGMA_MAX - SIGMA_MIN + 1 - 160)
+    mu_units = (scramble >> 5) % 65536 - 32768
+    wobble = ((scramble >> 9) % 17 - 8) * spread >> 4
+    e = sigma_units >> SIGMA_BITS
+    return (
+        (mu_units >> MU_BITS) + (wobble << np.maximum(e, 0) >> np.maximum(-e, 0)),
+        mu_units,
+        sigma_units,
+    )
+
+
+def constant(n, mu=0, sigma=0):
+    return np.full(n, mu, np.int64), np.full(n, sigma, np.int64)
+
+
+def edge_cases():
+    ramp = np.arange(600, dtype=np.int64)
+    extremes = np.array([0, 1, -1, 2**15, -(2**15) - 1, 2**31, -(2**31), 2**24, -(2**24)], np.int64)
+    yield "empty", ramp[:0], *constant(0)
+    yield "one_symbol", ramp[7:8], *constant(1)
+    yield "one_escape", np.array([-(2**31)]), *constant(1)
+    yield "alternating", ramp % 2 * 2 - 1, *constant(600, sigma=-16)
+    yield "escapes_both_sides", (ramp - 300) * 7919, *constant(600)
+    yield "smallest_sigma", ramp % 5 - 2, *constant(600, sigma=SIGMA_MIN)
+    yield "largest_sigma", (ramp - 300) * 12345, *constant(600, sigma=SIGMA_MAX)
+    for mu in (-MU_LIMIT, MU_LIMIT, 511, 512, -512, -513):
+        for sigma in (SIGMA_MIN, -1, 0, 79, 80, SIGMA_MAX):
+            yield f"extremes_{mu}_{sigma}", extremes, *constant(len(extremes), mu, sigma)
+            near = (mu >> MU_BITS) + np.arange(-9, 10)
+            yield f"near_{mu}_{sigma}", near, *constant(len(near), mu, sigma)
+
+
+def test_tables_are_the_normative_ones():
+    tables = {name: fixed_point.table(name) for name in ("phi", "exp2", "sigmoid", "log2")}
+    digest = hashlib.sha256(
+        np.concatenate(list(tables.values())).astype("<i4").tobytes()
+    ).hexdigest()
+    assert digest == "0b6b33feb22f099d8d04ffc834e32affe12432e36e09c5e1f25e7209c56d9477"
+    assert {name: values.tolist() for name, values in tables.items()} == make_tables.make_tables()
+
+
+def cum_from_page(mu_units, sigma_units, offset):
+    """cum, at `offset` blocks above the lowest, in Python integers after the page of `gaussian_table`."""
+    phi, exp2 = (fixed_point.table(name).tolist() for name in ("phi", "exp2"))
+    e, f = sigma_units // 16, sigma_units % 16
+    step, low = max(e + 6, 0), max(e - 4, 0)
+    mu = (mu_units + 2**step // 2) // 2**step * 2**step
+    centre, W = (mu + 512) // 2 ** (10 + low), 1 + int(np.ceil(12 * 2.0 ** min(e, 4)))
+    block = centre - W + offset
+    z = (block * 2 ** (10 + low) - 512 - mu) * exp2[f] // 2 ** (12 + e)
+    z = min(max(z, -98304), 98303)
+    i, r = z // 256 + 384, z % 256
+    C = phi[i] + (phi[i + 1] - phi[i]) * r // 256
+    assert offset != 0 or C == 0
+    assert offset != 2 * W + 1 or C == 2**24
+    return C * (2**24 - 2 * W - 2) // 2**24 + offset, block, 2 * W + 1, low
+
+
+def test_frequencies_are_those_of_the_page():
+    rng = np.random.default_rng(1)
+    mu_units = np.concatenate(
+        [rng.integers(-40000, 40000, 300), rng.integers(-MU_LIMIT, MU_LIMIT, 100)]
+    )
+    sigma_units = rng.integers(SIGMA_MIN, SIGMA_MAX + 1, 400)
+    model = gaussian_model(mu_units, sigma_units)
+    for i, (mu, sigma) in enumerate(zip(mu_units.tolist(), sigma_units.tolist())):
+        table = model.table[i]
+        blocks = int(model.blocks[table])
+        for offset in {0, 1, blocks // 2, int(rng.integers(blocks)), blocks - 1, blocks}:
+            cum, block, n, low = cum_from_page(mu, sigma, offset)
+            assert (n, low, block) == (blocks, model.low[table], model.lowest[i] + offset)
+            assert model.keys[model.first[table] + offset] == (int(table) << 24) + cum
+
+
+def test_every_table_totals_2_to_the_24_and_every_frequency_is_positive():
+    sigma_units = np.repeat(np.arange(SIGMA_MIN, SIGMA_MAX + 1), 40)
+    model = gaussian_model(
+        np.random.default_rng(2).integers(-(2**20), 2**20, len(sigma_units)), sigma_units
+    )
+    assert (np.diff(model.keys) >= 1).all()
+    assert (model.keys[model.first] == np.arange(len(model.first)) << 24).all()
+    escape = model.keys[model.first + model.blocks]
+    assert (escape == (np.arange(1, len(model.first) + 1) << 24) - 1).all()
+    assert model.keys[-1] == len(model.first) << 24
+
+
+@pytest.mark.parametrize(
+    "changes, match",
+    [
+        (dict(mu_units=np.zeros(3)), "mu_units: signed integers"),
+        (dict(mu_units=np.array([0, 0, MU_LIMIT + 1])), "mu_units: values within"),
+        (dict(sigma_units=np.array([0, SIGMA_MAX + 1, 0])), "sigma_units"),
+        (dict(sigma_units=np.array([0])), "equal 1-d"),
+        (dict(symbols=np.array([0, 1, 2**31 + 1])), r"symbols\[2\]"),
+        (dict(symbols=np.zeros(3)), "symbols: signed"),
+        (dict(symbols=np.zeros(2, int)), "symbols: signed"),
+    ],
+)
+def test_wrong_arguments_are_named(changes, match):
+    inputs = {
+        "symbols": np.zeros(3, int),
+        "mu_units": np.zeros(3, int),
+        "sigma_units": np.zeros(3, int),
+        **changes,
+    }
+    with pytest.raises(ValueError, match=match):
+        encode_gaussian(**inputs)
+
+
+def test_worked_numbers():
+    mu, sigma = constant(3, 307, 9)
+    model = gaussian_model(mu, sigma)
+    assert model.keys[13:15].tolist() == [4883934, 9236032]
+    keys = np.array([0, 12582912, 16777216])
+    assert rans.encode(np.array([0, 1, 0]), keys).hex(" ") == "80 00 00 40 8e 03 00 00 00"
+    assert (
+        encode_gaussian(np.array([0, 5, -40]), mu, sigma).hex(" ")
+        == "80 cb 67 86 a4 03 00 00 00 ff ff ff 00 a0 05"
+    )
+    assert (
+        encode_bits(np.array([1, 1, 1, 0], bool)).hex(" ")
+        == "00 00 c0 00 80 00 00 40 be 04 00 00 00"
+    )
+
+
+@pytest.mark.parametrize(
+    "name, symbols, mu, sigma", list(edge_cases()), ids=lambda v: v if isinstance(v, str) else ""
+)
+def test_edge_cases_come_back(name, symbols, mu, sigma):
+    data = encode_gaussian(symbols, mu, sigma)
+    assert np.array_equal(decode_gaussian(data, mu, sigma), symbols)
+    ideal = ideal_bits_gaussian(symbols, mu, sigma)
+    assert ideal.shape == symbols.shape and 8 * len(data) <= 1.001 * ideal.sum() + 8 * 10
+    assert len(symbols) or data == b""
+
+
+@pytest.mark.parametrize("lanes", [1, 2, 4, 32, 1024])
+def test_twin_reads_and_writes_the_same_bytes(lanes):
+    symbols, mu, sigma, _ = draw(120_000 if lanes == 1024 else 5003, 0.3, 90, seed=lanes)
+    symbols[::97] += 5000  # escapes
+    data = encode_gaussian(symbols, mu, sigma, lanes)
+    assert data[0] & 15 == lanes.bit_length() - 1
+    assert encode_gaussian(symbols, mu, sigma, lanes, **TWIN) == data
+    assert np.array_equal(decode_gaussian(data, mu, sigma), symbols)
+    assert np.array_equal(decode_gaussian(data, mu, sigma, pop_rows=rans.pop_rows_plainly), symbols)
+
+
+@pytest.mark.parametrize("lanes", [1, 4])
+def test_states_that_are_powers_of_two_meet_every_limit_exactly(lanes):
+    keys = np.array([0, 2**23, 2**24])  # zeros double the state: 2^31, 2^32, ... 2^62
+    for n in range(1024, 1160):
+        data = rans.encode(np.zeros(n, int), keys, lanes)
+        assert data == rans.encode(np.zeros(n, int), keys, lanes, **TWIN)
+        entries, end = rans.decode(data, np.zeros(n, np.uint8), keys)
+        assert end == len(data) and not entries.any()
+
+
+def test_lanes_are_chosen_by_the_length_of_the_message():
+    symbols, mu, sigma, _ = draw(200_000, 0.15, 8)
+    lengths = (100, 20_000, 100_000, 200_000)
+    assert [encode_gaussian(symbols[:n], mu[:n], sigma[:n])[0] & 15 for n in lengths] == [
+        0,
+        0,
+        5,
+        6,
+    ]
+    with pytest.raises(ValueError, match="too short a message for 64 lanes"):
+        encode_gaussian(symbols[:500], mu[:500], sigma[:500], lanes=64)
+
+
+def test_a_million_equal_symbols_cost_eight_bytes_at_most():
+    symbols, (mu, sigma) = np.full(1_000_000, 7), constant(1_000_000, 7 << MU_BITS, SIGMA_MIN)
+    data = encode_gaussian(symbols, mu, sigma)
+    assert len(data) <= 8
+    assert np.array_equal(decode_gaussian(data, mu, sigma), symbols)
+
+
+def test_a_million_alternating_symbols():
+    symbols, (mu, sigma) = np.arange(1_000_000) % 2, constant(1_000_000, 512, SIGMA_MIN)
+    data = encode_gaussian(symbols, mu, sigma)
+    assert len(data) <= 1.001 * 1_000_000 / 8 + 8
+    assert np.array_equal(decode_gaussian(data, mu, sigma), symbols)
+
+
+@pytest.mark.parametrize(
+    "name, n, spread, lanes, digest",
+    [
+        (
+            "one_lane",
+            3000,
+            16,
+            None,
+            "c5f10d67288c316ece901d971fc199461266f89f6a63b6be15c99d145ab5764a",
+        ),
+        (
+            "escapes",
+            3000,
+            512,
+            None,
+            "57e0a108bccf77ddb0a4130658a497b72eabc0ea1e824ab8fa657b5551d014fd",
+        ),
+        (
+            "eight_lanes",
+            3000,
+            16,
+            8,
+            "f1bbbd49e929ff5d098b66cb6d17fc06216cd6a6fa22aa7990a96b18df3f853d",
+        ),
+        (
+            "chosen_lanes",
+            150_000,
+            16,
+            None,
+            "13ae677a3a5c0fcae910eacf69f878ced2971a0f9660bd95799cbc586bd2d5c0",
+        ),
+    ],
+)
+def test_golden_bytes(name, n, spread, lanes, digest):
+    symbols, mu, sigma = formula(n, spread)
+    data = encode_gaussian(symbols, mu, sigma, lanes)
+    assert hashlib.sha256(data).hexdigest() == digest
+    assert np.array_equal(decode_gaussian(data, mu, sigma), symbols)
+
+
+@pytest.mark.parametrize(
+    "n, low, high",
+    [
+        (200_000, 0.15, 8),
+        (20_000, 0.15, 8),
+        (1000, 0.15, 8),
+        (200_000, 0.02, 0.3),
+        (50_000, 0.05, 0.05),
+        (5000, 0.01, 0.01),
+        (50_000, 31, 33),
+        (200_000, 60, 30_000),
+        (20_000, 1e5, 9e5),
+    ],
+)
+def test_size_is_within_three_permille_of_the_float_entropy(n, low, high):
+    symbols, mu, sigma, bits = draw(n, low, high, seed=n, offset=-1234.5)
+    data, ideal = encode_gaussian(symbols, mu, sigma), ideal_bits_gaussian(symbols, mu, sigma).sum()
+    assert len(data) <= 1.003 * bits / 8 + 16
+    assert 8 * len(data) <= 1.0015 * ideal + 8 * 10  # the coder alone
+    if n >= 50_000:
+        assert 0.999 * bits <= ideal <= 1.0005 * bits + 16  # the integers alone
+    assert np.array_equal(decode_gaussian(data, mu, sigma), symbols)
+
+
+def test_almost_certain_symbols_cost_almost_nothing():
+    symbols, (mu, sigma) = (
+        np.zeros(5000, int),
+        constant(5000, 0, -52),
+    )  # sigma/q = 0.105: P(0) = 1 - 2e-6
+    assert len(encode_gaussian(symbols, mu, sigma)) < 16
+    assert ideal_bits_gaussian(symbols, mu, sigma).sum() < 0.1
+
+
+@pytest.mark.parametrize(
+    "n, p",
+    [
+        (0, 0.5),
+        (1, 0),
+        (1, 1),
+        (2, 0.5),
+        (4000, 0),
+        (4000, 1),
+        (4000, 0.5),
+        (4001, 0.97),
+        (100_000, 1e-4),
+        (1_000_000, 0.5),
+        (1_000_000, 0.999),
+    ],
+)
+def test_bits(n, p):
+    bits = np.random.default_rng(3).random(n) < p
+    data, ones = encode_bits(bits), int(bits.sum())
+    assert np.array_equal(decode_bits(data, n), bits)
+    entropy = sum(-m * np.log2(m / n) for m in (ones, n - ones) if m)
+    assert len(data) <= 1.003 * entropy / 8 + 16
+    if ones in (0, n):
+        assert len(data) == (4 if n else 0)
+
+
+def test_probability_is_certain_only_where_all_bits_are_equal():
+    assert [streams.probability_of_one(ones, 2**26) for ones in (0, 1, 2**26 - 1, 2**26)] == [
+        0,
+        1,
+        2**24 - 1,
+        2**24,
+    ]
+    with pytest.raises(ValueError, match="booleans"):
+        encode_bits(np.zeros(3))
+
+
+def test_frequencies_and_coder_hold_no_float_arithmetic():
+    """Only `frexp` (an exact exponent) and the ledger's log2 may meet a float."""
+    for module in (gaussian_table, rans):
+        tree = ast.parse(inspect.getsource(module))
+        assert not [node for node in ast.walk(tree) if isinstance(node, ast.Div)]
+        assert not [
+            node
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Constant) and isinstance(node.value, float)
+        ]
+    assert inspect.getsource(rans).count("float") == 1

@@ -1,0 +1,170 @@
+"""Damaged and forged entropy-coded streams: refused by `BitstreamError`, never another exception."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.codec import rans
+from p4dgs_ref.codec.container import BitstreamError
+from p4dgs_ref.codec.gaussian_table import SIGMA_MAX, SIGMA_MIN, gaussian_model
+from p4dgs_ref.codec.streams import decode_bits, decode_gaussian, encode_bits, encode_gaussian
+
+
+def inputs(n, sigma_low, sigma_high, seed=4):
+    rng = np.random.default_rng(seed)
+    sigma_units, mu_units = rng.integers(sigma_low, sigma_high, n), rng.integers(-9000, 9000, n)
+    symbols = np.rint(mu_units / 1024 + 2.0 ** (sigma_units / 16) * rng.normal(size=n)).astype(
+        np.int64
+    )
+    return symbols, mu_units, sigma_units
+
+
+@pytest.fixture(scope="module", params=[1, 4])
+def message(request):
+    symbols, mu, sigma = inputs(700, -50, 95)
+    symbols[::60] -= 40000  # escapes
+    return symbols, mu, sigma, encode_gaussian(symbols, mu, sigma, request.param)
+
+
+def outcome(data, mu, sigma):
+    """The symbols, or the message of the refusal; anything else is an error of the test."""
+    try:
+        symbols = decode_gaussian(data, mu, sigma, section="features")
+    except BitstreamError as error:
+        assert error.section == "features" and 0 <= error.offset <= len(data)
+        return error.message
+    assert symbols.shape == mu.shape and np.abs(symbols).max(initial=0) <= 2**31
+    return symbols
+
+
+def is_refused(data, mu, sigma):
+    return isinstance(outcome(data, mu, sigma), str)
+
+
+def test_every_truncation_and_every_extension_is_refused(message):
+    _, mu, sigma, data = message
+    assert all(is_refused(data[:n], mu, sigma) for n in range(len(data)))
+    assert all(
+        is_refused(data + bytes([b]) * n, mu, sigma) for b in (0, 255) for n in (1, 4, 9, 400)
+    )
+
+
+def test_missing_low_bits_are_refused():
+    symbols, mu, sigma = inputs(50, 150, 170)
+    data = encode_gaussian(symbols, mu, sigma)
+    assert np.array_equal(outcome(data, mu, sigma), symbols)
+    assert all(is_refused(data[:n], mu, sigma) for n in range(len(data)))
+
+
+def test_flipped_bits_never_pass_the_coder(message):
+    _, mu, sigma, data = message
+    rng, model = np.random.default_rng(5), gaussian_model(mu, sigma)
+    _, raw = rans.decode(data, model.table, model.keys)
+    seen = set()
+    for _ in range(1000):
+        at = int(rng.integers(len(data)))
+        bad = bytearray(data)
+        bad[at] ^= 1 << int(rng.integers(8))
+        answer = outcome(bytes(bad), mu, sigma)
+        if isinstance(answer, str):
+            seen.add(answer)
+        else:
+            assert at >= raw  # raw bits carry no redundancy; the container does
+    assert any(answer.startswith("lane 0 ends in") for answer in seen)
+    assert ("a lane does not end where lanes start" in seen) == (data[0] & 15 > 0)
+
+
+def test_nonsense_is_refused_or_decoded_within_limits(message):
+    _, mu, sigma, data = message
+    rng = np.random.default_rng(6)
+    for _ in range(150):
+        outcome(rng.bytes(int(rng.integers(1200))), mu, sigma)
+        outcome(data, np.roll(mu, int(rng.integers(1, 9))), sigma)
+        outcome(data, mu, np.clip(sigma + rng.integers(-3, 4, sigma.shape), SIGMA_MIN, SIGMA_MAX))
+        n = int(rng.integers(len(mu)))
+        outcome(data, mu[:n], sigma[:n])
+
+
+@pytest.mark.parametrize(
+    "head, why",
+    [
+        ("0b 00000000 00000080", "lane byte"),
+        ("10 00000080", "lane byte"),
+        ("0f", "end before the first"),
+        ("00 00000000", "state 0"),
+        ("00 ffffff7f", "state 2147483647"),
+        ("80 00000080 00000000", "state 2147483648"),
+        ("80 00000000 00000080", "state 9223372036854775808"),
+        ("02 ffffffff 00000080", "a tail of 4294967295"),
+        ("02 04080000 00000080", "a tail of 2052"),
+        ("02 01000000 00000080", "a tail of 1 of 2048"),
+    ],
+)
+def test_impossible_heads_are_refused(head, why):
+    padding = bytes(0 if head == "0f" else 40)
+    units = np.zeros(2048, int)
+    assert why in outcome(bytes.fromhex(head) + padding, units, units)
+
+
+def test_raw_bits_are_read_strictly():
+    units = np.full(3, 307), np.full(3, 9)
+    data = bytes.fromhex("80 cb 67 86 a4 03 00 00 00 ff ff ff 00 a0 05")
+    assert outcome(data, *units).tolist() == [0, 5, -40]
+    assert outcome(data[:-1] + b"\x85", *units) == "bits left over"
+    escapes = np.arange(40) * 1000 + 5000
+    zero = np.zeros(40, int)
+    data = bytearray(encode_gaussian(escapes, zero, zero))
+    data[-40:] = bytes(40)
+    assert outcome(bytes(data + b"\1" + bytes(40)), zero, zero).startswith("an escape of")
+
+
+def test_symbols_beyond_2_to_the_31_are_refused():
+    zero = np.zeros(2, int)
+    data = encode_gaussian(np.array([2**31, 0]), zero, zero)
+    assert "at most 2^31" in outcome(
+        data, zero + 5 * 1024, zero
+    )  # the same tables, five symbols higher
+
+
+def test_megabytes_behind_a_stream_cost_no_memory(message):
+    _, mu, sigma, data = message
+    data = data + bytes(4_000_000)
+    tracemalloc.start()
+    try:
+        assert is_refused(data, mu, sigma)
+        assert tracemalloc.get_traced_memory()[1] < 6_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_damaged_bit_streams():
+    bits = np.random.default_rng(7).random(900) < 0.2
+    data = encode_bits(bits)
+    for n in range(len(data)):
+        with pytest.raises(BitstreamError):
+            decode_bits(data[:n], len(bits))
+    for at in range(8 * len(data)):
+        bad = bytearray(data)
+        bad[at // 8] ^= 1 << at % 8
+        with pytest.raises(BitstreamError) as caught:
+            decode_bits(bytes(bad), len(bits), section="masks")
+        assert caught.value.section == "masks"
+    for count in (0, 1, 99, 899, 901, 4000):
+        with pytest.raises(BitstreamError):
+            decode_bits(data, count)
+    for certain in (bytes(4), bytes([0, 0, 0, 1])):
+        with pytest.raises(BitstreamError, match="left over"):
+            decode_bits(certain + b"\0", 5)
+    with pytest.raises(BitstreamError, match="a probability of 16777217"):
+        decode_bits(bytes([1, 0, 0, 1]) + data[4:], len(bits))
+
+
+def test_many_lanes_need_a_tail():
+    """Step 1 of the encoder ends with words on the stack, so a message of several lanes has a tail: none is refused."""
+    ones = np.zeros(4096, np.int64)
+    data = bytearray(encode_gaussian(np.arange(4096) % 9 - 4, ones, ones + 32, lanes=32))
+    assert data[0] & 15 == 5 and int.from_bytes(data[1:5], "little") > 0
+    data[1:5] = bytes(4)
+    with pytest.raises(BitstreamError, match="a tail of 0"):
+        decode_gaussian(bytes(data), ones, ones + 32)

@@ -1,0 +1,442 @@
+"""Models that the format cannot hold, and files that are damaged or forged: refused, and by the right name."""
+
+import dataclasses
+import json
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.codec.container import SECTIONS, BitstreamError, read_container, write_container
+from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, decode, encode
+from p4dgs_ref.codec.gaussian_table import MU_LIMIT
+from p4dgs_ref.codec.header import LIMITS
+from p4dgs_ref.codec.inspect import ledger
+from p4dgs_ref.codec.quantise import EncodeError, quantise
+from p4dgs_ref.codec.streams import encode_bits
+from tests.codec.test_file import MAKE, changed, random_model
+
+pytestmark = pytest.mark.filterwarnings(
+    "error"
+)  # an overflow or a NaN on the way is a failure, too
+
+
+@pytest.fixture(scope="module")
+def model():
+    return MAKE["random"]()
+
+
+@pytest.fixture(scope="module")
+def sections(model):
+    return read_container(encode(model))
+
+
+def refused(sections, where, why=""):
+    """The forged file, checksums and all in order, is refused in that section."""
+    data = write_container(sections)
+    for read in (decode, ledger):
+        with pytest.raises(BitstreamError) as caught:
+            read(data)
+        assert caught.value.section == where and why in caught.value.message
+        assert "\n" not in str(caught.value) and caught.value.offset >= 0
+
+
+def with_header(sections, **fields):
+    """The sections with some of the header's fields replaced; a name of none removes the field."""
+    header = {**json.loads(sections["header"]), **fields}
+    return {
+        **sections,
+        "header": json.dumps({k: v for k, v in header.items() if v is not Ellipsis}).encode(),
+    }
+
+
+def outcome(data):
+    """The decoded model, or the section that is refused; anything else is an error of the test."""
+    try:
+        return decode(data)
+    except BitstreamError as error:
+        assert error.section in SECTIONS + ("container",)
+        return error.section
+
+
+def test_truncated_and_flipped_files_are_refused(sections):
+    data = write_container(sections)
+    for n in (*range(200), *range(200, len(data), 37), len(data) - 1):
+        assert isinstance(outcome(data[:n]), str)
+    rng = np.random.default_rng(0)
+    for at in (*range(40), *rng.integers(0, len(data), 200)):
+        bad = bytearray(data)
+        bad[at] ^= 1 << int(rng.integers(8))
+        assert isinstance(outcome(bytes(bad)), str)
+    assert outcome(data + b"\0") == outcome(b"") == "container"
+
+
+@pytest.mark.parametrize("name", SECTIONS)
+def test_every_section_is_needed_and_has_one_length(sections, name):
+    refused(
+        {key: body for key, body in sections.items() if key != name}, name, "section is missing"
+    )
+    body = sections[name]
+    for wrong in (
+        b"",
+        body[:-1],
+        body[: len(body) // 2],
+        body[1:],
+        body + b"\0",
+        body + bytes(4),
+        body + body,
+    ):
+        refused({**sections, name: wrong}, name)
+
+
+def test_what_does_not_move_may_not_have_the_section(sections):
+    static = read_container(encode(MAKE["static"]()))
+    refused(
+        {**static, "deformation_mlp": sections["deformation_mlp"]},
+        "deformation_mlp",
+        "no effect that needs",
+    )
+    refused(
+        with_header(sections, effects=["view_color", "view_geometry"]),
+        "deformation_mlp",
+        "no effect that needs",
+    )
+
+
+def test_other_counts_do_not_fit_the_sections(sections):
+    anchors = json.loads(sections["header"])["anchors"]
+    for name, value, where in (
+        ("anchors", anchors + 1, "positions"),
+        ("k", 3, "anchor_mlps"),
+        ("d", 5, "anchor_mlps"),
+        ("F", 2, "context_mlps"),
+        ("hidden", [8], "anchor_mlps"),
+        ("L_x", 3, "deformation_mlp"),
+        ("L_t", 1, "deformation_mlp"),
+        ("effects", ["rotation"], "anchor_mlps"),
+        ("grid", [["xyz", 5]] + 3 * [["xy", 8]], "hash_grid"),
+        ("table", [8, 8], "hash_grid"),
+    ):
+        refused(with_header(sections, **{name: value}), where)
+
+
+WHOLE = [0, -1, 1.0, True, "4", None, [4], 10**400, float("nan")]
+LISTS = [4, "xyz", None, {}, [0], [True], [[8]], [1.5], [None], [2**15], [8] * 9]
+NONSENSE = [
+    *[
+        (name, v)
+        for name in ("anchors", "d", "k", "F", "L_x", "L_t")
+        for v in (*WHOLE, LIMITS[name] + 1)
+    ],
+    *[(name, v) for name in ("hidden", "deformation", "context") for v in LISTS],
+    *[
+        ("grid", v)
+        for v in (
+            *LISTS,
+            [],
+            [["xyz"]],
+            [["xyz", 8, 8]],
+            [["zyx", 8]],
+            [[8, "xyz"]],
+            [["xy", 0]],
+            [[["xy"], 8]],
+            [["xy", 2**16 + 1]],
+            [["xy", True]],
+            [["xy", 8]] * 65,
+            {"xy": 8},
+        )
+    ],
+    *[("table", v) for v in (*LISTS, [8], [8, 8, 8], [8, 2**24 + 1])],
+    *[
+        ("Q_0", v)
+        for v in (
+            1,
+            None,
+            [],
+            [1] * 3,
+            [1] * 5,
+            [1, 1, 1, 0],
+            [1, 1, 1, -1],
+            [1, 1, 1, True],
+            [1, 1, 1, 1e31],
+            [1, 1, 1, 1e-31],
+            [1, 1, 1, 10**400],
+            [1, 1, 1, float("nan")],
+        )
+    ],
+    *[
+        ("tau_alpha", v)
+        for v in (None, True, "0", [0], 1.5, -1.5, 10**400, float("inf"), float("nan"))
+    ],
+    *[
+        ("background", v)
+        for v in (None, [], [1] * 4, [1, 1, "1"], [1, 1, float("-inf")], [1, 1, 1e30], "rgb")
+    ],
+    *[
+        ("effects", v)
+        for v in (None, "view_color", ["wind"], [["rotation"]], [True], [{}], ["occlusion"] * 2)
+    ],
+]
+
+
+@pytest.mark.parametrize("name", dict(NONSENSE))
+def test_nonsense_in_the_header_names_the_field(sections, name):
+    for value in (value for field, value in NONSENSE if field == name):
+        refused(with_header(sections, **{name: value}), "header", f"field {name!r}")
+    refused(with_header(sections, **{name: ...}), "header", "expected exactly the fields")
+
+
+def test_headers_that_are_no_such_object(sections):
+    header = sections["header"]
+    for bad in (
+        b"[]",
+        b"null",
+        b"{}",
+        b"\xef\xbb\xbf" + header,
+        header + b"x",
+        header[:-1] + b',"more":1}',
+        b"[" * 10**5,
+        b'{"anchors":' * 10**5,
+        header.replace(b'"d":', b'"\xe9":'),
+        header.replace(b'"d":4', b'"d":' + b"4" * 5000),
+        header[:-1] + b',"d":4}',
+        header.replace(b'"k":2', b'"k":2,"k":2'),
+        header.decode().encode("utf-16"),
+    ):
+        assert bad != header
+        refused({**sections, "header": bad}, "header")
+
+
+def test_a_header_alone_costs_no_memory(sections):
+    """Bit streams of equal bits take four bytes, whatever their length: only the header's limits bound the grid."""
+    levels = [["xyz", 400]] * 4
+    few = with_header(sections, grid=levels, table=[2**24, 2**24])
+    masks = {**with_header(sections, anchors=2**22), "masks": encode_bits(np.ones(1, bool))}
+    tracemalloc.start()
+    try:
+        refused({**few, "hash_grid": encode_bits(np.ones(1, bool))}, "header", "entries declared")
+        refused(masks, "header", "numbers declared")
+        refused(with_header(masks, anchors=2**17), "positions", "bytes for 131072 anchors")
+        assert tracemalloc.get_traced_memory()[1] < 2**20
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("name", ["anchor_mlps", "context_mlps", "deformation_mlp"])
+def test_weights_that_are_no_numbers_are_refused_where_they_stand(sections, name):
+    body = sections[name]
+    for at in (0, 14, len(body) - 2):
+        for pattern in (
+            0x7C00,
+            0xFC00,
+            0x7E00,
+            0x7C01,
+            0xFDFF,
+        ):  # +-infinity, quiet and signalling NaN
+            spoilt = body[:at] + pattern.to_bytes(2, "little") + body[at + 2 :]
+            refused({**sections, name: spoilt}, name, "expected finite weights")
+            with pytest.raises(BitstreamError, match=f"section '{name}', byte {at}:"):
+                decode(write_container({**sections, name: spoilt}))
+
+
+def test_boxes_that_are_none_are_refused(sections):
+    body = sections["positions"]
+    lo, hi = body[:12], body[12:24]
+    numbers = [
+        np.array(v, "<u4").tobytes()
+        for v in (0x7F800000, 0xFF800000, 0x7FC00000, 0x7FA00000, 0x7F000000)
+    ]
+    boxes = [
+        hi + lo,
+        *[lo[:4] + v + lo[8:] + hi for v in numbers],
+        *[lo + hi[:8] + v for v in numbers],
+    ]
+    for box in boxes:
+        refused(
+            {**sections, "positions": box + body[24:]}, "positions", "expected a box with lo <= hi"
+        )
+
+
+def test_the_largest_weights_keep_the_context_finite():
+    """As many layers as the header allows, weights at float16's limit, the smallest and the largest steps."""
+    model = random_model(
+        8,
+        context=(6,) * LIMITS["layers"],
+        Q_f=2.0**-100,
+        Q_s=2.0**-100,
+        Q_l=2.0**100,
+        Q_O=2.0**-100,
+    )
+    for sign in (1.0, -1.0):
+        networks = {
+            name: (
+                [np.full_like(W, 65504) for W in weights],
+                [np.full_like(b, sign * 65504) for b in biases],
+            )
+            for name, (weights, biases) in model.networks.items()
+        }
+        nothing = {name: 0 * getattr(model.anchors, name) for name in ("f_a", "s_a", "l_a", "O_a")}
+        data = encode(dataclasses.replace(changed(model, **nothing), networks=networks))
+        ctx = quantise(decode(data)).context
+        assert np.isfinite(ctx.q).all() and (sign < 0 or np.abs(ctx.mu_units).max() == MU_LIMIT)
+        assert all(np.isfinite(row["estimate_bytes"]) for row in ledger(data))
+
+
+def test_repaired_nonsense_is_refused_or_decoded(sections):
+    """Anything may stand in a section whose checksum is right."""
+    rng, seen = np.random.default_rng(1), {}
+    names = [name for name in SECTIONS if name != "header"]
+    for round_ in range(400):
+        name = names[round_ % len(names)]
+        body = bytearray(sections[name])
+        kind = rng.integers(4)
+        if kind == 0:  # a few bits
+            for at in rng.integers(0, 8 * len(body), int(rng.integers(1, 4))):
+                body[at // 8] ^= 1 << int(at % 8)
+        elif kind == 1:  # noise of the same length
+            body = rng.bytes(len(body))
+        elif kind == 2:  # a stretch of equal bytes
+            a, b = sorted(rng.integers(0, len(body) + 1, 2))
+            body[a:b] = bytes([int(rng.choice([0, 255, 128]))]) * int(b - a)
+        else:  # another section's content
+            body = sections[names[int(rng.integers(len(names)))]]
+        answer = outcome(write_container({**sections, name: bytes(body)}))
+        seen.setdefault(name, set()).add(answer if isinstance(answer, str) else "decoded")
+        if not isinstance(answer, str):  # what was decoded can be coded again
+            rows = ledger(encode(answer))
+            assert all(np.isfinite(row["estimate_bytes"]) for row in rows)
+    assert all(name in seen[name] or "decoded" in seen[name] for name in names)
+    for name in ATTRIBUTE_SECTIONS + ("masks", "hash_grid"):
+        assert name in seen[name]
+    assert "decoded" in seen["anchor_mlps"] and seen["context_mlps"] & set(ATTRIBUTE_SECTIONS)
+
+
+def test_headers_with_other_values_are_refused_or_decoded(sections):
+    rng = np.random.default_rng(2)
+    header = json.loads(sections["header"])
+    values = [v for _, v in NONSENSE]
+    values += [1, 2, 3, 8, 0.5, [1, 2], [8, 8], [0.1] * 4, ["rotation"], [["xy", 9]], [0.5] * 3] * 5
+    for _ in range(300):
+        names = rng.choice([*header], int(rng.integers(1, 4)))
+        fields = {name: values[int(rng.integers(len(values)))] for name in names}
+        outcome(write_container(with_header(sections, **fields)))
+    for _ in range(200):
+        text = bytearray(sections["header"])
+        text[int(rng.integers(len(text)))] = int(
+            rng.choice([*b'0123456789-+.eE"[]{},:nNaIf\x00\xff '])
+        )
+        outcome(write_container({**sections, "header": bytes(text)}))
+
+
+@pytest.mark.parametrize("name", ["psi_alpha", "psi_p", "psi_d"])
+@pytest.mark.parametrize("value", [65520.0, -1e6, np.inf, np.nan])
+def test_weights_beyond_float16_name_the_network(model, name, value):
+    weights, biases = model.networks[name]
+    for spoilt in (
+        ([weights[0] + value, *weights[1:]], biases),
+        (weights, [*biases[:-1], biases[-1] + value]),
+    ):
+        with pytest.raises(EncodeError, match=f"network {name}: expected finite weights"):
+            encode(dataclasses.replace(model, networks={**model.networks, name: spoilt}))
+    assert np.isfinite(
+        encode(
+            dataclasses.replace(
+                model,
+                networks={
+                    **model.networks,
+                    name: ([np.clip(weights[0], 65519, 65519), *weights[1:]], biases),
+                },
+            )
+        )[0]
+    )  # rounds to 65504
+
+
+@pytest.mark.parametrize("name", ["x_a", "f_a", "s_a", "l_a", "O_a"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_numbers_that_are_none_name_the_array(model, name, value):
+    array = getattr(model.anchors, name).copy()
+    array[np.flatnonzero(model.anchors.mask.all(axis=1))[0]] = value
+    with pytest.raises(EncodeError, match=rf"anchors {name}: expected finite numbers"):
+        encode(changed(model, **{name: array}))
+
+
+def test_other_numbers_that_do_not_fit(model):
+    with pytest.raises(EncodeError, match="hash grid level 1: expected finite"):
+        encode(
+            dataclasses.replace(
+                model, grids=[g * np.nan if i == 1 else g for i, g in enumerate(model.grids)]
+            )
+        )
+    with pytest.raises(EncodeError, match="field 'background': expected 3 numbers"):
+        encode(dataclasses.replace(model, background=np.array([0.1, np.nan, 0.2])))
+    for box in (
+        (model.box[1], model.box[0]),
+        (model.box[0], model.box[1] * np.inf),
+        (model.box[0], np.full(3, 1e39)),
+    ):
+        with pytest.raises(EncodeError, match="box: expected"):
+            encode(dataclasses.replace(model, box=box))
+
+
+@pytest.mark.parametrize("name, group", [("f_a", 0), ("s_a", 1), ("l_a", 2), ("O_a", 3)])
+def test_huge_symbols_name_the_array(model, name, group):
+    anchor = np.flatnonzero(model.anchors.mask.all(axis=1))[0]
+    step = quantise(model).context.q[model.anchors.mask.any(axis=1)[:anchor].sum(), group]
+    array = getattr(model.anchors, name).copy()
+    array[anchor] = step * (2.0**31 - 1)
+    large = changed(model, **{name: array})
+    assert np.abs(quantise(large).symbols).max() == 2**31 - 1
+    assert getattr(decode(encode(large)).anchors, name).max() == step * (2.0**31 - 1)
+    array[anchor] = step * -(2.0**31)
+    with pytest.raises(OverflowError, match=rf"anchors {name}, .*: expected \|f/q\| below 2\^31"):
+        encode(changed(model, **{name: array}))
+
+
+@pytest.mark.parametrize(
+    "field, value, message",
+    [
+        ("tau_alpha", 2.0, "'tau_alpha': expected a number from -1"),
+        ("tau_alpha", np.nan, "expected a number from -1"),
+        ("effects", ("view_color", "wind"), "'effects': expected some of"),
+        ("grid", (), "expected a list of 1 to 64"),
+        ("Q_0", (1.0, 0.0, 1.0, 1.0), "'Q_0': expected 4 numbers"),
+        ("L_x", 0, "expected a whole number from 1 to 64"),
+        ("context", (8,) * 9, "'context': expected a list of 0 to 8"),
+    ],
+)
+def test_designs_beyond_the_header_are_not_written(model, field, value, message):
+    """Models that are consistent and yet no file may hold; without a level of the grid there would be no context."""
+    design = model.design._replace(**{field: value})
+    networks = {
+        name: ([np.zeros(shape) for shape in pairs], [np.zeros(n) for _, n in pairs])
+        for name, pairs in design.layers().items()
+    }
+    spoilt = dataclasses.replace(
+        model, design=design, networks=networks, grids=model.grids if design.grid else []
+    )
+    with pytest.raises(EncodeError) as caught:
+        encode(spoilt)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "field, value, message",
+    [
+        ("d", 5, "anchors f_a: expected"),
+        ("k", 3, "anchors O_a: expected"),
+        ("F", 2, "hash grid: expected"),
+        ("hidden", (8, 7), "network psi_alpha: expected"),
+        ("context", (8,), "network psi_p: expected"),
+        ("effects", ("view_color", "view_geometry"), "network psi_d: expected None"),
+    ],
+)
+def test_arrays_that_contradict_the_design_are_named(model, field, value, message):
+    with pytest.raises(EncodeError, match=message):
+        encode(dataclasses.replace(model, design=model.design._replace(**{field: value})))
+
+
+def test_a_model_without_anchors_is_not_written(model):
+    with pytest.raises(EncodeError, match="anchors mask: expected booleans of one anchor or more"):
+        encode(
+            dataclasses.replace(model, anchors=type(model.anchors)(*(a[:0] for a in model.anchors)))
+        )

@@ -1,0 +1,132 @@
+"""The plain decoder: on every conformance stream, on models of the test suite, and on damaged files."""
+
+import ast
+import json
+import random
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.codec import context, file, fixed_point
+from p4dgs_ref.codec.conformance import FOLDER
+from p4dgs_ref.codec.container import read_container
+from p4dgs_ref.codec.file import encode, quantised_of
+from tests.codec import plain_decoder
+from tests.codec.test_file import MAKE
+
+MANIFEST = json.loads((FOLDER / "manifest.json").read_text())
+FORMATS = {"u8": "B", "u16": "H", "i32": "i", "i64": "q", "f32": "f", "f64": "d"}
+
+
+def expected_numbers(row):
+    """{name: flat list} of a good stream, with `struct` alone."""
+    body, numbers = (FOLDER / row["expected"]).read_bytes(), {}
+    for entry in row["arrays"]:
+        count, at = int(np.prod(entry["shape"])), entry["offset"]
+        if entry["type"] == "bit":
+            numbers[entry["name"]] = [
+                2 * (body[at + i // 8] >> i % 8 & 1) - 1 for i in range(count)
+            ]
+        else:
+            numbers[entry["name"]] = list(
+                struct.unpack_from(f"<{count}{FORMATS[entry['type']]}", body, at)
+            )
+    return numbers
+
+
+@pytest.mark.parametrize("row", MANIFEST["good"], ids=lambda row: row["name"])
+def test_good_streams(row):
+    found = plain_decoder.decode((FOLDER / row["file"]).read_bytes())
+    assert found["header"] == row["header"]
+    for name, numbers in expected_numbers(row).items():
+        assert list(found[name]) == numbers, name
+    assert [x.hex() for x in found["attributes"]] == [
+        x.hex() for x in expected_numbers(row)["attributes"]
+    ]
+
+
+@pytest.mark.parametrize("row", MANIFEST["bad"], ids=lambda row: row["name"])
+def test_bad_streams(row):
+    with pytest.raises(ValueError) as caught:
+        plain_decoder.decode((FOLDER / row["file"]).read_bytes())
+    assert caught.value.args[0] == row["section"]
+
+
+@pytest.mark.parametrize("name", ["random", "no_effects", "turning", "flat", "trained"])
+def test_other_models(name):
+    data = encode(MAKE[name]())
+    found, quantised = plain_decoder.decode(data), quantised_of(read_container(data))
+    ctx = quantised.context
+    for key, array in (
+        ("positions", quantised.positions),
+        ("symbols", quantised.symbols),
+        ("mu_units", ctx.mu_units),
+        ("sigma_units", ctx.sigma_units),
+        ("q", ctx.q),
+        ("x_a", quantised.model.anchors.x_a),
+        ("masks", quantised.model.anchors.mask),
+    ):
+        assert list(found[key]) == array.ravel().tolist(), key
+
+
+def test_every_truncation_and_many_flips_are_refused():
+    data = (FOLDER / "one_anchor.p4dgs").read_bytes()
+    rng = random.Random(1)
+    flips = [
+        data[:at] + bytes([data[at] ^ 1 << rng.randrange(8)]) + data[at + 1 :]
+        for at in range(len(data))
+    ]
+    for bad in [data[:n] for n in range(len(data))] + flips + [data + b"\0"]:
+        with pytest.raises(ValueError) as caught:
+            plain_decoder.decode(bad)
+        assert len(caught.value.args) == 2
+
+
+def test_worked_numbers_of_the_format_page():
+    """The plain decoder's functions meet the numbers that the docstrings work out, and those stand there."""
+    grid = {"grid": [("xy", 3)], "F": 1, "Q_0": [0.1]}
+    signs = [1, 1, 1, 1, -1, 1, -1, 1, 1]
+    assert plain_decoder.hash_feature((20000, 50000, 7), grid, [signs]) == [375]
+    numbers = struct.unpack("<3e", struct.pack("<3e", 0.5, -0.3, 0.1))
+    assert plain_decoder.run_network([16384, -8192], (2, 1), numbers) == (
+        [456327168],
+        30,
+        966393856,
+    )
+    halved = plain_decoder.run_network([16384, -8192], (2, 1, 1), (*numbers, 1.0, 0.0))
+    assert halved == ([1782528 << 14], 36, 3774976 << 14)  # n = 14 of a weight 1
+    layers = {"psi_p": ([456327168, -229376 << 14], 30, 966393856), "psi_q": ([456327168], 30, 0)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plain_decoder, "run_network", lambda x, name: layers[name])
+        found = plain_decoder.context((20000, 50000, 7), grid, [signs], [1], ["psi_p"], ["psi_q"])
+    assert (
+        found == ([375], [45913], [3106], [-35]) and 45913 * (0.1 * 2.0**-15) == 0.1401153564453125
+    )
+    assert -1.5 + 20000 * (3 / 65535) == -0.5844586861982147
+    pages = {
+        context: (
+            "h = 375",
+            "q_units = 45913",
+            "q = 0.1401153564453125",
+            "mu_units = 3106",
+            "sigma_units = -35",
+        ),
+        fixed_point: ("y = 456327168", "966393856", "x = 1782528", "X = 3774976"),
+        file: ("-0.5844586861982147",),
+    }
+    for module, texts in pages.items():
+        assert all(text in " ".join(module.__doc__.split()) for text in texts), module.__name__
+
+
+def test_it_is_short_and_stands_alone():
+    text = Path(plain_decoder.__file__).read_text(encoding="utf-8")
+    names = {
+        alias.name if isinstance(node, ast.Import) else node.module
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, (ast.Import, ast.ImportFrom))
+        for alias in node.names
+    }
+    assert names == {"json", "struct", "zlib", "bisect", "itertools", "math", "pathlib"}
+    assert len(text.splitlines()) <= 200

@@ -1,0 +1,156 @@
+"""Growing, re-seeding, pruning and masking of anchors, by hand and in training."""
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.model import snap
+from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.training import density
+from p4dgs_ref.training.presets import PAPER_SYNTHETIC, SMOKE, TINY
+from p4dgs_ref.training.trainer import Trainer
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("bouncing")
+
+
+def prepared(scene, preset, A=12):
+    trainer = Trainer(scene, preset._replace(anchors=A))
+    statistics = trainer.statistics
+    statistics.visits[:] = 100
+    statistics.opacity[:] = 50
+    statistics.seen[:] = 100
+    return trainer, statistics
+
+
+def test_scaffold_growing_by_hand(scene):
+    """One child pulls above the first threshold only: its 16-epsilon voxel gets an anchor with its parent's feature."""
+    preset = PAPER_SYNTHETIC._replace(k=4, d=3, extent=0.5, grid_3d=(4,), grid_2d=(4,))
+    trainer, statistics = prepared(scene, preset)
+    p = trainer.parameters
+    p["f_a"][...] = np.arange(36).reshape(12, 3)
+    p["O_a"][5, 2] = 0.4
+    statistics.gradient[5, 2] = 100 * 3e-4  # mean 3e-4: above 2e-4, below 4e-4
+
+    class Always:  # the random share keeps every candidate
+        random = staticmethod(lambda n: np.ones(n))
+
+    rows = density.grow(p, statistics, preset, Always)
+    centre = p["x_a"][5] + p["O_a"][5, 2] * np.exp(p["log_l"][5])
+    size = 16 * preset.voxel
+    assert np.allclose(rows["x_a"], [np.round(centre / size) * size], atol=1e-6)
+    assert rows["f_a"].tolist() == [[15, 16, 17]] and not rows["O_a"].any()
+    assert np.allclose(np.exp(rows["log_s"]), size) and np.allclose(np.exp(rows["log_l"]), size)
+    statistics.gradient[5, 2] = 100 * 9e-4  # above all three thresholds: 16, 4 and 1 epsilon
+    assert np.allclose(
+        np.exp(density.grow(p, statistics, preset, Always)["log_s"][:, 0]) / preset.voxel,
+        [16, 4, 1],
+    )
+    statistics.seen[5, 2] = 40  # seen too rarely: 0.5 * 0.8 * 100 at most
+    assert len(density.grow(p, statistics, preset, Always)["x_a"]) == 0
+
+
+def test_growing_does_not_double_an_occupied_voxel(scene):
+    preset = PAPER_SYNTHETIC._replace(
+        k=4, d=3, extent=0.5, grid_3d=(4,), grid_2d=(4,), grow_depth=1
+    )
+    trainer, statistics = prepared(scene, preset)
+    statistics.gradient[3] = 100.0  # all four children sit on their anchor: O_a = 0
+    rng = np.random.default_rng(0)
+    assert len(density.grow(trainer.parameters, statistics, preset, rng)["x_a"]) == 0
+    # its neighbour's children pull in one free voxel: one anchor, the largest feature
+    trainer.parameters["O_a"][3] = 2.0
+    assert len(density.grow(trainer.parameters, statistics, preset, rng)["x_a"]) == 1
+
+
+def test_pruning_and_masking_by_opacity(scene):
+    trainer, statistics = prepared(scene, TINY)
+    statistics.opacity[4] = 100 * 0.001  # four children at 0.001: 0.004 together
+    statistics.opacity[6, 1] = 100 * 0.004
+    trainer.mask[8] = False  # what is masked for good no longer counts
+    assert np.flatnonzero(density.dead_anchors(statistics, trainer.mask, TINY)).tolist() == [4, 8]
+    faint = density.faint_children(statistics, TINY)
+    assert faint[4].all() and faint[6].tolist() == [False, True, False, False] and faint.sum() == 5
+    statistics.visits[:] = 80  # not more than 0.8 of the window: no verdict
+    assert (
+        not density.dead_anchors(statistics, trainer.mask, TINY).any()
+        and not density.faint_children(statistics, TINY).any()
+    )
+
+
+def test_rows_stay_together_when_anchors_come_and_go(scene):
+    trainer, _ = prepared(scene, TINY)
+    for _ in range(3):
+        trainer.step()
+    trainer.mask[2, 1] = False
+    old = {name: trainer.parameters[name].copy() for name in density.ROWS}
+    first, W = trainer.adam.first["f_a"].copy(), trainer.parameters["psi_c.W0"].copy()
+    added = {name: rows[:2] + 1 for name, rows in old.items()}
+    trainer.keep_rows(np.arange(12) != 0, added)
+    for name in density.ROWS:
+        assert np.array_equal(
+            trainer.parameters[name], np.concatenate([old[name][1:], added[name]])
+        )
+    assert np.array_equal(
+        trainer.adam.first["f_a"], np.concatenate([first[1:], np.zeros((2, TINY.d))])
+    )
+    assert (
+        np.array_equal(trainer.parameters["psi_c.W0"], W)
+        and not trainer.mask[1, 1]
+        and trainer.mask.shape == (13, 4)
+    )
+    trainer.step()
+    trainer.keep_rows(np.zeros(13, bool))
+    assert len(trainer.mask) == 1  # the last anchor is never dropped
+    trainer.step()
+
+
+def test_reseeding_copies_where_the_image_pulls(scene):
+    trainer, statistics = prepared(scene, TINY)
+    p, dead = trainer.parameters, np.arange(12) < 2
+    for _ in range(2):
+        trainer.step()
+    statistics.gradient[:] = 0
+    statistics.gradient[7, 3] = 1.0
+    expected = p["x_a"][7] + p["O_a"][7, 3] * np.exp(p["log_l"][7])
+    density.reseed(
+        p, trainer.adam.first, trainer.adam.second, dead, statistics, np.random.default_rng(0)
+    )
+    assert np.array_equal(p["x_a"][:2], [expected, expected]) and np.array_equal(
+        p["f_a"][:2], p["f_a"][[7, 7]]
+    )
+    assert (
+        not p["O_a"][:2].any()
+        and not trainer.adam.second["f_a"][:2].any()
+        and trainer.adam.second["f_a"][2:].any()
+    )
+    statistics.gradient[:], before = 0, p.vector.copy()
+    density.reseed(
+        p, trainer.adam.first, trainer.adam.second, dead, statistics, np.random.default_rng(0)
+    )
+    assert np.array_equal(p.vector, before)  # nothing pulls: nothing moves
+
+
+@pytest.mark.parametrize("grow", ["scaffold", "reseed"])
+def test_training_survives_growing_in_every_stage(scene, grow):
+    """Short windows, low thresholds: anchors come and go in all four stages, and arrays stay consistent."""
+    preset = SMOKE._replace(
+        grow=grow,
+        grow_from=4,
+        grow_every=5,
+        grow_until=45,
+        mask_from=10,
+        voxel=0.02,
+        gradient_threshold=1e-7,
+        success=0.2,
+        min_opacity=0.02,
+    )
+    trainer, counts = Trainer(scene, preset), set()
+    while trainer.iteration < preset.iterations:
+        losses, _, _ = trainer.step()
+        counts.add(len(trainer.mask))
+        assert np.isfinite(losses.L_total) and len(trainer.mask) == len(trainer.parameters["x_a"])
+    assert len(counts) > (1 if grow == "scaffold" else 0) and not trainer.mask.all()
+    x = trainer.parameters["x_a"]
+    assert np.allclose(x, snap(x, *trainer.box)[1], atol=1e-6)

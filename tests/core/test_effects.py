@@ -1,0 +1,304 @@
+"""Off means absent in the model: no call, parameter, optimiser state or byte; and equal to the neutral input."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.codec import quantise
+from p4dgs_ref.codec.file import encode
+from p4dgs_ref.codec.inspect import components
+from p4dgs_ref.effects import MOTION
+from p4dgs_ref.model import Anchors, predict, predict_backward
+from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
+from p4dgs_ref.scenes.dnerf import packaged_scenes
+from p4dgs_ref.splatting import render
+from p4dgs_ref.splatting.settings import EXACT, FAST
+from p4dgs_ref.studies.effect_work import counted, effect_bytes
+from p4dgs_ref.training.initial import design_of, initial_parameters
+from p4dgs_ref.training.parameters import Parameters
+from p4dgs_ref.training.presets import SMOKE
+from p4dgs_ref.training.trainer import Trainer
+
+SCENES = packaged_scenes()
+EPS = np.finfo(float).eps
+SHORT = SMOKE._replace(stage_ends=(1, 2, 3, 5))  # every stage, in five steps
+SEEN_BY = {"view_color": ("psi_c",), "view_geometry": ("psi_alpha", "psi_r", "psi_s")}
+
+
+def listed(effects, effect, on):
+    return tuple(e for e in MODEL_EFFECTS if e in effects and e != effect or e == effect and on)
+
+
+@cache
+def trained(name, effect, on):
+    """A short training of a scene with one effect forced on or off: the trainer, its last step's work, its file."""
+    scene = load_scene(name)
+    trainer = Trainer(replace(scene, effects=listed(scene.effects, effect, on)), SHORT)
+    while trainer.iteration < SHORT.iterations:
+        with counted() as work:
+            trainer.step()
+    return trainer, work, encode(trainer.model())
+
+
+# --- the model: what is off is absent -----------------------------------------------------------------------------
+def weights_of(arrays, effect, d):
+    """The numbers that only this effect needs among named arrays."""
+    if effect in MOTION:
+        trunk, head = len(SHORT.deformation), MOTION.index(effect)
+        return sum(
+            arrays[f"psi_d.{kind}{trunk + head}"].size
+            for kind in "Wb"
+            if f"psi_d.W{trunk}" in arrays
+        )
+    return sum(
+        (len(arrays[f"{net}.W0"]) - d) * arrays[f"{net}.W0"].shape[1]
+        for net in SEEN_BY.get(effect, ())
+    )
+
+
+@pytest.mark.parametrize("effect", MODEL_EFFECTS)
+@pytest.mark.parametrize("name", SCENES)
+def test_off_is_absent_and_on_is_there(name, effect):
+    for on in (False, True):
+        trainer, work, data = trained(name, effect, on)
+        design, owns = trainer.design, effect in MOTION or effect in SEEN_BY
+        assert (work.of(effect) > 0) == on, effect
+        for group in (trainer.parameters, trainer.adam.first, trainer.adam.second):
+            assert (weights_of(group.arrays, effect, design.d) > 0) == (on and owns)
+        assert set(trainer.adam.steps) == set(trainer.parameters.arrays)
+        assert (effect_bytes(data)[effect] > 0) == (on and owns)
+        moves, sees = (bool(set(some) & set(design.effects)) for some in (MOTION, SEEN_BY))
+        assert (
+            ("deformation_mlp" in components(data))
+            == moves
+            == any(n.startswith("psi_d") for n in trainer.networks)
+        )
+        needs = {
+            "deformation": moves,
+            "deformed": moves,
+            "positional_encoding": moves,
+            "view": sees,
+        }
+        for key, needed in needs.items():
+            assert (work.calls[key, "forward"] > 0) == needed, key
+        for key in ("deformation", "deformed", "view"):
+            assert work.calls[key, "forward"] == work.calls[key, "backward"]
+        assert any(trainer.scene.background) == ("background" in design.effects)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_effects_bytes_add_up_to_what_the_file_has_more(name, monkeypatch):
+    """All against none: the sizes of the two network sections, written by the codec, and our attribution of them."""
+    monkeypatch.setattr(
+        quantise, "without_silent_units", lambda model: model
+    )  # no effect's bytes, but its merit
+    scene = load_scene(name)
+    files = [
+        encode(Trainer(replace(scene, effects=effects), SHORT).model())
+        for effects in (MODEL_EFFECTS, ())
+    ]
+    on, off = (components(data) for data in files)
+    sizes = effect_bytes(files[0])
+    assert sum(sizes[e] for e in MOTION) == on["deformation_mlp"] and "deformation_mlp" not in off
+    assert sum(sizes[e] for e in SEEN_BY) == on["anchor_mlps"] - off["anchor_mlps"]
+    assert not any(effect_bytes(files[1]).values())
+
+
+def test_counted_work_is_that_of_the_formulas():
+    """A hand count: heads, trunk, view columns, from the shapes alone."""
+    trainer = trained("static", "rotation", True)[0]
+    with counted() as work:
+        _, seen, _ = trainer.step()
+    N, (I, h, g) = len(seen.index), (3 * (1 + 2 * SHORT.L_x), *SHORT.deformation)
+    t = 1 + 2 * SHORT.L_t
+    forward = N * (I * h + h * g) + N * I + t * h + N * g * 4 + N * 4
+    backward = N * (I * h + 2 * h * g) + t * h + 2 * N * g * 4 + N * 4
+    assert work.of("rotation") == forward + backward
+
+
+def test_a_background_that_is_not_taken_out_is_noticed():
+    """The counter looks at what is composited, not at the list."""
+    scene = load_scene("static")
+    trainer = Trainer(replace(scene, effects=("occlusion",)), SHORT)
+    object.__setattr__(trainer.scene, "background", np.float32([1, 1, 1]))
+    with counted() as work:
+        trainer.step()
+    assert work.of("background") > 0
+
+
+# --- the model: off equals the neutral input ----------------------------------------------------------------------
+def small_camera(camera, width=12):
+    """The same camera with fewer pixels."""
+    by, height = camera.width / width, round(camera.height * width / camera.width)
+    return replace(
+        camera,
+        f_x=camera.f_x / by,
+        f_y=camera.f_y / by,
+        c_x=(camera.c_x + 0.5) / by - 0.5,
+        c_y=(camera.c_y + 0.5) / by - 0.5,
+        width=width,
+        height=height,
+    )
+
+
+def random_build(effects, seed):
+    """Random parameters in float64 with every network awake."""
+    preset = SMOKE._replace(anchors=9, deformation_gain=1.0, feature_std=0.7, extent=0.6)
+    design, rng = design_of(preset, effects), np.random.default_rng(seed)
+    p = Parameters(initial_parameters(preset, design, rng).arrays, np.float64)
+    p["O_a"][...] = rng.normal(size=p["O_a"].shape) * 0.5
+    return design, p
+
+
+def neutral(p, design, effect):
+    """The parameters of the build with the effect, fed its neutral input: zero heads, zero rows for the view."""
+    arrays, rng = dict(p.arrays), np.random.default_rng(7)
+    for net, layers in design.layers().items():
+        for i, (rows, columns) in enumerate(layers):
+            W, b = (arrays.get(f"{net}.{kind}{i}") for kind in "Wb")
+            if W is None:  # the first effect of motion: a trunk, which zero heads silence
+                silent = i >= len(layers) - 3
+                W, b = (
+                    (0 if silent else 1) * rng.normal(size=(rows, columns)),
+                    (not silent) * rng.normal(size=columns),
+                )
+            elif W.shape != (rows, columns):
+                W = np.pad(W, [(0, rows - len(W)), (0, columns - W.shape[1])])
+                b = np.pad(b, (0, columns - len(b)))
+            arrays[f"{net}.W{i}"], arrays[f"{net}.b{i}"] = W, b
+    return Parameters(arrays, np.float64)
+
+
+def picture_and_gradients(p, design, view, background, image_bars):
+    """The image, and for every cotangent of it the gradients of all arrays {name: gradient}."""
+    networks = {name: p.network(name) for name in design.layers()}
+    anchors = Anchors(
+        p["x_a"],
+        p["f_a"],
+        np.exp(p["log_s"]),
+        np.exp(p["log_l"]),
+        p["O_a"],
+        np.ones(p["O_a"].shape[:2], bool),
+    )
+    g, res_p = predict(design, networks, anchors, view.camera.center, view.time)
+    out, res = render.forward(
+        g.x,
+        g.s,
+        g.r,
+        g.alpha,
+        g.color,
+        small_camera(view.camera),
+        background,
+        EXACT,
+        "occlusion" in design.effects,
+    )
+    found = []
+    for bar in image_bars:
+        bars = render.backward(res, bar)
+        rows, nets = predict_backward(
+            res_p, bars["x"], bars["s"], bars["r"], bars["alpha"], bars["color"]
+        )
+        arrays = {name: rows[name] for name in ("x_a", "f_a", "s_a", "l_a", "O_a")}
+        for net, bars_of in nets.items():
+            arrays.update(
+                {
+                    f"{net}.{kind}{i}": a
+                    for kind, key in (("W", "weights"), ("b", "biases"))
+                    for i, a in enumerate(bars_of[key])
+                }
+            )
+        found.append(arrays)
+    return out.image, found, g
+
+
+def one_by_one(bar):
+    """A cotangent as a sum of cotangents of one pixel each: their gradients are the terms that a gradient sums."""
+    for v, u in np.ndindex(bar.shape[:2]):
+        alone = np.zeros_like(bar)
+        alone[v, u] = bar[v, u]
+        yield alone
+
+
+@pytest.mark.parametrize("effect", MOTION + tuple(SEEN_BY))
+@pytest.mark.parametrize("name", SCENES)
+def test_off_equals_the_neutral_input(name, effect):
+    scene = load_scene(name)
+    view = scene.train[5 + MODEL_EFFECTS.index(effect)]
+    design, p = random_build(listed(scene.effects, effect, False), seed=len(name))
+    full = design._replace(effects=listed(scene.effects, effect, True))
+    camera = small_camera(view.camera)
+    bar = np.random.default_rng(3).normal(size=(camera.height, camera.width, 3))
+    off, (ours,), g = picture_and_gradients(p, design, view, scene.background, [bar])
+    on, (theirs,), _ = picture_and_gradients(
+        neutral(p, full, effect), full, view, scene.background, [bar]
+    )
+    assert len(g.alpha) > 5 and np.ptp(off) > 0.1
+    assert np.abs(off - on).max() <= 4 * EPS * (1 + np.abs(off).max())
+    terms = {key: 0 for key in ours}
+    for gradients in picture_and_gradients(p, design, view, scene.background, one_by_one(bar))[1]:
+        for key, value in gradients.items():
+            terms[key] = terms[key] + np.abs(value)
+    for key, value in ours.items():
+        other = theirs[key][tuple(slice(n) for n in value.shape)]
+        assert np.all(np.abs(value - other) <= 4 * EPS * terms[key].max(initial=0)), key
+        assert value.size == 0 or value.any() or key.startswith("psi_d"), key
+
+
+@pytest.mark.parametrize(
+    "settings", (EXACT, FAST._replace(dtype="float64", cut=1e-14)), ids=lambda s: s.name
+)
+@pytest.mark.parametrize("name", SCENES)
+def test_without_occlusion_every_gaussian_is_as_if_alone(name, settings):
+    """The neutral input of occlusion is nothing in front: the sum of the pictures of single Gaussians, over black."""
+    scene, rng = load_scene(name), np.random.default_rng(11)
+    camera, black = small_camera(scene.train[3].camera), np.zeros(3)
+    n = 7
+    r = rng.normal(size=(n, 4))
+    splats = dict(
+        x=rng.uniform(-0.5, 0.5, (n, 3)),
+        s=rng.uniform(0.1, 0.4, (n, 3)),
+        r=r / np.linalg.norm(r, axis=1, keepdims=True),
+        alpha=rng.uniform(0.2, 0.9, n),
+        color=rng.uniform(size=(n, 3)),
+    )
+    bar = rng.normal(size=(camera.height, camera.width, 3))
+
+    def run(rows, occlusion, bar=bar):
+        out, res = render.forward(
+            **{key: a[rows] for key, a in splats.items()},
+            camera=camera,
+            background=black,
+            settings=settings,
+            occlusion=occlusion,
+        )
+        return out.image, render.backward(res, bar)
+
+    off, ours = run(slice(None), False)
+    alone = [run([i], True) for i in range(n)]
+    assert np.abs(off - sum(image for image, _ in alone)).max() <= 4 * EPS * max(off.max(), 1)
+    terms = {key: 0 for key in splats}
+    for pixel in one_by_one(bar):
+        for key, value in run(slice(None), False, pixel)[1].items():
+            terms[key] = terms.get(key, 0) + np.abs(value)
+    for key in splats:
+        theirs = np.concatenate([bars[key] for _, bars in alone])
+        assert np.all(np.abs(ours[key] - theirs) <= 4 * EPS * terms[key].max()), key
+    both = run(slice(None), True)[0]
+    assert np.abs(both - off).max() > 0.01, "the Gaussians must overlap, or nothing is tested"
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_background_off_equals_black(name):
+    scene = load_scene(name)
+    view = scene.train[2]
+    design, p = random_build(listed(scene.effects, "background", False), seed=4)
+    full = design._replace(effects=listed(scene.effects, "background", True))
+    bar = np.random.default_rng(3).normal(size=(12, 12, 3))
+    without = replace(scene, effects=design.effects)
+    assert not without.background.any() and scene.background.any()
+    off, (ours,), _ = picture_and_gradients(p, design, view, without.background, [bar])
+    on, (theirs,), _ = picture_and_gradients(p, full, view, np.zeros(3), [bar])
+    assert np.array_equal(off, on) and all(np.array_equal(ours[key], theirs[key]) for key in ours)
+    assert np.abs(picture_and_gradients(p, full, view, scene.background, [])[0] - on).max() > 0.1

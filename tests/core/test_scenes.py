@@ -1,0 +1,401 @@
+"""Scenes: the loader's conventions, its errors (one line: file, field, expectation), scenes from arrays."""
+
+import json
+import math
+import shutil
+from dataclasses import replace
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+from p4dgs_ref.scenes import MODEL_EFFECTS, Scene, SceneError, dnerf, load_scene, packaged_scenes
+from p4dgs_ref.splatting.camera import look_at
+
+WIDTH, HEIGHT = 12, 8
+
+
+def pose(azimuth=0.3, elevation=0.5, radius=4.0):
+    """A camera-to-world matrix in Blender's axes, built from spherical angles alone."""
+    back = np.array(
+        [
+            math.cos(elevation) * math.cos(azimuth),
+            math.cos(elevation) * math.sin(azimuth),
+            math.sin(elevation),
+        ]
+    )
+    right = np.array([-math.sin(azimuth), math.cos(azimuth), 0])
+    c2w = np.eye(4)
+    c2w[:3] = np.stack([right, np.cross(back, right), back, radius * back], axis=1)
+    return c2w
+
+
+def write_folder(
+    folder,
+    width=WIDTH,
+    height=HEIGHT,
+    channels=4,
+    extension="",
+    head=None,
+    splits=("train", "test"),
+):
+    """A folder as the authors of D-NeRF publish theirs; returns its pictures by name."""
+    rng, pictures = np.random.default_rng(7), {}
+    for split in splits:
+        (folder / split).mkdir(parents=True)
+        frames = []
+        for i in range(3):
+            name = f"./{split}/r_{i:03d}"
+            pictures[name[2:]] = rng.integers(0, 256, (height, width, channels), dtype=np.uint8)
+            iio.imwrite(folder / f"{name}.png", pictures[name[2:]])
+            frames.append(
+                {
+                    "file_path": name + extension,
+                    "rotation": 0.02,
+                    "time": i / 2,
+                    "transform_matrix": pose(azimuth=i).tolist(),
+                }
+            )
+        data = {**({"camera_angle_x": 0.69} if head is None else head), "frames": frames}
+        (folder / f"transforms_{split}.json").write_text(json.dumps(data))
+    return pictures
+
+
+@pytest.fixture
+def folder(tmp_path):
+    write_folder(tmp_path / "scene")
+    return tmp_path / "scene"
+
+
+def edit(folder, change, name="transforms_train.json"):
+    data = json.loads((folder / name).read_text())
+    change(data)
+    (folder / name).write_text(json.dumps(data))
+
+
+def test_original_folder_of_800_pixels(tmp_path):
+    pictures = write_folder(tmp_path / "jumping", 800, 800, splits=("train", "val", "test"))
+    scene = load_scene(tmp_path / "jumping")
+    assert (len(scene.train), len(scene.val), len(scene.test), scene.name) == (3, 3, 3, "jumping")
+    assert scene.effects == MODEL_EFFECTS and [view.time for view in scene.val] == [0, 0.5, 1]
+    assert [view.name for view in scene.test] == ["test/r_000", "test/r_001", "test/r_002"]
+    view = scene.train[1]
+    rgb, alpha = pictures["train/r_001"][..., :3] / 255, pictures["train/r_001"][..., 3] / 255
+    assert view.image.dtype == view.alpha.dtype == np.float32
+    np.testing.assert_allclose(view.alpha, alpha, atol=1e-6)
+    np.testing.assert_allclose(view.image, rgb * alpha[..., None] + 1 - alpha[..., None], atol=1e-6)
+    f = 400 / math.tan(0.69 / 2)
+    lens = [view.camera.f_x, view.camera.f_y, view.camera.c_x, view.camera.c_y]
+    np.testing.assert_allclose(lens, [f, f, 399.5, 399.5])
+    np.testing.assert_allclose(view.camera.center, pose(azimuth=1)[:3, 3], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "extension, background, color",
+    [
+        (".png", "black", (0, 0, 0)),
+        ("", "white", (1, 1, 1)),
+        ("", (0.2, 0.9, 0.4), (0.2, 0.9, 0.4)),
+    ],
+)
+def test_composited_over_the_background(tmp_path, extension, background, color):
+    pictures = write_folder(tmp_path / "scene", extension=extension)
+    scene = load_scene(str(tmp_path / "scene"), background=background)
+    np.testing.assert_allclose(scene.background, np.float32(color))
+    camera, f = (
+        scene.test[2].camera,
+        WIDTH / 2 / math.tan(0.69 / 2),
+    )  # the angle spans the width; square pixels
+    np.testing.assert_allclose([camera.f_x, camera.f_y, camera.c_x, camera.c_y], [f, f, 5.5, 3.5])
+    picture = pictures["test/r_002"] / 255
+    want = picture[..., :3] * picture[..., 3:] + np.array(color) * (1 - picture[..., 3:])
+    np.testing.assert_allclose(scene.test[2].image, want, atol=1e-6)
+
+
+def test_rgb_files_have_no_alpha(tmp_path):
+    pictures = write_folder(tmp_path / "scene", channels=3)
+    view = load_scene(tmp_path / "scene").train[0]
+    assert view.alpha is None
+    np.testing.assert_allclose(view.image, pictures["train/r_000"] / 255, atol=1e-6)
+
+
+def test_downscale_averages_boxes_of_premultiplied_colour(tmp_path):
+    head = {"fl_x": 20.0, "fl_y": 30.0, "cx": 5.0, "cy": 4.5}
+    pictures = write_folder(tmp_path / "scene", head=head)
+    view = load_scene(tmp_path / "scene", background="black", downscale=4).train[0]
+    for row in range(HEIGHT // 4):
+        for column in range(WIDTH // 4):
+            box = (
+                pictures["train/r_000"][4 * row : 4 * row + 4, 4 * column : 4 * column + 4].reshape(
+                    -1, 4
+                )
+                / 255
+            )
+            np.testing.assert_allclose(
+                view.image[row, column], sum(p[:3] * p[3] for p in box) / 16, atol=1e-6
+            )
+            np.testing.assert_allclose(
+                view.alpha[row, column], sum(p[3] for p in box) / 16, atol=1e-6
+            )
+    camera = view.camera
+    assert (camera.f_x, camera.f_y, camera.c_x, camera.c_y) == (
+        5.0,
+        7.5,
+        5 / 4 - 0.5,
+        4.5 / 4 - 0.5,
+    )
+    assert (camera.width, camera.height) == (3, 2)
+
+
+def test_effects_listed_in_the_folder(folder):
+    (folder / "scene.json").write_text(
+        json.dumps({"effects": ["specular", "occlusion", "rotation"]})
+    )
+    scene = load_scene(folder)
+    assert scene.effects == (
+        "rotation",
+        "occlusion",
+    )  # the model's part, in the closed list's order
+    assert not scene.background.any()  # no `background`: black, the neutral input
+
+
+def change_matrix(rows):
+    return lambda data: data["frames"][1].update(transform_matrix=rows)
+
+
+def with_entry(i, j, value):
+    matrix = pose()
+    matrix[i, j] = value
+    return matrix.tolist()
+
+
+MISTAKES = [
+    ("no frames", lambda d: d.pop("frames"), ("frames", "list")),
+    ("empty split", lambda d: d.update(frames=[]), ("frames", "at least one")),
+    ("frame of text", lambda d: d["frames"].insert(1, "r_001"), ("frames[1]", "file_path")),
+    ("no file_path", lambda d: d["frames"][1].pop("file_path"), ("frames[1].file_path", "picture")),
+    (
+        "absent picture",
+        lambda d: d["frames"][1].update(file_path="./train/r_9"),
+        ("frames[1].file_path", "r_9.png"),
+    ),
+    ("time missing", lambda d: d["frames"][1].pop("time"), ("frames[1].time", "[0, 1]")),
+    (
+        "time NaN",
+        lambda d: d["frames"][1].update(time=math.nan),
+        ("frames[1].time", "nan", "[0, 1]"),
+    ),
+    ("time 1.5", lambda d: d["frames"][1].update(time=1.5), ("frames[1].time", "1.5", "[0, 1]")),
+    ("time true", lambda d: d["frames"][1].update(time=True), ("frames[1].time", "[0, 1]")),
+    (
+        "no matrix",
+        lambda d: d["frames"][1].pop("transform_matrix"),
+        ("frames[1].transform_matrix", "4 rows of 4"),
+    ),
+    (
+        "matrix 3x4",
+        change_matrix(pose()[:3].tolist()),
+        ("frames[1].transform_matrix", "4 rows of 4"),
+    ),
+    ("ragged matrix", change_matrix([[1, 0], [0]]), ("frames[1].transform_matrix", "4 rows of 4")),
+    (
+        "matrix NaN",
+        change_matrix(with_entry(0, 3, math.nan)),
+        ("frames[1].transform_matrix", "finite"),
+    ),
+    ("last row", change_matrix(with_entry(3, 0, 1.0)), ("frames[1].transform_matrix", "last row")),
+    (
+        "scaled",
+        change_matrix((pose() * [1.01, 1.01, 1.01, 1]).tolist()),
+        ("frames[1].transform_matrix", "rotation"),
+    ),
+    (
+        "mirrored",
+        change_matrix((pose() * [-1, 1, 1, 1]).tolist()),
+        ("frames[1].transform_matrix", "+1"),
+    ),
+    (
+        "huge entry",
+        change_matrix([[10**400] * 4] * 4),
+        ("frames[1].transform_matrix", "4 rows of 4"),
+    ),
+    (
+        "a name no file bears",
+        lambda d: d["frames"][1].update(file_path="a" * 300),
+        ("frames[1].file_path", "picture"),
+    ),
+    ("no angle", lambda d: d.pop("camera_angle_x"), ("camera_angle_x", "missing")),
+    ("angle 4", lambda d: d.update(camera_angle_x=4), ("camera_angle_x", "pi")),
+    ("angle text", lambda d: d.update(camera_angle_x="0.6"), ("camera_angle_x", "radians")),
+    ("fl_x 0", lambda d: d.update(fl_x=0), ("fl_x", "positive")),
+    ("fl_y huge", lambda d: d.update(fl_y=10**400), ("fl_y", "positive")),
+    ("cy NaN", lambda d: d.update(cy=math.nan), ("cy", "finite")),
+]
+
+
+def refuse(words, call):
+    with pytest.raises(SceneError) as caught:
+        call()
+    message = str(caught.value)
+    assert "\n" not in message and len(message) < 1500
+    for word in words:
+        assert word in message, message
+
+
+@pytest.mark.parametrize("change, words", [pytest.param(*row[1:], id=row[0]) for row in MISTAKES])
+def test_mistakes_in_a_transforms_file(folder, change, words):
+    edit(folder, change)
+    refuse(("transforms_train.json", *words), lambda: load_scene(folder))
+
+
+def test_mistakes_in_the_folder(folder, tmp_path):
+    refuse(("nowhere", "bouncing"), lambda: load_scene(tmp_path / "nowhere"))
+    refuse(("r_000.png", "folder"), lambda: load_scene(folder / "train" / "r_000.png"))
+    refuse(("downscale", "0"), lambda: load_scene(folder, downscale=0))
+    refuse(("downscale", "integer"), lambda: load_scene(folder, downscale=2.0))
+    refuse(("frames[0]", "12x8", "divisible", "3"), lambda: load_scene(folder, downscale=3))
+    refuse(("background", "pink"), lambda: load_scene(folder, background="pink"))
+    refuse(("background", "three numbers"), lambda: load_scene(folder, background=(0.5, 0.5)))
+    refuse(("background", "[0, 1]"), lambda: load_scene(folder, background=(0, 0, 2)))
+    (folder / "scene.json").write_text('{"effects": ["wind"]}')
+    refuse(("scene.json", "effects", "wind", *MODEL_EFFECTS), lambda: load_scene(folder))
+    (folder / "scene.json").write_text('{"effects": "rotation"}')
+    refuse(("scene.json", "effects", "list"), lambda: load_scene(folder))
+    (folder / "scene.json").unlink()
+    iio.imwrite(folder / "test" / "r_001.png", np.zeros((HEIGHT, 6, 4), np.uint8))
+    refuse(("test/r_001", "6x8", "12x8"), lambda: load_scene(folder))
+    iio.imwrite(folder / "test" / "r_001.png", np.zeros((HEIGHT, WIDTH), np.uint8))
+    refuse(("frames[1].file_path", "r_001.png", "(H, W, 3)"), lambda: load_scene(folder))
+    (folder / "test" / "r_001.png").write_bytes(b"\x89PNG\r\n\x1a\n and then nothing")
+    refuse(
+        ("transforms_test.json", "frames[1].file_path", "r_001.png", "PNG"),
+        lambda: load_scene(folder),
+    )
+    for text in ('{"frames": [', "[1, 2]"):
+        (folder / "transforms_test.json").write_text(text)
+        refuse(("transforms_test.json", "JSON"), lambda: load_scene(folder))
+    (folder / "transforms_test.json").unlink()
+    refuse(("transforms_test.json", "missing"), lambda: load_scene(folder))
+    (folder / "transforms_train.json").unlink()
+    refuse(("transforms_train.json", "missing"), lambda: load_scene(folder))
+
+
+def test_packaged_names_and_paths(tmp_path, monkeypatch):
+    assert {"bouncing", "figure", "glossy", "static", "orientation", "orbit"} <= set(
+        packaged_scenes()
+    )
+    monkeypatch.chdir(tmp_path)
+    packaged = load_scene("static")
+    assert (len(packaged.train), len(packaged.test), packaged.effects) == (
+        48,
+        10,
+        ("occlusion", "background"),
+    )
+    write_folder(tmp_path / "static")
+    assert len(load_scene("static").train) == 3  # a path that exists wins over a name
+
+
+def project_by_hand(data, frame, point):
+    """A world point in a file's own convention: OpenGL axes, pixels counted from the corner -> (column, row)."""
+    x, y, z, _ = np.linalg.inv(np.array(frame["transform_matrix"])) @ [*point, 1]
+    return data["cx"] - data["fl_x"] * x / z, data["cy"] + data["fl_y"] * y / z
+
+
+def test_arm_tips_land_on_pixels_of_their_colour():
+    folder = dnerf.packaged_folder() / "orientation"
+    arms = json.loads((folder / "scene.json").read_text())["bodies"]
+    seen = {arm["name"]: 0 for arm in arms}
+    for split, views in (
+        ("train", load_scene("orientation").train),
+        ("test", load_scene("orientation").test),
+    ):
+        data = json.loads((folder / f"transforms_{split}.json").read_text())
+        for view, frame in zip(views, data["frames"]):
+            for arm in arms:
+                tip, camera = np.array(arm["shape"]["end"]), view.camera
+                X, Y, Z = camera.R @ tip + camera.T
+                u, v = camera.f_x * X / Z + camera.c_x, camera.f_y * Y / Z + camera.c_y
+                np.testing.assert_allclose(
+                    (u + 0.5, v + 0.5), project_by_hand(data, frame, tip), atol=1e-9
+                )
+                # the arm that ends nearer to the camera than the others' axes is not hidden at its tip
+                ends = np.array([a["shape"]["end"] for a in arms if a is not arm])
+                axes = np.linspace(0, 1, 50)[:, None] * ends[:, None]
+                if np.linalg.norm(axes - camera.center, axis=-1).min() > np.linalg.norm(
+                    tip - camera.center
+                ):
+                    np.testing.assert_allclose(
+                        view.image[round(v), round(u)], arm["color"], atol=1 / 255
+                    )
+                    seen[arm["name"]] += 1
+    assert all(count >= 10 for count in seen.values()), seen
+
+
+def arrays(n=5, channels=3):
+    rng = np.random.default_rng(3)
+    cameras = [look_at([3, i - 2.0, 1], [0, 0, 0], 10, 11, WIDTH, HEIGHT) for i in range(n)]
+    return rng.uniform(size=(n, HEIGHT, WIDTH, channels)), cameras, np.linspace(0, 1, n)
+
+
+def test_scene_from_arrays():
+    images, cameras, times = arrays(channels=4)
+    scene = Scene.from_arrays(
+        images, cameras, times, test=[1, 3], effects=["background"], background=(0.5, 0, 1)
+    )
+    assert [view.name for view in scene.test] == ["images[1]", "images[3]"] and len(
+        scene.train
+    ) == 3
+    assert (
+        scene.effects == ("background",)
+        and scene.source is None
+        and scene.test[0].camera is cameras[1]
+    )
+    want = images[3][..., :3] * images[3][..., 3:] + np.array([0.5, 0, 1]) * (
+        1 - images[3][..., 3:]
+    )
+    np.testing.assert_allclose(scene.test[1].image, want, atol=1e-6)
+    eight_bit = Scene.from_arrays((images[..., :3] * 255).astype(np.uint8), cameras, times)
+    assert eight_bit.train[0].image.dtype == np.float32 and eight_bit.train[0].alpha is None
+    assert (
+        Scene.from_arrays(images[:1], cameras[:1], [0.0]).train[0].time == 0
+    )  # a single frame is a scene
+
+
+def test_mistakes_in_arrays():
+    images, cameras, times = arrays()
+
+    def refuse_arrays(*words, images=images, cameras=cameras, times=times, **options):
+        refuse(words, lambda: Scene.from_arrays(images, cameras, times, **options))
+
+    refuse_arrays("images, cameras, times", "5, 4 and 5", cameras=cameras[:4])
+    refuse_arrays("times[2]", "nan", times=[0, 0, math.nan, 0, 0])
+    refuse_arrays("test[1]", "5", "0..4", test=[0, 5])
+    refuse_arrays("train", "at least one", test=range(5))
+    refuse_arrays("effects", "wind", effects=["wind"])
+    refuse_arrays("images[0]", "[0, 1]", images=images * 255)
+    refuse_arrays("images[0]", "finite", images=images * np.nan)
+    refuse_arrays("images[0]", "(H, W, 3)", images=images[..., 0])
+    refuse_arrays("images[0]", "int64", images=images.astype(np.int64))
+    refuse_arrays("images[4]", "same for all", images=[*images[:4], images[4][:4]])
+    refuse_arrays("images[0]", "camera", "12x8", images=images[:, :6])
+    for change, word in (
+        (dict(R=2 * cameras[0].R), "rotation"),
+        (dict(T=np.full(3, np.inf)), "camera.T"),
+        (dict(R=np.eye(4)), "(3, 3)"),
+        (dict(f_x=-1.0), "positive"),
+        (dict(c_y=math.nan), "principal"),
+    ):
+        refuse_arrays(
+            "images[0]: camera", word, cameras=[replace(cameras[0], **change), *cameras[1:]]
+        )
+
+
+def test_a_val_split_is_checked_too(folder):
+    shutil.copy(folder / "transforms_test.json", folder / "transforms_val.json")
+    assert [view.name for view in load_scene(folder).val] == [
+        "test/r_000",
+        "test/r_001",
+        "test/r_002",
+    ]
+    edit(folder, lambda data: data.update(frames=[]), "transforms_val.json")
+    refuse(("transforms_val.json", "frames", "empty"), lambda: load_scene(folder))

@@ -1,0 +1,382 @@
+"""The simulator: closed forms, conventions, effects that are off and not computed, the packaged scenes' pixels."""
+
+import copy
+import math
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene, simulate
+from p4dgs_ref.scenes.simulator import motion, shapes, tiny, trace
+from p4dgs_ref.scenes.dnerf import packaged_folder
+from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.simulate import place_cameras
+from p4dgs_ref.splatting.camera import look_at
+
+SPHERE = {"name": "ball", "shape": {"kind": "sphere", "radius": 0.5}, "color": [0.8, 0.4, 0.2]}
+BOX = {"name": "box", "shape": {"kind": "box", "half": [0.4, 0.3, 0.2]}, "color": [0.1, 0.3, 0.5]}
+FULL = {
+    "title": "everything at once",
+    "resolution": [10, 8],
+    "lens": {"fl_x": 12, "fl_y": 11, "cx": 5, "cy": 4},
+    "effects": list(SIMULATOR_EFFECTS),
+    "cameras": {"kind": "scattered", "train": 3, "test": 2, "radius": 3, "elevation": [10, 60]},
+    "light": {"kind": "sun", "direction": [-1, -0.5, -2], "ambient": 0.4},
+    "bodies": [
+        {
+            **SPHERE,
+            "specular": {"strength": 0.5, "exponent": 5},
+            "texture": {"kind": "checker", "color": [0, 0.2, 0.1], "cell": 0.3},
+            "motion": [
+                {"kind": "line", "by": [0.3, 0, 0]},
+                {"kind": "pulse", "amount": 0.2},
+                {"kind": "spin", "axis": [1, 1, 0], "degrees": 90},
+            ],
+        },
+        {**BOX, "parent": "ball", "position": [0, 0.5, 0.1], "faces_camera": True},
+    ],
+}
+
+
+def changed(**changes):
+    return describe({**copy.deepcopy(FULL), **changes})
+
+
+def camera(position=(3.0, 1.0, 1.5), f_x=30, f_y=26, width=40, height=32, c_x=None, c_y=None):
+    return look_at(position, (0, 0, 0), f_x, f_y, width, height, c_x, c_y)
+
+
+def test_silhouette_of_a_sphere_is_its_cone():
+    """A ray meets a sphere if its angle to the centre is below asin(r / distance)."""
+    eye = camera(f_x=60, f_y=52, c_x=17.3, c_y=18.9)
+    picture = trace.trace(changed(bodies=[SPHERE], effects=["background"]), eye, 0.0)
+    fine = [-1 / 3, 0, 1 / 3]
+    covered = np.zeros((32, 40))
+    for v, u in np.ndindex(32, 40):
+        for dv in fine:
+            for du in fine:
+                ray = np.array([(u + du - 17.3) / 60, (v + dv - 18.9) / 52, 1])
+                to_center = eye.R @ np.zeros(3) + eye.T
+                cosine = ray @ to_center / np.linalg.norm(ray) / np.linalg.norm(to_center)
+                covered[v, u] += math.acos(cosine) < math.asin(0.5 / np.linalg.norm(to_center))
+    np.testing.assert_array_equal(picture[..., 3], covered / 9)
+    assert 0.1 < (covered > 0).mean() < 0.9
+    np.testing.assert_allclose(
+        picture[covered > 0, :3], np.tile(SPHERE["color"], ((covered > 0).sum(), 1))
+    )
+
+
+def signed_distance(shape, p):
+    """How far points are outside a shape: an independent form of the same three shapes."""
+    if shape.kind == "sphere":
+        return np.linalg.norm(p - shape.center, axis=-1) - shape.radius
+    if shape.kind == "box":
+        q = np.abs(p - shape.center) - shape.half
+        return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(axis=-1), 0)
+    a, b = shape.start, shape.end
+    past_start, past_end = (p - a) @ (b - a) > 0, (p - b) @ (b - a) > 0
+    to_line = np.linalg.norm(np.cross(p - a, p - b), axis=-1) / np.linalg.norm(b - a)
+    to_ends = np.where(past_end, np.linalg.norm(p - b, axis=-1), np.linalg.norm(p - a, axis=-1))
+    return np.where(past_start & ~past_end, to_line, to_ends) - shape.radius
+
+
+SHAPES = [
+    {"kind": "sphere", "radius": 0.7, "center": [0.1, -0.2, 0.3]},
+    {"kind": "box", "half": [0.5, 0.3, 0.8], "center": [-0.2, 0.1, 0.0]},
+    {"kind": "capsule", "start": [-0.4, 0.2, -0.5], "end": [0.5, -0.3, 0.6], "radius": 0.35},
+]
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape["kind"])
+def test_hits_lie_on_the_surface_and_nothing_lies_before(shape):
+    shape = changed(bodies=[{**SPHERE, "shape": shape}]).bodies[0].shape
+    rng = np.random.default_rng(5)
+    o = np.array([2.0, -1.7, 1.4])
+    d = (rng.uniform(-1.2, 1.2, (300, 3)) - o) * rng.uniform(0.3, 2, (300, 1))
+    t = shapes.HITS[shape.kind](shape, o, d)
+    met = np.isfinite(t)
+    assert 30 < met.sum() < 270
+    points = o + t[met, None] * d[met]
+    np.testing.assert_allclose(signed_distance(shape, points), 0, atol=1e-6)
+    steps = np.linspace(0, 1, 200)[:-1]
+    for start, stop in zip(
+        np.broadcast_to(o, points.shape), points
+    ):  # the first hit: outside all the way to it
+        assert signed_distance(shape, start + steps[:, None] * (stop - start)).min() > 0
+    for direction in d[~met]:  # a miss: outside for ever
+        assert signed_distance(shape, o + np.linspace(0, 20, 400)[:, None] * direction).min() > 0
+    normal = shapes.NORMALS[shape.kind](shape, points)
+    above, below = (signed_distance(shape, points + sign * 1e-4 * normal) for sign in (1, -1))
+    np.testing.assert_allclose((above - below) / 2e-4, 1, atol=1e-3)
+    assert not np.isfinite(
+        shapes.HITS[shape.kind](shape, o, -d)[met]
+    ).any()  # what lies behind is not seen
+
+
+def test_distance_to_a_face_of_a_turned_box():
+    """Straight down the box's own x axis the face is at distance - half an edge, in spite of the turn."""
+    body = describe(
+        {
+            **FULL,
+            "bodies": [
+                {**BOX, "position": [0.2, 0.1, -0.3], "turn": {"axis": [1, 2, 3], "degrees": 40}}
+            ],
+        }
+    ).bodies[0]
+    pose = motion.poses([body], (), 0.0, np.zeros(3))["box"]
+    direction = motion.turn((1, 2, 3), 40) @ [1.0, 0, 0]
+    distance = trace.hit(body, pose, np.array([0.2, 0.1, -0.3]) + 5 * direction, -direction[None])
+    np.testing.assert_allclose(distance, 5 - 0.4, rtol=1e-12)
+
+
+def test_rays_parallel_to_faces_and_axes():
+    box, capsule = (
+        changed(bodies=[{**SPHERE, "shape": shape}]).bodies[0].shape
+        for shape in (
+            {"kind": "box", "half": [1, 1, 1]},
+            {"kind": "capsule", "start": [0, 0, -1], "end": [0, 0, 1], "radius": 0.5},
+        )
+    )
+    down = np.array([[0.0, 0, -2]])
+    assert shapes.box_hit(box, np.array([0.3, -0.2, 5.0]), down)[0] == 2.0
+    assert shapes.box_hit(box, np.array([1.3, -0.2, 5.0]), down)[0] == np.inf
+    assert shapes.capsule_hit(capsule, np.array([0.0, 0, 5.0]), down)[0] == 1.75
+    assert shapes.capsule_hit(capsule, np.array([0.6, 0, 5.0]), down)[0] == np.inf
+
+
+def one_ball(effects, light=None, t=0.0, position=(0.0, 0.0, 4.0), **body):
+    """The ball seen from above; the row and column of the centre are integers."""
+    eye = look_at(position, (0, 0, 0), 40, 40, 21, 21, up=(0, 1, 0))
+    light = light or {"kind": "sun", "direction": [0, 0, -1], "ambient": 0.3}
+    return trace.trace(changed(bodies=[{**SPHERE, **body}], effects=effects, light=light), eye, t)
+
+
+def test_lambert_and_phong_at_the_pole():
+    color = np.array(SPHERE["color"])
+    sideways = {
+        "kind": "sun",
+        "direction": [-math.sqrt(3), 0, -1],
+        "ambient": 0.3,
+    }  # 60 degrees off the pole
+    lit = one_ball(["diffuse", "background"], sideways)[10, 10]
+    np.testing.assert_allclose(lit, [*(color * (0.3 + 0.7 * 0.5)), 1], rtol=2e-3)
+    below = one_ball(
+        ["diffuse", "specular", "background"],
+        {"kind": "point", "position": [0, 0, -9], "ambient": 0.3},
+        specular={"strength": 0.5, "exponent": 1},
+    )[10, 10]
+    np.testing.assert_allclose(below, [*(color * 0.3), 1])
+    gloss = {"specular": {"strength": 0.2, "exponent": 3}}
+    shiny = one_ball(["specular", "view_color", "background"], sideways, **gloss)[10, 10]
+    np.testing.assert_allclose(
+        shiny[:3], color + 0.2 * 0.5**3, rtol=1e-2
+    )  # the mirrored light is 60 degrees off
+    near = one_ball(
+        ["diffuse", "background"],
+        {"kind": "point", "position": [0, math.sqrt(3), 1.5], "ambient": 0},
+    )
+    np.testing.assert_allclose(
+        near[10, 10, :3], color * 0.5, rtol=1e-2
+    )  # 60 degrees off, seen from the pole
+
+
+@pytest.mark.parametrize(
+    "effects, follows", [(["specular"], False), (["specular", "view_color"], True)]
+)
+def test_the_highlight_follows_the_viewer_only_with_view_color(effects, follows):
+    """The light stands overhead: the highlight is at the pole, or half-way from there to the viewer."""
+    position = np.array([2.4, 0, 3.2])
+    plain, shiny = (
+        one_ball(
+            ["background", *some], position=position, specular={"strength": 0.2, "exponent": 30}
+        )
+        for some in ([], effects)
+    )
+    v, u = np.unravel_index((shiny - plain)[..., :3].sum(axis=2).argmax(), (21, 21))
+    halfway = np.array([0, 0, 1.0]) + follows * position / 4
+    eye = look_at(position, (0, 0, 0), 40, 40, 21, 21, up=(0, 1, 0))
+    X, Y, Z = eye.R @ (0.5 * halfway / np.linalg.norm(halfway)) + eye.T
+    assert abs(u - (40 * X / Z + 10)) <= 0.51 and abs(v - (40 * Y / Z + 10)) <= 0.51
+
+
+@pytest.mark.parametrize(
+    "move, t, want",
+    [
+        ({"kind": "line", "by": [0.5, 0, -0.2]}, 0.5, (0.25, 0, -0.1)),
+        ({"kind": "bounce", "height": 0.6, "period": 0.5}, 0.25, (0, 0, 0.6)),
+        ({"kind": "bounce", "height": 0.6, "period": 0.5, "phase": 0.5}, 0.125, (0, 0, 0.3)),
+        ({"kind": "arc", "center": [-1, 0, 0], "degrees": 90, "period": 1}, 0.25, (-1, 1, 0)),
+    ],
+)
+def test_translations(move, t, want):
+    body = changed(bodies=[{**SPHERE, "motion": [move]}]).bodies
+    pose = motion.poses(body, ("translation",), t, np.zeros(3))["ball"]
+    np.testing.assert_allclose(pose.T, want, atol=1e-12)
+    np.testing.assert_allclose(pose.R, np.eye(3))
+    assert not motion.poses(body, ("rotation", "scaling"), t, np.zeros(3))["ball"].T.any()
+
+
+def test_limbs_are_carried_by_their_parents_but_do_not_inherit_scale():
+    quarter = {"kind": "spin", "axis": [0, 0, 1], "degrees": 90}
+    bodies = changed(
+        bodies=[
+            {**SPHERE, "motion": [quarter, {"kind": "pulse", "amount": 0.5, "phase": 0.25}]},
+            {
+                **BOX,
+                "parent": "ball",
+                "position": [1, 0, 0],
+                "motion": [{"kind": "swing", "axis": [0, 1, 0], "degrees": 90, "phase": 0.25}],
+            },
+        ]
+    ).bodies
+    ball, box = motion.poses(bodies, SIMULATOR_EFFECTS, 1.0, np.zeros(3)).values()
+    np.testing.assert_allclose([ball.scale, box.scale], [1.5, 1])
+    np.testing.assert_allclose(
+        box.T, (0, 1, 0), atol=1e-12
+    )  # the parent's quarter turn takes x to y
+    np.testing.assert_allclose(
+        box.R @ [0, 0, 1], (0, 1, 0), atol=1e-12
+    )  # its own takes z to x first, then x to y
+
+
+def test_a_body_that_faces_the_camera():
+    body = changed(bodies=[{**BOX, "faces_camera": True}]).bodies
+    for viewer in (np.array([2.0, -1, 3]), np.array([0.0, 0, 2])):
+        R = motion.poses(body, ("view_geometry",), 0.0, viewer)["box"].R
+        np.testing.assert_allclose(R[:, 2], viewer / np.linalg.norm(viewer), atol=1e-12)
+        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(R) > 0 and R[2, 0] == 0
+
+
+def test_occlusion_and_its_absence():
+    below = {**SPHERE, "name": "below", "position": [0, 0, -1.2], "color": [0.1, 0.5, 0.7]}
+    eye = look_at((0, 0, 4), (0, 0, 0), 40, 40, 21, 21, up=(0, 1, 0))
+    for bodies in ([SPHERE, below], [below, SPHERE]):
+        hidden, added = (
+            trace.trace(changed(bodies=bodies, effects=effects), eye, 0)[10, 10]
+            for effects in (["occlusion", "background"], ["background"])
+        )
+        np.testing.assert_allclose(hidden, [0.8, 0.4, 0.2, 1])
+        np.testing.assert_allclose(added, [0.9, 0.9, 0.9, 1])
+
+
+def test_without_background_rays_that_miss_are_black_and_opaque():
+    with_it, without = (one_ball(effects) for effects in (["background"], []))
+    assert with_it[0, 0, 3] == 0 and 0 < with_it[..., 3].mean() < 1
+    assert np.all(without[..., 3] == 1)
+    np.testing.assert_allclose(without[..., :3], with_it[..., :3] * with_it[..., 3:], atol=1e-15)
+
+
+# effect -> where its code is called
+CODE = {
+    "translation": (motion.MOTIONS, "line"),
+    "rotation": (motion.MOTIONS, "spin"),
+    "scaling": (motion.MOTIONS, "pulse"),
+    "view_geometry": (motion, "facing"),
+    "occlusion": (trace, "nearest"),
+    "texture": (trace, "textured"),
+    "diffuse": (trace, "diffuse"),
+    "specular": (trace, "specular"),
+}
+
+
+@pytest.mark.parametrize("effect", CODE)
+def test_an_effect_that_is_off_is_not_computed(effect, monkeypatch):
+    def forbidden(*_):
+        raise AssertionError(f"{effect} was computed")
+
+    place, name = CODE[effect]
+    if isinstance(place, dict):
+        monkeypatch.setitem(place, name, (effect, forbidden))
+    else:
+        monkeypatch.setattr(place, name, forbidden)
+    with pytest.raises(AssertionError, match=effect):
+        trace.trace(changed(), camera(), 0.3)
+    without = trace.trace(
+        changed(effects=[e for e in SIMULATOR_EFFECTS if e != effect]), camera(), 0.3
+    )
+    assert 0 < without[..., 3].mean() < 1
+
+
+@pytest.mark.parametrize("effect", SIMULATOR_EFFECTS)
+def test_every_effect_changes_the_picture(effect):
+    all_on, off = (
+        trace.trace(changed(effects=effects), camera(), 0.3)
+        for effects in (SIMULATOR_EFFECTS, [e for e in SIMULATOR_EFFECTS if e != effect])
+    )
+    assert np.abs(all_on - off).max() > 0.02
+
+
+def test_static_does_not_change_with_time():
+    description = describe(packaged_folder() / "static" / "scene.json")
+    eye = place_cameras(description, "test")[3][0]
+    one, other = (trace.trace(description, eye, t) for t in (0.1, 0.9))
+    np.testing.assert_array_equal(one, other)
+    moving = describe(packaged_folder() / "bouncing" / "scene.json")
+    assert np.abs(trace.trace(moving, eye, 0.1) - trace.trace(moving, eye, 0.9)).max() > 0.1
+
+
+@pytest.mark.parametrize("name", ["orientation", "figure"])
+def test_committed_pixels_can_be_drawn_again(name, tmp_path):
+    assert not tiny.main([name, "-o", str(tmp_path)])
+    files = sorted(path.relative_to(tmp_path / name) for path in (tmp_path / name).rglob("*.*"))
+    assert len(files) == 58 + 3
+    for file in files:
+        new, old = tmp_path / name / file, packaged_folder() / name / file
+        if file.suffix == ".png":
+            difference = np.abs(iio.imread(new).astype(int) - iio.imread(old).astype(int))
+            assert difference.max() <= 1, file  # another NumPy may round the last bit otherwise
+    assert [file.name for file in (tmp_path / name).iterdir() if file.name[0] == "."] == []
+
+
+def test_cameras_survive_the_way_through_the_file(tmp_path):
+    calls = []
+    simulate(FULL, tmp_path / "out", progress=lambda *call: calls.append(call))
+    assert calls == [(i, 5) for i in range(1, 6)]
+    description, scene = describe(FULL), load_scene(tmp_path / "out", background="black")
+    for split, views in (("train", scene.train), ("test", scene.test)):
+        for (eye, t), view in zip(place_cameras(description, split), views, strict=True):
+            assert view.time == t
+            for field, value in vars(eye).items():
+                np.testing.assert_allclose(
+                    getattr(view.camera, field), value, atol=1e-12, err_msg=field
+                )
+            drawn = trace.trace(description, eye, t)
+            np.testing.assert_allclose(view.image, drawn[..., :3] * drawn[..., 3:], atol=1.1 / 255)
+            np.testing.assert_allclose(view.alpha, drawn[..., 3], atol=0.51 / 255)
+
+
+def test_views_times_and_sizes_of_the_packaged_scenes():
+    readme = (packaged_folder() / "README.md").read_text()
+    for name in ("bouncing", "figure", "glossy", "static", "orientation", "orbit"):
+        scene = load_scene(name)
+        assert (len(scene.train), len(scene.test)) == (48, 10)
+        assert (scene.train[0].time, scene.train[-1].time) == (0, 1)
+        assert not {view.time for view in scene.train} & {view.time for view in scene.test}
+        covered = [np.mean(view.alpha > 0.5) for view in scene.train + scene.test]
+        assert 0.1 < np.mean(covered) < 0.45, name
+        size = sum(file.stat().st_size for file in (packaged_folder() / name).rglob("*.*"))
+        row = next(line for line in readme.splitlines() if line.startswith(f"| {name} |"))
+        assert row.endswith(f"| {size:,} |"), f"tiny_scenes/README.md: {name} has {size:,} bytes"
+    assert sum(file.stat().st_size for file in packaged_folder().rglob("*.*")) < 2_500_000
+    steps = {
+        name: [np.linalg.norm(b.camera.center - a.camera.center) for a, b in zip(views, views[1:])]
+        for name in ("orbit", "bouncing")
+        for views in [load_scene(name).train]
+    }
+    assert max(steps["orbit"]) < 1.2 < min(steps["bouncing"])
+
+
+def test_nothing_is_left_of_a_drawing_that_stops(tmp_path):
+    def stop(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        simulate(FULL, tmp_path / "out", progress=stop)
+    assert list(tmp_path.iterdir()) == []
+    simulate(FULL, tmp_path / "out")
+    before = {file: file.read_bytes() for file in tmp_path.rglob("*.*")}
+    with pytest.raises(KeyboardInterrupt):
+        simulate({**FULL, "effects": []}, tmp_path / "out", progress=stop)
+    assert {file: file.read_bytes() for file in tmp_path.rglob("*.*")} == before

@@ -1,0 +1,124 @@
+"""Training from hard starts: `smoke` ends finite, with a file that decodes to what was quantised and a picture of it."""
+
+import numpy as np
+import pytest
+
+import p4dgs_ref as p4
+from p4dgs_ref.codec.file import decode, encode
+from p4dgs_ref.codec.quantise import quantise
+from p4dgs_ref.splatting.camera import look_at
+from p4dgs_ref.training.presets import choose
+from p4dgs_ref.training.trainer import Trainer
+
+EYES = ((1.5, -2.5, 1.0), (-0.4, 2.8, 0.6), (2.4, 1.1, -0.5))
+
+
+def scene(images=None, times=(0.0, 0.5, 1.0), size=(9, 7), effects=None):
+    """Three views of a shaded ball, or the pictures given."""
+    width, height = size
+    cameras = [
+        look_at(eye, (0, 0, 0), 1.1 * width, 1.1 * width, width, height)
+        for eye in EYES[: len(times)]
+    ]
+    y, x = np.mgrid[:height, :width]
+    inside = np.clip(
+        1 - ((x - width / 2) ** 2 + (y - height / 2) ** 2) / (0.3 * height) ** 2, 0, 1
+    )[:, :, None]
+    ball = [1 - inside * (1 - np.array([0.9, 0.3, 0.2 + 0.2 * i])) for i in range(len(times))]
+    return p4.Scene.from_arrays(images or ball, cameras, times, effects=effects)
+
+
+def painted(value, n=3):
+    return scene([np.full((7, 9, 3), value)] * n)
+
+
+def put(name, values):
+    """A change of the first parameters: every row of `name` is `values`."""
+
+    def change(trainer):
+        trainer.parameters[name][...] = values
+
+    return change
+
+
+def bias(network, value):
+    def change(trainer):
+        last = max(name for name in trainer.parameters.arrays if name.startswith(f"{network}.b"))
+        trainer.parameters[last][...] = value
+
+    return change
+
+
+def masked(trainer):
+    trainer.mask[...] = False
+
+
+CAMERA = np.array([EYES[0]])
+STARTS = {
+    "anchor_on_the_camera": (
+        scene(),
+        dict(lr_x=(0.0, 0.0)),
+        None,
+        np.concatenate([CAMERA, np.eye(3) * 0.3]),
+    ),
+    "all_opaque": (scene(), {}, bias("psi_alpha", 20.0), None),
+    "all_transparent": (scene(), {}, bias("psi_alpha", -20.0), None),
+    "all_masked": (scene(), {}, masked, None),
+    "one_anchor": (scene(), {}, None, np.zeros((1, 3))),
+    "a_thousand_coincident_anchors": (
+        scene(),
+        {},
+        put("x_a", 0.25),
+        np.random.default_rng(0).uniform(-1, 1, (1000, 3)),
+    ),
+    "a_row_of_anchors": (scene(), {}, None, np.linspace(-1, 1, 12)[:, None] * [[0.0, 0, 1]]),
+    "zero_scales": (scene(), {}, put("log_s", -60.0), None),
+    "huge_scales": (scene(), {}, put("log_s", 12.0), None),
+    "zero_reach": (scene(), {}, put("log_l", -60.0), None),
+    "far_away": (scene(), {}, put("x_a", np.array([0.0, 0, 1e5])), None),
+    "behind_every_camera": (scene(), {}, put("x_a", np.array([0.0, -900, 0])), None),
+    "lambda_rate_0": (scene(), dict(lambda_rate=0.0), None, None),
+    "lambda_rate_10": (scene(), dict(lambda_rate=10.0), None, None),
+    "single_frame": (scene(times=(0.0,)), {}, None, None),
+    "one_pixel": (scene(size=(1, 1)), {}, None, None),
+    "black": (painted(0.0), {}, None, None),
+    "white": (painted(1.0), {}, None, None),
+    "no_quaternion": (scene(), dict(upright=False), bias("psi_r", 0.0), None),
+    "saturated_colors": (scene(), {}, bias("psi_c", 60.0), None),
+}
+
+
+@pytest.mark.parametrize("name", STARTS)
+def test_a_hard_start_ends_finite_with_a_file(name):
+    """Every warning of NumPy's that means a lost number is an error, from the first step to the decoded picture."""
+    data, changes, spoil, points = STARTS[name]
+    trainer = Trainer(data, choose("smoke", changes), 3, points=points)
+    if spoil:
+        spoil(trainer)
+    with np.errstate(invalid="raise", divide="raise", over="raise"):
+        trainer.run(lambda trainer, losses, *rest: check(losses))
+        model = trainer.model()
+        assert np.isfinite(trainer.parameters.vector).all() and trainer.iteration == 45
+        decoded = decode(encode(model))
+        wanted = quantise(model).model
+        for got, want in zip(decoded.anchors, wanted.anchors):
+            assert np.array_equal(got, want)
+        view = data.train[0]
+        image = decoded.render(view.camera, view.time)
+    assert image.shape == view.image.shape and np.isfinite(image).all()
+
+
+def check(losses):
+    assert all(np.isfinite(v) for v in losses)
+
+
+def test_there_are_twenty_starts():
+    assert len(STARTS) == 20
+
+
+def test_a_start_that_cannot_end_well_is_named():
+    """The soaks would see it: a parameter that is none stops training with the place where it was first seen."""
+    trainer = Trainer(scene(), choose("smoke", {}), 3)
+    trainer.parameters["f_a"][1, 2] = np.nan
+    with pytest.raises(ArithmeticError, match=r"parameter: f_a\[1, 2\] is nan"):
+        trainer.run()

@@ -1,0 +1,306 @@
+"""Training: stages, learning rates, Adam, growing, pruning, masking, positions, and where a NaN came from."""
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.model import LATTICE, snap
+from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.training.adam import Adam, exponential
+from p4dgs_ref.training.finite import NotFinite
+from p4dgs_ref.training.initial import initial_parameters, neighbour_distance
+from p4dgs_ref.training.parameters import Parameters
+from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, TINY, choose, differences
+from p4dgs_ref.training.trainer import Trainer
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("bouncing")
+
+
+# --- presets ------------------------------------------------------------------------------------------------------
+def test_paper_presets_hold_the_numbers_that_the_paper_prints():
+    """Appendix, 'Hyperparameters', and section 4.1, typed here a second time."""
+    for preset, voxel, d, ends in (
+        (PAPER_SYNTHETIC, 0.001, 16, (3000, 5000, 10_000, 40_000)),
+        (PAPER_REAL, 0.01, 32, (3000, 4000, 10_000, 20_000)),
+    ):
+        assert (preset.voxel, preset.d, preset.k, preset.stage_ends) == (voxel, d, 10, ends)
+        assert preset.hidden == preset.context == (2 * d, 2 * d) and preset.deformation == (
+            192,
+            192,
+        )
+        assert (preset.Q_f, preset.Q_s, preset.Q_l, preset.Q_O) == (1, 0.001, 0.001, 0.2)
+        assert preset.grow_init == 16
+        first = {
+            name: getattr(preset, name)[0] for name in preset._fields if name.startswith("lr_")
+        }
+        assert first == dict(
+            lr_x=0,
+            lr_f=0.0075,
+            lr_s=0.007,
+            lr_l=0.007,
+            lr_O=0.01,
+            lr_alpha=0.002,
+            lr_c=0.008,
+            lr_r=0.004,
+            lr_psi_s=0.004,
+            lr_d=1.6e-4,
+            lr_grid=0.0016,
+            lr_p=0.005,
+            lr_q=0.005,
+        )
+
+
+def test_deformation_network_sizes_of_choice_q1(scene):
+    """68,328 weights with a time net are D3DGS's; as read here, without one, the input is 63 + 13 wide."""
+    from p4dgs_ref.training.initial import design_of
+
+    layers = design_of(PAPER_SYNTHETIC, scene.effects + ("rotation", "scaling")).layers()["psi_d"]
+    assert layers == [(76, 192), (192, 192), (192, 3), (192, 3), (192, 4)]
+    assert sum((rows + 1) * columns for rows, columns in layers) == 53_770
+
+
+def test_differences_name_every_changed_field_with_the_papers_value():
+    for preset in (TINY, SMOKE):
+        listed = {field: (paper, here) for field, paper, here in differences(preset)}
+        for field in preset._fields[1:]:
+            same = getattr(preset, field) == getattr(PAPER_SYNTHETIC, field)
+            assert (field in listed) != same
+            assert same or listed[field] == (
+                getattr(PAPER_SYNTHETIC, field),
+                getattr(preset, field),
+            )
+
+
+@pytest.mark.parametrize(
+    "changes, word",
+    [
+        ({"k": "0"}, "'k'"),
+        ({"k": "four"}, "'k'"),
+        ({"nonsense": "1"}, "nonsense"),
+        ({"stage_ends": "1,2,3"}, "stage_ends"),
+        ({"stage_ends": "4,3,2,1"}, "stage_ends"),
+        ({"lr_d": "0.1"}, "lr_d"),
+        ({"grow": "wild"}, "grow"),
+        ({"voxel": "nan"}, "voxel"),
+        ({"upright": "maybe"}, "upright"),
+        ({"hidden": "8,-1"}, "hidden"),
+        ({"name": "x"}, "name"),
+        ({"lambda_rate": "-1"}, "lambda_rate"),
+        ({"lr_f": "inf,1"}, "lr_f"),
+        ({"k": 2.5}, "'k'"),
+        ({"grid_3d": "", "grid_2d": ""}, "grid_3d"),
+    ],
+)
+def test_bad_changes_name_the_field(changes, word):
+    with pytest.raises(ValueError, match=word):
+        choose("tiny", changes)
+    with pytest.raises(ValueError, match="huge"):
+        choose("huge")
+
+
+def test_changes_as_text_and_as_values_agree():
+    text = choose(
+        "smoke",
+        {"k": "3", "lr_d": "0.1,0.01", "upright": "false", "voxel": "0.01", "grid_3d": "4,6"},
+    )
+    assert text == choose(
+        "smoke", {"k": 3, "lr_d": (0.1, 0.01), "upright": False, "voxel": 0.01, "grid_3d": (4, 6)}
+    )
+
+
+# --- optimiser ----------------------------------------------------------------------------------------------------
+def test_adam_against_the_formula_written_out():
+    """Kingma and Ba, algorithm 1, one number at a time; the second array joins after three steps."""
+    rng = np.random.default_rng(0)
+    p = Parameters({"a": rng.normal(size=3), "b": rng.normal(size=2)}, np.float64)
+    adam, start = Adam(p), p.vector.copy()
+    x, m, v, n = start.copy(), np.zeros(5), np.zeros(5), np.zeros(5)
+    for step in range(8):
+        g = p.zeros()
+        g.vector[:] = rng.normal(size=5) * 10.0 ** rng.integers(-8, 3, 5)
+        if step < 3:
+            g["b"][...] = 0
+        adam.step(p, g, lambda name: 0.01 if name == "a" else 0.02 * (step >= 3))
+        for i in range(5):
+            m[i] = 0.9 * m[i] + 0.1 * g.vector[i]
+            v[i] = 0.999 * v[i] + 0.001 * g.vector[i] ** 2
+            if i < 3 or step >= 3:
+                n[i] += 1
+                x[i] -= (
+                    (0.01, 0.02)[i >= 3]
+                    * (m[i] / (1 - 0.9 ** n[i]))
+                    / (np.sqrt(v[i] / (1 - 0.999 ** n[i])) + 1e-15)
+                )
+    assert np.allclose(p.vector, x, rtol=1e-10)
+
+
+def test_adam_stays_bounded_after_long_silence():
+    """H-P9: no gradient for long, then 1e-30 in float32: the step stays far below the learning rate."""
+    p = Parameters({"a": np.zeros(2)})
+    adam, g = Adam(p), p.zeros()
+    for _ in range(1000):
+        adam.step(p, g, lambda name: 0.01)
+    g.vector[:] = 1e-30, -1e-22
+    adam.step(p, g, lambda name: 0.01)
+    assert (
+        np.isfinite(p.vector).all()
+        and np.isfinite(adam.second.vector).all()
+        and np.abs(p.vector).max() <= 0.01
+    )
+
+
+def test_learning_rate_is_geometric():
+    rate = lambda step: exponential(step, 0.01, 1e-4, 1000)
+    assert rate(0) == pytest.approx(0.01) and rate(500) == pytest.approx(1e-3)
+    assert rate(1000) == rate(9999) == pytest.approx(1e-4)
+    assert exponential(7, 0.0, 0.0, 1000) == 0 and exponential(7, 0.3, 0.3, 1000) == 0.3
+    late = lambda step: exponential(step, 1.0, 0.1, 500, start=300)
+    assert late(100) == late(300) == 1 and late(400) == pytest.approx(0.1**0.5)
+
+
+def test_parameters_are_views_of_one_vector():
+    p = Parameters({"x": np.ones((2, 3)), "psi.W0": np.zeros((3, 4)), "psi.b0": np.zeros(4)})
+    p["x"][1, 2] = 7
+    assert p.vector[5] == 7 and p.network("psi")[0][0] is p["psi.W0"]
+    grown = p.with_rows(("x",), np.array([False, True]), {"x": np.full((2, 3), 5.0)})
+    assert (
+        np.array_equal(grown["x"], [[1, 1, 7], [5, 5, 5], [5, 5, 5]])
+        and p.vector.size + 3 == grown.vector.size
+    )
+
+
+# --- start and stages ---------------------------------------------------------------------------------------------
+def test_anchors_start_on_the_lattice_with_their_neighbours_distance(scene):
+    trainer = Trainer(scene, SMOKE)
+    p = initial_parameters(SMOKE, trainer.design, np.random.default_rng(0))
+    steps = p["x_a"].astype(float) / SMOKE.voxel
+    assert np.abs(steps - np.rint(steps)).max() < 1e-3 and len(np.unique(p["x_a"], axis=0)) == len(
+        p["x_a"]
+    )
+    x = p["x_a"].astype(float)
+    squared = np.sort(((x[:, None] - x) ** 2).sum(axis=2), axis=1)[:, 1:4].mean(axis=1)
+    assert np.allclose(np.exp(p["log_s"]), np.sqrt(squared)[:, None], rtol=1e-4)
+    assert not p["O_a"].any() and neighbour_distance(np.zeros((1, 3))).shape == (1,)
+
+
+def test_what_each_stage_moves(scene):
+    """Stage 1 and 2: no deformation, no context; 3: deformation; 4: all but positions."""
+    trainer, before, moved = Trainer(scene, SMOKE), {}, {}
+    for iteration in range(SMOKE.iterations):
+        stage = trainer.stage
+        before = {name: a.copy() for name, a in trainer.parameters.arrays.items()}
+        trainer.step()
+        for name, a in trainer.parameters.arrays.items():
+            if a.shape == before[name].shape and not np.array_equal(a, before[name]):
+                moved.setdefault(stage, set()).add(name.split(".")[0])
+    base = {"f_a", "log_s", "log_l", "O_a", "psi_alpha", "psi_c", "psi_r", "psi_s"}
+    assert moved[1] == moved[2] == base | {"x_a"}
+    assert moved[3] == base | {"x_a", "psi_d"}
+    assert moved[4] - {"x_a"} == base | {"psi_d", "psi_p", "psi_q", "grid"}
+
+
+def test_positions_stand_on_the_16_bit_lattice_from_stage_4_on(scene):
+    trainer = Trainer(scene, SMOKE)
+    while trainer.iteration < SMOKE.stage_ends[2] + 1:
+        trainer.step()
+    frozen = trainer.parameters["x_a"].copy()
+    symbols, positions = snap(frozen, *trainer.box)
+    assert (
+        np.abs(frozen - positions).max() < 1e-6 and symbols.min() == 0 and symbols.max() == LATTICE
+    )
+    while trainer.iteration < SMOKE.iterations:
+        trainer.step()
+    assert np.array_equal(trainer.parameters["x_a"], frozen)
+    assert np.array_equal(snap(trainer.model().anchors.x_a, *trainer.box)[0], symbols)
+
+
+def test_snap_rounds_to_nearest_and_survives_flat_boxes():
+    lo, hi = np.float32([-1, 2, 5]), np.float32([3, 2, 6])
+    x = np.array([[-1, 2, 5], [3, 2, 6], [0.1234, 2, 5.5], [9, 9, -9.0]])
+    symbols, positions = snap(x, lo, hi)
+    assert symbols.tolist()[0] == [0, 0, 0] and symbols.tolist()[1] == [65535, 0, 65535]
+    assert np.abs(positions[:3] - x[:3]).max() <= 4 / 65535 / 2 + 1e-12
+    assert symbols.tolist()[3] == [65535, 0, 0]
+    assert np.array_equal(snap(positions, lo, hi)[0], symbols)
+
+
+def test_same_seed_same_parameters_other_seed_others(scene):
+    def run(seed):
+        trainer = Trainer(scene, SMOKE, seed)
+        while trainer.iteration < 20:
+            trainer.step()
+        return trainer.parameters.vector
+
+    assert np.array_equal(run(3), run(3)) and not np.array_equal(run(3), run(4))
+
+
+def test_every_view_comes_once_before_any_comes_twice(scene):
+    trainer = Trainer(scene, SMOKE)
+    names = [trainer.next_view().name for _ in range(2 * len(scene.train))]
+    half = len(scene.train)
+    assert len(set(names[:half])) == half == len(set(names[half:])) and names[:half] != names[half:]
+
+
+def test_a_static_scene_owns_no_deformation():
+    trainer = Trainer(load_scene("static"), SMOKE)
+    assert not any(name.startswith("psi_d") for name in trainer.parameters.arrays)
+    while trainer.iteration < SMOKE.iterations:
+        trainer.step()
+    assert "psi_d" not in trainer.model().networks
+
+
+# --- where did the NaN come from ----------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "array, value, words",
+    [
+        ("f_a", np.nan, "parameter: f_a[3, 1] is nan"),
+        ("psi_c.W0", np.inf, "parameter: psi_c.W0[3, 1] is inf"),
+    ],
+)
+def test_a_bad_parameter_is_named(scene, array, value, words):
+    trainer = Trainer(scene, SMOKE)
+    trainer.step()
+    trainer.parameters[array][3, 1] = value
+    with np.errstate(all="ignore"), pytest.raises(NotFinite) as error:
+        trainer.step()
+    assert str(error.value) == f"iteration 1: {words}"
+
+
+def test_an_overflow_is_traced_to_its_equation(scene):
+    """log_l = 100 is a finite parameter; exp of it is not finite in float32, and Eq. (1) is the first to show it."""
+    trainer = Trainer(scene, SMOKE)
+    trainer.parameters["log_l"][2, 0] = 100
+    trainer.parameters["O_a"][2] = 1
+    with (
+        np.errstate(all="ignore"),
+        pytest.raises(NotFinite, match=r"equation 'offsets', forward: x\[2, 0, 0\] is inf"),
+    ):
+        trainer.step()
+
+
+def test_a_bad_backward_is_traced(scene, monkeypatch):
+    from p4dgs_ref.equations import scale
+
+    real = scale.backward
+    monkeypatch.setattr(
+        scale,
+        "backward",
+        lambda res, bar: {**real(res, bar), "s_a": real(res, bar)["s_a"] * np.nan},
+    )
+    with pytest.raises(NotFinite, match="equation 'scale', backward, gradient of: s_a"):
+        Trainer(scene, SMOKE).step()
+
+
+def test_an_equation_inside_another_is_named_with_it(scene, monkeypatch):
+    """Eq. (5)'s network overflows: the message says whose network it is."""
+    trainer = Trainer(scene, SMOKE)
+    while trainer.stage < 3:
+        trainer.step()
+    trainer.parameters["psi_d.W0"][...] = 3e38
+    with (
+        np.errstate(all="ignore"),
+        pytest.raises(NotFinite, match="equation 'deformation', its 'mlp', forward: y"),
+    ):
+        trainer.step()

@@ -1,0 +1,422 @@
+"""One-token mutations of the equations' own code: every place where one operator, number, name or order can go wrong.
+
+Each site is named `<file>:<function or constant>:<operator>:<n>`, n counting the operator's sites within that function,
+so that other edits leave the name alone.  A mutation is applied in this process: the mutated function is compiled and
+its code put into the function that all users of the module already hold; afterwards the old code is put back.
+"""
+
+import ast
+import importlib
+from contextlib import contextmanager
+from functools import cache
+from os.path import commonprefix
+from pathlib import Path
+from typing import NamedTuple
+
+import p4dgs_ref
+from p4dgs_ref.equations import EQUATIONS
+
+ROOT = Path(p4dgs_ref.__file__).parent
+HELPERS = {
+    "gaussian_bin": "likelihood",
+    "grid_nodes": "hash_grid",
+    "window": "ssim",
+}  # file -> equation it serves
+SPLATTING = ("covariance", "projection", "compositing")
+
+# Not the equations' code: makers of test cases, surrogates for tests, the rungs that are known to be worse.
+NOT_EQUATIONS = {
+    "cases",
+    "surrogate",
+    "literal",
+    "hac",
+    "HAC_FLOOR",
+    "random_network",
+    "random_field",
+    "random_splats",
+    "view_inputs",
+    "without_view",
+    "_inverse_of_needle",
+}
+REFUSALS = {"LIMIT", "wrong"}  # names that decide only which inputs are refused
+PORTIONS = {"BLOCK", "PIECE", "size"}  # names that decide only how much is computed at once
+PLAIN_KEYWORDS = {
+    "dtype",
+    "copy",
+    "strict",
+    "order",
+}  # of calls: types, copies and refusals, no mathematics
+
+OPERATORS = {
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.Pow: ast.Mult,
+    ast.Mod: ast.FloorDiv,
+    ast.FloorDiv: ast.Mod,
+    ast.BitAnd: ast.BitOr,
+    ast.BitOr: ast.BitAnd,
+    ast.LShift: ast.RShift,
+    ast.Lt: ast.LtE,
+    ast.LtE: ast.Lt,
+    ast.Gt: ast.GtE,
+    ast.GtE: ast.Gt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot,
+    ast.IsNot: ast.Is,
+    ast.And: ast.Or,
+    ast.Or: ast.And,
+}
+NAMES = {
+    "minimum": "maximum",
+    "maximum": "minimum",
+    "min": "max",
+    "max": "min",
+    "sin": "cos",
+    "cos": "sin",
+    "floor": "ceil",
+    "rint": "floor",
+    "sum": "mean",
+    "mean": "sum",
+    "prod": "sum",
+    "log1p": "log",
+    "expm1": "exp",
+    "exp": "expm1",
+    "log": "log1p",
+    "log2": "log",
+    "sqrt": "square",
+    "zeros": "ones",
+    "ones": "zeros",
+    "zeros_like": "ones_like",
+    "ones_like": "zeros_like",
+    "tanh": "sin",
+    "erfcx": "ndtr",
+    "sigmoid": "tanh",
+    "expit": "tanh",
+    "argsort": "argmin",
+    "cumsum": "cumprod",
+}
+DROPPED = {"abs", "reversed", "sign"}  # calls replaced by their argument
+TRANSPOSERS = {"transpose", "swapaxes"}
+WORDS = (
+    ast.Name,
+    ast.Tuple,
+    ast.Slice,
+    ast.Starred,
+    ast.Constant,
+    ast.UnaryOp,
+)  # too short to be shown alone
+TYPES = {
+    "dtype",
+    "float",
+    "float64",
+    "int64",
+    "uint32",
+    "bits_f.dtype",
+    "res.dtype",
+    "slopes.dtype",
+    "res.sigma.dtype",
+}
+SYMMETRIC = {
+    "minimum",
+    "maximum",
+    "min",
+    "max",
+    "hypot",
+    "result_type",
+    "einsum",
+    "swapaxes",
+}  # in their arguments
+
+LONG, AROUND = 80, 20  # letters of a description
+
+
+class Mutation(NamedTuple):
+    """One token changed."""
+
+    id: str
+    module: str  # p4dgs_ref.equations.offsets
+    equation: str  # to blame
+    owner: str  # the function or constant in which the token stands
+    description: str  # old -> new
+    statement: ast.stmt  # of the owner
+    place: tuple  # (node, field, index or None) where the old token stands in the statement
+    new: object  # what stands there instead
+
+    @property
+    def is_function(self):
+        return isinstance(self.statement, ast.FunctionDef)
+
+
+def files():
+    """[(module, equation to blame)] of all mutated files."""
+    found = [(f"p4dgs_ref.equations.{key}", key) for key in EQUATIONS if key not in SPLATTING]
+    found += [(f"p4dgs_ref.equations.{name}", key) for name, key in HELPERS.items()]
+    return found + [(f"p4dgs_ref.splatting.{key}", key) for key in SPLATTING]
+
+
+def mutations():
+    """Every mutation of every file, in order of files and of their text."""
+    return [m for module, equation in files() for m in mutations_of(module, equation)]
+
+
+def mutations_of(module, equation):
+    """Every mutation of one file."""
+    found = []
+    for statement in parsed(module):
+        owner, counts = owner_of(statement), {}
+        if owner is None or owner in NOT_EQUATIONS | REFUSALS | PORTIONS:
+            continue
+        for operator, place, new, shown in sites(statement):
+            counts[operator] = counts.get(operator, 0) + 1
+            name = f"{module.rsplit('.', 1)[1]}:{owner}:{operator}:{counts[operator]}"
+            found.append(
+                Mutation(
+                    name,
+                    module,
+                    equation,
+                    owner,
+                    described(place, new, shown),
+                    statement,
+                    place,
+                    new,
+                )
+            )
+    return found
+
+
+@cache
+def parsed(module):
+    """The top-level statements of a file; the same objects at every call."""
+    return ast.parse(
+        Path(ROOT.parent, *module.split(".")).with_suffix(".py").read_text(encoding="utf-8")
+    ).body
+
+
+def owner_of(statement):
+    """The name of a function or of the first constant that a statement defines; None for anything else."""
+    if isinstance(statement, ast.FunctionDef):
+        return statement.name
+    if isinstance(statement, ast.Assign) and "declare" not in ast.unparse(statement.value):
+        target = statement.targets[0]
+        return (target.elts[0] if isinstance(target, ast.Tuple) else target).id
+    return None
+
+
+# --- where, and what instead -------------------------------------------------------------------------------------
+def sites(statement):
+    """(operator's name, place, replacement, node in whose text the change is shown) in the order of the text."""
+    if isinstance(statement, ast.Assign):
+        yield from within(statement, "value", statement.value, statement.value)
+        return
+    arguments = statement.args
+    for field in ("defaults", "kw_defaults"):
+        for i, default in enumerate(getattr(arguments, field)):
+            yield from within(arguments, field, default, default, i)
+    for i, line in enumerate(statement.body):
+        if not (isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant)):  # a docstring
+            yield from within(statement, "body", line, line, i)
+
+
+def within(holder, field, node, shown, index=None):
+    """The sites at a node and below it."""
+    if node is None or aside(node):
+        return
+    if isinstance(node, (ast.expr, ast.AugAssign)) and not isinstance(node, WORDS):
+        shown = node
+    for operator, new in replacements(holder, field, node):
+        yield operator, (holder, field, index), new, shown
+    for name in order_of(holder, node):
+        value = getattr(node, name)
+        for i, child in enumerate(value) if isinstance(value, list) else [(None, value)]:
+            if isinstance(child, ast.keyword) and child.arg not in PLAIN_KEYWORDS:
+                yield from within(child, "value", child.value, shown)
+            elif isinstance(
+                child, (ast.expr, ast.stmt, ast.comprehension, ast.operator, ast.cmpop, ast.boolop)
+            ):
+                yield from within(node, name, child, shown, i)
+
+
+def order_of(holder, node):
+    """Fields that hold code that runs; an assignment's targets count, the names that a loop binds do not."""
+    if (
+        isinstance(holder, ast.Call)
+        and isinstance(node, ast.UnaryOp)
+        and isinstance(node.operand, ast.Constant)
+    ):
+        return []  # reshape(-1): any other negative length says the same
+    skipped = {
+        ast.With: ("items",),
+        ast.FunctionDef: ("args", "returns", "decorator_list"),
+        ast.For: ("target",),
+        ast.comprehension: ("target",),
+        ast.Lambda: ("args",),
+    }.get(type(node), ())
+    return [name for name in node._fields if name not in skipped]
+
+
+def aside(node):
+    """Whether a statement is an error path or decides how much is computed at once."""
+    if isinstance(node, ast.Assign):
+        return isinstance(node.targets[0], ast.Name) and node.targets[0].id in REFUSALS | PORTIONS
+    if isinstance(node, ast.For):
+        return all(map(aside, node.body))
+    return isinstance(node, ast.If) and isinstance(node.body[-1], ast.Raise)
+
+
+def replacements(holder, field, node):
+    """(operator's name, what stands there instead) for one node."""
+    if type(node) in OPERATORS:
+        other = OPERATORS[type(node)]
+        yield f"{type(node).__name__}-{other.__name__}".lower(), other()
+    elif isinstance(node, ast.Constant):
+        yield from numbers(holder, node)
+    elif isinstance(node, ast.UnaryOp):
+        yield f"no-{type(node.op).__name__}".lower(), node.operand
+    elif isinstance(node, ast.Attribute):
+        if (
+            node.attr == "T"
+            and isinstance(node.ctx, ast.Load)
+            and ast.unparse(node.value) != "camera"
+        ):
+            yield "no-transpose", node.value
+    elif isinstance(node, ast.Call):
+        yield from calls(node)
+    elif (
+        isinstance(node, (ast.List, ast.Tuple))
+        and field not in ("slice", "targets")
+        and not isinstance(holder, (ast.Return, ast.Yield, ast.keyword))
+    ):
+        yield from (("swap-items", changed(node, elts=items)) for items in swaps(node.elts))
+    elif isinstance(node, ast.Dict) and all(node.keys):
+        yield from (("swap-values", changed(node, values=items)) for items in swaps(node.values))
+    if field == "test":
+        yield "not", ast.UnaryOp(ast.Not(), node)
+
+
+def numbers(holder, node):
+    """Another number or truth value."""
+    value = node.value
+    if isinstance(value, bool):
+        yield "true-false", ast.Constant(not value)
+    elif isinstance(holder, ast.keyword) and holder.arg == "axis":
+        yield "axis", ast.Constant({0: 1, 1: 0, 2: 1}[value])
+    elif isinstance(value, int):
+        yield "int", ast.Constant(value + 1)
+    elif isinstance(value, float):
+        yield "float", ast.Constant(1.01 * value if value else 1.0)
+
+
+def calls(node):
+    """Another function, no function, or two arguments in the other order."""
+    name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+    if name in NAMES:
+        other = NAMES[name]
+        spelt = (
+            changed(node.func, attr=other)
+            if isinstance(node.func, ast.Attribute)
+            else ast.Name(other, ast.Load())
+        )
+        yield f"{name}-{other}", changed(node, func=spelt)
+    if name in DROPPED:
+        yield f"no-{name}", node.args[0]
+    if name in TRANSPOSERS:
+        yield "no-transpose", node.func.value
+    if name not in SYMMETRIC:
+        yield from (("swap-arguments", changed(node, args=args)) for args in swaps(node.args))
+
+
+def swaps(items):
+    """A list with each pair of neighbours swapped in turn, where that changes more than the place of a type."""
+    for i in range(len(items) - 1):
+        pair = {ast.unparse(item).removeprefix("np.") for item in items[i : i + 2]}
+        if len(pair) == 2 and not pair & TYPES:
+            yield [*items[:i], items[i + 1], items[i], *items[i + 2 :]]
+
+
+def changed(node, **fields):
+    """A copy of a node with other fields."""
+    return type(node)(**{**{name: getattr(node, name, None) for name in node._fields}, **fields})
+
+
+# --- putting it there --------------------------------------------------------------------------------------------
+@contextmanager
+def put(place, new):
+    """The statement with another node at a place."""
+    holder, field, index = place
+    values = getattr(holder, field)
+    old = values if index is None else values[index]
+    if isinstance(old, (ast.expr, ast.stmt)):
+        ast.fix_missing_locations(ast.copy_location(new, old))
+
+    def place_it(node):
+        if index is None:
+            setattr(holder, field, node)
+        else:
+            values[index] = node
+
+    place_it(new)
+    try:
+        yield
+    finally:
+        place_it(old)
+
+
+def described(place, new, shown):
+    """`old -> new`, in the text of the expression around it; of a long one, only the words around the change."""
+    holder, field, index = place
+    old = getattr(holder, field) if index is None else getattr(holder, field)[index]
+    before = " ".join(ast.unparse(shown).split())
+    with put(place, new):
+        after = " ".join(ast.unparse(new if shown is old else shown).split())
+    if max(len(before), len(after)) > LONG:
+        head = before.rfind(" ", 0, max(0, len(commonprefix([before, after])) - AROUND)) + 1
+        tail = len(commonprefix([before[::-1], after[::-1]])) - AROUND
+        before, after = (
+            ("... " if head else "")
+            + (text[head : len(text) - tail] + " ..." if tail > 0 else text[head:])
+            for text in (before, after)
+        )
+    return f"{before} -> {after}"
+
+
+@contextmanager
+def applied(mutation):
+    """The package with one token changed, for all who already hold its functions."""
+    module = importlib.import_module(mutation.module)
+    scratch = dict(vars(module))
+    if mutation.is_function:
+        with put(mutation.place, mutation.new):
+            exec(compile(ast.Module([mutation.statement], []), mutation.id, "exec"), scratch)
+        function, other = getattr(module, mutation.owner), scratch[mutation.owner]
+        kept = function.__code__, function.__defaults__, function.__kwdefaults__
+        function.__code__, function.__defaults__, function.__kwdefaults__ = (
+            other.__code__,
+            other.__defaults__,
+            other.__kwdefaults__,
+        )
+        try:
+            yield
+        finally:
+            function.__code__, function.__defaults__, function.__kwdefaults__ = kept
+    else:  # constants are computed from each other: all of them anew
+        constants = [
+            s for s in parsed(mutation.module) if isinstance(s, ast.Assign) and owner_of(s)
+        ]
+        with put(mutation.place, mutation.new):
+            exec(compile(ast.Module(constants, []), mutation.id, "exec"), scratch)
+        names = [
+            n.id
+            for s in constants
+            for t in s.targets
+            for n in ast.walk(t)
+            if isinstance(n, ast.Name)
+        ]
+        kept = {name: vars(module)[name] for name in names}
+        vars(module).update({name: scratch[name] for name in names})
+        try:
+            yield
+        finally:
+            vars(module).update(kept)

@@ -1,0 +1,415 @@
+"""The checker's side of the adapter protocol, against real processes: good ones, and every way to be a bad one."""
+
+import base64
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.oracle import adapter as adapter_module
+from p4dgs_ref.oracle.adapter import Adapter, AdapterError
+from p4dgs_ref.oracle.checker import judge
+from p4dgs_ref.oracle.ports import PortError
+from p4dgs_ref.oracle.published import Golden
+
+# A port of y = x: case n of its process is answered rightly, unless the lines put into it do something else.
+PORT = """
+import json, os, signal, subprocess, sys, time
+open({log!r}, "a").write(f"{{os.getpid()}}\\n")
+def send(text):
+    sys.stdout.write(text)
+    sys.stdout.flush()
+{start}
+for n, text in enumerate(sys.stdin):
+    request = json.loads(text)
+    answer = {{"p4dgs_oracle": 1}}
+    if "in" in request:
+        answer = {{"id": request["id"], "out": {{"y": request["in"]["x"]}}, "in_bar": {{"x": request["out_bar"]["y"]}}}}
+    {twist}
+    send(json.dumps(answer) + "\\n")
+"""
+
+
+class Port:
+    """Makes adapters around the port above and knows which processes they started."""
+
+    def __init__(self, folder):
+        self.log, self.script = folder / "started", folder / "port.py"
+        self.log.touch()
+
+    def __call__(self, twist="pass", start="", **options):
+        self.script.write_text(
+            PORT.format(log=str(self.log), start=start, twist=twist.replace("\n", "\n    "))
+        )
+        self.adapter = Adapter(
+            f"{shlex.quote(sys.executable)} -S {shlex.quote(str(self.script))}", **options
+        )
+        return self.adapter
+
+    def pids(self):
+        return [int(line) for line in self.log.read_text().split()]
+
+
+@pytest.fixture
+def port(tmp_path):
+    made = Port(tmp_path)
+    yield made
+    made.adapter.close()
+    wait_until_gone(made.pids())
+
+
+def alive(pid):
+    """Whether a process runs; one that has ended, but that nobody has looked at since, does not."""
+    try:
+        os.kill(pid, 0)
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except ProcessLookupError:
+        return False
+    except FileNotFoundError:  # gone since, or no such folder here
+        return not Path("/proc/self").exists()
+
+
+def wait_until_gone(pids, seconds=5.0):
+    """A killed process is gone when whoever inherits it has looked; that is a moment later."""
+    end = time.monotonic() + seconds
+    while any(map(alive, pids)):
+        assert time.monotonic() < end, "a process outlives the checker"
+        time.sleep(0.02)
+
+
+def case(name="0", subject="identity", x=None, **tensors):
+    """A case of y = x as read from vectors."""
+    x = np.array([[0.5, -1.25, 3e-310], [np.nan, np.inf, -0.0]]) if x is None else x
+    bar, scale = np.random.default_rng(1).normal(size=x.shape), np.ones(x.shape, np.float32)
+    record = {
+        "id": f"{subject}/{name}",
+        "name": name,
+        "result": "valid",
+        "settings": {"near": 0.2, "axes": "xy"},
+        "tolerance": {"float64": {"eps_S": 32}, "float32": {"eps_S": 32}},
+    }
+    tensors = {
+        "in.x": x,
+        **tensors,
+        "out_bar.y": bar,
+        "out.y": x,
+        "in_bar.x": bar,
+        "scale.out.y": scale,
+        "scale.in_bar.x": scale,
+    }
+    return Golden(record["id"], name, subject, "some_equation", "L1", record, tensors)
+
+
+def verdicts(adapter, count=5, subject="identity"):
+    """ok, or the kind of PortError, of some cases in a row."""
+    return [verdict(adapter, case(str(i), subject)) for i in range(count)]
+
+
+def verdict(adapter, asked):
+    try:
+        return "ok" if adapter.run(asked) else "empty"
+    except PortError as error:
+        return error.kind
+
+
+def failure(adapter, asked=None):
+    with pytest.raises(PortError) as caught:
+        adapter.run(asked or case())
+    assert "\n" not in str(caught.value)
+    return caught.value.kind, str(caught.value)
+
+
+def test_numbers_come_back_bit_for_bit_from_one_process(port):
+    ask = port()
+    for x in (
+        case().tensors["in.x"],
+        np.zeros((0, 3)),
+        np.array(2.5),
+        np.ones((2, 1, 3), np.float32),
+        np.array([True, False]),
+        np.array([[-(2**63), 2**63 - 1]]),
+        np.array([7, 8], ">u2"),
+        np.eye(2, 3).T,
+        np.zeros((3, 0), np.float16),
+        np.random.default_rng(2).normal(size=(500, 600)),
+    ):  # more than a pipe holds
+        got, dtype = ask.run(case(x=x)), "<f8" if x.dtype.kind == "f" else x.dtype.newbyteorder("<")
+        assert (
+            set(got) == {"out.y", "in_bar.x"}
+            and got["out.y"].dtype == dtype
+            and got["out.y"].shape == x.shape
+        )
+        assert got["out.y"].tobytes() == x.astype(dtype).tobytes()
+    assert len(port.pids()) == 1
+
+
+def test_a_case_that_float32_cannot_hold_is_not_asked(port):
+    asked = case()
+    asked.record["tolerance"].update(float32=None, float32_reason="too large")
+    assert failure(port(dtype="float32"), asked) == ("unasked", "too large") and not port.pids()
+    assert verdict(port(), asked) == "ok"
+
+
+def test_what_a_port_is_sent(port, tmp_path):
+    """The whole request, lists flat, floats in the precision asked for, the handshake before it."""
+    ask = port(f"open({str(tmp_path / 'sent')!r}, 'a').write(text)", dtype="float32")
+    x = np.array([[1.5, -2.0, 1e300]])
+    got = ask.run(
+        case(
+            "c",
+            x=x,
+            **{"in.weights.0": np.eye(2), "in.mask": np.array([True]), "in.index": np.array([3])},
+        )
+    )
+    start, request = map(json.loads, (tmp_path / "sent").read_text().splitlines())
+    assert start == {"p4dgs_oracle": 1, "dtype": "float32"}
+    assert {key: request[key] for key in ("id", "subject", "equation", "settings")} == {
+        "id": "identity/c",
+        "subject": "identity",
+        "equation": "some_equation",
+        "settings": {"near": 0.2, "axes": "xy"},
+    }
+    assert set(request["in"]) == {"x", "weights.0", "mask", "index"} and set(
+        request["out_bar"]
+    ) == {"y"}
+    sent = np.array([1.5, -2.0, np.inf], "<f4").tobytes()
+    assert request["in"]["x"] == {
+        "dtype": "F32",
+        "shape": [1, 3],
+        "data": base64.b64encode(sent).decode(),
+    }
+    assert [request["in"][name]["dtype"] for name in ("weights.0", "mask", "index")] == [
+        "F32",
+        "BOOL",
+        "I64",
+    ]
+    assert got["out.y"].dtype == np.float32 and got["out.y"][0, 2] == np.inf
+
+
+@pytest.mark.parametrize(
+    "twist, words",
+    [
+        (
+            "if n == 3: print('out of memory', file=sys.stderr); sys.exit(4)",
+            "exit code 4; stderr: out of memory",
+        ),
+        ("if n == 3: os.kill(os.getpid(), signal.SIGKILL)", "killed by signal 9"),
+        ("if n == 3: send('{\"id\": '); sys.exit(0)", "in the middle of a line"),
+        ("if n == 3: raise RuntimeError('no such kernel')", "RuntimeError: no such kernel"),
+        (
+            "if n == 3: os.close(2); subprocess.Popen(['sleep', '60']); sys.exit(5)",
+            "exit code 5",
+        ),  # keeps stdout
+        ("if n == 3: os.close(1); os.close(0); time.sleep(60)", "closed its pipes"),
+    ],
+)
+def test_a_death_costs_one_case(port, twist, words):
+    ask = port(twist)
+    assert verdicts(ask, 2) == ["ok", "ok"]
+    kind, message = failure(ask)
+    assert kind == "died" and words in message
+    assert verdicts(ask, 2) == ["ok", "ok"] and len(port.pids()) == 2
+
+
+@pytest.mark.parametrize(
+    "twist",
+    [
+        "if n == 2: time.sleep(60)",
+        "if n == 2: send(json.dumps(answer)); time.sleep(60)",  # never ends its line
+        "while n == 2: print('still at it', file=sys.stderr)",
+        "if n == 2: subprocess.Popen(['sleep', '60']).wait()",
+        "if n == 2: signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)",
+    ],
+)
+def test_a_port_that_hangs_is_stopped(port, twist):
+    ask, started = port(twist, timeout=1.5), time.monotonic()
+    assert verdicts(ask, 3) == ["ok", "hung", "ok"] and time.monotonic() - started < 5.5
+    assert len(port.pids()) == 2 and not alive(port.pids()[0])
+
+
+def test_a_request_that_nobody_reads_is_no_deadlock(port):
+    ask = port("if n == 0: send(json.dumps(answer) + '\\n'); time.sleep(60)", timeout=1.0)
+    assert failure(ask, case(x=np.ones((1000, 1000))))[0] == "hung"
+
+
+LOST = {
+    "'loading the model'": "'loading the model",
+    "'[1, 2]'": "expected a line with a JSON object",
+    "''": "got ''",
+    '\'{"id": "identity/1"\'': "expected a line with a JSON object",
+    "'\\udcff'.encode('utf-8', 'surrogateescape')": "xff",
+    "'[' * 200000": "expected a line with a JSON object",
+    "json.dumps({**answer, 'id': 'identity/9'})": "expected id",
+    "json.dumps({'out': {}, 'in_bar': {}})": "expected id",
+    "json.dumps({'id': None})": "got null",
+}
+
+
+@pytest.mark.parametrize("line", LOST)
+def test_a_line_that_is_no_answer(port, line):
+    """It may be a line ahead of us, so the process is of no more use."""
+    ask = port(
+        f"line = {line}\nif n == 2: sys.stdout.buffer.write((line.encode() if isinstance(line, str) else line) + b'\\n');"
+        " sys.stdout.flush(); continue"
+    )
+    assert verdicts(ask, 1) == ["ok"]
+    kind, message = failure(ask, case("1"))
+    assert kind == "nonsense" and LOST[line] in message and len(message) < 800
+    assert verdicts(ask, 1) == ["ok"] and len(port.pids()) == 2
+
+
+@pytest.mark.parametrize(
+    "twist, words",
+    [
+        ("if n: print('warming up')", "'warming up'"),
+        ("if n == 0: answer = {'p4dgs_oracle': 2}", "expected p4dgs_oracle 1, got 2"),
+    ],
+)
+def test_a_log_or_another_version_is_named(port, twist, words):
+    assert words in failure(port(twist))[1]
+
+
+def test_floods_are_bounded(port, monkeypatch):
+    monkeypatch.setattr(adapter_module, "LONGEST", 10**6)
+    kind, message = failure(port("if n: send('x' * 2 * 10**6); time.sleep(60)"))
+    assert kind == "nonsense" and "1,000,000 bytes" in message
+    assert failure(port("while n: send('x\\n' * 65536)"))[0] == "nonsense"
+
+
+FIELDS = {
+    "answer['out']['y']['data'] = 'AAA'": "out.y: expected data in base64",
+    "answer['out']['y']['data'] = '!' * 64": "base64",
+    "answer['out']['y']['data'] = 5": "base64",
+    "answer['out']['y']['data'] = 'AAAA'": "48 bytes for F64 [2, 3], got 3",
+    "answer['out']['y']['dtype'] = 'float64'": "a dtype of F64",
+    "answer['out']['y']['dtype'] = ['F64']": "a dtype of F64",
+    "answer['out']['y']['shape'] = [2, 2]": "32 bytes",
+    "answer['out']['y']['shape'] = 6": "a shape",
+    "answer['out']['y']['shape'] = [-2, -3]": "a shape",
+    "answer['out']['y']['shape'] = [2.0, 3]": "a shape",
+    "answer['out']['y']['shape'] = [10**9, 10**9, 10**9]": "bytes for",
+    "answer['out']['y']['shape'] = [0] * 99": "a shape",
+    "answer['out']['y'].update(dtype='BOOL', shape=[48])": "bytes 0 and 1",
+    "del answer['in_bar']['x']['shape']": "in_bar.x: expected the fields",
+    "answer['out']['y'] = [1.0]": "the fields",
+    "answer['out'] = [1.0]": "'out': expected an object of arrays",
+    "del answer['in_bar']": "'in_bar': expected",
+    "del answer['out']": "expected one of the fields out, skip, error",
+    "answer['skip'] = 'too'": "expected one of",
+}
+
+
+@pytest.mark.parametrize("twist", FIELDS)
+def test_an_answer_that_cannot_be_read(port, twist):
+    """The lines are still in step, so the process goes on."""
+    ask = port(f"if n == 2: {twist}")
+    assert verdicts(ask, 1) == ["ok"]
+    kind, message = failure(ask)
+    assert kind == "nonsense" and FIELDS[twist] in message
+    assert verdicts(ask, 1) == ["ok"] and len(port.pids()) == 1
+
+
+def test_a_port_may_skip_or_fail(port):
+    ask = port(
+        "if n == 1: answer = {'id': request['id'], 'skip': 'no gradients', 'out': None}\n"
+        "if n == 2: answer = {'id': request['id'], 'error': 'a' * 9999}"
+    )
+    assert failure(ask) == ("skipped", "no gradients")
+    kind, message = failure(ask)
+    assert kind == "error" and len(message) < 400
+    assert verdicts(ask, 1) == ["ok"] and len(port.pids()) == 1
+
+
+def test_the_checker_judges_what_can_be_read(port):
+    """Extra and missing tensors, NaN and wrong types are its business."""
+    extra = "answer['out']['z'] = answer['out']['y']"
+    less = "answer['in_bar'] = {}"
+    wrong = "answer['out']['y'] = {'dtype': 'F64', 'shape': [1], 'data': 'AAAAAAAA+H8='}"
+    ask, asked = (
+        port(f"if n == 1: {extra}\nif n == 2: {less}\nif n == 3: {wrong}"),
+        case(x=np.ones(1)),
+    )
+    results = [judge(asked, ask)[0] for _ in range(4)]
+    assert [[(f.tensor, f.kind) for f in r.findings] for r in results] == [
+        [("out.z", "extra")],
+        [("in_bar.x", "missing")],
+        [("out.y", "value")],
+        [],
+    ]
+    assert [r.verdict for r in results] == ["fail", "fail", "fail", "pass"]
+
+
+def test_a_port_that_cannot_start_is_given_up(port):
+    ask = port(start="sys.exit('no device')")
+    assert verdicts(ask, 9) == ["died"] * 9 and len(port.pids()) == 3
+    assert (
+        failure(ask)[1].startswith("not asked, after 3 failures in a row")
+        and "no device" in failure(ask)[1]
+    )
+
+
+def test_losses_with_answers_between_them_are_no_reason_to_give_up(port):
+    ask = port("if n == 2: sys.exit(1)")
+    assert [verdict(ask, case("0", subject)) for subject in "abcdefgh"] == ["ok", "died"] * 4
+
+
+def test_a_subject_that_always_kills_costs_three_starts(port):
+    ask = port("if n and request['subject'] == 'cursed': sys.exit(1)")
+    assert (
+        verdicts(ask, 2) == ["ok"] * 2
+        and verdicts(ask, 9, "cursed") == ["died"] * 9
+        and len(port.pids()) == 3
+    )
+    assert verdicts(ask, 2) == ["ok"] * 2 and len(port.pids()) == 4
+    ask.close()
+    port.log.write_text("")
+    ask = port("if n: sys.exit(1)")  # but of three subjects in a row, none is asked any more
+    assert [verdict(ask, case("0", subject)) for subject in "abcdefgh"] == ["died"] * 8 and len(
+        port.pids()
+    ) == 3
+
+
+@pytest.mark.parametrize("command", ["no-such-port --fast", "python 'x", " "])
+def test_a_command_that_is_none(command):
+    with pytest.raises(AdapterError, match="expected a command"):
+        Adapter(command)
+
+
+def test_nothing_that_a_port_started_outlives_it(port, tmp_path):
+    child = f"open({str(tmp_path / 'started')!r}, 'a').write(str(subprocess.Popen(['sleep', '60']).pid) + '\\n')"
+    ask = port(start=child)
+    assert verdicts(ask, 1) == ["ok"]
+    ask.close()
+    assert len(port.pids()) == 2
+    wait_until_gone(port.pids())
+
+
+def test_stopping_the_checker_stops_the_port(port, tmp_path):
+    """Ctrl-C while the port is at work, and so is a process that it started."""
+    port(
+        "if n: open({0!r}, 'a').write(str(subprocess.Popen(['sleep', '60']).pid) + '\\n'); time.sleep(60)".format(
+            str(port.log)
+        )
+    )
+    script = (
+        "from p4dgs_ref.oracle.adapter import Adapter\nimport signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "ask = Adapter(sys.argv[1])\nask.decode('full', b'')\n"
+    )
+    checker = subprocess.Popen(
+        [sys.executable, "-c", script, shlex.join(port.adapter.command)], stderr=subprocess.PIPE
+    )
+    end = time.monotonic() + 30
+    while len(port.pids()) < 2:
+        assert checker.poll() is None and time.monotonic() < end
+        time.sleep(0.02)
+    checker.send_signal(signal.SIGINT)
+    assert b"KeyboardInterrupt" in checker.communicate(timeout=30)[1]
+    wait_until_gone(port.pids())

@@ -1,0 +1,268 @@
+"""Work-precision studies: counted work and the order of errors, never time; and that what they write can be read."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.codec.streams import decode_symbols
+from p4dgs_ref.equations import gaussian_bin, likelihood
+from p4dgs_ref.splatting.settings import Settings
+from p4dgs_ref.studies import accuracy
+from p4dgs_ref.studies.accuracy import coder, diagram, formulas, rendering, timing
+from p4dgs_ref.studies.accuracy import likelihood as likelihood_study
+
+TABLE = json.loads(
+    (Path(__file__).parents[1] / "golden" / "data" / "gaussian_bin_constants.json").read_text()
+)
+Z, W, BITS, BITS_X, BITS_Q = (np.array(column) for column in zip(*TABLE["rows"]))
+
+
+# --- how it is measured ------------------------------------------------------------------------------------------
+def test_special_functions_are_counted_and_left_as_they_were():
+    before = dict(vars(gaussian_bin))
+    x = np.linspace(0.1, 2, 7)[None]
+    assert (
+        timing.special_calls(
+            gaussian_bin, lambda: gaussian_bin.literal(x, 0 * x, 1 + 0 * x, 1 + 0 * x)
+        )
+        == 5 * 7
+    )
+    assert dict(vars(gaussian_bin)) == before
+    with pytest.raises(ZeroDivisionError), timing.replaced(gaussian_bin, ndtr=None):
+        1 / 0
+    assert gaussian_bin.ndtr is before["ndtr"]
+
+
+def test_turns_alternate_and_every_function_is_called():
+    calls = []
+    ms = timing.alternate({name: lambda name=name: calls.append(name) for name in "ab"}, 3)
+    assert set(ms) == {"a", "b"} and all(0 < value < 50 for value in ms.values())
+    assert calls[:4] == list("aabb")  # warm-up and estimate
+    switches = sum(x != y for x, y in zip(calls[4:], calls[5:]))
+    assert switches >= 2 * 3 - 1
+
+
+def test_exponents_of_a_known_law():
+    sizes = np.array([(1, 5), (2, 7), (4, 11), (3, 13.0)])
+    assert np.allclose(
+        timing.exponents(sizes, 3 * sizes[:, 0] ** 1.5 / sizes[:, 1]), [math.log(3), 1.5, -1]
+    )
+
+
+def test_failures_are_drawn_in_red_at_the_edge_and_stay_out_of_the_line():
+    rows = [
+        {"method": "m", "knob": i, "ms": 1.0 + i, "error": e}
+        for i, e in enumerate((0.1, math.inf, 0.001, 0.0))
+    ]
+    figure, (ax,) = diagram.figure()
+    diagram.lines(ax, rows, diagram.TIME)
+    line, *marks = ax.lines
+    assert list(line.get_ydata()) == [0.1, 0.001]
+    assert [(mark.get_color(), mark.get_ydata()[0] > 0.1) for mark in marks] == [
+        ("red", True),
+        (diagram.COLORS[0], False),
+    ]
+    diagram.pyplot().close(figure)
+
+
+@pytest.mark.parametrize(
+    "value, text",
+    [
+        (0, "0"),
+        (0.5, "0.5"),
+        (3.2e-7, "3.2e-07"),
+        (math.inf, "infinite"),
+        (math.nan, "not a number"),
+        (250000, "2.5e+05"),
+    ],
+)
+def test_numbers_for_sentences(value, text):
+    assert diagram.number(value) == text
+
+
+# --- rendering ---------------------------------------------------------------------------------------------------
+def rendered(name="small splats", n=120, side=32, **settings):
+    scene_ = rendering.splat_scene(name, n, side)
+    found = rendering.tiled(
+        scene_, Settings("test", **{"dtype": "float64", "footprint": "ellipse", **settings})
+    )
+    return rendering.errors(found, rendering.exact(scene_))
+
+
+def test_listing_everything_costs_every_pair_and_errs_by_rounding_alone():
+    row = rendered(footprint="all")
+    assert (
+        row["pairs"]
+        == 120 * 32 * 32
+        == rendering.exact(rendering.splat_scene("small splats", 120, 32))[2]
+    )
+    assert row["error"] < 1e-13 and row["gradient_error"] < 1e-12
+    assert 1e-9 < rendered(footprint="all", dtype="float32")["gradient_error"] < 1e-5
+
+
+def test_a_lower_cut_costs_pairs_and_buys_accuracy():
+    rows = [rendered(cut=cut) for cut in rendering.CUTS.values()]
+    assert list(rendering.CUTS.values()) == sorted(rendering.CUTS.values(), reverse=True)
+    for key in ("error", "rms_error", *(f"{name}_error" for name in rendering.GRADIENTS)):
+        values = [row[key] for row in rows]
+        assert values == sorted(values, reverse=True) and values[-1] < 1e-6 < values[0], key
+    pairs = [row["pairs"] for row in rows]
+    assert pairs == sorted(pairs) and pairs[0] < pairs[-1] < 120 * 32 * 32
+
+
+def test_the_stop_saves_pairs_where_splats_are_opaque():
+    without, early = (rendered("large, opaque", 400, cut=5e-5, stop=stop) for stop in (0.0, 1e-2))
+    assert early["pairs"] < 0.8 * without["pairs"] and without["error"] < early["error"] <= 0.02
+
+
+def test_named_points_are_on_the_front():
+    rows, text = accuracy.summary(1)
+    exact, paper, fast_ = rows
+    assert [row["settings"] for row in rows] == ["exact", "paper", "fast"] and json.dumps(rows)
+    for key in ("error", "rms_error", *(f"{name}_error" for name in rendering.GRADIENTS)):
+        assert exact[key] == 0 < fast_[key] < 0.1 * paper[key], key
+    assert fast_["pairs"] < paper["pairs"] < exact["pairs"] == 1000 * 64 * 64
+    assert len(text.splitlines()) == 5 and all(
+        f"\n{name}" in text for name in ("exact", "paper", "fast")
+    )
+
+
+# --- likelihood --------------------------------------------------------------------------------------------------
+def test_the_truth_of_the_plane_agrees_with_stored_constants():
+    log_p, slope_z, slope_w = formulas.truth(np.abs(Z), W)
+    assert np.all(np.abs(-log_p / math.log(2) - BITS) <= 1e-12 * np.maximum(BITS, 1e-6))
+    largest = np.maximum(np.abs(BITS_X), np.abs(BITS_Q))
+    for slope, wanted in ((slope_z * np.sign(Z), BITS_X), (slope_w, BITS_Q)):
+        assert np.all(np.abs(-slope / math.log(2) - wanted) <= 1e-12 * largest + 1e-300)
+
+
+def test_the_truth_of_the_plane_agrees_with_sixty_digits():
+    z, w = (a.ravel() for a in np.meshgrid(*likelihood_study.plane(True)))
+    bits, slopes = likelihood_study.check_truth(z, w, 12)
+    assert bits < 1e-13 and slopes < 1e-12
+
+
+def test_formulas_agree_where_all_of_them_work():
+    rng = np.random.default_rng(3)
+    mu, sigma = rng.normal(size=(2, 9)), rng.lognormal(size=(2, 9))
+    x, q = mu + sigma * rng.uniform(-3, 3, (2, 9)), sigma * rng.uniform(0.3, 2, (2, 9))
+    wanted, res = likelihood.forward(x, mu, sigma, q)
+    for name, formula in formulas.FORMULAS.items():
+        out, slopes = likelihood.forward(x, mu, sigma, q, log_mass=formula)
+        tolerance = 1e-2 if name.startswith("table") else 1e-9
+        assert np.allclose(out.bits, wanted.bits, rtol=tolerance), name
+        assert all(
+            np.allclose(a, b, rtol=5 * tolerance, atol=tolerance) for a, b in zip(slopes, res)
+        ), name
+        single = likelihood.forward(
+            *(a.astype(np.float32) for a in (x, mu, sigma, q)), log_mass=formula
+        )[0].bits
+        assert single.dtype == np.float32
+
+
+def test_errors_over_the_plane_are_ordered():
+    z, w = (a.ravel() for a in np.meshgrid(*likelihood_study.plane(True), indexing="ij"))
+    found = {
+        name: likelihood_study.errors(formula, z, w, "float64")
+        for name, formula in formulas.FORMULAS.items()
+    }
+    failed = {name: np.mean(~np.isfinite(bits)) for name, (bits, _) in found.items()}
+    assert failed["stable"] == failed["log domain"] == failed["HAC, floor 1e-6"] == 0
+    assert failed["literal"] > failed["tail-symmetric"] > 0.1
+    assert found["stable"][0].max() <= 1e-12 and found["stable"][1].max() <= 1e-9
+    assert found["log domain"][0].max() > 1e-8  # narrow bins: two logarithms that agree
+    floored = -formulas.truth(z, w)[0] > -math.log(0.9e-6)
+    assert floored.mean() > 0.4 and np.all(
+        found["HAC, floor 1e-6"][1][floored] == 1
+    )  # the gradient is gone
+    assert np.isfinite(found["tail-symmetric"][0][z < 30]).all()
+
+
+def test_rows_of_the_diagram_count_and_order():
+    rows = likelihood_study.timed_rows(300, 1)
+    near = {
+        (row["method"], row["knob"]): row
+        for row in rows
+        if row["reach"] == likelihood_study.REACHES[0]
+    }
+    work = {key: row["special_per_value"] for key, row in near.items()}
+    assert (
+        work["literal", "float64"] == work["tail-symmetric", "float32"] == 5
+        and work["log domain", "float64"] == 6
+    )
+    assert work["table, float64", "256/σ"] == 1 < 5 < work["stable", "float64"] < 10
+    table = [near["table, float64", f"{n}/σ"]["bits_error"] for n in formulas.TABLES]
+    assert table == sorted(table, reverse=True) and table[-1] < 1e-3 * table[0]
+    far = {
+        (row["method"], row["knob"]): row
+        for row in rows
+        if row["reach"] == likelihood_study.REACHES[1]
+    }
+    assert (
+        far["literal", "float64"]["bits_error"] == math.inf
+        and far["stable", "float64"]["bits_error"] < 1e-12
+    )
+    assert far["stable", "float32"]["bits_error"] < 2e-6
+
+
+# --- entropy coder -----------------------------------------------------------------------------------------------
+def test_frequencies_total_what_their_precision_says():
+    symbols, mu, sigma, _ = coder.message(200)
+    for precision in (12, 24):
+        model_ = coder.model_of(mu, sigma, precision, 4, 2, 5.0)
+        unit = 1 << 24 - precision
+        assert np.all(np.diff(model_.keys) >= unit) and not np.any(model_.keys % unit)
+        assert np.array_equal(
+            model_.keys[np.append(model_.first, len(model_.keys) - 1)] >> 24,
+            np.arange(len(model_.first) + 1),
+        )
+        escapes = model_.first + model_.blocks
+        assert np.all(
+            np.diff(model_.keys)[escapes] == unit
+        )  # one count, so all others are the window's
+        deviation = sigma.max()
+        assert (
+            model_.blocks.max()
+            == 2 * (1 + math.ceil(5 * 2 ** (round(4 * math.log2(deviation)) / 4))) + 1
+        )
+    with pytest.raises(ValueError, match="does not fit"):
+        coder.model_of(mu, sigma, 8, 4, 2, 12.0)
+
+
+def test_what_is_coded_is_decoded_escapes_too():
+    symbols, mu, sigma, _ = coder.message(400, seed=5)
+    symbols[::50] += np.array([1, -1] * 4) * np.array([100, 40, 7000, 9, 12, 33, 2**20, 2**30])
+    model_ = coder.model_of(mu, sigma, 10, 3, 3, 3.0)
+    data, ideal, escapes = coder.encode(symbols, model_)
+    assert escapes >= 5 and np.array_equal(decode_symbols(data, model_), symbols)
+    assert 0 <= 8 * len(data) - ideal < 200
+
+
+def test_more_bits_never_cost_more_than_they_save():
+    rows = coder.code(1500, 1, lambda line: None)
+    for method, least in (
+        ("frequencies, 12σ window", 5),
+        ("frequencies, fitted window", 9),
+        ("mean", 8),
+        ("log2 deviation", 6),
+    ):
+        line = [row["model_percent"] for row in rows if row["method"] == method]
+        assert len(line) >= least and line[0] > line[2] > line[-1], method
+    codec = diagram.at(rows, method="the codec")
+    own = diagram.at(rows, method="mean", knob=10)
+    assert (
+        abs(codec["model_percent"] - own["model_percent"]) < 0.05
+        and codec["table_entries"] < own["table_entries"] / 2
+    )
+    assert all(
+        row["symbols"] == 1500 and row["percent"] > row["model_percent"] - 1e-9 for row in rows
+    )
+
+
+def test_few_bits_of_weights_cost_entropy():
+    rows = coder.context_rows(30)
+    cost = [row["model_percent"] for row in rows]
+    assert cost[0] > 3 * abs(cost[-1]) and abs(cost[-1]) < 0.1 and cost[0] > cost[2]
