@@ -1,4 +1,4 @@
-"""P-4DGS in NumPy: the paper equation by equation, trained, compressed to bytes, decoded and rendered.
+"""P-4DGS in NumPy: the paper equation by equation, trained, compressed to bytes, decoded, rendered.
 
     import p4dgs_ref as p4
     scene = p4.load_scene("bouncing")
@@ -7,32 +7,84 @@
     view = scene.test[0]
     image = p4.decode(data).render(view.camera, view.time)
 
-Names are imported when they are first used, so that a program can set the number of BLAS threads before NumPy loads.
+Each name is imported when it is first used. A program can therefore set the number of BLAS threads
+after importing this package and before NumPy loads.
 """
 
-from .lazy import offer
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from . import oracle
+    from .codec.container import BitstreamError
+    from .codec.file import decode, encode
+    from .model import Model
+    from .scenes.dnerf import load_scene
+    from .scenes.scene import Scene, SceneError, View
+    from .scenes.simulator.simulate import simulate
+    from .splatting.camera import Camera, look_at
+    from .splatting.settings import SETTINGS
+    from .studies.evaluate import evaluate
+    from .studies.main_job import main_job
+    from .table import EQUATIONS
+    from .training.fit import train
+    from .training.presets import PRESETS
 
 __version__ = "0.1.0"
 
+__all__ = [
+    "EQUATIONS",
+    "PRESETS",
+    "SETTINGS",
+    "BitstreamError",
+    "Camera",
+    "Model",
+    "Scene",
+    "SceneError",
+    "View",
+    "decode",
+    "encode",
+    "evaluate",
+    "load_scene",
+    "look_at",
+    "main_job",
+    "oracle",
+    "simulate",
+    "train",
+]
+
 _HOME = {
-    "load_scene": "scenes.dnerf",
-    "Scene": "scenes.scene",
-    "View": "scenes.scene",
-    "SceneError": "scenes.scene",
-    "simulate": "scenes.simulator.simulate",
-    "Camera": "splatting.camera",
-    "look_at": "splatting.camera",
-    "SETTINGS": "splatting.settings",
-    "train": "training.fit",
-    "PRESETS": "training.presets",
-    "Model": "model",
-    "encode": "codec.file",
-    "decode": "codec.file",
-    "BitstreamError": "codec.container",
-    "evaluate": "studies.evaluate",
-    "main_job": "studies.main_job",
     "EQUATIONS": "table",
+    "PRESETS": "training.presets",
+    "SETTINGS": "splatting.settings",
+    "BitstreamError": "codec.container",
+    "Camera": "splatting.camera",
+    "Model": "model",
+    "Scene": "scenes.scene",
+    "SceneError": "scenes.scene",
+    "View": "scenes.scene",
+    "decode": "codec.file",
+    "encode": "codec.file",
+    "evaluate": "studies.evaluate",
+    "load_scene": "scenes.dnerf",
+    "look_at": "splatting.camera",
+    "main_job": "studies.main_job",
+    "simulate": "scenes.simulator.simulate",
+    "train": "training.fit",
 }
-_ROOMS = ("oracle",)  # whole packages among the names
-__all__ = sorted([*_HOME, *_ROOMS])
-__getattr__, __dir__ = offer(__name__, _HOME, _ROOMS)
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name of `__all__` on first use and keep it."""
+    if name == "oracle":
+        return import_module(f"{__name__}.oracle")
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """The names of the module and those that `__getattr__` imports."""
+    return sorted({*globals(), *__all__})

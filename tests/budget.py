@@ -72,9 +72,7 @@ def budget():
         "tokens_per_line": tokens_per_line(package),
         "tutorial_tokens_per_line": tokens_per_line(tutorials),
         "longest_line": max(
-            len(line)
-            for file in written
-            for line in file.read_text(encoding="utf-8").splitlines()
+            len(line) for file in written for line in file.read_text(encoding="utf-8").splitlines()
         ),
     }
 
