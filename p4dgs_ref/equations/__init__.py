@@ -53,7 +53,7 @@ ORDER = (
     "mlp",
     "ssim",
 )
-EQUATIONS.update({key: EQUATIONS.pop(key) for key in ORDER})
+EQUATIONS.update({key: EQUATIONS.pop(key) for key in ORDER if key in EQUATIONS})
 
 # The names of equations mean their modules, `view.forward(...)`; the declared objects are values of EQUATIONS.
 __all__ = ["EQUATIONS", "FLAGS", "Case", "Equation", "declare", *ORDER]
