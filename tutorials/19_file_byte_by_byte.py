@@ -14,7 +14,7 @@ import numpy as np
 
 import p4dgs_ref as p4
 from p4dgs_ref import oracle
-from p4dgs_ref.codec import conformance, container, inspect
+from p4dgs_ref.codec import container, inspect, published
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.codec.streams import ideal_bits_gaussian
@@ -24,7 +24,7 @@ from p4dgs_ref.school import lessons
 
 plt = lessons.pyplot()
 data = (
-    conformance.FOLDER / "one_anchor.p4dgs"
+    published.FOLDER / "one_anchor.p4dgs"
 ).read_bytes()  # the smallest model there is: one anchor, one child
 
 # %% [markdown]
@@ -345,10 +345,10 @@ def grade_container(mine):
     """How many sound streams come out right, and how many bad frames are refused."""
     rows, right = streams.read_rows(), [0, 0]
     for row in rows["good"]:
-        whole = (conformance.FOLDER / row["file"]).read_bytes()
+        whole = (published.FOLDER / row["file"]).read_bytes()
         right[0] += mine(whole) == container.read_container(whole)
     for row in rows["bad"]:
-        bad = (conformance.FOLDER / row["file"]).read_bytes()
+        bad = (published.FOLDER / row["file"]).read_bytes()
         if refused(container.read_container, bad):
             try:
                 mine(bad)

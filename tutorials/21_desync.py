@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from p4dgs_ref import BitstreamError, look_at, oracle
-from p4dgs_ref.codec import conformance, container, context, fixed_point, inspect
+from p4dgs_ref.codec import container, context, fixed_point, inspect, published
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
 from p4dgs_ref.codec.quantise import dequantise
 from p4dgs_ref.equations import hash_grid, prior
@@ -304,7 +304,7 @@ def my_sigma_units(raw, log2_D, p):
 row = next(row for row in streams.read_rows()["good"] if row["name"] == "full")
 golden = {array["name"]: streams.stored(row, array) for array in row["arrays"]}
 full = quantised_of(
-    container.open_container((conformance.FOLDER / "full.p4dgs").read_bytes())
+    container.open_container((published.FOLDER / "full.p4dgs").read_bytes())
 ).model
 widths, (fraction, p) = full.design.widths, np.frexp(full.design.Q_0)
 layers = fixed_point.whole_layers(*full.networks["psi_p"])

@@ -13,7 +13,6 @@ import numpy as np
 import p4dgs_ref as p4
 from p4dgs_ref import effects as fx
 from p4dgs_ref import oracle
-from p4dgs_ref.codec.fuzz import sample_model
 from p4dgs_ref.codec.inspect import components
 from p4dgs_ref.equations import color, deformation, deformed
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
@@ -21,6 +20,7 @@ from p4dgs_ref.school import lessons
 from p4dgs_ref.splatting import compositing
 from p4dgs_ref.studies.effect_ledger import describe, ledger
 from p4dgs_ref.studies.effect_work import counted
+from p4dgs_ref.studies.random_inputs import sample_model
 from p4dgs_ref.studies.suggest import suggest
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, choose

@@ -12,7 +12,6 @@ import numpy as np
 
 import p4dgs_ref as p4
 from p4dgs_ref import oracle
-from p4dgs_ref.codec.fuzz import sample_model
 from p4dgs_ref.codec.inspect import components
 from p4dgs_ref.equations import deformation
 from p4dgs_ref.model import predict, predict_backward
@@ -23,6 +22,7 @@ from p4dgs_ref.scenes.simulator.trace import trace
 from p4dgs_ref.school import lessons
 from p4dgs_ref.studies.accuracy import fits
 from p4dgs_ref.studies.evaluate import decibel, evaluate, squared_error
+from p4dgs_ref.studies.random_inputs import sample_model
 
 plt = lessons.pyplot()
 

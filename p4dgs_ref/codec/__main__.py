@@ -18,7 +18,6 @@ PAGES = (
     ".gaussian_table",
     ".streams",
     ".rans",
-    ".make_tables",
 )
 TABLES = ("phi", "exp2", "sigmoid", "log2")
 

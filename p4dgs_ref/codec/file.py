@@ -82,16 +82,17 @@ def sections_of(quantised):
             *(a[:, columns][kept] for a in (quantised.symbols, ctx.mu_units, ctx.sigma_units))
         )
     for name, members in NETWORK_SECTIONS.items():
-        arrays = [
-            a
-            for net in members
-            if net in model.networks
-            for pair in zip(*model.networks[net])
-            for a in pair
-        ]
-        if arrays:
-            sections[name] = np.concatenate([a.ravel() for a in arrays]).astype("<f2").tobytes()
+        numbers = network_numbers(model.networks, members)
+        if numbers.size:
+            sections[name] = numbers.astype("<f2").tobytes()
     return sections
+
+
+def network_numbers(networks, members):
+    """Weights and biases of some networks in the order of the file, as one array."""
+    present = [networks[name] for name in members if name in networks]
+    layers = [layer for network in present for layer in zip(*network)]
+    return np.concatenate([np.zeros(0), *(array.ravel() for pair in layers for array in pair)])
 
 
 def encode(model):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..codec import conformance
+from ..codec import published
 from ..codec.container import BitstreamError, open_container
 from ..codec.file import quantised_of
 from . import safetensors
@@ -41,7 +41,7 @@ BLAMED = {
 
 def read_rows():
     """The manifest of the conformance streams: {"good": [...], "bad": [...]}."""
-    return json.loads((conformance.FOLDER / "manifest.json").read_text(encoding="utf-8"))
+    return json.loads((published.FOLDER / "manifest.json").read_text(encoding="utf-8"))
 
 
 def records():
@@ -71,7 +71,7 @@ def records():
 
 def copy(folder):
     """Put the streams and their arrays into `folder`/streams, where the manifest says they are."""
-    shutil.copytree(conformance.FOLDER, Path(folder) / "streams", dirs_exist_ok=True)
+    shutil.copytree(published.FOLDER, Path(folder) / "streams", dirs_exist_ok=True)
 
 
 def write_expected(folder):
@@ -80,7 +80,7 @@ def write_expected(folder):
     place.mkdir(parents=True, exist_ok=True)
     for row in rows["good"] + rows["bad"]:
         try:
-            arrays = decoded((conformance.FOLDER / row["file"]).read_bytes())
+            arrays = decoded((published.FOLDER / row["file"]).read_bytes())
         except BitstreamError as error:
             refusals[row["name"]] = str(error)
         else:
@@ -93,9 +93,9 @@ def decoded(data):
 
     Raises     BitstreamError
     """
-    found = conformance.expected(quantised_of(open_container(data)))
+    found = published.expected(quantised_of(open_container(data)))
     return {
-        name: np.asarray(a).astype(bool if kind == "bit" else conformance.TYPES[kind])
+        name: np.asarray(a).astype(bool if kind == "bit" else published.TYPES[kind])
         for name, (kind, a) in found.items()
     }
 
@@ -117,7 +117,7 @@ def judge(row, good, decode):
     """The verdict on one stream."""
     findings, said, verdict = [], "", None
     try:
-        arrays, refused = decode(row["name"], (conformance.FOLDER / row["file"]).read_bytes())
+        arrays, refused = decode(row["name"], (published.FOLDER / row["file"]).read_bytes())
     except PortError as error:
         verdict, said = error.kind, str(error)
     else:
@@ -199,7 +199,7 @@ def _difference(row, entry, mine):
     name, kind, shape = entry["name"], entry["type"], tuple(entry["shape"])
     if mine.shape != shape:
         return Finding(name, "shape", f"{mine.shape}, expected {shape}")
-    dtype = np.dtype("u1" if kind == "bit" else conformance.TYPES[kind])
+    dtype = np.dtype("u1" if kind == "bit" else published.TYPES[kind])
     if (
         mine.dtype.kind not in "iub"
         if dtype.kind in "iu"
@@ -239,9 +239,9 @@ def _difference(row, entry, mine):
 def stored(row, entry):
     """An array of a good stream, as its file of expected numbers holds it."""
     count, kind, at = int(np.prod(entry["shape"])), entry["type"], entry["offset"]
-    body = (conformance.FOLDER / row["expected"]).read_bytes()
+    body = (published.FOLDER / row["expected"]).read_bytes()
     if kind == "bit":
         return np.unpackbits(np.frombuffer(body, np.uint8, -(-count // 8), at), bitorder="little")[
             :count
         ].reshape(entry["shape"])
-    return np.frombuffer(body, conformance.TYPES[kind], count, at).reshape(entry["shape"])
+    return np.frombuffer(body, published.TYPES[kind], count, at).reshape(entry["shape"])

@@ -6,13 +6,14 @@ import json
 import numpy as np
 import pytest
 
-from p4dgs_ref.codec import conformance
 from p4dgs_ref.codec.container import SECTIONS, BitstreamError, layout, read_container
 from p4dgs_ref.codec.file import decode, encode, quantised_of
 from p4dgs_ref.codec.inspect import ledger
+from p4dgs_ref.codec.published import FOLDER
 from p4dgs_ref.model import join
+from tests.golden import conformance
 
-MANIFEST = json.loads((conformance.FOLDER / "manifest.json").read_text())
+MANIFEST = json.loads((FOLDER / "manifest.json").read_text())
 GOOD, BAD = ({row["name"]: row for row in MANIFEST[key]} for key in ("good", "bad"))
 NOT_OURS = {"all_masked_but_one", "one_anchor", "lattice", "escapes", "base_steps", "lanes"}
 KINDS = {
@@ -30,7 +31,7 @@ KINDS = {
 
 
 def read(name):
-    return (conformance.FOLDER / name).read_bytes()
+    return (FOLDER / name).read_bytes()
 
 
 def arrays_of(row):
@@ -60,7 +61,7 @@ def arrays_of(row):
 def test_written_again_they_are_the_same_bytes(tmp_path, capsys):
     conformance.main(["-o", str(tmp_path / "new")])
     assert capsys.readouterr().out.startswith(f"{tmp_path / 'new'}: ")
-    names = sorted(path.name for path in conformance.FOLDER.iterdir())
+    names = sorted(path.name for path in FOLDER.iterdir())
     assert sorted(path.name for path in (tmp_path / "new").iterdir()) == names
     for name in names:
         assert (tmp_path / "new" / name).read_bytes() == read(name), name

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import log_ndtr
 
-from p4dgs_ref.codec import fixed_point, gaussian_table, make_tables, rans, streams
+from p4dgs_ref.codec import fixed_point, gaussian_table, rans, streams
 from p4dgs_ref.codec.gaussian_table import (
     MU_BITS,
     MU_LIMIT,
@@ -24,6 +24,7 @@ from p4dgs_ref.codec.streams import (
     encode_gaussian,
     ideal_bits_gaussian,
 )
+from tests.golden import make_tables
 
 TWIN = dict(push_rows=rans.push_rows_plainly)
 

@@ -11,19 +11,21 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from p4dgs_ref.codec import container, file, fuzz
+from p4dgs_ref.codec import container, file
 from p4dgs_ref.codec.container import (
     BitstreamError,
     open_container,
     read_container,
     write_container,
 )
-from p4dgs_ref.codec.damage import Mutation, assemble, mutation
 from p4dgs_ref.codec.file import decode, encode
 from p4dgs_ref.codec.gaussian_table import SIGMA_MAX, SIGMA_MIN, gaussian_model
 from p4dgs_ref.codec.header import LIMITS, declared_numbers
 from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.codec.streams import decode_symbols, encode_bits, encode_gaussian
+from p4dgs_ref.studies.random_inputs import sample_model
+from tests.golden import fuzz
+from tests.golden.damage import Mutation, assemble, mutation
 
 REAL = dict(
     d=32,
@@ -160,7 +162,7 @@ def test_models_beyond_their_header_are_found_out(least):
 def test_the_program_says_what_it_did(tmp_path, least):
     good, bad = tmp_path / "good.p4dgs", tmp_path / "bad.p4dgs"
     good.write_bytes(least), bad.write_bytes(least[1:])
-    run = [sys.executable, "-m", "p4dgs_ref.codec.fuzz"]
+    run = [sys.executable, "-m", "tests.golden.fuzz"]
     done = subprocess.run(
         [*run, "--count", "100", "--seed", "4", good], capture_output=True, text=True
     )
@@ -222,7 +224,7 @@ LARGE = {
 def test_large_models_stay_within_their_memory(name):
     """And well within: a large model takes nearly what each of its numbers may, a small one a part of the 64 MiB."""
     anchors, fields = LARGE[name]
-    data = encode(fuzz.sample_model(1, anchors, **fields))
+    data = encode(sample_model(1, anchors, **fields))
     bound = fuzz.memory_bound(data)
     with traced(bound - 2**25):
         model = decode(data)
@@ -298,7 +300,7 @@ def test_hostile_headers_cost_no_memory(least):
 
 def test_the_largest_model_is_what_the_limits_say():
     """256 MiB; 400,000 anchors of the paper's larger preset, not 500,000."""
-    design = quantise(fuzz.sample_model(0, 1, **REAL)).model.design
+    design = quantise(sample_model(0, 1, **REAL)).model.design
     assert (
         sum(declared_numbers(design, 390_000))
         <= LIMITS["numbers"]

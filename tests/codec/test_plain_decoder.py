@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.codec import context, file, fixed_point
-from p4dgs_ref.codec.conformance import FOLDER
 from p4dgs_ref.codec.container import read_container
 from p4dgs_ref.codec.file import encode, quantised_of
-from tests.codec import plain_decoder
+from p4dgs_ref.codec.published import FOLDER
 from tests.codec.test_file import MAKE
+from tests.golden import plain_decoder
 
 MANIFEST = json.loads((FOLDER / "manifest.json").read_text())
 FORMATS = {"u8": "B", "u16": "H", "i32": "i", "i64": "q", "f32": "f", "f64": "d"}

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from p4dgs_ref.codec import conformance
+from p4dgs_ref.codec import published
 from p4dgs_ref.oracle import safetensors, streams
 from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.oracle.ports import FolderPort
@@ -257,4 +257,4 @@ def test_the_manifest_says_where_and_what(tmp_path):
                 for entry, end in zip(record["arrays"], ends)
             )
             assert {entry["name"] for entry in record["arrays"]} <= set(streams.BLAMED)
-            assert {entry["type"] for entry in record["arrays"]} <= {*conformance.TYPES, "bit"}
+            assert {entry["type"] for entry in record["arrays"]} <= {*published.TYPES, "bit"}

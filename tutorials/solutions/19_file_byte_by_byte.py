@@ -8,7 +8,7 @@ import zlib
 import numpy as np
 
 from p4dgs_ref import oracle
-from p4dgs_ref.codec import conformance, container
+from p4dgs_ref.codec import container, published
 from p4dgs_ref.oracle import streams
 from p4dgs_ref.school import lessons
 
@@ -58,7 +58,7 @@ def refuses(read, data):
 
 
 rows = streams.read_rows()
-stored = lambda key: [(conformance.FOLDER / row["file"]).read_bytes() for row in rows[key]]
+stored = lambda key: [(published.FOLDER / row["file"]).read_bytes() for row in rows[key]]
 sound = sum(my_container(whole) == container.read_container(whole) for whole in stored("good"))
 framed = [bad for bad in stored("bad") if refuses(container.read_container, bad)]
 lessons.number(

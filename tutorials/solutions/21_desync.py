@@ -4,7 +4,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.codec import conformance, container, fixed_point
+from p4dgs_ref.codec import container, fixed_point, published
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.equations import prior
 from p4dgs_ref.oracle import streams
@@ -34,7 +34,7 @@ def my_network(x, layers):
 row = next(row for row in streams.read_rows()["good"] if row["name"] == "full")
 golden = {array["name"]: streams.stored(row, array) for array in row["arrays"]}
 full = quantised_of(
-    container.open_container((conformance.FOLDER / "full.p4dgs").read_bytes())
+    container.open_container((published.FOLDER / "full.p4dgs").read_bytes())
 ).model
 layers = fixed_point.whole_layers(*full.networks["psi_p"])
 y = fixed_point.run_network(golden["h"].astype(float), layers)

@@ -11,10 +11,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from ...codec import conformance
+from ...codec import published
 from ...codec.container import BitstreamError, open_container, write_container
 from ...codec.file import decode, encode, quantised_of
-from ...codec.fuzz import sample_model
 from ...codec.gaussian_table import (
     MU_BITS,
     SIGMA_BITS,
@@ -29,6 +28,7 @@ from ...codec.rans import PRECISION
 from ...codec.streams import decode_gaussian, encode_gaussian, ideal_bits_gaussian
 from ...equations import rounding
 from ...model import LATTICE, join, snap
+from ..random_inputs import sample_model
 from .entry import DTYPES, Entry, Measured
 
 
@@ -281,13 +281,13 @@ def same_bytes(dtype):
     """The same bytes on every machine: SHA-256 of the committed streams; literal sums floats in two orders."""
     rows = {
         row["name"]: row
-        for row in json.loads((conformance.FOLDER / "manifest.json").read_text(encoding="utf-8"))[
+        for row in json.loads((published.FOLDER / "manifest.json").read_text(encoding="utf-8"))[
             "good"
         ]
     }
     wrong = 0
     for name in ("full", "static", "hashed", "deviations"):
-        data = (conformance.FOLDER / rows[name]["file"]).read_bytes()
+        data = (published.FOLDER / rows[name]["file"]).read_bytes()
         model = decode(data)
         model = replace(
             model, anchors=model.anchors._replace(f_a=model.anchors.f_a.astype(DTYPES[dtype]))

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .container import MAGIC, SECTIONS, VERSION, read_container, write_container
+from p4dgs_ref.codec.container import MAGIC, SECTIONS, VERSION, read_container, write_container
 
 VALUES = [
     0,

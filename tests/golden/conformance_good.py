@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ..model import Anchors, Design, Model, split, unsnap
-from ..scenes.scene import MODEL_EFFECTS
-from .context import coding_context
-from .quantise import Quantised, coded
+from p4dgs_ref.codec.context import coding_context
+from p4dgs_ref.codec.quantise import Quantised, coded
+from p4dgs_ref.model import Anchors, Design, Model, split, unsnap
+from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 
 BASE = Design(
     d=2,

@@ -1,4 +1,4 @@
-"""Damages files in many ways and watches the decoder: `python -m p4dgs_ref.codec.fuzz --count N`.
+"""Damages files in many ways and watches the decoder: `python -m tests.golden.fuzz --count N`.
 
 Every damaged file must be refused by `BitstreamError`; only where lengths and checksums were put in order again
 ("repaired") may it also decode, to a model within every limit of the header.  Never another exception or a warning, never
@@ -12,70 +12,23 @@ import time
 import tracemalloc
 import warnings
 from collections import Counter, defaultdict
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
-from ..model import Anchors, Design, Model, bounding_box
-from ..scenes.scene import MODEL_EFFECTS
-from .container import SECTIONS, BitstreamError, open_container, write_container
-from .damage import mutation
-from .file import encode, quantised_of, sections_of
-from .header import declared_numbers, read_header
-from .quantise import dequantise, quantise
-from .streams import encode_gaussian
+from p4dgs_ref.codec.container import SECTIONS, BitstreamError, open_container, write_container
+from p4dgs_ref.codec.file import encode, quantised_of, sections_of
+from p4dgs_ref.codec.header import declared_numbers, read_header
+from p4dgs_ref.codec.quantise import quantise
+from p4dgs_ref.codec.streams import encode_gaussian
+from p4dgs_ref.studies.random_inputs import sample_model
+from tests.golden.damage import mutation
 
 PATIENCE, HANGS = (
     5.0,
     60.0,
 )  # seconds: too long for a small file; and when to give up on it with a traceback
 ANSWERS = ("refused", "within limits", "unchanged", "failed")
-
-
-def sample_model(seed, anchors, **fields):
-    """A small model whose symbols follow its own prior, a few far outside; `fields` replace those of the design."""
-    rng = np.random.default_rng(seed)
-    design = Design(
-        **{
-            **dict(
-                d=3,
-                k=2,
-                hidden=(4,),
-                deformation=(3,),
-                L_x=1,
-                L_t=2,
-                context=(4,),
-                F=2,
-                table=(20, 16),
-                grid=(("xyz", 3), ("xy", 4), ("yz", 5)),
-                Q_0=(0.5, 0.01, 0.02, 0.1),
-                tau_alpha=0.0,
-                effects=MODEL_EFFECTS,
-            ),
-            **fields,
-        }
-    )
-    networks = {
-        name: ([rng.normal(size=pair) for pair in pairs], [rng.normal(size=n) for _, n in pairs])
-        for name, pairs in design.layers().items()
-    }
-    grids = [np.where(rng.random(shape) < 0.4, 1.0, -1.0) for shape in design.levels()]
-    x_a, mask = rng.normal(size=(anchors, 3)), rng.random((anchors, design.k)) < 0.7
-    mask[:, 0] = True  # every anchor keeps a child, so that none is dropped
-    zero = Anchors(
-        x_a,
-        *(np.zeros((anchors, *shape)) for shape in ((design.d,), (3,), (3,), (design.k, 3))),
-        mask,
-    )
-    model = Model(design, zero, networks, grids, bounding_box(x_a), rng.random(3))
-    ctx = quantise(model).context
-    symbols = np.rint(
-        ctx.mu_units / 1024 + 2.0 ** (ctx.sigma_units / 16) * rng.normal(size=ctx.mu_units.shape)
-    )
-    symbols[rng.random(symbols.shape) < 0.03] -= 5e6
-    f, s, l, O = dequantise(np.clip(symbols, -(2.0**30), 2.0**30), ctx, design)
-    return replace(model, anchors=Anchors(x_a, f, s, l, O, mask))
 
 
 @cache
@@ -177,7 +130,7 @@ def fuzz(count, seed=0, files=None):
 
 def main(arguments=None):
     parser = argparse.ArgumentParser(
-        prog="python -m p4dgs_ref.codec.fuzz", description=__doc__.splitlines()[0]
+        prog="python -m tests.golden.fuzz", description=__doc__.splitlines()[0]
     )
     parser.add_argument(
         "--count", type=int, default=2000, help="how many mutations (default: 2000)"

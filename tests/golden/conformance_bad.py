@@ -6,11 +6,11 @@ import zlib
 
 import numpy as np
 
-from . import rans
-from .conformance_good import Parts
-from .container import MAGIC, SECTIONS
-from .file import sections_of
-from .streams import encode_gaussian
+from p4dgs_ref.codec import rans
+from p4dgs_ref.codec.container import MAGIC, SECTIONS
+from p4dgs_ref.codec.file import sections_of
+from p4dgs_ref.codec.streams import encode_gaussian
+from tests.golden.conformance_good import Parts
 
 ROW, HEAD = 9, 14  # bytes of a row of the section table, and of what stands before it
 

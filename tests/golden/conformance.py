@@ -1,0 +1,134 @@
+"""Writes the conformance streams: `python -m tests.golden.conformance [-o DIR]`.
+
+The files are the same bytes on every machine: their models are made of integers, and the only
+floating-point operations are products and sums that IEEE 754 rounds in one way. The format of the
+folder is described in `p4dgs_ref/codec/published.py`.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+
+from p4dgs_ref.codec.container import write_container
+from p4dgs_ref.codec.file import attribute_columns, sections_of
+from p4dgs_ref.codec.published import FOLDER, TYPES, expected
+from p4dgs_ref.codec.streams import encode_bits, encode_gaussian
+from tests.golden.conformance_bad import forgeries
+from tests.golden.conformance_good import SAYS
+
+
+def stream_of(maker):
+    """Build one good stream: (quantised, sections)."""
+    made = maker()
+    parts, symbols = made if isinstance(made, tuple) else (made, None)
+    quantised = parts.quantised(symbols)
+    sections, ctx = sections_of(quantised), quantised.context
+    for name, columns in attribute_columns(parts.design):
+        if name in parts.lanes:
+            kept = quantised.kept[:, columns]
+            arrays = (quantised.symbols, ctx.mu_units, ctx.sigma_units)
+            coded = [array[:, columns][kept] for array in arrays]
+            sections[name] = encode_gaussian(*coded, parts.lanes[name])
+    if "hash_grid" in parts.lanes:
+        signs = np.concatenate([grid.ravel() for grid in parts.grids])
+        sections["hash_grid"] = encode_bits(signs > 0, parts.lanes["hash_grid"])
+    return quantised, sections
+
+
+def files():
+    """Every file of the folder, {name: bytes}, the manifest last."""
+    contents = {}
+    good = [good_row(maker, says, contents) for maker, says in SAYS.items()]
+    bad = [bad_row(*forgery, contents) for forgery in forgeries()]
+    contents["manifest.json"] = manifest({"good": good, "bad": bad})
+    return contents
+
+
+def good_row(maker, says, contents):
+    """The manifest's row of a good stream; adds its two files to `contents`."""
+    quantised, sections = stream_of(maker)
+    row = file_row(maker.__name__, says, write_container(sections), contents)
+    row["header"] = json.loads(sections["header"])
+    row["sections"] = {name: len(body) for name, body in sections.items()}
+    row["expected"] = f"{row['name']}.bin"
+    row["arrays"] = []
+    body = b""
+    for name, (kind, array) in expected(quantised).items():
+        part = array_bytes(kind, array)
+        entry = {"name": name, "type": kind, "shape": list(array.shape), "offset": len(body)}
+        row["arrays"].append({**entry, "sha256": hashlib.sha256(part).hexdigest()})
+        body += part
+    contents[row["expected"]] = body
+    return row
+
+
+def bad_row(name, says, data, section, offset, kind, contents):
+    """The manifest's row of a bad stream; adds its file to `contents`."""
+    row = file_row(name, says, data, contents)
+    return {**row, "section": section, "offset": offset, "kind": kind}
+
+
+def file_row(name, says, data, contents):
+    """The fields that good and bad rows share; adds the file to `contents`."""
+    contents[f"{name}.p4dgs"] = data
+    return {
+        "name": name,
+        "says": says,
+        "file": f"{name}.p4dgs",
+        "bytes": len(data),
+        "sha256": hashlib.sha256(data).hexdigest(),
+    }
+
+
+def array_bytes(kind, array):
+    """An array as the expected file stores it."""
+    if kind == "bit":
+        return np.packbits(array, bitorder="little").tobytes()
+    return np.ascontiguousarray(array, TYPES[kind]).tobytes()
+
+
+def manifest(lists):
+    """JSON with one line for every array and every bad stream."""
+    lines = ['{"format": 1, "license": "CC0-1.0",']
+    for key, rows in lists.items():
+        lines.append(f'"{key}": [')
+        for row in rows:
+            arrays = row.get("arrays", [])
+            text = compact({k: v for k, v in row.items() if k != "arrays"})
+            if arrays:
+                text = text[:-1] + ',"arrays":[\n' + ",\n".join(map(compact, arrays)) + "]}"
+            lines.append(text + ("," if row is not rows[-1] else ""))
+        lines.append("]," if key != list(lists)[-1] else "]}")
+    return "\n".join(lines).encode() + b"\n"
+
+
+def compact(value):
+    """JSON without spaces."""
+    return json.dumps(value, separators=(",", ":"))
+
+
+def main(arguments=None):
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.golden.conformance", description=__doc__.split("\n")[0]
+    )
+    parser.add_argument(
+        "-o",
+        metavar="DIR",
+        type=Path,
+        default=FOLDER,
+        help="where to write (default: the folder of published streams in the package)",
+    )
+    folder = parser.parse_args(arguments).o
+    contents = files()
+    os.makedirs(folder, exist_ok=True)
+    for name, data in contents.items():
+        (folder / name).write_bytes(data)
+    print(f"{folder}: {len(contents)} files, {sum(map(len, contents.values())):,} bytes")
+
+
+if __name__ == "__main__":
+    main()
