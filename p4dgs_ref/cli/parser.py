@@ -245,13 +245,6 @@ def add_studies(command):
     e.add_argument(
         "--only", metavar="ID", help="only this case, or those of a row of the catalogue, like H-R1"
     )
-    e.add_argument(
-        "--count",
-        type=whole(0),
-        default=0,
-        help="also search for trouble with so many inputs (default 0)",
-    )
-    e.add_argument("--seed", type=whole(0), default=0, help="seed of the search (default 0)")
     add_quiet(e), add_output(e, "report", "folder of the map (default report)")
     e = command(
         "effects", "what each effect of a scene costs and is worth, by training with and without it"

@@ -4,12 +4,10 @@ from decimal import Decimal
 
 import numpy as np
 
-from ..sixty_digits import gradient, to_float, value
-from ..sixty_digits.functions import log, working
 from .subjects import flatten
 
 # Numbers that receive a gradient, at most: each costs four evaluations in decimals.  Beyond it, and for windows over whole
-# images, the gradients stored are the reference's; `python -m p4dgs_ref.sixty_digits.record` judges samples of those too.
+# images, the gradients stored are the reference's; `python -m tests.golden.sixty_digits.record` judges samples of those too.
 FEW, MANY = 60, 260
 EXACT = 1e-12  # a closed form that is less sure of itself checks the code, but is no golden number
 CULLED = (
@@ -56,6 +54,8 @@ def _closed(case, cotangents):
 
 def _decimals(subject, case, cotangents):
     """Values in decimals; gradients too, where the formula is smooth and they do not take long."""
+    from tests.golden.sixty_digits import gradient, value
+
     found = flatten(_floats(value(subject.key, case.inputs)), "out.")
     asked = {name: case.inputs[name] for name in subject.eq.differentiable}
     count = sum(a.size for a in flatten(asked).values())
@@ -70,6 +70,8 @@ def _decimals(subject, case, cotangents):
 
 
 def _floats(decimals):
+    from tests.golden.sixty_digits import to_float
+
     return {
         name: [to_float(b) for b in a] if isinstance(a, list) else to_float(a)
         for name, a in decimals.items()
@@ -79,6 +81,9 @@ def _floats(decimals):
 
 def _bin(z, w):
     """The scalar subject of Eq. (11) from the equation at mu = 0, sigma = 1: log p is -ln 2 times its bits."""
+    from tests.golden.sixty_digits import gradient, to_float, value
+    from tests.golden.sixty_digits.functions import log, working
+
     column = np.ones((len(z), 1))
     inputs = dict(f_noisy=z[:, None], mu=0 * column, sigma=column, q=w[:, None])
     slopes = gradient("likelihood", inputs, {"bits_bar": column})

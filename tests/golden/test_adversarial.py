@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.equations import EQUATIONS
-from p4dgs_ref.sixty_digits import gradient, value
-from p4dgs_ref.studies.hard_cases import search
-from p4dgs_ref.studies.hard_cases.arenas import ARENAS
-from p4dgs_ref.studies.hard_cases.promises import LEAST, PROMISES
+from tests.golden.sixty_digits import gradient, value
+from tests.golden import search
+from tests.golden.arenas import ARENAS
+from tests.golden.promises import LEAST, PROMISES
 
 DTYPES = {"float64": np.float64, "float32": np.float32}
 COUNT, MANY = 100_000, 1_000_000

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import p4dgs_ref.sixty_digits as sixty
+import tests.golden.sixty_digits as sixty
 from p4dgs_ref.equations import EQUATIONS, Case
-from p4dgs_ref.sixty_digits import functions as f
-from p4dgs_ref.sixty_digits.errors import cotangents
-from p4dgs_ref.sixty_digits.floats import exact
-from p4dgs_ref.sixty_digits.gradients import FORMULAS
-from p4dgs_ref.sixty_digits.record import SAMPLES, measure, text
+from tests.golden.sixty_digits import functions as f
+from tests.golden.sixty_digits.errors import cotangents
+from tests.golden.sixty_digits.floats import exact
+from tests.golden.sixty_digits.gradients import FORMULAS
+from tests.golden.sixty_digits.record import SAMPLES, measure, text
 
 DATA = Path(__file__).with_name("data")
 RECORDED = json.loads((DATA / "reference_errors.json").read_text(encoding="utf-8"))["errors"]
@@ -315,7 +315,7 @@ def compare(key, name, dtype, samples):
     found, place = measured(key, name, dtype, samples), f"{key}/{name}"
     kept = RECORDED[key][dtype].get(name)
     assert (found is None) == (kept is None), (
-        f"{place}: record anew (python -m p4dgs_ref.sixty_digits.record)"
+        f"{place}: record anew (python -m tests.golden.sixty_digits.record)"
     )
     for side, e in (found or {}).items():
         if kept[side] is None:

@@ -12,7 +12,8 @@ import pytest
 
 from p4dgs_ref.equations import EQUATIONS, gaussian_bin, likelihood, view
 from p4dgs_ref.studies.accuracy.timing import special_calls
-from p4dgs_ref.studies.hard_cases import catalogue, entry, table, twins
+from p4dgs_ref.studies import quadrature
+from p4dgs_ref.studies.hard_cases import catalogue, entry, table
 from p4dgs_ref.studies.hard_cases import map as stability_map
 from tests.core import test_equations as generic
 
@@ -241,7 +242,7 @@ def test_likelihood_keeps_its_figures_over_the_plane(dtype, relative):
     inputs = dict(zip(("f_noisy", "mu", "sigma", "q"), (a.astype(dtype) for a in draw(4000, 5))))
     out, res = likelihood.forward(**inputs)
     bar = np.ones_like(out.bits)
-    true, slopes = twins.likelihood(inputs, {"bits_bar": bar})
+    true, slopes = quadrature.likelihood(inputs, {"bits_bar": bar})
     bits = true["bits"].astype(float)
     terms = [
         np.abs(np.asarray(inputs[n], float) * slopes[n].astype(float))
@@ -266,7 +267,7 @@ def test_likelihood_keeps_its_figures_over_the_plane(dtype, relative):
 
 def test_the_twin_agrees_with_mpmath():
     z, w, bits, bits_x, bits_q = (np.array(column)[None] for column in zip(*TABLE["rows"]))
-    got, slopes = twins.likelihood(
+    got, slopes = quadrature.likelihood(
         dict(f_noisy=z, mu=0 * z, sigma=0 * z + 1, q=w), {"bits_bar": 0 * z + 1}
     )
     assert np.all(np.abs(got["bits"] - bits) <= 2e-15 * bits + 1e-300)

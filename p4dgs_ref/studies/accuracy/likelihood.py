@@ -1,11 +1,13 @@
 """Study 2, likelihood: formulas of Eq. (11), their errors in bits and in gradient over distance and bin width."""
 
+import json
 import math
 import sys
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
-from ... import sixty_digits
 from ...equations import likelihood
 from ..report import pyplot
 from .diagram import COLORS, Axes, Finding, at, figure, finish, lines, number, table
@@ -13,6 +15,7 @@ from .formulas import FORMULAS, TABLES, truth
 from .formulas import table as table_formula
 from .timing import alternate, special_calls
 
+DIGITS = Path(__file__).with_name("sixty_digits.json")
 LEAST_BITS = 1e-6  # relative errors of fewer bits are not told apart from absolute ones
 DTYPES = ("float32", "float64")
 REACHES = (3, 1000)  # sigmas: what a trained model asks for, and the declared domain
@@ -46,30 +49,23 @@ def errors(formula, z, w, dtype):
     return np.abs(found[0] - bits) / np.maximum(bits, LEAST_BITS), gradient
 
 
-def check_truth(z, w, count):
-    """Largest relative distance of the quadrature to 60 digits at some points of the plane: of bits, of slopes."""
-    chosen = np.random.default_rng(0).choice(len(z), count, replace=False)
-    log_p, *slopes = truth(z[chosen], w[chosen])
-    gaps = []
-    for i, j in enumerate(chosen):
-        one = inputs(z[j], w[j], float)
-        bits = float(sixty_digits.value("likelihood", one)["bits"][0, 0])
-        exact = [
-            float(
-                sixty_digits.gradient("likelihood", one, {"bits_bar": np.ones((1, 1))}, name)[name][
-                    0, 0
-                ]
-            )
-            for name in ("f_noisy", "q")
-        ]
-        gap = max(abs(-slope[i] / math.log(2) - e) for slope, e in zip(slopes, exact))
-        gaps.append(
-            (
-                abs(-log_p[i] / math.log(2) - bits) / max(bits, LEAST_BITS),
-                gap / max(map(abs, exact)) if any(exact) else gap,
-            )
-        )
-    return np.max(gaps, axis=0)
+@cache
+def sixty_digits():
+    """Points of the planes with their bits and slopes from 60-digit arithmetic: {plane: rows}.
+
+    `python -m tests.golden.likelihood_points` writes them.
+    """
+    return json.loads(DIGITS.read_text(encoding="utf-8"))
+
+
+def check_truth(quick):
+    """Largest relative distance of the quadrature from 60-digit values: of the bits, of the slopes."""
+    z, w, bits, *exact = np.array(sixty_digits()["quick" if quick else "full"]).T
+    found, *slopes = (-a / math.log(2) for a in truth(z, w))
+    gap = np.abs(np.array(slopes) - exact).max(axis=0)
+    largest = np.abs(exact).max(axis=0)
+    relative = np.divide(gap, largest, out=gap, where=largest > 0)
+    return (np.abs(found - bits) / np.maximum(bits, LEAST_BITS)).max(), relative.max()
 
 
 def plane(quick):
@@ -187,7 +183,7 @@ def run(folder, quick, progress):
         for name, formula in FORMULAS.items()
         for dtype in DTYPES
     }
-    checked = check_truth(z, w, 4 if quick else 30)
+    checked = check_truth(quick)
     progress("likelihood: times")
     repeats = 3 if quick else 9
     rows = timed_rows(2000 if quick else 20_000, repeats)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 
 from ...scenes.output import write_atomically
-from ...sixty_digits import gradient, text, value
+from tests.golden.sixty_digits import gradient, text, value
 from .catalogue import ENTRIES
 from .entry import CONSTANTS
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...equations import likelihood
 from ...scenes.output import write_atomically
-from . import twins
+from .. import quadrature
 from .entry import DTYPES
 
 DISTANCES = 10.0 ** np.linspace(-1, 3, 65)  # |x - mu| / sigma
@@ -23,7 +23,7 @@ def errors(formula, dtype):
     inputs = dict(f_noisy=z, mu=0 * z, sigma=0 * z + 1, q=w)
     with np.errstate(all="ignore"):
         got = formula(**inputs)[0].bits.astype(np.longdouble)
-        true = twins.likelihood(inputs, {"bits_bar": 0 * z})[0]["bits"]
+        true = quadrature.likelihood(inputs, {"bits_bar": 0 * z})[0]["bits"]
         error = np.abs(got - true) / true
         log = np.log10(np.maximum(error, np.longdouble(10) ** (BEST - 1))).astype(float)
     log[~np.isfinite(got)] = np.inf

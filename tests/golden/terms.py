@@ -7,10 +7,10 @@ Each function here takes inputs, cotangents and the measured sizes and returns t
 
 import numpy as np
 
-from ...equations import likelihood as likelihood_equation
-from ...equations import mlp
-from ...equations import rotation as rotation_equation
-from ...splatting import projection as projection_equation
+from p4dgs_ref.equations import likelihood as likelihood_equation
+from p4dgs_ref.equations import mlp
+from p4dgs_ref.equations import rotation as rotation_equation
+from p4dgs_ref.splatting import projection as projection_equation
 
 
 def rotation(inputs, cotangents, S):

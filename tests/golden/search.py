@@ -5,22 +5,26 @@ float32 and once more in a longer float, and the error is counted in units of wh
 inputs are kept, changed a little, and tried again.  A number that is not finite counts as infinitely wrong.
 """
 
+import argparse
+import sys
 import zlib
 from typing import NamedTuple
 
 import numpy as np
 
-from ... import splatting  # noqa: F401  declares covariance, projection, compositing
-from ...equations import EQUATIONS
-from . import terms, twins
+from p4dgs_ref import splatting  # noqa: F401  declares covariance, projection, compositing
+from p4dgs_ref.equations import EQUATIONS
+from p4dgs_ref.studies import quadrature
+
+from . import terms
 from .arenas import ARENAS
-from .entry import cast
+from p4dgs_ref.studies.hard_cases.entry import cast
 from .promises import LEAST, PROMISES
 
 LONGER = {np.float32: np.float64, np.float64: np.longdouble}
 PROBES = 8  # random directions in which the size of the terms is measured
 ROWS = 128  # inputs that one call evaluates
-TWINS = {"likelihood": twins.likelihood}  # where the equation itself is float64 inside
+TWINS = {"likelihood": quadrature.likelihood}  # where the equation itself is float64 inside
 TERMS = {
     "rotation": terms.rotation,
     "covariance": terms.covariance,
@@ -239,3 +243,27 @@ def run(count=100_000, seed=0, keys=None, report=lambda found: None):
             )
             report(found[-1])
     return found
+
+
+def main(arguments):
+    """`python -m tests.golden.search`: 0 if nothing was found, 1 otherwise."""
+    parser = argparse.ArgumentParser(prog="python -m tests.golden.search", description=__doc__)
+    parser.add_argument("--count", type=int, default=100_000, help="inputs to try (default 100000)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the search (default 0)")
+    options = parser.parse_args(arguments)
+    found = run(options.count, options.seed, report=lambda f: print(describe(f), flush=True))
+    bad = sum(f.non_finite + f.beyond for f in found)
+    print(f"{sum(f.inputs for f in found):,} inputs tried, {bad} beyond what is promised")
+    return int(bad > 0)
+
+
+def describe(f):
+    """One line about what was found for one equation in one precision."""
+    return (
+        f"{f.equation} {f.dtype}: {f.inputs:,} inputs, {f.non_finite} not finite, {f.beyond} "
+        f"beyond the promised error; the worst has {f.worst:.2f} of it, in {f.where}"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

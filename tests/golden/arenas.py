@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...equations.deformation import random_field
+from p4dgs_ref.equations.deformation import random_field
 
 
 class Arena(NamedTuple):

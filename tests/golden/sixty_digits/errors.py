@@ -5,8 +5,8 @@ from decimal import Decimal
 
 import numpy as np
 
-from .. import splatting  # noqa: F401  declares covariance, projection and compositing
-from ..equations import EQUATIONS
+from p4dgs_ref import splatting  # noqa: F401  declares covariance, projection and compositing
+from p4dgs_ref.equations import EQUATIONS
 from .floats import to_float, wrapped
 from .functions import working
 from .gradients import gradient, value

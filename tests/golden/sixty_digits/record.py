@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..equations import EQUATIONS
+from p4dgs_ref.equations import EQUATIONS
 from .errors import error
 
-FILE = Path("tests/data/reference_errors.json")
+FILE = Path(__file__).parents[1] / "data" / "reference_errors.json"
 SAMPLES = 12  # elements of a gradient array that the quick test, and every measurement in float32, look at
 HOW = (
     "Largest error of the NumPy equations against 60-digit decimals: per case, of the outputs and of the gradients, in units "

@@ -1,0 +1,34 @@
+"""True values of Eq. (11) for the study of its formulas: `python -m tests.golden.likelihood_points`.
+
+Some points are drawn from each of the study's two planes. Their bits and slopes are computed with
+60 digits, rounded to float64 and stored beside the study.
+"""
+
+import json
+
+import numpy as np
+
+from p4dgs_ref.studies.accuracy.likelihood import DIGITS, plane
+
+from .sixty_digits import gradient, value
+
+COUNTS = {"quick": 4, "full": 30}
+
+
+def rows(quick, count):
+    """[z, w, bits, slope in f_noisy, slope in q] of `count` points, for mu = 0 and sigma = 1."""
+    z, w = (a.ravel() for a in np.meshgrid(*plane(quick), indexing="ij"))
+    chosen = np.random.default_rng(0).choice(len(z), count, replace=False)
+    one = np.ones((1, 1))
+    found = []
+    for i in chosen:
+        inputs = dict(f_noisy=z[i] * one, mu=0 * one, sigma=one, q=w[i] * one)
+        slopes = gradient("likelihood", inputs, {"bits_bar": one})
+        exact = (value("likelihood", inputs)["bits"], slopes["f_noisy"], slopes["q"])
+        found.append([float(z[i]), float(w[i]), *(float(a[0, 0]) for a in exact)])
+    return found
+
+
+if __name__ == "__main__":
+    planes = {name: rows(name == "quick", count) for name, count in COUNTS.items()}
+    DIGITS.write_text(json.dumps(planes, indent=1) + "\n", encoding="utf-8")
