@@ -108,16 +108,19 @@ class Gaussians(NamedTuple):
     index: np.ndarray  # (N,) a k + j of the anchor and child each came from
 
 
-class PredictRes(NamedTuple):
-    view: object
-    opacity: object
-    color: object
-    rotation: object
-    scale: object
-    offsets: object
-    masking: object
-    deformation: object  # None where nothing moves or time has not started
-    deformed: object
+class SavedPrediction(NamedTuple):
+    """What `predict_backward` needs: what every equation saved, and the opacities for training."""
+
+    alpha: np.ndarray  # (A, k) opacities before masking, which density control watches
+    view: tuple | None  # None where the scene has no view effects
+    opacity: tuple
+    color: tuple
+    rotation: tuple
+    scale: tuple
+    offsets: tuple
+    masking: tuple
+    deformation: tuple | None = None  # None where nothing moves or time has not started
+    deformed: tuple | None = None
 
 
 def beside(f, s, l, O):
@@ -142,56 +145,65 @@ def split(values, design):
 
 
 def predict(design, networks, anchors, x_c, t=None):
-    """Spatial, then temporal prediction: (Gaussians, residual).  t None leaves time out, as stages 1 and 2 do.
+    """Spatial, then temporal prediction (P-4DGS Fig. 1, Eqs. 1 to 6).
 
-    Shapes     x_c (3,), t scalar; networks {name: (weights, biases)}
-    Gradient   as each equation says; none from E(x) back into x (Q10)
-    Reference  P-4DGS Fig. 1, Eqs. (1) to (6)
+    Return the Gaussians at time t as the camera at x_c (3,) sees them, and what `predict_backward`
+    needs. `networks` is {name: (weights, biases)}. Without t, as in stages 1 and 2 of training, the
+    Gaussians are the canonical ones.
     """
-    listed, nothing = design.effects, anchors.f_a[:, :0]
-    unseen, res_view = (nothing, nothing), None
-    if "view_color" in listed or "view_geometry" in listed:
-        seen, res_view = view.forward(anchors.x_a, x_c)
-    geometry = seen if "view_geometry" in listed else unseen
-    f_a = anchors.f_a
-    alpha, res_alpha = opacity.forward(f_a, *geometry, *networks["psi_alpha"])
-    c, res_c = color.forward(f_a, *(seen if "view_color" in listed else unseen), *networks["psi_c"])
-    r, res_r = rotation.forward(f_a, *geometry, *networks["psi_r"])
-    s, res_s = scale.forward(anchors.s_a, f_a, *geometry, *networks["psi_s"])
-    x, res_x = offsets.forward(anchors.x_a, anchors.O_a, anchors.l_a)
-    kept, res_m = masking.forward(
-        alpha.alpha, anchors.mask, design.tau_alpha, x.x, c.color, s.s, r.r
+    f_a, effects = anchors.f_a, design.effects
+    unseen = f_a[:, :0], f_a[:, :0]
+    seen, saved_view = unseen, None
+    if "view_color" in effects or "view_geometry" in effects:
+        seen, saved_view = view.forward(anchors.x_a, x_c)
+    for_color = seen if "view_color" in effects else unseen
+    for_geometry = seen if "view_geometry" in effects else unseen
+
+    alpha, saved_opacity = opacity.forward(f_a, *for_geometry, *networks["psi_alpha"])
+    c, saved_color = color.forward(f_a, *for_color, *networks["psi_c"])
+    r, saved_rotation = rotation.forward(f_a, *for_geometry, *networks["psi_r"])
+    s, saved_scale = scale.forward(anchors.s_a, f_a, *for_geometry, *networks["psi_s"])
+    x, saved_offsets = offsets.forward(anchors.x_a, anchors.O_a, anchors.l_a)
+    kept, saved_masking = masking.forward(alpha, anchors.mask, design.tau_alpha, x, c, s, r)
+    alpha_kept, x, c, s, r, index = kept
+    saved = SavedPrediction(
+        alpha,
+        saved_view,
+        saved_opacity,
+        saved_color,
+        saved_rotation,
+        saved_scale,
+        saved_offsets,
+        saved_masking,
     )
-    canonical = Gaussians(kept.x, kept.s, kept.r, kept.alpha, kept.color, kept.index)
-    res = PredictRes(res_view, res_alpha, res_c, res_r, res_s, res_x, res_m, None, None)
-    if t is None or "psi_d" not in networks:
-        return canonical, res
-    delta, res_d = deformation.forward(kept.x, t, *networks["psi_d"], design.L_x, design.L_t)
-    at_t, res_t = deformed.forward(kept.x, kept.s, kept.r, *delta)
-    return (
-        canonical._replace(x=at_t.x_t, s=at_t.s_t, r=at_t.r_t),
-        res._replace(deformation=res_d, deformed=res_t),
-    )
+    if t is not None and "psi_d" in networks:
+        deltas, saved_deformation = deformation.forward(
+            x, t, *networks["psi_d"], design.L_x, design.L_t
+        )
+        (x, s, r), saved_deformed = deformed.forward(x, s, r, *deltas)
+        saved = saved._replace(deformation=saved_deformation, deformed=saved_deformed)
+    return Gaussians(x, s, r, alpha_kept, c, index), saved
 
 
-def predict_backward(res, x_bar, s_bar, r_bar, alpha_bar, color_bar):
+def predict_backward(saved, x_bar, s_bar, r_bar, alpha_bar, color_bar):
     """Gradients of the anchors' attributes {name: gradient} and of the networks {name: gradients}.
 
-    Shapes     x_bar, s_bar, color_bar (N, 3), r_bar (N, 4), alpha_bar (N,): cotangents of the Gaussians at time t
+    The cotangents are those of the Gaussians at time t. No gradient flows from E(x) back into x
+    (Q10).
     """
     networks = {}
-    if res.deformed is not None:
-        moved = deformed.backward(res.deformed, x_bar, s_bar, r_bar)
-        x_bar, s_bar, r_bar = moved["x"], moved["s"], moved["r"]
+    if saved.deformed is not None:
+        at_t = deformed.backward(saved.deformed, x_bar, s_bar, r_bar)
+        x_bar, s_bar, r_bar = at_t["x"], at_t["s"], at_t["r"]
         networks["psi_d"] = deformation.backward(
-            res.deformation, moved["delta_x"], moved["delta_s"], moved["delta_r"], needs_x=False
+            saved.deformation, at_t["delta_x"], at_t["delta_s"], at_t["delta_r"], needs_x=False
         )
-    full = masking.backward(res.masking, alpha_bar, x_bar, color_bar, s_bar, r_bar)
-    placed = offsets.backward(res.offsets, full["x"])
-    networks["psi_s"] = scale.backward(res.scale, full["s"])
-    networks["psi_r"] = rotation.backward(res.rotation, full["r"])
-    networks["psi_c"] = color.backward(res.color, full["color"])
-    networks["psi_alpha"] = opacity.backward(res.opacity, full["alpha"])
+    children = masking.backward(saved.masking, alpha_bar, x_bar, color_bar, s_bar, r_bar)
+    placed = offsets.backward(saved.offsets, children["x"])
+    networks["psi_s"] = scale.backward(saved.scale, children["s"])
+    networks["psi_r"] = rotation.backward(saved.rotation, children["r"])
+    networks["psi_c"] = color.backward(saved.color, children["color"])
+    networks["psi_alpha"] = opacity.backward(saved.opacity, children["alpha"])
     anchors = {
         "x_a": placed["x_a"],
         "O_a": placed["O_a"],
@@ -199,12 +211,11 @@ def predict_backward(res, x_bar, s_bar, r_bar, alpha_bar, color_bar):
         "s_a": networks["psi_s"]["s_a"],
         "f_a": sum(networks[name]["f_a"] for name in ANCHOR_NETWORKS),
     }
-    if res.view is not None:  # every network that sees the view sends its gradient back
-        seen = [networks[name] for name in ANCHOR_NETWORKS if networks[name]["d_vc"].shape[1]]
-        back = view.backward(
-            res.view, sum(n["delta_vc"] for n in seen), sum(n["d_vc"] for n in seen)
-        )
-        anchors["x_a"] = anchors["x_a"] + back["x_a"]
+    if saved.view is not None:  # every network that sees the view sends its gradient back
+        seeing = [networks[name] for name in ANCHOR_NETWORKS if networks[name]["d_vc"].shape[1]]
+        delta_vc_bar = sum(gradients["delta_vc"] for gradients in seeing)
+        d_vc_bar = sum(gradients["d_vc"] for gradients in seeing)
+        anchors["x_a"] = anchors["x_a"] + view.backward(saved.view, delta_vc_bar, d_vc_bar)["x_a"]
     return anchors, networks
 
 
@@ -305,9 +316,9 @@ def without_silent_units(model):
     if {"view_color", "view_geometry"} & set(model.design.effects) or not model.design.hidden:
         return model
     woken, slim = {}, {}
-    for name in ANCHOR_NETWORKS:  # Res.inputs: what enters each layer; from 1 on, hidden units
-        res = mlp.forward(model.anchors.f_a, *model.networks[name])[1]
-        woken[name] = [units.any(axis=0) for units in res.inputs[1:]]
+    for name in ANCHOR_NETWORKS:
+        _, (layer_inputs, _) = mlp.forward(model.anchors.f_a, *model.networks[name])
+        woken[name] = [units.any(axis=0) for units in layer_inputs[1:]]
     widths = tuple(
         max(1, *(int(layer.sum()) for layer in layers)) for layers in zip(*woken.values())
     )

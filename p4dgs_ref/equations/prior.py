@@ -22,7 +22,7 @@ class Res(NamedTuple):
     sigma: np.ndarray  # (A, n)
     free: np.ndarray  # (A, n)  bool, raw within its clamp
     columns: tuple  # where mu and raw sigma stand in the network's output, two index arrays (n,)
-    mlp: mlp.Res
+    mlp: tuple
 
 
 def layout(widths):
@@ -45,9 +45,9 @@ def forward(h, weights, biases, widths):
     """
     y, res = mlp.forward(h, weights, biases)
     columns = layout(widths)
-    raw = y.y[:, columns[1]]
+    raw = y[:, columns[1]]
     sigma = np.exp(np.clip(raw, RAW_MIN, RAW_MAX))
-    return Out(y.y[:, columns[0]], sigma), Res(
+    return Out(y[:, columns[0]], sigma), Res(
         sigma, (raw >= RAW_MIN) & (raw <= RAW_MAX), columns, res
     )
 
@@ -63,8 +63,10 @@ def backward(res, mu_bar=None, sigma_bar=None):
 
 
 def cases():
+    from ..studies.random_inputs import random_network
+
     rng = np.random.default_rng(17)
-    weights, biases = mlp.random_network(rng, 5, 7, 22)
+    weights, biases = random_network(rng, 5, 7, 22)
     inputs = dict(h=rng.normal(size=(6, 5)), weights=weights, biases=biases, widths=(2, 3, 3, 3))
     yield Case("ordinary", inputs)
     yield Case("no_anchor", {**inputs, "h": inputs["h"][:0]}, ("empty",))

@@ -22,7 +22,7 @@ class Out(NamedTuple):
 
 class Res(NamedTuple):
     slope: np.ndarray  # (A, G)  dq / d psi_q
-    mlp: mlp.Res
+    mlp: tuple
 
 
 def forward(h, weights, biases, Q_0):
@@ -37,9 +37,9 @@ def forward(h, weights, biases, Q_0):
     Reference  P-4DGS Eq. (8)
     """
     y, res = mlp.forward(h, weights, biases)
-    share = expit(2 * y.y)
+    share = expit(2 * y)
     # sigmoid' = s (1 - s), where 1 - s is sigmoid(-v): it keeps its digits where s rounds to 1
-    slope = np.where(share > FLOOR / 2, 4 * Q_0 * share * expit(-2 * y.y), 0)
+    slope = np.where(share > FLOOR / 2, 4 * Q_0 * share * expit(-2 * y), 0)
     return Out(2 * Q_0 * np.maximum(share, FLOOR / 2)), Res(slope, res)
 
 
@@ -49,8 +49,10 @@ def backward(res, q_bar):
 
 
 def cases():
+    from ..studies.random_inputs import random_network
+
     rng = np.random.default_rng(13)
-    weights, biases = mlp.random_network(rng, 5, 7, 4)
+    weights, biases = random_network(rng, 5, 7, 4)
     inputs = dict(
         h=rng.normal(size=(6, 5)),
         weights=weights,

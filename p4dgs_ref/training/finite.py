@@ -74,7 +74,9 @@ def watched():
         def run(*args, **kwargs):
             running.append(key)
             result = function(*args, **kwargs)
-            outputs = result[0] if name == "forward" else result
+            outputs = result
+            if name == "forward":
+                outputs = EQUATIONS[key].named(result[0]) if key in EQUATIONS else result[0]
             _check(f"equation {', its '.join(map(repr, running))}, {direction}", outputs)
             running.pop()
             return result

@@ -134,7 +134,7 @@ def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
         L_rate,
         bits,
     )
-    seen = Seen(res_p.opacity.alpha, g.index, res_r.splats.visible, out.image)
+    seen = Seen(res_p.alpha, g.index, res_r.splats.visible, out.image)
     res = dict(
         p=p,
         design=design,
