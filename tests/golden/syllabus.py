@@ -1,0 +1,245 @@
+"""The index of the tutorials: tutorials/README.md with its tables, its graph and its pictures.
+
+python -m tests.golden.syllabus               run all tutorials, draw all pictures, write the index
+python -m tests.golden.syllabus 06 20 demo    only these tutorials and the pictures of the demo
+python -m tests.golden.syllabus accuracy      only the pictures of the two studies of accuracy
+python -m tests.golden.syllabus index         only the index, with the times it already holds
+"""
+
+import ast
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from p4dgs_ref.oracle.vectors import read_manifest
+from p4dgs_ref.scenes.output import write_atomically
+from p4dgs_ref.syllabus import TUTORIALS, tutorial_of
+from p4dgs_ref.table import EQUATIONS
+
+from . import gallery
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "tutorials"
+
+
+# --- the facts that a tutorial states about itself ------------------------------------------------
+class Facts(NamedTuple):
+    """The facts that are read from a tutorial's file."""
+
+    title: str
+    after: tuple  # numbers of the tutorials that a reader should know
+    reading: str  # "half an hour"
+    exercises: dict  # "01.2" -> keys of the equations that it is about
+
+
+def facts(tutorial, folder=FOLDER):
+    """The Facts of a tutorial. Raises ValueError naming the file if its first cell lacks one."""
+    path = Path(folder) / f"{tutorial.name}.py"
+    source = path.read_text(encoding="utf-8")
+    title = re.match(r"# %% \[markdown\]\n# # (.*)\n", source)
+    first_cell = source.split("\n# %%", 1)[0].splitlines()
+    head = " ".join(line.lstrip("# ").strip() for line in first_cell[2:])
+    said = re.search(r"\*\*Before it:\*\*(.*?)\*\*Takes\*\*.*?two cores,\s+(.*?) of yours", head)
+    if not title or not said:
+        raise ValueError(
+            f"{path.name}: expected a title, then "
+            "**Before it:** ... **Takes** ... on two cores, ... of yours"
+        )
+    return Facts(title[1], prerequisites(said[1]), said[2], exercises(source, tutorial.keys))
+
+
+def prerequisites(text):
+    """The numbers of the tutorials that a text names.
+
+    "`01_offsets` to `15_compositing`" also names all tutorials between the two.
+    """
+    named = []
+    for first, last in re.findall(r"`(\d\d)\w*`(?: to `(\d\d)\w*`)?", text):
+        named += [t.number for t in TUTORIALS if first <= t.number <= (last or first)]
+    return tuple(dict.fromkeys(named))
+
+
+def exercises(source, keys):
+    """{exercise: keys of its equations} in the source of a tutorial or of its solutions.
+
+    An exercise whose check names none of the tutorial's equations is about all of them.
+    """
+    found = {}
+    for node in ast.walk(ast.parse(source)):
+        check = name_of_check(node)
+        if check == "number":
+            about = {name.id for name in ast.walk(node) if isinstance(name, ast.Name)}
+        elif check in ("forward", "backward"):
+            about = {equation_of(node.args[2].value)}
+        else:
+            continue
+        found[node.args[0].value] = tuple(key for key in keys if key in about) or keys
+    return dict(sorted(found.items()))
+
+
+def name_of_check(node):
+    """The name of the function of `lessons` that a syntax node calls, or None."""
+    called = node.func if isinstance(node, ast.Call) else None
+    if isinstance(called, ast.Attribute) and isinstance(called.value, ast.Name):
+        return called.attr if called.value.id == "lessons" else None
+    return None
+
+
+def equation_of(subject):
+    """The key of the equation that a subject of the published vectors belongs to."""
+    return equations_of_subjects()[subject]
+
+
+@cache
+def equations_of_subjects():
+    return {subject["key"]: subject["equation"] for subject in read_manifest()["subjects"]}
+
+
+# --- tables ---------------------------------------------------------------------------------------
+def equations_table(folder=FOLDER):
+    """A Markdown table with one row for each equation."""
+    about = {}
+    for tutorial in TUTORIALS:
+        for exercise, keys in facts(tutorial, folder).exercises.items():
+            for key in keys:
+                about.setdefault(key, []).append(exercise)
+    lines = ["| no. | key | file | vectors | tutorial | exercises |", "|---|---|---|---|---|---|"]
+    for key, equation in EQUATIONS.items():
+        file = equation.module.replace(".", "/") + ".py"
+        name = tutorial_of(key).name
+        cells = (
+            equation.number,
+            f"`{key}`",
+            f"[`{file}`](../{file})",
+            f"[`{key}.safetensors`](../p4dgs_ref/oracle/v1/{key}.safetensors)",
+            f"[{name}]({name}.py)",
+            ", ".join(about.get(key, [])),
+        )
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def order_table(seconds, folder=FOLDER):
+    """A Markdown table of the tutorials in order; `seconds` is {number: measured}."""
+    lines = [
+        "| tutorial | what it is about | after | exercises | seconds | reading |",
+        "|---|---|---|---|---|---|",
+    ]
+    for tutorial in TUTORIALS:
+        own = facts(tutorial, folder)
+        measured = f"{seconds[tutorial.number]:.1f}" if tutorial.number in seconds else ""
+        lines.append(
+            f"| [{tutorial.name}]({tutorial.name}.py) | {own.title} | {listed(own.after)} | "
+            f"{len(own.exercises)} | {measured} | {own.reading} |"
+        )
+    return "\n".join(lines)
+
+
+def listed(numbers):
+    """ "07, 10", or "01 to 15" if no tutorial between the first and the last is missing."""
+    if len(numbers) > 2:
+        between = [t.number for t in TUTORIALS if numbers[0] <= t.number <= numbers[-1]]
+        if list(numbers) == between:
+            return f"{numbers[0]} to {numbers[-1]}"
+    return ", ".join(numbers)
+
+
+def graph(folder=FOLDER):
+    """The prerequisites as a Mermaid graph, without arrows that follow from two others."""
+    before = {tutorial.number: set(facts(tutorial, folder).after) for tutorial in TUTORIALS}
+    reach = {}
+    for number, direct in before.items():  # a prerequisite has a lower number
+        reach[number] = direct.union(*(reach[n] for n in direct))
+    lines = ["```mermaid", "graph LR"]
+    for tutorial in TUTORIALS:
+        number = tutorial.number
+        lines.append(f'    t{number}["{number} {tutorial.name[3:].replace("_", " ")}"]')
+        for n in sorted(before[number]):
+            if not any(n in reach[other] for other in before[number]):
+                lines.append(f"    t{n} --> t{number}")
+    return "\n".join([*lines, "```"])
+
+
+def measured_before(folder=FOLDER):
+    """{number: seconds} as README.md states them."""
+    path = Path(folder) / "README.md"
+    text = path.read_text(encoding="utf-8") if path.is_file() else ""
+    found = re.findall(r"^\| \[(\d\d)_.*\| (\d+\.\d) \| [^|]* \|$", text, re.M)
+    return {number: float(seconds) for number, seconds in found}
+
+
+def index(seconds, folder=FOLDER):
+    """The text of README.md with new tables.
+
+    Only the text between a mark such as <!-- order --> and the next <!-- end --> is replaced.
+    """
+    text = (Path(folder) / "README.md").read_text(encoding="utf-8")
+    sections = {
+        "order": order_table(seconds, folder),
+        "graph": graph(folder),
+        "equations": equations_table(folder),
+        "gallery": gallery.gallery(),
+    }
+    for name, made in sections.items():
+        mark = f"<!-- {name} -->\n"
+        before, after = text.split(mark, 1)
+        rest = after.split("<!-- end -->", 1)[1]
+        text = f"{before}{mark}{made}\n<!-- end -->{rest}"
+    return text
+
+
+# --- measuring ------------------------------------------------------------------------------------
+def run(tutorial, out, folder=FOLDER):
+    """Run a tutorial without a display, figures in `out`; return the seconds and the process."""
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+    environment = {
+        **os.environ,
+        "MPLBACKEND": "Agg",
+        "P4DGS_TUTORIALS_OUT": str(out),
+        "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONPATH": path,
+    }
+    start = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, str(Path(folder) / f"{tutorial.name}.py")],
+        env=environment,
+        capture_output=True,
+        text=True,
+        cwd=out,
+    )
+    return time.perf_counter() - start, done
+
+
+def main(chosen):
+    """Run what is chosen (everything if nothing is), renew its pictures, and write the index."""
+    known = {"demo", "accuracy", "index", *(tutorial.number for tutorial in TUTORIALS)}
+    unknown = sorted(set(chosen) - known)
+    if unknown:
+        sys.exit(
+            f"{' '.join(unknown)}: expected numbers of tutorials, 'demo', 'accuracy' or 'index'"
+        )
+    seconds = measured_before()
+    with tempfile.TemporaryDirectory() as out:
+        for tutorial in TUTORIALS:
+            if not chosen or tutorial.number in chosen:
+                seconds[tutorial.number], done = run(tutorial, out)
+                if done.returncode:
+                    sys.exit(f"{tutorial.name}.py: {done.stderr.strip().splitlines()[-1]}")
+                print(f"{tutorial.name}: {seconds[tutorial.number]:.1f} s", flush=True)
+        if not chosen or "demo" in chosen:
+            gallery.draw_demo(out)
+        if not chosen or "accuracy" in chosen:
+            gallery.draw_accuracy(out)
+        gallery.take(out, FOLDER / "pictures")
+    text = index(seconds).encode()
+    write_atomically(FOLDER / "README.md", lambda file: file.write(text))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
