@@ -1,8 +1,11 @@
-"""Scenes: what is learned from (views, cameras, times), where it is read from, and the simulator that draws it."""
+"""Scenes to train on: views, cameras and times, read from files or taken from arrays.
+
+The simulator that draws the packaged scenes is a room of its own, `p4dgs_ref.scenes.simulator`.
+Loading a scene does not import it.
+"""
 
 from .dnerf import load_scene, packaged_scenes
 from .scene import MODEL_EFFECTS, SIMULATOR_EFFECTS, Scene, SceneError, View
-from .simulator import simulate
 
 __all__ = [
     "MODEL_EFFECTS",
@@ -12,5 +15,4 @@ __all__ = [
     "View",
     "load_scene",
     "packaged_scenes",
-    "simulate",
 ]

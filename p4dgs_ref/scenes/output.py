@@ -1,17 +1,21 @@
-"""Files and folders that are never half-written: everything is made beside its place and then renamed into it."""
+"""Files and folders that are never half-written.
+
+Everything is written beside its place and then renamed. A rename replaces a file in one step, so a
+reader sees the old file or the whole new one.
+"""
 
 import os
 import tempfile
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
 class OutputError(ValueError):
-    """A place that cannot be written to: one line naming it and what was expected."""
+    """A place that cannot be written to: one line that names it and what was expected."""
 
 
 def write_atomically(path, write):
-    """Call `write(file)` on a file beside `path`, then rename: a reader sees the old file or the whole new one."""
+    """Call `write(file)` on a new file beside `path`, then rename it to `path`."""
     path = Path(path)
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
@@ -25,69 +29,58 @@ def write_atomically(path, write):
 
 
 def remove_leftovers(path):
-    """Delete what killed processes left beside `path` in the middle of `write_atomically`."""
+    """Delete the files that killed processes left beside `path` in `write_atomically`."""
     for beside in Path(path).parent.glob(f".{Path(path).name}.*.part"):
         beside.unlink(missing_ok=True)
 
 
 @contextmanager
 def made(path):
-    """The folder `path`, made and proved writable before minutes are spent; taken away again if the work fails empty.
+    """Make the folder `path` and prove that it can be written to, before any long work begins.
 
-    Raises     OutputError
+    If the work fails, the folders that were made for it are removed again where they are empty.
     """
     folder, missing = Path(path), []
     try:
         try:
-            missing = [
-                place for place in (folder, *folder.parents) if not place.exists()
-            ]  # deepest first
+            missing = [place for place in (folder, *folder.parents) if not place.exists()]
             folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=folder):
-                pass
+            tempfile.TemporaryFile(dir=folder).close()
         except OSError as error:
             raise OutputError(
                 f"{folder}: expected a folder that can be written to ({error.strerror})"
             ) from None
         yield folder
     except BaseException:
-        for place in missing:
-            try:
+        with suppress(OSError):  # the first folder that was not made, or is not empty, ends it
+            for place in missing:  # the deepest one first
                 place.rmdir()
-            except OSError:  # not made, or something worth keeping is in it
-                break
         raise
 
 
 @contextmanager
 def filled(path):
-    """A fresh folder to write into; at the end its files move to the folder `path`, after an error they vanish.
+    """Yield a fresh folder to write into, whose files move to the folder `path` at the end.
 
-    Raises     OutputError
+    After an error nothing is moved.
     """
-    with made(path) as folder, tempfile.TemporaryDirectory(prefix=".part-", dir=folder) as beside:
-        yield Path(beside)
-        files = sorted(
-            (file for file in Path(beside).rglob("*") if file.is_file()),
-            key=lambda file: file.stat().st_mtime_ns,
-        )  # in order of writing
-        places = [folder / file.relative_to(beside) for file in files]
-        for place in places:
+    with made(path) as folder, tempfile.TemporaryDirectory(prefix=".part-", dir=folder) as part:
+        yield Path(part)
+        files = [file for file in Path(part).rglob("*") if file.is_file()]
+        places = {file: folder / file.relative_to(part) for file in files}
+        for place in places.values():
             if place.is_dir():
                 raise OutputError(f"{place}: expected a file or nothing, found a folder")
             if any(above.exists() and not above.is_dir() for above in place.parents):
                 raise OutputError(f"{place.parent}: expected a folder or nothing, found a file")
-        for file, place in zip(files, places):
-            place.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(file, place)
+        for file in sorted(files, key=lambda file: file.stat().st_mtime_ns):  # as written
+            places[file].parent.mkdir(parents=True, exist_ok=True)
+            os.replace(file, places[file])
 
 
 @contextmanager
 def new_file(path):
-    """Prove that the file `path` can be written; its folder is made, and taken away again if the work fails.
-
-    Raises     OutputError
-    """
+    """Prove that the file `path` can be written; its folder is made as in `made`."""
     if Path(path).is_dir():
         raise OutputError(f"{path}: expected the name of a file, found a folder")
     with made(Path(path).parent):

@@ -1,13 +1,19 @@
-"""A scene: posed and timed views, the effects that happen in them, the background; all checked when it is made."""
+"""A scene: views with cameras and times, the effects that happen in it, and a background.
+
+Everything is checked when a scene is made, so that training and evaluation can rely on it.
+"""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..splatting.camera import Camera
 
-# The closed lists (README, "Effects").  The simulator knows the model's effects and three of its own.
+# The closed lists of effects. The simulator knows the effects of the model and three of its own.
 MODEL_EFFECTS = (
     "translation",
     "rotation",
@@ -17,233 +23,257 @@ MODEL_EFFECTS = (
     "occlusion",
     "background",
 )
-SIMULATOR_EFFECTS = MODEL_EFFECTS + ("texture", "diffuse", "specular")
+SIMULATOR_EFFECTS = (*MODEL_EFFECTS, "texture", "diffuse", "specular")
 
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
-ROTATION_TOLERANCE = (
-    1e-3  # files print six or seven digits; a scaled or mirrored matrix is off by far more
-)
+# Files print six or seven digits. A scaled or mirrored matrix is further from a rotation than this.
+ROTATION_TOLERANCE = 1e-3
 
 
 class SceneError(ValueError):
     """A mistake in a scene: one line that names the file, the field and what was expected."""
 
-    def __init__(self, where, expected):
+    def __init__(self, where: object, expected: str):
         super().__init__(" ".join(f"{where}: {expected}".split()))
+
+
+def require(condition, where, expected):
+    """Raise a SceneError unless the condition holds."""
+    if not condition:
+        raise SceneError(where, expected)
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One picture of the scene.
-
-    Shapes     image (H, W, 3) float32 over the scene's background; alpha (H, W) float32, None where files have none
-    Units      image and alpha in [0, 1]; time in [0, 1]
-    """
+    """One picture of the scene."""
 
     name: str
-    image: np.ndarray
-    alpha: np.ndarray | None
+    image: np.ndarray  # [H, W, 3] float32 in [0, 1], over the background of the scene
+    alpha: np.ndarray | None  # [H, W] float32 in [0, 1]; None where the files have no alpha
     camera: Camera
-    time: float
+    time: float  # in [0, 1]
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Views to learn from and views to be judged by.
+    """Views to train on and views to evaluate on, all of one size.
 
-    Shapes     train, test, val: tuples of View of one size; background (3,) float32
-    Units      effects: those of MODEL_EFFECTS that happen here, in that order
-    Domain     at least one training view; test and val may be empty
-    Raises     SceneError for views, effects or a background that cannot be used
-    Choice     Q20: cameras; a scene that does not list `background` stands before black, the neutral input
+    A scene needs at least one training view; `test` and `val` may be empty. `effects` may be any
+    list of names; the scene keeps those of MODEL_EFFECTS, in that order. A scene that does not list
+    the effect `background` stands before black. A SceneError names what cannot be used.
     """
 
     name: str
-    train: tuple
-    test: tuple = ()
-    val: tuple = ()
-    effects: tuple = MODEL_EFFECTS
-    background: np.ndarray = BACKGROUNDS["white"]
-    source: object = None
+    train: tuple[View, ...]
+    test: tuple[View, ...] = ()
+    val: tuple[View, ...] = ()
+    effects: tuple[str, ...] = MODEL_EFFECTS
+    background: np.ndarray = field(default_factory=lambda: np.ones(3))  # [3], made float32
+    source: Path | None = None  # the folder it was read from
 
     def __post_init__(self):
-        for split in ("train", "test", "val"):
-            object.__setattr__(self, split, tuple(getattr(self, split)))
-        object.__setattr__(self, "effects", model_effects(self.effects, f"{self.name}: effects"))
-        object.__setattr__(
-            self, "background", background_color(self.background, self.effects, self.name)
-        )
-        if not self.train:
-            raise SceneError(f"{self.name}: train", "no views; expected at least one")
-        size = self.train[0].image.shape
+        where = self.source or self.name
+        effects = model_effects(self.effects, f"{where}: effects")
+        checked = {
+            "train": tuple(self.train),
+            "test": tuple(self.test),
+            "val": tuple(self.val),
+            "effects": effects,
+            "background": background_color(self.background, effects, where),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)  # the class is frozen for its users
+        require(self.train, f"{where}: train", "no views; expected at least one")
         for view in self.train + self.test + self.val:
-            check_view(view, size, f"{self.name}: {view.name}")
+            check_view(view, self.train[0], f"{where}: {view.name}")
 
     @classmethod
     def from_arrays(
-        cls, images, cameras, times, *, test=(), effects=None, background="white", name="arrays"
-    ):
-        """A scene without files.
+        cls,
+        images: Iterable[ArrayLike],
+        cameras: Iterable[Camera],
+        times: Iterable[float],
+        *,
+        test: Iterable[int] = (),
+        effects: Collection[str] | None = None,
+        background: str | ArrayLike = "white",
+        name: str = "arrays",
+    ) -> "Scene":
+        """Make a scene from n images, cameras and times in [0, 1] instead of files.
 
-        Shapes     images n of (H, W, 3) or (H, W, 4); cameras n of Camera; times n; test: indices of held-out views
-        Units      images: uint8, or floats in [0, 1]; RGBA is straight (not premultiplied) and is laid over the
-                   background; RGB is taken as it is; times in [0, 1]
-        Raises     SceneError
+        An image is [H, W, 3] or [H, W, 4], unsigned integers or floats in [0, 1]. RGBA is straight
+        (not premultiplied) and is laid over the background. `test` holds the indices of the views
+        that are not trained on. Without `effects` the scene has all of the model's.
         """
         images, cameras, times, test = list(images), list(cameras), list(times), list(test)
-        if not len(images) == len(cameras) == len(times):
-            raise SceneError(
-                f"{name}: images, cameras, times",
-                f"{len(images)}, {len(cameras)} and {len(times)}; expected equal numbers",
-            )
+        require(
+            len(images) == len(cameras) == len(times),
+            f"{name}: images, cameras, times",
+            f"{len(images)}, {len(cameras)} and {len(times)}; expected equal numbers",
+        )
         for position, i in enumerate(test):
-            if not isinstance(i, (int, np.integer)) or not 0 <= i < len(images):
-                raise SceneError(
-                    f"{name}: test[{position}]", f"{i!r}; expected an index in 0..{len(images) - 1}"
-                )
-        effects = model_effects(effects, f"{name}: effects")
-        color = background_color(background, effects, name)
+            require(
+                isinstance(i, (int, np.integer)) and 0 <= i < len(images),
+                f"{name}: test[{position}]",
+                f"{i!r}; expected an index in 0..{len(images) - 1}",
+            )
+        listed = model_effects(effects, f"{name}: effects")
+        color = background_color(background, listed, name)
         views = []
         for i, (image, camera, time) in enumerate(zip(images, cameras, times)):
             pixels, alpha = over_background(as_float(image, f"{name}: images[{i}]"), color)
-            views.append(
-                View(f"images[{i}]", pixels, alpha, camera, check_time(time, f"{name}: times[{i}]"))
-            )
-        held_out = {int(i) for i in test}
-        return cls(
-            name,
-            [v for i, v in enumerate(views) if i not in held_out],
-            [views[i] for i in sorted(held_out)],
-            effects=effects,
-            background=color,
-        )
+            time = check_time(time, f"{name}: times[{i}]")
+            views.append(View(f"images[{i}]", pixels, alpha, camera, time))
+        trained_on = tuple(view for i, view in enumerate(views) if i not in test)
+        held_out = tuple(views[i] for i in sorted(set(test)))
+        return cls(name, trained_on, held_out, effects=listed, background=color)
 
 
 def check_effects(names, where):
-    """The list as it stands in a file, every name known to the simulator; None stands for all of the model's."""
+    """A list of effects in the order of SIMULATOR_EFFECTS; None stands for all of the model's."""
     if names is None:
         return MODEL_EFFECTS
-    if isinstance(names, str) or not isinstance(names, (list, tuple, set, frozenset)):
-        raise SceneError(where, f"{names!r}; expected a list of names")
+    require(
+        isinstance(names, (list, tuple, set, frozenset)),
+        where,
+        f"{names!r}; expected a list of names",
+    )
     for name in names:
-        if name not in SIMULATOR_EFFECTS:
-            raise SceneError(
-                where, f"unknown effect {name!r}; expected some of {', '.join(SIMULATOR_EFFECTS)}"
-            )
+        require(
+            name in SIMULATOR_EFFECTS,
+            where,
+            f"unknown effect {name!r}; expected some of {', '.join(SIMULATOR_EFFECTS)}",
+        )
     return tuple(effect for effect in SIMULATOR_EFFECTS if effect in names)
 
 
 def model_effects(names, where):
-    """The model's part of a list of effects, in the order of MODEL_EFFECTS."""
+    """The effects of a list that the model knows, in the order of MODEL_EFFECTS."""
     return tuple(effect for effect in check_effects(names, where) if effect in MODEL_EFFECTS)
 
 
 def background_color(background, effects, where):
-    """Three float32 in [0, 1] from a name or numbers; black where the scene lists no background."""
-    if isinstance(background, str) and background not in BACKGROUNDS:
-        raise SceneError(
-            f"{where}: background",
-            f"{background!r}; expected white, black or three numbers in [0, 1]",
-        )
-    color = as_array(BACKGROUNDS[background] if isinstance(background, str) else background)
-    if color is None or color.shape != (3,) or not (np.all(color >= 0) and np.all(color <= 1)):
-        raise SceneError(
-            f"{where}: background",
-            f"{background!r}; expected white, black or three numbers in [0, 1]",
-        )
+    """The background as three float32 in [0, 1]; black where the scene does not list the effect."""
+    numbers = BACKGROUNDS.get(background, ()) if isinstance(background, str) else background
+    color = as_array(numbers)
+    require(
+        color.shape == (3,) and np.all((color >= 0) & (color <= 1)),
+        f"{where}: background",
+        f"{background!r}; expected white, black or three numbers in [0, 1]",
+    )
     return color.astype(np.float32) if "background" in effects else np.zeros(3, np.float32)
 
 
 def as_array(values):
-    """Finite or infinite numbers as float64, None for anything else (ragged lists, text, nothing)."""
+    """The values as a float64 array, an empty one where they are no array of numbers."""
     try:
         return np.asarray(values, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        return None
+        return np.empty(0)
+
+
+def size_of(image):
+    """The width and height of an image in words."""
+    return f"{image.shape[1]}x{image.shape[0]}"
 
 
 def as_float(image, where):
-    """Pixels as float32 in [0, 1], from integers of any width or from floats."""
+    """The pixels as float32, unsigned integers divided by their largest value."""
     image = np.asarray(image)
-    if image.ndim != 3 or image.shape[2] not in (3, 4) or 0 in image.shape:
-        raise SceneError(where, f"an array of shape {image.shape}; expected (H, W, 3) or (H, W, 4)")
+    require(
+        image.ndim == 3 and image.shape[2] in (3, 4) and 0 not in image.shape,
+        where,
+        f"an array of shape {image.shape}; expected (H, W, 3) or (H, W, 4)",
+    )
     if image.dtype.kind == "u":
         return image.astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
-    if image.dtype.kind != "f":
-        raise SceneError(where, f"pixels of type {image.dtype}; expected uint8 or floats in [0, 1]")
+    require(
+        image.dtype.kind == "f",
+        where,
+        f"pixels of type {image.dtype}; expected uint8 or floats in [0, 1]",
+    )
     return image.astype(np.float32)
 
 
 def over_background(image, color):
-    """RGB and alpha of an RGBA picture laid over a colour; an RGB picture is left alone and has no alpha."""
+    """The RGB picture that an RGBA picture shows over a colour, and its alpha (None for RGB)."""
     if image.shape[2] == 3:
         return image, None
-    alpha = image[..., 3]
-    return image[..., :3] * alpha[..., None] + color * (1 - alpha[..., None]), np.ascontiguousarray(
-        alpha
-    )
+    alpha = np.ascontiguousarray(image[..., 3])
+    return image[..., :3] * alpha[..., None] + color * (1 - alpha[..., None]), alpha
 
 
 def check_time(time, where):
-    """A time as a Python float in [0, 1]."""
+    """The time as a Python float in [0, 1]."""
     number = isinstance(time, (int, float, np.integer, np.floating)) and not isinstance(time, bool)
-    if not number or not 0 <= time <= 1:
-        raise SceneError(where, f"{time!r}; expected a number in [0, 1]")
+    require(number and 0 <= time <= 1, where, f"{time!r}; expected a number in [0, 1]")
     return float(time)
 
 
 def check_rotation(R, where):
-    """A 3 by 3 rotation: orthonormal within the tolerance, determinant +1."""
-    if not np.all(np.isfinite(R)):
-        raise SceneError(where, "not finite; expected finite numbers")
+    """Refuse a 3 x 3 matrix that is not a rotation: not orthonormal, or a mirror."""
+    require(np.all(np.isfinite(R)), where, "not finite; expected finite numbers")
     error = np.abs(R @ R.T - np.eye(3)).max()
-    if error > ROTATION_TOLERANCE:
-        raise SceneError(
-            where,
-            f"off orthonormal by {error:.2g}; expected a rotation (to {ROTATION_TOLERANCE:g})",
-        )
-    if np.linalg.det(R) < 0:
-        raise SceneError(where, "determinant -1, a mirror; expected a rotation, determinant +1")
+    require(
+        error <= ROTATION_TOLERANCE,
+        where,
+        f"off orthonormal by {error:.2g}; expected a rotation (to {ROTATION_TOLERANCE:g})",
+    )
+    require(
+        np.linalg.det(R) > 0,
+        where,
+        "determinant -1, a mirror image; expected a rotation, determinant +1",
+    )
 
 
-def check_view(view, size, where):
-    """One view against its camera, its range and the size that all views share."""
-    camera = view.camera
-    if view.image.shape != size or view.image.ndim != 3 or size[2] != 3:
-        raise SceneError(
-            where, f"image of shape {view.image.shape}; expected {size}, the same for all views"
-        )
-    if (camera.height, camera.width) != size[:2]:
-        raise SceneError(
-            f"{where}: camera",
-            f"{camera.width}x{camera.height} pixels; expected {size[1]}x{size[0]}",
-        )
+def check_view(view, first, where):
+    """Refuse a view whose image, alpha, camera or time does not fit, or whose size is another."""
+    image, camera = view.image, view.camera
+    require(
+        image.ndim == 3 and image.shape[2] == 3,
+        where,
+        f"image of shape {image.shape}; expected (H, W, 3)",
+    )
+    require(
+        image.shape == first.image.shape,
+        where,
+        f"{size_of(image)} pixels; expected {size_of(first.image)}, the same for all views",
+    )
+    require(
+        (camera.height, camera.width) == image.shape[:2],
+        f"{where}: camera",
+        f"{camera.width}x{camera.height} pixels; expected {size_of(image)}",
+    )
     for name, values in (("image", view.image), ("alpha", view.alpha)):
-        if values is not None and not (
-            values.min() >= 0 and values.max() <= 1 + 1e-6
-        ):  # also false for NaN
-            raise SceneError(
-                f"{where}: {name}",
-                "values beyond [0, 1] or not finite; expected finite ones in [0, 1]",
-            )
-    if view.alpha is not None and view.alpha.shape != size[:2]:
-        raise SceneError(f"{where}: alpha", f"shape {view.alpha.shape}; expected {size[:2]}")
-    if np.shape(camera.R) != (3, 3) or np.shape(camera.T) != (3,):
-        raise SceneError(
-            f"{where}: camera",
-            f"R {np.shape(camera.R)}, T {np.shape(camera.T)}; expected (3, 3), (3,)",
+        require(
+            values is None or (values.min() >= 0 and values.max() <= 1 + 1e-6),
+            f"{where}: {name}",
+            "values outside [0, 1], or not finite; expected finite values in [0, 1]",
         )
+    require(
+        view.alpha is None or view.alpha.shape == image.shape[:2],
+        f"{where}: alpha",
+        f"another shape than the image; expected {image.shape[:2]}",
+    )
+    require(
+        np.shape(camera.R) == (3, 3) and np.shape(camera.T) == (3,),
+        f"{where}: camera",
+        f"R {np.shape(camera.R)}, T {np.shape(camera.T)}; expected (3, 3), (3,)",
+    )
     check_rotation(camera.R, f"{where}: camera.R")
-    if not np.all(np.isfinite(camera.T)):
-        raise SceneError(f"{where}: camera.T", "not finite; expected finite numbers")
-    if not (0 < camera.f_x < math.inf and 0 < camera.f_y < math.inf):
-        raise SceneError(
-            f"{where}: camera",
-            f"focal lengths {camera.f_x}, {camera.f_y}; expected positive numbers",
-        )
-    if not (math.isfinite(camera.c_x) and math.isfinite(camera.c_y)):
-        raise SceneError(
-            f"{where}: camera",
-            f"principal point {camera.c_x}, {camera.c_y}; expected finite numbers",
-        )
+    require(
+        np.all(np.isfinite(camera.T)),
+        f"{where}: camera.T",
+        "not finite; expected finite numbers",
+    )
+    require(
+        0 < camera.f_x < math.inf and 0 < camera.f_y < math.inf,
+        f"{where}: camera",
+        f"focal lengths {camera.f_x}, {camera.f_y}; expected positive numbers",
+    )
+    require(
+        math.isfinite(camera.c_x) and math.isfinite(camera.c_y),
+        f"{where}: camera",
+        f"principal point {camera.c_x}, {camera.c_y}; expected finite numbers",
+    )
     check_time(view.time, f"{where}: time")

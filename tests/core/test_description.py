@@ -5,7 +5,9 @@ import math
 
 import pytest
 
-from p4dgs_ref.scenes import SceneError, load_scene, simulate
+from p4dgs_ref.scenes import SceneError, load_scene
+from p4dgs_ref.scenes.output import OutputError
+from p4dgs_ref.scenes.simulator import simulate
 
 SPHERE = {"name": "ball", "shape": {"kind": "sphere", "radius": 0.5}, "color": [0.8, 0.4, 0.2]}
 SMALL = {
@@ -77,7 +79,7 @@ def test_mistakes_in_a_description_file(tmp_path):
     file = tmp_path / "scene.json"
     with pytest.raises(SceneError, match="scene.json: missing"):
         simulate(file, tmp_path / "out")
-    with pytest.raises(SceneError, match="a file; expected a folder"):
+    with pytest.raises(OutputError, match="taken: expected a folder that can be written to"):
         out = tmp_path / "taken"
         out.write_text("")
         simulate(SMALL, out)

@@ -7,12 +7,13 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene, simulate
-from p4dgs_ref.scenes.simulator import motion, shapes, tiny, trace
+from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene
 from p4dgs_ref.scenes.dnerf import packaged_folder
+from p4dgs_ref.scenes.simulator import motion, shapes, simulate, trace
 from p4dgs_ref.scenes.simulator.description import describe
 from p4dgs_ref.scenes.simulator.simulate import place_cameras
 from p4dgs_ref.splatting.camera import look_at
+from tests.golden import tiny_scenes
 
 SPHERE = {"name": "ball", "shape": {"kind": "sphere", "radius": 0.5}, "color": [0.8, 0.4, 0.2]}
 BOX = {"name": "box", "shape": {"kind": "box", "half": [0.4, 0.3, 0.2]}, "color": [0.1, 0.3, 0.5]}
@@ -319,7 +320,7 @@ def test_static_does_not_change_with_time():
 
 @pytest.mark.parametrize("name", ["orientation", "figure"])
 def test_committed_pixels_can_be_drawn_again(name, tmp_path):
-    assert not tiny.main([name, "-o", str(tmp_path)])
+    assert not tiny_scenes.main([name, "-o", str(tmp_path)])
     files = sorted(path.relative_to(tmp_path / name) for path in (tmp_path / name).rglob("*.*"))
     assert len(files) == 58 + 3
     for file in files:

@@ -1,4 +1,4 @@
-"""Draws described scenes: shapes, motions, light and a ray tracer."""
+"""Draws scenes from a description: shapes, motions, light and a ray tracer."""
 
 from .simulate import simulate
 

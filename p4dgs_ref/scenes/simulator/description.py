@@ -1,7 +1,10 @@
-"""Reads and checks scene.json, the simulator's description of a scene; the tables below are the format.
+"""Reads and checks scene.json, the description that the simulator draws. The tables below are it.
 
-Lengths are scene units, z is up, angles are degrees, colours are three numbers in [0, 1].  A field that is
-not in the tables is refused: a misspelt one would otherwise be silently ignored.
+Lengths are in scene units, z is up, angles are in degrees, colours are three numbers in [0, 1]. A
+field that is not in the tables is refused, because a misspelt one would otherwise be ignored.
+
+A reader is a function of a value and of the place where it stands. It returns the checked value or
+raises a SceneError that names the place and what was expected.
 """
 
 from pathlib import Path
@@ -10,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from ..dnerf import read_json
-from ..scene import SIMULATOR_EFFECTS, SceneError, check_effects
+from ..scene import SIMULATOR_EFFECTS, check_effects, require
 
 REQUIRED = object()
 
@@ -21,116 +24,127 @@ def below(where, name):
 
 
 def number(low=-1e6, high=1e6, integer=False):
-    """A reader of one number between low and high."""
+    """A reader of one number from low to high."""
+    kind = "an integer" if integer else "a number"
 
     def read(value, where):
-        kinds = int if integer else (int, float)
-        if isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high:
-            kind = "an integer" if integer else "a number"
-            raise SceneError(where, f"{value!r}; expected {kind} in [{low:g}, {high:g}]")
+        is_number = isinstance(value, int if integer else (int, float))
+        require(
+            is_number and not isinstance(value, bool) and low <= value <= high,
+            where,
+            f"{value!r}; expected {kind} in [{low:g}, {high:g}]",
+        )
         return value
 
     return read
 
 
 def vector(n, low=-1e6, high=1e6, integer=False, nonzero=False):
-    """A reader of n numbers between low and high."""
+    """A reader of n numbers from low to high."""
+    read_entry = number(low, high, integer)
 
     def read(value, where):
-        if not isinstance(value, list) or len(value) != n:
-            raise SceneError(where, f"{value!r}; expected a list of {n} numbers")
-        entries = [
-            number(low, high, integer)(entry, f"{where}[{i}]") for i, entry in enumerate(value)
-        ]
-        if nonzero and not any(entries):
-            raise SceneError(where, f"{value!r}; expected a direction, not zero")
+        require(
+            isinstance(value, list) and len(value) == n,
+            where,
+            f"{value!r}; expected a list of {n} numbers",
+        )
+        entries = [read_entry(entry, f"{where}[{i}]") for i, entry in enumerate(value)]
+        require(
+            any(entries) or not nonzero,
+            where,
+            f"{value!r}; expected a direction, not zero",
+        )
         return np.array(entries, int if integer else float)
 
     return read
 
 
 def choice(table):
-    """A reader of one word out of a table; the result is the table's value."""
+    """A reader of a word from a table, which returns the entry of the table."""
 
     def read(value, where):
-        if not isinstance(value, str) or value not in table:
-            raise SceneError(where, f"{value!r}; expected one of {', '.join(table)}")
+        require(
+            isinstance(value, str) and value in table,
+            where,
+            f"{value!r}; expected one of {', '.join(table)}",
+        )
         return table[value]
 
     return read
 
 
 def text(value, where):
-    if not isinstance(value, str) or not value:
-        raise SceneError(where, f"{value!r}; expected some text")
+    """Read a text that is not empty."""
+    require(isinstance(value, str) and value, where, f"{value!r}; expected some text")
     return value
 
 
 def flag(value, where):
-    if not isinstance(value, bool):
-        raise SceneError(where, f"{value!r}; expected true or false")
+    """Read true or false."""
+    require(isinstance(value, bool), where, f"{value!r}; expected true or false")
     return value
 
 
 def fields(table):
     """A reader of an object with the fields of a table, {name: (reader, default)}."""
+    names = ", ".join(table)
 
     def read(value, where):
-        if not isinstance(value, dict):
-            raise SceneError(where, f"{value!r}; expected an object with {', '.join(table)}")
+        require(isinstance(value, dict), where, f"{value!r}; expected an object with {names}")
         for name in value:
-            if name not in table:
-                raise SceneError(
-                    below(where, name), f"unknown field; expected some of {', '.join(table)}"
-                )
+            require(name in table, below(where, name), f"unknown field; expected some of {names}")
         found = SimpleNamespace()
         for name, (reader, default) in table.items():
-            if name not in value and default is REQUIRED:
-                raise SceneError(below(where, name), "missing; expected a value")
-            setattr(
-                found, name, reader(value[name], below(where, name)) if name in value else default
-            )
+            place = below(where, name)
+            require(name in value or default is not REQUIRED, place, "missing; expected a value")
+            setattr(found, name, reader(value[name], place) if name in value else default)
         return found
 
     return read
 
 
 def one_of(tables):
-    """A reader of an object whose field `kind` chooses the table for the rest."""
-    kinds = {kind: kind for kind in tables}
+    """A reader of an object whose field `kind` chooses the table of its other fields."""
+    readers = {kind: fields({"kind": (text, REQUIRED), **rest}) for kind, rest in tables.items()}
 
     def read(value, where):
-        if not isinstance(value, dict) or "kind" not in value:
-            raise SceneError(f"{where}.kind", f"missing; expected one of {', '.join(tables)}")
-        kind = choice(kinds)(value["kind"], f"{where}.kind")
-        return fields({"kind": (choice(kinds), REQUIRED), **tables[kind]})(value, where)
+        place = f"{where}.kind"
+        require(
+            isinstance(value, dict) and "kind" in value,
+            place,
+            f"missing; expected one of {', '.join(tables)}",
+        )
+        return choice(readers)(value["kind"], place)(value, where)
 
     return read
 
 
 def list_of(reader):
+    """A reader of a list whose entries `reader` reads."""
+
     def read(value, where):
-        if not isinstance(value, list):
-            raise SceneError(where, f"{value!r}; expected a list")
+        require(isinstance(value, list), where, f"{value!r}; expected a list")
         return [reader(entry, f"{where}[{i}]") for i, entry in enumerate(value)]
 
     return read
 
 
+NUMBER = number()
 POSITIVE = number(low=1e-6)
+SHARE = number(0, 1)
+COUNT = number(1, 100_000, integer=True)
 COLOR = vector(3, 0, 1)
 POINT = vector(3)
 AXIS = vector(3, nonzero=True)
 ORIGIN = np.zeros(3)
-WAVE = {"period": (POSITIVE, 1.0), "phase": (number(), 0.0)}  # fractions of a turn
+WAVE = {"period": (POSITIVE, 1.0), "phase": (NUMBER, 0.0)}  # the phase in fractions of a period
 
 SHAPE = one_of(
     {
         "sphere": {"radius": (POSITIVE, REQUIRED), "center": (POINT, ORIGIN)},
-        "box": {
-            "half": (vector(3, low=1e-6), REQUIRED),
-            "center": (POINT, ORIGIN),
-        },  # half the edges
+        # `half` is half the length of the edges
+        "box": {"half": (vector(3, low=1e-6), REQUIRED), "center": (POINT, ORIGIN)},
         "capsule": {
             "start": (POINT, REQUIRED),
             "end": (POINT, REQUIRED),
@@ -155,15 +169,15 @@ TEXTURE = one_of(
 MOTION = one_of(
     {
         "line": {"by": (POINT, REQUIRED)},
-        "bounce": {"height": (number(), REQUIRED), **WAVE},
-        "arc": {"center": (POINT, REQUIRED), "degrees": (number(), REQUIRED), **WAVE},
-        "swing": {"axis": (AXIS, REQUIRED), "degrees": (number(), REQUIRED), **WAVE},
-        "spin": {"axis": (AXIS, REQUIRED), "degrees": (number(), REQUIRED)},
+        "bounce": {"height": (NUMBER, REQUIRED), **WAVE},
+        "arc": {"center": (POINT, REQUIRED), "degrees": (NUMBER, REQUIRED), **WAVE},
+        "swing": {"axis": (AXIS, REQUIRED), "degrees": (NUMBER, REQUIRED), **WAVE},
+        "spin": {"axis": (AXIS, REQUIRED), "degrees": (NUMBER, REQUIRED)},
         "pulse": {"amount": (number(-0.99, 0.99), REQUIRED), **WAVE},
     }
 )
-TURN = fields({"axis": (AXIS, REQUIRED), "degrees": (number(), REQUIRED)})
-SPECULAR = fields({"strength": (number(0, 1), REQUIRED), "exponent": (number(1, 1000), REQUIRED)})
+TURN = fields({"axis": (AXIS, REQUIRED), "degrees": (NUMBER, REQUIRED)})
+SPECULAR = fields({"strength": (SHARE, REQUIRED), "exponent": (number(1, 1000), REQUIRED)})
 BODY = fields(
     {
         "name": (text, REQUIRED),
@@ -180,25 +194,25 @@ BODY = fields(
 )
 LIGHT = one_of(
     {
-        "sun": {"direction": (AXIS, REQUIRED), "ambient": (number(0, 1), REQUIRED)},
-        "point": {"position": (POINT, REQUIRED), "ambient": (number(0, 1), REQUIRED)},
+        "sun": {"direction": (AXIS, REQUIRED), "ambient": (SHARE, REQUIRED)},
+        "point": {"position": (POINT, REQUIRED), "ambient": (SHARE, REQUIRED)},
     }
 )
 VIEWS = {
-    "train": (number(1, 100_000, integer=True), REQUIRED),
-    "test": (number(1, 100_000, integer=True), REQUIRED),
+    "train": (COUNT, REQUIRED),
+    "test": (COUNT, REQUIRED),
     "radius": (POSITIVE, REQUIRED),
     "elevation": (vector(2, -89, 89), REQUIRED),
     "target": (POINT, ORIGIN),
 }
-CAMERAS = one_of({"scattered": VIEWS, "orbit": {**VIEWS, "turns": (number(), REQUIRED)}})
-# pixels; the principal point counts from the image's corner, as in the files that are written
+CAMERAS = one_of({"scattered": VIEWS, "orbit": {**VIEWS, "turns": (NUMBER, REQUIRED)}})
+# In pixels. The principal point counts from the corner of the image, as in the transforms files.
 LENS = fields(
     {
         "fl_x": (POSITIVE, REQUIRED),
         "fl_y": (POSITIVE, REQUIRED),
-        "cx": (number(), REQUIRED),
-        "cy": (number(), REQUIRED),
+        "cx": (NUMBER, REQUIRED),
+        "cy": (NUMBER, REQUIRED),
     }
 )
 SCENE = fields(
@@ -215,41 +229,35 @@ SCENE = fields(
 )
 
 
-def read_file(file):
-    """The contents of a scene.json.
-
-    Raises     SceneError where there is none, or no JSON object in it
-    """
-    if not file.exists():
-        raise SceneError(file, "missing; expected a scene.json, as tiny_scenes/ holds six")
-    return read_json(file)
-
-
 def describe(source):
-    """A checked description from a scene.json or from the dictionary that it holds.
+    """The checked description, a namespace with the fields of SCENE, from a file or a dictionary.
 
-    Shapes     a path or a dict -> a namespace with the fields of SCENE
-    Raises     SceneError, one line: file, field, expectation
+    Raises SceneError with one line that names the file, the field and what was expected.
     """
-    data, where = (
-        (source, "scene") if isinstance(source, dict) else (read_file(Path(source)), str(source))
-    )
+    data, where = source, "scene"
+    if not isinstance(source, dict):
+        data = read_json(Path(source), "a scene.json like the six in tiny_scenes/")
+        where = str(source)
     description = SCENE(data, where)
+    require(description.bodies, f"{where}: bodies", "empty; expected at least one body")
     known = set()
     for i, body in enumerate(description.bodies):
-        if body.name in known:
-            raise SceneError(
-                f"{where}: bodies[{i}].name", f"{body.name!r} is taken; expected another name"
-            )
-        if body.parent is not None and body.parent not in known:
-            raise SceneError(
-                f"{where}: bodies[{i}].parent", f"{body.parent!r}; expected a body listed before"
-            )
-        if body.shape.kind == "capsule" and np.array_equal(body.shape.start, body.shape.end):
-            raise SceneError(
-                f"{where}: bodies[{i}].shape.end", "the same as start; expected another point"
-            )
+        place = f"{where}: bodies[{i}]"
+        require(
+            body.name not in known,
+            f"{place}.name",
+            f"{body.name!r} is taken; expected another name",
+        )
+        require(
+            body.parent is None or body.parent in known,
+            f"{place}.parent",
+            f"{body.parent!r}; expected a body listed before",
+        )
+        shape = body.shape
+        require(
+            shape.kind != "capsule" or not np.array_equal(shape.start, shape.end),
+            f"{place}.shape.end",
+            "the same as start; expected another point",
+        )
         known.add(body.name)
-    if not known:
-        raise SceneError(f"{where}: bodies", "empty; expected at least one body")
     return description

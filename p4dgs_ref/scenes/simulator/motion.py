@@ -1,4 +1,7 @@
-"""Where the simulator's bodies are at a time: closed formulas of t in [0, 1], limbs carried by their parents."""
+"""Where the bodies of the simulator are at a time t in [0, 1], in closed form.
+
+Limbs are carried by their parents.
+"""
 
 from typing import NamedTuple
 
@@ -6,7 +9,7 @@ import numpy as np
 
 
 class Pose(NamedTuple):
-    """world = R @ (scale * local) + T"""
+    """Places a body: world = R @ (scale * local) + T."""
 
     R: np.ndarray
     T: np.ndarray
@@ -14,43 +17,42 @@ class Pose(NamedTuple):
 
 
 def wave(motion, t):
-    """One turn of the phase angle for every period."""
+    """The phase angle, which makes one turn in every period."""
     return 2 * np.pi * (t / motion.period + motion.phase)
 
 
 def line(motion, t):
-    """Straight on, at even speed, by `by` in all."""
+    """Move straight on at constant speed, by `by` from t = 0 to t = 1."""
     return t * motion.by
 
 
 def bounce(motion, t):
-    """Up to `height` and down again, at rest at both ends: a soft bounce without a kink at the floor."""
+    """Rise to `height` and come down again, at rest at both ends and without a kink."""
     return np.array([0.0, 0.0, motion.height * 0.5 * (1 - np.cos(wave(motion, t)))])
 
 
 def arc(motion, t):
-    """To and fro on a circle about a vertical axis through `center`; the body does not turn with it."""
-    return (
-        turn((0, 0, 1), motion.degrees * np.sin(wave(motion, t))) @ -motion.center + motion.center
-    )
+    """Swing on a circle about a vertical axis through `center`; the body itself does not turn."""
+    R = turn((0, 0, 1), motion.degrees * np.sin(wave(motion, t)))
+    return R @ -motion.center + motion.center
 
 
 def swing(motion, t):
-    """To and fro about an axis through the body's origin, its joint."""
+    """Turn to and fro about an axis through the origin of the body, its joint."""
     return turn(motion.axis, motion.degrees * np.sin(wave(motion, t)))
 
 
 def spin(motion, t):
-    """Round an axis through the body's origin, at even speed, by `degrees` in all."""
+    """Turn about an axis through the origin of the body, by `degrees` from t = 0 to t = 1."""
     return turn(motion.axis, motion.degrees * t)
 
 
 def pulse(motion, t):
-    """Larger and smaller about the body's origin, by the fraction `amount`."""
+    """Grow and shrink about the origin of the body by the fraction `amount`."""
     return 1 + motion.amount * np.sin(wave(motion, t))
 
 
-# kind -> the effect that must be listed for it to happen, and its formula
+# kind: the effect that a scene must list for the motion to happen, and its formula
 MOTIONS = {
     "line": ("translation", line),
     "bounce": ("translation", bounce),
@@ -62,14 +64,14 @@ MOTIONS = {
 
 
 def turn(axis, degrees):
-    """The rotation by an angle about an axis (Rodrigues)."""
+    """The rotation by an angle about an axis (Rodrigues' formula)."""
     x, y, z = np.asarray(axis, float) / np.linalg.norm(axis)
     K, angle = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]), np.deg2rad(degrees)
     return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
 
 
 def facing(T, viewer):
-    """The rotation whose third column points from T to the viewer and whose first one stays level."""
+    """The rotation whose third column points from T to the viewer; its first one is horizontal."""
     back = (viewer - T) / np.linalg.norm(viewer - T)
     level = np.array([-back[1], back[0], 0.0])
     right = level / np.linalg.norm(level) if level.any() else np.array([1.0, 0, 0])
@@ -77,16 +79,17 @@ def facing(T, viewer):
 
 
 def poses(bodies, effects, t, viewer):
-    """The pose of every body at a time, seen by a viewer.
+    """The pose of every body at time t, {name: Pose}; parents stand before their children.
 
-    Shapes     bodies: parents before their children; viewer (3,) -> {name: Pose}
-    Units      offsets count in the parent's frame; a child inherits R and T, never the scale
-    Choice     a motion whose effect is not listed is not computed; `faces_camera` is the simulator's view_geometry
+    Offsets are in the frame of the parent. A child inherits R and T of its parent, not the scale. A
+    motion whose effect is not listed is not computed. `faces_camera`, the simulator's form of
+    view_geometry, turns a body to the viewer.
     """
     found = {}
     for body in bodies:
         base = found.get(body.parent, Pose(np.eye(3), np.zeros(3), 1.0))
-        R, offset, scale = base.R @ turn(body.turn.axis, body.turn.degrees), body.position, 1.0
+        R = base.R @ turn(body.turn.axis, body.turn.degrees)
+        offset, scale = body.position, 1.0
         for motion in body.motion:
             effect, formula = MOTIONS[motion.kind]
             if effect not in effects:

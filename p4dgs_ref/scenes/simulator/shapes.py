@@ -1,42 +1,53 @@
-"""Shapes and textures of the simulator: closed forms over arrays of rays and points, in the frame of a body.
+"""Shapes and textures of the simulator: closed forms for arrays of rays and points.
 
-A ray is o + t d with d of any length, so t keeps its meaning through a change of frame.  Every `*_hit`
-returns the first t > 0 where a ray enters the shape from outside, and infinity where it misses.
-Every `*_normal` returns unit vectors that point outwards at points on the surface.
+Rays and points are in the frame of the body. A ray is o + t d with d of any length, so t keeps its
+meaning when the frame changes. Every `*_hit` returns the first t > 0 where a ray enters the shape
+from outside, infinity where it misses. Every `*_normal` returns the outward unit normals at points
+of the surface.
 """
 
 import numpy as np
 
 
+def dot(a, b):
+    """The scalar products of the rows of a and b."""
+    return np.einsum("ni,ni->n", a, b)
+
+
 def first_root(a, half_b, c):
-    """The smaller root of a t^2 + 2 half_b t + c, infinity where there is none or it lies behind the origin."""
+    """The smaller root of a t^2 + 2 half_b t + c; infinity if there is none or it is not positive.
+
+    a is 0 for a ray along the axis of a cylinder, which misses its side.
+    """
     discriminant = half_b * half_b - a * c
-    with np.errstate(
-        invalid="ignore", divide="ignore"
-    ):  # a = 0: a ray along a cylinder's axis misses its side
+    with np.errstate(invalid="ignore", divide="ignore"):
         t = (-half_b - np.sqrt(discriminant)) / a
         return np.where((discriminant >= 0) & (t > 0), t, np.inf)
 
 
 def ball_hit(o, d, center, radius):
+    """Where rays enter a ball."""
     m = o - center
-    return first_root(np.einsum("ni,ni->n", d, d), d @ m, m @ m - radius**2)
+    return first_root(dot(d, d), d @ m, m @ m - radius**2)
 
 
 def sphere_hit(shape, o, d):
+    """Where rays enter a sphere."""
     return ball_hit(o, d, shape.center, shape.radius)
 
 
 def sphere_normal(shape, p):
+    """Away from the centre."""
     return (p - shape.center) / shape.radius
 
 
 def box_hit(shape, o, d):
-    """Slabs: the ray is inside where it is between all three pairs of faces."""
+    """A ray is inside the box where it is between the faces of all three pairs.
+
+    A ray that is parallel to a face meets it at an infinity of the right sign.
+    """
     m = o - shape.center
-    with np.errstate(
-        divide="ignore", invalid="ignore"
-    ):  # a ray parallel to a face: infinities that compare well
+    with np.errstate(divide="ignore", invalid="ignore"):
         one, other = (-shape.half - m) / d, (shape.half - m) / d
     enter = np.fmax.reduce(np.fmin(one, other), axis=1)
     leave = np.fmin.reduce(np.fmax(one, other), axis=1)
@@ -44,7 +55,7 @@ def box_hit(shape, o, d):
 
 
 def box_normal(shape, p):
-    """The face is the one whose coordinate is largest in units of the box."""
+    """The point is on the face whose coordinate is largest in units of the box."""
     q = (p - shape.center) / shape.half
     face = np.abs(q).argmax(axis=1)[:, None]
     normal = np.zeros_like(q)
@@ -53,22 +64,20 @@ def box_normal(shape, p):
 
 
 def capsule_hit(shape, o, d):
-    """The union of a cylinder's side and two balls is entered where the first of the three is entered."""
+    """A capsule is the side of a cylinder and two balls; the first of the three counts."""
     length = np.linalg.norm(shape.end - shape.start)
     axis = (shape.end - shape.start) / length
     m = o - shape.start
     m_along, d_along = m @ axis, d @ axis
     m_across, d_across = m - m_along * axis, d - d_along[:, None] * axis
-    side = first_root(
-        np.einsum("ni,ni->n", d_across, d_across),
-        d_across @ m_across,
-        m_across @ m_across - shape.radius**2,
-    )
-    with np.errstate(invalid="ignore"):  # inf * 0 where a ray along the axis misses
+    outside = m_across @ m_across - shape.radius**2
+    side = first_root(dot(d_across, d_across), d_across @ m_across, outside)
+    with np.errstate(invalid="ignore"):  # infinity times 0 where a ray along the axis misses
         along = m_along + side * d_along
     side = np.where((along >= 0) & (along <= length), side, np.inf)
-    caps = [ball_hit(o, d, center, shape.radius) for center in (shape.start, shape.end)]
-    return np.minimum(side, np.minimum(*caps))
+    start_cap = ball_hit(o, d, shape.start, shape.radius)
+    end_cap = ball_hit(o, d, shape.end, shape.radius)
+    return np.minimum(side, np.minimum(start_cap, end_cap))
 
 
 def capsule_normal(shape, p):
@@ -79,13 +88,13 @@ def capsule_normal(shape, p):
 
 
 def checker(texture, p):
-    """0 or 1 by the parity of the cells along the chosen axes; the corner of four cells is the body's origin."""
+    """0 or 1, alternating from cell to cell; the origin of the body is a corner of cells."""
     cells = np.floor(p[:, texture.axes] / texture.cell).sum(axis=1)
     return cells % 2
 
 
 def stripes(texture, p):
-    """Soft stripes, a sine across the given direction."""
+    """A sine from 0 to 1 along the given direction."""
     direction = texture.direction / np.linalg.norm(texture.direction)
     return 0.5 + 0.5 * np.sin(2 * np.pi * (p @ direction) / texture.period)
 

@@ -1,15 +1,18 @@
-"""The simulator's ray tracer: analytic pictures of a described scene, independent of splatting.
+"""The ray tracer of the simulator: pictures of a described scene, independent of splatting.
 
-It draws the effects that the description lists and no others; what is not listed is not computed:
+It draws the effects that the description lists. An effect that is not listed is not computed:
 
-    translation, rotation, scaling    the bodies' motions; without them a body stays where it is described
-    texture       a second colour in a pattern; without it the body's first colour everywhere
-    diffuse       ambient plus Lambert; without it full light from everywhere
-    specular      a Phong highlight; without it none
-    view_color    the highlight moves with the viewer; without it, it is seen from straight above
-    view_geometry a body that `faces_camera` turns to the viewer; without it, it stands as described
-    occlusion     the nearest surface hides the others; without it the light of all bodies adds up
-    background    rays that hit nothing let the background through (alpha 0); without it they are black (alpha 1)
+    translation, rotation, scaling    the motions of the bodies
+    texture                           a second colour in a pattern; otherwise one colour
+    diffuse                           ambient light and Lambert; otherwise full light everywhere
+    specular                          a Phong highlight
+    view_color                        the highlight moves with the viewer; otherwise it is drawn as
+                                      seen from straight above
+    view_geometry                     bodies with `faces_camera` turn to the viewer
+    occlusion                         the nearest surface hides the others; otherwise their light
+                                      adds up
+    background                        rays that hit nothing have alpha 0; otherwise they are black
+                                      with alpha 1
 """
 
 import numpy as np
@@ -17,60 +20,50 @@ import numpy as np
 from . import shapes
 from .motion import poses
 
-SAMPLES = 3  # a side: 3 by 3 rays a pixel
+SAMPLES = 3  # rays along each side of a pixel
 UP = np.array([0.0, 0.0, 1.0])
 
 
 def trace(description, camera, t):
-    """Draw one picture.
+    """Draw one picture [H, W, 4] in float64: straight RGBA in [0, 1].
 
-    Shapes     description (see `description.py`), camera, t -> (H, W, 4) float64, straight RGBA
-    Units      colour and alpha in [0, 1]; alpha is the part of a pixel's rays that hit something
+    Alpha is the share of the rays of a pixel that hit something.
     """
     effects, viewer = description.effects, camera.center
-    directions = rays(camera)
-    where = poses(description.bodies, effects, t, viewer)
-    scene = [(body, where[body.name]) for body in description.bodies]
-    hits = [hit(body, pose, viewer, directions) for body, pose in scene]
+    bodies, directions = description.bodies, rays(camera)
+    where = poses(bodies, effects, t, viewer)
+    hits = [hit(body, where[body.name], viewer, directions) for body in bodies]
 
     def light(i, chosen):
-        return shade(
-            *scene[i],
-            viewer + hits[i][chosen, None] * directions[chosen],
-            viewer,
-            description.light,
-            effects,
-        )
+        x = viewer + hits[i][chosen, None] * directions[chosen]
+        return shade(bodies[i], where[bodies[i].name], x, viewer, description.light, effects)
 
-    color = (nearest if "occlusion" in effects else sum_up)(hits, light, len(directions))
-    return develop(
-        color, np.isfinite(hits).any(axis=0) if "background" in effects else None, camera
-    )
+    gather = nearest if "occlusion" in effects else sum_up
+    color = gather(hits, light, len(directions))
+    covered = np.isfinite(hits).any(axis=0) if "background" in effects else None
+    return develop(color, covered, camera)
 
 
 def rays(camera):
-    """Unit directions in the world, (H * W * 9, 3), a pixel's rays together; pixel centres are integers (Q20)."""
+    """The unit directions [H * W * 9, 3] of all rays in the world, pixel by pixel (Q20)."""
     inside = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
     v, u, dv, du = np.meshgrid(
         np.arange(camera.height), np.arange(camera.width), inside, inside, indexing="ij"
     )
-    d = np.stack(
-        [(u + du - camera.c_x) / camera.f_x, (v + dv - camera.c_y) / camera.f_y, np.ones(u.shape)],
-        axis=-1,
-    )
+    x, y = (u + du - camera.c_x) / camera.f_x, (v + dv - camera.c_y) / camera.f_y
+    d = np.stack([x, y, np.ones(u.shape)], axis=-1)
     d = d.reshape(-1, 3) @ camera.R  # R maps world to camera; its transpose maps back
     return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
 def hit(body, pose, origin, directions):
-    """The distance to a body along every ray, infinity where it is missed."""
-    return shapes.HITS[body.shape.kind](
-        body.shape, (origin - pose.T) @ pose.R / pose.scale, directions @ pose.R / pose.scale
-    )
+    """The distance to a body along every ray, infinity where the ray misses it."""
+    o, d = (origin - pose.T) @ pose.R / pose.scale, directions @ pose.R / pose.scale
+    return shapes.HITS[body.shape.kind](body.shape, o, d)
 
 
 def nearest(hits, light, n):
-    """Occlusion: every ray sees the body that it meets first."""
+    """With occlusion every ray sees the body that it meets first."""
     color, first = np.zeros((n, 3)), np.argmin(hits, axis=0)
     for i, distance in enumerate(hits):
         chosen = np.flatnonzero((first == i) & np.isfinite(distance))
@@ -79,7 +72,7 @@ def nearest(hits, light, n):
 
 
 def sum_up(hits, light, n):
-    """No occlusion: every ray sees the sum of all bodies that it meets."""
+    """Without occlusion every ray sees the sum of all bodies that it meets."""
     color = np.zeros((n, 3))
     for i, distance in enumerate(hits):
         chosen = np.flatnonzero(np.isfinite(distance))
@@ -88,7 +81,7 @@ def sum_up(hits, light, n):
 
 
 def shade(body, pose, x, viewer, light, effects):
-    """The colour of a body at points x of its surface, (M, 3) -> (M, 3)."""
+    """The colours [M, 3] of a body at points x [M, 3] of its surface."""
     local = (x - pose.T) @ pose.R / pose.scale
     color = np.broadcast_to(body.color, x.shape)
     if body.texture is not None and "texture" in effects:
@@ -98,18 +91,20 @@ def shade(body, pose, x, viewer, light, effects):
         return color
     normal = shapes.NORMALS[body.shape.kind](body.shape, local) @ pose.R.T
     to_light = light_direction(light, x)
-    facing = np.maximum(np.einsum("ni,ni->n", normal, to_light), 0)[:, None]
+    facing = np.maximum(shapes.dot(normal, to_light), 0)[:, None]
     if "diffuse" in effects:
         color = diffuse(color, facing, light.ambient)
     if shiny:
-        color = color + specular(
-            body.specular, normal, to_light, facing, to_viewer(x, viewer, effects)
-        )
+        seen_from = to_viewer(x, viewer, effects)
+        color = color + specular(body.specular, normal, to_light, facing, seen_from)
     return color
 
 
 def textured(body, local):
-    """The body's colour and its texture's, mixed; just below the surface, lest a face on a cell's border flicker."""
+    """The two colours of the body in the pattern of its texture.
+
+    The pattern is read just below the surface: a face on the border of cells then has one colour.
+    """
     mix = shapes.TEXTURES[body.texture.kind](body.texture, local * (1 - 1e-6))[:, None]
     return (1 - mix) * body.color + mix * body.texture.color
 
@@ -123,30 +118,32 @@ def light_direction(light, x):
 
 
 def to_viewer(x, viewer, effects):
-    """Unit vectors to the viewer; straight up where the colour does not depend on the view."""
+    """Unit vectors to the viewer; straight up if colours do not depend on the view."""
     if "view_color" not in effects:
         return np.broadcast_to(UP, x.shape)
     return (viewer - x) / np.linalg.norm(viewer - x, axis=1, keepdims=True)
 
 
 def diffuse(color, facing, ambient):
-    """Lambert's cosine over an even ambient light; both together leave a surface that faces the light as it is."""
+    """Ambient light and Lambert's cosine; a surface that faces the light keeps its colour."""
     return color * (ambient + (1 - ambient) * facing)
 
 
 def specular(material, normal, to_light, facing, to_viewer):
-    """Phong: a white lobe about the mirrored light, only where light falls."""
+    """Phong's model: a white lobe about the mirrored light, only where light falls."""
     mirrored = 2 * facing * normal - to_light
-    lobe = np.maximum(np.einsum("ni,ni->n", mirrored, to_viewer), 0)[:, None] ** material.exponent
+    lobe = np.maximum(shapes.dot(mirrored, to_viewer), 0)[:, None] ** material.exponent
     return material.strength * np.where(facing > 0, lobe, 0)
 
 
 def develop(color, covered, camera):
-    """Mean over a pixel's rays: colour over those that `covered` says hit something, alpha their part; None: all."""
-    color = np.clip(color, 0, 1).reshape(camera.height, camera.width, SAMPLES**2, 3).sum(axis=2)
+    """The picture: mean colours over the rays that `covered` says hit something, and their share.
+
+    Without `covered` all rays count and alpha is 1.
+    """
+    size, n = (camera.height, camera.width), SAMPLES**2
+    color = np.clip(color, 0, 1).reshape(*size, n, 3).sum(axis=2)
     if covered is None:
-        return np.concatenate(
-            [color / SAMPLES**2, np.ones((camera.height, camera.width, 1))], axis=2
-        )
-    count = covered.reshape(camera.height, camera.width, SAMPLES**2, 1).sum(axis=2)
-    return np.concatenate([color / np.maximum(count, 1), count / SAMPLES**2], axis=2)
+        return np.concatenate([color / n, np.ones((*size, 1))], axis=2)
+    count = covered.reshape(*size, n, 1).sum(axis=2)
+    return np.concatenate([color / np.maximum(count, 1), count / n], axis=2)
