@@ -7,6 +7,8 @@ divided evenly among those of them that are on; what every build needs belongs t
 from collections import Counter
 from contextlib import contextmanager
 
+import numpy as np
+
 from .. import effects as fx
 from ..codec.file import decode
 from ..model import ANCHOR_NETWORKS
@@ -39,16 +41,17 @@ class Work:
         """Take note of one call; `res` is the residual that ties its forward to its backward."""
         self.calls[key, name] += 1
         if key == "view":
-            self.view += EQUATION_2[name] * len(res.d_vc)
+            delta_vc, _ = res
+            self.view += EQUATION_2[name] * len(delta_vc)
         elif key in SEES:
-            rows, width = res.mlp.inputs[0].shape
-            self.own[SEES[key]] += (
-                PRODUCTS[name] * rows * (width - res.d) * res.mlp.weights[0].shape[1]
-            )
+            (inputs, weights), d = res[-1]
+            rows, width = inputs[0].shape
+            self.own[SEES[key]] += PRODUCTS[name] * rows * (width - d) * weights[0].shape[1]
         elif key == "deformation":
             self.own.update(_deformation(res, name))
         elif key == "deformed":
-            self.own.update({effect: len(res.r_t) * n for effect, n in zip(fx.MOTION, res.widths)})
+            r_t, _, widths = res
+            self.own.update({effect: len(r_t) * n for effect, n in zip(fx.MOTION, widths)})
         elif key == "compositing, fast":
             pixels = sum(chunk.A.size for chunk in res.chunks)
             self.own["occlusion"] += (
@@ -64,15 +67,17 @@ class Work:
 
 def _deformation(res, name):
     """Multiply-adds of Eq. (5) by effect: the heads their own, encoding and trunk in equal parts."""
-    N, shapes = len(res.mlp.inputs[0]), [W.shape for W in res.mlp.weights]
+    _, E_t, (layer_inputs, weights), cuts = res
+    N, shapes = len(layer_inputs[0]), [W.shape for W in weights]
+    widths = np.diff([0, *cuts, shapes[-1][1]])
     trunk = [rows * columns for rows, columns in shapes[:-1]]
     inputs = sum(trunk[1:]) if name == "backward" else 0  # no gradient of E(x) is asked for (Q10)
     encoding = N * shapes[0][0] if name == "forward" else 0
-    shared = N * (sum(trunk) + inputs) + encoding + res.E_t.size * shapes[0][1]
-    on = sum(width > 0 for width in res.widths)
+    shared = N * (sum(trunk) + inputs) + encoding + E_t.size * shapes[0][1]
+    on = sum(width > 0 for width in widths)
     return {
         effect: PRODUCTS[name] * N * shapes[-1][0] * width + shared / on
-        for effect, width in zip(fx.MOTION, res.widths)
+        for effect, width in zip(fx.MOTION, widths)
         if width
     }
 

@@ -76,7 +76,7 @@ def loss_at(p, design, fixed, view, u, held, monkeypatch):
 
 def hold(p, design, fixed, view, u, monkeypatch):
     """Record what is held: one pass at the base point with recording stand-ins."""
-    from p4dgs_ref.equations import hash_rate, masking, positional_encoding
+    from p4dgs_ref.equations import hash_rate, positional_encoding
 
     held, encoded = {}, []
     forward, bins = positional_encoding.forward, tiles.bin_splats
@@ -96,10 +96,7 @@ def hold(p, design, fixed, view, u, monkeypatch):
 
     def gather(alpha, mask, tau_alpha, *attributes):
         kept = [a.reshape(-1, a.shape[2])[seen.index] for a in attributes]
-        return (
-            masking.Out(alpha.reshape(-1)[seen.index], *kept, seen.index),
-            masking.Res(seen.index, alpha.shape, alpha.dtype),
-        )
+        return (alpha.reshape(-1)[seen.index], *kept, seen.index), (seen.index, alpha.shape)
 
     held["gather"] = gather
     # x and t are told apart by their number of columns; both are the values of the base point
