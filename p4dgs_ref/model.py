@@ -247,22 +247,23 @@ class Context(NamedTuple):
 
 
 def context(design, networks, grids, located):
-    """Hash grid, adaptive steps and prior: (Context, residual).  `located` is `hash_grid.locate` of the positions.
+    """Hash grid, adaptive steps and prior (P-4DGS Fig. 2, Eqs. 8, 9 and 12).
 
-    Reference  P-4DGS Fig. 2, Eqs. (8), (9), (12)
+    Return the Context and what `context_backward` needs. `located` is what `hash_grid.locate` returns
+    for the positions.
     """
-    h, res_h = hash_grid.query(located, grids)
-    q, res_q = step.forward(h.h, *networks["psi_q"], np.array(design.Q_0, h.h.dtype))
-    p, res_p = prior.forward(h.h, *networks["psi_p"], design.widths)
-    return Context(q.q, p.mu, p.sigma), (res_h, res_q, res_p)
+    h, saved_grid = hash_grid.query(located, grids)
+    q, saved_step = step.forward(h, *networks["psi_q"], np.array(design.Q_0, h.dtype))
+    (mu, sigma), saved_prior = prior.forward(h, *networks["psi_p"], design.widths)
+    return Context(q, mu, sigma), (saved_grid, saved_step, saved_prior)
 
 
-def context_backward(res, q_bar, mu_bar, sigma_bar):
-    """Gradients of the grids [level, ...] and of {"psi_q": gradients, "psi_p": gradients}."""
-    res_h, res_q, res_p = res
-    steps = step.backward(res_q, q_bar)
-    priors = prior.backward(res_p, mu_bar, sigma_bar)
-    grids = hash_grid.backward(res_h, steps["h"] + priors["h"])["grids"]
+def context_backward(saved, q_bar, mu_bar, sigma_bar):
+    """Gradients of the grids [level, ...] and of the networks {"psi_q": gradients, "psi_p": gradients}."""
+    saved_grid, saved_step, saved_prior = saved
+    steps = step.backward(saved_step, q_bar)
+    priors = prior.backward(saved_prior, mu_bar, sigma_bar)
+    grids = hash_grid.backward(saved_grid, steps["h"] + priors["h"])["grids"]
     return grids, {"psi_q": steps, "psi_p": priors}
 
 
@@ -290,7 +291,7 @@ class Model:
     def render(self, camera, t, settings=FAST):
         """An image (H, W, 3), values usually but not necessarily in [0, 1]; clip before you save it."""
         g = self.gaussians(t, camera)
-        out, _ = render.forward(
+        (image, *_), _ = render.forward(
             g.x,
             g.s,
             g.r,
@@ -301,7 +302,7 @@ class Model:
             settings,
             "occlusion" in self.design.effects,
         )
-        return out.image
+        return image
 
 
 def without_silent_units(model):

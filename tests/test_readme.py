@@ -201,7 +201,7 @@ FACTS = {
         f"`smoke` {SMOKE.L_x} and {SMOKE.L_t}",
     ],
     "Q4": [f"τ_α = {PAPER_SYNTHETIC.tau_alpha:g}", f"{plain(rotation.EPSILON**2)})"],
-    "Q7": [f"2{str(int(math.log2(step.FLOOR))).translate(RAISED)} Q_0"],
+    "Q7": [f"2{str(int(math.log2(step.SMALLEST))).translate(RAISED)} Q_0"],
     "Q8": [f"[{prior.RAW_MIN:g}, {prior.RAW_MAX:g}]"],
     "Q13": [f"{PAPER_SYNTHETIC.lambda_ssim:g};"],
     "Q15": [

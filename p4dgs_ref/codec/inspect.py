@@ -51,7 +51,7 @@ def ledger(data):
     q = quantised_of(sections)
     model, prior = q.model, float_context(q.model)
     steps = np.repeat(q.context.q, model.design.widths, axis=1)
-    floats = likelihood.forward(q.symbols * steps, prior.mu, prior.sigma, steps)[0].bits
+    floats, _ = likelihood.forward(q.symbols * steps, prior.mu, prior.sigma, steps)
     integers = symbol_bits(q)
     found = {"positions": (q.positions.size, None, None, 24)}
     for name, flags in (

@@ -108,11 +108,9 @@ def _round_attributes(values, q, design):
     starts, columns = np.cumsum(design.widths[:3]), []
     for i, part in enumerate(np.split(values, starts, axis=1)):
         try:
-            columns.append(
-                rounding.forward(_finite(f"anchors {GROUPS[i]}_a", part), q[:, i : i + 1])[
-                    0
-                ].symbols
-            )
+            _finite(f"anchors {GROUPS[i]}_a", part)
+            (symbols, _), _ = rounding.forward(part, q[:, i : i + 1])
+            columns.append(symbols)
         except OverflowError as error:
             raise OverflowError(f"anchors {GROUPS[i]}_a, those kept: {error}") from None
     return np.concatenate(columns, axis=1)

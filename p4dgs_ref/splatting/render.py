@@ -1,31 +1,54 @@
-"""From 3D Gaussians to an image and back: covariance, projection, compositing, as one settings object asks."""
-
-from typing import NamedTuple
+"""From 3D Gaussians to an image and back: covariance, projection and compositing in a row."""
 
 import numpy as np
 
 from . import compositing, covariance, fast, projection
 
 
-class Out(NamedTuple):
-    image: np.ndarray  # (H, W, 3)
-    transmittance: np.ndarray  # (H, W)
+def forward(
+    x,  # [N, 3]  centres (scene units)
+    s,  # [N, 3]  standard deviations (scene units)
+    r,  # [N, 4]  unit quaternions (w, x, y, z)
+    alpha,  # [N]  opacities
+    color,  # [N, 3]  colors in [0, 1]
+    camera,  # a Camera
+    background,  # [3]  color behind everything
+    settings,  # a Settings; its footprint "all" takes `compositing`, every other one `fast` (Q21)
+    occlusion=True,
+):
+    """Return the image [H, W, 3], the transmittance [H, W], visible [N] and what `backward` needs.
+
+    Projection is computed in float64, compositing in `settings.dtype`.
+    """
+    splats, *saved_projection = project(x, s, r, camera, settings)
+    mean2d, cov2d, conic, depth, visible = splats
+    alpha, color, background = (np.asarray(a, float) for a in (alpha, color, background))
+    looks = (alpha, color, depth, visible, background, camera.height, camera.width)
+    if settings.footprint == "all":
+        compositor = compositing
+        out, saved = compositing.forward(mean2d, conic, *looks, occlusion, settings.alpha_max)
+    else:
+        compositor = fast
+        out, saved = fast.forward(mean2d, cov2d, conic, *looks, settings, occlusion)
+    return (*out, visible), (*saved_projection, compositor, saved)
 
 
-class Res(NamedTuple):
-    covariance: covariance.Res
-    projection: projection.Res
-    compositing: object  # of the exact twin or of the fast renderer
-    splats: projection.Out
-    exact: bool
+def backward(saved, image_bar):
+    """Gradients of x, s, r, alpha, color and background, and of mean2d for density control."""
+    saved_covariance, saved_projection, compositor, saved_compositing = saved
+    splats = compositor.backward(saved_compositing, image_bar)
+    mean2d_bar, conic_bar = splats["mean2d"], splats.pop("conic")
+    places = projection.backward(saved_projection, mean2d_bar=mean2d_bar, conic_bar=conic_bar)
+    shapes = covariance.backward(saved_covariance, places["Sigma"])
+    return {"x": places["x"], **shapes, **splats}
 
 
 def project(x, s, r, camera, settings):
-    """Covariance and projection alone: (N, 3), (N, 3), (N, 4) -> projection.Out and both residuals."""
-    out, res_c = covariance.forward(s.astype(float), r.astype(float))
-    splats, res_p = projection.forward(
+    """Return the output of `projection`, and what `covariance` and `projection` saved."""
+    Sigma, saved_covariance = covariance.forward(s.astype(float), r.astype(float))
+    splats, saved_projection = projection.forward(
         x.astype(float),
-        out.Sigma,
+        Sigma,
         camera.R,
         camera.T,
         np.array([camera.f_x, camera.f_y]),
@@ -35,55 +58,4 @@ def project(x, s, r, camera, settings):
         settings.blur,
         settings.tan_clamp,
     )
-    return splats, res_c, res_p
-
-
-def forward(x, s, r, alpha, color, camera, background, settings, occlusion=True):
-    """Render Gaussians.
-
-    Shapes     x, s (N, 3), r (N, 4) unit, alpha (N,), color (N, 3), background (3,) -> image (H, W, 3), transmittance (H, W)
-    Units      scene units; colors in [0, 1]
-    Domain     as in `covariance`, `projection`, `compositing`
-    Raises     nothing
-    Gradient   x, s, r, alpha, color, background
-    Choice     Q21: settings.footprint "all" takes the exact twin, anything else the fast renderer; projection is
-               float64 in both, compositing has settings.dtype
-    Reference  Kerbl et al. 2023
-    """
-    splats, res_c, res_p = project(x, s, r, camera, settings)
-    exact = settings.footprint == "all"
-    alpha, color, background = (np.asarray(a, float) for a in (alpha, color, background))
-    shared = dict(
-        alpha=alpha,
-        color=color,
-        depth=splats.depth,
-        visible=splats.visible,
-        background=background,
-        height=camera.height,
-        width=camera.width,
-        occlusion=occlusion,
-    )
-    if exact:
-        out, res = compositing.forward(
-            splats.mean2d, splats.conic, **shared, alpha_max=settings.alpha_max
-        )
-    else:
-        out, res = fast.forward(
-            splats.mean2d, splats.cov2d, splats.conic, **shared, settings=settings
-        )
-    return Out(*out), Res(res_c, res_p, res, splats, exact)
-
-
-def backward(res, image_bar):
-    """Gradients of x, s, r, alpha, color, background, and of mean2d for the statistics of growing."""
-    bars = (compositing if res.exact else fast).backward(res.compositing, image_bar)
-    places = projection.backward(res.projection, mean2d_bar=bars["mean2d"], conic_bar=bars["conic"])
-    shapes = covariance.backward(res.covariance, places["Sigma"])
-    return {
-        "x": places["x"],
-        **shapes,
-        "alpha": bars["alpha"],
-        "color": bars["color"],
-        "background": bars["background"],
-        "mean2d": bars["mean2d"],
-    }
+    return splats, saved_covariance, saved_projection

@@ -1,4 +1,4 @@
-"""Which Gaussians touch which tile of the image: depth-ordered lists for the fast renderer."""
+"""Which Gaussians touch which tile of the image: lists in order of depth for the fast renderer."""
 
 from typing import NamedTuple
 
@@ -6,58 +6,36 @@ import numpy as np
 
 from .compositing import depth_order
 
-MOST_PAIRS = 2**25  # of Gaussians and tiles, before memory is taken: about 200 bytes each
+MOST_PAIRS = 2**25  # of Gaussians and tiles; a pair takes about 200 bytes
 
 
 class Lists(NamedTuple):
-    """Gaussian-tile pairs, tile by tile, front to back within a tile."""
+    """K pairs of a Gaussian and a tile, tile by tile, and front to back within a tile."""
 
-    tile: np.ndarray  # (K,) number of the tile, row by row
-    row: np.ndarray  # (K,) row of the Gaussian in the arrays given
-    columns: int  # tiles in a row of the image
+    tile: np.ndarray  # [K] number of the tile, row by row
+    row: np.ndarray  # [K] row of the Gaussian
+    columns: int  # tiles beside each other in the image
     rows: int
 
 
 def bin_splats(mean2d, cov2d, conic, alpha, depth, visible, width, height, settings):
     """List the pairs that `settings.footprint` asks for.
 
-    Shapes     as in `projection` and `compositing`; N Gaussians -> Lists of K pairs
-    Domain     settings.footprint "ellipse": pairs where alpha reaches settings.cut at some point of the tile, decided
-               exactly; "box": every tile of the square of side 2 ceil(3 sqrt(largest eigenvalue)); "all": every tile
-    Raises     ValueError where there are more than MOST_PAIRS, naming the widest Gaussian
-    Reference  the box is the published kernel's rule (Kerbl et al. 2023, their rasteriser's `getRect`)
+    "ellipse" lists a pair exactly where alpha reaches `settings.cut` at some point of the tile,
+    "box" every tile that meets the square of side 2 ceil(3 sigma), "all" every tile. Raises
+    ValueError for more than MOST_PAIRS pairs.
     """
     side = settings.tile
     columns, rows = -(-width // side), -(-height // side)
     if settings.footprint == "ellipse":
         visible = visible & (alpha > settings.cut)
     order = depth_order(depth, visible)
-    mean, cov = mean2d[order], cov2d[order]
-    if settings.footprint == "ellipse":
-        tau = 2 * np.log(
-            alpha[order] / settings.cut
-        )  # alpha >= cut where the quadratic form <= tau
-        reach = np.sqrt(tau[:, None] * cov[:, ::2])
-        low, high = (
-            np.ceil(mean - reach),
-            np.floor(mean + reach),
-        )  # first and last pixel centre inside
-    elif settings.footprint == "box":
-        middle = (cov[:, 0] + cov[:, 2]) / 2
-        spread = np.sqrt(np.maximum(0.1, middle**2 - (cov[:, 0] * cov[:, 2] - cov[:, 1] ** 2)))
-        radius = np.ceil(3 * np.sqrt(middle + spread))[:, None]
-        # The kernel truncates (u + r + side - 1) / side to an exclusive tile bound: the last pixel taken is
-        # one short of u + r, also where u + r is not an integer.
-        low, high = np.trunc(mean - radius), np.trunc(mean + radius + side - 1) // side * side - 1
-    else:
-        low, high = np.zeros_like(mean), np.full_like(mean, (width - 1, height - 1))
-    first = np.clip(
-        low // side, 0, (columns, rows)
-    )  # exclusive upper bounds: empty where off the image
-    beyond = np.clip(high // side + 1, 0, (columns, rows))
-    extent = np.where(
-        (low <= high).all(axis=1, keepdims=True), np.maximum(beyond - first, 0), 0
-    ).astype(np.int64)
+    mean, conic, alpha = mean2d[order], conic[order], alpha[order]
+    low, high = pixel_bounds(mean, cov2d[order], alpha, width, height, settings)
+    # first tile, and the first one beyond: an empty range where the Gaussian is off the image
+    first = np.clip(low // side, 0, (columns, rows)).astype(np.int64)
+    beyond = np.clip(high // side + 1, 0, (columns, rows)).astype(np.int64)
+    extent = np.maximum(beyond - first, 0) * (low <= high).all(axis=1, keepdims=True)
     count = extent[:, 0] * extent[:, 1]
     if count.sum() > MOST_PAIRS:
         widest = int(np.argmax(count))
@@ -65,35 +43,52 @@ def bin_splats(mean2d, cov2d, conic, alpha, depth, visible, width, height, setti
             f"{count.sum()} pairs of Gaussians and tiles: expected {MOST_PAIRS} at most; Gaussian "
             f"{order[widest]} alone touches {count[widest]} of {columns * rows} tiles"
         )
-    rank = np.repeat(
-        np.arange(len(order)), count
-    )  # ranks follow depth: they sort and they point back
+    rank = np.repeat(np.arange(len(order)), count)  # place in depth order: it sorts and points back
     step = np.arange(len(rank)) - np.repeat(np.cumsum(count) - count, count)
-    first = first.astype(np.int64)
-    tile_y = step // np.maximum(extent[rank, 0], 1)
-    tile_x = step - tile_y * extent[rank, 0] + first[rank, 0]
-    tile_y += first[rank, 1]
+    tile_y, tile_x = np.divmod(step, extent[rank, 0])
+    tile_x, tile_y = tile_x + first[rank, 0], tile_y + first[rank, 1]
     if settings.footprint == "ellipse":
-        touches = (
-            _nearest_form(mean[rank], conic[order][rank], tile_x * side, tile_y * side, side - 1)
-            <= tau[rank]
-        )
+        form = nearest_form(mean[rank], conic[rank], tile_x * side, tile_y * side, side - 1)
+        touches = form <= largest_form(alpha, settings)[rank]
         rank, tile_x, tile_y = rank[touches], tile_x[touches], tile_y[touches]
-    bits = max(1, int(len(order)).bit_length())  # one sort of packed keys: tile first, then depth
+    bits = max(1, len(order).bit_length())  # one sort of packed keys: tile first, then depth
     key = np.sort((tile_y * columns + tile_x) << bits | rank)
     return Lists(key >> bits, order[key & ((1 << bits) - 1)], columns, rows)
 
 
-def _nearest_form(mean, conic, x_0, y_0, side):
-    """Least value of the quadratic form over each tile's rectangle of pixel centres (K,).
+def pixel_bounds(mean, cov, alpha, width, height, settings):
+    """First and last pixel [M, 2] of the rectangle on which each Gaussian is evaluated."""
+    if settings.footprint == "ellipse":
+        reach = np.sqrt(largest_form(alpha, settings)[:, None] * cov[:, ::2])
+        return np.ceil(mean - reach), np.floor(mean + reach)
+    if settings.footprint == "box":
+        middle = (cov[:, 0] + cov[:, 2]) / 2
+        spread = np.sqrt(np.maximum(0.1, middle**2 - (cov[:, 0] * cov[:, 2] - cov[:, 1] ** 2)))
+        radius = np.ceil(3 * np.sqrt(middle + spread))[:, None]
+        # The rule of the published kernel's `getRect`, which truncates (u + r + side - 1) / side
+        # to an exclusive bound: the last pixel is one short of u + r, also where u + r is not an
+        # integer.
+        side = settings.tile
+        return np.trunc(mean - radius), np.trunc(mean + radius + side - 1) // side * side - 1
+    return np.zeros_like(mean), np.full_like(mean, (width - 1, height - 1))
 
-    The form is convex: unless the mean is inside, the least value lies on the nearest vertical or the nearest
-    horizontal edge, and along an edge it is a parabola, clamped to the edge's ends.
+
+def largest_form(alpha, settings):
+    """alpha exp(-form / 2) reaches the cut where the quadratic form is at most this [M]."""
+    return 2 * np.log(alpha / settings.cut)
+
+
+def nearest_form(mean, conic, x_0, y_0, side):
+    """Smallest value of the quadratic form over each tile's rectangle of pixel centres [K].
+
+    The form is convex: unless the mean is inside, the smallest value lies on the nearest vertical
+    or the nearest horizontal edge. Along an edge the form is a parabola, clamped to the edge's
+    ends.
     """
     a, b, c = conic.T
     x_low, y_low = x_0 - mean[:, 0], y_0 - mean[:, 1]
     x_high, y_high = x_low + side, y_low + side
-    x, y = np.clip(0, x_low, x_high), np.clip(0, y_low, y_high)  # offset of the nearest edges
+    x, y = np.clip(0, x_low, x_high), np.clip(0, y_low, y_high)  # offsets of the nearest edges
     along_y = np.clip(-b / c * x, y_low, y_high)
     along_x = np.clip(-b / a * y, x_low, x_high)
     return np.minimum(

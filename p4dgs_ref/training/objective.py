@@ -89,10 +89,8 @@ def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
     if q is not None:
         pairs = zip(groups(values, design), groups(u, design))
         moved = [noise.forward(f, part, q[:, i : i + 1]) for i, (f, part) in enumerate(pairs)]
-        noisy, res_n = (
-            np.concatenate([out.f_noisy for out, _ in moved], axis=1),
-            [res for _, res in moved],
-        )
+        noisy = np.concatenate([f_noisy for f_noisy, _ in moved], axis=1)
+        res_n = [saved for _, saved in moved]
     f, s, l, O = split(noisy, design)
     anchors = Anchors(p["x_a"], f, s, l, O, fixed.mask)
     g, res_p = predict(
@@ -102,7 +100,7 @@ def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
         view.camera.center.astype(values.dtype),
         view.time if fixed.moving else None,
     )
-    out, res_r = render.forward(
+    (image, _, visible), res_r = render.forward(
         g.x,
         g.s,
         g.r,
@@ -113,28 +111,25 @@ def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
         fixed.settings,
         "occlusion" in design.effects,
     )
-    loss, res_l = render_loss.forward(
-        out.image, view.image.astype(out.image.dtype), fixed.lambda_ssim, truth_moments
+    (L_render, L1, D_SSIM), res_l = render_loss.forward(
+        image, view.image.astype(image.dtype), fixed.lambda_ssim, truth_moments
     )
     volume = 0.0  # 0 times an overflow would not be 0
     if fixed.lambda_volume and len(g.s):
         volume = fixed.lambda_volume * float(np.prod(g.s, axis=1).mean())
-    rate, L_rate, bits, res_b = None, 0.0, 0.0, None
+    L_rate, bits, res_b = 0.0, 0.0, None
     if ctx is not None:
-        rate, res_b = rate_forward(noisy, ctx, grids, fixed.mask, design)
-        L_rate, bits = float(rate.L_rate), float(rate.bits)
-    total, res_t = total_loss.forward(
-        np.float64(loss.L_render), np.float64(L_rate), fixed.lambda_rate
-    )
+        (bits, L_rate), res_b = rate_forward(noisy, ctx, grids, fixed.mask, design)
+    L_total, res_t = total_loss.forward(np.float64(L_render), np.float64(L_rate), fixed.lambda_rate)
     losses = Losses(
-        float(total.L_total) + volume,
-        float(loss.L_render),
-        float(loss.L1),
-        float(loss.D_SSIM),
-        L_rate,
-        bits,
+        float(L_total) + volume,
+        float(L_render),
+        float(L1),
+        float(D_SSIM),
+        float(L_rate),
+        float(bits),
     )
-    seen = Seen(res_p.alpha, g.index, res_r.splats.visible, out.image)
+    seen = Seen(res_p.alpha, g.index, visible, image)
     res = dict(
         p=p,
         design=design,
@@ -156,12 +151,11 @@ def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
 def rate_forward(noisy, ctx, grids, mask, design):
     """Bits of the noisy attributes and of the grid (Eqs. 11, 13, 14, 17)."""
     columns = np.repeat(ctx.q, design.widths, axis=1)
-    bits, res_bits = likelihood.forward(noisy, ctx.mu, ctx.sigma, columns)
-    f, s, l, O = split(bits.bits, design)
-    anchors, res_a = anchor_rate.forward(f, O, l, s, mask)
-    grid, res_h = hash_rate.forward(grids)
-    out, res = rate_loss.forward(anchors.R_anchor, grid.R_hash, noisy.size)
-    return out, (res_bits, res_a, res_h, res)
+    bits, saved_bits = likelihood.forward(noisy, ctx.mu, ctx.sigma, columns)
+    R_anchor, saved_anchors = anchor_rate.forward(*split(bits, design), mask)
+    (R_hash, _, _), saved_grid = hash_rate.forward(grids)
+    out, saved = rate_loss.forward(R_anchor, R_hash, noisy.size)
+    return out, (saved_bits, saved_anchors, saved_grid, saved)
 
 
 def rate_backward(res, L_rate_bar, design):

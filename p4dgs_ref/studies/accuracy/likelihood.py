@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ...equations import likelihood
 from ..report import pyplot
 from .diagram import COLORS, Axes, Finding, at, figure, finish, lines, number, table
 from .formulas import FORMULAS, TABLES, truth
@@ -34,8 +33,8 @@ def errors(formula, z, w, dtype):
     The truth is taken at the inputs rounded to float32, which both precisions are given.
     """
     with np.errstate(all="ignore"):
-        out, res = likelihood.forward(**inputs(z, w, dtype), log_mass=formula)
-    found = [a[0].astype(float) for a in (out.bits, res.f_slope, res.q_slope)]
+        bits, (f_slope, _, q_slope) = formula(**inputs(z, w, dtype))
+    found = [a[0].astype(float) for a in (bits, f_slope, q_slope)]
     log_p, *slopes = truth(z, w)
     bits, f_slope, q_slope = -log_p / math.log(2), *(-slope / math.log(2) for slope in slopes)
     largest = np.maximum(np.abs(f_slope), np.abs(q_slope))
@@ -138,18 +137,13 @@ def timed_rows(n, repeats):
         given = {key: inputs(z, w, method[3]) for key, method in methods.items()}
         with np.errstate(all="ignore"):
             ms = alternate(
-                {
-                    key: lambda key=key: likelihood.forward(**given[key], log_mass=methods[key][2])
-                    for key in methods
-                },
+                {key: lambda key=key: methods[key][2](**given[key]) for key in methods},
                 repeats,
             )
         for key, (name, knob, formula, dtype) in methods.items():
             bits, gradient = errors(formula, z, w, dtype)
             with np.errstate(all="ignore"):
-                work = special_calls(
-                    sys.modules[formula.__module__], lambda: formula(**renamed(given[key]))
-                )
+                work = special_calls(sys.modules[formula.__module__], lambda: formula(**given[key]))
             rows.append(
                 {
                     "method": name,
@@ -163,10 +157,6 @@ def timed_rows(n, repeats):
                 }
             )
     return rows
-
-
-def renamed(given):
-    return {"x" if name == "f_noisy" else name: a for name, a in given.items()}
 
 
 def worst(values):

@@ -8,13 +8,14 @@ import numpy as np
 from ...equations import likelihood
 from ...scenes.output import write_atomically
 from .. import quadrature
+from ..accuracy import formulas
 from .entry import DTYPES
 
 DISTANCES = 10.0 ** np.linspace(-1, 3, 65)  # |x - mu| / sigma
 WIDTHS = 10.0 ** np.linspace(-12, 6, 73)  # q / sigma
 LEAST_BITS = 1e-6  # below, bits are not judged
 WORST, BEST = 0.0, -17.0  # limits of log10 of the relative error that are drawn
-FORMULAS = {"literal": likelihood.literal, "floor 1e-6": likelihood.hac, "ours": likelihood.forward}
+FORMULAS = {"literal": formulas.literal, "floor 1e-6": formulas.hac, "ours": likelihood.forward}
 
 
 def errors(formula, dtype):
@@ -22,7 +23,7 @@ def errors(formula, dtype):
     z, w = (np.ascontiguousarray(a).astype(dtype) for a in np.meshgrid(DISTANCES, WIDTHS))
     inputs = dict(f_noisy=z, mu=0 * z, sigma=0 * z + 1, q=w)
     with np.errstate(all="ignore"):
-        got = formula(**inputs)[0].bits.astype(np.longdouble)
+        got = formula(**inputs)[0].astype(np.longdouble)
         true = quadrature.likelihood(inputs, {"bits_bar": 0 * z})[0]["bits"]
         error = np.abs(got - true) / true
         log = np.log10(np.maximum(error, np.longdouble(10) ** (BEST - 1))).astype(float)

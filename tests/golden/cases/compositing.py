@@ -1,0 +1,85 @@
+"""Cases of compositing."""
+
+import numpy as np
+
+from p4dgs_ref.studies.random_inputs import random_splats
+
+from . import Case
+
+
+def cases():
+    rng = np.random.default_rng(33)
+    view = dict(background=np.array([0.9, 0.5, 0.2]), height=5, width=6, occlusion=True)
+    splats = random_splats(rng, 7, 5, 6)
+    yield Case("ordinary", dict(**splats, **view))
+    yield Case("no_occlusion", dict(**splats, **{**view, "occlusion": False}), ("off",))
+    hidden = {**splats, "visible": np.arange(7) % 3 > 0}
+    yield Case("culled_rows", dict(**hidden, **view), ("behind",))
+    yield Case(
+        "no_gaussians",
+        dict(**{name: a[:0] for name, a in splats.items()}, **view),
+        ("empty",),
+        expected={
+            "image": np.broadcast_to(view["background"], (5, 6, 3)),
+            "transmittance": np.ones((5, 6)),
+        },
+    )
+    one = {name: a[:1] for name, a in splats.items()}
+    yield Case("one_pixel", dict(**one, **{**view, "height": 1, "width": 1}), ("single",))
+    flat = dict(
+        mean2d=np.zeros((2, 2)),
+        conic=np.zeros((2, 3)),
+        alpha=np.array([0.5, 0.25]),
+        color=np.eye(3)[:2],
+        depth=np.ones(2),
+        visible=np.ones(2, bool),
+        background=np.zeros(3),
+        height=1,
+        width=1,
+    )
+    yield Case("equal_depths", flat, ("order",), expected={"image": np.array([[[0.5, 0.125, 0]]])})
+    limit = {
+        **{name: a[:1] for name, a in flat.items() if name in splats},
+        "alpha": np.array([0.75]),
+        "color": np.array([[1.0, 0.5, 0.25]]),
+    }  # on the end of the clamp the gradient is that of the inside
+    yield Case(
+        "on_the_clamp",
+        dict(
+            **limit,
+            **{name: flat[name] for name in ("background", "height", "width")},
+            alpha_max=0.75,
+        ),
+        ("kink", "clamped"),
+        smooth=False,
+        cotangents={"image_bar": np.array([[[1.0, 2.0, -4.0]]])},
+        expected={
+            "image": 0.75 * limit["color"][None],
+            "alpha_bar": np.ones(1),
+            "color_bar": 0.75 * np.array([[1.0, 2.0, -4.0]]),
+        },
+    )
+    n = 200  # alpha 0.99 each: the second layer shows 1 %, the third 1e-4
+    wall = dict(
+        mean2d=np.zeros((n, 2)),
+        conic=np.zeros((n, 3)),
+        alpha=np.ones(n),
+        color=np.ones((n, 3)),
+        depth=np.arange(1.0, n + 1),
+        visible=np.ones(n, bool),
+        background=np.zeros(3),
+        height=1,
+        width=1,
+    )
+    yield Case(
+        "opaque_wall",
+        wall,
+        ("opaque", "clamped"),
+        smooth=False,
+        cotangents={"image_bar": np.array([[[1.0, 2.0, -4.0]]])},
+        expected={
+            "image": np.ones((1, 1, 3)),
+            "alpha_bar": np.zeros(n),
+            "color_bar": 0.99 * 0.01 ** np.arange(n)[:, None] * np.array([1.0, 2.0, -4.0]),
+        },
+    )
