@@ -1,28 +1,37 @@
-"""Every declared equation: gradients, shapes, closed forms, purity, precision; and tests of these tests."""
+"""Every equation of the table: gradients, shapes, closed forms, purity, precision.
 
-import re
+At the end of the file are the tests of these tests.
+"""
+
+import inspect
 from collections import Counter
+from functools import wraps
+from importlib import import_module
 
 import numpy as np
 import pytest
 
-import p4dgs_ref.splatting  # noqa: F401  declares covariance, projection and compositing
-from p4dgs_ref.equations import EQUATIONS, FLAGS
+from p4dgs_ref.equations import likelihood
+from p4dgs_ref.table import EQUATIONS, Equation
+from tests.core import shape_comments
+from tests.golden.cases import FLAGS, cases_of
 
-pytestmark = pytest.mark.filterwarnings(
-    "error::RuntimeWarning"
-)  # no overflow, no 0/0, on hard cases neither
+# No overflow and no 0/0, not even on hard cases.
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 ALL = [
     pytest.param(eq, case, id=f"{key}-{case.name}")
     for key, eq in EQUATIONS.items()
-    for case in eq.cases()
+    for case in cases_of(key)
 ]
 EPS = np.finfo(float).eps
 STEPS = (1e-2, 1e-3, 1e-4, 1e-5)
 EVERY = pytest.mark.parametrize("eq, case", ALL)
+EACH = pytest.mark.parametrize("eq", EQUATIONS.values(), ids=EQUATIONS)
 
 
-# --- arrays, numbers and lists of arrays alike; a tuple is a setting --------------------------------------------
+# --- arrays, numbers and lists of arrays alike --------------------------------------------------
+
+
 def leaves(a):
     """The arrays of an array or of a list of arrays."""
     return [np.asarray(b) for b in a] if isinstance(a, list) else [np.asarray(a)]
@@ -34,10 +43,12 @@ def like(a, new):
 
 
 def is_float(a):
-    return a is not None and all(b.dtype.kind == "f" for b in leaves(a)) and len(leaves(a)) > 0
+    """Whether a value consists of floating-point arrays."""
+    return len(leaves(a)) > 0 and all(b.dtype.kind == "f" for b in leaves(a))
 
 
 def dot_terms(a, b):
+    """The terms of the scalar product of two values."""
     return np.concatenate([np.zeros(0), *((x * y).ravel() for x, y in zip(leaves(a), leaves(b)))])
 
 
@@ -48,17 +59,26 @@ def cast(a, dtype):
     return a.astype(dtype) if isinstance(a, (np.ndarray, np.generic)) and a.dtype.kind == "f" else a
 
 
-def draw_cotangents(eq, out, draw):
-    """One for every float output by draw(shape); none where no input receives a gradient."""
+def run(eq, inputs):
+    """The outputs {name: array} and what `backward` needs."""
+    output, saved = eq.forward(**inputs)
+    return eq.named(output), saved
+
+
+def draw_cotangents(outputs, draw):
+    """A cotangent draw(shape) for every float output."""
     return {
-        name + "_bar": like(a, [np.asarray(draw(b.shape), b.dtype) for b in leaves(a)])
-        for name, a in out._asdict().items()
-        if is_float(a) and eq.differentiable
+        name + "_bar": np.asarray(draw(np.shape(a)), np.asarray(a).dtype)
+        for name, a in outputs.items()
+        if is_float(a)
     }
 
 
 def close(got, want, tolerance, what):
-    """Within `tolerance` of the largest wanted magnitude, EPS if that is 0; infinities and integers agree exactly."""
+    """Assert that `got` is within `tolerance` of the largest wanted magnitude, or EPS if that is 0.
+
+    Infinities and integers agree exactly.
+    """
     for g, w in zip(leaves(got), leaves(want), strict=True):
         assert g.shape == w.shape, f"{what}: shape {g.shape}, expected {w.shape}"
         finite = np.isfinite(w) if g.dtype.kind == "f" else np.zeros(w.shape, bool)
@@ -70,56 +90,57 @@ def close(got, want, tolerance, what):
         assert worst <= bound, f"{what}: off by {worst:.3g}, allowed {bound:.3g}"
 
 
-# --- the gradient test -------------------------------------------------------------------------------------------
+# --- the gradient test --------------------------------------------------------------------------
+
+
 def slope(f, cotangents, h):
     """The terms of <cotangents, J d> by a fourth-order central difference of f(step)."""
-    (a, b, p, m) = (f(s * h)._asdict() for s in (2, -2, 1, -1))
-    return np.concatenate(
-        [
-            dot_terms(
-                v,
-                [
-                    (8 * (w - x) - (y - z)) / (12 * h)
-                    for w, x, y, z in zip(*(leaves(o[n[:-4]]) for o in (p, m, a, b)))
-                ],
-            )
-            for n, v in cotangents.items()
-        ]
-    )
+    plus_2, minus_2, plus, minus = (f(step * h) for step in (2, -2, 1, -1))
+    terms = []
+    for bar, cotangent in cotangents.items():
+        name = bar.removesuffix("_bar")
+        near = np.subtract(plus[name], minus[name])
+        far = np.subtract(plus_2[name], minus_2[name])
+        terms.append(dot_terms(cotangent, (8 * near - far) / (12 * h)))
+    return np.concatenate(terms)
+
+
+def differentiable(eq, case):
+    """The function that `backward` differentiates: straight-through parts have a surrogate."""
+    cases = import_module(f"tests.golden.cases.{eq.key}")
+    if not hasattr(cases, "surrogate"):
+        return eq
+    smooth = cases.surrogate(**case.inputs)
+    return lambda **inputs: eq.named(smooth(**inputs))
 
 
 def check_adjoint(eq, case):
-    """<y_bar, J d> = <J^T y_bar, d> for random y_bar and d, one input at a time so that blame is local."""
+    """Check <y_bar, J d> = <J^T y_bar, d> for random y_bar and d, one input at a time."""
     rng = np.random.default_rng(0)
-    out, res = eq.forward(**case.inputs)
-    cotangents = draw_cotangents(eq, out, rng.standard_normal)
-    gradients = eq.backward(res, **cotangents)
-    # a difference cannot see what is lost in the last bits of its outputs
-    rounding = (
-        4
-        * EPS
-        * sum(np.abs(dot_terms(a, getattr(out, n[:-4]))).sum() for n, a in cotangents.items())
-    )
-    smooth = eq.surrogate(**case.inputs) if eq.surrogate else eq
-    for name in eq.differentiable:
+    outputs, saved = run(eq, case.inputs)
+    cotangents = draw_cotangents(outputs, rng.standard_normal)
+    gradients = eq.backward(saved, **cotangents)
+    # A difference cannot see what is lost in the last bits of its outputs.
+    products = [dot_terms(a, outputs[n.removesuffix("_bar")]) for n, a in cotangents.items()]
+    rounding = 4 * EPS * sum(np.abs(terms).sum() for terms in products)
+    smooth = differentiable(eq, case)
+    for name in eq.gradients:
         x = case.inputs[name]
         d = [rng.normal(size=b.shape) * np.where(b == 0, 1, np.abs(b)) for b in leaves(x)]
         ours = dot_terms(gradients[name], d)
 
         def f(step):
-            return smooth(
-                **{**case.inputs, name: like(x, [b + step * e for b, e in zip(leaves(x), d)])}
-            )
+            moved = [b + step * e for b, e in zip(leaves(x), d)]
+            return smooth(**{**case.inputs, name: like(x, moved)})
 
         errors = []  # in units of what is allowed
         for h in STEPS:
             theirs = slope(f, cotangents, h)
             allowed = 1e-7 * (np.abs(ours).sum() + np.abs(theirs).sum()) + rounding / h
             errors.append(abs(ours.sum() - theirs.sum()) / allowed if allowed != 0 else 0.0)
-        assert any(e <= 1 for e in errors), (
-            f"{eq.key}, case {case.name}, input {name}: off by "
-            + ", ".join(f"{e:.1e} (step {h})" for e, h in zip(errors, STEPS))
-        )
+        found = ", ".join(f"{error:.1e} (step {h})" for error, h in zip(errors, STEPS))
+        where = f"{eq.key}, case {case.name}, input {name}"
+        assert any(error <= 1 for error in errors), f"{where}: off by {found}"
 
 
 @EVERY
@@ -127,205 +148,215 @@ def test_backward_is_the_adjoint_of_the_derivative(eq, case):
     if case.smooth:
         check_adjoint(eq, case)
     else:
-        assert case.expected, (
-            f"{eq.key}, case {case.name}: on a kink only a closed form says what holds"
-        )
+        what = f"{eq.key}, case {case.name}"
+        assert case.expected, f"{what}: on a kink only a closed form says what holds"
 
 
-# --- closed forms ------------------------------------------------------------------------------------------------
+# --- closed forms -------------------------------------------------------------------------------
+
+
 @pytest.mark.parametrize("eq, case", [p for p in ALL if p.values[1].expected])
 def test_closed_forms(eq, case):
-    out, res = eq.forward(**case.inputs)
-    zero = draw_cotangents(eq, out, np.zeros)  # those that the case leaves out
-    gradients = eq.backward(res, **{**zero, **case.cotangents})
-    got = {**out._asdict(), **{name + "_bar": a for name, a in gradients.items()}}
+    outputs, pullback = eq.vjp(**case.inputs)
+    gradients = pullback(**case.cotangents)  # the cotangents that the case leaves out are zero
+    got = {**outputs, **{name + "_bar": a for name, a in gradients.items()}}
     for name, want in case.expected.items():
         close(got[name], want, case.tolerance, f"{eq.key}, case {case.name}, {name}")
-    assert all(name[:-4] in out._fields for name in case.cotangents)
+    assert {name.removesuffix("_bar") for name in case.cotangents} <= set(outputs)
 
 
-# --- declarations ------------------------------------------------------------------------------------------------
-def bind(axes, array, lengths, may_be_off, what):
-    """Check one array against its axes, "3 A 3k": numbers are lengths, letters keep theirs, 3k is three times k."""
-    shape, axes = np.shape(array), axes.split()
-    assert len(shape) == len(axes), f"{what}: shape {shape}, declared {axes}"
-    for n, axis in zip(shape, axes):
-        factor, letter = re.fullmatch(r"(\d*)([A-Za-z]*)", axis).groups()
-        factor = int(factor or 1)
-        if may_be_off and n == 0:  # an effect that is off has inputs and heads of zero width
-            continue
-        if letter:
-            assert n % factor == 0, f"{what}: shape {shape}, declared {axes}"
-        want = factor * (lengths.setdefault(letter, n // factor) if letter else 1)
-        assert n == want, f"{what}: shape {shape}, declared {axes} with {lengths}"
+def test_the_printed_likelihood_agrees_on_the_ordinary_case():
+    inputs = case_of("likelihood").inputs
+    bits = EQUATIONS["likelihood"](**inputs)["bits"]
+    close(likelihood.literal(**inputs), bits, 1e-9, "Eq. (11) as printed")
+
+
+# --- comments, table and cases ------------------------------------------------------------------
+
+
+def specs_of(eq):
+    """The Specs of an equation's arguments and outputs."""
+    return shape_comments.arguments(eq.forward), shape_comments.outputs(eq.forward, eq.outputs)
+
+
+def check_shapes(eq, case, arguments, outputs):
+    """Compare a case with Specs of arguments and outputs; returns what `compare` returns."""
+    values, _ = run(eq, case.inputs)
+    named = {**case.inputs, **{f"output {name}": a for name, a in values.items()}}
+    specs = {**arguments, **{f"output {name}": spec for name, spec in outputs.items()}}
+    return shape_comments.compare(specs, named, "off" in case.flags)
 
 
 @EVERY
-def test_declared_shapes_hold(eq, case):
-    out, res = eq.forward(**case.inputs)
-    lengths = {}
-    for side, arrays in ((0, case.inputs), (-1, out._asdict())):
-        for name, a in arrays.items():
-            what = f"{eq.key}, case {case.name}, {name}"
-            if name not in eq.shapes and not isinstance(a, (np.ndarray, list)):
-                continue  # a setting
-            assert name in eq.shapes, f"{what}: no shape is declared"
-            axes = eq.shapes[name].split("->")[
-                side
-            ]  # "A k -> N": an output of the same name as an input
-            assert isinstance(a, list) == axes.startswith("*"), f"{what}: declared {axes!r}"
-            if isinstance(a, list):
-                for b in a:  # letters of a list may differ from array to array
-                    bind(axes[1:], b, {}, "off" in case.flags, what)
-            elif a is not None and not isinstance(a, tuple):
-                bind(axes, a, lengths, "off" in case.flags, what)
+def test_comments_tell_the_shapes(eq, case):
+    lengths, numbers, _ = check_shapes(eq, case, *specs_of(eq))
     if "ordinary" in case.flags:
-        numbers = {int(n) for axes in eq.shapes.values() for n in re.findall(r"\b[2-9]\b", axes)}
-        twice = [n for n, count in Counter([*lengths.values(), *numbers]).items() if count > 1]
+        counts = Counter([*lengths.values(), *(n for n in numbers if n > 1)])
+        twice = [n for n, count in counts.items() if count > 1]
         assert not twice, f"{eq.key}, case {case.name}: axes of equal length {lengths}"
-    gradients = eq.backward(
-        res, **draw_cotangents(eq, out, np.random.default_rng(1).standard_normal)
-    )
-    assert set(gradients) == set(eq.differentiable)
+
+
+@EACH
+def test_every_alternative_of_a_comment_occurs(eq):
+    arguments, outputs = specs_of(eq)
+    met = [check_shapes(eq, case, arguments, outputs)[2] for case in cases_of(eq.key)]
+    for name, spec in arguments.items():
+        if len(spec.shapes) > 1:
+            assert set(spec.shapes) == {shapes[name] for shapes in met}, f"{eq.key}, {name}"
+
+
+@EVERY
+def test_gradients_have_the_shapes_of_the_inputs(eq, case):
+    outputs, saved = run(eq, case.inputs)
+    rng = np.random.default_rng(1)
+    gradients = eq.backward(saved, **draw_cotangents(outputs, rng.standard_normal))
+    assert set(gradients) == set(eq.gradients)
     for name, gradient in gradients.items():
-        assert [np.shape(g) for g in leaves(gradient)] == [
-            np.shape(b) for b in leaves(case.inputs[name])
-        ], name
+        shapes = [np.shape(b) for b in leaves(case.inputs[name])]
+        assert [np.shape(g) for g in leaves(gradient)] == shapes, name
 
 
-@pytest.mark.parametrize("eq", EQUATIONS.values(), ids=EQUATIONS)
-def test_declaration(eq):
-    cases = list(eq.cases())
+@EACH
+def test_table_and_cases_fit_the_functions(eq):
+    cases = cases_of(eq.key)
     names = [case.name for case in cases]
     assert len(set(names)) == len(names)
     flags = {flag for case in cases for flag in case.flags}
     assert "ordinary" in flags and len(flags) > 1 and flags <= set(FLAGS), flags
     assert all(case.flags for case in cases)
-    assert set(eq.shapes) <= set(cases[0].inputs) | set(eq(**cases[0].inputs)._fields)
-    assert eq.formula and set(eq.differentiable) <= set(cases[0].inputs) & set(eq.shapes)
+
+    assert eq.formula and eq.module.rpartition(".")[2] == eq.key
+    parameters = inspect.signature(eq.forward).parameters
+    needed = {name for name, p in parameters.items() if p.default is inspect.Parameter.empty}
+    for case in cases:
+        assert needed <= set(case.inputs) <= set(parameters), case.name
+    assert set(eq.gradients) <= needed
+    floats = [f"{name}_bar" for name, a in eq(**cases[0].inputs).items() if is_float(a)]
+    asked = list(inspect.signature(eq.backward).parameters)
+    assert asked in (["saved", *floats], ["saved", *floats, "needs_x"])
 
 
-def test_paper_order():
+def test_every_flag_marks_a_case():
+    assert {flag for p in ALL for flag in p.values[1].flags} == set(FLAGS)
+
+
+def test_the_table_is_in_the_order_of_the_paper():
     numbers = [eq.number for eq in EQUATIONS.values() if eq.number]
     assert numbers == sorted(numbers, key=lambda n: float(n.replace("'", ".5")))
+    assert len(EQUATIONS) == 26
+    assert all(key == eq.key for key, eq in EQUATIONS.items())
 
 
-# --- purity, linearity, precision --------------------------------------------------------------------------------
+# --- purity, linearity, precision ---------------------------------------------------------------
+
+
 def frozen(tree):
-    return {name: [b.tobytes() for b in leaves(a)] for name, a in tree.items() if a is not None}
+    """The bytes of every array, by name."""
+    return {name: [b.tobytes() for b in leaves(a)] for name, a in tree.items()}
 
 
 @EVERY
 def test_pure_and_repeatable(eq, case):
     before = frozen(case.inputs)
-    out, res = eq.forward(**case.inputs)
-    cotangents = draw_cotangents(eq, out, np.random.default_rng(2).standard_normal)
-    given, primal = frozen(cotangents), frozen(out._asdict())
-    first, second = (frozen(eq.backward(res, **cotangents)) for _ in range(2))
+    outputs, saved = run(eq, case.inputs)
+    cotangents = draw_cotangents(outputs, np.random.default_rng(2).standard_normal)
+    given, primal = frozen(cotangents), frozen(outputs)
+    first, second = (frozen(eq.backward(saved, **cotangents)) for _ in range(2))
     assert first == second
-    again, res = eq.forward(**case.inputs)
-    assert frozen(again._asdict()) == primal == frozen(out._asdict())
-    assert frozen(eq.backward(res, **cotangents)) == first
+    again, saved = run(eq, case.inputs)
+    assert frozen(again) == primal == frozen(outputs)
+    assert frozen(eq.backward(saved, **cotangents)) == first
     assert frozen(case.inputs) == before and frozen(cotangents) == given
 
 
 @EVERY
 def test_backward_is_linear_and_finite(eq, case):
     rng = np.random.default_rng(3)
-    out, res = eq.forward(**case.inputs)
-    u, v = (
-        draw_cotangents(eq, out, rng.standard_normal),
-        draw_cotangents(eq, out, rng.standard_normal),
-    )
+    outputs, pullback = eq.vjp(**case.inputs)
+    u = draw_cotangents(outputs, rng.standard_normal)
+    v = draw_cotangents(outputs, rng.standard_normal)
     a, b = 0.7, -1.9
-    both = {n: like(u[n], [a * x + b * y for x, y in zip(leaves(u[n]), leaves(v[n]))]) for n in u}
-    of_u, of_v, of_both = (eq.backward(res, **w) for w in (u, v, both))
-    alone = (
-        [eq.backward(res, **{n: w}) for n, w in u.items()] if len(u) > 1 else [of_u]
-    )  # absent counts as zero
-    for name in eq.differentiable:
-        for x, y, z, *parts in zip(
-            *map(leaves, (of_u[name], of_v[name], of_both[name], *(g[name] for g in alone)))
-        ):
-            what = f"{eq.key}, case {case.name}, {name}"
+    of_u, of_v = pullback(**u), pullback(**v)
+    of_both = pullback(**{n: np.asarray(a * u[n] + b * v[n]) for n in u})
+    alone = [pullback(**{n: w}) for n, w in u.items()]  # the other cotangents are zero
+    for name in eq.gradients:
+        what = f"{eq.key}, case {case.name}, {name}"
+        gradients = [of_u[name], of_v[name], of_both[name], *(g[name] for g in alone)]
+        for x, y, z, *parts in zip(*map(leaves, gradients), strict=True):
             assert all(np.isfinite(g).all() for g in (x, y, z)), what
-            assert np.all(
-                np.abs(a * x + b * y - z) <= 1e-10 * np.abs([x, y]).max(initial=0) + EPS
-            ), what
-            assert np.all(
-                np.abs(sum(parts) - x) <= 1e-10 * np.abs([x, *parts]).max(initial=0) + EPS
-            ), what
+            largest = np.abs([x, y]).max(initial=0)
+            assert np.all(np.abs(a * x + b * y - z) <= 1e-10 * largest + EPS), what
+            largest = np.abs([x, *parts]).max(initial=0)
+            assert np.all(np.abs(sum(parts) - x) <= 1e-10 * largest + EPS), what
             assert "ordinary" not in case.flags or np.any(x), what + " is zero"
+
+
+def in_float32(eq, case):
+    """The inputs of a case in float32; skips the test where float32 cannot hold them."""
+    with np.errstate(over="ignore"):
+        single = {name: cast(a, np.float32) for name, a in case.inputs.items()}
+    for name in eq.gradients:
+        if isinstance(single[name], float):
+            single[name] = np.float32(single[name])
+    pairs = [
+        (b, c)
+        for name, a in single.items()
+        if is_float(a)
+        for b, c in zip(leaves(a), leaves(case.inputs[name]))
+    ]
+    held = all(np.isfinite(b).all() and np.array_equal(b == 0, c == 0) for b, c in pairs)
+    if not pairs or not held:
+        pytest.skip("no input, or magnitudes that float32 does not have")
+    return single
 
 
 @EVERY
 def test_float32_stays_float32(eq, case):
-    with np.errstate(over="ignore"):
-        single = {
-            n: np.float32(a)
-            if isinstance(a, float) and n in eq.differentiable
-            else cast(a, np.float32)
-            for n, a in case.inputs.items()
-        }
-    double = {
-        n: cast(a, np.float64) for n, a in single.items()
-    }  # the same numbers: only the arithmetic differs
-    pairs = [
-        (b, c)
-        for n in single
-        if is_float(single[n])
-        for b, c in zip(leaves(single[n]), leaves(case.inputs[n]))
-    ]
-    if not pairs or not all(
-        np.isfinite(b).all() and np.array_equal(b == 0, c == 0) for b, c in pairs
-    ):
-        pytest.skip("no input, or magnitudes that float32 does not have")
-    out, res = eq.forward(**single)
-    cotangents = draw_cotangents(eq, out, np.random.default_rng(4).standard_normal)
-    gradients = eq.backward(res, **cotangents)
-    want, res = eq.forward(**double)
-    want_gradients = eq.backward(res, **{n: cast(a, np.float64) for n, a in cotangents.items()})
-    for name, got, exact in [(n, getattr(out, n), getattr(want, n)) for n in out._fields] + [
-        (n + "_bar", gradients[n], want_gradients[n]) for n in eq.differentiable
-    ]:
+    single = in_float32(eq, case)
+    outputs, saved = run(eq, single)
+    cotangents = draw_cotangents(outputs, np.random.default_rng(4).standard_normal)
+    gradients = eq.backward(saved, **cotangents)
+    # The same numbers in float64: only the arithmetic differs.
+    want, saved = run(eq, {name: cast(a, np.float64) for name, a in single.items()})
+    bars = {name: cast(a, np.float64) for name, a in cotangents.items()}
+    want_gradients = eq.backward(saved, **bars)
+    pairs = [(name, outputs[name], want[name]) for name in outputs]
+    pairs += [(f"{name}_bar", gradients[name], want_gradients[name]) for name in eq.gradients]
+    for name, got, exact in pairs:
         what = f"{eq.key}, case {case.name}, {name}"
-        for g, w in zip(leaves(got), leaves(exact)):
-            assert g.dtype == (np.float32 if w.dtype == np.float64 else w.dtype), (
-                f"{what} is {g.dtype}"
-            )
-            assert np.isfinite(g).all() or not np.isfinite(w).all(), (
-                f"{what} is not finite in float32"
-            )
-        close(
-            [g.astype(float) for g in leaves(got)],
-            [w.astype(float) for w in leaves(exact)],
-            1e-5,
-            what,
-        )
+        for g, w in zip(leaves(got), leaves(exact), strict=True):
+            dtype = np.float32 if w.dtype == np.float64 else w.dtype
+            assert g.dtype == dtype, f"{what} is {g.dtype}"
+            is_wrong = np.isfinite(w).all() and not np.isfinite(g).all()
+            assert not is_wrong, f"{what} is not finite in float32"
+        doubles = [[b.astype(float) for b in leaves(a)] for a in (got, exact)]
+        close(*doubles, 1e-5, what)
 
 
-@pytest.mark.parametrize("eq", [eq for eq in EQUATIONS.values() if eq.rungs], ids=lambda eq: eq.key)
-def test_rungs_agree_on_ordinary_cases(eq):
-    for case in eq.cases():
-        if "ordinary" in case.flags:
-            for name, forward in eq.rungs.items():
-                for got, want in zip(forward(**case.inputs)[0], eq(**case.inputs)):
-                    close(got, want, 1e-9, f"{eq.key}, rung {name}, case {case.name}")
-
-
-# --- the tests of the tests --------------------------------------------------------------------------------------
-def spoiled(eq, spoil):
-    """A copy of an equation whose first gradient is wrong."""
-
-    def backward(res, **cotangents):
-        gradients, first = eq.backward(res, **cotangents), eq.differentiable[0]
-        return {**gradients, first: spoil(gradients[first])}
-
-    return eq._replace(backward=backward)
+# --- the tests of the tests ---------------------------------------------------------------------
 
 
 def case_of(key, name="ordinary"):
-    return next(case for case in EQUATIONS[key].cases() if case.name == name)
+    """A case by the name of its equation and its own."""
+    return next(case for case in cases_of(key) if case.name == name)
+
+
+def altered(eq, **functions):
+    """A copy of an equation with another forward or backward."""
+    members = {name: staticmethod(function) for name, function in functions.items()}
+    return type("Altered", (Equation,), members)(*eq)
+
+
+def spoiled(eq, spoil):
+    """A copy of an equation whose first gradient is wrong."""
+    right = eq.backward
+
+    @wraps(right)
+    def backward(saved, **cotangents):
+        gradients, first = right(saved, **cotangents), eq.gradients[0]
+        return {**gradients, first: spoil(gradients[first])}
+
+    return altered(eq, backward=backward)
 
 
 @pytest.mark.parametrize("key", ["offsets", "view", "mlp", "deformed"])
@@ -342,41 +373,100 @@ def test_the_gradient_test_rejects_mistakes(key):
         np.zeros_like,
         lambda g: g * np.nan,
     ):
-        with pytest.raises(
-            AssertionError, match=f"{key}, case ordinary, input {eq.differentiable[0]}"
-        ):
+        where = f"{key}, case ordinary, input {eq.gradients[0]}"
+        with pytest.raises(AssertionError, match=where):
             check_adjoint(spoiled(eq, spoil), case)
+
+
+def impure(x_a, **others):
+    """Eq. (1) that changes an input."""
+    x_a += 1
+    return EQUATIONS["offsets"].forward(x_a=x_a, **others)
+
+
+def doubled(**inputs):
+    """Eq. (1) that always returns float64."""
+    x, saved = EQUATIONS["offsets"].forward(**inputs)
+    return x.astype(np.float64), saved
+
+
+def counting():
+    """Eq. (1) that returns other numbers at every call."""
+    calls = []
+
+    def forward(**inputs):
+        calls.append(inputs)
+        x, saved = EQUATIONS["offsets"].forward(**inputs)
+        return x + len(calls), saved
+
+    return forward
+
+
+def imprecise(gradient):
+    """A float32 gradient with the digits of float16."""
+    if gradient.dtype == np.float32:
+        return gradient.astype(np.float16).astype(np.float32)
+    return gradient
 
 
 def test_the_other_tests_reject_mistakes():
     eq, case, hand = EQUATIONS["offsets"], case_of("offsets"), case_of("offsets", "by_hand")
-
-    def impure(x_a, **others):
-        x_a += 1
-        return eq.forward(x_a=x_a, **others)
-
-    def doubled(**inputs):
-        out, res = eq.forward(**inputs)
-        return type(out)(out.x.astype(np.float64)), res
-
-    def imprecise(gradient):
-        return (
-            gradient.astype(np.float16).astype(np.float32)
-            if gradient.dtype == np.float32
-            else gradient
-        )
-
     wrong = {**hand.expected, "l_a_bar": -hand.expected["l_a_bar"]}
-    swapped = {**eq.shapes, "x": "k A 3"}
     for test, bad, on in (
         (test_closed_forms, eq, hand._replace(expected=wrong)),
-        (test_declared_shapes_hold, eq._replace(shapes=swapped), case),
-        (test_declared_shapes_hold, spoiled(eq, np.transpose), case),
-        (test_pure_and_repeatable, eq._replace(forward=impure), case),
+        (test_gradients_have_the_shapes_of_the_inputs, spoiled(eq, np.transpose), case),
+        (test_pure_and_repeatable, altered(eq, forward=impure), case),
+        (test_pure_and_repeatable, altered(eq, forward=counting()), case),
         (test_backward_is_linear_and_finite, spoiled(eq, np.abs), case),
         (test_backward_is_linear_and_finite, spoiled(eq, lambda g: g / 0.0), case),
-        (test_float32_stays_float32, eq._replace(forward=doubled), case),
+        (test_backward_is_linear_and_finite, spoiled(eq, np.zeros_like), case),
+        (test_float32_stays_float32, altered(eq, forward=doubled), case),
         (test_float32_stays_float32, spoiled(eq, imprecise), case),
     ):
         with np.errstate(all="ignore"), pytest.raises(AssertionError):
             test(bad, on)
+
+
+def other_shapes(shape, may_turn):
+    """Shapes that a comment could state instead of the right one."""
+    yield (*shape, "1")
+    yield shape[:-1]
+    for i in range(len(shape)):
+        yield (*shape[:i], "97", *shape[i + 1 :])
+    if may_turn:
+        yield shape[::-1]
+
+
+def lies(spec):
+    """Specs that a comment could state instead of the right one."""
+    if spec.network:
+        rows, *columns = spec.network
+        yield spec._replace(network=(f"{rows} + 1", *columns))
+        for i, text in enumerate(columns):
+            yield spec._replace(network=(rows, *columns[:i], f"{text} + 1", *columns[i + 1 :]))
+    for i, shape in enumerate(spec.shapes):
+        for other in other_shapes(shape, may_turn=not spec.is_list):
+            if other != shape:
+                yield spec._replace(shapes=(*spec.shapes[:i], other, *spec.shapes[i + 1 :]))
+
+
+def is_noticed(eq, arguments, outputs):
+    """Whether the comparison with these Specs fails for a case."""
+    for case in cases_of(eq.key):
+        try:
+            check_shapes(eq, case, arguments, outputs)
+        except AssertionError:
+            return True
+    return False
+
+
+@EACH
+def test_a_comment_that_lies_is_noticed(eq):
+    arguments, outputs = specs_of(eq)
+    assert not is_noticed(eq, arguments, outputs)
+    for specs in (arguments, outputs):
+        for name, spec in list(specs.items()):
+            for lie in lies(spec):
+                specs[name] = lie
+                assert is_noticed(eq, arguments, outputs), f"{eq.key}, {name}: {lie}"
+            specs[name] = spec

@@ -17,7 +17,7 @@ def surrogate(x_a, lo, hi, grids, resolutions):
 
     def smooth(grids, **_):
         signs = [start + np.clip(grid, -1, 1) for start, grid in zip(base, grids)]
-        return (located @ np.concatenate(signs)).reshape(len(x_a), -1)
+        return (located @ np.concatenate(signs)).reshape(len(x_a), len(grids) * grids[0].shape[1])
 
     return smooth
 
