@@ -1,4 +1,7 @@
-"""Work-precision diagrams: error against time on logarithmic axes, a line a method, points along its knob; CSV beside."""
+"""Diagrams of error against time on logarithmic axes: one line per method, points along its knob.
+
+Every diagram has a CSV with its numbers.
+"""
 
 from typing import NamedTuple
 
@@ -6,19 +9,19 @@ import numpy as np
 
 from ..report import BLUE, LIGHT_BLUE, RED, pyplot, save_figure, write_csv
 
-# Okabe and Ito's palette, for colour-blind readers; markers differ too, so that grey prints can be read.
+# Okabe and Ito's palette, for colour-blind readers. The markers differ as well, for grey prints.
 COLORS = (BLUE, RED, "#009E73", "#CC79A7", "#E69F00", LIGHT_BLUE, "#000000", "#8C6D31")
 MARKERS = "osD^vPXph"
 SIZE, DPI = (8, 5), 120
 
 
 class Finding(NamedTuple):
-    """What one study found; `report` writes it, the command line prints it."""
+    """The result of one study. `report` writes it, the command line prints it."""
 
     name: str
     title: str
     reference: str  # what errors are measured against
-    figures: list  # [(file, what it shows)]
+    figures: list  # [(file, caption)]
     tables: list  # files
     reading: str  # sentences made of the measured numbers
     repeats: str  # how times were taken
@@ -39,96 +42,92 @@ TIME = Axes("ms", "error", "time (ms, median of alternating repeats)", "error")
 
 
 def lines(ax, rows, axes, by="method", knob="knob", label=True, order=()):
-    """Draw the rows (dictionaries) of every method as one line with its points labelled by the knob.
+    """Draw one line per method through its rows (dictionaries), with the knob beside each point.
 
-    A value that a logarithmic axis cannot show stays out of the line: not finite as a red cross at the upper edge,
-    zero at the lower edge, so that failures and exact results are seen too.  `order` fixes the methods' colours.
+    A value that the axis cannot show stays out of the line: NaN and infinity are a red cross above
+    the panel's values, an error of zero is an empty marker below them. `order` fixes the colours.
     """
+    drawn = [row for row in rows if can_be_drawn(row[axes.y], axes.y_scale)]
+    values = [row[axes.y] for row in drawn]
+    low, high = (min(values), max(values)) if values else (1e-16, 1.0)
     methods = list(dict.fromkeys([*order, *(row[by] for row in rows)]))
-    finite = [
-        row[axes.y]
-        for row in rows
-        if np.isfinite(row[axes.y]) and (row[axes.y] > 0 or axes.y_scale != "log")
-    ]
-    low, high = (min(finite), max(finite)) if finite else (1e-16, 1.0)
     for i, method in enumerate(methods):
         own = [row for row in rows if row[by] == method]
         if not own:
             continue
-        shown = [
-            row
-            for row in own
-            if np.isfinite(row[axes.y]) and (row[axes.y] > 0 or axes.y_scale != "log")
-        ]
-        color, marker = COLORS[i % len(COLORS)], MARKERS[i % len(MARKERS)]
-        style = (
-            "-" if any(row.get(knob) != "" for row in own) else ""
-        )  # without a knob there is nothing between points
+        shown = [row for row in own if can_be_drawn(row[axes.y], axes.y_scale)]
+        style = dict(color=COLORS[i % len(COLORS)], marker=MARKERS[i % len(MARKERS)])
         ax.plot(
             [row[axes.x] for row in shown],
             [row[axes.y] for row in shown],
-            style,
-            marker=marker,
-            color=color,
+            # Without a knob nothing lies between the points.
+            "-" if any(row.get(knob) != "" for row in own) else "",
             label=method,
             markersize=6 if len(shown) > 1 else 10,
             linewidth=1.6,
+            **style,
         )
         for row in own:
-            failed = not np.isfinite(row[axes.y])
-            if failed or row not in shown:
-                ax.plot(
-                    row[axes.x],
-                    (3 * high if failed else low / 3),
-                    "x" if failed else marker,
-                    color="red" if failed else color,
-                    markersize=9,
-                    fillstyle="none",
-                    clip_on=False,
-                )
+            if not np.isfinite(row[axes.y]):
+                mark(ax, row[axes.x], 3 * high, color="red", marker="x")
+            elif row not in shown:
+                mark(ax, row[axes.x], low / 3, **style)
             elif label and row[knob] != "":
-                ax.annotate(
-                    f"{row[knob]}",
-                    (row[axes.x], row[axes.y]),
-                    textcoords="offset points",
-                    xytext=(5, 4),
-                    fontsize=9,
-                    color=color,
-                )
+                at_point = dict(textcoords="offset points", xytext=(5, 4), fontsize=9)
+                point = row[axes.x], row[axes.y]
+                ax.annotate(f"{row[knob]}", point, color=style["color"], **at_point)
     ax.set(xscale=axes.x_scale, yscale=axes.y_scale, xlabel=axes.x_label, ylabel=axes.y_label)
     ax.grid(True, which="major", color="#dddddd", linewidth=0.7)
     ax.set_axisbelow(True)
 
 
-def figure(panels=1, size=SIZE, **options):
-    """A figure of some panels beside each other: (figure, [axes])."""
+def can_be_drawn(value, scale):
+    """Whether an axis of this scale can show a value."""
+    return np.isfinite(value) and (value > 0 or scale != "log")
+
+
+def mark(ax, x, y, **style):
+    """One empty marker, not cut off at the edge of the panel."""
+    ax.plot(x, y, "", markersize=9, fillstyle="none", clip_on=False, **style)
+
+
+def figure(columns=1, size=SIZE, rows=1, **options):
+    """A figure of equal panels: (figure, list of axes, row by row)."""
     fig, axes = pyplot().subplots(
-        1, panels, figsize=size, squeeze=False, layout="constrained", **options
+        rows, columns, figsize=size, squeeze=False, layout="constrained", **options
     )
-    return fig, list(axes[0])
+    return fig, list(axes.ravel())
 
 
 def legend(ax, **options):
+    """A legend inside a panel."""
     ax.legend(**{"fontsize": 10, "framealpha": 0.85, "edgecolor": "none", **options})
 
 
+def legend_below(fig, ax, columns, count=None, **options):
+    """A legend below the panels, of the first `count` lines of one of them."""
+    handles, labels = ax.get_legend_handles_labels()
+    options = {"loc": "outside lower center", "fontsize": 10, "frameon": False, **options}
+    fig.legend(handles[:count], labels[:count], ncols=columns, **options)
+
+
 def readable_ticks(axis):
-    """On a logarithmic axis of less than three decades, ticks at 1, 2, 5 in plain numbers; none without a number."""
+    """Ticks of a logarithmic axis: plain numbers where it has less than three decades."""
     from matplotlib import ticker
 
     low, high = axis.get_view_interval()
     axis.set_minor_formatter(ticker.NullFormatter())
     if high < 1000 * low:
-        narrow = high < 30 * low
-        axis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5) if narrow else (1,)))
+        subs = (1, 2, 5) if high < 30 * low else (1,)
+        axis.set_major_locator(ticker.LogLocator(subs=subs))
         axis.set_major_formatter(ticker.FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def finish(fig, path, title):
-    """Put the title, which names the reference, and write the PNG."""
+    """Set the title, which names the reference, and write the PNG."""
     for ax in fig.axes:
-        for axis, scale in ((ax.xaxis, ax.get_xscale()), (ax.yaxis, ax.get_yscale())):
-            if scale == "log":
+        for axis in (ax.xaxis, ax.yaxis):
+            if axis.get_scale() == "log":
                 readable_ticks(axis)
     fig.suptitle(title, fontsize=13)
     fig.set_dpi(DPI)
@@ -136,7 +135,7 @@ def finish(fig, path, title):
 
 
 def work_precision(path, rows, axes=TIME, title="", **options):
-    """The diagram of one panel: rows with method, knob and the two columns of `axes`."""
+    """A diagram of one panel."""
     fig, (ax,) = figure()
     lines(ax, rows, axes, **options)
     legend(ax)
@@ -144,21 +143,25 @@ def work_precision(path, rows, axes=TIME, title="", **options):
 
 
 def table(folder, name, rows):
-    """Write rows as name.csv; every row has the columns of the first."""
-    write_csv(
-        folder / f"{name}.csv", [{key: tidy(value) for key, value in row.items()} for row in rows]
-    )
+    """Write rows as name.csv and return the name of the file."""
+    tidy = [{key: six_digits(value) for key, value in row.items()} for row in rows]
+    write_csv(folder / f"{name}.csv", tidy)
     return f"{name}.csv"
 
 
-def tidy(value):
-    """A number as a CSV holds it: six digits are more than any measurement here has."""
+def six_digits(value):
+    """A value for a CSV: six digits are more than any measurement here has."""
     return f"{value:.6g}" if isinstance(value, (float, np.floating)) else value
+
+
+def select(rows, **wanted):
+    """The rows with these values."""
+    return [row for row in rows if all(row[key] == value for key, value in wanted.items())]
 
 
 def at(rows, **wanted):
     """The one row with these values."""
-    found = [row for row in rows if all(row[key] == value for key, value in wanted.items())]
+    found = select(rows, **wanted)
     if len(found) != 1:
         raise LookupError(f"{len(found)} rows with {wanted}")
     return found[0]
@@ -166,6 +169,8 @@ def at(rows, **wanted):
 
 def number(value):
     """A number for a sentence: two or three digits, powers of ten where it is far from one."""
-    if not np.isfinite(value):
-        return "infinite" if np.isinf(value) else "not a number"
+    if np.isnan(value):
+        return "not a number"
+    if np.isinf(value):
+        return "infinite"
     return f"{value:.1e}" if value and not 1e-2 <= abs(value) < 1e4 else f"{value:.3g}"

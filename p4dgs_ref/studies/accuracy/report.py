@@ -1,4 +1,4 @@
-"""All studies in their order, the page that holds their figures and readings, and the three named points in short."""
+"""All studies in order, the page with their figures and readings, and the short summary."""
 
 import shutil
 import time
@@ -9,7 +9,7 @@ from . import coder, gradients, hash_grid, likelihood, quantisation, rendering, 
 from .diagram import number
 from .timing import machine
 
-# In the order of the page: arithmetic first, then what is trained, then how costs grow.
+# In the order of the page: arithmetic first, then training, then how costs grow.
 STUDIES = {
     "rendering": rendering.run,
     "likelihood": likelihood.run,
@@ -24,31 +24,24 @@ PAGE = "accuracy.md"
 
 
 def run(names, folder, quick=False, progress=lambda line: None):
-    """Measure, draw and write: a CSV and PNG a diagram and one page, into an existing folder.
+    """Run studies and write a PNG and a CSV per diagram, and one page, into an existing folder.
 
-    Takes      names of STUDIES, or None for all; `quick` for a minute instead of ten; `progress(line)` is told what begins
-    Returns    {"machine", "quick", "seconds", "studies": [...]}, plain values for JSON
-    Raises     ValueError naming a study that there is none of
+    `names` are keys of STUDIES, or None for all. `quick` takes about a minute instead of ten.
+    Returns {"machine", "quick", "seconds", "studies": [...]}, plain values for JSON. Raises
+    ValueError for an unknown name.
     """
-    folder, names, start = (
-        Path(folder),
-        list(STUDIES) if names is None else list(names),
-        time.perf_counter(),
-    )
+    names = list(STUDIES) if names is None else list(names)
+    folder, start = Path(folder), time.perf_counter()
     for name in names:
         if name not in STUDIES:
             raise ValueError(f"study {name!r}: expected one of {', '.join(STUDIES)}")
     findings = []
-    for name in (name for name in STUDIES if name in names):
-        begun = time.perf_counter()
-        found = STUDIES[name](folder, quick, progress)
-        for figure in (
-            Path(file).stem for file, _ in found.figures
-        ):  # one that shows a study's main table again
-            if f"{figure}.csv" not in found.tables:
-                shutil.copyfile(folder / f"{name}.csv", folder / f"{figure}.csv")
-                found.tables.append(f"{figure}.csv")
-        findings.append({**found._asdict(), "seconds": time.perf_counter() - begun})
+    for name in STUDIES:
+        if name in names:
+            begun = time.perf_counter()
+            found = STUDIES[name](folder, quick, progress)
+            complete_tables(found, folder)
+            findings.append({**found._asdict(), "seconds": time.perf_counter() - begun})
     result = {
         "machine": machine(),
         "quick": quick,
@@ -59,57 +52,65 @@ def run(names, folder, quick=False, progress=lambda line: None):
     return result
 
 
+def complete_tables(found, folder):
+    """Figures without a table of their own show the study's main table: copy it for them."""
+    for file, _ in found.figures:
+        own = f"{Path(file).stem}.csv"
+        if own not in found.tables:
+            shutil.copyfile(folder / f"{found.name}.csv", folder / own)
+            found.tables.append(own)
+
+
 def page(result):
-    """The page as Markdown: what was measured on, then a section a study."""
+    """The page as Markdown: the machine, then one section per study."""
     about = "; ".join(f"{name} {value}" for name, value in result["machine"].items())
-    sizes = (
-        "The quick sizes were used: points are few, models hardly trained, times rough."
-        if result["quick"]
-        else "The full sizes were used."
-    )
+    sizes = "The full sizes were used."
+    if result["quick"]:
+        sizes = "The quick sizes were used: few points, hardly trained models, rough times."
     parts = [
         "# What accuracy costs in time",
         "",
         f"Measured on: {about}.",
         "",
-        f"{sizes} {result['seconds']:.0f} seconds in all. Times are of one process; every figure's numbers, counted work "
-        "among them, are in the CSV beside it. Times depend on the machine, counted work and errors hardly do.",
+        f"{sizes} The run took {result['seconds']:.0f} seconds. Times are those of one process. "
+        "The CSV beside each figure holds its numbers and the counted work. Times depend on the "
+        "machine; counted work and errors hardly do.",
         "",
     ]
     for study in result["studies"]:
         parts += [f"## {study['title']}", "", study["reading"], ""]
         parts += [f"![{caption}]({file})\n\n*{caption}*\n" for file, caption in study["figures"]]
         tables = ", ".join(f"[{file}]({file})" for file in study["tables"])
-        parts += [
-            f"Reference: {study['reference']}. Time: {study['repeats']}. Numbers: {tables}.",
-            "",
-        ]
+        about = f"Reference: {study['reference']}. Time: {study['repeats']}. Numbers: {tables}."
+        parts += [about, ""]
     return "\n".join(parts)
 
 
 def summary(repeats=7):
-    """The settings `exact`, `paper` and `fast`: (rows of plain values, the same as lines of text)."""
+    """The settings `exact`, `paper` and `fast`: rows of plain values, and the same as text."""
     rows = rendering.summary_rows(repeats)
-    widths = max(map(len, SETTINGS))
+    width = max(map(len, SETTINGS))
+    n, side = rendering.SUMMARY_SIZE
+    gradients_of = ", ".join(rendering.GRADIENTS.values())
     lines = [
-        f"{rendering.SUMMARY_SIZE[0]} splats, {rendering.SUMMARY_SIZE[1]}×{rendering.SUMMARY_SIZE[1]} pixels, forward and "
-        f"backward, median of {repeats} alternating repeats at least; errors against the exact twin in float64",
-        f"{'':{widths}}  {'ms':>7}  {'pairs':>10}  {'image, max':>10}  {'image, rms':>10}  gradients, relative L2: "
-        + ", ".join(rendering.GRADIENTS.values()),
+        f"{n} splats, {side}×{side} pixels, forward and backward, median of at least {repeats} "
+        "alternating repeats; errors against the exact twin in float64",
+        f"{'':{width}}  {'ms':>7}  {'pairs':>10}  {'image, max':>10}  {'image, rms':>10}  "
+        f"gradients, relative L2: {gradients_of}",
     ]
     for row in rows:
         errors = "  ".join(f"{number(row[f'{name}_error']):>8}" for name in rendering.GRADIENTS)
         lines.append(
-            f"{row['settings']:{widths}}  {row['ms']:7.2f}  {row['pairs']:10,}  {number(row['error']):>10}  "
-            f"{number(row['rms_error']):>10}  {errors}"
+            f"{row['settings']:{width}}  {row['ms']:7.2f}  {row['pairs']:10,}  "
+            f"{number(row['error']):>10}  {number(row['rms_error']):>10}  {errors}"
         )
     return rows, "\n".join(lines)
 
 
 def describe(result, folder):
-    """What the command prints after a run: every study's reading and where the page is."""
-    readings = "\n\n".join(
+    """The text that the command prints: the reading of every study, and where the page is."""
+    readings = [
         f"{study['title']} ({study['seconds']:.0f} s)\n  {study['reading']}"
         for study in result["studies"]
-    )
-    return f"{readings}\n\n{Path(folder) / PAGE}: {result['seconds']:.0f} s in all"
+    ]
+    return "\n\n".join([*readings, f"{Path(folder) / PAGE}: {result['seconds']:.0f} s in all"])

@@ -1,4 +1,4 @@
-"""How time, work and growth are measured: alternating repeats, counted special functions, fitted exponents."""
+"""How times, work and growth are measured."""
 
 import os
 import platform
@@ -11,17 +11,16 @@ import scipy
 
 from ..bench import alternate as take_turns
 
-LEAST_MS = (
-    2.0  # a function shorter than this is called several times a turn, so that the clock can see it
-)
-ROUND_MS = 300.0  # a round of turns shorter than this is repeated more often: other programs disturb it more
+LEAST_MS = 2.0  # a shorter function is called several times per turn, for the sake of the clock
+ROUND_MS = 300.0  # shorter rounds are repeated more often: other programs disturb them more
 SPECIAL = ("exp", "expm1", "log", "log1p", "ndtr", "log_ndtr", "erfcx")
 
 
 def alternate(functions, repeats):
-    """Median milliseconds of one call of each function, called in turn after one call to warm up: {name: ms}.
+    """Median milliseconds of one call of each function, {name: ms}.
 
-    Takes      {name: function without arguments}, how many turns at least: short ones are repeated up to five times as often
+    The functions are called in turn, after one call to warm up. `repeats` is the smallest number
+    of turns; short rounds take up to five times as many.
     """
     calls, spent = {}, 0.0
     for name, function in functions.items():
@@ -32,23 +31,21 @@ def alternate(functions, repeats):
         calls[name] = max(1, int(LEAST_MS / max(ms, 1e-3)))
         spent += max(ms, LEAST_MS)
 
-    def several(function, count):
+    def several(name):
         def run():
-            for _ in range(count):
-                function()
+            for _ in range(calls[name]):
+                functions[name]()
 
         return run
 
     turns = repeats * min(5, max(1, round(ROUND_MS / spent)))
-    total = take_turns(
-        {name: several(function, calls[name]) for name, function in functions.items()}, turns
-    )
+    total = take_turns({name: several(name) for name in functions}, turns)
     return {name: ms / calls[name] for name, ms in total.items()}
 
 
 @contextmanager
 def replaced(owner, **members):
-    """The members of a module or class are others within it, and what they were afterwards."""
+    """Replace members of a module or class for the time of a `with` block."""
     kept = {name: getattr(owner, name) for name in members}
     try:
         for name, member in members.items():
@@ -60,7 +57,7 @@ def replaced(owner, **members):
 
 
 class Counting:
-    """Stands for the module `np` and counts the elements that go through its special functions."""
+    """Stands for the module `np` and counts the elements that its special functions compute."""
 
     def __init__(self):
         self.elements = 0
@@ -77,44 +74,42 @@ class Counting:
 
 
 def special_calls(module, function):
-    """How many special function values a call of `function` computes in `module`: the work that no machine changes."""
+    """How many values of special functions `function` computes in `module`.
+
+    Unlike the time, this work is the same on every machine.
+    """
     counting = Counting()
-    names = {
-        name: counting.counted(getattr(module, name)) for name in SPECIAL if hasattr(module, name)
-    }
-    with replaced(module, np=counting, **names):
+    names = [name for name in SPECIAL if hasattr(module, name)]
+    counted = {name: counting.counted(getattr(module, name)) for name in names}
+    with replaced(module, np=counting, **counted):
         function()
     return counting.elements
 
 
 def exponents(sizes, values):
-    """The b of value = e^a size_0^b_0 size_1^b_1 ... by least squares on logarithms, as [a, b_0, b_1, ...].
+    """[a, b_0, b_1, ...] of value = e^a size_0^b_0 size_1^b_1 ..., fitted to logarithms.
 
-    Shapes     sizes (n, D) positive, values (n,) positive -> (D + 1,)
+    `sizes` is (n, D), `values` is (n,), all positive.
     """
     logs = np.log(np.asarray(sizes, float))
-    return np.linalg.lstsq(np.column_stack([np.ones(len(logs)), logs]), np.log(values), rcond=None)[
-        0
-    ]
+    columns = np.column_stack([np.ones(len(logs)), logs])
+    return np.linalg.lstsq(columns, np.log(values), rcond=None)[0]
 
 
 def processor():
-    """The processor's name, as the system gives it."""
+    """The processor's name according to the operating system."""
     try:
         with open(os.path.join(os.sep, "proc", "cpuinfo"), encoding="utf-8") as file:
-            return next(
-                line.split(":", 1)[1].strip() for line in file if line.startswith("model name")
-            )
+            names = (line.split(":", 1)[1] for line in file if line.startswith("model name"))
+            return next(names).strip()
     except (OSError, StopIteration):
         return platform.processor() or platform.machine()
 
 
 def machine():
-    """What the times depend on: {name: text}."""
+    """The parts of the machine that times depend on, {name: text}."""
     config = np.show_config(mode="dicts")["Build Dependencies"]["blas"]
-    threads = (
-        os.environ.get("OPENBLAS_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS") or "not set"
-    )
+    threads = os.environ.get("OPENBLAS_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS")
     return {
         "CPU": processor(),
         "cores": str(os.cpu_count()),
@@ -122,5 +117,5 @@ def machine():
         "NumPy": np.__version__,
         "SciPy": scipy.__version__,
         "BLAS": f"{config.get('name', 'unknown')} {config.get('version', '')}".strip(),
-        "BLAS threads": threads,
+        "BLAS threads": threads or "not set",
     }

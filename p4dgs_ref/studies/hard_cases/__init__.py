@@ -1,1 +1,1 @@
-"""Hard cases: what each equation promises, the catalogue with true values of 50 digits, the search for trouble, the map."""
+"""Hard cases: inputs on which a formula that is right gives wrong numbers, and what ours gives."""

@@ -1,73 +1,75 @@
-"""The table of hard cases: literal formula, ours, true value, errors, verdict; for people, and as JSON."""
+"""The table of hard cases: literal formula, ours, true value, errors, verdict."""
 
-from .catalogue import ENTRIES
-from .entry import DTYPES
+from .cases import hard_cases
+from .judge import measure
+
+DTYPES = ("float64", "float32")
 
 
 def rows(only=None, report=lambda row: None):
-    """Run the catalogue, or the one entry `only` or those whose id begins with it up to a dot, in both precisions.
+    """Run all cases in both precisions, or the case `only`, or the cases of the row `only`.
 
-    Returns    [{id, equation, says, dtype, literal, ours, true, error, grad_error, bound, grad_bound, verdict}, ...];
-               numbers that JSON does not have are text, a gradient error where there is no gradient is null
+    Returns a list of dictionaries for JSON with id, equation, says, dtype, literal, ours, true,
+    error, grad_error, bound, grad_bound and verdict. Infinities and NaN are text; the error of a
+    gradient is None where there is no gradient.
     """
     found = []
-    for id, entry in ENTRIES.items():
-        if only is not None and only != id and not id.startswith(only + "."):
+    for case in hard_cases().values():
+        if only is not None and only != case.id and not case.id.startswith(only + "."):
             continue
+        about = {"id": case.id, "equation": case.equation, "says": case.says}
         for dtype in DTYPES:
-            found.append(
-                {
-                    "id": id,
-                    "equation": entry.equation,
-                    "says": entry.says,
-                    "dtype": dtype,
-                    **_judged(entry.measure(dtype)),
-                }
-            )
+            found.append({**about, "dtype": dtype, **judged(run(case, dtype))})
             report(found[-1])
     return found
 
 
-def _judged(measured):
-    """The fields of a Measured and its verdict: an error that is not a number fails too."""
-    within = measured.error <= measured.bound and (
-        measured.grad_error is None or measured.grad_error <= measured.grad_bound
-    )
-    finite = lambda error: error if error is None or abs(error) < float("inf") else str(error)
-    return {
-        **measured._asdict(),
-        "error": finite(measured.error),
-        "grad_error": finite(measured.grad_error),
-        "verdict": "ok" if within else "fails",
-    }
+def run(case, dtype):
+    """The Measured of one case in one precision."""
+    if case.inputs:
+        return measure(case, dtype)
+    from .coding import CODING
+    from .procedures import PROCEDURES
+
+    return {**CODING, **PROCEDURES}[case.id](dtype)
+
+
+def judged(measured):
+    """The fields of a Measured and its verdict. An error that is NaN fails."""
+    good = measured.error <= measured.bound
+    if measured.grad_error is not None:
+        good = good and measured.grad_error <= measured.grad_bound
+    errors = {name: _finite(getattr(measured, name)) for name in ("error", "grad_error")}
+    return {**measured._asdict(), **errors, "verdict": "ok" if good else "fails"}
+
+
+def _finite(error):
+    return error if error is None or abs(error) < float("inf") else str(error)
 
 
 def describe(rows):
-    """The table as text, a line a row, what fails last as well."""
+    """The table as text, and at the end the rows that fail."""
     lines = [
-        f"{'case':26} {'equation':20} {'dtype':8} {'literal':>16} {'ours':>16} {'true':>16} {'error':>8} "
-        f"{'gradient':>8}  verdict"
+        f"{'case':26} {'equation':20} {'dtype':8} {'literal':>16} {'ours':>16} {'true':>16} "
+        f"{'error':>8} {'gradient':>8}  verdict"
     ]
-    lines += [
-        f"{row['id']:26} {row['equation']:20} {row['dtype']:8} {_shown(row['literal'])} {_shown(row['ours'])} "
-        f"{_shown(row['true'])} {_error(row['error'])} {_error(row['grad_error'])}  {row['verdict']}"
-        for row in rows
-    ]
-    failed = [f"{row['id']} {row['dtype']}" for row in rows if row["verdict"] == "fails"]
-    return "\n".join(
-        [
-            *lines,
-            "",
-            f"{len(rows)} rows, {len(failed)} beyond their "
-            "bounds" + "".join(f"\n  {name}" for name in failed),
-        ]
-    )
+    for row in rows:
+        numbers = " ".join(_shown(row[name]) for name in ("literal", "ours", "true"))
+        errors = " ".join(_error(row[name]) for name in ("error", "grad_error"))
+        about = f"{row['id']:26} {row['equation']:20} {row['dtype']:8}"
+        lines.append(f"{about} {numbers} {errors}  {row['verdict']}")
+    failed = [f"  {row['id']} {row['dtype']}" for row in rows if row["verdict"] == "fails"]
+    lines += ["", f"{len(rows)} rows, {len(failed)} beyond their bounds", *failed]
+    return "\n".join(lines)
 
 
 def _shown(value):
+    """A value in 16 characters."""
     text = f"{value:.8g}" if isinstance(value, float) else str(value)
     return f"{text if len(text) <= 16 else text[:15] + '~':>16}"
 
 
 def _error(value):
-    return f"{'' if value is None else f'{value:.1e}' if isinstance(value, float) else value:>8}"
+    """An error in 8 characters."""
+    text = f"{value:.1e}" if isinstance(value, float) else value or ""
+    return f"{text:>8}"

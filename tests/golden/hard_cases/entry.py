@@ -1,0 +1,82 @@
+"""One entry of the catalogue of hard cases."""
+
+import zlib
+from typing import NamedTuple
+
+import numpy as np
+
+from p4dgs_ref.table import EQUATIONS
+from tests.golden.cases import Case
+
+DTYPES = ("float64", "float32")
+# The bound of most entries in eps: a few roundings of terms a few times larger than their sum.
+FEW = 64
+
+
+class Entry(NamedTuple):
+    """One row of the catalogue with one of its inputs."""
+
+    id: str  # "H-R1.6sigma": the row, then which of its inputs
+    equation: str  # key of an equation, or the part of the package that the entry is about
+    says: str  # what is hard, and what the column "literal" shows
+    case: Case | None = None  # None for an entry that is a procedure of the package
+    shown: tuple = ()  # (array, index) of the number in the table
+    literal: str = ""  # the name of a formula in p4dgs_ref.studies.hard_cases.literals
+    bounds: dict = {}  # {dtype: [of the outputs, of the gradients or None]}, relative
+    each: bool = True  # outputs relative to each number, otherwise to the largest of the array
+
+
+def procedures(*rows):
+    """Entries (id, equation, says) that the package runs as procedures."""
+    return [Entry(*row) for row in rows]
+
+
+def single(value):
+    """The float32 nearest to each number, as float64, so that both precisions get the same input."""
+    return np.asarray(value, np.float32).astype(np.float64)
+
+
+def held_by_float32(value):
+    """Float arrays as `single`, in lists too; everything else as it is."""
+    if isinstance(value, list):
+        return [single(a) for a in value]
+    is_float = isinstance(value, np.ndarray) and value.dtype.kind == "f"
+    return single(value) if is_float else value
+
+
+def hard(
+    id,
+    key,
+    says,
+    inputs,  # in float64
+    shown,
+    literal,
+    flags,
+    expected=None,  # closed forms; without them the 50-digit constants are the truth
+    smooth=True,
+    value=None,  # bound of the outputs in float64 and float32
+    grad=None,  # bound of the gradients likewise
+    each=True,
+):
+    """An entry that is a case of an equation."""
+    eq = EQUATIONS[key]
+    inputs = {name: held_by_float32(a) for name, a in inputs.items()}
+    case = Case(id, inputs, flags, smooth, cotangents_of(eq, id, inputs), expected or {})
+    few = [FEW * float(np.finfo(dtype).eps) for dtype in DTYPES]
+    bounds = {
+        dtype: [of_value, of_grad if eq.gradients else None]
+        for dtype, of_value, of_grad in zip(DTYPES, value or few, grad or few)
+    }
+    return Entry(id, key, says, case, shown, literal, bounds, each)
+
+
+def cotangents_of(eq, id, inputs):
+    """Normal numbers that float32 holds, the same in every run, for every float output."""
+    rng = np.random.default_rng(zlib.crc32(id.encode()))
+    with np.errstate(all="ignore"):
+        outputs = eq(**inputs)
+    return {
+        name + "_bar": single(rng.normal(size=np.shape(a)))
+        for name, a in outputs.items()
+        if eq.gradients and np.asarray(a).dtype.kind == "f"
+    }
