@@ -8,7 +8,7 @@ from .base import Line, UsageError, show
 
 
 def accuracy(arguments):
-    from ..studies.accuracy import STUDIES, describe, run, summary
+    from ..studies.accuracy.report import STUDIES, describe, run, summary
 
     if arguments.summary:
         if arguments.only or arguments.quick:

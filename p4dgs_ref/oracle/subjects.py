@@ -7,7 +7,6 @@ import numpy as np
 from .. import splatting  # noqa: F401  declares covariance, projection, compositing
 from ..equations import EQUATIONS
 from ..equations.equation import Equation
-from ..studies.hard_cases.catalogue import cases as hard_cases
 from .pipeline import SUBJECTS_L4
 from .scalars import SUBJECTS_L0
 from .stages import SUBJECTS_L2
@@ -62,7 +61,9 @@ class Subject(NamedTuple):
         """The equation's own cases, then those of the catalogue of hard cases."""
         yield from self.eq.cases()
         if self.level == "L1":
-            yield from hard_cases(self.key)
+            from tests.golden.hard_cases.catalogue import cases
+
+            yield from cases(self.key)
 
 
 def subjects():

@@ -17,7 +17,7 @@ import zlib
 
 import numpy as np
 
-from ..studies.hard_cases.entry import cast
+from ..studies.precision import cast
 from .compare import IMAGES
 from .subjects import flatten, run
 

@@ -28,7 +28,7 @@ from p4dgs_ref.oracle.subjects import run, subjects
 from p4dgs_ref.oracle.tolerance import named
 from p4dgs_ref.oracle.vectors import FOLDER, read_manifest
 from p4dgs_ref.splatting import compositing
-from p4dgs_ref.studies.hard_cases.entry import cast
+from p4dgs_ref.studies.precision import cast
 from tests.golden.equivalent import EQUIVALENT
 from tests.golden.known_mistakes import PATCHES, patched
 from tests.golden.mutate import applied, mutations

@@ -12,13 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from p4dgs_ref import splatting  # noqa: F401  declares covariance, projection, compositing
-from p4dgs_ref.equations import EQUATIONS
-from p4dgs_ref.studies import quadrature
+from p4dgs_ref.studies.precision import cast
+from p4dgs_ref.table import EQUATIONS
 
-from . import terms
+from . import quadrature, terms
 from .arenas import ARENAS
-from p4dgs_ref.studies.hard_cases.entry import cast
 from .promises import LEAST, PROMISES
 
 LONGER = {np.float32: np.float64, np.float64: np.longdouble}

@@ -14,7 +14,7 @@ from p4dgs_ref.equations import EQUATIONS, FLAGS
 from p4dgs_ref.oracle import checker, published, report, safetensors, subjects, vectors
 from p4dgs_ref.oracle.compare import deviations
 from p4dgs_ref.oracle.tolerance import named
-from p4dgs_ref.studies.hard_cases.entry import cast
+from p4dgs_ref.studies.precision import cast
 
 SPEC = (
     "offsets",

@@ -53,7 +53,7 @@ def symmetric(f_noisy, mu, sigma, q):
 
 
 def log_domain(f_noisy, mu, sigma, q):
-    """log(a - b) = log a + log(1 - b/a) with the logarithms of the two tails: nothing underflows."""
+    """log(a - b) = log a + log(1 - b/a) of the two tails' logarithms: nothing underflows."""
     low, high = edges(f_noisy, mu, sigma, q)
     near, beyond = log_ndtr(-low), log_ndtr(-high)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):

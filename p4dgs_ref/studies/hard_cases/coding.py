@@ -218,9 +218,7 @@ def damaged(dtype):
     refused = sum(map(_refused, broken))
     sections = open_container(data)
     bodies = list(_flipped(bytes(sections["features"])))
-    silent = sum(
-        not _refused(write_container({**sections, "features": body})) for body in bodies
-    )
+    silent = sum(not _refused(write_container({**sections, "features": body})) for body in bodies)
     return exact(
         f"{silent} of {len(bodies)} decode",
         f"{refused} of {len(broken)} refused",

@@ -1,83 +1,66 @@
-"""The stability map of Eq. (11): where its formulas are right, over distance and bin width, as a picture and as CSV."""
-
-import csv
-import io
+"""The stability map of Eq. (11): the error of its formulas over distance and bin width."""
 
 import numpy as np
 
-from ...equations import likelihood
-from ...scenes.output import write_atomically
-from .. import quadrature
 from ..accuracy import formulas
-from .entry import DTYPES
+from ..accuracy.heatmap import draw_heatmap
+from ..accuracy.likelihood import LEAST_BITS, errors
+from ..report import pyplot, save_figure, write_csv
+from .table import DTYPES
 
-DISTANCES = 10.0 ** np.linspace(-1, 3, 65)  # |x - mu| / sigma
-WIDTHS = 10.0 ** np.linspace(-12, 6, 73)  # q / sigma
-LEAST_BITS = 1e-6  # below, bits are not judged
-WORST, BEST = 0.0, -17.0  # limits of log10 of the relative error that are drawn
-FORMULAS = {"literal": formulas.literal, "floor 1e-6": formulas.hac, "ours": likelihood.forward}
-
-
-def errors(formula, dtype):
-    """log10 of the relative error of the bits (widths, distances); inf where they are no numbers, NaN where not judged."""
-    z, w = (np.ascontiguousarray(a).astype(dtype) for a in np.meshgrid(DISTANCES, WIDTHS))
-    inputs = dict(f_noisy=z, mu=0 * z, sigma=0 * z + 1, q=w)
-    with np.errstate(all="ignore"):
-        got = formula(**inputs)[0].astype(np.longdouble)
-        true = quadrature.likelihood(inputs, {"bits_bar": 0 * z})[0]["bits"]
-        error = np.abs(got - true) / true
-        log = np.log10(np.maximum(error, np.longdouble(10) ** (BEST - 1))).astype(float)
-    log[~np.isfinite(got)] = np.inf
-    return np.where(true >= LEAST_BITS, log, np.nan)
+DISTANCES = np.logspace(-1, 3, 65)  # |f_noisy - mu| / sigma
+WIDTHS = np.logspace(-12, 6, 73)  # q / sigma
+BEST = -17.0  # log10 of the smallest relative error that is drawn
+FORMULAS = {
+    "literal": formulas.literal,
+    "floor 1e-6": formulas.hac,
+    "ours": formulas.FORMULAS["stable"],
+}
 
 
 def maps():
-    """{(formula, dtype): errors}"""
-    return {
-        (name, dtype): errors(formula, DTYPES[dtype])
-        for dtype in DTYPES
-        for name, formula in FORMULAS.items()
-    }
+    """log10 of the relative error of the bits, {(formula, dtype): array (widths, distances)}.
+
+    It is infinite where a formula gives NaN or infinity, and NaN where the true value is less than
+    LEAST_BITS, so that a relative error means nothing.
+    """
+    found = {}
+    for dtype in DTYPES:
+        # The true values are those of the inputs as this precision holds them.
+        axes = (axis.astype(dtype).astype(float) for axis in (DISTANCES, WIDTHS))
+        z, w = (a.ravel() for a in np.meshgrid(*axes))
+        log_p, _, _ = formulas.truth(z, w)
+        judged = -log_p / np.log(2) >= LEAST_BITS
+        for name, formula in FORMULAS.items():
+            error, _ = errors(formula, z, w, dtype)
+            log = np.log10(np.maximum(error, 10.0 ** (BEST - 1)))
+            log = np.where(np.isfinite(error), log, np.inf)
+            found[name, dtype] = np.where(judged, log, np.nan).reshape(len(WIDTHS), -1)
+    return found
 
 
 def draw_map(path):
-    """Draw the map to a PNG at `path` and write its numbers beside it, as path with the ending .csv."""
-    from matplotlib import colormaps
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
+    """Draw the map to a PNG and write its numbers beside it, with the ending .csv."""
     found = maps()
-    figure = Figure(figsize=(10.5, 6.6), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(len(DTYPES), len(FORMULAS), sharex=True, sharey=True)
-    colors = colormaps["viridis"].with_extremes(bad="white", over="red")
-    for axis, ((name, dtype), log) in zip(axes.ravel(), found.items()):
-        shown = np.ma.masked_invalid(np.where(np.isinf(log), 99, np.minimum(log, WORST)))
-        drawn = axis.pcolormesh(
-            DISTANCES, WIDTHS, shown, cmap=colors, vmin=BEST, vmax=WORST, rasterized=True
-        )
-        axis.set(xscale="log", yscale="log", title=f"{name}, {dtype}")
-    for axis in axes[-1]:
-        axis.set_xlabel("distance |x - μ| / σ")
-    for axis in axes[:, 0]:
-        axis.set_ylabel("bin width q / σ")
-    figure.colorbar(drawn, ax=axes, label="log10 of the relative error of the bits", extend="max")
+    figure, axes = pyplot().subplots(
+        2, 3, figsize=(11, 7), sharex=True, sharey=True, layout="constrained"
+    )
+    for ax, ((name, dtype), log) in zip(axes.ravel(), found.items()):
+        drawn = draw_heatmap(ax, DISTANCES, WIDTHS, log, (BEST, 0.0))
+        ax.set_title(f"{name}, {dtype}")
+    figure.supxlabel("distance |x − μ| / σ")
+    figure.supylabel("bin width q / σ")
+    figure.colorbar(drawn, ax=axes, label="log10 of the relative error of the bits", extend="both")
     figure.suptitle(
-        "Eq. (11): error of the bits against quadrature.  Red: infinite or not a number.  White: below 1e-6 bits",
-        fontsize=11,
+        "Eq. (11): error of the bits against quadrature\n"
+        "red: infinite or not a number; white: below 1e-6 bits, not judged"
     )
-    write_atomically(
-        path, lambda file: figure.savefig(file, format="png", metadata={"Software": None})
-    )
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(
-        ["formula", "dtype", "q_over_sigma", "distance_over_sigma", "log10_relative_error"]
-    )
-    for (name, dtype), log in found.items():
-        table.writerows(
-            [name, dtype, f"{w:.6g}", f"{z:.6g}", f"{v:.3f}"]
-            for w, line in zip(WIDTHS, log)
-            for z, v in zip(DISTANCES, line)
-        )
-    write_atomically(path.with_suffix(".csv"), lambda file: file.write(text.getvalue().encode()))
+    save_figure(figure, path)
+    rows = [
+        (name, dtype, f"{w:.6g}", f"{z:.6g}", f"{value:.3f}")
+        for (name, dtype), log in found.items()
+        for w, line in zip(WIDTHS, log)
+        for z, value in zip(DISTANCES, line)
+    ]
+    columns = ["formula", "dtype", "q_over_sigma", "distance_over_sigma", "log10_relative_error"]
+    write_csv(path.with_suffix(".csv"), rows, columns)

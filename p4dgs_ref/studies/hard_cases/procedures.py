@@ -37,10 +37,15 @@ def sum_of_bits(dtype):
     def rated(bits_f):
         A = len(bits_f)
         none = np.zeros((A, 3), row.dtype)
-        no_child = np.zeros((A, 0, 3), row.dtype), np.zeros((A, 0), bool)
-        return anchor_rate.forward(bits_f, no_child[0], none, none, no_child[1])
+        return anchor_rate.forward(
+            bits_f=bits_f,
+            bits_s=none,
+            bits_l=none,
+            bits_O=np.zeros((A, 0, 3), row.dtype),
+            mask=np.zeros((A, 0), bool),
+        )
 
-    ours = float(np.ravel(rated(many)[0])[0])
+    ours = float(rated(many)[0])
     total, block = row.dtype.type(0), np.tile(row, 10**4)
     for _ in range(100):
         total = np.add.accumulate(np.concatenate([[total], block]))[-1]
@@ -149,7 +154,6 @@ def opposite_quaternions(dtype):
     s = rng.lognormal(size=(6, 3)).astype(dtype)
     bar = rng.normal(size=(6, 3, 3)).astype(dtype)
     (one, saved_one), (two, saved_two) = covariance.forward(s, r), covariance.forward(s, -r)
-    one, two = np.reshape(one, (6, 3, 3)), np.reshape(two, (6, 3, 3))
     r_bar = -covariance.backward(saved_one, bar)["r"]
     return Measured(
         float(r[0, 0] - -r[0, 0]),
@@ -220,9 +224,7 @@ def footprint_edge(dtype):
         wanted = inputs["background"] if alpha <= cut else full[1, 1]
         worst = max(worst, float(np.abs(image[1, 1] - wanted).max()))
         flips += (np.array(alpha, dtype) >= np.float32(cut)) != (alpha >= cut)
-    return Measured(
-        f"{flips} of 3 flip", worst, 0.0, worst, None, within(dtype, 1e-15, 1e-6), None
-    )
+    return Measured(f"{flips} of 3 flip", worst, 0.0, worst, None, within(dtype, 1e-15, 1e-6), None)
 
 
 def nothing_to_draw(dtype):
@@ -232,7 +234,12 @@ def nothing_to_draw(dtype):
     except ValueError as error:
         literal = type(error).__name__
     worst = grad = 0.0
-    for n, shown, height, width in ((0, True, 5, 9), (6, False, 5, 9), (1, False, 1, 1), (0, True, 1, 1)):
+    for n, shown, height, width in (
+        (0, True, 5, 9),
+        (6, False, 5, 9),
+        (1, False, 1, 1),
+        (0, True, 1, 1),
+    ):
         inputs = splats(dtype, n, height, width)
         inputs["visible"] = inputs["visible"] & shown
         image, saved = fast_image(inputs, without_stop(dtype))
