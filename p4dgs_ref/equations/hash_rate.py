@@ -14,7 +14,7 @@ import numpy as np
 def forward(
     grids,  # list of [T, F], one a level: parameters; entries >= 0, also -0, count as +1 (Q11)
 ):
-    """Return R_hash [] in bits, the counts n_pos [] and n_neg [], and what `backward` needs.
+    """Return R_hash [] in bits, the counts n_pos and n_neg [], and what `backward` needs.
 
     No levels or no entries cost 0 bits.
     """

@@ -15,10 +15,10 @@ from . import ssim
 def forward(
     image,  # [H, W, C]  rendered image, intensities of range 1
     truth,  # [H, W, C]  true image
-    lambda_ssim,  # []  weight of D_SSIM, a Python float, so that float32 stays float32
+    lambda_ssim,  # scalar: weight of D_SSIM, a Python float, so that float32 stays float32
     truth_moments=None,  # `ssim.moments(truth)`, which is constant for each view
 ):
-    """Return L_render [], L1 [], D_SSIM [] and what `backward` needs."""
+    """Return L_render, L1 and D_SSIM [] and what `backward` needs."""
     difference = image - truth
     L1 = image.dtype.type(np.abs(difference).mean(dtype=np.float64))
     D_SSIM, saved_ssim = ssim.dissimilarity(image, truth, truth_moments)

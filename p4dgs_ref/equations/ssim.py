@@ -28,7 +28,7 @@ def forward(
     truth,  # [H, W, C]  image to compare with
     truth_moments=None,  # `moments(truth)`, if the caller has kept them
 ):
-    """Return ssim [], 1 for identical images, and what `backward` needs."""
+    """Return ssim [], which is 1 for identical images, and what `backward` needs."""
     D_SSIM, saved = dissimilarity(image, truth, truth_moments)
     return image.dtype.type(1 - D_SSIM), saved
 

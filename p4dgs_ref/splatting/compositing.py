@@ -18,10 +18,10 @@ def forward(
     mean2d,  # [N, 2]  centres (pixels; pixel centres are at integers)
     conic,  # [N, 3]  the numbers (a, b, c) of K = [[a, b], [b, c]] (1 / square pixels)
     alpha,  # [N]  opacities in [0, 1]
-    color,  # [N, 3]  colors
+    color,  # [N, 3]  colours
     depth,  # [N]  decides the order only; equal depths stay in the order of their index
     visible,  # [N]  bool: rows to draw
-    background,  # [3]  color behind everything
+    background,  # [3]  colour behind everything
     height,  # of the image (pixels)
     width,
     occlusion=True,  # False: splats add up and hide nothing, T = 1 everywhere

@@ -1,6 +1,6 @@
 """The readable renderer: one Gaussian after the other, front to back. Read this file first.
 
-A 2D splat has a centre `mean2d`, an opacity `alpha`, a color, and a `conic` K, the inverse of its
+A 2D splat has a centre `mean2d`, an opacity `alpha`, a colour, and a `conic` K, the inverse of its
 2 x 2 covariance, which says how fast the splat fades away from its centre. At the pixel p it
 covers the share
 
@@ -9,7 +9,7 @@ covers the share
 of what lies behind it. A pixel starts with the transmittance T = 1: all light reaches the
 background. For every splat, from front to back,
 
-    image += T * A * color          the splat adds its color to the light that still gets through
+    image += T * A * color          the splat adds its colour to the light that still gets through
     T     *= 1 - A                  and lets the rest of that light pass
 
 and at the end image += T * background. `backward` goes from back to front. It needs one number for
@@ -17,7 +17,7 @@ each pixel, `behind`: how much the loss changes per unit of light that passes th
 
     d loss / d A = T * (d loss / d image . color - behind)
 
-because covering the pixel a little more shows more of the color and less of what is behind.
+because covering the pixel a little more shows more of the colour and less of what is behind.
 
 The loop touches only the rectangle of pixels on which `settings` evaluates a splat. `compositing`
 does the same for all splats and pixels at once, `fast` for lists of splats by tile; a test
@@ -34,10 +34,10 @@ def forward(
     cov2d,  # [N, 3]  the numbers (a, b, c) of the covariance [[a, b], [b, c]] (square pixels)
     conic,  # [N, 3]  the same numbers of its inverse
     alpha,  # [N]  opacities
-    color,  # [N, 3]  colors
+    color,  # [N, 3]  colours
     depth,  # [N]  decides the order only
     visible,  # [N]  bool: rows to draw
-    background,  # [3]  color behind everything
+    background,  # [3]  colour behind everything
     height,  # of the image (pixels)
     width,
     settings,  # a Settings; a stop by tile is not followed, the loop knows no tiles

@@ -10,9 +10,9 @@ def forward(
     s,  # [N, 3]  standard deviations (scene units)
     r,  # [N, 4]  unit quaternions (w, x, y, z)
     alpha,  # [N]  opacities
-    color,  # [N, 3]  colors in [0, 1]
+    color,  # [N, 3]  colours in [0, 1]
     camera,  # a Camera
-    background,  # [3]  color behind everything
+    background,  # [3]  colour behind everything
     settings,  # a Settings; its footprint "all" takes `compositing`, every other one `fast` (Q21)
     occlusion=True,
 ):
