@@ -1,7 +1,9 @@
-"""A model of a scene, and the two pipelines of the paper's figures, forward and, below, backward.
+"""A model of a scene, and the two pipelines of the paper's figures, forward and backward.
 
-Fig. 1, rendering:  anchors -> canonical Gaussians -> Gaussians at time t -> image    (`predict`, `splatting.render`)
-Fig. 2, coding:     anchor positions -> hash grid -> steps q, means mu, deviations sigma    (`context`)
+Fig. 1, rendering:  anchors -> canonical Gaussians -> Gaussians at time t -> image
+                    `predict`, then `splatting.render`
+Fig. 2, coding:     anchor positions -> hash grid -> steps q, means mu, standard deviations sigma
+                    `context`
 """
 
 from dataclasses import dataclass, replace
@@ -26,7 +28,8 @@ from .equations import (
     view,
 )
 from .splatting import render
-from .splatting.settings import FAST
+from .splatting.camera import Camera
+from .splatting.settings import FAST, Settings
 
 ANCHOR_NETWORKS = ("psi_alpha", "psi_c", "psi_r", "psi_s")
 CONTEXT_NETWORKS = ("psi_p", "psi_q")
@@ -35,17 +38,17 @@ GROUPS = ("f", "s", "l", "O")  # attribute groups in coding order, one step q ea
 
 
 class Design(NamedTuple):
-    """What a decoder must know of a model besides its arrays; plain numbers and names, so it fits a JSON line."""
+    """What a decoder must know besides the arrays: numbers and names, stored as JSON in a file."""
 
     d: int  # width of an anchor's feature
     k: int  # children of an anchor
     hidden: tuple  # hidden widths of the anchor networks
     deformation: tuple  # hidden widths of psi_d
     L_x: int  # frequencies of the positional encoding of x
-    L_t: int  # and of t
+    L_t: int  # frequencies of the positional encoding of t
     context: tuple  # hidden widths of psi_p and psi_q
-    grid: tuple  # resolutions: (("xyz", 8), ("xy", 16), ...), order of Q11
-    table: tuple  # most entries of a level: (of a 3D grid, of a 2D grid)
+    grid: tuple  # axes and resolution of each level: (("xyz", 8), ("xy", 16), ...) (Q11)
+    table: tuple  # the most entries that a level of a 3D grid and of a 2D grid may have
     F: int  # features per grid node
     Q_0: tuple  # base steps of f, s, l, O
     tau_alpha: float
@@ -57,20 +60,18 @@ class Design(NamedTuple):
         return self.d, 3, 3, 3 * self.k
 
     def levels(self):
-        """Entries (T, F) of every level of the hash grid."""
-        return [
-            (min(res ** len(axes), self.table[len(axes) == 2]), self.F) for axes, res in self.grid
-        ]
+        """The shape (T, F) of every level of the hash grid."""
+        most = {3: self.table[0], 2: self.table[1]}
+        return [(min(res ** len(axes), most[len(axes)]), self.F) for axes, res in self.grid]
 
     def layers(self):
-        """Rows and columns of every layer of every network; psi_d ends with its three heads, see `fx.heads`."""
-        geometry, seen = (
-            self.d + fx.view_width(self.effects, which) for which in ("view_geometry", "view_color")
-        )
+        """{network: [(rows, columns) of every layer]}; psi_d ends with its three heads."""
+        geometry = self.d + fx.view_width(self.effects, "view_geometry")
+        color_inputs = self.d + fx.view_width(self.effects, "view_color")
         h = len(self.grid) * self.F
         widths = {
             "psi_alpha": (geometry, *self.hidden, self.k),
-            "psi_c": (seen, *self.hidden, 3 * self.k),
+            "psi_c": (color_inputs, *self.hidden, 3 * self.k),
             "psi_r": (geometry, *self.hidden, 4 * self.k),
             "psi_s": (geometry, *self.hidden, 3 * self.k),
             "psi_p": (h, *self.context, 2 * sum(self.widths)),
@@ -79,39 +80,37 @@ class Design(NamedTuple):
         layers = {name: list(zip(w[:-1], w[1:])) for name, w in widths.items()}
         if fx.moves(self.effects):
             trunk = (3 * (1 + 2 * self.L_x) + 1 + 2 * self.L_t, *self.deformation)
-            layers["psi_d"] = [
-                *zip(trunk[:-1], trunk[1:]),
-                *((trunk[-1], head) for head in fx.heads(self.effects)),
-            ]
+            heads = [(trunk[-1], head) for head in fx.heads(self.effects)]
+            layers["psi_d"] = [*zip(trunk[:-1], trunk[1:]), *heads]
         return layers
 
 
 class Anchors(NamedTuple):
-    """The five attributes of every anchor, linear values (Q5), and which children are kept (Q15)."""
+    """The attributes of every anchor, as linear values (Q5), and which children are kept (Q15)."""
 
-    x_a: np.ndarray  # (A, 3)
-    f_a: np.ndarray  # (A, d)
-    s_a: np.ndarray  # (A, 3)
-    l_a: np.ndarray  # (A, 3)
-    O_a: np.ndarray  # (A, k, 3)
-    mask: np.ndarray  # (A, k) bool
+    x_a: np.ndarray  # [A, 3]  positions
+    f_a: np.ndarray  # [A, d]  features
+    s_a: np.ndarray  # [A, 3]  scales
+    l_a: np.ndarray  # [A, 3]  reach of the offsets
+    O_a: np.ndarray  # [A, k, 3]  offsets
+    mask: np.ndarray  # [A, k]  bool
 
 
 class Gaussians(NamedTuple):
-    """What is rendered: N Gaussians at one time, seen from one camera."""
+    """The N Gaussians that are rendered at one time for one camera."""
 
-    x: np.ndarray  # (N, 3)
-    s: np.ndarray  # (N, 3)
-    r: np.ndarray  # (N, 4) unit quaternion (w, x, y, z)
-    alpha: np.ndarray  # (N,)
-    color: np.ndarray  # (N, 3)
-    index: np.ndarray  # (N,) a k + j of the anchor and child each came from
+    x: np.ndarray  # [N, 3]  centres
+    s: np.ndarray  # [N, 3]  standard deviations
+    r: np.ndarray  # [N, 4]  unit quaternions (w, x, y, z)
+    alpha: np.ndarray  # [N]
+    color: np.ndarray  # [N, 3]
+    index: np.ndarray  # [N]  a k + i for child i of anchor a
 
 
 class SavedPrediction(NamedTuple):
-    """What `predict_backward` needs: what every equation saved, and the opacities for training."""
+    """What `predict_backward` needs: what every equation saved."""
 
-    alpha: np.ndarray  # (A, k) opacities before masking, which density control watches
+    alpha: np.ndarray  # [A, k]  kept for density control, which looks at opacities before masking
     view: tuple | None  # None where the scene has no view effects
     opacity: tuple
     color: tuple
@@ -124,7 +123,7 @@ class SavedPrediction(NamedTuple):
 
 
 def beside(f, s, l, O):
-    """f (A, d), s, l (A, 3), O (A, k, 3) side by side, in the order of GROUPS: (A, d + 3 + 3 + 3k)."""
+    """f [A, d], s and l [A, 3], O [A, k, 3] side by side: [A, d + 3 + 3 + 3k]."""
     return np.concatenate([f, s, l, O.reshape(len(O), -1)], axis=1)
 
 
@@ -134,12 +133,12 @@ def join(anchors):
 
 
 def groups(values, design):
-    """The columns of each group, as views: [(A, d), (A, 3), (A, 3), (A, 3k)]."""
+    """The columns of f [A, d], s [A, 3], l [A, 3] and O [A, 3k], as views."""
     return np.split(values, np.cumsum(design.widths[:3]), axis=1)
 
 
 def split(values, design):
-    """The inverse of `beside`: f, s, l and O (A, k, 3), as views."""
+    """The inverse of `beside`: f [A, d], s [A, 3], l [A, 3] and O [A, k, 3], as views."""
     f, s, l, O = groups(values, design)
     return f, s, l, O.reshape(len(O), design.k, 3)
 
@@ -147,7 +146,7 @@ def split(values, design):
 def predict(design, networks, anchors, x_c, t=None):
     """Spatial, then temporal prediction (P-4DGS Fig. 1, Eqs. 1 to 6).
 
-    Return the Gaussians at time t as the camera at x_c (3,) sees them, and what `predict_backward`
+    Return the Gaussians at time t as the camera at x_c [3] sees them, and what `predict_backward`
     needs. `networks` is {name: (weights, biases)}. Without t, as in stages 1 and 2 of training, the
     Gaussians are the canonical ones.
     """
@@ -220,37 +219,39 @@ def predict_backward(saved, x_bar, s_bar, r_bar, alpha_bar, color_bar):
 
 
 def bounding_box(x_a):
-    """The corners (lo, hi) of the anchors' box as float32, the precision in which a file carries them."""
+    """The corners lo and hi [3] of the anchors' box, as float32 because a file stores them so."""
     return x_a.min(axis=0).astype(np.float32), x_a.max(axis=0).astype(np.float32)
 
 
 def snap(x_a, lo, hi):
-    """Positions on the 16-bit lattice of the box, round to nearest (Q14): (symbols int64, positions float64)."""
+    """Round positions [A, 3] to the box's lattice of 16 bits per axis (Q14).
+
+    Return the symbols (int64) and the positions that they stand for (float64).
+    """
     lo, extent = lo.astype(float), hi.astype(float) - lo
-    symbols = np.rint(
-        (np.clip(x_a, lo, hi) - lo) / np.where(extent > 0, extent, 1) * LATTICE
-    ).astype(np.int64)
+    share = (np.clip(x_a, lo, hi) - lo) / np.where(extent > 0, extent, 1)
+    symbols = np.rint(share * LATTICE).astype(np.int64)
     return symbols, unsnap(symbols, lo, hi)
 
 
 def unsnap(symbols, lo, hi):
-    """Positions of lattice symbols: (A, 3) integers in 0 ... 65535 -> float64."""
+    """Positions (float64) of lattice symbols [A, 3], integers from 0 to 65535."""
     return lo.astype(float) + symbols * ((hi.astype(float) - lo) / LATTICE)
 
 
 class Context(NamedTuple):
     """How the attributes of every anchor are quantised and coded; columns as in `join`."""
 
-    q: np.ndarray  # (A, 4) steps of f, s, l, O
-    mu: np.ndarray  # (A, d + 3 + 3 + 3k)
-    sigma: np.ndarray  # (A, d + 3 + 3 + 3k)
+    q: np.ndarray  # [A, 4]  steps of f, s, l, O
+    mu: np.ndarray  # [A, d + 3 + 3 + 3k]  predicted means
+    sigma: np.ndarray  # [A, d + 3 + 3 + 3k]  predicted standard deviations
 
 
 def context(design, networks, grids, located):
     """Hash grid, adaptive steps and prior (P-4DGS Fig. 2, Eqs. 8, 9 and 12).
 
-    Return the Context and what `context_backward` needs. `located` is what `hash_grid.locate` returns
-    for the positions.
+    Return the Context and what `context_backward` needs. `located` is what `hash_grid.locate`
+    returns for the positions.
     """
     h, saved_grid = hash_grid.query(located, grids)
     q, saved_step = step.forward(h, *networks["psi_q"], np.array(design.Q_0, h.dtype))
@@ -259,7 +260,7 @@ def context(design, networks, grids, located):
 
 
 def context_backward(saved, q_bar, mu_bar, sigma_bar):
-    """Gradients of the grids [level, ...] and of the networks {"psi_q": gradients, "psi_p": gradients}."""
+    """Gradients of the grids, a list, and of the networks "psi_q" and "psi_p"."""
     saved_grid, saved_step, saved_prior = saved
     steps = step.backward(saved_step, q_bar)
     priors = prior.backward(saved_prior, mu_bar, sigma_bar)
@@ -269,71 +270,59 @@ def context_backward(saved, q_bar, mu_bar, sigma_bar):
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A model that is ready to render or to be coded; what `decode` returns and `train` ends with."""
+    """A model that is ready to render or to be coded: the result of `decode` and of `train`."""
 
     design: Design
     anchors: Anchors
-    networks: dict  # name -> (weights, biases)
-    grids: list  # levels (T, F); the sign of an entry is all that counts
-    box: tuple  # (lo, hi), each (3,): the bounding box in which positions have 16 bits
-    background: np.ndarray  # (3,)
+    networks: dict[str, tuple[list, list]]  # name -> (weights, biases)
+    grids: list[np.ndarray]  # [T, F] for each level; only the signs are used
+    box: tuple[np.ndarray, np.ndarray]  # corners lo and hi [3] of the lattice of positions
+    background: np.ndarray  # [3]
 
-    def gaussians(self, t, camera):
-        """The Gaussians at time t in [0, 1] as that camera sees them."""
-        return predict(
-            self.design,
-            self.networks,
-            self.anchors,
-            np.asarray(camera.center, self.anchors.x_a.dtype),
-            t,
-        )[0]
+    def gaussians(self, t: float, camera: Camera) -> Gaussians:
+        """The Gaussians at time t in [0, 1] for this camera."""
+        x_c = np.asarray(camera.center, self.anchors.x_a.dtype)
+        return predict(self.design, self.networks, self.anchors, x_c, t)[0]
 
-    def render(self, camera, t, settings=FAST):
-        """An image (H, W, 3), values usually but not necessarily in [0, 1]; clip before you save it."""
+    def render(self, camera: Camera, t: float, settings: Settings = FAST) -> np.ndarray:
+        """The image [H, W, 3] at time t in [0, 1]. Clip it to [0, 1] before saving it."""
         g = self.gaussians(t, camera)
+        occlusion = "occlusion" in self.design.effects
         (image, *_), _ = render.forward(
-            g.x,
-            g.s,
-            g.r,
-            g.alpha,
-            g.color,
-            camera,
-            self.background,
-            settings,
-            "occlusion" in self.design.effects,
+            g.x, g.s, g.r, g.alpha, g.color, camera, self.background, settings, occlusion
         )
         return image
 
 
 def without_silent_units(model):
-    """The same model without hidden units of psi_alpha ... psi_r that no anchor ever wakes.
+    """The same model without the hidden units of anchor networks that are 0 for every anchor.
 
-    Without a view effect these networks read the features of the anchors and nothing else, a finite list; a ReLU that
-    is 0 at every entry of it adds nothing to any picture.  The networks share their widths (`Design`), so as many units
-    go from each as the one with the fewest can spare.  With a view effect nothing can be said: unchanged.
-
-    Choice     exact where features and weights are those of the file: call it after `quantise`, not before
+    Without view effects the only input of these networks is the list of features, so a ReLU that
+    is 0 for each of them changes no picture. The four networks share their widths, so from each as
+    many units are removed as the one with the fewest silent units can lose. With view effects the
+    input is not known, and the model is returned as it is. Call it with the features and weights of
+    the file, after `quantise`: others might wake a unit.
     """
     if {"view_color", "view_geometry"} & set(model.design.effects) or not model.design.hidden:
         return model
-    woken, slim = {}, {}
-    for name in ANCHOR_NETWORKS:
-        _, (layer_inputs, _) = mlp.forward(model.anchors.f_a, *model.networks[name])
-        woken[name] = [units.any(axis=0) for units in layer_inputs[1:]]
-    widths = tuple(
-        max(1, *(int(layer.sum()) for layer in layers)) for layers in zip(*woken.values())
-    )
-    for name, layers in woken.items():
-        kept = [
-            np.sort(np.argsort(~layer, kind="stable")[:width])
-            for layer, width in zip(layers, widths)
-        ]
-        before, after = [np.arange(model.design.d), *kept], [*kept, slice(None)]
+    active = {name: active_units(model, name) for name in ANCHOR_NETWORKS}
+    counts = [[int(layer.sum()) for layer in layers] for layers in active.values()]
+    widths = tuple(max(1, *layer_counts) for layer_counts in zip(*counts))
+    networks = dict(model.networks)
+    for name, layers in active.items():
+        # Active units first, then silent ones where another network of this width needs more.
+        ranked = [np.argsort(~layer, kind="stable") for layer in layers]
+        kept = [np.sort(units[:width]) for units, width in zip(ranked, widths)]
         weights, biases = model.networks[name]
-        slim[name] = (
-            [W[rows][:, columns] for W, rows, columns in zip(weights, before, after)],
-            [b[columns] for b, columns in zip(biases, after)],
+        rows, columns = [slice(None), *kept], [*kept, slice(None)]
+        networks[name] = (
+            [W[before][:, after] for W, before, after in zip(weights, rows, columns)],
+            [b[after] for b, after in zip(biases, columns)],
         )
-    return replace(
-        model, design=model.design._replace(hidden=widths), networks={**model.networks, **slim}
-    )
+    return replace(model, design=model.design._replace(hidden=widths), networks=networks)
+
+
+def active_units(model, name):
+    """For every hidden layer of an anchor network, which units are positive for some anchor."""
+    _, (layer_inputs, _) = mlp.forward(model.anchors.f_a, *model.networks[name])
+    return [units.any(axis=0) for units in layer_inputs[1:]]

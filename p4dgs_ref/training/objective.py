@@ -1,7 +1,12 @@
-"""The training objective of one view, forward and backward: Eqs. (7), (11), (13) to (17) around the two pipelines.
+"""The training objective of one view, forward and backward.
 
-Every equation of the paper meets here: `forward` runs them in the order of the paper's figures, `backward`
-runs their backwards in the opposite order and adds up where a quantity was used twice.
+    attributes, noise -> Gaussians at time t -> image -> L_render    Eqs. (7), (1) to (6), (16)
+    positions -> hash grid -> q, mu, sigma -> bits -> L_rate         Eqs. (8), (9), (11) to (14)
+    L_total = lambda_rate * L_rate + L_render                        Eqs. (15), (17)
+
+All equations of the paper meet here. `forward` runs them in the order of the paper's figures.
+`backward` runs their backwards in the opposite order and adds gradients where a quantity was used
+twice.
 """
 
 from typing import NamedTuple
@@ -29,191 +34,213 @@ from ..model import (
 )
 from ..splatting import render
 
-ATTRIBUTES = ("f_a", "log_s", "log_l", "O_a")  # the parameters behind the groups f, s, l, O
+ATTRIBUTES = ("f_a", "log_s", "log_l", "O_a")  # the parameters of the groups f, s, l, O
 
 
 class Fixed(NamedTuple):
-    """What an iteration takes as given."""
+    """The inputs of an iteration that are not parameters."""
 
-    mask: np.ndarray  # (A, k) children kept (Q15)
-    located: object  # hash_grid.locate of the frozen positions; None before stage 4
-    background: np.ndarray  # (3,)
-    noisy: bool  # stage 2 on
-    moving: bool  # stage 3 on
+    mask: np.ndarray  # [A, k]  children that are kept (Q15)
+    located: object  # `hash_grid.locate` of the frozen positions; None before stage 4
+    background: np.ndarray  # [3]
+    noisy: bool  # from stage 2 on
+    moving: bool  # from stage 3 on
     lambda_rate: float
     lambda_ssim: float
-    lambda_volume: float
+    lambda_volume: float  # weight of Scaffold-GS's volume term (Q25)
     settings: object  # of the renderer
 
 
 class Losses(NamedTuple):
+    """The losses of one view; rate and bits are 0 before stage 4."""
+
     L_total: float
     L_render: float
     L1: float
     D_SSIM: float
-    L_rate: float  # bits per coded number; 0 before stage 4
+    L_rate: float  # bits per coded number
     bits: float
 
 
 class Seen(NamedTuple):
     """What growing and pruning look at."""
 
-    alpha: np.ndarray  # (A, k) opacities before masking
-    index: np.ndarray  # (N,) a k + j of the rendered Gaussians
-    visible: np.ndarray  # (N,) bool
-    image: np.ndarray  # (H, W, 3)
+    alpha: np.ndarray  # [A, k]  opacities before masking
+    index: np.ndarray  # [N]  a k + i of the rendered Gaussians
+    visible: np.ndarray  # [N]  bool
+    image: np.ndarray  # [H, W, 3]
+
+
+class Saved(NamedTuple):
+    """What `backward` needs."""
+
+    p: object
+    design: object
+    fixed: Fixed
+    values: np.ndarray
+    s: np.ndarray  # standard deviations of the rendered Gaussians
+    noise: list  # empty in stage 1
+    context: tuple | None  # None before stage 4; likewise `rate`
+    predict: tuple
+    render: object
+    loss: tuple
+    rate: tuple | None
+    total: tuple
 
 
 def linear_values(p):
-    """The coded attributes side by side (A, n), as `model.join`: logarithms undone (Q5)."""
+    """The coded attributes side by side [A, n], as in `model.join`: logarithms undone (Q5)."""
     return beside(p["f_a"], np.exp(p["log_s"]), np.exp(p["log_l"]), p["O_a"])
 
 
 def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
-    """Losses of one view.
+    """Return the Losses of one view, what density control has Seen, and what `backward` needs.
 
-    Shapes     p: Parameters; networks, grids: views into p; u (A, n) noise in [-1/2, 1/2), unused in stage 1;
-               truth_moments: `ssim.moments` of the view's image, if at hand
-    Gradient   every array of p; positions through the render only; see each equation for kinks
-    Choice     Q12 rate per number; Q23 one noise for render and rate; Q25 volume term; Q10 in `predict`
-    Reference  P-4DGS Eqs. (15) to (17), Figs. 1 and 2
+    `networks` and `grids` are views into the Parameters p. u [A, n] is the noise in [-1/2, 1/2);
+    rendering and rate share it (Q23), and stage 1 does not use it. `truth_moments` are the
+    `ssim.moments` of the view's image, if they are at hand.
     """
     values = linear_values(p)
-    q, ctx, res_c = None, None, None
+    steps, ctx, saved_context = None, None, None
     if fixed.located is not None:
-        ctx, res_c = context(design, networks, grids, fixed.located)
-        q = ctx.q
+        ctx, saved_context = context(design, networks, grids, fixed.located)
+        steps = ctx.q
     elif fixed.noisy:
-        q = np.tile(np.array(design.Q_0, values.dtype), (len(values), 1))
-    res_n, noisy = [], values
-    if q is not None:
-        pairs = zip(groups(values, design), groups(u, design))
-        moved = [noise.forward(f, part, q[:, i : i + 1]) for i, (f, part) in enumerate(pairs)]
-        noisy = np.concatenate([f_noisy for f_noisy, _ in moved], axis=1)
-        res_n = [saved for _, saved in moved]
+        steps = np.tile(np.array(design.Q_0, values.dtype), (len(values), 1))
+    noisy, saved_noise = values, []
+    if steps is not None:
+        noisy, saved_noise = noise_forward(values, u, steps, design)
+
     f, s, l, O = split(noisy, design)
     anchors = Anchors(p["x_a"], f, s, l, O, fixed.mask)
-    g, res_p = predict(
-        design,
-        networks,
-        anchors,
-        view.camera.center.astype(values.dtype),
-        view.time if fixed.moving else None,
+    x_c = view.camera.center.astype(values.dtype)
+    t = view.time if fixed.moving else None
+    g, saved_predict = predict(design, networks, anchors, x_c, t)
+    occlusion = "occlusion" in design.effects
+    gaussians = g.x, g.s, g.r, g.alpha, g.color
+    (image, _, visible), saved_render = render.forward(
+        *gaussians, view.camera, fixed.background, fixed.settings, occlusion
     )
-    (image, _, visible), res_r = render.forward(
-        g.x,
-        g.s,
-        g.r,
-        g.alpha,
-        g.color,
-        view.camera,
-        fixed.background,
-        fixed.settings,
-        "occlusion" in design.effects,
+    truth = view.image.astype(image.dtype)
+    (L_render, L1, D_SSIM), saved_loss = render_loss.forward(
+        image, truth, fixed.lambda_ssim, truth_moments
     )
-    (L_render, L1, D_SSIM), res_l = render_loss.forward(
-        image, view.image.astype(image.dtype), fixed.lambda_ssim, truth_moments
-    )
-    volume = 0.0  # 0 times an overflow would not be 0
-    if fixed.lambda_volume and len(g.s):
-        volume = fixed.lambda_volume * float(np.prod(g.s, axis=1).mean())
-    L_rate, bits, res_b = 0.0, 0.0, None
+    bits, L_rate, saved_rate = 0.0, 0.0, None
     if ctx is not None:
-        (bits, L_rate), res_b = rate_forward(noisy, ctx, grids, fixed.mask, design)
-    L_total, res_t = total_loss.forward(np.float64(L_render), np.float64(L_rate), fixed.lambda_rate)
-    losses = Losses(
-        float(L_total) + volume,
-        float(L_render),
-        float(L1),
-        float(D_SSIM),
-        float(L_rate),
-        float(bits),
+        (bits, L_rate), saved_rate = rate_forward(noisy, ctx, grids, fixed.mask, design)
+    L_total, saved_total = total_loss.forward(
+        np.float64(L_render), np.float64(L_rate), fixed.lambda_rate
     )
-    seen = Seen(res_p.alpha, g.index, visible, image)
-    res = dict(
-        p=p,
-        design=design,
-        values=values,
-        noise=res_n,
-        context=res_c,
-        predict=res_p,
-        render=res_r,
-        g=g,
-        loss=res_l,
-        rate=res_b,
-        total=res_t,
-        fixed=fixed,
-        n=len(g.s),
+    L_total = float(L_total) + volume(g.s, fixed.lambda_volume)
+    losses = [L_total, *(float(loss) for loss in (L_render, L1, D_SSIM, L_rate, bits))]
+    saved = Saved(
+        p,
+        design,
+        fixed,
+        values,
+        g.s,
+        saved_noise,
+        saved_context,
+        saved_predict,
+        saved_render,
+        saved_loss,
+        saved_rate,
+        saved_total,
     )
-    return losses, seen, res
+    return Losses(*losses), Seen(saved_predict.alpha, g.index, visible, image), saved
 
 
-def rate_forward(noisy, ctx, grids, mask, design):
-    """Bits of the noisy attributes and of the grid (Eqs. 11, 13, 14, 17)."""
-    columns = np.repeat(ctx.q, design.widths, axis=1)
-    bits, saved_bits = likelihood.forward(noisy, ctx.mu, ctx.sigma, columns)
-    R_anchor, saved_anchors = anchor_rate.forward(*split(bits, design), mask)
-    (R_hash, _, _), saved_grid = hash_rate.forward(grids)
-    out, saved = rate_loss.forward(R_anchor, R_hash, noisy.size)
-    return out, (saved_bits, saved_anchors, saved_grid, saved)
-
-
-def rate_backward(res, L_rate_bar, design):
-    """Gradients of the noisy attributes, mu, sigma, q (A, 4) and the grids."""
-    res_bits, res_a, res_h, res_l = res
-    top = rate_loss.backward(res_l, L_rate_bar=L_rate_bar)
-    grids = hash_rate.backward(res_h, top["R_hash"])["grids"]
-    parts = anchor_rate.backward(res_a, top["R_anchor"])
-    bits_bar = beside(parts["bits_f"], parts["bits_s"], parts["bits_l"], parts["bits_O"])
-    bars = likelihood.backward(res_bits, bits_bar)
-    starts = np.cumsum((0, *design.widths[:3]))
-    return (
-        bars["f_noisy"],
-        bars["mu"],
-        bars["sigma"],
-        np.add.reduceat(bars["q"], starts, axis=1),
-        grids,
-    )
-
-
-def backward(res):
-    """Gradients of L_total as Parameters of the same layout, and the splats' mean2d gradient (N, 2)."""
-    p, design, fixed, g = res["p"], res["design"], res["fixed"], res["g"]
-    gradients, dtype = p.zeros(), p.vector.dtype
-    top = total_loss.backward(res["total"], 1.0)
-    image_bar = render_loss.backward(res["loss"], L_render_bar=top["L_render"])["image"]
-    bars = render.backward(res["render"], image_bar)
-    s_bar = bars["s"]
-    if fixed.lambda_volume and res["n"]:  # the mean of s_0 s_1 s_2
-        s = g.s.astype(float)
-        s_bar = s_bar + fixed.lambda_volume / res["n"] * s[:, [1, 2, 0]] * s[:, [2, 0, 1]]
-    anchors, networks = predict_backward(
-        res["predict"],
-        *(bar.astype(dtype) for bar in (bars["x"], s_bar, bars["r"], bars["alpha"], bars["color"])),
-    )
+def backward(saved):
+    """Gradients of L_total as Parameters of the same layout, and of the splats' mean2d [N, 2]."""
+    p, design, fixed = saved.p, saved.design, saved.fixed
+    gradients = p.zeros()
+    losses_bar = total_loss.backward(saved.total, 1.0)
+    image_bar = render_loss.backward(saved.loss, losses_bar["L_render"])["image"]
+    bars = render.backward(saved.render, image_bar)
+    bars["s"] = bars["s"] + volume_backward(saved.s, fixed.lambda_volume)
+    gaussians_bar = [
+        bars[name].astype(p.vector.dtype) for name in ("x", "s", "r", "alpha", "color")
+    ]
+    anchors, networks = predict_backward(saved.predict, *gaussians_bar)
     noisy_bar = beside(*(anchors[name] for name in ("f_a", "s_a", "l_a", "O_a")))
-    grids_bar = mu_bar = sigma_bar = rate_q = None
-    if res["rate"] is not None:
-        rate_bar, mu_bar, sigma_bar, rate_q, grids_bar = rate_backward(
-            res["rate"], top["L_rate"], design
+    if saved.rate is not None:
+        rate_bar, mu_bar, sigma_bar, rate_q_bar, rate_grids = rate_backward(
+            saved.rate, losses_bar["L_rate"], design
         )
-        noisy_bar = noisy_bar + rate_bar  # one noisy tensor was rendered and rated (Q23)
+        noisy_bar = noisy_bar + rate_bar  # one noisy value is rendered and coded (Q23)
     values_bar = noisy_bar
-    if res["noise"]:
-        parts = [noise.backward(r, bar) for r, bar in zip(res["noise"], groups(noisy_bar, design))]
-        values_bar = np.concatenate([part["f"] for part in parts], axis=1)
-        if res["context"] is not None:
-            q_bar = np.concatenate([part["q"] for part in parts], axis=1) + rate_q
-            context_grids, context_nets = context_backward(res["context"], q_bar, mu_bar, sigma_bar)
-            networks.update(context_nets)
-            for i, (a, b) in enumerate(zip(context_grids, grids_bar)):
-                gradients[f"grid.{i}"][...] = a + b
-    values_bar[:, design.d : design.d + 6] *= res["values"][
-        :, design.d : design.d + 6
-    ]  # through exp: log_s, log_l
+    if saved.noise:
+        values_bar, q_bar = noise_backward(saved.noise, noisy_bar, design)
+    if saved.rate is not None:
+        context_grids, context_networks = context_backward(
+            saved.context, q_bar + rate_q_bar, mu_bar, sigma_bar
+        )
+        networks.update(context_networks)
+        for i, (read, counted) in enumerate(zip(context_grids, rate_grids)):
+            gradients[f"grid.{i}"][...] = read + counted
+    lengths = slice(design.d, design.d + 6)  # the columns of s and l, trained as logarithms (Q5)
+    values_bar[:, lengths] *= saved.values[:, lengths]
     for name, bar in zip(ATTRIBUTES, groups(values_bar, design)):
         gradients[name][...] = bar.reshape(gradients[name].shape)
     gradients["x_a"][...] = anchors["x_a"]
-    for name, bars_of in networks.items():
-        gradients.fill(name, bars_of)
+    for name, network_gradients in networks.items():
+        gradients.fill(name, network_gradients)
     return gradients, bars["mean2d"]
+
+
+def noise_forward(values, u, steps, design):
+    """Add noise to each group with its own step (Eq. 7): [A, n] and what `noise_backward` needs."""
+    noisy, saved = [], []
+    for i, (f, u_f) in enumerate(zip(groups(values, design), groups(u, design))):
+        f_noisy, saved_f = noise.forward(f, u_f, steps[:, i : i + 1])
+        noisy.append(f_noisy)
+        saved.append(saved_f)
+    return np.concatenate(noisy, axis=1), saved
+
+
+def noise_backward(saved, noisy_bar, design):
+    """Gradients of the values [A, n] and of the steps [A, 4]."""
+    parts = [noise.backward(*pair) for pair in zip(saved, groups(noisy_bar, design))]
+    values_bar = np.concatenate([part["f"] for part in parts], axis=1)
+    return values_bar, np.concatenate([part["q"] for part in parts], axis=1)
+
+
+def rate_forward(noisy, ctx, grids, mask, design):
+    """Return (bits, L_rate) of the noisy attributes and the grids, and what `rate_backward` needs.
+
+    Eqs. (11), (13), (14) and (17). The rate is per coded number (Q12).
+    """
+    q = np.repeat(ctx.q, design.widths, axis=1)  # all numbers of a group share its step
+    bits, saved_bits = likelihood.forward(noisy, ctx.mu, ctx.sigma, q)
+    R_anchor, saved_anchors = anchor_rate.forward(*split(bits, design), mask)
+    (R_hash, _, _), saved_grids = hash_rate.forward(grids)
+    rates, saved_rates = rate_loss.forward(R_anchor, R_hash, noisy.size)
+    return rates, (saved_bits, saved_anchors, saved_grids, saved_rates)
+
+
+def rate_backward(saved, L_rate_bar, design):
+    """Gradients of noisy attributes, mu and sigma [A, n], of steps [A, 4] and of the grids."""
+    saved_bits, saved_anchors, saved_grids, saved_rates = saved
+    rates_bar = rate_loss.backward(saved_rates, L_rate_bar=L_rate_bar)
+    grids_bar = hash_rate.backward(saved_grids, rates_bar["R_hash"])["grids"]
+    parts = anchor_rate.backward(saved_anchors, rates_bar["R_anchor"])
+    bits_bar = beside(parts["bits_f"], parts["bits_s"], parts["bits_l"], parts["bits_O"])
+    bars = likelihood.backward(saved_bits, bits_bar)
+    group_starts = np.cumsum((0, *design.widths[:3]))
+    q_bar = np.add.reduceat(bars["q"], group_starts, axis=1)
+    return bars["f_noisy"], bars["mu"], bars["sigma"], q_bar, grids_bar
+
+
+def volume(s, weight):
+    """Scaffold-GS's volume term: weight times the mean product of the three scales (Q25)."""
+    if not weight or not len(s):  # 0 times an overflow would be NaN
+        return 0.0
+    return weight * float(np.prod(s, axis=1).mean())
+
+
+def volume_backward(s, weight):
+    """Gradient of s [N, 3], 0 where there is no volume term."""
+    if not weight or not len(s):
+        return 0.0
+    s = s.astype(float)
+    return weight / len(s) * s[:, [1, 2, 0]] * s[:, [2, 0, 1]]
