@@ -14,11 +14,11 @@ from . import mlp, positional_encoding
 
 def forward(
     x,  # [N, 3]  canonical centres (scene units)
-    t,  # scalar: normalised time, converted to the precision of x
+    t,  # []  normalised time, converted to the precision of x
     weights,  # psi_d, 3 (1 + 2 L_x) + 1 + 2 L_t -> 3 | 3 | 4, hidden layers, then the heads
     biases,
-    L_x,  # scalar: frequencies of E(x) (Q2)
-    L_t,  # scalar: frequencies of E(t)
+    L_x,  # []  frequencies of E(x) (Q2)
+    L_t,  # []  frequencies of E(t)
 ):
     """Return delta_x [N, 3], delta_s [N, 3], delta_r [N, 4] and what `backward` needs.
 

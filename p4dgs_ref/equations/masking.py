@@ -12,7 +12,7 @@ import numpy as np
 def forward(
     alpha,  # [A, k]  opacities
     mask,  # [A, k]  bool, False for a child that is masked for good (Q15)
-    tau_alpha,  # scalar: the threshold
+    tau_alpha,  # []  threshold
     x,  # [A, k, 3]  centres
     color,  # [A, k, 3]  colours
     s,  # [A, k, 3]  standard deviations

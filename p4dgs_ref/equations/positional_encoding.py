@@ -11,7 +11,7 @@ import numpy as np
 
 def forward(
     p,  # [N, D]  positions (scene units) or times (normalised), used as radians
-    L,  # scalar: number of frequencies; 0 gives p alone
+    L,  # []  number of frequencies; 0 gives p alone
 ):
     """Return E [N, D (1 + 2 L)] and what `backward` needs.
 

@@ -2,7 +2,7 @@
 
     x_a,  # [A, 3]  an array; a letter stands for the same length everywhere
     delta_vc,  # [A, 1]  an array with an alternative; [A, 0] where an effect is off
-    L_rate,  # []  a scalar, as is `# scalar`
+    L_rate,  # []  a scalar
     grids,  # list of [T, F]  a list, in which letters may differ from array to array
     weights,  # psi_s, d + 4 -> 3k: a network, rows of the first weight and columns of the last
     weights,  # psi_d, d -> 3 | 3 | 4: a network whose last three layers are heads
@@ -61,8 +61,6 @@ def parsed(comment):
     network = re.match(r"psi\w*, (.+?) -> ([^,;]+)", comment)
     if network:
         return Spec(network=(network[1], *network[2].split("|")))
-    if re.match(r"scalar\b", comment):
-        return Spec(((),))
     found = re.findall(r"(?:^|; )(list of )?\[([^\]]*)\]", comment)
     return Spec(tuple(axes(text) for _, text in found), any(prefix for prefix, _ in found))
 
