@@ -1,1 +1,1 @@
-"""Fitting a scene: presets, the four stages, growing and pruning, checkpoints."""
+"""Fitting a scene: presets, the four stages, Adam, density control, checkpoints."""

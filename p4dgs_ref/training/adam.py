@@ -1,14 +1,15 @@
-"""Adam over one flat vector, and the exponential learning-rate schedule of 3DGS and its children."""
+"""Adam over one flat vector, and the learning-rate schedule of 3DGS and its successors."""
 
 import numpy as np
 
-BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-15  # as every parent of the method sets them
+BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-15  # as in all methods that P-4DGS builds on
 
 
 class Adam:
-    """Adam (Kingma and Ba 2015); an array counts its steps from the first one in which it takes part.
+    """Adam (Kingma and Ba 2015); each array counts its steps from the first one it takes part in.
 
-    `first` and `second` are Parameters with the layout of what is optimised, so that rows can be added and removed.
+    `first` and `second` hold the moments as Parameters with the layout of the optimised ones, so
+    that rows can be added and removed together.
     """
 
     def __init__(self, parameters):
@@ -16,13 +17,16 @@ class Adam:
         self.steps = dict.fromkeys(parameters.arrays, 0)
 
     def step(self, parameters, gradients, rate_of):
-        """Move `parameters` in place; `rate_of(name)` is an array's learning rate, 0 for one that does not take part."""
+        """Move `parameters` in place.
+
+        `rate_of(name)` is the learning rate of an array, 0 for one that does not take part.
+        """
         rates = {name: rate_of(name) for name in self.steps}
         for name, rate in rates.items():
             self.steps[name] += rate > 0
 
         def corrected(name):
-            # Both moments start at zero and are divided by the sum of weights they have seen so far.
+            # Both moments start at zero; dividing by the sum of their weights corrects for that.
             n = self.steps[name]
             return rates[name] * np.sqrt(1 - BETA_2**n) / (1 - BETA_1**n) if n else 0.0
 
@@ -37,9 +41,9 @@ class Adam:
 
 
 def exponential(step, first, last, until, start=0):
-    """The learning rate at `step`: geometric from `first` (up to `start`) to `last` (from `until` on).
+    """The learning rate at `step`: geometric between `first` at `start` and `last` at `until`.
 
-    Reference  the schedule of Kerbl et al. 2023 without its warm-up, which every caller leaves inert
+    This is the schedule of Kerbl et al. 2023 without its warm-up, which no successor uses.
     """
     if first == last or first == 0:
         return first

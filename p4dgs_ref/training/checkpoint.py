@@ -1,4 +1,4 @@
-"""Run folders: settings and an atomic checkpoint from which training goes on to the same bytes."""
+"""Run folders: a checkpoint from which training goes on to the same bytes."""
 
 import json
 import zlib
@@ -11,47 +11,27 @@ from .presets import Preset
 
 VERSION = 1
 CHECKPOINT = "checkpoint.npz"
-FIELDS = {
-    "version",
-    "preset",
-    "seed",
-    "effects",
-    "background",
-    "settings",
-    "scene",  # the settings: `identity`
-    "iteration",
-    "steps",
-    "rng",
-    "history",
-}  # the state, beside the arrays
+IDENTITY = {"preset", "seed", "effects", "background", "settings", "scene"}
+STATE = {"iteration", "steps", "rng", "history"}
 
 
 class RunError(ValueError):
-    """A run folder that cannot be used: one line naming the file, the field and what was expected."""
+    """A run folder that cannot be used: one line naming the file, the field and what to do."""
 
 
 def fingerprint(scene):
-    """CRC-32 of all that training reads of a scene: background, pictures, cameras, times."""
+    """CRC-32 of everything that training reads of a scene: background, pictures, cameras, times."""
     crc = zlib.crc32(np.asarray(scene.background, float).tobytes())
     for view in scene.train:
         camera = view.camera
-        numbers = [
-            *camera.R.ravel(),
-            *camera.T,
-            camera.f_x,
-            camera.f_y,
-            camera.c_x,
-            camera.c_y,
-            view.time,
-        ]
-        crc = zlib.crc32(
-            np.ascontiguousarray(view.image), zlib.crc32(np.array(numbers, float), crc)
-        )
+        lens = (camera.f_x, camera.f_y, camera.c_x, camera.c_y)
+        numbers = np.array([*camera.R.ravel(), *camera.T, *lens, view.time], float)
+        crc = zlib.crc32(np.ascontiguousarray(view.image), zlib.crc32(numbers, crc))
     return crc
 
 
 def identity(trainer):
-    """What a checkpoint and the training that goes on from it must have in common, as JSON values."""
+    """What a checkpoint has in common with every training that goes on from it, as JSON values."""
     return {
         "preset": trainer.preset._asdict(),
         "seed": trainer.seed,
@@ -63,17 +43,15 @@ def identity(trainer):
 
 
 def save(trainer, folder, common):
-    """Write the trainer's whole state to `folder`/checkpoint.npz; `common` is its `identity`, which never changes."""
+    """Write the state of the trainer to checkpoint.npz; `common` is its `identity`."""
     arrays, values = trainer.state()
-    text = np.frombuffer(json.dumps({"version": VERSION, **common, **values}).encode(), np.uint8)
-    write_atomically(Path(folder) / CHECKPOINT, lambda file: np.savez(file, _values=text, **arrays))
+    text = json.dumps({"version": VERSION, **common, **values}).encode()
+    arrays["_values"] = np.frombuffer(text, np.uint8)
+    write_atomically(Path(folder) / CHECKPOINT, lambda file: np.savez(file, **arrays))
 
 
 def load(folder):
-    """(arrays, values) of a checkpoint.
-
-    Raises     RunError where it is missing, not a checkpoint, damaged, or of another version
-    """
+    """The arrays and the JSON values of a checkpoint; raises RunError where it cannot be used."""
     path = Path(folder) / CHECKPOINT
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -86,47 +64,41 @@ def load(folder):
         ) from None
     except OSError as error:
         raise RunError(
-            f"{path}: cannot be read ({error.strerror or 'damaged'}); expected a checkpoint of `p4dgs-ref "
-            f"train`"
+            f"{path}: cannot be read ({error.strerror or 'damaged'}); "
+            "expected a checkpoint of `p4dgs-ref train`"
         ) from None
     except Exception:  # a damaged archive can fail in any layer of its reader
         raise RunError(f"{path}: damaged, or not a checkpoint of `p4dgs-ref train`") from None
-    if (
-        version != VERSION
-        or not FIELDS <= set(values)
-        or set(values["preset"]) != set(Preset._fields)
-    ):
+    complete = IDENTITY | STATE <= set(values) and set(values["preset"]) == set(Preset._fields)
+    if version != VERSION or not complete:
         raise RunError(
-            f"{path}: field 'version': {version}, or fields of another one; expected a checkpoint of this "
-            f"release, version {VERSION}"
+            f"{path}: field 'version': written by another release (version {version}); expected "
+            f"version {VERSION}; train again into another folder"
         )
     return arrays, values
 
 
 def preset_of(values):
-    """The preset a checkpoint was made with."""
-    return Preset(
-        **{name: tuple(v) if isinstance(v, list) else v for name, v in values["preset"].items()}
-    )
+    """The preset that a checkpoint was made with."""
+    fields = values["preset"].items()
+    return Preset(**{name: tuple(v) if isinstance(v, list) else v for name, v in fields})
 
 
 def resume(trainer, folder, common):
-    """Put a checkpoint's state into a fresh trainer of the same preset, seed and scene.
+    """Put the state of a checkpoint into a fresh trainer of the same preset, seed and scene.
 
-    Raises     RunError naming the first field of `identity` in which they differ
+    Raises RunError with the first field in which their identities differ.
     """
     arrays, values = load(folder)
     for field, ours in json.loads(json.dumps(common)).items():
         theirs = values[field]
-        if ours != theirs:
-            inner = (
-                [f".{name}" for name in ours if ours[name] != theirs.get(name)]
-                if isinstance(ours, dict)
-                else [""]
-            )
-            raise RunError(
-                f"{Path(folder) / CHECKPOINT}: field '{field}{inner[0]}': made with another one; expected "
-                f"the settings that the training was started with"
-            )
+        if ours == theirs:
+            continue
+        if isinstance(ours, dict):
+            field += "." + next(name for name in ours if ours[name] != theirs.get(name))
+        raise RunError(
+            f"{Path(folder) / CHECKPOINT}: field '{field}': the checkpoint was made with another "
+            "one; pass what the training was started with, or choose a new output folder"
+        )
     trainer.restore(arrays, values)
     remove_leftovers(Path(folder) / CHECKPOINT)

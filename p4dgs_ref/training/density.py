@@ -1,26 +1,32 @@
-"""How many anchors there are: statistics over windows of views, growing, re-seeding, pruning, masking (Q15, Q16)."""
+"""Density control: growing, re-seeding and pruning of anchors, masking of children (Q15, Q16).
+
+All decisions rest on statistics that are summed over a window of views.
+"""
+
+from dataclasses import dataclass
 
 import numpy as np
 
-ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")  # arrays with one row per anchor
-LARGEST_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this at every adjustment
+ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")  # the arrays with one row per anchor
+LARGEST_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this in every adjustment
 
 
+@dataclass
 class Statistics:
-    """Sums over the views since the last adjustment, per anchor and per child."""
+    """Sums over the views since the last adjustment."""
 
-    NAMES = ("visits", "opacity", "gradient", "seen")
+    visits: np.ndarray  # [A]  views in which the anchor took part
+    opacity: np.ndarray  # [A, k]  positive opacities of its children
+    gradient: np.ndarray  # [A, k]  lengths of the gradient of the projected centre, in NDC units
+    seen: np.ndarray  # [A, k]  views in which the child was rendered in front of the camera
 
-    def __init__(self, A, k):
-        self.visits = np.zeros(A)  # views in which the anchor took part
-        self.opacity = np.zeros((A, k))  # positive opacities of its children
-        self.gradient = np.zeros(
-            (A, k)
-        )  # lengths of the gradient of the projected centre, NDC units
-        self.seen = np.zeros((A, k))  # views in which the child was rendered in front of the camera
+    @classmethod
+    def empty(cls, A, k):
+        """The statistics of A anchors with k children before the first view."""
+        return cls(np.zeros(A), np.zeros((A, k)), np.zeros((A, k)), np.zeros((A, k)))
 
     def collect(self, seen, mean2d_bar, width, height):
-        """Add one view; `mean2d_bar` (N, 2) is per pixel, NDC spans two units over the image (3DGS)."""
+        """Add one view; `mean2d_bar` [N, 2] is per pixel, and NDC span two units over the image."""
         self.visits += 1
         self.opacity += np.maximum(seen.alpha, 0)
         length = np.hypot(mean2d_bar[:, 0] * width / 2, mean2d_bar[:, 1] * height / 2)
@@ -28,99 +34,93 @@ class Statistics:
         self.gradient.reshape(-1)[rows] += length[seen.visible]
         self.seen.reshape(-1)[rows] += 1
 
-    def mean_gradient(self):
-        """Mean length per child (A, k), zero where a child was never seen."""
-        return self.gradient / np.maximum(self.seen, 1)
-
     def with_rows(self, keep, added):
-        """The statistics of the kept anchors, followed by empty rows for new ones."""
-        other = Statistics(added, self.opacity.shape[1])
-        for name in self.NAMES:
-            setattr(other, name, np.concatenate([getattr(self, name)[keep], getattr(other, name)]))
-        return other
+        """The statistics of the anchors `keep`, followed by empty rows for the added ones."""
+        fresh = Statistics.empty(added, self.opacity.shape[1])
+        pairs = zip(vars(self).values(), vars(fresh).values())
+        return Statistics(*(np.concatenate([old[keep], new]) for old, new in pairs))
 
-    def clear(self):
-        for name in self.NAMES:
-            getattr(self, name)[:] = 0
+
+def centers(p):
+    """The centres [A, k, 3] of all children, Eq. (1)."""
+    return p["x_a"][:, None] + p["O_a"] * np.exp(p["log_l"])[:, None]
 
 
 def grow(p, statistics, preset, rng):
-    """New anchors where projected centres pull hardest, on ever finer lattices: {array name: new rows}.
+    """New anchors where projected centres have large gradients, as {array name: new rows}.
 
-    Reference  Scaffold-GS (Lu et al. 2024) and its code's constants; Q16.  Per level i: voxel epsilon *
-               grow_init / hierarchy^i, threshold * (hierarchy / 2)^i, a random share of candidates kept; levels after
-               the first only once something was added; a new anchor takes the largest feature of its voxel's parents.
+    This is the rule of Scaffold-GS (Lu et al. 2024) with the constants of its code (Q16). Level i
+    looks for free voxels of size voxel * grow_init / grow_hierarchy**i with a gradient above
+    gradient_threshold * (grow_hierarchy / 2)**i, and keeps a random share of the candidates. Levels
+    after the first are looked at only once an anchor was added. A new anchor takes the largest
+    feature of the anchors whose children are in its voxel.
     """
-    x = (p["x_a"][:, None] + p["O_a"] * np.exp(p["log_l"])[:, None]).reshape(-1, 3)
-    gradient = statistics.mean_gradient().ravel()
+    x = centers(p).reshape(-1, 3)
+    gradient = (statistics.gradient / np.maximum(statistics.seen, 1)).ravel()  # per view
     eligible = statistics.seen.ravel() > preset.grow_every * preset.success * 0.5
-    taken, features, sizes = [], [], []
+    parents = np.repeat(p["f_a"], p["O_a"].shape[1], axis=0)
+    taken, features, sizes = [p["x_a"][:0]], [p["f_a"][:0]], [np.zeros(0)]
     for level in range(preset.grow_depth):
         threshold = preset.gradient_threshold * (preset.grow_hierarchy // 2) ** level
         wanted = eligible & (gradient >= threshold) & (rng.random(len(x)) > 0.5 ** (level + 1))
-        if level and not taken or not wanted.any():
+        if level and len(taken) == 1 or not wanted.any():
             continue
         size = preset.voxel * max(preset.grow_init // preset.grow_hierarchy**level, 1)
         cells, cell = np.unique(np.round(x[wanted] / size), axis=0, return_inverse=True)
         largest = np.full((len(cells), p["f_a"].shape[1]), -np.inf, p["f_a"].dtype)
-        np.maximum.at(largest, cell.ravel(), np.repeat(p["f_a"], p["O_a"].shape[1], axis=0)[wanted])
-        present = np.round(np.concatenate([p["x_a"], *taken]) / size)
-        free = ~_among(cells, present)
+        np.maximum.at(largest, cell.ravel(), parents[wanted])
+        free = ~among(cells, np.round(np.concatenate([p["x_a"], *taken]) / size))
         if free.any():
             taken.append((cells[free] * size).astype(p["x_a"].dtype))
             features.append(largest[free])
             sizes.append(np.full(free.sum(), np.log(size)))
-    if not taken:
-        return empty_rows(p)
-    x_a, log_size = np.concatenate(taken), np.concatenate(sizes)
-    reach = np.repeat(log_size[:, None], 3, axis=1).astype(x_a.dtype)
-    return {
-        "x_a": x_a,
-        "f_a": np.concatenate(features),
-        "log_s": reach,
-        "log_l": reach,
-        "O_a": np.zeros((len(x_a), *p["O_a"].shape[1:]), x_a.dtype),
-    }
+    x_a = np.concatenate(taken)
+    reach = np.repeat(np.concatenate(sizes)[:, None], 3, axis=1).astype(x_a.dtype)
+    offsets = np.zeros((len(x_a), *p["O_a"].shape[1:]), x_a.dtype)
+    return dict(zip(ROWS, (x_a, np.concatenate(features), reach, reach, offsets)))
 
 
-def _among(cells, present):
-    """Which rows of `cells` occur in `present`."""
+def among(cells, present):
+    """Which rows of `cells` occur among those of `present`."""
     both, which = np.unique(np.concatenate([present, cells]), axis=0, return_inverse=True)
     occupied = np.zeros(len(both), bool)
     occupied[which.ravel()[: len(present)]] = True
     return occupied[which.ravel()[len(present) :]]
 
 
-def empty_rows(p):
-    return {name: p[name][:0] for name in ROWS}
+def often_visited(statistics, preset):
+    """The anchors [A] that enough views of the window have visited for a decision."""
+    return statistics.visits > preset.grow_every * preset.success
 
 
 def dead_anchors(statistics, mask, preset):
-    """Anchors whose kept children's opacities together stayed below min_opacity, of those seen often (A,) bool."""
-    often = statistics.visits > preset.grow_every * preset.success
-    return often & (
-        (statistics.opacity * mask).sum(axis=1) < preset.min_opacity * statistics.visits
-    )
+    """The anchors [A] whose kept children together stayed below min_opacity per view."""
+    total = (statistics.opacity * mask).sum(axis=1)
+    return often_visited(statistics, preset) & (total < preset.min_opacity * statistics.visits)
 
 
 def faint_children(statistics, preset):
-    """Children whose mean positive opacity over the window stayed below min_opacity (A, k) bool (Q15)."""
-    often = statistics.visits > preset.grow_every * preset.success
-    return often[:, None] & (statistics.opacity < preset.min_opacity * statistics.visits[:, None])
+    """The children [A, k] whose mean positive opacity stayed below min_opacity (Q15)."""
+    least = preset.min_opacity * statistics.visits[:, None]
+    return often_visited(statistics, preset)[:, None] & (statistics.opacity < least)
 
 
 def reseed(p, first, second, dead, statistics, rng):
-    """Move dead anchors to children drawn by their pull on the image, as copies of their anchors, in place.
+    """Move dead anchors, in place, to children that are drawn by their gradients.
 
-    tanh opacity has no way back from below zero: nothing masked out receives a gradient.  A dead anchor thus starts
-    anew where it is of use, and so do its Adam moments (`first`, `second`).
+    A child with an opacity below zero is masked out and receives no gradient, so a dead anchor
+    cannot recover. It starts again as a copy of the anchor that the child belongs to, with zero
+    Adam moments (`first`, `second`).
     """
-    pull = statistics.gradient.ravel() * ~np.repeat(dead, p["O_a"].shape[1])
+    k = p["O_a"].shape[1]
+    pull = statistics.gradient.ravel() * ~np.repeat(dead, k)
     if not dead.any() or not pull.any():
         return
     chosen = rng.choice(len(pull), size=dead.sum(), p=pull / pull.sum())
-    parent, child = np.divmod(chosen, p["O_a"].shape[1])
-    x = p["x_a"][parent] + p["O_a"][parent, child] * np.exp(p["log_l"][parent])
-    for name in ROWS:
-        p[name][dead] = {"x_a": x, "O_a": 0}.get(name, p[name][parent])
-        first[name][dead], second[name][dead] = 0, 0
+    copied = {name: p[name][chosen // k] for name in ROWS}
+    copied["x_a"] = centers(p).reshape(-1, 3)[chosen]
+    copied["O_a"] = 0
+    for name, rows in copied.items():
+        p[name][dead] = rows
+        first[name][dead] = 0
+        second[name][dead] = 0

@@ -1,63 +1,61 @@
-"""Where did the first number that is none come from?  Runs one iteration again and watches every equation."""
+"""Finds the first NaN or infinity of an iteration: runs it again and watches every equation."""
 
-import importlib
 from contextlib import contextmanager
+from importlib import import_module
 
 import numpy as np
 
-from ..equations import EQUATIONS
 from ..splatting import fast
+from ..table import EQUATIONS
 from . import objective
 
 
 class NotFinite(ArithmeticError):
-    """Training met a NaN or an infinity; the message names the iteration, equation, array and index."""
+    """Training met a NaN or an infinity; the message says where it was first seen."""
 
     def __init__(self, iteration, found):
         super().__init__(f"iteration {iteration}: {found}")
 
 
 class Found(ArithmeticError):
-    """The first value that is none, in one sentence: equation, direction, array, index."""
+    """The first NaN or infinity: equation, direction, array and index in one phrase."""
 
 
-def _arrays(value, name):
-    """Every array in a (nested) NamedTuple, list or dictionary, with its name."""
-    if isinstance(value, dict):
-        for key, item in value.items():
-            yield from _arrays(item, str(key))
-    elif hasattr(value, "_asdict"):
-        yield from _arrays(value._asdict(), name)
-    elif isinstance(value, (list, tuple)):
-        for i, item in enumerate(value):
-            yield from _arrays(item, f"{name}[{i}]")
-    elif (
-        isinstance(value, (np.ndarray, np.floating, float)) and np.asarray(value).dtype.kind == "f"
-    ):
-        yield name, np.asarray(value)
+def first_bad(arrays):
+    """A phrase like "f_a[3, 1] is nan" for the first NaN or infinity in {name: array}, or None.
+
+    A list of arrays may stand in the place of an array.
+    """
+    for name, value in arrays.items():
+        listed = isinstance(value, (list, tuple))
+        for i, array in enumerate(value if listed else [value]):
+            wrong = np.argwhere(~np.isfinite(array))
+            if len(wrong):
+                index = tuple(int(i) for i in wrong[0])
+                place = f"{name}[{i}]" if listed else name
+                return f"{place}{list(index) if index else ''} is {np.asarray(array)[index]}"
+    return None
 
 
-def _check(where, value):
-    for name, array in _arrays(value, "value"):
-        wrong = np.argwhere(~np.isfinite(array))
-        if len(wrong):
-            index = tuple(int(i) for i in wrong[0])
-            raise Found(f"{where}: {name}{list(index) if index else ''} is {array[index]}")
+def check(where, arrays):
+    """Raise Found if there is a NaN or an infinity in {name: array}."""
+    if bad := first_bad(arrays):
+        raise Found(f"{where}: {bad}")
 
 
 @contextmanager
 def intercepted(wrap):
-    """Within it, `wrap(key, name, function)` stands for each forward and backward of equations and fast renderer."""
-    modules = {
-        equation.key: importlib.import_module(equation.module) for equation in EQUATIONS.values()
-    }
+    """Within this context, `wrap(key, name, function)` replaces every forward and backward.
+
+    They are those of the table of equations and of the fast renderer, "compositing, fast".
+    """
+    modules = {key: import_module(equation.module) for key, equation in EQUATIONS.items()}
     modules["compositing, fast"] = fast
     kept = {key: (module.forward, module.backward) for key, module in modules.items()}
     try:
         for key, module in modules.items():
-            module.forward, module.backward = map(
-                wrap, (key, key), ("forward", "backward"), kept[key]
-            )
+            module.forward = wrap(key, "forward", module.forward)
+            module.backward = wrap(key, "backward", module.backward)
         yield
     finally:
         for key, module in modules.items():
@@ -65,19 +63,20 @@ def intercepted(wrap):
 
 
 def watched():
-    """Within it, every forward and backward of the table of equations raises Found at its first non-finite output."""
-    running = []  # psi_d's network runs inside Eq. (5): name both
+    """A context in which every forward and backward raises Found at a non-finite output."""
+    running = []  # the equations that are running; psi_d's network runs inside Eq. (5)
 
     def watch(key, name, function):
-        direction = {"forward": "forward", "backward": "backward, gradient of"}[name]
+        equation = EQUATIONS[key.split(",")[0]]
 
         def run(*args, **kwargs):
             running.append(key)
             result = function(*args, **kwargs)
-            outputs = result
+            where = f"equation {', its '.join(map(repr, running))}"
             if name == "forward":
-                outputs = EQUATIONS[key].named(result[0]) if key in EQUATIONS else result[0]
-            _check(f"equation {', its '.join(map(repr, running))}, {direction}", outputs)
+                check(f"{where}, forward", equation.named(result[0]))
+            else:
+                check(f"{where}, backward, gradient of", result)
             running.pop()
             return result
 
@@ -87,14 +86,14 @@ def watched():
 
 
 def find_first(p, *inputs):
-    """A sentence that names the first equation and array in which an iteration stops being finite."""
+    """A phrase that names where an iteration first stops being finite."""
     try:
-        _check("parameter", p.arrays)
+        check("parameter", p.arrays)
         with np.errstate(all="ignore"), watched():
-            losses, _, res = objective.forward(p, *inputs)
-            gradients, _ = objective.backward(res)
-            _check("objective", losses._asdict())
-            _check("gradient of", gradients.arrays)
+            losses, _, saved = objective.forward(p, *inputs)
+            gradients, _ = objective.backward(saved)
+            check("objective", losses._asdict())
+            check("gradient of", gradients.arrays)
     except Found as found:
         return str(found)
-    return "a non-finite value that did not come back when the iteration was repeated"
+    return "a NaN or an infinity that did not come back when the iteration was repeated"

@@ -3,43 +3,48 @@
 import signal
 import threading
 from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TextIO
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ..splatting.settings import FAST
-from .checkpoint import identity, load, preset_of, save
-from .checkpoint import resume as restore
-from .finite import NotFinite
+from ..model import Model
+from ..scenes.scene import Scene
+from ..splatting.settings import FAST, Settings
+from . import checkpoint
 from .initial import design_of
 from .parameters import Parameters
-from .presets import choose
+from .presets import Preset, choose
 from .progress import Progress
-from .trainer import Trainer, assemble
+from .trainer import Trainer, assemble, tagged
 
 SAVE_EVERY = 20.0  # seconds between checkpoints
 
 
 def train(
-    scene,
-    preset="tiny",
-    seed=0,
+    scene: Scene,
+    preset: str | Preset = "tiny",
+    seed: int = 0,
     *,
-    settings=FAST,
-    points=None,
-    folder=None,
-    resume=False,
-    stream=None,
-    save_every=SAVE_EVERY,
-    **changes,
-):
-    """Fit a scene; returns the Model, ready to render or encode.
+    settings: Settings = FAST,
+    points: ArrayLike | None = None,
+    folder: str | Path | None = None,
+    resume: bool = False,
+    stream: TextIO | None = None,
+    save_every: float = SAVE_EVERY,
+    **changes: Any,
+) -> Model:
+    """Fit a scene and return the model, ready to be rendered or encoded.
 
-    Takes      a Scene; a preset's name (or a Preset) and fields of it to change, a seed; `points` (A, 3) to start
-               from instead of random ones; an existing `folder` for checkpoints every `save_every` seconds, `resume` to
-               go on from the one in it; `stream` for the progress line, None for silence
-    Raises     ValueError for an unknown preset, field or value; RunError for a checkpoint that does not fit;
-               NotFinite where a number stops being one, with the first equation and array in which it did;
-               KeyboardInterrupt after Ctrl-C, which waits for the end of the iteration (a second one does not)
+    `preset` is a preset or its name; further keywords change its fields. `points` [A, 3] are the
+    first anchors instead of random ones. In `folder`, which must exist, a checkpoint is kept and
+    renewed every `save_every` seconds; with `resume` training goes on from it. The progress line
+    goes to `stream`.
+
+    Raises ValueError for an unknown preset, field or value, RunError for a checkpoint that does not
+    fit, and NotFinite with the first equation, array and index that is NaN or infinite. Ctrl-C
+    raises KeyboardInterrupt after the current iteration, a second one at once.
     """
     return fit(
         scene, preset, seed, settings, points, folder, resume, stream, save_every, **changes
@@ -47,29 +52,28 @@ def train(
 
 
 def fit(
-    scene,
-    preset,
-    seed,
-    settings=FAST,
-    points=None,
-    folder=None,
-    resume=False,
-    stream=None,
-    save_every=SAVE_EVERY,
-    **changes,
-):
-    """As `train`, but returns the Trainer, with its history."""
+    scene: Scene,
+    preset: str | Preset,
+    seed: int,
+    settings: Settings = FAST,
+    points: ArrayLike | None = None,
+    folder: str | Path | None = None,
+    resume: bool = False,
+    stream: TextIO | None = None,
+    save_every: float = SAVE_EVERY,
+    **changes: Any,
+) -> Trainer:
+    """Do what `train` does, but return the Trainer, which also has the history."""
     chosen = choose(preset, changes)
     if not (isinstance(seed, int) and seed >= 0):
-        raise ValueError(f"seed {seed!r}: expected a whole number of at least 0")
-    # Overflows are looked for and named, so NumPy's own warnings would say the same less well.
+        raise ValueError(f"seed {seed!r}: expected an integer of at least 0")
+    # Non-finite values are found and named; NumPy's warnings would say the same less clearly.
     with np.errstate(all="ignore"):
         trainer, progress = Trainer(scene, chosen, seed, settings, points), Progress(stream)
         keep = keeper(trainer, folder, resume)
         with stopping_between_steps() as asked:
 
             def after_step(trainer, *seen):
-                refuse_non_finite(trainer)
                 progress(trainer, *seen)
                 if asked:
                     keep(trainer)
@@ -84,21 +88,25 @@ def fit(
 
 
 def keeper(trainer, folder, resume):
-    """The function that saves the trainer, called once: from here on there is always something to go on from."""
+    """The function that saves the trainer in the folder, called once so that a checkpoint exists.
+
+    With `resume` the trainer first takes over the state in the folder.
+    """
     if folder is None:
         return lambda trainer: None
-    common = identity(trainer)
+    common = checkpoint.identity(trainer)
     if resume:
-        restore(trainer, folder, common)
-    save(trainer, folder, common)
-    return lambda trainer: save(trainer, folder, common)
+        checkpoint.resume(trainer, folder, common)
+    checkpoint.save(trainer, folder, common)
+    return lambda trainer: checkpoint.save(trainer, folder, common)
 
 
 @contextmanager
 def stopping_between_steps():
-    """Within it the first Ctrl-C only makes the yielded list non-empty: half an iteration must never be saved.
+    """Within this context the first Ctrl-C only fills the yielded list.
 
-    The second one raises at once, and the last checkpoint stays.  Other handlers, and other threads, are left alone.
+    Half an iteration must never be saved. A second Ctrl-C raises at once, and the last checkpoint
+    stays. Nothing is changed in other threads, or where another handler is set.
     """
     asked = []
 
@@ -106,10 +114,8 @@ def stopping_between_steps():
         signal.signal(signal.SIGINT, signal.default_int_handler)
         asked.append(number)
 
-    ours = (
-        threading.current_thread() is threading.main_thread()
-        and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    )
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    ours = in_main_thread and signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if ours:
         signal.signal(signal.SIGINT, ask)
     try:
@@ -117,30 +123,14 @@ def stopping_between_steps():
     finally:
         if ours:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-    if asked:  # it came after the last step: the work is whole, but stop here
+    if asked:  # pressed after the last step: the work is complete, but stop here
         raise KeyboardInterrupt
 
 
-def refuse_non_finite(trainer):
-    """Raise NotFinite where a step has made a parameter infinite or NaN, before it can reach a checkpoint."""
-    if np.isfinite(trainer.parameters.vector).all():
-        return
-    name, array = next(
-        (name, a) for name, a in trainer.parameters.arrays.items() if not np.isfinite(a).all()
-    )
-    index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-    raise NotFinite(
-        trainer.iteration - 1, f"Adam's step made the parameter {name}{list(index)} {array[index]}"
-    )
-
-
-def load_model(folder):
-    """The model of a run's checkpoint and the checkpoint's values; the scene is not needed.
-
-    Raises     RunError where there is no usable checkpoint
-    """
-    arrays, values = load(folder)
-    p = Parameters({name[2:]: a for name, a in arrays.items() if name.startswith("p/")})
+def load_model(folder: str | Path) -> tuple[Model, dict]:
+    """The model in the checkpoint of a run folder, and the values of the checkpoint."""
+    arrays, values = checkpoint.load(folder)
+    p = Parameters(tagged(arrays, "p"))
     box = tuple(arrays["box"]) if "box" in arrays else None
-    design = design_of(preset_of(values), values["effects"])
+    design = design_of(checkpoint.preset_of(values), values["effects"])
     return assemble(p, design, arrays["mask"], box, values["background"]), values

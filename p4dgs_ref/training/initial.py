@@ -1,4 +1,4 @@
-"""The first parameters: random anchors on a lattice, networks at their default, a hash grid without opinion."""
+"""The first parameters: random anchors, default networks, a hash grid with random signs."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -9,45 +9,46 @@ from .parameters import Parameters, random_layers
 
 
 def design_of(preset, effects):
-    """The Design that a preset and a scene's effects ask for."""
+    """The Design that a preset and the effects of a scene ask for."""
     grid = [("xyz", res) for res in preset.grid_3d]
     grid += [(plane, res) for plane in ("xy", "xz", "yz") for res in preset.grid_2d]
     return Design(
-        preset.d,
-        preset.k,
-        preset.hidden,
-        preset.deformation,
-        preset.L_x,
-        preset.L_t,
-        preset.context,
-        tuple(grid),
-        (preset.table_3d, preset.table_2d),
-        preset.F,
-        (preset.Q_f, preset.Q_s, preset.Q_l, preset.Q_O),
-        preset.tau_alpha,
-        tuple(effects),
+        d=preset.d,
+        k=preset.k,
+        hidden=preset.hidden,
+        deformation=preset.deformation,
+        L_x=preset.L_x,
+        L_t=preset.L_t,
+        context=preset.context,
+        grid=tuple(grid),
+        table=(preset.table_3d, preset.table_2d),
+        F=preset.F,
+        Q_0=(preset.Q_f, preset.Q_s, preset.Q_l, preset.Q_O),
+        tau_alpha=preset.tau_alpha,
+        effects=tuple(effects),
     )
 
 
 def neighbour_distance(points):
-    """Root mean square distance to the three nearest neighbours (A, 3) -> (A,), as 3DGS starts its scales."""
+    """The root mean square distance [A] of each point to its three nearest neighbours.
+
+    3DGS starts its scales from this distance.
+    """
     if len(points) < 2:
         return np.full(len(points), 0.1)
-    count = min(4, len(points))
-    distance, _ = cKDTree(points).query(points, k=count)
+    distance, _ = cKDTree(points).query(points, k=min(4, len(points)))
     return np.sqrt(np.maximum((distance[:, 1:] ** 2).mean(axis=1), 1e-7))
 
 
 def initial_parameters(preset, design, rng, points=None):
-    """Parameters of a model before training; `points` (A, 3) replaces the random cloud.
+    """The Parameters of a model before training; `points` [A, 3] replace the random ones.
 
-    Names: x_a, f_a, log_s, log_l, O_a, the networks' "psi_*.W0" ..., and "grid.0" ...
+    Their names are x_a, f_a, log_s, log_l, O_a, then "psi_alpha.W0" and so on for the networks,
+    then "grid.0" and so on.
     """
     if points is None:
         points = rng.uniform(-preset.extent, preset.extent, (preset.anchors, 3))
-    x_a = (
-        np.unique(np.round(points / preset.voxel), axis=0) * preset.voxel
-    )  # anchors sit on the lattice's nodes
+    x_a = np.unique(np.round(points / preset.voxel), axis=0) * preset.voxel  # nodes of the lattice
     A = len(x_a)
     log_reach = np.repeat(np.log(neighbour_distance(x_a))[:, None], 3, axis=1)
     arrays = {
@@ -68,7 +69,5 @@ def initial_parameters(preset, design, rng, points=None):
             arrays[f"psi_d.W{i}"] *= preset.deformation_gain
             arrays[f"psi_d.b{i}"] *= preset.deformation_gain
     for i, shape in enumerate(design.levels()):
-        arrays[f"grid.{i}"] = rng.uniform(
-            -1e-4, 1e-4, shape
-        )  # HAC's start: signs at random, gradients alive
+        arrays[f"grid.{i}"] = rng.uniform(-1e-4, 1e-4, shape)  # HAC: random signs with a gradient
     return Parameters(arrays)

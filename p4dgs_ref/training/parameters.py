@@ -1,12 +1,12 @@
-"""Named arrays that share one flat vector, so that the optimiser is one expression instead of forty."""
+"""Named arrays that share one flat vector, so that the optimiser handles them all at once."""
 
 import numpy as np
 
 
 class Parameters:
-    """A dictionary of arrays, each a view into `vector`; writing to one writes to the other.
+    """A dictionary of arrays that are views of `vector`: writing to one writes to the other.
 
-    Names of a network's arrays are "psi.W0", "psi.b0", "psi.W1", ...; `network("psi")` returns both lists.
+    The arrays of a network are named "psi.W0", "psi.b0", "psi.W1" and so on.
     """
 
     def __init__(self, arrays, dtype=np.float32):
@@ -22,31 +22,30 @@ class Parameters:
     def __getitem__(self, name):
         return self.arrays[name]
 
-    def __contains__(self, name):
-        return name in self.arrays
-
     def zeros(self):
-        """The same names and shapes, all zero."""
+        """The same names and shapes, filled with zeros."""
         twin = Parameters(self.arrays, self.vector.dtype)
         twin.vector[:] = 0
         return twin
 
+    def numbered(self, prefix):
+        """The arrays whose names are the prefix and 0, 1 and so on."""
+        count = sum(name.startswith(prefix) for name in self.arrays)
+        return [self[f"{prefix}{i}"] for i in range(count)]
+
     def network(self, name):
-        """Weights and biases of one network, in order of layers."""
-        layers = sum(key.startswith(f"{name}.W") for key in self.arrays)
-        return [self[f"{name}.W{i}"] for i in range(layers)], [
-            self[f"{name}.b{i}"] for i in range(layers)
-        ]
+        """The weights and the biases of a network, layer by layer."""
+        return self.numbered(f"{name}.W"), self.numbered(f"{name}.b")
 
     def listed(self, name):
-        """The arrays "name.0", "name.1", ... as a list."""
-        count = sum(key.startswith(f"{name}.") for key in self.arrays)
-        return [self[f"{name}.{i}"] for i in range(count)]
+        """The arrays "name.0", "name.1" and so on."""
+        return self.numbered(f"{name}.")
 
     def fill(self, name, gradients):
-        """Copy one network's gradients {"weights": [...], "biases": [...]} into place; others in it are ignored."""
+        """Copy the "weights" and "biases" among the gradients of a network into place."""
         for i, (W, b) in enumerate(zip(gradients["weights"], gradients["biases"])):
-            self[f"{name}.W{i}"][...], self[f"{name}.b{i}"][...] = W, b
+            self[f"{name}.W{i}"][...] = W
+            self[f"{name}.b{i}"][...] = b
 
     def per_element(self, value_of):
         """A vector with `value_of(name)` at every element of each array."""
@@ -54,18 +53,15 @@ class Parameters:
         return np.repeat(values, [array.size for array in self.arrays.values()])
 
     def with_rows(self, names, keep, extra):
-        """A copy in which the arrays `names` keep only the rows `keep` and gain the rows `extra[name]` at the end."""
+        """A copy in which the arrays `names` keep the rows `keep` and end with `extra[name]`."""
         changed = {name: np.concatenate([self[name][keep], extra[name]]) for name in names}
-        return Parameters(
-            {name: changed.get(name, array) for name, array in self.arrays.items()},
-            self.vector.dtype,
-        )
+        return Parameters({**self.arrays, **changed}, self.vector.dtype)
 
 
 def random_layers(rng, name, shapes):
-    """Initial arrays of a network from its layers' shapes: every entry uniform in +-1/sqrt(rows).
+    """The first arrays of a network: every entry uniform in +-1/sqrt(rows) of its layer.
 
-    Reference  PyTorch's default for linear layers, which the parents of the method leave in place
+    This is PyTorch's default for linear layers, which the methods that P-4DGS builds on use.
     """
     arrays = {}
     for i, (rows, columns) in enumerate(shapes):

@@ -1,55 +1,42 @@
-"""Every constant of training by name: the paper's two settings and the two small ones, each change visible.
+"""Every constant of training by name: the two settings of the paper and two small ones.
 
-A field's value in `paper_synthetic` comes from the paper or, where it is silent, from its parents (README, Choices).
-`differences(preset)` lists what a small preset changes, with the paper's value beside it.
+A value of `paper_synthetic` comes from the paper or, where the paper is silent, from the methods it
+builds on (README, Choices). `differences(preset)` lists what a small preset changes.
 """
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
-HAC_3D = (
-    18,
-    24,
-    33,
-    44,
-    59,
-    80,
-    108,
-    148,
-    201,
-    275,
-    376,
-    514,
-)  # the paper gives no hash grid: HAC's
+# The paper gives no hash grid; these are the resolutions of HAC.
+HAC_3D = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
 HAC_2D = (130, 258, 514, 1026)
 
 
 class Preset(NamedTuple):
-    """Field by field: architecture, quantisation, schedule, learning rates (first, last), density."""
+    """Architecture, quantisation, schedule, learning rates (first, last) and density control."""
 
     name: str = "paper_synthetic"
     # architecture
     anchors: int = 10_000  # random points at the start
     extent: float = 1.3  # they are uniform in [-extent, extent]^3
-    voxel: float = (
-        0.001  # epsilon: points are merged on this lattice, growing works in its multiples
-    )
+    voxel: float = 0.001  # epsilon: points are merged on this lattice; growing uses multiples of it
     d: int = 16
     k: int = 10
-    hidden: tuple = (32, 32)  # 2d, two layers
-    deformation: tuple = (192, 192)
+    hidden: tuple[int, ...] = (32, 32)  # two layers of 2d
+    deformation: tuple[int, ...] = (192, 192)
     L_x: int = 10
     L_t: int = 6
-    context: tuple = (32, 32)  # 2d, two layers
-    grid_3d: tuple = HAC_3D
-    grid_2d: tuple = HAC_2D
+    context: tuple[int, ...] = (32, 32)  # two layers of 2d
+    grid_3d: tuple[int, ...] = HAC_3D
+    grid_2d: tuple[int, ...] = HAC_2D
     table_3d: int = 2**13
     table_2d: int = 2**15
     F: int = 4
     tau_alpha: float = 0.0
     feature_std: float = 0.0  # of the initial features
-    opacity_bias: float = 0.0  # added to psi_alpha's last bias, so that anchors start visible
-    upright: bool = False  # psi_r's last bias starts at (1, 0, 0, 0)
-    deformation_gain: float = 1.0  # the heads of psi_d start this much smaller
+    opacity_bias: float = 0.0  # added to the last bias of psi_alpha: anchors start visible
+    upright: bool = False  # the last bias of psi_r starts at (1, 0, 0, 0)
+    deformation_gain: float = 1.0  # the heads of psi_d start smaller by this factor
     # quantisation and rate
     Q_f: float = 1.0
     Q_s: float = 0.001
@@ -57,44 +44,45 @@ class Preset(NamedTuple):
     Q_O: float = 0.2
     lambda_rate: float = 1e-3
     # stages and loss
-    stage_ends: tuple = (3000, 5000, 10_000, 40_000)
+    stage_ends: tuple[int, ...] = (3000, 5000, 10_000, 40_000)
     lambda_ssim: float = 0.2
-    lambda_volume: float = 0.0  # Scaffold-GS's 0.01; not in the paper (Q25)
-    # learning rates: first, last; geometric over all iterations from `decay_from` on
+    lambda_volume: float = 0.0  # 0.01 in Scaffold-GS; not in the paper (Q25)
+    # learning rates: first and last, geometric over all iterations from `decay_from` on
     decay_from: int = 0
-    lr_x: tuple = (0.0, 0.0)
-    lr_f: tuple = (0.0075, 0.0075)
-    lr_s: tuple = (0.007, 0.007)
-    lr_l: tuple = (0.007, 0.007)
-    lr_O: tuple = (0.01, 1e-4)
-    lr_alpha: tuple = (0.002, 2e-5)
-    lr_c: tuple = (0.008, 5e-5)
-    lr_r: tuple = (0.004, 0.004)
-    lr_psi_s: tuple = (0.004, 0.004)
-    lr_d: tuple = (1.6e-4, 1.6e-6)
-    lr_grid: tuple = (0.0016, 1e-5)
-    lr_p: tuple = (0.005, 1e-5)
-    lr_q: tuple = (0.005, 1e-5)
-    # growing, pruning, masking (iterations; thresholds)
+    lr_x: tuple[float, ...] = (0.0, 0.0)
+    lr_f: tuple[float, ...] = (0.0075, 0.0075)
+    lr_s: tuple[float, ...] = (0.007, 0.007)
+    lr_l: tuple[float, ...] = (0.007, 0.007)
+    lr_O: tuple[float, ...] = (0.01, 1e-4)
+    lr_alpha: tuple[float, ...] = (0.002, 2e-5)
+    lr_c: tuple[float, ...] = (0.008, 5e-5)
+    lr_r: tuple[float, ...] = (0.004, 0.004)
+    lr_psi_s: tuple[float, ...] = (0.004, 0.004)
+    lr_d: tuple[float, ...] = (1.6e-4, 1.6e-6)
+    lr_grid: tuple[float, ...] = (0.0016, 1e-5)
+    lr_p: tuple[float, ...] = (0.005, 1e-5)
+    lr_q: tuple[float, ...] = (0.005, 1e-5)
+    # growing, pruning and masking
     grow: str = "scaffold"  # "scaffold", "reseed" or "off"
     grow_from: int = 1500
-    grow_every: int = 100
+    grow_every: int = 100  # iterations of a window
     grow_until: int = 15_000
     collect_from: int = 500
     gradient_threshold: float = 2e-4
-    grow_init: int = 16  # coarsest growing voxel, in multiples of epsilon
+    grow_init: int = 16  # the coarsest voxel for growing, in multiples of epsilon
     grow_hierarchy: int = 4
     grow_depth: int = 3
-    success: float = 0.8  # an anchor must be seen in this share of a window, a child in half of it
+    success: float = 0.8  # share of a window in which an anchor must be seen; a child half of it
     min_opacity: float = 0.005
-    mask_from: int = 5000  # children may be masked for good from here on
+    mask_from: int = 5000  # from here on children may be masked for good
 
     @property
-    def iterations(self):
+    def iterations(self) -> int:
+        """The length of the training."""
         return self.stage_ends[-1]
 
-    def stage(self, iteration):
-        """1 to 4 for an iteration counted from 0."""
+    def stage(self, iteration: int) -> int:
+        """The stage, 1 to 4, of an iteration counted from 0."""
         return 1 + sum(iteration >= end for end in self.stage_ends[:3])
 
 
@@ -173,11 +161,79 @@ SMOKE = TINY._replace(
     mask_from=45,
 )
 
-PRESETS = {preset.name: preset for preset in (PAPER_SYNTHETIC, PAPER_REAL, TINY, SMOKE)}
+PRESETS: dict[str, Preset] = {
+    preset.name: preset for preset in (PAPER_SYNTHETIC, PAPER_REAL, TINY, SMOKE)
+}
+
+
+INFINITY = float("inf")
+
+
+def between(least, most):
+    """The requirement that a number is from `least` to `most`."""
+    return f"a number from {least:g} to {most:g}", lambda value: least <= value <= most
+
+
+def layers(most):
+    """The requirement on the widths of a network or the resolutions of a grid."""
+    return (
+        f"at most {most} numbers from 1 to 16384",
+        lambda value: len(value) <= most and all(1 <= n <= 2**14 for n in value),
+    )
+
+
+def is_rate(value):
+    """Whether a learning rate is two positive numbers, or off."""
+    positive = len(value) == 2 and all(0 < rate < INFINITY for rate in value)
+    return positive or tuple(value) == (0, 0)
+
+
+def is_rising(ends):
+    """Whether there are four ends of stages, in order and not all zero."""
+    return len(ends) == 4 and sorted((0, *ends)) == [0, *ends] and ends[-1] >= 1
+
+
+POSITIVE = ("a positive number", lambda value: 0 < value < INFINITY)
+NOT_NEGATIVE = ("a finite number of at least 0", lambda value: 0 <= value < INFINITY)
+RATE = ("first,last, two positive rates or 0,0", is_rate)
+STEP = between(2.0**-40, 2.0**40)
+# What each field must be, in words and as a test; numbers that are not listed, NOT_NEGATIVE. Most
+# limits are those of a file (codec/header.py).
+REQUIREMENTS = {
+    **dict.fromkeys(Preset._fields, NOT_NEGATIVE),
+    **{field: RATE for field in Preset._fields if field.startswith("lr_")},
+    "name": ("a name", lambda value: True),
+    "anchors": POSITIVE,
+    "extent": POSITIVE,
+    "voxel": POSITIVE,
+    "d": between(1, 4096),
+    "k": between(1, 256),
+    "F": between(1, 64),
+    "L_x": between(1, 64),
+    "L_t": between(1, 64),
+    "hidden": layers(8),
+    "deformation": layers(8),
+    "context": layers(8),
+    "grid_3d": layers(16),
+    "grid_2d": layers(16),
+    "table_3d": between(1, 2**24),
+    "table_2d": between(1, 2**24),
+    "Q_f": STEP,
+    "Q_s": STEP,
+    "Q_l": STEP,
+    "Q_O": STEP,
+    "tau_alpha": between(-1, 1),
+    "lambda_ssim": between(0, 1),
+    "stage_ends": ("four rising iterations", is_rising),
+    "grow": ("scaffold, reseed or off", lambda value: value in ("scaffold", "reseed", "off")),
+    "grow_every": POSITIVE,
+    "grow_init": POSITIVE,
+    "grow_hierarchy": POSITIVE,
+}
 
 
 def differences(preset, against=PAPER_SYNTHETIC):
-    """[(field, paper's value, this preset's value)] for everything that differs."""
+    """Every difference as (field, value of the paper, value of the preset)."""
     return [
         (field, getattr(against, field), value)
         for field, value in preset._asdict().items()
@@ -185,140 +241,53 @@ def differences(preset, against=PAPER_SYNTHETIC):
     ]
 
 
-def choose(preset, changes=None):
-    """A preset, or the preset of that name, with some fields changed; a change may be text, as the command line's are.
+def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Preset:
+    """A preset, or the preset of that name, with some fields changed.
 
-    Raises     ValueError naming the preset or the field and what was expected
+    A change may also be a text, as on the command line. Raises ValueError with the name of the
+    preset or field and what was expected.
     """
-    if isinstance(preset, str) and preset not in PRESETS:
-        raise ValueError(f"preset {preset!r}: expected one of {', '.join(PRESETS)}")
-    preset, values = PRESETS[preset] if isinstance(preset, str) else preset, {}
+    if isinstance(preset, str):
+        if preset not in PRESETS:
+            raise ValueError(f"preset {preset!r}: expected one of {', '.join(PRESETS)}")
+        preset = PRESETS[preset]
+    values = {}
     for field, value in (changes or {}).items():
         if field == "name" or field not in Preset._fields:
             raise ValueError(
-                f"field {field!r} of preset {preset.name}: no such field; `p4dgs-ref presets` lists them"
+                f"field {field!r} of preset {preset.name}: no such field; "
+                "`p4dgs-ref presets` lists them"
             )
-        values[field] = _parse(field, value, getattr(PAPER_SYNTHETIC, field))
-    return _checked(preset._replace(**values))
-
-
-def _parse(field, value, like):
-    """A value of the kind that `like` is, or the text of one; tuples are written with commas.
-
-    Raises     ValueError naming the field
-    """
-    kind = type(like[0]) if isinstance(like, tuple) else type(like)
-    try:
-        if isinstance(like, tuple):
-            parts = (
-                [part for part in value.split(",") if part.strip()]
-                if isinstance(value, str)
-                else value
-            )
-            return tuple(_number(part, kind) for part in parts)
-        if kind is bool and isinstance(value, str):
-            return {"true": True, "false": False, "1": True, "0": False}[value.lower()]
-        return _number(value, kind)
-    except (ValueError, KeyError, TypeError):
+        like = getattr(PAPER_SYNTHETIC, field)
+        try:
+            values[field] = read_value(value, like)
+        except (ValueError, KeyError, TypeError):
+            raise ValueError(
+                f"field {field!r}: expected a value like {like!r}, got {value!r}"
+            ) from None
+    chosen = preset._replace(**values)
+    for field, (expected, is_met) in REQUIREMENTS.items():
+        value = getattr(chosen, field)
+        if not is_met(value):
+            raise ValueError(f"field {field!r}: expected {expected}, got {value!r}")
+    if not chosen.grid_3d + chosen.grid_2d:
         raise ValueError(
-            f"field {field!r}: expected a value like {like!r}, got {value!r}"
-        ) from None
+            "field 'grid_3d': expected a level here or in grid_2d; the context has no other input"
+        )
+    return chosen
 
 
-def _number(value, kind):
-    """One element: text is read; a bool is no number, and a number with a fraction no whole one."""
+def read_value(value, like):
+    """The value as the type of `like`; a text is parsed, tuples are written with commas."""
+    if isinstance(like, tuple):
+        if isinstance(value, str):
+            value = [part for part in value.split(",") if part.strip()]
+        return tuple(read_value(part, like[0]) for part in value)
+    kind = type(like)
     if isinstance(value, str):
-        return value if kind is str else kind(value)
+        words = {"true": True, "false": False, "1": True, "0": False}
+        return words[value.lower()] if kind is bool else kind(value)
+    # True is no number here, and a number with a fraction is no integer
     if isinstance(value, bool) is not (kind is bool) or kind is str or kind(value) != value:
         raise TypeError
     return kind(value)
-
-
-def _checked(preset):
-    ends = preset.stage_ends
-    if len(ends) != 4 or any(b < a for a, b in zip((0, *ends[:-1]), ends)) or ends[-1] < 1:
-        raise ValueError(f"field 'stage_ends': expected four rising iterations, got {ends}")
-    for field in (
-        "anchors",
-        "d",
-        "k",
-        "F",
-        "voxel",
-        "extent",
-        "Q_f",
-        "Q_s",
-        "Q_l",
-        "Q_O",
-        "table_3d",
-        "table_2d",
-        "grow_every",
-        "grow_init",
-        "grow_hierarchy",
-        "L_x",
-        "L_t",
-    ):
-        value = getattr(preset, field)
-        if not (value > 0 and value < float("inf")):
-            raise ValueError(f"field {field!r}: expected a positive number, got {value!r}")
-    for field, most in (
-        ("hidden", 8),
-        ("deformation", 8),
-        ("context", 8),
-        ("grid_3d", 16),
-        ("grid_2d", 16),
-    ):
-        value = getattr(preset, field)  # within what a file can hold, see codec/header.py
-        if any(not 1 <= n <= 2**14 for n in value) or len(value) > most:
-            raise ValueError(
-                f"field {field!r}: expected at most {most} numbers from 1 to 16384, got {value}"
-            )
-    for field, least, most in (
-        ("Q_f", 2.0**-40, 2.0**40),
-        ("Q_s", 2.0**-40, 2.0**40),
-        ("Q_l", 2.0**-40, 2.0**40),
-        ("Q_O", 2.0**-40, 2.0**40),
-        ("table_3d", 1, 2**24),
-        ("table_2d", 1, 2**24),
-    ):
-        if not least <= getattr(preset, field) <= most:
-            raise ValueError(
-                f"field {field!r}: expected a number from {least:g} to {most:g}, got {getattr(preset, field)}"
-            )
-    for field, most in (
-        ("d", 4096),
-        ("k", 256),
-        ("F", 64),
-        ("L_x", 64),
-        ("L_t", 64),
-        ("lambda_ssim", 1),
-    ):
-        if getattr(preset, field) > most:
-            raise ValueError(
-                f"field {field!r}: expected at most {most}, got {getattr(preset, field)}"
-            )
-    for field, value in preset._asdict().items():
-        if (
-            field != "tau_alpha"
-            and isinstance(value, (int, float))
-            and not 0 <= value < float("inf")
-        ):
-            raise ValueError(
-                f"field {field!r}: expected a finite number of at least 0, got {value!r}"
-            )
-        if field.startswith("lr_") and not (
-            len(value) == 2 and all(0 < v < float("inf") for v in value) or tuple(value) == (0, 0)
-        ):
-            raise ValueError(
-                f"field {field!r}: expected first,last, two positive rates or 0,0, got {value!r}"
-            )
-    if not -1 <= preset.tau_alpha <= 1:
-        raise ValueError(
-            f"field 'tau_alpha': expected an opacity threshold from -1 to 1, got {preset.tau_alpha!r}"
-        )
-    if not preset.grid_3d + preset.grid_2d:
-        raise ValueError(
-            "field 'grid_3d': expected a level here or in grid_2d, the context has nothing else to read"
-        )
-    if preset.grow not in ("scaffold", "reseed", "off"):
-        raise ValueError(f"field 'grow': expected scaffold, reseed or off, got {preset.grow!r}")
-    return preset

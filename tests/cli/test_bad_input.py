@@ -382,7 +382,7 @@ def test_learning_rate_that_explodes(place, capsys):
         "demo scene -o new --preset smoke --set lr_c=1e39,1e39 --quiet", capsys
     )  # beyond float32
     assert code == 1 and err.startswith(
-        "p4dgs-ref: iteration 0: Adam's step made the parameter psi_c.W0["
+        "p4dgs-ref: iteration 0: after Adam's step, parameter psi_c.W0["
     )
 
 
