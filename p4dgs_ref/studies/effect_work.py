@@ -53,11 +53,10 @@ class Work:
             r_t, _, widths = res
             self.own.update({effect: len(r_t) * n for effect, n in zip(fx.MOTION, widths)})
         elif key == "compositing, fast":
-            pixels = sum(chunk.A.size for chunk in res.chunks)
-            self.own["occlusion"] += (
-                2 * pixels * bool(res.inputs["occlusion"])
-            )  # weight and transmittance
-            self.own["background"] += 3 * res.T.size * bool(res.inputs["background"].any())
+            chunks, _, _, T, _, _, background, occlusion, _ = res
+            pixels = sum(chunk.A.size for chunk in chunks)
+            self.own["occlusion"] += 2 * pixels * bool(occlusion)  # weight and transmittance
+            self.own["background"] += 3 * T.size * bool(background.any())
 
     def of(self, effect):
         """Multiply-adds of an effect, its part of what it shares included."""

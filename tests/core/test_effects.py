@@ -183,7 +183,7 @@ def picture_and_gradients(p, design, view, background, image_bars):
         np.ones(p["O_a"].shape[:2], bool),
     )
     g, res_p = predict(design, networks, anchors, view.camera.center, view.time)
-    out, res = render.forward(
+    (image, _, _), res = render.forward(
         g.x,
         g.s,
         g.r,
@@ -210,7 +210,7 @@ def picture_and_gradients(p, design, view, background, image_bars):
                 }
             )
         found.append(arrays)
-    return out.image, found, g
+    return image, found, g
 
 
 def one_by_one(bar):
@@ -266,14 +266,14 @@ def test_without_occlusion_every_gaussian_is_as_if_alone(name, settings):
     bar = rng.normal(size=(camera.height, camera.width, 3))
 
     def run(rows, occlusion, bar=bar):
-        out, res = render.forward(
+        (image, _, _), res = render.forward(
             **{key: a[rows] for key, a in splats.items()},
             camera=camera,
             background=black,
             settings=settings,
             occlusion=occlusion,
         )
-        return out.image, render.backward(res, bar)
+        return image, render.backward(res, bar)
 
     off, ours = run(slice(None), False)
     alone = [run([i], True) for i in range(n)]
