@@ -1,7 +1,8 @@
-"""How long the hot places take on this machine: renderer, parts of a training step, entropy coder."""
+"""Times of the hot places on this machine: renderer, parts of a training step, entropy coder."""
 
 import time
 import tracemalloc
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +27,6 @@ from ..equations import (
     total_loss,
 )
 from ..equations.prior import layout
-from ..model import split
 from ..scenes import load_scene
 from ..splatting import compositing, covariance, fast, projection
 from ..splatting.settings import FAST
@@ -34,37 +34,61 @@ from ..training import objective
 from ..training.adam import Adam
 from ..training.presets import TINY
 from ..training.trainer import Trainer
+from .random_inputs import cov2d_of, random_splats
 
-# Which functions make up which part of a step; prediction and rate are counted without what they call from others.
-PAIR = ("forward", "backward")
+# The modules whose forward and backward make up each part of a training step.
+MODULES = {
+    "deformation": (deformation, deformed),
+    "projection": (covariance, projection),
+    "compositing": (fast,),
+    "loss": (render_loss, total_loss),
+    "rate": (noise, likelihood, anchor_rate, hash_rate, rate_loss),
+    "prediction": (
+        model.view,
+        model.opacity,
+        model.color,
+        model.rotation,
+        model.scale,
+        model.offsets,
+        model.masking,
+    ),
+}
 PARTS = {
-    "deformation": [(m, name) for m in (deformation, deformed) for name in PAIR],
-    "projection": [(m, name) for m in (covariance, projection) for name in PAIR],
-    "compositing": [(fast, name) for name in PAIR],
-    "loss": [(m, name) for m in (render_loss, total_loss) for name in PAIR],
-    "rate": [
-        (m, name) for m in (noise, likelihood, anchor_rate, hash_rate, rate_loss) for name in PAIR
-    ]
-    + [(objective, "context"), (objective, "context_backward")],
-    "prediction": [
-        (m, name)
-        for m in (
-            model.view,
-            model.opacity,
-            model.color,
-            model.rotation,
-            model.scale,
-            model.offsets,
-            model.masking,
-        )
-        for name in PAIR
-    ],
+    **{
+        part: [(module, name) for module in modules for name in ("forward", "backward")]
+        for part, modules in MODULES.items()
+    },
     "optimiser": [(Adam, "step")],
 }
+PARTS["rate"] += [(objective, "context"), (objective, "context_backward")]
+
+
+@contextmanager
+def replaced(owner, **members):
+    """Replace members of a module or class for the time of a `with` block."""
+    kept = {name: getattr(owner, name) for name in members}
+    try:
+        for name, member in members.items():
+            setattr(owner, name, member)
+        yield
+    finally:
+        for name, member in kept.items():
+            setattr(owner, name, member)
+
+
+@contextmanager
+def watched_parts(wrap):
+    """Within it, `wrap(part, function)` stands for every function of every part of a step."""
+    with ExitStack() as stack:
+        for part, places in PARTS.items():
+            for owner, name in places:
+                wrapped = wrap(part, getattr(owner, name))
+                stack.enter_context(replaced(owner, **{name: wrapped}))
+        yield
 
 
 def alternate(functions, repeats):
-    """Median milliseconds of each function, called in turn so that noise hits all alike: {name: ms}."""
+    """Median milliseconds of each function, {name: ms}; called in turn, so that noise hits all."""
     times = {name: [] for name in functions}
     for _ in range(repeats):
         for name, function in functions.items():
@@ -74,59 +98,8 @@ def alternate(functions, repeats):
     return {name: float(np.median(values)) for name, values in times.items()}
 
 
-def splat_inputs(n, size, seed=0):
-    """Random splats of 1.5 to 4 pixels in a square image, for both renderers."""
-    splats = compositing.random_splats(np.random.default_rng(seed), n, size, size)
-    a, b, c = splats["conic"].T
-    cov2d = np.stack([c, -b, a], axis=1) / (a * c - b * b)[:, None]
-    return splats, cov2d, dict(background=np.ones(3), height=size, width=size)
-
-
-def bench_renderer(n, size, repeats=9):
-    """Fast renderer against the dense exact twin: times, errors, counted pairs, peak memory of one call."""
-    splats, cov2d, frame = splat_inputs(n, size)
-    image_bar = np.random.default_rng(1).normal(size=(size, size, 3))
-
-    def run_fast():
-        out, res = fast.forward(**splats, cov2d=cov2d, **frame, settings=FAST)
-        return out, fast.backward(res, image_bar), res
-
-    def run_exact():
-        out, res = compositing.forward(**splats, **frame)
-        return out, compositing.backward(res, image_bar)
-
-    out, bars, res = run_fast()
-    exact, exact_bars = run_exact()
-    errors = {
-        name: float(
-            np.linalg.norm(bars[name] - exact_bars[name]) / np.linalg.norm(exact_bars[name])
-        )
-        for name in bars
-    }
-    times = {"fast": [], "exact": []}
-    for i in range(repeats):  # alternating; the slow one three times is enough for its median
-        times["fast"].append(alternate({"fast": run_fast}, 3)["fast"])
-        if i % max(repeats // 3, 1) == 0:
-            times["exact"].append(alternate({"exact": run_exact}, 1)["exact"])
-    ms = {name: float(np.median(values)) for name, values in times.items()}
-    return {
-        "gaussians": n,
-        "size": size,
-        "fast_ms": ms["fast"],
-        "exact_ms": ms["exact"],
-        "ratio": ms["exact"] / ms["fast"],
-        "image_error_max": float(np.abs(out.image - exact.image).max()),
-        "gradient_error_max": max(errors.values()),
-        "gradient_errors": errors,
-        "pairs": len(res.lists.row),
-        "pixel_pairs": len(res.lists.row) * FAST.tile**2,
-        "exact_pixel_pairs": n * size * size,
-        "memory_mb": memory_of(run_fast),
-    }
-
-
 def memory_of(function):
-    """Megabytes (10^6) of arrays alive at the worst moment of one call, as tracemalloc counts NumPy's buffers."""
+    """Megabytes (10^6) of arrays alive at the worst moment of one call, as tracemalloc counts."""
     tracemalloc.start()
     function()
     peak = tracemalloc.get_traced_memory()[1]
@@ -134,11 +107,53 @@ def memory_of(function):
     return peak / 1e6
 
 
-def step_parts(scene, preset, warm, repeats):
-    """Milliseconds of every part of a stage-4 training step, after `warm` untimed steps from stage 1 on: {part: ms}.
+def bench_renderer(n, size, repeats=9):
+    """The fast renderer against the exact twin: times, errors, counted pairs, peak memory."""
+    splats = random_splats(np.random.default_rng(0), n, size, size)
+    frame = dict(background=np.ones(3), height=size, width=size)
+    image_bar = np.random.default_rng(1).normal(size=(size, size, 3))
+    cov2d = cov2d_of(splats["conic"])
 
-    The functions of the pipelines are wrapped by a clock for the time of the measurement and put back afterwards.
-    """
+    def run_fast():
+        (image, _), saved = fast.forward(**splats, cov2d=cov2d, **frame, settings=FAST)
+        return image, fast.backward(saved, image_bar), saved
+
+    def run_exact():
+        (image, _), saved = compositing.forward(**splats, **frame)
+        return image, compositing.backward(saved, image_bar)
+
+    image, gradients, (_, lists, *_) = run_fast()
+    exact, exact_gradients = run_exact()
+    errors = {
+        name: float(
+            np.linalg.norm(a - exact_gradients[name]) / np.linalg.norm(exact_gradients[name])
+        )
+        for name, a in gradients.items()
+    }
+    fast_ms, exact_ms = [], []
+    for i in range(repeats):  # alternating; three times are enough for the median of the slow one
+        fast_ms.append(alternate({"fast": run_fast}, 3)["fast"])
+        if i % max(repeats // 3, 1) == 0:
+            exact_ms.append(alternate({"exact": run_exact}, 1)["exact"])
+    ms, exact_median = float(np.median(fast_ms)), float(np.median(exact_ms))
+    return {
+        "gaussians": n,
+        "size": size,
+        "fast_ms": ms,
+        "exact_ms": exact_median,
+        "ratio": exact_median / ms,
+        "image_error_max": float(np.abs(image - exact).max()),
+        "gradient_error_max": max(errors.values()),
+        "gradient_errors": errors,
+        "pairs": len(lists.row),
+        "pixel_pairs": len(lists.row) * FAST.tile**2,
+        "exact_pixel_pairs": n * size * size,
+        "memory_mb": memory_of(run_fast),
+    }
+
+
+def step_parts(scene, preset, warm, repeats):
+    """Milliseconds of each part of a stage-4 training step, after `warm` untimed steps."""
     trainer = Trainer(scene, preset)
     for _ in range(warm):
         trainer.step()
@@ -155,97 +170,91 @@ def step_parts(scene, preset, warm, repeats):
 
         return run
 
-    kept = [
-        (owner, name, getattr(owner, name)) for places in PARTS.values() for owner, name in places
-    ]
-    for part, places in PARTS.items():
-        for owner, name in places:
-            setattr(owner, name, timed(part, getattr(owner, name)))
-    try:
+    with watched_parts(timed):
         start = time.perf_counter()
         for _ in range(repeats):
             trainer.step()
-        total = time.perf_counter() - start
-    finally:
-        for owner, name, function in kept:
-            setattr(owner, name, function)
+        whole = 1e3 * (time.perf_counter() - start) / repeats
     ms = {part: 1e3 * seconds / repeats for part, seconds in spent.items()}
-    return {
-        **ms,
-        "everything else": 1e3 * total / repeats - sum(ms.values()),
-        "whole step": 1e3 * total / repeats,
-    }
+    return {**ms, "everything else": whole - sum(ms.values()), "whole step": whole}
+
+
+def random_message(n, seed=0):
+    """n symbols, each with its own mean and deviation in steps: three arrays (n,)."""
+    rng = np.random.default_rng(seed)
+    sigma = np.exp(rng.uniform(np.log(0.15), np.log(8), n))
+    mu = 3 * rng.normal(size=n)
+    return np.rint(mu + sigma * rng.normal(size=n)).astype(np.int64), mu, sigma
+
+
+def in_units(mu, sigma):
+    """Means and deviations in steps as the integers of the codec."""
+    mu_units, log_sigma = np.rint(mu * 2.0**MU_BITS), np.rint(np.log2(sigma) * 2.0**SIGMA_BITS)
+    return mu_units.astype(np.int64), log_sigma.astype(np.int64)
+
+
+def quantised_tiny(anchors, gain=1.0):
+    """A quantised model of the preset `tiny`, untrained, with attributes drawn from its own prior.
+
+    The deviations are about two steps; `gain` scales their dependence on the position.
+    """
+    trainer = Trainer(load_scene("bouncing"), TINY._replace(anchors=anchors))
+    design = trainer.design
+    last = trainer.parameters[f"psi_p.b{len(TINY.context)}"]
+    last[layout(design.widths)[1]] = np.log(2 * np.repeat(design.Q_0, design.widths))
+    trainer.networks["psi_p"][0][-1][...] *= gain
+    drawn = trainer.model()
+    prior = float_context(drawn)
+    values = prior.mu + prior.sigma * np.random.default_rng(0).normal(size=prior.mu.shape)
+    f, s, l, O = model.split(values, design)
+    return quantise(replace(drawn, anchors=drawn.anchors._replace(f_a=f, s_a=s, l_a=l, O_a=O)))
 
 
 def bench_coder(n):
-    """Milliseconds of the vectorised coder and of its readable per-symbol twin, which writes the same bytes.
+    """Milliseconds of the vectorised coder and of its readable twin, which writes the same bytes.
 
-    Every symbol has its own Gaussian; the evaluation of the integer model is included.
+    Every symbol has its own Gaussian. The times include the evaluation of the integer model.
     """
-    rng = np.random.default_rng(0)
-    sigma = np.exp(rng.uniform(np.log(0.15), np.log(8), n))
-    mu = rng.normal(size=n) * 3
-    symbols = np.rint(mu + sigma * rng.normal(size=n)).astype(np.int64)
-    units = (
-        np.rint(mu * 2.0**MU_BITS).astype(np.int64),
-        np.rint(np.log2(sigma) * 2.0**SIGMA_BITS).astype(np.int64),
-    )
-    bits = likelihood.forward(symbols.astype(float), mu, sigma, np.ones(n))[0].bits.sum()
+    symbols, mu, sigma = random_message(n)
+    units = in_units(mu, sigma)
+    bits, _ = likelihood.forward(symbols.astype(float), mu, sigma, np.ones(n))
     data = encode_gaussian(symbols, *units)
-    ms = alternate(
-        {
-            "encode": lambda: encode_gaussian(symbols, *units),
-            "decode": lambda: decode_gaussian(data, *units),
-            "encode_plainly": lambda: encode_gaussian(symbols, *units, push_rows=push_rows_plainly),
-            "decode_plainly": lambda: decode_gaussian(data, *units, pop_rows=pop_rows_plainly),
-        },
-        5,
-    )
+    runs = {
+        "encode": lambda: encode_gaussian(symbols, *units),
+        "decode": lambda: decode_gaussian(data, *units),
+        "encode_plainly": lambda: encode_gaussian(symbols, *units, push_rows=push_rows_plainly),
+        "decode_plainly": lambda: decode_gaussian(data, *units, pop_rows=pop_rows_plainly),
+    }
+    ms = alternate(runs, 5)
     return {
         "symbols": n,
         **{f"{name}_ms": value for name, value in ms.items()},
         "bytes": len(data),
-        "over_entropy_percent": 100 * (8 * len(data) / bits - 1),
+        "over_entropy_percent": 100 * (8 * len(data) / bits.sum() - 1),
     }
 
 
-def bench_sections(scene, symbols):
-    """Milliseconds for the attribute sections of a whole model, its integer context included: encode and decode.
+def bench_sections(symbols):
+    """Milliseconds for the attribute sections of a whole model, with its integer context."""
+    q = quantised_tiny(symbols // (TINY.d + 6 + 3 * TINY.k))
+    design = q.model.design
 
-    A `tiny` model with random networks whose sigma is about two steps; the attributes are drawn from its prior.
-    """
-    trainer = Trainer(scene, TINY._replace(anchors=symbols // (TINY.d + 6 + 3 * TINY.k)))
-    last, design, rng = (
-        trainer.parameters[f"psi_p.b{len(TINY.context)}"],
-        trainer.design,
-        np.random.default_rng(0),
-    )
-    last[layout(design.widths)[1]] = np.log(2 * np.repeat(design.Q_0, design.widths))
-    drawn = trainer.model()
-    prior = float_context(drawn)
-    f, s, l, O = split(prior.mu + prior.sigma * rng.normal(size=prior.mu.shape), design)
-    q = quantise(replace(drawn, anchors=drawn.anchors._replace(f_a=f, s_a=s, l_a=l, O_a=O)))
-    inputs = (design, q.model.networks, q.model.grids, q.positions)
+    def sections(ctx):
+        """(symbols, mu_units, sigma_units) of each section."""
+        arrays = q.symbols, ctx.mu_units, ctx.sigma_units
+        return [[a[:, c].ravel() for a in arrays] for _, c in attribute_columns(design)]
 
-    def parts(ctx):
-        return [
-            (ctx.mu_units[:, c].ravel(), ctx.sigma_units[:, c].ravel(), q.symbols[:, c].ravel())
-            for _, c in attribute_columns(design)
-        ]
+    def computed():
+        return sections(coding_context(design, q.model.networks, q.model.grids, q.positions))
 
-    streams = [encode_gaussian(k, mu, sigma) for mu, sigma, k in parts(q.context)]
-    ms = alternate(
-        {
-            "encode": lambda: [
-                encode_gaussian(k, mu, sigma) for mu, sigma, k in parts(coding_context(*inputs))
-            ],
-            "decode": lambda: [
-                decode_gaussian(data, mu, sigma)
-                for data, (mu, sigma, _) in zip(streams, parts(coding_context(*inputs)))
-            ],
-        },
-        5,
-    )
+    streams = [encode_gaussian(*section) for section in sections(q.context)]
+    runs = {
+        "encode": lambda: [encode_gaussian(*section) for section in computed()],
+        "decode": lambda: [
+            decode_gaussian(data, *units) for data, (_, *units) in zip(streams, computed())
+        ],
+    }
+    ms = alternate(runs, 5)
     return {
         "symbols": q.symbols.size,
         "bits_per_symbol": 8 * sum(map(len, streams)) / q.symbols.size,
@@ -255,49 +264,47 @@ def bench_sections(scene, symbols):
 
 
 def bench(quick=False):
-    """Everything the command `bench` prints."""
+    """Everything that the command `bench` prints."""
     sizes = [(300, 64)] if quick else [(1000, 64), (5000, 128)]
-    scene = load_scene("bouncing")
     warm, repeats = (320, 15) if quick else (TINY.stage_ends[1] + 300, 60)
     return {
         "renderer": [bench_renderer(n, size, 3 if quick else 9) for n, size in sizes],
-        "step_ms": step_parts(scene, TINY, warm, repeats),
+        "step_ms": step_parts(load_scene("bouncing"), TINY, warm, repeats),
         "coder": [bench_coder(n) for n in ([2000] if quick else [20_000, 200_000])],
-        "sections": bench_sections(scene, 2000 if quick else 200_000),
+        "sections": bench_sections(2000 if quick else 200_000),
     }
 
 
 def describe(result):
     """The benchmark as text."""
-    lines = [
-        "renderer, forward + backward: fast (float32) against the dense exact twin (float64), alternating"
-    ]
+    lines = ["renderer, forward and backward: fast (float32) against the exact twin (float64)"]
     for r in result["renderer"]:
         lines.append(
-            f"  {r['size']}x{r['size']}, {r['gaussians']} Gaussians: {r['fast_ms']:.1f} ms against {r['exact_ms']:.0f} ms, "
-            f"{r['ratio']:.0f} times; image error {r['image_error_max']:.1e}, gradient error {r['gradient_error_max']:.1e}; "
-            f"{r['pixel_pairs']:,} of {r['exact_pixel_pairs']:,} Gaussian-pixel pairs; {r['memory_mb']:.0f} MB"
+            f"  {r['size']}x{r['size']}, {r['gaussians']} Gaussians: {r['fast_ms']:.1f} ms against "
+            f"{r['exact_ms']:.0f} ms, {r['ratio']:.0f} times as fast; image error "
+            f"{r['image_error_max']:.1e}, gradient error {r['gradient_error_max']:.1e}; "
+            f"{r['pixel_pairs']:,} of {r['exact_pixel_pairs']:,} Gaussian-pixel pairs; "
+            f"{r['memory_mb']:.0f} MB"
         )
     lines.append("one training step of the demo, stage 4")
     lines += [f"  {part:16} {ms:6.2f} ms" for part, ms in result["step_ms"].items()]
     lines.append("entropy coder, every symbol with its own Gaussian")
     for r in result["coder"]:
-        lines.append(
-            f"  {r['symbols']:,} symbols, {r['over_entropy_percent']:+.3f} % over the entropy"
-        )
+        over = r["over_entropy_percent"]
+        lines.append(f"  {r['symbols']:,} symbols, {over:+.3f} % more than the entropy")
         for what in ("encode", "decode"):
-            fast, plain = r[f"{what}_ms"], r[f"{what}_plainly_ms"]
-            lines.append(
-                f"    {what} {fast:6.1f} ms ({r['symbols'] / fast / 1e3:.2f} M symbols/s); "
-                f"readable twin {plain:6.1f} ms"
-            )
+            plain = f"readable twin {r[f'{what}_plainly_ms']:6.1f} ms"
+            lines.append(f"    {speed(what, r)}; {plain}")
     r = result["sections"]
     lines.append(
-        f"all attribute sections of a model, integer context included: {r['symbols']:,} symbols, "
+        f"all attribute sections of a model, with the integer context: {r['symbols']:,} symbols, "
         f"{r['bits_per_symbol']:.1f} bits each"
     )
-    lines += [
-        f"    {what} {r[f'{what}_ms']:6.1f} ms ({r['symbols'] / r[f'{what}_ms'] / 1e3:.2f} M symbols/s)"
-        for what in ("encode", "decode")
-    ]
+    lines += [f"    {speed(what, r)}" for what in ("encode", "decode")]
     return "\n".join(lines)
+
+
+def speed(what, row):
+    """The time and the symbols per second of encoding or decoding."""
+    ms = row[f"{what}_ms"]
+    return f"{what} {ms:6.1f} ms ({row['symbols'] / ms / 1e3:.2f} M symbols/s)"

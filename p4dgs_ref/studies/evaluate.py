@@ -1,4 +1,4 @@
-"""How good a model is on views it has not seen, and how fast it renders them (README, Measures)."""
+"""How good a model is on test views, and how fast it renders them (README, "Measures")."""
 
 import time
 
@@ -8,12 +8,13 @@ from ..codec.inspect import components
 from ..equations import ssim
 from ..splatting.settings import FAST
 
-FLOATS_PER_GAUSSIAN = 59  # as D3DGS stores one: 3 position, 3 scale, 4 rotation, 1 opacity, 48 SH
+# D3DGS stores 3 numbers of position, 3 of scale, 4 of rotation, 1 of opacity and 48 of colour.
+FLOATS_PER_GAUSSIAN = 59
 FLOATS_WITHOUT_SH_REST = 14
 
 
 def timed(function, *args):
-    """A function's value and the seconds it took."""
+    """The result of a function and the seconds it took."""
     start = time.perf_counter()
     return function(*args), time.perf_counter() - start
 
@@ -30,29 +31,27 @@ def decibel(error):
 
 
 def score(image, view):
-    """{psnr_db, psnr_fg_db, ssim} of one view; psnr_fg_db is None without an alpha or without an object."""
-    covered = None if view.alpha is None else view.alpha > 0.5
-    foreground = (
-        None
-        if covered is None or not covered.any()
-        else decibel(squared_error(image, view.image, covered))
-    )
-    clipped = np.clip(image, 0, 1).astype(float)
+    """{psnr_db, psnr_fg_db, ssim} of one view.
+
+    psnr_fg_db is over the object alone; it is None for a view without alpha or without an object.
+    """
+    foreground = None
+    if view.alpha is not None and (view.alpha > 0.5).any():
+        foreground = decibel(squared_error(image, view.image, view.alpha > 0.5))
+    similarity, _ = ssim.forward(np.clip(image, 0, 1).astype(float), view.image.astype(float))
     return {
         "psnr_db": decibel(squared_error(image, view.image)),
         "psnr_fg_db": foreground,
-        "ssim": float(ssim.forward(clipped, view.image.astype(float))[0].ssim),
+        "ssim": float(similarity),
     }
 
 
 def evaluate(model, scene, settings=FAST, split="test"):
-    """Scores of a model on a scene's views and the time it takes to render them.
+    """Measure a model on a scene's views.
 
-    Takes      a Model and a Scene; `settings` of the renderer; which `split` of the scene
-    Returns    (metrics, rows, images): metrics {psnr_db, psnr_fg_db, ssim, render_fps, anchors, gaussians}, the means
-               over views; one row {name, time, ...} and one image (H, W, 3) a view
-    Raises     ValueError where the scene has no such views
-    Choice     images are clipped to [0, 1]; equal ones have infinite PSNR; the README's Measures defines the rest
+    Returns (metrics, rows, images). metrics are the means over the views, {psnr_db, psnr_fg_db,
+    ssim, render_fps, anchors, gaussians}; there is one row {name, time, ...} and one image
+    (H, W, 3) per view. Raises ValueError where the scene has no such views.
     """
     views = getattr(scene, split)
     if not views:
@@ -71,9 +70,7 @@ def evaluate(model, scene, settings=FAST, split="test"):
         return float(np.mean(values)) if values else None
 
     metrics = {
-        "psnr_db": mean("psnr_db"),
-        "psnr_fg_db": mean("psnr_fg_db"),
-        "ssim": mean("ssim"),
+        **{key: mean(key) for key in ("psnr_db", "psnr_fg_db", "ssim")},
         "render_fps": float(1 / np.median(seconds)),
         "anchors": len(model.anchors.mask),
         "gaussians": int(np.median(counts)),
@@ -82,13 +79,13 @@ def evaluate(model, scene, settings=FAST, split="test"):
 
 
 def explicit_bytes(model, gaussians, floats=FLOATS_PER_GAUSSIAN):
-    """Bytes of the same Gaussians at one time as plain float32, with the deformation network in float32."""
+    """Bytes of the same Gaussians and of the deformation network as plain float32."""
     weights = sum(a.size for arrays in model.networks.get("psi_d", ()) for a in arrays)
     return 4 * (gaussians * floats + weights)
 
 
 def compression(model, data, gaussians):
-    """How large the file `data` of a model is, in all, by component, and beside the same Gaussians uncompressed."""
+    """The size of a model's file: in all, by component, and against uncompressed Gaussians."""
     explicit = explicit_bytes(model, gaussians)
     return {
         "bytes": len(data),
@@ -100,8 +97,6 @@ def compression(model, data, gaussians):
 
 
 def json_safe(metrics):
-    """Infinite decibels become null beside "exact": true; everything else as it is."""
-    infinite = [
-        key for key, value in metrics.items() if isinstance(value, float) and np.isinf(value)
-    ]
+    """The metrics for JSON: where decibels are infinite they are null, and "exact" is true."""
+    infinite = [key for key, a in metrics.items() if isinstance(a, float) and np.isinf(a)]
     return {**metrics, **dict.fromkeys(infinite), "exact": True} if infinite else metrics

@@ -1,4 +1,4 @@
-"""Where a scene spends its bits: every Gaussian in the colour of what its anchor costs in the file."""
+"""Where a scene spends its bits: every Gaussian in a colour for the cost of its anchor."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from ..splatting.settings import FAST
 
 
 def heat_colors(bits, limits, name):
-    """Colours (A, 3) of matplotlib's map `name`; values outside the limits take the colours of its ends."""
+    """Colours (A, 3) of matplotlib's map `name`; values outside the limits take the end colours."""
     from matplotlib import colormaps
 
     low, high = limits
@@ -15,9 +15,11 @@ def heat_colors(bits, limits, name):
 
 
 def heat_image(model, bits, camera, t, limits, name):
-    """The model at time t with colour replaced by cost: bits (A,) -> image (H, W, 3) over white."""
+    """The image (H, W, 3) over white of the model at time t, coloured by the bits (A,) of anchors."""
     g = model.gaussians(t, camera)
     color = heat_colors(bits, limits, name)[g.index // model.design.k]
-    return render.forward(
-        g.x, g.s, g.r, g.alpha, color, camera, np.ones(3), FAST, "occlusion" in model.design.effects
-    )[0].image
+    occlusion = "occlusion" in model.design.effects
+    (image, *_), _ = render.forward(
+        g.x, g.s, g.r, g.alpha, color, camera, np.ones(3), FAST, occlusion
+    )
+    return image

@@ -1,4 +1,4 @@
-"""The main job: a scene is fitted, compressed to a file, decoded from that file alone, rendered, measured, drawn."""
+"""The main job: fit a scene, compress it to a file, decode that file, render, measure, draw."""
 
 import json
 import time
@@ -12,11 +12,12 @@ from .report import write_report
 
 
 def main_job(scene, preset="tiny", seed=0, folder="report", start=None, stream=None, **changes):
-    """Run everything and write the report into `folder`; returns the metrics.
+    """Run everything, write the report into `folder` and return the metrics.
 
-    Takes      as `train`; `start` is the `time.perf_counter()` from which the seconds of the whole count
-    Raises     as `train`; ValueError for a scene without test views; OutputError for an unwritable folder
-    Choice     pictures and metrics are those of the decoded model; `folder` gets everything at the end or nothing
+    Pictures and metrics are those of the decoded model. The folder gets all files at the end, or
+    none. `start` is the `time.perf_counter()` from which the seconds of the whole job count; the
+    other arguments are those of `train`. Raises the errors of `train`, ValueError for a scene
+    without test views, and OutputError for a folder that cannot be written.
     """
     start = time.perf_counter() if start is None else start
     if not scene.test:

@@ -12,7 +12,6 @@ from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.model import Context
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting import fast
-from p4dgs_ref.studies import accuracy
 from p4dgs_ref.studies.accuracy import (
     fits,
     gradients,
@@ -37,7 +36,7 @@ def model(scene):
     return fits.train(scene, fits.reduced(40, anchors=60)).model
 
 
-# --- quantisation ------------------------------------------------------------------------------------------------
+# --- quantisation --------------------------------------------------------------------------------
 def test_fixed_steps_are_exactly_the_base_steps(scene, model):
     Q_0 = np.array(model.design.Q_0)
     assert not np.all(quantise(model).context.q == Q_0)
@@ -57,7 +56,7 @@ def test_wider_steps_need_fewer_bytes(scene, model):
     assert len({size_["network_bytes"] for size_ in sizes}) == 1
 
 
-# --- training ----------------------------------------------------------------------------------------------------
+# --- training ------------------------------------------------------------------------------------
 class Chosen:
     """Stands for a Generator whose draw is given."""
 
@@ -87,22 +86,21 @@ def rate_inputs(A=5):
 
 def test_a_sampled_rate_is_the_whole_rate_on_average():
     inputs = rate_inputs()
-    whole, res = objective.rate_forward(*inputs)
-    wanted = objective.rate_backward(res, 1.5, inputs[-1])
-    outs, bars = [], []
-    for a in range(5):
+    (whole_bits, whole_rate), saved = objective.rate_forward(*inputs)
+    wanted = objective.rate_backward(saved, 1.5, inputs[-1])
+    outputs, gradients = [], []
+    for anchor in range(5):
         rate = training.SampledRate(0.2)
-        rate.rng = Chosen([a])
-        out, res = rate.forward(*inputs)
-        outs.append(out)
-        bars.append(rate.backward(res, 1.5, inputs[-1], objective.rate_backward))
-    assert (
-        np.isclose(np.mean([out.bits for out in outs]), whole.bits) and outs[0].bits != outs[1].bits
-    )
-    assert np.isclose(np.mean([out.L_rate for out in outs]), whole.L_rate)
+        rate.rng = Chosen([anchor])
+        output, saved = rate.forward(*inputs)
+        outputs.append(output)
+        gradients.append(rate.backward(saved, 1.5, inputs[-1], objective.rate_backward))
+    bits, rates = zip(*outputs)
+    assert np.isclose(np.mean(bits), whole_bits) and bits[0] != bits[1]
+    assert np.isclose(np.mean(rates), whole_rate)
     for i in range(4):
-        assert np.allclose(np.mean([bar[i] for bar in bars], axis=0), wanted[i]), i
-    assert np.allclose(np.mean([bar[4] for bar in bars], axis=0), wanted[4])
+        assert np.allclose(np.mean([g[i] for g in gradients], axis=0), wanted[i]), i
+    assert np.allclose(np.mean([g[4] for g in gradients], axis=0), wanted[4])
 
 
 def test_rating_a_share_counts_that_share_and_leaves_the_objective_alone(scene):
@@ -133,7 +131,7 @@ def test_a_reduced_preset_keeps_the_shares_of_the_stages():
     assert short.stage_ends == (20, 30, 180, 380) and short.anchors == 17 and short.decay_from == 30
 
 
-# --- hash grid ---------------------------------------------------------------------------------------------------
+# --- hash grid -----------------------------------------------------------------------------------
 def test_a_context_learns_to_save_bits(model):
     held = quantisation.fixed(model)
     q = quantise(held)
@@ -158,7 +156,7 @@ def test_the_prior_without_context_is_the_moments_of_what_is_coded():
     )
 
 
-# --- gradients ---------------------------------------------------------------------------------------------------
+# --- gradients -----------------------------------------------------------------------------------
 @pytest.fixture(scope="module")
 def curves():
     return gradients.sweep("compositing", True)
@@ -211,7 +209,7 @@ def test_the_tolerance_drawn_is_the_one_the_suite_grants():
     assert f"allowed = {gradients.TOLERANCE:.0e} ".replace("e-07", "e-7") in text
 
 
-# --- cost against size -------------------------------------------------------------------------------------------
+# --- cost against size ---------------------------------------------------------------------------
 def test_fitted_growth_and_its_hours():
     law = {
         "loss": (1e-4, 0.0, 1.0),
@@ -277,7 +275,7 @@ def test_parts_are_gauged_counted_and_left_as_they_were():
     assert fast.forward is rows_before[fast, "forward"]
 
 
-# --- the page ----------------------------------------------------------------------------------------------------
+# --- the page ------------------------------------------------------------------------------------
 def check_page(folder, result):
     page = (folder / report.PAGE).read_text(encoding="utf-8")
     for name in ("CPU", "cores", "NumPy", "SciPy", "BLAS threads"):
@@ -305,25 +303,25 @@ def check_page(folder, result):
 
 def test_chosen_studies_make_a_page(tmp_path):
     said = []
-    result = accuracy.run(["gradients", "coder"], tmp_path, True, said.append)
+    result = report.run(["gradients", "coder"], tmp_path, True, said.append)
     assert [study["name"] for study in result["studies"]] == ["coder", "gradients"]
     check_page(tmp_path, result)
     assert any("coder" in line for line in said) and "quick" in (tmp_path / report.PAGE).read_text()
-    assert accuracy.describe(result, tmp_path).endswith("s in all")
+    assert report.describe(result, tmp_path).endswith("s in all")
 
 
 def test_an_unknown_study_is_refused_before_any_work(tmp_path):
     with pytest.raises(
         ValueError, match="study 'colour': expected one of rendering, likelihood, coder"
     ):
-        accuracy.run(["rendering", "colour"], tmp_path)
+        report.run(["rendering", "colour"], tmp_path)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow
 def test_all_studies_quickly(tmp_path):
-    result = accuracy.run(None, tmp_path, True)
-    assert [study["name"] for study in result["studies"]] == list(accuracy.STUDIES) and len(
-        accuracy.STUDIES
+    result = report.run(None, tmp_path, True)
+    assert [study["name"] for study in result["studies"]] == list(report.STUDIES) and len(
+        report.STUDIES
     ) == 8
     check_page(tmp_path, result)

@@ -1,4 +1,4 @@
-"""Short trainings for the studies: `tiny` with its stages shrunk, its work counted, its file written and judged."""
+"""Short trainings for the studies: `tiny` with shorter stages, with its work counted."""
 
 import time
 from typing import NamedTuple
@@ -12,6 +12,9 @@ from ...training.presets import TINY
 from ...training.trainer import Trainer
 from ..evaluate import evaluate
 
+ATTRIBUTES = ("features", "scales", "offset_scales", "offsets")  # sections of the file
+TEST_VIEWS = "the test views of `bouncing`, rendered from the decoded file"
+
 
 class Fit(NamedTuple):
     model: object
@@ -20,32 +23,28 @@ class Fit(NamedTuple):
 
 
 def reduced(iterations, **changes):
-    """`tiny` for that many iterations: all that is counted in iterations shrinks by the same share."""
+    """`tiny` for that many iterations: everything counted in iterations shrinks alike."""
     share = iterations / TINY.iterations
     ends = tuple(round(share * end) for end in TINY.stage_ends[:3])
-    return TINY._replace(
-        **{
-            **dict(
-                stage_ends=(*ends, iterations),
-                decay_from=ends[1],
-                mask_from=ends[2],
-                grow_from=round(share * TINY.grow_from),
-                grow_every=max(20, round(share * TINY.grow_every)),
-                grow_until=round(share * TINY.grow_until),
-            ),
-            **changes,
-        }
+    shorter = dict(
+        stage_ends=(*ends, iterations),
+        decay_from=ends[1],
+        mask_from=ends[2],
+        grow_from=round(share * TINY.grow_from),
+        grow_every=max(20, round(share * TINY.grow_every)),
+        grow_until=round(share * TINY.grow_until),
     )
+    return TINY._replace(**{**shorter, **changes})
 
 
 def multiply_adds(design, names, rows):
-    """Of the products of some networks for that many rows, forward and both products of the backward."""
+    """Multiply-adds of some networks for that many rows, forward and both products backward."""
     layers = design.layers()
     return 3 * rows * sum(I * J for name in names if name in layers for I, J in layers[name])
 
 
 def train(scene, preset, seed=0, prepare=None, rated_share=1.0):
-    """Train without pictures or checkpoints; `prepare(trainer)` may change it before the first step."""
+    """Train without pictures or checkpoints; `prepare(trainer)` may change it before it starts."""
     trainer, work = Trainer(scene, preset, seed), dict(multiply_adds=0, rated_symbols=0)
     if prepare:
         prepare(trainer)
@@ -59,33 +58,30 @@ def train(scene, preset, seed=0, prepare=None, rated_share=1.0):
             work["multiply_adds"] += multiply_adds(design, CONTEXT_NETWORKS, A)
             work["rated_symbols"] += sampled(A, rated_share) * sum(design.widths)
 
-    start = time.process_time()  # a training runs once: other programs must not count
-    with np.errstate(all="ignore"):  # an overflow is looked for and named by the trainer itself
+    start = time.process_time()  # a training runs once, so other programs must not count
+    with np.errstate(all="ignore"):  # the trainer itself looks for overflows
         model = trainer.run(count)
     return Fit(model, time.process_time() - start, work)
 
 
 def sampled(A, share):
-    """How many of A anchors a share of them is: one at least."""
+    """How many of A anchors a share of them is: at least one."""
     return max(1, round(share * A))
 
 
 def judge(model, scene):
-    """A model's file, decoded again, on the test views: bytes, bytes by kind, decibels."""
+    """The model's file, decoded again, on the test views: bytes, bytes by kind, decibels."""
     start = time.perf_counter()
     data = encode(model)
     seconds = time.perf_counter() - start
     metrics, sizes = evaluate(decode(data), scene)[0], components(data)
+    networks = [size for name, size in sizes.items() if name.endswith(("mlp", "mlps"))]
     return {
         "psnr_db": metrics["psnr_db"],
         "bytes": len(data),
-        "attribute_bytes": sum(
-            sizes[name] for name in ("features", "scales", "offset_scales", "offsets")
-        ),
+        "attribute_bytes": sum(sizes[name] for name in ATTRIBUTES),
         "grid_bytes": sizes["hash_grid"],
-        "network_bytes": sum(
-            size for name, size in sizes.items() if name.endswith(("mlp", "mlps"))
-        ),
+        "network_bytes": sum(networks),
         "anchors": metrics["anchors"],
         "encode_ms": 1e3 * seconds,
     }

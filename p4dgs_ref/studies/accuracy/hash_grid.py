@@ -1,8 +1,8 @@
-"""Study 6, hash grid: levels and table size against the bits that the context saves, its side information and time.
+"""Study 6, hash grid: levels and table size against the bytes that the context saves.
 
-A model is trained once and its attributes are held; for every grid a new context (grid, psi_p) learns to predict
-them at fixed steps Q_0, and the file is written.  What the context saves is measured in bytes of that file against
-one mean and one deviation per channel, coded by the same coder.
+One model is trained and its attributes are kept. For every grid, a new context (grid and psi_p)
+learns to predict them at fixed steps Q_0, and the file is written. The bytes that the context saves
+are measured in this file, against one mean and one deviation per channel with the same coder.
 """
 
 from dataclasses import replace
@@ -18,21 +18,17 @@ from ...model import context, context_backward, join
 from ...scenes import load_scene
 from ...training.adam import Adam
 from ...training.parameters import Parameters, random_layers
-from .diagram import Axes, Finding, figure, finish, legend, lines, table
-from .fits import multiply_adds, reduced, train
+from .diagram import Axes, Finding, figure, finish, legend, lines, table, work_precision
+from .fits import ATTRIBUTES, multiply_adds, reduced, train
 from .quantisation import fixed
 from .timing import alternate
 
-ATTRIBUTES = ("features", "scales", "offset_scales", "offsets")
+PLANES = ("xy", "xz", "yz")
 LEVELS = {
     1: (("xyz", 8),),
     2: (("xyz", 4), ("xyz", 8)),
-    4: (("xyz", 8), ("xy", 16), ("xz", 16), ("yz", 16)),
-    8: (
-        ("xyz", 8),
-        ("xyz", 16),
-        *((plane, res) for res in (16, 32) for plane in ("xy", "xz", "yz")),
-    ),
+    4: (("xyz", 8), *((plane, 16) for plane in PLANES)),
+    8: (("xyz", 8), ("xyz", 16), *((plane, res) for res in (16, 32) for plane in PLANES)),
 }
 LEARNING_RATE = 0.01
 LEAST_DEVIATION = 0.05  # of a channel, in steps: a constant channel still has a finite prior
@@ -43,56 +39,56 @@ class ContextFit:
 
     def __init__(self, model, q, levels, table_size, seed=0):
         self.design = model.design._replace(grid=levels, table=(table_size, table_size))
-        self.values, self.steps = (
-            join(q.model.anchors),
-            np.repeat(q.context.q, model.design.widths, axis=1),
-        )
-        self.kept = q.kept
+        self.values, self.kept = join(q.model.anchors), q.kept
+        self.steps = np.repeat(q.context.q, model.design.widths, axis=1)
         rng, shapes = np.random.default_rng(seed), self.design.layers()
         arrays = random_layers(rng, "psi_p", shapes["psi_p"])
-        mu, raw = layout(self.design.widths)
-        last = f"psi_p.b{len(self.design.context)}"
-        arrays[last][mu], arrays[last][raw] = channel_moments(self.values, self.kept, self.steps)
-        arrays.update(
-            {
-                f"grid.{i}": rng.uniform(-1e-4, 1e-4, shape)
-                for i, shape in enumerate(self.design.levels())
-            }
+        set_prior(
+            arrays[f"psi_p.b{len(self.design.context)}"],
+            self.design,
+            channel_moments(self.values, self.kept, self.steps),
         )
+        for i, shape in enumerate(self.design.levels()):
+            arrays[f"grid.{i}"] = rng.uniform(-1e-4, 1e-4, shape)
         self.p = Parameters(arrays, float)
         self.adam = Adam(self.p)
-        # psi_q is not asked for steps here: the symbols are given, and its layers give Q_0
-        self.networks = {
-            "psi_p": self.p.network("psi_p"),
-            "psi_q": tuple(
-                [np.zeros(shape if kind == "W" else shape[1]) for shape in shapes["psi_q"]]
-                for kind in "Wb"
-            ),
-        }
+        # psi_q is zero and gives Q_0: the symbols are given, so no steps are needed.
+        self.networks = {"psi_p": self.p.network("psi_p"), "psi_q": zeros_of(shapes["psi_q"])}
         box = [corner.astype(float) for corner in model.box]
-        self.located = hash_grid.locate(
-            q.model.anchors.x_a, *box, levels, [T for T, _ in self.design.levels()]
-        )
+        tables = [T for T, _ in self.design.levels()]
+        self.located = hash_grid.locate(q.model.anchors.x_a, *box, levels, tables)
 
     def step(self):
-        """One iteration on the bits of all kept symbols and of the grid; returns both."""
-        grids = self.p.listed("grid")
-        ctx, res = context(self.design, self.networks, grids, self.located)
-        out, res_bits = likelihood.forward(self.values, ctx.mu, ctx.sigma, self.steps)
-        rate, res_grid = hash_rate.forward(grids)
-        bars = likelihood.backward(res_bits, self.kept / self.kept.sum())
-        grids_bar, networks = context_backward(res, np.zeros_like(ctx.q), bars["mu"], bars["sigma"])
+        """One iteration; returns the bits of all kept symbols and of the grid."""
+        grids, count = self.p.listed("grid"), self.kept.sum()
+        ctx, saved = context(self.design, self.networks, grids, self.located)
+        bits, saved_bits = likelihood.forward(self.values, ctx.mu, ctx.sigma, self.steps)
+        (R_hash, _, _), saved_rate = hash_rate.forward(grids)
+        bars = likelihood.backward(saved_bits, self.kept / count)
+        q_bar = np.zeros_like(ctx.q)
+        grids_bar, networks = context_backward(saved, q_bar, bars["mu"], bars["sigma"])
+        rate_bar = hash_rate.backward(saved_rate, np.float64(1 / count))["grids"]
         gradients = self.p.zeros()
         gradients.fill("psi_p", networks["psi_p"])
-        sides = hash_rate.backward(res_grid, np.float64(1 / self.kept.sum()))["grids"]
-        for i, (a, b) in enumerate(zip(grids_bar, sides)):
-            gradients[f"grid.{i}"][...] = a + b
+        for i, (through_context, through_rate) in enumerate(zip(grids_bar, rate_bar)):
+            gradients[f"grid.{i}"][...] = through_context + through_rate
         self.adam.step(self.p, gradients, lambda name: LEARNING_RATE)
-        return float(out.bits[self.kept].sum()), float(rate.R_hash)
+        return float(bits[self.kept].sum()), float(R_hash)
+
+
+def zeros_of(shapes):
+    """The weights and biases of a network, all zero."""
+    return [np.zeros(shape) for shape in shapes], [np.zeros(shape[1]) for shape in shapes]
+
+
+def set_prior(last_bias, design, moments):
+    """Make psi_p's last bias predict these means and log deviations."""
+    mu, raw = layout(design.widths)
+    last_bias[mu], last_bias[raw] = moments
 
 
 def channel_moments(values, kept, steps):
-    """Mean and log deviation of every channel over what is coded: the prior that has no context (n,), (n,)."""
+    """Mean and log deviation of every channel over the coded values: the prior without context."""
     count = np.maximum(kept.sum(axis=0), 1)
     mu = np.where(kept, values, 0).sum(axis=0) / count
     var = (np.where(kept, values - mu, 0) ** 2).sum(axis=0) / count
@@ -101,9 +97,8 @@ def channel_moments(values, kept, steps):
 
 def written(model, design, networks, grids):
     """Bytes of a file with another context: attributes, grid, psi_p and psi_q together."""
-    sizes = components(
-        encode(replace(model, design=design, networks={**model.networks, **networks}, grids=grids))
-    )
+    changed = replace(model, design=design, networks={**model.networks, **networks}, grids=grids)
+    sizes = components(encode(changed))
     return {
         "attribute_bytes": sum(sizes[name] for name in ATTRIBUTES),
         "grid_bytes": sizes["hash_grid"],
@@ -112,24 +107,20 @@ def written(model, design, networks, grids):
 
 
 def without_context(model, q):
-    """The file under one Gaussian a channel: psi_p's weights are zero, so that its last bias is all it says."""
+    """The file with one Gaussian per channel: psi_p has zero weights, only its last bias counts."""
     design = model.design
-    mu, raw = layout(design.widths)
-    shapes = design.layers()["psi_p"]
-    weights, biases = (
-        [np.zeros(shape) for shape in shapes],
-        [np.zeros(shape[1]) for shape in shapes],
-    )
+    weights, biases = zeros_of(design.layers()["psi_p"])
     steps = np.repeat(q.context.q, design.widths, axis=1)
-    biases[-1][mu], biases[-1][raw] = channel_moments(join(q.model.anchors), q.kept, steps)
+    set_prior(biases[-1], design, channel_moments(join(q.model.anchors), q.kept, steps))
     return written(model, design, {"psi_p": (weights, biases)}, model.grids)
 
 
 def measure(quick, progress):
-    iterations, fits = (120, 40) if quick else (950, 400)
+    """Rows of every grid, the file without context, and how often times were repeated."""
+    iterations, steps = (120, 40) if quick else (950, 400)
     levels = {n: LEVELS[n] for n in ((1, 4) if quick else LEVELS)}
     sizes = (64, 512) if quick else (32, 128, 512, 2048)
-    progress("hash grid: the model whose attributes are held")
+    progress("hash grid: the model whose attributes are kept")
     model = fixed(train(load_scene("bouncing"), reduced(iterations)).model)
     q = quantise(model)
     alone, rows, runs = without_context(model, q), [], {}
@@ -137,22 +128,17 @@ def measure(quick, progress):
         for size in sizes:
             progress(f"hash grid: {count} levels, {size} entries")
             fit = ContextFit(model, q, grid, size)
-            for _ in range(fits):
+            for _ in range(steps):
                 fit.step()
-            sizes_of = written(
-                model,
-                fit.design,
-                {name: fit.networks[name] for name in ("psi_p", "psi_q")},
-                fit.p.listed("grid"),
-            )
+            in_file = written(model, fit.design, fit.networks, fit.p.listed("grid"))
             rows.append(
                 {
                     "method": f"{count} level{'s' * (count > 1)}",
                     "knob": size,
                     "levels": count,
                     "entries": sum(T * F for T, F in fit.design.levels()),
-                    **sizes_of,
-                    "saved_bytes": alone["attribute_bytes"] - sizes_of["attribute_bytes"],
+                    **in_file,
+                    "saved_bytes": alone["attribute_bytes"] - in_file["attribute_bytes"],
                     "multiply_adds": multiply_adds(fit.design, ("psi_p",), len(fit.values)),
                     "reads": fit.located.nnz,
                     "symbols": int(fit.kept.sum()),
@@ -166,34 +152,31 @@ def measure(quick, progress):
 
 def run(folder, quick, progress):
     rows, alone, repeats = measure(quick, progress)
-    files = [table(folder, "hash_grid", rows)]
+    reference = "one Gaussian per channel, the same symbols and coder"
     title = (
         f"bytes saved of {alone['attribute_bytes']:,}, entries of a level's table labelled\n"
-        "reference: one Gaussian a channel, same symbols, same coder"
+        f"reference: {reference}"
     )
-    for name, x, label, scale in (
-        ("hash_grid", "grid_bytes", "hash grid in the file (bytes)", "log"),
-        ("hash_grid_time", "ms", "one iteration of the context (ms)", "log"),
-    ):
-        fig, (ax,) = figure()
-        lines(
-            ax, rows, Axes(x, "saved_bytes", label, "bytes that the context saves", scale, "linear")
-        )
-        if x == "grid_bytes":
-            bound = np.geomspace(min(row[x] for row in rows), max(row[x] for row in rows), 50)
-            ax.plot(bound, bound, ":", color="gray", label="pays for the grid")
-        legend(ax)
-        finish(fig, folder / f"{name}.png", title)
-    figures = [
-        ("hash_grid.png", "Bytes saved against the grid's own bytes."),
-        ("hash_grid_time.png", "Bytes saved against time."),
-    ]
+    axes = Axes("grid_bytes", "saved_bytes", "hash grid in the file (bytes)", "", y_scale="linear")
+    axes = axes._replace(y_label="bytes that the context saves")
+    fig, (ax,) = figure()
+    lines(ax, rows, axes)
+    sizes = [row["grid_bytes"] for row in rows]
+    bound = np.geomspace(min(sizes), max(sizes), 50)
+    ax.plot(bound, bound, ":", color="gray", label="pays for the grid")
+    legend(ax)
+    finish(fig, folder / "hash_grid.png", title)
+    over_time = axes._replace(x="ms", x_label="one iteration of the context (ms)")
+    work_precision(folder / "hash_grid_time.png", rows, over_time, title)
     return Finding(
         "hash_grid",
         "Hash grid",
-        "one mean and deviation a channel, the same symbols and coder",
-        figures,
-        files,
+        reference,
+        [
+            ("hash_grid.png", "Bytes saved against the grid's own bytes."),
+            ("hash_grid_time.png", "Bytes saved against time."),
+        ],
+        [table(folder, "hash_grid", rows)],
         read(rows, alone),
         f"median of {repeats} alternating repeats of one iteration of the context",
     )
@@ -203,15 +186,16 @@ def read(rows, alone):
     """What the numbers say."""
     net = [(row["saved_bytes"] - row["grid_bytes"], row) for row in rows]
     gain, best = max(net, key=lambda pair: pair[0])
-    most = max(rows, key=lambda row: row["saved_bytes"])
     loss, worst = min(net, key=lambda pair: pair[0])
+    most = max(rows, key=lambda row: row["saved_bytes"])
     quick, slow = (choose(rows, key=lambda row: row["ms"]) for choose in (min, max))
     return (
-        f"One Gaussian a channel needs {alone['attribute_bytes']:,} bytes for {rows[0]['symbols']:,} symbols. The "
-        f"context that saves most, {most['method']} of {most['knob']} entries, saves {most['saved_bytes']:,} bytes "
-        f"and its grid takes {most['grid_bytes']:,}. After the grid is paid for, {best['method']} of {best['knob']} "
-        f"entries is best with {gain:+,} bytes and {worst['method']} of {worst['knob']} entries worst with {loss:+,}; "
-        f"the context MLPs' {best['mlp_bytes']:,} bytes come on top. An iteration takes {quick['ms']:.3g} ms with "
-        f"{quick['method']} and {quick['reads']:,} reads of the grid, {slow['ms']:.3g} ms with {slow['method']} and "
-        f"{slow['reads']:,}."
+        f"One Gaussian per channel needs {alone['attribute_bytes']:,} bytes for "
+        f"{rows[0]['symbols']:,} symbols. The context that saves most, {most['method']} of "
+        f"{most['knob']} entries, saves {most['saved_bytes']:,} bytes, and its grid takes "
+        f"{most['grid_bytes']:,}. Less the grid, {best['method']} of {best['knob']} entries is the "
+        f"best with {gain:+,} bytes and {worst['method']} of {worst['knob']} entries the worst "
+        f"with {loss:+,}; the context MLPs take another {best['mlp_bytes']:,} bytes. An iteration "
+        f"takes {quick['ms']:.3g} ms with {quick['method']} and {quick['reads']:,} reads of the "
+        f"grid, {slow['ms']:.3g} ms with {slow['method']} and {slow['reads']:,}."
     )

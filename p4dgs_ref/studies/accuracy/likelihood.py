@@ -249,9 +249,9 @@ def read(rows, maps):
     return (
         f"For values within {near} σ, `stable` takes {stable['ns']:.3g} ns per value, "
         f"{stable['ns'] / literal['ns']:.2g} times as long as the literal formula with "
-        f"{literal['ns']:.3g} ns, and computes {stable['special_per_value']:.3g} special functions "
-        f"per value instead of {literal['special_per_value']:.3g}. Over the whole plane the literal "
-        f"formula is not finite {shares('literal')}; HAC's floor is not finite "
+        f"{literal['ns']:.3g} ns, and computes {stable['special_per_value']:.3g} special "
+        f"functions per value instead of {literal['special_per_value']:.3g}. Over the whole plane "
+        f"the literal formula is not finite {shares('literal')}; HAC's floor is not finite "
         f"{shares('HAC, floor 1e-6')}; the tail-symmetric formula {shares('tail-symmetric')}; the "
         f"log domain {shares('log domain')}. The largest error of `stable` over the plane is "
         f"{number(bits.max())} in the bits and {number(gradient.max())} in the gradient; with "

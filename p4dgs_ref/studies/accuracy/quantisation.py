@@ -5,38 +5,34 @@ from dataclasses import replace
 import numpy as np
 
 from ...scenes import load_scene
-from .diagram import Axes, Finding, at, figure, finish, legend, lines, table
-from .fits import judge, reduced, train
+from .diagram import Axes, Finding, at, select, table, work_precision
+from .fits import TEST_VIEWS, judge, reduced, train
 
 STEPS = ("Q_f", "Q_s", "Q_l", "Q_O")
 
 
-def without_adaptation(arrays):
-    """Make psi_q's last layer zero in place, so that every step is Q_0 (Eq. 8 with psi_q = 0)."""
-    for array in arrays:
-        array[...] = 0
-
-
 def fix_steps(trainer):
-    """Before training: psi_q gives zero; with its learning rate at 0 it stays so."""
+    """Before training: make the last layer of psi_q zero, so that every step is Q_0 (Eq. 8).
+
+    With a learning rate of 0 it stays zero.
+    """
     weights, biases = trainer.networks["psi_q"]
-    without_adaptation((weights[-1], biases[-1]))
+    weights[-1][...] = 0
+    biases[-1][...] = 0
 
 
 def fixed(model):
     """A trained model with every step at Q_0."""
     weights, biases = model.networks["psi_q"]
-    last = [np.zeros_like(weights[-1])], [np.zeros_like(biases[-1])]
-    return replace(
-        model, networks={**model.networks, "psi_q": (weights[:-1] + last[0], biases[:-1] + last[1])}
-    )
+    weights = [*weights[:-1], np.zeros_like(weights[-1])]
+    biases = [*biases[:-1], np.zeros_like(biases[-1])]
+    return replace(model, networks={**model.networks, "psi_q": (weights, biases)})
 
 
 def scaled(model, scale):
-    """A trained model with Q_0 another one: networks, grid and attributes as they were trained."""
-    return replace(
-        model, design=model.design._replace(Q_0=tuple(scale * Q for Q in model.design.Q_0))
-    )
+    """A trained model with another Q_0; everything else stays as it was trained."""
+    Q_0 = tuple(scale * Q for Q in model.design.Q_0)
+    return replace(model, design=model.design._replace(Q_0=Q_0))
 
 
 def preset_at(scale, adaptive, iterations):
@@ -46,106 +42,80 @@ def preset_at(scale, adaptive, iterations):
 
 
 def measure(iterations, trained_scales, scales, progress):
-    """Rows of models trained at each scale, and of those trained at 1 that were only rounded to other steps."""
+    """Rows of models trained at each scale, and of models trained at 1 and rounded otherwise."""
     scene, rows = load_scene("bouncing"), []
+
+    def add(method, scale, fit, model):
+        work = {"train_seconds": fit.seconds, **fit.work}
+        rows.append({"method": method, "knob": scale, **judge(model, scene), **work})
+
     for adaptive in (True, False):
         kind = "adaptive" if adaptive else "fixed"
         for scale in trained_scales:
             progress(f"quantisation: {kind} steps, trained at {scale:g} Q_0")
-            fit = train(
-                scene,
-                preset_at(scale, adaptive, iterations),
-                prepare=None if adaptive else fix_steps,
-            )
-            rows.append(row_of(f"{kind}, trained with it", scale, fit, judge(fit.model, scene)))
-            if scale == 1:
-                rows += [
-                    row_of(
-                        f"{kind}, rounded to it later",
-                        other,
-                        fit,
-                        judge(scaled(fit.model, other), scene),
-                    )
-                    for other in scales
-                ]
-                if adaptive:
-                    rows += [
-                        row_of(
-                            "trained adaptive, made fixed",
-                            other,
-                            fit,
-                            judge(fixed(scaled(fit.model, other)), scene),
-                        )
-                        for other in scales
-                    ]
+            preset = preset_at(scale, adaptive, iterations)
+            fit = train(scene, preset, prepare=None if adaptive else fix_steps)
+            add(f"{kind}, trained with it", scale, fit, fit.model)
+            if scale != 1:
+                continue
+            for other in scales:
+                add(f"{kind}, rounded to it later", other, fit, scaled(fit.model, other))
+            if adaptive:
+                for other in scales:
+                    model = fixed(scaled(fit.model, other))
+                    add("trained adaptive, made fixed", other, fit, model)
     return rows
-
-
-def row_of(method, scale, fit, judged):
-    return {"method": method, "knob": scale, **judged, "train_seconds": fit.seconds, **fit.work}
 
 
 def run(folder, quick, progress):
     iterations = 120 if quick else 950
     trained = (1.0, 4.0) if quick else (0.25, 0.5, 1.0, 2.0, 4.0)
     rows = measure(iterations, trained, (0.25, 0.5, 1.0, 2.0, 4.0, 8.0), progress)
-    files = [table(folder, "quantisation", rows)]
     shown = [
         {**row, "knob": f"{row['knob']:g}", "coded": row["attribute_bytes"] + row["grid_bytes"]}
         for row in rows
     ]
-    fig, (ax,) = figure()
-    lines(
-        ax,
+    work_precision(
+        folder / "quantisation.png",
         shown,
         Axes(
             "coded",
             "psnr_db",
             "coded attributes and hash grid (bytes)",
             "PSNR of the test views (dB)",
-            "log",
-            "linear",
+            y_scale="linear",
         ),
+        f"steps in multiples of `tiny`'s Q_0 (labelled), `bouncing`, {iterations} iterations\n"
+        f"the networks' {rows[0]['network_bytes']:,} bytes are the same in all",
     )
-    legend(ax)
-    finish(
-        fig,
-        folder / "quantisation.png",
-        f"steps in multiples of `tiny`'s Q_0 (labelled), `bouncing`, {iterations} "
-        f"iterations\nreference: the test views; the networks' {rows[0]['network_bytes']:,} bytes are the same in all",
-    )
-    reading = read(rows, iterations)
     return Finding(
         "quantisation",
         "Quantisation",
-        "the test views of `bouncing`, from the decoded file",
-        [("quantisation.png", "PSNR against the bytes that steps change, steps labelled.")],
-        files,
-        reading,
-        f"one training of {iterations} iterations a point of `trained with it`; the others round such a model again",
+        TEST_VIEWS,
+        [("quantisation.png", "PSNR against the bytes that the steps change, steps labelled.")],
+        [table(folder, "quantisation", rows)],
+        read(rows, iterations),
+        f"one training of {iterations} iterations per point of `trained with it`; the others round "
+        "such a model again",
     )
 
 
 def read(rows, iterations):
     """What the numbers say."""
-    own, fixed_, later, drop = (
-        sorted((row for row in rows if row["method"] == method), key=lambda row: row["knob"])
-        for method in (
-            "adaptive, trained with it",
-            "fixed, trained with it",
-            "adaptive, rounded to it later",
-            "trained adaptive, made fixed",
-        )
-    )
-    one, flat, coarse = at(own, knob=1), at(fixed_, knob=1), own[-1]
-    rounded, forced = at(later, knob=coarse["knob"]), at(drop, knob=1)
+    own = sorted(select(rows, method="adaptive, trained with it"), key=lambda row: row["knob"])
+    one, coarse = at(own, knob=1), own[-1]
+    flat = at(rows, method="fixed, trained with it", knob=1)
+    rounded = at(rows, method="adaptive, rounded to it later", knob=coarse["knob"])
+    forced = at(rows, method="trained adaptive, made fixed", knob=1)
     return (
-        f"Trained for {iterations} iterations at Q_0, adaptive steps end at {one['psnr_db']:.2f} dB and "
-        f"{one['bytes']:,} bytes, fixed ones at {flat['psnr_db']:.2f} dB and {flat['bytes']:,} bytes. From "
-        f"{own[0]['knob']:g} to {coarse['knob']:g} Q_0 the adaptive files go from {own[0]['bytes']:,} to "
-        f"{coarse['bytes']:,} bytes and PSNR changes by {coarse['psnr_db'] - own[0]['psnr_db']:+.2f} dB. A model "
-        f"trained at 1 and only rounded to {coarse['knob']:g} Q_0 has {rounded['psnr_db']:.2f} dB where one trained "
-        f"at {coarse['knob']:g} has {coarse['psnr_db']:.2f} dB ({coarse['psnr_db'] - rounded['psnr_db']:+.2f} dB for "
-        "training with the final noise). Taking the adaptation away from the trained model moves it by "
-        f"{forced['psnr_db'] - one['psnr_db']:+.2f} dB and {forced['bytes'] - one['bytes']:+,} bytes."
+        f"Trained for {iterations} iterations at Q_0, adaptive steps end at {one['psnr_db']:.2f} "
+        f"dB and {one['bytes']:,} bytes, fixed ones at {flat['psnr_db']:.2f} dB and "
+        f"{flat['bytes']:,} bytes. From {own[0]['knob']:g} to {coarse['knob']:g} Q_0 the files "
+        f"with adaptive steps go from {own[0]['bytes']:,} to {coarse['bytes']:,} bytes, and PSNR "
+        f"changes by {coarse['psnr_db'] - own[0]['psnr_db']:+.2f} dB. A model trained at 1 and "
+        f"only rounded to {coarse['knob']:g} Q_0 has {rounded['psnr_db']:.2f} dB, a model trained "
+        f"at {coarse['knob']:g} has {coarse['psnr_db']:.2f} dB: training with the final noise "
+        f"changes it by {coarse['psnr_db'] - rounded['psnr_db']:+.2f} dB. Fixing the steps of the "
+        f"trained adaptive model changes it by {forced['psnr_db'] - one['psnr_db']:+.2f} dB and "
+        f"{forced['bytes'] - one['bytes']:+,} bytes."
     )

@@ -1,11 +1,11 @@
-"""Study 8, cost against size: time and memory of every part of a step over anchors, pixels and frames, and what follows.
+"""Study 8, cost against size: time and memory of every part of a step over anchors and pixels.
 
-The paper's architecture (its `paper_synthetic` preset) with fewer anchors, at the start of stage 4.
+The architecture is the paper's (its preset `paper_synthetic`) with fewer anchors, at the start of
+stage 4. Fitted powers carry the costs on to the paper's size.
 """
 
 import time
 import tracemalloc
-from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
@@ -15,22 +15,23 @@ from ...scenes.scene import Scene
 from ...splatting import fast
 from ...training.presets import PAPER_SYNTHETIC
 from ...training.trainer import Trainer
-from ..bench import PARTS, memory_of
-from .diagram import Axes, Finding, figure, finish, lines, table
+from ..bench import PARTS, memory_of, watched_parts
+from .diagram import Axes, Finding, figure, finish, legend_below, lines, select, table
 from .fits import multiply_adds
+from .rendering import evaluated_pairs
 from .timing import alternate, exponents, replaced
 
-GOAL = dict(anchors=21_000, side=800)  # the paper's synthetic scenes
+GOAL_ANCHORS, GOAL_SIDE = 21_000, 800  # the paper's synthetic scenes
 SMALL = 32  # pixels along a side of the scene that others are blown up from
-LIVE = 4  # children of an anchor that are rendered: the paper speaks of three to four of its ten
-STAGE_OF = {"deformation": 3, "rate": 4}  # parts that begin in a later stage
+LIVE = 4  # rendered children of an anchor: the paper speaks of three to four of its ten
+FIRST_STAGE = {"deformation": 3, "rate": 4}  # of the parts that begin late
 
 
 def blown_up(scene, factor, frames=None):
-    """The scene with every pixel repeated factor x factor times, the cameras to match, and some of its views."""
-
-    def view(v):
-        c = v.camera
+    """The scene with every pixel repeated factor x factor times; only the first `frames` views."""
+    views = []
+    for view in scene.train[:frames]:
+        c = view.camera
         camera = replace(
             c,
             f_x=factor * c.f_x,
@@ -40,37 +41,29 @@ def blown_up(scene, factor, frames=None):
             width=factor * c.width,
             height=factor * c.height,
         )
-        return replace(
-            v, image=v.image.repeat(factor, 0).repeat(factor, 1), alpha=None, camera=camera
-        )
-
-    return Scene(
-        scene.name,
-        [view(v) for v in scene.train[:frames]],
-        effects=scene.effects,
-        background=scene.background,
-    )
+        image = view.image.repeat(factor, 0).repeat(factor, 1)
+        views.append(replace(view, image=image, alpha=None, camera=camera))
+    return Scene(scene.name, views, effects=scene.effects, background=scene.background)
 
 
 def at_stage_4(scene, anchors):
-    """A trainer that has just taken its first step of stage 4, LIVE children an anchor with opacities from 0.1 to 0.9.
+    """A trainer after its first step of stage 4, LIVE children per anchor, opacities 0.1 to 0.9.
 
-    Untrained networks would give every anchor the same opacities, of random signs: Gaussians would come and go by chance.
+    Untrained networks would give all anchors the same opacities of random signs, so that the number
+    of Gaussians would be a matter of chance.
     """
     trainer = Trainer(scene, PAPER_SYNTHETIC._replace(anchors=anchors))
     trainer.mask[:, LIVE:] = False
     weights, biases = trainer.networks["psi_alpha"]
-    weights[-1][...], biases[-1][...] = (
-        0,
-        np.arctanh(np.resize(np.linspace(0.1, 0.9, LIVE), trainer.design.k)),
-    )
+    opacities = np.resize(np.linspace(0.1, 0.9, LIVE), trainer.design.k)
+    weights[-1][...], biases[-1][...] = 0, np.arctanh(opacities)
     trainer.iteration = trainer.preset.stage_ends[2]
     trainer.step()
     return trainer
 
 
 class Clock:
-    """Milliseconds a part takes in all its calls of one step."""
+    """Milliseconds that a part takes in all its calls of one step."""
 
     begin = staticmethod(time.perf_counter)
 
@@ -93,10 +86,10 @@ class Scale:
 
 
 def part_by_part(trainer, gauge):
-    """One step, every function of every part wrapped by a gauge: {part: value}."""
+    """One step with every function of every part wrapped by a gauge: {part: value}."""
     values = dict.fromkeys(PARTS, 0.0)
 
-    def watched(part, function):
+    def gauged(part, function):
         def run(*args, **kwargs):
             start = gauge.begin()
             result = function(*args, **kwargs)
@@ -105,10 +98,7 @@ def part_by_part(trainer, gauge):
 
         return run
 
-    with ExitStack() as stack:
-        for part, places in PARTS.items():
-            for owner, name in places:
-                stack.enter_context(replaced(owner, **{name: watched(part, getattr(owner, name))}))
+    with watched_parts(gauged):
         start = time.perf_counter()
         trainer.step()
         whole = 1e3 * (time.perf_counter() - start)
@@ -116,7 +106,7 @@ def part_by_part(trainer, gauge):
 
 
 def part_memory(trainer):
-    """Megabytes that each part of a step and the whole step hold at their worst moment: {part: MB}."""
+    """Megabytes that each part of a step and the whole step hold at their worst moment."""
     whole = memory_of(trainer.step)
     tracemalloc.start()
     try:
@@ -126,13 +116,13 @@ def part_memory(trainer):
 
 
 def counted(trainer):
-    """Work of one step: Gaussians, Gaussian-pixel pairs evaluated, multiply-adds of the deformation network."""
+    """Work of one step: Gaussians, pairs, multiply-adds of the deformation network."""
     found, forward = {}, fast.forward
 
-    def run(*args, **kwargs):
-        out, res = forward(*args, **kwargs)
-        found.update(gaussians=res.inputs["n"], pairs=sum(chunk.A.size for chunk in res.chunks))
-        return out, res
+    def run(mean2d, *args, **kwargs):
+        output, saved = forward(mean2d, *args, **kwargs)
+        found.update(gaussians=len(mean2d), pairs=evaluated_pairs(saved))
+        return output, saved
 
     with replaced(fast, forward=run):
         trainer.step()
@@ -140,39 +130,34 @@ def counted(trainer):
 
 
 def measure(points, rounds, progress):
-    """Rows of every part at every (anchors, side): median milliseconds over rounds that visit all sizes, megabytes, work."""
+    """Rows of every part at every (anchors, side).
+
+    Times are medians over rounds that visit all sizes.
+    """
     small = load_scene("bouncing", downscale=64 // SMALL)
-    scenes = {
-        side: blown_up(small, side // SMALL, 8) for side in sorted({side for _, side in points})
-    }
+    progress("size: trainers")
     times, rows = {point: [] for point in points}, []
     with np.errstate(all="ignore"):
-        progress("size: trainers")
-        trainers = {(anchors, side): at_stage_4(scenes[side], anchors) for anchors, side in points}
+        trainers = {
+            (anchors, side): at_stage_4(blown_up(small, side // SMALL, 8), anchors)
+            for anchors, side in points
+        }
         for i in range(rounds):
             progress(f"size: times, round {i + 1} of {rounds}")
             for point, trainer in trainers.items():
                 times[point].append(part_by_part(trainer, Clock))
         progress("size: memory")
         for (anchors, side), trainer in trainers.items():
+            about = {"anchors": anchors, "side": side, "pixels": side**2}
             memory, work = part_memory(trainer), counted(trainer)
-            rows += [
-                {
-                    "part": part,
-                    "anchors": anchors,
-                    "side": side,
-                    "pixels": side**2,
-                    "ms": float(np.median([measured[part] for measured in times[anchors, side]])),
-                    "mb": mb,
-                    **work,
-                }
-                for part, mb in memory.items()
-            ]
+            for part, mb in memory.items():
+                ms = float(np.median([measured[part] for measured in times[anchors, side]]))
+                rows.append({"part": part, **about, "ms": ms, "mb": mb, **work})
     return rows
 
 
 def frame_rows(counts, repeats, progress):
-    """One pass of stage 4 over all frames of a scene: milliseconds, megabytes, and bytes of the pictures themselves."""
+    """One pass of stage 4 over all frames: milliseconds, megabytes, bytes of the pictures."""
     small = load_scene("bouncing", downscale=64 // SMALL)
     progress("size: frames")
     trainers = {frames: at_stage_4(blown_up(small, 2, frames), 100) for frames in counts}
@@ -182,7 +167,7 @@ def frame_rows(counts, repeats, progress):
     }
     ms, rows = alternate(passes, repeats), []
     for frames, trainer in trainers.items():
-        trainer.moments.clear()  # so that the pass is seen to fill them
+        trainer.moments.clear()  # so that the memory of the pass includes them
         rows.append(
             {
                 "method": "one pass over the frames",
@@ -196,29 +181,36 @@ def frame_rows(counts, repeats, progress):
     return rows
 
 
+# --- growth --------------------------------------------------------------------------------------
+def growth(rows, what):
+    """[a, b, c] of what = e^a anchors^b pixels^c."""
+    positive = [row for row in rows if row[what] > 0]
+    sizes = [(row["anchors"], row["pixels"]) for row in positive]
+    return exponents(sizes, [row[what] for row in positive])
+
+
 def fits(rows, what):
-    """{part: [a, exponent of anchors, exponent of pixels]} of what = e^a anchors^b pixels^c."""
-    found = {}
-    for part in dict.fromkeys(row["part"] for row in rows):
-        own = [row for row in rows if row["part"] == part and row[what] > 0]
-        found[part] = exponents(
-            [(row["anchors"], row["pixels"]) for row in own], [row[what] for row in own]
-        )
-    return found
+    """{part: [a, b, c]} of every part."""
+    parts = dict.fromkeys(row["part"] for row in rows)
+    return {part: growth(select(rows, part=part), what) for part in parts}
 
 
-def extrapolate(fit, anchors, pixels):
-    return float(np.exp(fit @ [1, np.log(anchors), np.log(pixels)]))
+def frame_exponent(rows, what):
+    """The power of the number of frames with which a pass grows."""
+    return exponents([(row["frames"],) for row in rows], [row[what] for row in rows])[1]
+
+
+def at_goal(fit):
+    """A fit at the size of the paper's synthetic scenes."""
+    return float(np.exp(fit @ [1, np.log(GOAL_ANCHORS), np.log(GOAL_SIDE**2)]))
 
 
 def hours(rows):
-    """Hours of the paper's schedule at its size, part by part, each over the iterations in which it takes part."""
-    ends = PAPER_SYNTHETIC.stage_ends
-    found = {}
+    """Hours of the paper's schedule at its size, by part, over the part's iterations."""
+    ends, found = (0, *PAPER_SYNTHETIC.stage_ends), {}
     for part, fit in fits(rows, "ms").items():
-        begin = {3: ends[1], 4: ends[2]}.get(STAGE_OF.get(part), 0)
-        ms = extrapolate(fit, GOAL["anchors"], GOAL["side"] ** 2)
-        found[part] = ms * (ends[3] - begin) / 3.6e6
+        iterations = ends[4] - ends[FIRST_STAGE.get(part, 1) - 1]
+        found[part] = at_goal(fit) * iterations / 3.6e6
     del found["whole step"]
     return found
 
@@ -231,113 +223,101 @@ def run(folder, quick, progress):
     rounds = 3 if quick else 5
     rows = measure(points, rounds, progress)
     frames = frame_rows((3, 6, 12) if quick else (4, 8, 16, 32), 3, progress)
-    extrapolated = [{"part": part, "hours": value} for part, value in hours(rows).items()]
-    files = [
-        table(folder, "size", rows),
-        table(folder, "size_frames", frames),
-        table(folder, "size_hours", extrapolated),
-    ]
+    by_part = [{"part": part, "hours": value} for part, value in hours(rows).items()]
     draw_parts(folder / "size.png", rows, middle, side, "ms", "time of a step (ms)")
-    draw_parts(
-        folder / "size_memory.png", rows, middle, side, "mb", "memory at its worst moment (MB)"
-    )
+    label = "memory at its worst moment (MB)"
+    draw_parts(folder / "size_memory.png", rows, middle, side, "mb", label)
     draw_frames(folder / "size_frames.png", frames)
-    figures = [
-        (
-            "size.png",
-            "Time of every part of a training step over anchors and pixels, exponents in the legend.",
-        ),
-        ("size_memory.png", "Memory, the same."),
-        ("size_frames.png", "A pass over all frames."),
-    ]
     return Finding(
         "size",
         "Cost against size",
-        "none: these are costs; the paper's architecture with fewer anchors",
-        figures,
-        files,
+        "none, as these are costs; the paper's architecture with fewer anchors",
+        [
+            (
+                "size.png",
+                "Time of every part of a training step over anchors and pixels, exponents in the "
+                "legend.",
+            ),
+            ("size_memory.png", "Memory of every part of a training step."),
+            ("size_frames.png", "A pass over all frames."),
+        ],
+        [
+            table(folder, "size", rows),
+            table(folder, "size_frames", frames),
+            table(folder, "size_hours", by_part),
+        ],
         read(rows, frames),
-        f"median over {rounds} rounds through all sizes, a step each",
+        f"median over {rounds} rounds through all sizes, one step each",
     )
 
 
 def draw_parts(path, rows, middle, side, what, label):
-    """Two panels: over anchors at one picture size, over pixels at one number of anchors."""
+    """Two panels: over anchors at one size of the picture, over pixels at one number of anchors."""
     fig, panels = figure(2, (8, 6.2), sharey=True)
-    fit = fits(rows, what)
-    shown = [
-        {
-            **row,
-            "method": f"{row['part']} ({power(fit[row['part']][1])}, {power(fit[row['part']][2])})",
-        }
-        for row in rows
-    ]
-    for ax, x, fixed_, unit in (
-        (panels[0], "anchors", ("side", side), f"anchors, {side}×{side} pixels"),
-        (panels[1], "pixels", ("anchors", middle), f"pixels, {middle} anchors"),
+    shown = []
+    for part, (_, b, c) in fits(rows, what).items():
+        method = f"{part} ({one_decimal(b)}, {one_decimal(c)})"
+        shown += [{**row, "method": method} for row in select(rows, part=part)]
+    order = list(dict.fromkeys(row["method"] for row in shown))
+    for ax, x, own, unit in (
+        (panels[0], "anchors", select(shown, side=side), f"anchors, {side}×{side} pixels"),
+        (panels[1], "pixels", select(shown, anchors=middle), f"pixels, {middle} anchors"),
     ):
-        own = sorted((row for row in shown if row[fixed_[0]] == fixed_[1]), key=lambda row: row[x])
-        lines(
-            ax,
-            own,
-            Axes(x, what, unit, label if ax is panels[0] else ""),
-            label=False,
-            order=list(dict.fromkeys(row["method"] for row in shown)),
-        )
-    fig.legend(
-        *panels[0].get_legend_handles_labels(),
-        loc="outside lower center",
-        ncols=2,
-        fontsize=10,
-        frameon=False,
-        title="fitted exponents in brackets: of anchors, of pixels",
-        title_fontsize=10,
-    )
+        own = sorted(own, key=lambda row: row[x])
+        axes = Axes(x, what, unit, label if ax is panels[0] else "")
+        lines(ax, own, axes, label=False, order=order)
+    title = "fitted exponents in brackets: of anchors, of pixels"
+    legend_below(fig, panels[0], 2, title=title, title_fontsize=10)
     finish(fig, path, "the paper's architecture with fewer anchors, a step of stage 4")
 
 
-def power(b):
-    """An exponent with one decimal, zero without a sign."""
-    return f"{round(b, 1) + 0.0:.1f}"
+def one_decimal(exponent):
+    """An exponent for a legend, zero without a sign."""
+    return f"{round(exponent, 1) + 0.0:.1f}"
 
 
 def draw_frames(path, rows):
     fig, panels = figure(2, (8, 5))
     for ax, what, label in zip(panels, ("ms", "mb"), ("time (ms)", "memory (MB)")):
-        b = exponents([(row["frames"],) for row in rows], [row[what] for row in rows])[1]
         lines(ax, rows, Axes("frames", what, "frames", label))
-        ax.set_title(f"exponent {b:.2f}")
+        ax.set_title(f"exponent {frame_exponent(rows, what):.2f}")
     finish(fig, path, "one pass over all frames, 64×64 pixels, 100 anchors")
 
 
 def hours_by_work(rows):
-    """Compositing's hours again, from its counted pairs alone: their fitted growth, times what a pair took at the most."""
-    own = [row for row in rows if row["part"] == "compositing"]
-    fit = fits(own, "pairs")["compositing"]
+    """Hours of compositing from its counted pairs alone, and how the pairs grow.
+
+    The fitted number of pairs is multiplied by the time of a pair at the largest measured size.
+    """
+    own = select(rows, part="compositing")
+    fit = growth(own, "pairs")
     largest = max(own, key=lambda row: row["pairs"])
-    pairs = extrapolate(fit, GOAL["anchors"], GOAL["side"] ** 2)
-    return pairs * largest["ms"] / largest["pairs"] * PAPER_SYNTHETIC.iterations / 3.6e6, fit[1:]
+    per_pair = largest["ms"] / largest["pairs"]
+    return at_goal(fit) * per_pair * PAPER_SYNTHETIC.iterations / 3.6e6, fit[1:]
 
 
 def read(rows, frames):
     """What the numbers say."""
-    fit, per_part, memory = fits(rows, "ms"), hours(rows), fits(rows, "mb")["whole step"]
+    fit, per_part = fits(rows, "ms"), hours(rows)
+    gigabytes = at_goal(fits(rows, "mb")["whole step"]) / 1e3
     order = sorted(per_part, key=per_part.get, reverse=True)
-    b = exponents([(row["frames"],) for row in frames], [row["ms"] for row in frames])[1]
-    again, (pairs_A, pairs_P) = hours_by_work(rows)
-    grown = {part: fit[part][1:] for part in ("deformation", "compositing", "loss")}
+    largest = [f"{part} {amount(per_part[part])}" for part in order[:3]]
+    by_pairs, (pairs_A, pairs_P) = hours_by_work(rows)
+    grown = [
+        f"{part} {fit[part][1]:.2f} and {fit[part][2]:.2f}"
+        for part in ("deformation", "compositing", "loss")
+    ]
     return (
-        "The time of a step grows with the power of anchors and pixels: "
-        + ", ".join(f"{part} {A:.2f} and {P:.2f}" for part, (A, P) in grown.items())
-        + f"; the Gaussian–pixel pairs, counted, with {pairs_A:.2f} and {pairs_P:.2f}; a pass over the frames with the power "
-        f"{b:.2f} of their number. Carried on to the paper's synthetic scenes ({GOAL['side']}×{GOAL['side']} pixels, "
-        f"{GOAL['anchors']:,} anchors, {PAPER_SYNTHETIC.iterations:,} iterations) this is {amount(sum(per_part.values()))} "
-        f"hours on one core, of which {order[0]} takes {amount(per_part[order[0]])}, {order[1]} "
-        f"{amount(per_part[order[1]])} and {order[2]} {amount(per_part[order[2]])}, and "
-        f"{extrapolate(memory, GOAL['anchors'], GOAL['side'] ** 2) / 1e3:.1f} GB: as a plan for a port, not a promise. From "
-        f"its counted pairs alone compositing would take {amount(again)} hours; the fits reach "
-        f"{max(row['anchors'] for row in rows):,} anchors and {max(row['side'] for row in rows)} pixels a side, so the "
-        "distance between the two says how far to trust them."
+        f"The time of a step grows with these powers of anchors and pixels: {', '.join(grown)}; "
+        f"the counted Gaussian–pixel pairs with {pairs_A:.2f} and {pairs_P:.2f}. A pass over the "
+        f"frames grows with the power {frame_exponent(frames, 'ms'):.2f} of their number. "
+        f"Extrapolated to the paper's synthetic scenes ({GOAL_SIDE}×{GOAL_SIDE} pixels, "
+        f"{GOAL_ANCHORS:,} anchors, {PAPER_SYNTHETIC.iterations:,} iterations), training takes "
+        f"{amount(sum(per_part.values()))} hours on one core ({', '.join(largest)}) and "
+        f"{gigabytes:.1f} GB: a plan for a port, not a promise. Extrapolated from its counted "
+        f"pairs alone, compositing would take {amount(by_pairs)} hours. The measurements reach "
+        f"{max(row['anchors'] for row in rows):,} anchors and {max(row['side'] for row in rows)} "
+        "pixels a side; the distance between the two estimates says how far to trust them."
     )
 
 

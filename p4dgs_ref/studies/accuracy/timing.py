@@ -4,12 +4,12 @@ import os
 import platform
 import sys
 import time
-from contextlib import contextmanager
 
 import numpy as np
 import scipy
 
 from ..bench import alternate as take_turns
+from ..bench import replaced
 
 LEAST_MS = 2.0  # a shorter function is called several times per turn, for the sake of the clock
 ROUND_MS = 300.0  # shorter rounds are repeated more often: other programs disturb them more
@@ -41,19 +41,6 @@ def alternate(functions, repeats):
     turns = repeats * min(5, max(1, round(ROUND_MS / spent)))
     total = take_turns({name: several(name) for name in functions}, turns)
     return {name: ms / calls[name] for name, ms in total.items()}
-
-
-@contextmanager
-def replaced(owner, **members):
-    """Replace members of a module or class for the time of a `with` block."""
-    kept = {name: getattr(owner, name) for name in members}
-    try:
-        for name, member in members.items():
-            setattr(owner, name, member)
-        yield
-    finally:
-        for name, member in kept.items():
-            setattr(owner, name, member)
 
 
 class Counting:

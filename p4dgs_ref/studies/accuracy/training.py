@@ -1,4 +1,8 @@
-"""Study 5, training: iterations, anchors, deformation width and the share of rated anchors against PSNR, bytes, seconds."""
+"""Study 5, training: five knobs of a training against PSNR, bytes and seconds.
+
+They are the iterations, the anchors, the width of the deformation network, the share of anchors
+that is rated, and the seed.
+"""
 
 import numpy as np
 
@@ -6,41 +10,39 @@ from ...equations import anchor_rate, hash_rate, likelihood, rate_loss
 from ...model import Context, split
 from ...scenes import load_scene
 from ...training import objective
-from .diagram import Axes, Finding, at, figure, finish, legend, lines, table
-from .fits import judge, reduced, sampled, train
+from .diagram import Axes, Finding, at, select, table, work_precision
+from .fits import TEST_VIEWS, judge, reduced, sampled, train
 from .timing import replaced
 
-SHARES = (1.0, 0.25, 0.05)  # of anchors that an iteration rates; HAC rates 5 %
+SHARES = (1.0, 0.25, 0.05)  # of the anchors that an iteration rates; HAC rates 5 %
 
 
 class SampledRate:
-    """The rate of a random share of the anchors, scaled up to all of them: the stand-ins of `objective`'s two functions.
+    """The rate of a random share of the anchors, scaled up to all of them.
 
-    The expectation over draws is the full rate and the full gradient; context and rendering still take every anchor.
+    It stands for `rate_forward` and `rate_backward` of the objective. Its expectation is the full
+    rate with the full gradient. The context and the rendering still take every anchor.
     """
 
     def __init__(self, share, seed=0):
         self.share, self.rng = share, np.random.default_rng(seed)
 
     def forward(self, noisy, ctx, grids, mask, design):
-        """Eqs. (11), (13), (14), (17) as `objective.rate_forward`, on some rows."""
+        """Eqs. (11), (13), (14), (17) on some rows."""
         A = len(noisy)
         rows = np.sort(self.rng.choice(A, sampled(A, self.share), replace=False))
         chosen = Context(*(a[rows] for a in ctx))
-        bits, res_bits = likelihood.forward(
-            noisy[rows], chosen.mu, chosen.sigma, np.repeat(chosen.q, design.widths, axis=1)
-        )
-        f, s, l, O = split(bits.bits, design)
-        anchors, res_a = anchor_rate.forward(f, O, l, s, mask[rows])
-        grid, res_h = hash_rate.forward(grids)
-        out, res = rate_loss.forward(
-            anchors.R_anchor * noisy.dtype.type(A / len(rows)), grid.R_hash, noisy.size
-        )
-        return out, ((res_bits, res_a, res_h, res), rows, A)
+        q = np.repeat(chosen.q, design.widths, axis=1)
+        bits, saved_bits = likelihood.forward(noisy[rows], chosen.mu, chosen.sigma, q)
+        R_anchor, saved_anchors = anchor_rate.forward(*split(bits, design), mask[rows])
+        (R_hash, _, _), saved_grid = hash_rate.forward(grids)
+        scaled = R_anchor * noisy.dtype.type(A / len(rows))
+        output, saved = rate_loss.forward(scaled, R_hash, noisy.size)
+        return output, ((saved_bits, saved_anchors, saved_grid, saved), rows, A)
 
-    def backward(self, res, L_rate_bar, design, full):
-        """`full` is objective's own backward: on the rows, then scaled and put back among zeros."""
-        parts, rows, A = res
+    def backward(self, saved, L_rate_bar, design, full):
+        """`full`, the objective's own backward, on the rows; then scaled and put among zeros."""
+        parts, rows, A = saved
         *per_anchor, grids = full(parts, L_rate_bar, design)
         spread = []
         for values in per_anchor:
@@ -51,17 +53,17 @@ class SampledRate:
 
 
 def rated(share, seed=0):
-    """The context in which training rates only a share of the anchors in each iteration."""
+    """A `with` block in which training rates only a share of the anchors in each iteration."""
     rate, full = SampledRate(share, seed), objective.rate_backward
     return replaced(
         objective,
         rate_forward=rate.forward,
-        rate_backward=lambda res, bar, design: rate.backward(res, bar, design, full),
+        rate_backward=lambda saved, bar, design: rate.backward(saved, bar, design, full),
     )
 
 
 def plan(quick):
-    """[(method, knob, preset, share, seed)]: the middle of all lines is the same point, with several seeds."""
+    """The preset of the common point, and [(method, knob, preset, share, seed)] of all runs."""
     middle = 120 if quick else 950
     base, seeds = reduced(middle), range(2 if quick else 3)
     iterations = (60, 240) if quick else (240, 475, 1900, 3800)
@@ -75,7 +77,7 @@ def plan(quick):
 
 
 def measure(quick, progress):
-    """Rows of every run, and the middle point repeated in every line: (rows, iterations of the middle)."""
+    """Rows of every run, with the common point in every line, and that point's iterations."""
     scene, rows = load_scene("bouncing"), []
     base, runs = plan(quick)
     for method, knob, preset, share, seed in runs:
@@ -97,82 +99,75 @@ def measure(quick, progress):
                 **fit.work,
             }
         )
+    common = {
+        "iterations": base.iterations,
+        "anchors": base.anchors,
+        "deformation width": base.deformation[0],
+        "anchors rated": 1.0,
+    }
     middle = at(rows, method="seeds", knob=0)
-    rows += [
-        {**middle, "method": method, "knob": knob}
-        for method, knob in (
-            ("iterations", base.iterations),
-            ("anchors", base.anchors),
-            ("deformation width", base.deformation[0]),
-            ("anchors rated", 1.0),
-        )
-    ]
+    rows += [{**middle, "method": method, "knob": knob} for method, knob in common.items()]
     return sorted(rows, key=lambda row: (row["method"], row["knob"])), base.iterations
 
 
 def run(folder, quick, progress):
     rows, middle = measure(quick, progress)
-    files = [table(folder, "training", rows)]
-    title = f"`tiny` on `bouncing`, all lines meet at {middle} iterations; reference: the test views, from the decoded file"
-    for name, x, label in (
+    title = f"`tiny` on `bouncing`, all lines meet at {middle} iterations\nreference: {TEST_VIEWS}"
+    shown = [{**row, "knob": label(row)} for row in rows]
+    for name, x, x_label in (
         ("training", "seconds", "training (processor seconds)"),
         ("training_bytes", "bytes", "file (bytes)"),
     ):
-        fig, (ax,) = figure()
-        shown = [
-            {
-                **row,
-                "knob": ""
-                if row["method"] == "seeds"
-                else f"{row['knob']:g}"
-                if row["method"] != "anchors rated"
-                else f"{100 * row['knob']:g} %",
-            }
-            for row in rows
-        ]
-        lines(ax, shown, Axes(x, "psnr_db", label, "PSNR of the test views (dB)", "log", "linear"))
-        legend(ax)
-        finish(fig, folder / f"{name}.png", title.replace("; ", "\n"))
-    figures = [
-        ("training.png", "PSNR against seconds; every line changes one thing."),
-        ("training_bytes.png", "The same trainings, PSNR against bytes."),
-    ]
+        axes = Axes(x, "psnr_db", x_label, "PSNR of the test views (dB)", y_scale="linear")
+        work_precision(folder / f"{name}.png", shown, axes, title)
     return Finding(
         "training",
         "Training",
-        "the test views of `bouncing`, from the decoded file",
-        figures,
-        files,
+        TEST_VIEWS,
+        [
+            ("training.png", "PSNR against seconds; every line changes one knob."),
+            ("training_bytes.png", "PSNR of the same trainings against bytes."),
+        ],
+        [table(folder, "training", rows)],
         read(rows),
-        "processor seconds of one training each (the coder's and the test views' left out)",
+        "processor seconds of one training each, without the coder and the test views",
     )
+
+
+def label(row):
+    """The text beside a point."""
+    if row["method"] == "seeds":
+        return ""
+    share = row["method"] == "anchors rated"
+    return f"{100 * row['knob']:g} %" if share else f"{row['knob']:g}"
 
 
 def read(rows):
     """What the numbers say."""
-
-    def ends(method):
-        line = sorted((row for row in rows if row["method"] == method), key=lambda row: row["knob"])
-        return line[0], line[-1]
-
-    seeds = [row["psnr_db"] for row in rows if row["method"] == "seeds"]
-    sentences = []
+    seeds = [row["psnr_db"] for row in select(rows, method="seeds")]
+    changes = []
     for method, unit in (
         ("iterations", "iterations"),
         ("anchors", "anchors"),
-        ("deformation width", "wide deformation layers"),
+        ("deformation width", "units in each deformation layer"),
     ):
-        low, high = ends(method)
-        sentences.append(
-            f"from {low['knob']} to {high['knob']} {unit}: {high['psnr_db'] - low['psnr_db']:+.2f} dB, "
-            f"{high['bytes'] - low['bytes']:+,} bytes, {high['seconds'] / low['seconds']:.2g} times the seconds"
+        low, *_, high = select(rows, method=method)
+        changes.append(
+            f"from {low['knob']} to {high['knob']} {unit}: {difference(high, low)}, "
+            f"{high['seconds'] / low['seconds']:.2g} times the seconds"
         )
-    few, all_ = ends("anchors rated")
+    few, *_, every = select(rows, method="anchors rated")
     return (
-        f"{len(seeds)} seeds of the common point spread over {max(seeds) - min(seeds):.2f} dB, the yardstick for what follows. "
-        + "; ".join(sentences).replace("from", "From", 1)
-        + f". Rating {100 * few['share']:g} % of the anchors instead of all "
-        f"evaluates Eq. (11) {few['rated_symbols']:,} instead of {all_['rated_symbols']:,} times, takes "
-        f"{few['seconds']:.3g} s instead of {all_['seconds']:.3g} s and moves the result by "
-        f"{few['psnr_db'] - all_['psnr_db']:+.2f} dB and {few['bytes'] - all_['bytes']:+,} bytes."
+        f"{len(seeds)} seeds of the common point differ by up to {max(seeds) - min(seeds):.2f} dB, "
+        f"which is the scale for the other changes: {'; '.join(changes)}. Rating "
+        f"{100 * few['share']:g} % of the anchors instead of all evaluates Eq. (11) "
+        f"{few['rated_symbols']:,} instead of {every['rated_symbols']:,} times, takes "
+        f"{few['seconds']:.3g} s instead of {every['seconds']:.3g} s and changes the result by "
+        f"{difference(few, every)}."
     )
+
+
+def difference(row, other):
+    """The difference of two results in decibels and bytes."""
+    psnr = row["psnr_db"] - other["psnr_db"]
+    return f"{psnr:+.2f} dB and {row['bytes'] - other['bytes']:+,} bytes"

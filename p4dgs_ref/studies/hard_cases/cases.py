@@ -24,7 +24,7 @@ class HardCase(NamedTuple):
     cotangents: dict = {}
     true: dict = {}  # outputs {"x": array} and gradients {"x_bar": array}; NaN where there is none
     shown: tuple = ()  # (array, index) of the number that the table shows
-    literal: str = ""  # the formula in literals.py that it is compared with
+    literal: dict = {}  # {dtype: the result of the printed formula, or of the usual shortcut}
     bounds: dict = {}  # {dtype: [largest error of outputs, of gradients or None]}, relative
     each: bool = True  # outputs relative to each number, otherwise to the largest of the array
 

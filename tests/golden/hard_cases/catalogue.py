@@ -14,7 +14,11 @@ CODING = procedures(
     ("H-Q3.large", "codec.streams", "|f/q| beyond 15000 and 32767; literal is int16"),
     ("H-Q4.step", "codec.context", "a step that is one ulp off at the decoder"),
     ("H-Q5.positions", "codec.quantise", "flat boxes, one anchor, coincident anchors: 0/0"),
-    ("H-Q6.float16", "codec.quantise", "weights of 7e4, NaN and infinity are refused, 1e-8 is lost"),
+    (
+        "H-Q6.float16",
+        "codec.quantise",
+        "weights of 7e4, NaN and infinity are refused, 1e-8 is lost",
+    ),
     ("H-E1.short", "codec.streams", "no symbol, one symbol; literal is bits per symbol of none"),
     (
         "H-E2.improbable",

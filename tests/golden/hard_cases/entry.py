@@ -21,7 +21,7 @@ class Entry(NamedTuple):
     says: str  # what is hard, and what the column "literal" shows
     case: Case | None = None  # None for an entry that is a procedure of the package
     shown: tuple = ()  # (array, index) of the number in the table
-    literal: str = ""  # the name of a formula in p4dgs_ref.studies.hard_cases.literals
+    literal: str = ""  # the name of a formula in literals.py
     bounds: dict = {}  # {dtype: [of the outputs, of the gradients or None]}, relative
     each: bool = True  # outputs relative to each number, otherwise to the largest of the array
 
@@ -32,7 +32,7 @@ def procedures(*rows):
 
 
 def single(value):
-    """The float32 nearest to each number, as float64, so that both precisions get the same input."""
+    """The nearest float32 numbers, as float64: both precisions get the same input."""
     return np.asarray(value, np.float32).astype(np.float64)
 
 

@@ -1,7 +1,8 @@
 """Writes the hard cases as the package's data: `python -m tests.golden.hard_cases.publish`.
 
 Inputs, cotangents and true values are float64; the true values come from closed forms where a case
-has them, otherwise from constants.json. Run it after `make_constants`.
+has them, otherwise from constants.json. Run it after `make_constants`. The results of the literal
+formulas are stored for both precisions.
 """
 
 import json
@@ -9,8 +10,12 @@ import json
 import numpy as np
 
 from p4dgs_ref.studies.hard_cases.cases import FILE
+from p4dgs_ref.studies.hard_cases.judge import number, pick
+from p4dgs_ref.studies.precision import cast
 
+from . import literals
 from .catalogue import ENTRIES
+from .entry import DTYPES
 from .make_constants import stored
 
 
@@ -26,7 +31,7 @@ def as_json(value):
 
 
 def nearest(numbers):
-    """Nested lists of 50-digit numbers as an array of the nearest floats, NaN where there is none."""
+    """Nested lists of 50-digit numbers as the nearest floats, NaN where there is none."""
     if not isinstance(numbers, list):
         return np.nan if numbers is None else float(numbers)
     return [nearest(n) for n in numbers]
@@ -47,6 +52,15 @@ def true_values(entry, constants):
     return found
 
 
+def literal_of(entry, dtype):
+    """The result of the literal formula in one precision."""
+    given = cast({**entry.case.inputs, **entry.case.cotangents}, dtype)
+    with np.errstate(all="ignore"):
+        result = getattr(literals, entry.literal)(given)
+    _, index = entry.shown
+    return number(pick(result, index) if np.ndim(result) else result)
+
+
 def published(entry, constants):
     """What the package needs of one entry."""
     row = {"id": entry.id, "equation": entry.equation, "says": entry.says}
@@ -55,7 +69,7 @@ def published(entry, constants):
     true = true_values(entry, constants[f"{entry.equation}/{entry.id}"])
     arrays = {"inputs": entry.case.inputs, "cotangents": entry.case.cotangents, "true": true}
     row |= {kind: {n: as_json(a) for n, a in of.items()} for kind, of in arrays.items()}
-    row |= {"shown": entry.shown, "literal": entry.literal}
+    row |= {"shown": entry.shown, "literal": {name: literal_of(entry, name) for name in DTYPES}}
     return row | {"bounds": entry.bounds, "each": entry.each}
 
 

@@ -1,13 +1,13 @@
 """The formulas that the hard cases break, as papers print them or as code usually has them.
 
-Each takes the inputs and cotangents of a case, in the precision of the run, and returns the number
-that the table shows, or the array that holds it.
+Each takes the inputs and cotangents of a case in one precision and returns the number that the
+table shows, or the array that holds it.
 """
 
 import numpy as np
 
-from ...equations import mlp, positional_encoding
-from ..accuracy import formulas
+from p4dgs_ref.equations import mlp, positional_encoding
+from p4dgs_ref.studies.accuracy import formulas
 
 
 # --- rate and quantiser --------------------------------------------------------------------------
