@@ -1,18 +1,19 @@
-"""`python -m p4dgs_ref` and `p4dgs-ref`: one BLAS thread and a tuned allocator first, then the command line."""
+"""`python -m p4dgs_ref` and `p4dgs-ref`: settings that precede NumPy, then the command line."""
 
 import ctypes
 import os
 import sys
 import time
 
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # glibc's names in malloc.h
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # the names of glibc in malloc.h
 
 
 def prepare():
-    """Settle what must be settled before NumPy is imported.
+    """Set the number of BLAS threads and tune the allocator, before NumPy is imported.
 
-    Products here are thin: a second BLAS thread gains nothing and waits for the first.  By default glibc returns
-    every large temporary to the system and pays its page faults again at the next step; keep them instead.
+    The matrix products here are thin: a second BLAS thread gains nothing and costs waiting. glibc
+    returns every large temporary array to the system and pays its page faults again in the next
+    step, unless it is told to keep them.
     """
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -21,11 +22,11 @@ def prepare():
         mallopt(M_MMAP_THRESHOLD, 1 << 30)
         mallopt(M_TRIM_THRESHOLD, 2**31 - 1)
     except (OSError, AttributeError):
-        pass  # another C library: slower by page faults, nothing else
+        pass  # another C library: the page faults cost time, nothing else changes
 
 
-def main(argv=None):
-    """Run the command line; returns the exit code."""
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line and return the exit code."""
     start = time.perf_counter()
     prepare()
     from .cli.parser import run

@@ -1,1 +1,1 @@
-"""The command line: the parser, one thin function a command, and what they print."""
+"""The command line: one table of commands and options, one thin function a command."""

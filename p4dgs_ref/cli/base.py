@@ -1,54 +1,78 @@
-"""What every command needs: its mistakes, its output, its progress line."""
+"""What every command needs: its errors, its output, its progress line.
+
+Commands import what they run inside their functions, so that `p4dgs-ref --help` is quick and a
+mistake in an option is reported at once.
+"""
 
 import json
 import os
 import shutil
 import sys
 import time
+from contextlib import nullcontext
 
 
 class UsageError(ValueError):
-    """A mistake in what the command line was given: one line naming the option or file and what was expected."""
+    """A mistake on the command line: one line naming the option or file and what was expected."""
 
 
-def show(arguments, value, lines):
-    """Print a value as JSON or, without --json, as text.  A reader that has enough (`| head`) does not change the exit code."""
+def require_known(option, names, known):
+    """Refuse a name that is not among those that an option knows."""
+    for name in names:
+        if name not in known:
+            raise UsageError(f"{option} {name}: expected one of {', '.join(known)}")
+
+
+def show(arguments, value, text):
+    """Print the value as JSON with --json, otherwise the text.
+
+    A reader that stops early, such as `head`, does not change the exit code.
+    """
     try:
-        print(json.dumps(value, indent=1) if arguments.json else lines)
+        print(json.dumps(value, indent=1) if arguments.json else text)
         sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def report_folder(path):
+    """A context with a fresh folder whose files move to `path` at the end; None without a path."""
+    from ..scenes.output import filled
+
+    return filled(path) if path else nullcontext()
+
+
 def log(arguments):
-    """Where progress goes: stderr, or nowhere with --quiet."""
+    """The stream for progress: stderr, or None with --quiet."""
     return None if arguments.quiet else sys.stderr
 
 
 class Line:
-    """A progress line on stderr: redrawn on a terminal, printed every few seconds elsewhere, absent with --quiet."""
+    """A progress line on stderr for the duration of a `with`; called with the text to show.
 
-    EVERY = 2.0  # seconds between two lines of a log
+    A terminal shows one line that changes and disappears at the end. Other streams get a line every
+    few seconds. With --quiet there is none.
+    """
 
-    def __init__(self, quiet=False):
-        self.stream, self.live, self.open = (
-            None if quiet else sys.stderr,
-            sys.stderr.isatty(),
-            False,
-        )
+    EVERY = 2.0  # seconds between two lines
+
+    def __init__(self, arguments):
+        self.stream, self.live = log(arguments), sys.stderr.isatty()
         self.last = time.monotonic()
+        self.open = False  # whether the terminal shows a line
 
     def __call__(self, text):
         now = time.monotonic()
         if self.stream and (self.live or now - self.last > self.EVERY):
-            self.last, width = now, shutil.get_terminal_size().columns - 1
+            width = shutil.get_terminal_size().columns - 1
             self.stream.write(f"\r{text[:width]}\x1b[K" if self.live else text + "\n")
             self.stream.flush()
-            self.open = self.live
+            self.last, self.open = now, self.live
 
-    def close(self):
-        """Clear the line, so that what follows stands on its own."""
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
         if self.open:
             self.stream.write("\r\x1b[K")
             self.stream.flush()
-            self.open = False

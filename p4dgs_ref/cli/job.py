@@ -1,4 +1,4 @@
-"""What the commands of the main job do: fit, compress, decode, render, measure."""
+"""The commands of the main job: fit, compress, decode, render, measure."""
 
 import json
 import sys
@@ -6,12 +6,12 @@ import time
 from contextlib import nullcontext
 from pathlib import Path
 
-from ..scenes.output import filled, made, new_file, write_atomically
 from . import text
-from .base import UsageError, log, show
+from .base import Line, UsageError, log, report_folder, require_known, show
 
 
 def read_scene(arguments, name=None):
+    """The scene that the command line names."""
     from ..scenes import load_scene
 
     return load_scene(
@@ -20,7 +20,7 @@ def read_scene(arguments, name=None):
 
 
 def read_test_scene(arguments):
-    """The scene, which must have views to be judged by."""
+    """The scene, which must have views to measure on."""
     scene = read_scene(arguments)
     if not scene.test:
         raise UsageError(
@@ -46,7 +46,7 @@ def read_preset(arguments):
 
 
 def read_file(path):
-    """A file's bytes, its model, and the seconds that decoding took."""
+    """The bytes of a file, its model, and the seconds that decoding took."""
     from ..codec.container import MAGIC, BitstreamError
     from ..codec.file import decode as decode_model
 
@@ -55,7 +55,8 @@ def read_file(path):
     data = Path(path).read_bytes()
     if not data.startswith(MAGIC[:4]):
         raise UsageError(
-            f"{path}: not a P-4DGS file: expected it to begin with {MAGIC[:4].hex(' ')} (hexadecimal)"
+            f"{path}: not a P-4DGS file; expected it to begin with {MAGIC[:4].hex(' ')} "
+            "(hexadecimal)"
         )
     start = time.perf_counter()
     try:
@@ -65,27 +66,27 @@ def read_file(path):
 
 
 def estimate(scene, preset, arguments):
-    """Before a training of hours: time its first steps, say so, and go on only with --yes."""
-    if preset.anchors <= 1000 and preset.iterations <= 10_000:
-        return
+    """Time the first steps of a long training; more than an hour needs --yes."""
     from ..training.trainer import Trainer
 
-    trainer, start = Trainer(scene, preset, arguments.seed), time.perf_counter()
-    steps = 0
+    if preset.anchors <= 1000 and preset.iterations <= 10_000:
+        return
+    trainer, steps, start = Trainer(scene, preset, arguments.seed), 0, time.perf_counter()
     while steps < min(3, preset.iterations) and time.perf_counter() - start < 60:
         trainer.step()
         steps += 1
     minutes = (time.perf_counter() - start) / steps * preset.iterations / 60
     print(
-        f"preset {preset.name}: about {minutes:.0f} minutes for {preset.iterations} iterations, judging by the first "
-        f"{steps} (later stages cost more)",
+        f"preset {preset.name}: about {minutes:.0f} minutes for {preset.iterations} iterations, "
+        f"judging by the first {steps} (later stages cost more)",
         file=sys.stderr,
     )
     if minutes > 60 and not arguments.yes:
-        raise UsageError("--yes: expected, to start a training of more than an hour")
+        raise UsageError("this would take more than an hour; add --yes to start it all the same")
 
 
 def demo(arguments):
+    """Run the main job and write its report."""
     from ..studies.evaluate import json_safe
     from ..studies.main_job import main_job
 
@@ -98,34 +99,26 @@ def demo(arguments):
 
 
 def simulate(arguments):
+    """Draw the pictures of a scene.json."""
     from ..scenes.simulator import simulate as draw
 
-    stream = log(arguments)
-
-    def progress(done, total):
-        if stream and (stream.isatty() or done == total):
-            stream.write(f"\r{done}/{total} pictures" + ("\n" if done == total else ""))
-
-    start = time.perf_counter()
-    with made(arguments.output) as folder:
-        draw(arguments.scene, folder, progress=progress)
+    folder, start = arguments.output, time.perf_counter()
+    with Line(arguments) as line:
+        draw(arguments.scene, folder, lambda done, total: line(f"{done}/{total} pictures"))
     seconds = time.perf_counter() - start
-    show(
-        arguments,
-        {"output": str(folder), "seconds": seconds},
-        f"{folder}: drawn in {seconds:.1f} s",
-    )
+    done = {"output": str(Path(folder)), "seconds": seconds}
+    show(arguments, done, f"{folder}: drawn in {seconds:.1f} s")
 
 
 def train(arguments):
+    """Fit a scene into a run folder."""
+    from ..scenes.output import made
+    from ..studies.report import write_training
     from ..training.checkpoint import CHECKPOINT
     from ..training.fit import fit
 
-    preset, scene, checkpoint = (
-        read_preset(arguments),
-        read_scene(arguments),
-        Path(arguments.output) / CHECKPOINT,
-    )
+    preset, scene = read_preset(arguments), read_scene(arguments)
+    checkpoint = Path(arguments.output) / CHECKPOINT
     if checkpoint.exists() and not arguments.resume:
         raise UsageError(f"{checkpoint}: exists; --resume goes on from it, another -o starts anew")
     if not arguments.resume:
@@ -150,21 +143,17 @@ def train(arguments):
             "seconds": time.perf_counter() - start,
             "output": str(folder),
         }
-        from ..studies.report import write_training
-
-        with filled(folder) as beside:
+        with report_folder(folder) as beside:
             write_training(beside, trainer.history, preset.stage_ends)
             (beside / "run.json").write_text(json.dumps(run, indent=1) + "\n")
-    show(
-        arguments,
-        run,
-        f"{folder}: {run['iterations']} iterations, {run['anchors']} anchors, {run['seconds']:.1f} s",
-    )
+    show(arguments, run, text.training(run))
 
 
 def encode(arguments):
+    """Compress a run to a file."""
     from ..codec.file import encode as encode_model
     from ..codec.quantise import underflows
+    from ..scenes.output import new_file, write_atomically
     from ..training.fit import load_model
 
     with new_file(arguments.output) as output:
@@ -173,23 +162,18 @@ def encode(arguments):
         data = encode_model(model)
         seconds = time.perf_counter() - start
         write_atomically(output, lambda file: file.write(data))
-    lost = underflows(model.networks)  # what float16 cannot hold above 0 (Q18)
     done = {
         "output": str(output),
         "bytes": len(data),
         "iteration": values["iteration"],
         "seconds": seconds,
-        "weights_rounded_to_zero": lost,
+        "weights_rounded_to_zero": underflows(model.networks),  # too small for float16 (Q18)
     }
-    said = f"; {lost} weights of the networks round to 0 in float16" if lost else ""
-    show(
-        arguments,
-        done,
-        f"{output}: {len(data):,} bytes, from iteration {values['iteration']}, {seconds:.3f} s{said}",
-    )
+    show(arguments, done, text.encoding(done))
 
 
 def decode(arguments):
+    """Write the arrays of a file as model.npz and its design as model.json."""
     import numpy as np
 
     _, model, seconds = read_file(arguments.file)
@@ -203,7 +187,7 @@ def decode(arguments):
     for name, (weights, biases) in model.networks.items():
         arrays.update({f"{name}.W{i}": W for i, W in enumerate(weights)})
         arrays.update({f"{name}.b{i}": b for i, b in enumerate(biases)})
-    with filled(arguments.output) as beside:
+    with report_folder(arguments.output) as beside:
         np.savez(beside / "model.npz", **arrays)
         (beside / "model.json").write_text(json.dumps(model.design._asdict(), indent=1) + "\n")
     done = {
@@ -220,7 +204,7 @@ def decode(arguments):
 
 
 def checked(arguments):
-    """With --check-finite, a context in which the first equation that makes a NaN or an infinity is named."""
+    """With --check-finite, a context that names the first equation that makes a NaN or infinity."""
     from ..training.finite import watched
 
     return watched() if arguments.check_finite else nullcontext()
@@ -237,7 +221,7 @@ CAMERA = {
 
 
 def held_camera(arguments, model):
-    """The camera that --azimuth, --elevation, --distance, --fov and --size describe, looking at the box's centre."""
+    """The camera that looks at the middle of the box as --azimuth and the other options say."""
     import numpy as np
 
     from ..splatting.camera import look_at
@@ -260,7 +244,7 @@ def held_camera(arguments, model):
 
 
 def views_to_render(arguments, model):
-    """[(name, camera, time)]: a scene's views of one split, or even times from one held camera."""
+    """The (name, camera, time) of every picture: views of a scene, or times of a held camera."""
     import numpy as np
 
     if not arguments.scene:
@@ -269,9 +253,7 @@ def views_to_render(arguments, model):
         return [(f"t_{i:03d}", camera, t) for i, t in enumerate(times)]
     for name in CAMERA:
         if getattr(arguments, name) is not None:
-            raise UsageError(
-                f"--{name}: of the held camera; not expected with --scene, which has its own"
-            )
+            raise UsageError(f"--{name}: not allowed with --scene, which has its own cameras")
     scene = read_scene(arguments)
     views = getattr(scene, arguments.split)
     if not views:
@@ -282,17 +264,17 @@ def views_to_render(arguments, model):
 
 
 def render(arguments):
+    """Draw pictures of a file."""
     import imageio.v3 as iio
     import numpy as np
 
     from ..splatting.settings import SETTINGS
     from ..studies.report import write_gif
 
-    if arguments.settings not in SETTINGS:
-        raise UsageError(f"--settings {arguments.settings}: expected one of {', '.join(SETTINGS)}")
+    require_known("--settings", [arguments.settings], SETTINGS)
     _, model, _ = read_file(arguments.file)
     views, images, seconds = views_to_render(arguments, model), [], []
-    with filled(arguments.output) as beside:
+    with report_folder(arguments.output) as beside:
         for name, camera, t in views:
             start = time.perf_counter()
             with checked(arguments):
@@ -314,10 +296,12 @@ def render(arguments):
 
 
 def evaluate(arguments):
+    """Score a file on the test views of a scene."""
     from ..codec.file import encode as encode_model
     from ..codec.quantise import EncodeError
     from ..studies.evaluate import compression, json_safe, timed
     from ..studies.evaluate import evaluate as measure
+    from ..studies.report import write_comparison
 
     data, model, seconds = read_file(arguments.file)
     scene = read_test_scene(arguments)
@@ -325,7 +309,7 @@ def evaluate(arguments):
         metrics, rows, images = measure(model, scene)
     try:
         encoding = timed(encode_model, model)[1]
-    except (OverflowError, EncodeError):  # a file may hold numbers that our encoder would not write
+    except (OverflowError, EncodeError):  # a file can hold numbers that our encoder refuses
         encoding = None
     metrics = {
         "scene": scene.name,
@@ -334,10 +318,8 @@ def evaluate(arguments):
         "encode_seconds": encoding,
         "decode_seconds": seconds,
     }
-    if arguments.output:
-        from ..studies.report import write_comparison
-
-        with filled(arguments.output) as beside:
+    with report_folder(arguments.output) as beside:
+        if beside:
             write_comparison(beside, scene, rows, images)
     show(
         arguments,
@@ -347,25 +329,25 @@ def evaluate(arguments):
 
 
 def inspect(arguments):
+    """List the sections of a file."""
     from ..codec.inspect import GAPS, ledger
+    from ..studies.report import draw_ledger, write_csv
 
     if arguments.heat and not arguments.output:
-        raise UsageError("--heat: expected -o FOLDER, the picture goes there")
+        raise UsageError("--heat: expected -o FOLDER, where the picture is written")
     data, _, _ = read_file(arguments.file)
     rows = ledger(data)
-    if arguments.output:
-        from ..studies.report import draw_ledger, write_csv
-
-        with filled(arguments.output) as beside:
+    with report_folder(arguments.output) as beside:
+        if beside:
             write_csv(beside / "size.csv", rows)
             draw_ledger(beside / "size.png", rows)
-            if arguments.heat:
-                write_heat(arguments, data, beside)
+        if arguments.heat:
+            write_heat(arguments, data, beside)
     show(arguments, {"bytes": len(data), "sections": rows, "gaps": GAPS}, text.ledger(rows, GAPS))
 
 
 def write_heat(arguments, data, folder):
-    """heat.png, the scene coloured by the bits of its anchors, and heat.csv with every anchor's."""
+    """Write heat.png, the scene in colours that show the bits of its anchors, and heat.csv."""
     import numpy as np
 
     from ..codec.inspect import anchor_bits
@@ -375,41 +357,39 @@ def write_heat(arguments, data, folder):
     model, bits = anchor_bits(data)
     limits = tuple(np.percentile(bits, (2, 98)))
     image = heat_image(model, bits, held_camera(arguments, model), arguments.time, limits, HEAT)
-    write_csv(
-        folder / "heat.csv",
-        [[a, *x, b] for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))],
-        ("anchor", "x", "y", "z", "bits"),
-    )
+    rows = [[a, *x, b] for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))]
+    write_csv(folder / "heat.csv", rows, ("anchor", "x", "y", "z", "bits"))
     draw_heat(folder / "heat.png", image, bits, limits)
 
 
 def equations(arguments):
-    from .. import table as catalogue
+    """Print the table of equations."""
+    from .. import table
 
-    show(arguments, {"equations": catalogue.rows()}, catalogue.table())
+    show(arguments, {"equations": table.rows()}, table.table())
 
 
 def presets(arguments):
+    """Print the presets beside the paper's values."""
     from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, PRESETS, differences
 
-    if arguments.preset and arguments.preset not in PRESETS:
-        raise UsageError(f"preset {arguments.preset!r}: expected one of {', '.join(PRESETS)}")
-    chosen = [PRESETS[arguments.preset]] if arguments.preset else list(PRESETS.values())
+    names = [arguments.preset] if arguments.preset else list(PRESETS)
+    require_known("preset", names, PRESETS)
     value = {
-        preset.name: {
-            "fields": preset._asdict(),
-            "differs": [dict(zip(("field", "paper", "here"), row)) for row in differences(preset)],
+        name: {
+            "fields": PRESETS[name]._asdict(),
+            "differs": [
+                dict(zip(("field", "paper", "here"), row)) for row in differences(PRESETS[name])
+            ],
         }
-        for preset in chosen
+        for name in names
     }
-    show(
-        arguments,
-        value,
-        text.presets(chosen, (PAPER_SYNTHETIC, PAPER_REAL), differences, bool(arguments.preset)),
-    )
+    chosen, paper = [PRESETS[name] for name in names], (PAPER_SYNTHETIC, PAPER_REAL)
+    show(arguments, value, text.presets(chosen, paper, differences, bool(arguments.preset)))
 
 
 def bench(arguments):
+    """Time the renderer, a training step and the coder."""
     from ..studies.bench import bench as measure
     from ..studies.bench import describe
 

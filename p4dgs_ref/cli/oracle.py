@@ -1,11 +1,12 @@
-"""What the commands of the golden oracle do: list, export and find the vectors, check a port against them."""
+"""The commands of the golden oracle: list, export and find the vectors, check a port with them."""
 
 from pathlib import Path
 
-from .base import Line, UsageError, show
+from .base import Line, UsageError, require_known, show
 
 
 def oracle_list(arguments):
+    """List the cases."""
     from ..oracle.report import listing
     from ..oracle.vectors import read_manifest
 
@@ -14,19 +15,18 @@ def oracle_list(arguments):
 
 
 def oracle_path(arguments):
+    """Print where the vectors are installed."""
     from ..oracle.vectors import path
 
     show(arguments, {"path": str(path())}, path())
 
 
 def oracle_export(arguments):
+    """Write the vectors into a folder."""
     from ..oracle.vectors import export
 
-    line = Line(arguments.quiet)
-    try:
+    with Line(arguments) as line:
         done = export(arguments.folder, arguments.regenerate, line)
-    finally:
-        line.close()
     show(
         arguments,
         done,
@@ -35,44 +35,41 @@ def oracle_export(arguments):
 
 
 def oracle_check(arguments):
-    """Exit code 0 only if every required case passes, 1 if one does not."""
+    """Judge the answers of a port; exit code 1 if a required case does not pass."""
     from ..oracle.adapter import Adapter
     from ..oracle.checker import check_port
     from ..oracle.ports import FolderPort
     from ..oracle.report import as_json
     from ..oracle.vectors import names
 
-    if (arguments.folder is None) == (arguments.adapter is None):
+    folder, command = arguments.folder, arguments.adapter
+    if (folder is None) == (command is None):
         raise UsageError(
             "oracle check: expected either a folder of a port's answers or --adapter CMD"
         )
-    if arguments.folder and not Path(arguments.folder).is_dir():
-        raise UsageError(f"{arguments.folder}: expected a folder of a port's answers")
-    if arguments.folder and (arguments.dtype or arguments.timeout):
+    if folder and not Path(folder).is_dir():
+        raise UsageError(f"{folder}: expected a folder of a port's answers")
+    if folder and (arguments.dtype or arguments.timeout):
         raise UsageError(
-            "--dtype, --timeout: of the adapter; a folder's precision is that of its tensors"
+            "--dtype, --timeout: they apply to --adapter only; "
+            "the precision of a folder is that of its tensors"
         )
-    if unknown := [name for name in arguments.only if name not in names()]:
-        raise UsageError(f"--only {unknown[0]}: expected one of {', '.join(names())}")
+    require_known("--only", arguments.only, names())
     port = (
-        FolderPort(arguments.folder)
-        if arguments.folder
-        else Adapter(arguments.adapter, arguments.timeout or 10.0, arguments.dtype or "float64")
+        FolderPort(folder)
+        if folder
+        else Adapter(command, arguments.timeout or 10.0, arguments.dtype or "float64")
     )
-    line = Line(arguments.quiet)
-    try:
-        report = check_port(port, arguments.level, arguments.only, progress=line)
-    finally:
-        port.close()
-        line.close()
+    with Line(arguments) as line:
+        try:
+            report = check_port(port, arguments.level, arguments.only, progress=line)
+        finally:
+            port.close()
     if not report.results:
-        raise UsageError(
-            f"--level {' '.join(arguments.level)} --only {' '.join(arguments.only)}: no such case"
-        )
-    note = (
-        "\nthis folder holds the vectors themselves, not a port's answers"
-        if arguments.folder and (Path(arguments.folder) / "manifest.json").is_file()
-        else ""
-    )
-    show(arguments, as_json(report), str(report) + note)
+        asked = f"--level {' '.join(arguments.level)} --only {' '.join(arguments.only)}"
+        raise UsageError(f"{asked}: no such case; `p4dgs-ref oracle list` lists them")
+    text = str(report)
+    if folder and (Path(folder) / "manifest.json").is_file():
+        text += "\nthis folder holds the vectors themselves, not a port's answers"
+    show(arguments, as_json(report), text)
     return 0 if report.ok else 1

@@ -1,14 +1,14 @@
-"""The command line: what each command is called and takes; what it does stands in commands.py."""
+"""The command line: the table of all commands and their options, and how one is run."""
 
 import argparse
 import math
-import os
 import shlex
 import sys
 from pathlib import Path
 
 from .. import __version__
-from . import commands
+from . import job, oracle, school, study
+from .base import UsageError
 
 
 class Parser(argparse.ArgumentParser):
@@ -19,7 +19,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def number(kind, low, high, expected):
-    """A reader of an option's number between low and high; `expected` says so in words."""
+    """A reader of a number from low to high; `expected` describes it for the user."""
 
     def read(text):
         try:
@@ -34,24 +34,18 @@ def number(kind, low, high, expected):
 
 
 def whole(low, high=math.inf):
-    """A reader of a whole number."""
-    return number(
-        int,
-        low,
-        high,
-        f"a whole number of at least {low}"
-        if high == math.inf
-        else f"a whole number in {low} ... {high}",
-    )
+    """A reader of an integer."""
+    bounds = f"of at least {low}" if high == math.inf else f"in {low} ... {high}"
+    return number(int, low, high, f"a whole number {bounds}")
 
 
 def real(low, high):
-    """A reader of a number."""
+    """A reader of a number with a fraction."""
     return number(float, low, high, f"a number in {low:g} ... {high:g}")
 
 
 def color(text):
-    """A reader of a background: a name, or three numbers; the scene checks them."""
+    """A reader of a background: a name or three numbers, which the scene will check."""
     try:
         return tuple(map(float, text.split(","))) if "," in text else text
     except ValueError:
@@ -61,316 +55,323 @@ def color(text):
 
 
 def place(text):
-    """A path that is not empty: an empty one would mean the current folder by accident."""
+    """A reader of a path. An empty one is refused, since it would mean the current folder."""
     if not text:
         raise argparse.ArgumentTypeError("expected a path, got nothing")
     return text
 
 
-def add_output(entry, default=None, what="folder to write to"):
-    required, default = default is None, default or None  # "" makes it optional
-    entry.add_argument(
-        "-o", "--output", metavar="PATH", type=place, default=default, required=required, help=what
-    )
+def option(*names, **settings):
+    """An argument of a command, in the words of argparse's `add_argument`."""
+    return names, settings
 
 
-def add_json(entry):
-    entry.add_argument("--json", action="store_true", help="print JSON instead of text")
+def switch(name, help):
+    """An option without a value."""
+    return option(name, action="store_true", help=help)
 
 
-def add_training(entry):
-    entry.add_argument("--preset", default="tiny", help="settings of the training (default tiny)")
-    entry.add_argument(
-        "--seed", type=whole(0), default=0, help="seed of everything random (default 0)"
-    )
-    entry.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        dest="changes",
-        help="change a field of the preset; may be repeated",
-    )
-    entry.add_argument("--quiet", action="store_true", help="no progress line")
-    entry.add_argument(
-        "--yes", action="store_true", help="go on although the estimate is over an hour"
-    )
+def several(name, metavar, help, **settings):
+    """An option that may be repeated."""
+    return option(name, action="append", default=[], metavar=metavar, help=help, **settings)
 
 
-def add_view(entry):
-    entry.add_argument(
+def output(help, **settings):
+    """The option -o."""
+    return option("-o", "--output", metavar="PATH", type=place, help=help, **settings)
+
+
+JSON = switch("--json", "print JSON instead of text")
+QUIET = switch("--quiet", "no progress line")
+CHECK_FINITE = switch(
+    "--check-finite",
+    "stop at the first equation that makes a NaN or an infinity (training always does)",
+)
+FILE = option("file", help="a .p4dgs file")
+NEW_FOLDER = output("folder to write to", required=True)
+VIEW = (
+    option(
         "--background", type=color, default="white", help="white, black or r,g,b (default white)"
-    )
-    entry.add_argument(
+    ),
+    option(
         "--downscale", type=whole(1), default=1, help="divide the image size by this (default 1)"
-    )
-
-
-def add_scene(entry, **optional):
-    entry.add_argument(
-        "scene", help="a folder in the D-NeRF layout, or the name of a packaged scene", **optional
-    )
-    add_view(entry)
-
-
-def add_camera(entry):
-    """The held camera; its defaults are `commands.CAMERA`, so that an option given in vain can be told from one not given."""
-    entry.add_argument("--azimuth", type=real(-360, 360), help="degrees about z (default 40)")
-    entry.add_argument("--elevation", type=real(-89, 89), help="degrees (default 30)")
-    entry.add_argument(
-        "--distance", type=real(1e-3, 1e6), help="from the middle of the anchors (default 3.6)"
-    )
-    entry.add_argument("--fov", type=real(1, 170), help="horizontal, degrees (default 41)")
-    entry.add_argument("--size", type=whole(1, 4096), help="pixels along each side (default 128)")
+    ),
+)
+SCENE_HELP = "a folder in the D-NeRF layout, or the name of a packaged scene"
+SCENE = (option("scene", help=SCENE_HELP), *VIEW)
+TRAINING = (
+    option("--preset", default="tiny", help="settings of the training (default tiny)"),
+    option("--seed", type=whole(0), default=0, help="seed of everything random (default 0)"),
+    several("--set", "KEY=VALUE", "change a field of the preset; may be repeated", dest="changes"),
+    QUIET,
+    switch("--yes", "go on although the estimate is over an hour"),
+)
+CAMERA = (  # without defaults, so that an option that does not apply can be refused
+    option("--azimuth", type=real(-360, 360), help="degrees about z (default 40)"),
+    option("--elevation", type=real(-89, 89), help="degrees (default 30)"),
+    option("--distance", type=real(1e-3, 1e6), help="from the middle of the anchors (default 3.6)"),
+    option("--fov", type=real(1, 170), help="horizontal, degrees (default 41)"),
+    option("--size", type=whole(1, 4096), help="pixels along each side (default 128)"),
+)
+# name: (function, help, arguments)
+COMMANDS = {
+    "demo": (
+        job.demo,
+        "the main job: fit a scene, compress, decode, render, measure, draw",
+        (
+            option("scene", nargs="?", default="bouncing", help=SCENE_HELP),
+            *VIEW,
+            *TRAINING,
+            output("folder of the report (default report)", default="report"),
+        ),
+    ),
+    "simulate": (
+        job.simulate,
+        "draw the pictures of a scene.json",
+        (option("scene", help="a scene.json"), NEW_FOLDER, QUIET),
+    ),
+    "train": (
+        job.train,
+        "fit a scene",
+        (
+            *SCENE,
+            *TRAINING,
+            output("run folder", required=True),
+            switch("--resume", "go on from the checkpoint in the run folder"),
+            option(
+                "--save-every",
+                type=real(0, 1e6),
+                default=20.0,
+                metavar="SECONDS",
+                help="between checkpoints (default 20)",
+            ),
+        ),
+    ),
+    "encode": (
+        job.encode,
+        "compress a run to a file",
+        (option("run", help="run folder of `train`"), output("file to write", required=True)),
+    ),
+    "decode": (
+        job.decode,
+        "write the arrays of a file as npz, its settings as JSON",
+        (FILE, NEW_FOLDER),
+    ),
+    "render": (
+        job.render,
+        "draw pictures of a file, from a held camera over time or from the cameras of a scene",
+        (
+            FILE,
+            NEW_FOLDER,
+            *CAMERA,
+            *VIEW,
+            option("--frames", type=whole(1, 10_000), help="times from 0 to 1 (default 24)"),
+            option("--scene", help="use the cameras and times of this scene"),
+            option(
+                "--split",
+                default="test",
+                choices=("train", "test", "val"),
+                help="which views of the scene (default test)",
+            ),
+            option("--settings", default="fast", help="exact, paper or fast (default fast)"),
+            CHECK_FINITE,
+        ),
+    ),
+    "evaluate": (
+        job.evaluate,
+        "score a file on the test views of a scene",
+        (
+            FILE,
+            *SCENE,
+            CHECK_FINITE,
+            output("folder for the comparison picture and table (optional)"),
+        ),
+    ),
+    "inspect": (
+        job.inspect,
+        "list the bytes of a file, section by section, beside their entropy",
+        (
+            FILE,
+            output("folder for the table and the picture (optional)"),
+            switch("--heat", "also draw the scene in colours that show what its anchors cost"),
+            option(
+                "--time", type=real(0, 1), default=0.5, help="of the --heat picture (default 0.5)"
+            ),
+            *CAMERA,
+        ),
+    ),
+    "equations": (job.equations, "the table of equations", ()),
+    "presets": (
+        job.presets,
+        "what each preset changes, beside the paper's values",
+        (option("preset", nargs="?", help="show all fields of this one only"),),
+    ),
+    "bench": (
+        job.bench,
+        "time the renderer, the parts of a training step and the coder",
+        (switch("--quick", "small sizes, a few seconds"),),
+    ),
+    "accuracy": (
+        study.accuracy,
+        "what accuracy costs in time: studies, each with diagrams, tables and a reading",
+        (
+            several("--only", "NAME", "only this study; may be repeated"),
+            switch("--quick", "small sizes, about a minute instead of ten"),
+            switch("--summary", "only error and time of the settings exact, paper and fast"),
+            QUIET,
+            output(
+                "folder of accuracy.md and its figures (default report/accuracy)",
+                default="report/accuracy",
+            ),
+        ),
+    ),
+    "stability": (
+        study.stability,
+        "hard cases: the literal formula, ours, the true value, errors; and the stability map",
+        (
+            option(
+                "--only",
+                metavar="ID",
+                help="only this case, or those of a row of the catalogue, like H-R1",
+            ),
+            QUIET,
+            output("folder of the map (default report)", default="report"),
+        ),
+    ),
+    "effects": (
+        study.effects,
+        "what each effect of a scene costs and is worth, by training with and without it",
+        (
+            *SCENE,
+            QUIET,
+            output("folder for the picture and the table (optional)"),
+            switch("--suggest", "only say which effects the pictures call for, and why"),
+            switch("--full", "all iterations of the preset tiny instead of half"),
+            switch("--quick", "the preset smoke: seconds, too few steps to judge PSNR"),
+            option("--seed", type=whole(0), default=0, help="seed of the trainings (default 0)"),
+        ),
+    ),
+    "classroom": (
+        school.classroom,
+        "write the equations with bodies removed for students, and the key for their teacher",
+        (
+            option(
+                "folder",
+                type=place,
+                help="folder to write to; an existing classroom keeps what students wrote",
+            ),
+            several("--only", "KEY", "only this equation; may be repeated"),
+            switch("--backward-only", "leave the forwards as they are"),
+            option(
+                "--seed",
+                type=whole(0),
+                help="seed of the held-back inputs by which `grade` judges (default 0)",
+            ),
+        ),
+    ),
+    "grade": (
+        school.grade,
+        "points by equation, from inputs that the students have not seen",
+        (
+            option("folder", type=place, help="folder that `classroom` wrote"),
+            option(
+                "--student",
+                type=place,
+                metavar="FOLDER",
+                help="files of one student (default FOLDER/student)",
+            ),
+            option(
+                "--seed",
+                type=whole(0),
+                help="seed of the held-back inputs (default that of the classroom)",
+            ),
+            option(
+                "--timeout",
+                type=real(0.1, 3600),
+                default=5.0,
+                metavar="SECONDS",
+                help="for one case (default 5)",
+            ),
+            QUIET,
+            output("folder for grades.txt, .json and .csv (optional)"),
+        ),
+    ),
+}
+ORACLE = {
+    "list": (oracle.oracle_list, "the cases and what each tests", ()),
+    "path": (oracle.oracle_path, "where the vectors are installed", ()),
+    "export": (
+        oracle.oracle_export,
+        "write the vectors into a folder",
+        (
+            option("folder", type=place, help="folder to write to"),
+            switch("--regenerate", "compute them anew instead of copying the published ones"),
+            QUIET,
+        ),
+    ),
+    "check": (
+        oracle.oracle_check,
+        "judge the answers of a port; exit code 0 only if every required case passes",
+        (
+            option(
+                "folder",
+                type=place,
+                nargs="?",
+                help="where the port wrote <subject>.safetensors or .npz",
+            ),
+            option("--adapter", metavar="CMD", help="ask this process instead, in lines of JSON"),
+            option(
+                "--timeout",
+                type=real(0.01, 86400),
+                metavar="SECONDS",
+                help="for one answer of the adapter (default 10)",
+            ),
+            option(
+                "--dtype",
+                choices=("float64", "float32"),
+                help="precision of what the adapter is sent (default float64)",
+            ),
+            option(
+                "--level",
+                action="append",
+                default=[],
+                choices=("L0", "L1", "L2", "L3", "L4"),
+                help="only this level; may be repeated",
+            ),
+            several("--only", "NAME", "only this equation or subject; may be repeated"),
+            QUIET,
+        ),
+    ),
+}
 
 
 def parser():
-    """All commands and their options."""
+    """The parser of all commands."""
     top = Parser(
         prog="p4dgs-ref",
         description="P-4DGS in NumPy: fit, compress, decode and render tiny moving scenes.",
     )
     top.add_argument("--version", action="version", version=f"p4dgs_ref {__version__}")
-    sub = top.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
-
-    def command(name, help, among=sub, prefix=""):
-        entry = among.add_parser(name, help=help, description=help)
-        entry.set_defaults(function=getattr(commands, prefix + name))
-        add_json(entry)
-        return entry
-
-    e = command("demo", "the main job: fit a scene, compress, decode, render, measure, draw")
-    add_scene(e, nargs="?", default="bouncing"), add_training(e)
-    add_output(e, "report", "folder of the report (default report)")
-    e = command("simulate", "draw the pictures of a scene.json")
-    e.add_argument("scene", help="a scene.json"), add_output(e)
-    e.add_argument("--quiet", action="store_true", help="no progress line")
-    e = command("train", "fit a scene")
-    add_scene(e), add_training(e), add_output(e, None, "run folder")
-    e.add_argument(
-        "--resume", action="store_true", help="go on from the checkpoint in the run folder"
-    )
-    e.add_argument(
-        "--save-every",
-        type=real(0, 1e6),
-        default=20.0,
-        metavar="SECONDS",
-        help="between checkpoints (default 20)",
-    )
-    e = command("encode", "compress a run to a file")
-    e.add_argument("run", help="run folder of `train`"), add_output(e, None, "file to write")
-    e = command("decode", "a file's arrays as npz, its settings as JSON")
-    e.add_argument("file", help="a .p4dgs file"), add_output(e)
-    e = command(
-        "render", "pictures of a file, from a held camera over time or from a scene's cameras"
-    )
-    e.add_argument("file", help="a .p4dgs file"), add_output(e), add_camera(e), add_view(e)
-    e.add_argument("--frames", type=whole(1, 10_000), help="times from 0 to 1 (default 24)")
-    e.add_argument("--scene", help="render this scene's cameras and times instead of a held camera")
-    e.add_argument(
-        "--split",
-        default="test",
-        choices=("train", "test", "val"),
-        help="which of the scene's views",
-    )
-    (
-        e.add_argument("--settings", default="fast", help="exact, paper or fast (default fast)"),
-        add_check(e),
-    )
-    e = command("evaluate", "score a file on a scene's test views")
-    e.add_argument("file", help="a .p4dgs file"), add_scene(e), add_check(e)
-    add_output(e, "", "folder for the comparison picture and table (optional)")
-    e = command("inspect", "a file's bytes, section by section, beside their entropy")
-    (
-        e.add_argument("file", help="a .p4dgs file"),
-        add_output(e, "", "folder for the table and the picture (optional)"),
-    )
-    e.add_argument(
-        "--heat",
-        action="store_true",
-        help="also draw the scene in the colours of what its anchors cost",
-    )
-    (
-        e.add_argument(
-            "--time", type=real(0, 1), default=0.5, help="of the --heat picture (default 0.5)"
-        ),
-        add_camera(e),
-    )
-    command("equations", "the table of equations")
-    e = command("presets", "what each preset changes, beside the paper's values")
-    e.add_argument("preset", nargs="?", help="only this one, all fields")
-    e = command("bench", "time the renderer, the parts of a training step and the coder")
-    e.add_argument("--quick", action="store_true", help="small sizes, a few seconds")
-    add_studies(command), add_classroom(command)
-    e = sub.add_parser(
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    add_commands(commands, COMMANDS)
+    actions = commands.add_parser(
         "oracle", help="golden vectors for ports, and the checker that names the wrong equation"
-    )
-    add_oracle(
-        lambda name, help, among=e.add_subparsers(dest="action", required=True, metavar="ACTION", parser_class=Parser): (
-            command(name, help, among, "oracle_")
-        )
-    )
+    ).add_subparsers(dest="action", required=True, metavar="ACTION")
+    add_commands(actions, ORACLE)
     return top
 
 
-def add_studies(command):
-    """What accuracy costs, what hard cases do, what effects are worth."""
-    e = command(
-        "accuracy", "what accuracy costs in time: studies, each with diagrams, tables and a reading"
-    )
-    e.add_argument(
-        "--only",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="only this study; may be repeated",
-    )
-    e.add_argument(
-        "--quick", action="store_true", help="small sizes, about a minute instead of ten"
-    )
-    e.add_argument(
-        "--summary",
-        action="store_true",
-        help="only error and time of the settings exact, paper and fast",
-    )
-    (
-        add_quiet(e),
-        add_output(
-            e, "report/accuracy", "folder of accuracy.md and its figures (default report/accuracy)"
-        ),
-    )
-    e = command(
-        "stability", "hard cases: literal formula, ours, true value, errors; and the stability map"
-    )
-    e.add_argument(
-        "--only", metavar="ID", help="only this case, or those of a row of the catalogue, like H-R1"
-    )
-    add_quiet(e), add_output(e, "report", "folder of the map (default report)")
-    e = command(
-        "effects", "what each effect of a scene costs and is worth, by training with and without it"
-    )
-    add_scene(e), add_quiet(e), add_output(e, "", "folder for the picture and the table (optional)")
-    e.add_argument(
-        "--suggest",
-        action="store_true",
-        help="only say which effects the pictures call for, and why",
-    )
-    much = e.add_mutually_exclusive_group()
-    much.add_argument(
-        "--full", action="store_true", help="all iterations of the preset tiny instead of half"
-    )
-    much.add_argument(
-        "--quick", action="store_true", help="the preset smoke: seconds, no judgement of PSNR"
-    )
-    e.add_argument("--seed", type=whole(0), default=0, help="seed of the trainings (default 0)")
-
-
-def add_classroom(command):
-    """A copy of the equations for students, and their grades."""
-    e = command(
-        "classroom",
-        "write the equations with bodies removed for students, and the key for their teacher",
-    )
-    e.add_argument(
-        "folder",
-        type=place,
-        help="folder to write to; one that is a classroom already keeps what students wrote",
-    )
-    e.add_argument(
-        "--only",
-        action="append",
-        default=[],
-        metavar="KEY",
-        help="only this equation; may be repeated",
-    )
-    e.add_argument("--backward-only", action="store_true", help="leave the forwards as they are")
-    e.add_argument(
-        "--seed",
-        type=whole(0),
-        help="seed of the held-back inputs by which `grade` judges (default 0)",
-    )
-    e = command("grade", "points by equation, from inputs that the students have not seen")
-    e.add_argument("folder", type=place, help="folder that `classroom` wrote")
-    e.add_argument(
-        "--student",
-        type=place,
-        metavar="FOLDER",
-        help="files of one student (default FOLDER/student)",
-    )
-    e.add_argument(
-        "--seed", type=whole(0), help="seed of the held-back inputs (default that of the classroom)"
-    )
-    e.add_argument(
-        "--timeout",
-        type=real(0.1, 3600),
-        default=5.0,
-        metavar="SECONDS",
-        help="for one case (default 5)",
-    )
-    add_quiet(e), add_output(e, "", "folder for grades.txt, .json and .csv (optional)")
-
-
-def add_check(entry):
-    entry.add_argument(
-        "--check-finite",
-        action="store_true",
-        help="stop at the first equation that makes a NaN or an infinity (training always does)",
-    )
-
-
-def add_quiet(entry):
-    entry.add_argument("--quiet", action="store_true", help="no progress line")
-
-
-def add_oracle(command):
-    """The actions of `oracle`."""
-    command("list", "the cases: what each tests")
-    command("path", "where the vectors are installed")
-    e = command("export", "write the vectors into a folder")
-    e.add_argument("folder", type=place, help="folder to write to")
-    e.add_argument(
-        "--regenerate",
-        action="store_true",
-        help="compute them anew instead of copying the published ones",
-    )
-    add_quiet(e)
-    e = command("check", "judge a port's answers; exit code 0 only if every required case passes")
-    e.add_argument(
-        "folder", type=place, nargs="?", help="where the port wrote <subject>.safetensors or .npz"
-    )
-    e.add_argument(
-        "--adapter", metavar="CMD", help="ask this process instead, line by line in JSON"
-    )
-    e.add_argument(
-        "--timeout",
-        type=real(0.01, 86400),
-        metavar="SECONDS",
-        help="for one answer of the adapter (default 10)",
-    )
-    e.add_argument(
-        "--dtype",
-        choices=("float64", "float32"),
-        help="precision of what the adapter is sent (default float64)",
-    )
-    e.add_argument(
-        "--level",
-        action="append",
-        default=[],
-        choices=("L0", "L1", "L2", "L3", "L4"),
-        help="only this level; may be repeated",
-    )
-    e.add_argument(
-        "--only",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="only this equation or subject; may be repeated",
-    )
-    add_quiet(e)
+def add_commands(subparsers, table):
+    """Add the commands of a table."""
+    for name, (function, help, arguments) in table.items():
+        entry = subparsers.add_parser(name, help=help, description=help)
+        entry.set_defaults(function=function)
+        for names, settings in (JSON, *arguments):
+            entry.add_argument(*names, **settings)
 
 
 def user_errors():
-    """The exceptions that are a user's mistake or a damaged file, imported late."""
+    """The exceptions that mean a user's mistake or a damaged file."""
     from ..codec.container import BitstreamError
     from ..codec.quantise import EncodeError
     from ..oracle.adapter import AdapterError
@@ -389,12 +390,12 @@ def user_errors():
         TensorError,
         AdapterError,
         ClassroomError,
-        commands.UsageError,
+        UsageError,
     )
 
 
 def how_to_resume(argv, arguments):
-    """The end of the message after Ctrl-C: the command that goes on, where there is a checkpoint."""
+    """The end of the message after Ctrl-C: the command that goes on, if there is a checkpoint."""
     from ..training.checkpoint import CHECKPOINT
 
     if arguments.command != "train" or not (Path(arguments.output) / CHECKPOINT).is_file():
@@ -404,12 +405,12 @@ def how_to_resume(argv, arguments):
 
 
 def run(argv, start):
-    """Parse and run; returns the exit code: 0 well, 1 training or a check failed, 2 a mistake of the user, 130 stopped."""
-    for stream in (
-        sys.stdout,
-        sys.stderr,
-    ):  # what the terminal cannot show must not end the program
-        if hasattr(stream, "reconfigure"):
+    """Parse and run a command; returns the exit code.
+
+    Exit codes: 0 success, 1 failed training or check, 2 invalid input, 130 interrupted.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # escape characters that the terminal cannot show
             stream.reconfigure(errors="backslashreplace")
     arguments = parser().parse_args(argv)
     arguments.start = start

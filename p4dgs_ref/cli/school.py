@@ -1,10 +1,10 @@
-"""What the commands of the classroom do: write a copy for students, grade it."""
+"""The commands of the classroom: write a copy for students, grade it."""
 
-from ..scenes.output import filled
-from .base import Line, show
+from .base import Line, report_folder, show
 
 
 def classroom(arguments):
+    """Write the equations without their bodies, and the key."""
     from ..school import classroom as write
 
     done = write(arguments.folder, arguments.only or None, arguments.backward_only, arguments.seed)
@@ -12,21 +12,19 @@ def classroom(arguments):
     show(
         arguments,
         done,
-        f"{done['output']}: {done['functions']} functions of {len(done['equations'])} equations to write in "
-        f"student/, the key in key/, README.md says how{kept}",
+        f"{done['output']}: {done['functions']} functions of {len(done['equations'])} equations "
+        f"to write in student/; the key is in key/, README.md explains{kept}",
     )
 
 
 def grade(arguments):
+    """Judge what students wrote."""
     from ..school import as_json, text, write
     from ..school import grade as judge
 
-    line = Line(arguments.quiet)
-    try:
+    with Line(arguments) as line:
         report = judge(arguments.folder, arguments.seed, arguments.student, arguments.timeout, line)
-    finally:
-        line.close()
-    if arguments.output:
-        with filled(arguments.output) as beside:
+    with report_folder(arguments.output) as beside:
+        if beside:
             write(report, beside)
     show(arguments, as_json(report), text(report))
