@@ -9,9 +9,9 @@ it by the number of values, so that lambda_rate means the same in small and larg
 
 
 def forward(
-    R_anchor,  # scalar: bits of the anchors, Eq. (13)
-    R_hash,  # scalar: bits of the hash grid, Eq. (14)
-    n_parameters,  # scalar: A * (d + 6 + 3k): all anchors, masked offsets included
+    R_anchor,  # []  bits of the anchors, Eq. (13)
+    R_hash,  # []  bits of the hash grid, Eq. (14)
+    n_parameters,  # []  A * (d + 6 + 3k): all anchors, masked offsets included
 ):
     """Return bits and L_rate [] and what `backward` needs; L_rate is 0 without parameters."""
     bits = R_anchor + R_hash

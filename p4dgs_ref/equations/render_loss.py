@@ -15,7 +15,7 @@ from . import ssim
 def forward(
     image,  # [H, W, C]  rendered image, intensities of range 1
     truth,  # [H, W, C]  true image
-    lambda_ssim,  # scalar: weight of D_SSIM, a Python float, so that float32 stays float32
+    lambda_ssim,  # []  weight of D_SSIM, a Python float, so that float32 stays float32
     truth_moments=None,  # `ssim.moments(truth)`, which is constant for each view
 ):
     """Return L_render, L1 and D_SSIM [] and what `backward` needs."""

@@ -7,9 +7,9 @@ P-4DGS, section 3.3 (training objective).
 
 
 def forward(
-    L_render,  # scalar: rendering loss of Eq. (16)
-    L_rate,  # scalar: bits per coded value of Eq. (17), comparable between scenes (Q12)
-    lambda_rate,  # scalar: weight of the rate, 5e-4 to 4e-3 in the paper
+    L_render,  # []  rendering loss of Eq. (16)
+    L_rate,  # []  bits per coded value of Eq. (17), comparable between scenes (Q12)
+    lambda_rate,  # []  weight of the rate, 5e-4 to 4e-3 in the paper
 ):
     """Return L_total [] and what `backward` needs."""
     return lambda_rate * L_rate + L_render, (lambda_rate,)

@@ -22,8 +22,8 @@ def forward(
     depth,  # [N]  decides the order only; equal depths stay in the order of their index
     visible,  # [N]  bool: rows to draw
     background,  # [3]  colour behind everything
-    height,  # of the image (pixels)
-    width,
+    height,  # []  of the image (pixels)
+    width,  # []
     occlusion=True,  # False: splats add up and hide nothing, T = 1 everywhere
     alpha_max=0.99,  # clamp of alpha (Q21)
 ):

@@ -38,8 +38,8 @@ def forward(
     depth,  # [N]  decides the order only
     visible,  # [N]  bool: rows to draw
     background,  # [3]  colour behind everything
-    height,  # of the image (pixels)
-    width,
+    height,  # []  of the image (pixels)
+    width,  # []
     settings,  # a Settings; a stop by tile is not followed, the loop knows no tiles
 ):
     """Return image [height, width, 3], transmittance [height, width] and what `backward` needs."""
