@@ -1,370 +1,474 @@
 # %% [markdown]
 # # Eq. (3) for colour and rotation, Eq. (4) for scale
 #
-# **Promise.** After this you can take a gradient through a sigmoid, a shared factor and a normalised quaternion.
-# **Before it:** `02_view`, `03_opacity_and_masking`. **Takes** two seconds of machine time on two cores, half an hour of yours.
+# **Promise.** After this tutorial you can take a gradient through a sigmoid, through a factor that
+# several outputs share, and through a normalised quaternion.
+# **Before it:** `02_view`, `03_opacity_and_masking`. **Takes** two seconds of machine time on two
+# cores, half an hour of yours.
 
 # %%
 import numpy as np
 from matplotlib.patches import Ellipse
 
-from p4dgs_ref import EQUATIONS
-from p4dgs_ref.equations import color, mlp, opacity, rotation, scale
+from p4dgs_ref.equations import anchor_network, color, rotation, scale
+from p4dgs_ref.equations.numerics import normalise, normalise_backward, sigmoid_slope
 from p4dgs_ref.school import lessons
+from p4dgs_ref.school.lessons import close, inner
 from p4dgs_ref.splatting import covariance
+from p4dgs_ref.studies.random_inputs import random_anchor_network
 
 plt = lessons.pyplot()
 rng = np.random.default_rng(4)
 
 # %% [markdown]
 # ## Claim
-# Colour and rotation are "predicted analogously" to the opacity of Eq. (3). For the scale the network's output is "a residual
-# scaling factor relative to the anchor scale":
-# $$\{s_0,\dots,s_{k-1}\} = s_a \cdot \mathrm{sigmoid}\bigl(\psi_s(f_a, \delta_{vc}, d_{vc})\bigr) \tag{4}$$
-
-# %% [markdown]
-# The paper prints no activation for the other two; those of Scaffold-GS are $c_j = \mathrm{sigmoid}(\psi_c)_j$ and
-# $r_j = \psi_{r,j} / \|\psi_{r,j}\|_2$, a unit *quaternion*: four numbers $(w, x, y, z)$ of length one that name a rotation. The
-# real part $w$ is the cosine of half the angle, $(x, y, z)$ points along the axis; `13_covariance` needs the details. This is
-# choice `Q4`.
+# Colour and rotation are "predicted analogously" to the opacity of Eq. (3). For the scale, the
+# output of the network is "a residual scaling factor relative to the anchor scale":
+# $$\{s_0,\dots,s_{k-1}\} = s_a \cdot \mathrm{sigmoid}\bigl(\psi_s(f_a, \delta_{vc}, d_{vc})\bigr)
+# \tag{4}$$
+# The paper does not print the activations of the other two networks. This project uses those of
+# Scaffold-GS (choice `Q4`): $c_j = \mathrm{sigmoid}(\psi_c)_j$ for the colour, and
+# $r_j = \psi_{r,j} / \|\psi_{r,j}\|_2$ for the rotation. The latter is a unit *quaternion*, that
+# is, four numbers $(w, x, y, z)$ of length one that describe a rotation. The real part $w$ is the
+# cosine of half the angle, and $(x, y, z)$ points along the axis. `13_covariance` explains the
+# details.
 
 # %% [markdown]
 # ## By hand
-# The sigmoid $1/(1+e^{-\psi})$ of $0$, $\ln 3$ and $-\ln 3$ is 0.5, 0.75 and 0.25. With $s_a = (2, 1, 0.5)$ the child's scale is
-# 1, 0.75 and 0.125. The quaternion $(1, 2, 2, 4)$ has length 5, so the rotation is 0.2, 0.4, 0.4, 0.8.
+# The sigmoid $1/(1+e^{-\psi})$ of $0$, $\ln 3$ and $-\ln 3$ is 0.5, 0.75 and 0.25. With
+# $s_a = (2, 1, 0.5)$, a child with these three outputs has the scale $(1, 0.75, 0.125)$. The
+# quaternion $(1, 2, 2, 4)$ has the length 5, so normalising gives $(0.2, 0.4, 0.4, 0.8)$.
 
 # %%
 psi = np.array([0, np.log(3), -np.log(3)])
-fraction = 1 / (1 + np.exp(-psi))
+share = 1 / (1 + np.exp(-psi))
 s_a = np.array([2, 1, 0.5])
-y = np.array([1.0, 2, 2, 4])
-length = np.sqrt((y * y).sum())
-assert np.allclose(fraction, [0.5, 0.75, 0.25], rtol=1e-15) and np.allclose(
-    s_a * fraction, [1, 0.75, 0.125], rtol=1e-15
-)
-assert length == 5 and (y / length).tolist() == [0.2, 0.4, 0.4, 0.8]
+raw = np.array([1.0, 2, 2, 4])
+print("sigmoid", share, "| scale", s_a * share, "| rotation", raw / 5)
 
 # %% [markdown]
 # ## In code
-# A network's last layer is `(A, 3k)` or `(A, 4k)` wide. `reshape(A, k, 3)` reads it child by child: the first three columns
-# are the first child's. The anchor's `s_a (A, 3)` gets an axis of length one and serves all children.
+# The last layer of a network is `3 k` or `4 k` numbers wide, and reshaping it to `[A, k, 3]` or
+# `[A, k, 4]` reads it child by child: the first columns belong to the first child. The anchor's
+# scale `s_a [A, 3]` gets an axis of length one, so that it serves all children. In the next cell
+# the network is the identity and the anchor has two children, the second one with the outputs of
+# the first in reverse order.
 
 # %%
-seen = np.zeros((1, 0)), np.zeros((1, 0))  # no view: the feature is the whole input
-both = np.concatenate([psi, psi[::-1]])[None]  # two children; the network is the identity
-network = [np.eye(6)], [np.zeros(6)]
-assert np.allclose(
-    color.forward(both, *seen, *network)[0].color, [[fraction, fraction[::-1]]], rtol=1e-15
-)
-assert np.allclose(
-    scale.forward(s_a[None], both, *seen, *network)[0].s,
-    [[s_a * fraction, s_a * fraction[::-1]]],
-    rtol=1e-15,
-)
-assert np.allclose(
-    rotation.forward(y[None], *seen, [np.eye(4)], [np.zeros(4)])[0].r, [[y / 5]], rtol=1e-15
-)
+no_view = [np.zeros((1, 0)), np.zeros((1, 0))]  # the feature is the whole input
+two_children = np.concatenate([psi, psi[::-1]])[None]
+identity = [np.eye(6)], [np.zeros(6)]
+both = np.array([[share, share[::-1]]])
+colors, _ = color.forward(two_children, *no_view, *identity)
+assert close(colors, both)
+scales, _ = scale.forward(s_a[None], two_children, *no_view, *identity)
+assert close(scales, s_a * both)
+turns, _ = rotation.forward(raw[None], *no_view, [np.eye(4)], [np.zeros(4)])
+assert close(turns, [[[0.2, 0.4, 0.4, 0.8]]])
 
 # %% [markdown]
-# What an anchor looks like then, with random networks. The grey ellipse is the anchor's own scale, unturned. Its children have
-# colours, turns and scales of their own, but along no axis of theirs more than the anchor's: a sigmoid stays below one.
+# The figure shows three anchors with random networks. The grey ellipse is the anchor's own scale,
+# without rotation. Its children have colours, rotations and scales of their own, but along each of
+# its axes a child is smaller than the anchor, because a sigmoid is less than one.
 
 # %%
 A, k = 3, 5
-inputs = opacity.view_inputs(rng, A=A, d=6, k=k, outputs=4, hidden=(12, 12))
-views = {name: inputs[name] for name in ("f_a", "delta_vc", "d_vc")}
-nets = {n: opacity.view_inputs(rng, A=A, d=6, k=k, outputs=n, hidden=(12, 12)) for n in (3, 4)}
-colors = color.forward(
-    **views, weights=[W * 1.6 for W in nets[3]["weights"]], biases=nets[3]["biases"]
-)[0].color
-turns = rotation.forward(**views, weights=nets[4]["weights"], biases=nets[4]["biases"])[0].r
+networks = {}
+for width in (3, 4):
+    networks[width] = random_anchor_network(
+        rng,
+        A=A,
+        d=6,
+        k=k,
+        outputs=width,
+        hidden=(12, 12),
+    )
+seen = [networks[4][name] for name in ("f_a", "delta_vc", "d_vc")]
+
+
+def stronger(network, factor):
+    """The weights of a network times a factor, and its biases."""
+    return [factor * W for W in network["weights"]], network["biases"]
+
+
 own = np.array([[1.0, 0.35, 0.3], [0.4, 0.8, 0.3], [0.7, 0.7, 0.2]])
-sizes = scale.forward(
-    own, **views, weights=[W * 1.2 for W in nets[3]["weights"]], biases=nets[3]["biases"]
-)[0].s
-assert (sizes < own[:, None]).all() and (sizes > 0).all()
+colors, _ = color.forward(*seen, *stronger(networks[3], 1.6))
+turns, _ = rotation.forward(*seen, *stronger(networks[4], 1))
+scales, _ = scale.forward(own, *seen, *stronger(networks[3], 1.2))
+assert (scales < own[:, None]).all()
+assert (scales > 0).all()
 
 
 def outline(ax, place, s, r, **style):
-    """The one-sigma ellipse of a Gaussian seen along z."""
-    flat = covariance.forward(s[None], r[None])[0].Sigma[0, :2, :2]
-    long_short, axes_of = np.linalg.eigh(flat)
+    """Draw the one-sigma ellipse of a Gaussian as seen along z."""
+    Sigma, _ = covariance.forward(s[None], r[None])
+    variances, axes_of = np.linalg.eigh(Sigma[0, :2, :2])
+    width, height = 2 * np.sqrt(variances)
+    angle = np.degrees(np.arctan2(axes_of[1, 0], axes_of[0, 0]))
     ax.add_patch(
         Ellipse(
             place,
-            *2 * np.sqrt(long_short),
-            angle=np.degrees(np.arctan2(axes_of[1, 0], axes_of[0, 0])),
+            width,
+            height,
+            angle=angle,
             **style,
         )
     )
 
 
-figure, axes = plt.subplots(1, 3, figsize=(12, 4.8), sharey=True, layout="constrained")
+figure, axes = plt.subplots(
+    1,
+    3,
+    figsize=(12, 4.8),
+    sharey=True,
+    layout="constrained",
+)
+dashed = {"fc": "0.9", "ec": "0.4", "ls": "--", "lw": 2, "label": "scale of the anchor $s_a$"}
 for a, ax in enumerate(axes):
-    outline(
-        ax,
-        (0, 0),
-        own[a],
-        np.array([1.0, 0, 0, 0]),
-        fc="0.9",
-        ec="0.4",
-        ls="--",
-        lw=2,
-        label="scale of the anchor $s_a$",
-    )
+    outline(ax, (0, 0), own[a], np.array([1.0, 0, 0, 0]), **dashed)
     for j in range(k):
         angle = 2 * np.pi * j / k
-        place = 1.05 * np.cos(angle), 1.05 * np.sin(angle)
+        place = (1.05 * np.cos(angle), 1.05 * np.sin(angle))
+        label = "children" if j == 0 else None
         outline(
             ax,
             place,
-            sizes[a, j],
+            scales[a, j],
             turns[a, j],
             fc=colors[a, j],
             ec="k",
             lw=1,
-            label="children" if j == 0 else None,
+            label=label,
         )
-    ax.set(
-        title=f"anchor {a}", xlabel="x (scene units)", aspect="equal", xlim=(-2, 2), ylim=(-2, 2)
-    )
+    ax.set_title(f"anchor {a}")
+    ax.set_xlabel("x (scene units)")
+    ax.set_aspect("equal")
+    ax.set_xlim(-2, 2)
+    ax.set_ylim(-2, 2)
 axes[0].set_ylabel("y (scene units)")
-axes[1].legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
-figure.suptitle(
-    "Children choose colour, turn and size; none outgrows its anchor (1 sigma, set apart)",
-    fontsize=15,
+axes[1].legend(
+    loc="upper center",
+    bbox_to_anchor=(0.5, -0.16),
+    ncols=2,
 )
+title = "Children have their own colours and rotations, and are smaller than their anchor (1 sigma)"
+figure.suptitle(title, fontsize=14)
 lessons.show(figure, "04_color_rotation_scale")
 
 # %% [markdown]
 # ## Backward by hand
-# **Sigmoid.** With $c = 1/(1+e^{-\psi})$: $\;dc = \frac{e^{-\psi}}{(1+e^{-\psi})^2}\,d\psi = c\,(1-c)\,d\psi$. The code takes
-# $\mathrm{sigmoid}(-\psi)$ for $1 - c$: the same number, but it keeps its digits where $c$ is nearly one. Where $c$ is 0.75 the
-# slope is 0.1875.
+# **Sigmoid.** With $c = 1/(1+e^{-\psi})$,
+# $$dc = \frac{e^{-\psi}}{(1+e^{-\psi})^2}\,d\psi = c\,(1-c)\,d\psi.$$
+# The function `numerics.sigmoid_slope` uses $\mathrm{sigmoid}(-\psi)$ for $1 - c$. It is the same
+# number, but it keeps its digits where $c$ is almost one. At $\psi = 40$, for example, $c$ rounds
+# to 1 and the textbook slope $c\,(1 - c)$ is 0, although the true slope is $e^{-40}$.
 
 # %%
-c, rest = 1 / (1 + np.exp(-np.log(3))), 1 / (1 + np.exp(np.log(3)))
-assert np.isclose(c, 0.75) and np.isclose(c * (1 - c), 0.1875) and np.isclose(c * rest, 0.1875)
-white, white_res = color.forward(np.full((1, 3), 40.0), *seen, [np.eye(3)], [np.zeros(3)])
-assert (
-    white.color[0, 0, 0] * (1 - white.color[0, 0, 0]) == 0
-    and abs(white_res.slope[0, 0, 0] - np.exp(-40)) < 1e-30
-)
+assert close(sigmoid_slope(psi), share * (1 - share))
+c = 1 / (1 + np.exp(-40.0))
+assert c * (1 - c) == 0
+assert close(sigmoid_slope(40.0), np.exp(-40))
 
 # %% [markdown]
-# **Scale.** One axis, one child: $s = s_a\,\varphi$ with $\varphi = \mathrm{sigmoid}(\psi)$. The rule for products:
-# $$ds = \varphi\,ds_a + s_a\,\varphi(1-\varphi)\,d\psi \;\Rightarrow\; \bar s_a = \varphi\,\bar s, \quad
-# \bar\psi = s_a\,\varphi\,(1-\varphi)\,\bar s.$$
+# **Scale.** One axis of one child is $s = s_a\,\varphi$ with $\varphi = \mathrm{sigmoid}(\psi)$. By
+# the product rule,
+# $$ds = \varphi\,ds_a + s_a\,\varphi(1-\varphi)\,d\psi \;\Rightarrow\;
+# \bar s_a = \varphi\,\bar s, \quad \bar\psi = s_a\,\varphi\,(1-\varphi)\,\bar s.$$
 
 # %%
-res = scale.forward(s_a[None], psi[None], *seen, [np.eye(3)], [np.zeros(3)])[1]
+one_child = [np.eye(3)], [np.zeros(3)]
+_, saved = scale.forward(s_a[None], psi[None], *no_view, *one_child)
 s_bar = np.array([3.0, -1, 2])
-one_child = scale.backward(res, s_bar[None, None])
-assert np.allclose(one_child["s_a"][0], fraction * s_bar, rtol=1e-14)
-assert np.allclose(one_child["f_a"][0], s_a * fraction * (1 - fraction) * s_bar, rtol=1e-14)
+gradients = scale.backward(saved, s_bar[None, None])
+assert close(gradients["s_a"][0], share * s_bar)
+assert close(gradients["f_a"][0], s_a * share * (1 - share) * s_bar)
 
 # %% [markdown]
-# With shapes: $\bar\psi$ is per child, $\bar s_a$ is shared, so it sums over the axis of children, as $l_a$ did in `01_offsets`:
-# $\bar s_a = \sum_j \varphi_j\,\bar s_j$. Then `reshape(A, 3 k)` undoes the other reshape and `mlp.backward` takes over.
+# With several children, each has its own $\bar\psi$, but they share $s_a$. The gradient of $s_a$
+# therefore sums over the children, as that of $l_a$ did in `01_offsets`:
+# $\bar s_a = \sum_j \varphi_j\,\bar s_j$. Afterwards $\bar\psi$ is reshaped to `[A, 3 k]`, and the
+# backward of the network from `03_opacity_and_masking` continues.
 
 # %%
-inputs = dict(s_a=rng.uniform(0.1, 2, (A, 3)), **opacity.view_inputs(rng, A=A, d=2, k=k, outputs=3))
-out, res = scale.forward(**inputs)
-s_bar = rng.normal(size=(A, k, 3))
-ours = scale.backward(res, s_bar)
-assert np.allclose(
-    ours["s_a"], sum(s_bar[:, j] * out.s[:, j] / inputs["s_a"] for j in range(k)), rtol=1e-12
+inputs = {"s_a": rng.uniform(0.1, 2, (A, 3))}
+inputs |= random_anchor_network(
+    rng,
+    A=A,
+    d=2,
+    k=k,
+    outputs=3,
 )
-last = s_bar * inputs["s_a"][:, None] * res.fraction * (1 - res.fraction)
-assert np.allclose(ours["biases"][-1], last.reshape(A, 3 * k).sum(axis=0), rtol=1e-12)
+s, saved = scale.forward(**inputs)
+s_bar = rng.normal(size=(A, k, 3))
+ours = scale.backward(saved, s_bar)
+
+phi = s / inputs["s_a"][:, None]
+s_a_bar = sum(phi[:, j] * s_bar[:, j] for j in range(k))
+psi_bar = s_bar * inputs["s_a"][:, None] * phi * (1 - phi)
+assert close(ours["s_a"], s_a_bar)
+assert close(ours["biases"][-1], psi_bar.reshape(A, 3 * k).sum(axis=0), 1e-11)
 
 # %% [markdown]
-# **Quaternion.** Let $y$ be the four raw numbers and $n = \sqrt{y\cdot y}$. This is the direction of Eq. (2) in four dimensions:
-# $$dn = \frac{y\cdot dy}{n} = r\cdot dy, \qquad dr = \frac{dy}{n} - \frac{y\,dn}{n^2} = \frac{1}{n}\,(I - r r^T)\,dy.$$
-# The matrix is its own transpose: $\bar y = (\bar r - r\,(r\cdot\bar r))/n$. For $y = (1, 2, 2, 4)$ and $\bar r = (50, 0, 0, 0)$
-# that is 9.6, -0.8, -0.8, -1.6.
+# **Quaternion.** Let $y$ be the four outputs of the network and $n = \sqrt{y\cdot y}$. Then
+# $r = y/n$ is the direction of Eq. (2) in four dimensions, and the same derivation gives
+# $$dn = \frac{y\cdot dy}{n} = r\cdot dy, \qquad
+# dr = \frac{dy}{n} - \frac{y\,dn}{n^2} = \frac{1}{n}\,(I - r r^T)\,dy.$$
+# The matrix is its own transpose, so $\bar y = (\bar r - r\,(r\cdot\bar r))/n$. For
+# $y = (1, 2, 2, 4)$ and $\bar r = (50, 0, 0, 0)$ this is $(9.6, -0.8, -0.8, -1.6)$.
 
 # %%
-r, r_bar = y / 5, np.array([50.0, 0, 0, 0])
-by_hand = (r_bar - r * (r @ r_bar)) / 5
-assert np.allclose(by_hand, [9.6, -0.8, -0.8, -1.6], rtol=1e-14)
-unit, norm = rotation.normalise(y)
-assert np.allclose(rotation.normalise_backward(unit, norm, r_bar), by_hand, rtol=1e-14)
+unit, norm = normalise(raw)
+raw_bar = normalise_backward(unit, norm, np.array([50.0, 0, 0, 0]))
+assert close(raw_bar, [9.6, -0.8, -0.8, -1.6])
 
 # %% [markdown]
-# Line by line against differences, for many quaternions: first $dn$, then $dr$, then the transpose as the adjoint identity.
+# Here are the lines of the derivation against differences, for twenty random quaternions: first
+# $dn$, then $dr$, then the transpose in the form of the adjoint identity.
 
 # %%
 y = rng.normal(size=(20, 4))
-dy, r_bar = rng.normal(size=(20, 4)), rng.normal(size=(20, 4))
-(up, n_up), (down, n_down), (r, n) = (rotation.normalise(y + h * dy) for h in (1e-6, -1e-6, 0))
-assert np.allclose((n_up - n_down)[:, 0] / 2e-6, (r * dy).sum(axis=1), rtol=1e-6, atol=1e-8)
-dr = (dy - r * (r * dy).sum(axis=1, keepdims=True)) / n
-assert np.allclose((up - down) / 2e-6, dr, rtol=1e-6, atol=1e-8)
-y_bar = rotation.normalise_backward(r, n, r_bar)
-assert abs((y_bar * dy).sum() - (r_bar * dr).sum()) < 1e-12
+dy = rng.normal(size=(20, 4))
+r_bar = rng.normal(size=(20, 4))
+r, n = normalise(y)
+r_up, n_up = normalise(y + 1e-6 * dy)
+r_down, n_down = normalise(y - 1e-6 * dy)
+
+dn = (r * dy).sum(axis=1, keepdims=True)
+dr = (dy - r * dn) / n
+y_bar = normalise_backward(r, n, r_bar)
+assert close((n_up - n_down) / 2e-6, dn, 1e-6)
+assert close((r_up - r_down) / 2e-6, dr, 1e-6)
+assert abs(inner(y_bar, dy) - inner(r_bar, dr)) < 1e-12
 
 # %% [markdown]
-# **At zero.** $0/0$ is no rotation. The code divides by the *safe length* $n = \sqrt{y\cdot y + \epsilon^2}$ with `1e-12` for
-# $\epsilon$. The formulas for $dn$, $dr$ and $\bar y$ stay exact; only $|r|^2$ is $1 - (\epsilon/n)^2$ now. `normalise_backward`
-# adds two terms, `view.across`, $\bar r\,|r|^2 - r\,(r\cdot\bar r)$, and $(\epsilon/n)^2\,\bar r$: together
-# $\bar r - r\,(r\cdot\bar r)$.
+# **At zero** there is a problem, because $0/0$ is no rotation. The code therefore divides by
+# $n = \sqrt{y\cdot y + \epsilon^2}$ with $\epsilon = 10^{-12}$. The formulas for $dn$, $dr$ and
+# $\bar y$ stay exact with this $n$. What changes is that $r$ is not quite a unit vector any more:
+# $|r|^2 = 1 - (\epsilon/n)^2$. At $y = 0$ the gradient is $\bar r/\epsilon$, which is large but
+# finite.
 
 # %%
-tiny = rng.normal(size=4) * 2e-12
-r, n = rotation.normalise(tiny)
-assert (
-    abs(n[0] - np.sqrt(tiny @ tiny + 1e-24)) < 1e-26
-    and abs(r @ r - (1 - (1e-12 / n[0]) ** 2)) < 1e-14
-    and r @ r < 0.99
-)
+tiny = 2e-12 * rng.normal(size=4)
 bar = np.array([3.0, -5, 7, 11])
-assert np.allclose(
-    rotation.normalise_backward(r, n, bar), (bar - r * (r @ bar)) / n, rtol=1e-12, atol=0
-)
-at_zero = rotation.normalise_backward(*rotation.normalise(np.zeros(4)), bar)
-assert np.allclose(at_zero, bar * 1e12, rtol=1e-12) and np.isfinite(at_zero).all()
+r, n = normalise(tiny)
+assert close(n[0], np.sqrt(tiny @ tiny + 1e-24))
+assert close(r @ r, 1 - (1e-12 / n[0]) ** 2)
+assert r @ r < 0.99
+assert close(normalise_backward(r, n, bar), (bar - r * (r @ bar)) / n)
+at_zero = normalise_backward(*normalise(np.zeros(4)), bar)
+assert close(at_zero, bar * 1e12)
 
 # %% [markdown]
-# A picture in two dimensions: the same $\bar r$ arrives everywhere; what goes on to $y$ is tangential, and the shorter the
-# longer $y$ already is. So a step of gradient descent turns a long quaternion less than a short one.
+# The figure shows this in two dimensions. The same $\bar r$ arrives everywhere. What continues to
+# $y$ is perpendicular to $y$, and it is smaller where $y$ is longer. A step of gradient descent
+# therefore turns a long quaternion less than a short one.
 
 # %%
-angle, radius = np.meshgrid(np.linspace(0, 2 * np.pi, 12, endpoint=False), [0.6, 1.2, 2.0])
-flat = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1).reshape(-1, 2)
-raw = np.pad(flat, ((0, 0), (0, 2)))
-unit, norm = rotation.normalise(raw)
-arrows = rotation.normalise_backward(unit, norm, np.tile([0.0, 0.45, 0, 0], (len(raw), 1)))[:, :2]
-assert np.abs((arrows * flat).sum(axis=1)).max() < 1e-15
+angle, radius = np.meshgrid(np.arange(12) * np.pi / 6, [0.6, 1.2, 2.0])
+circles = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1).reshape(36, 2)
+four_numbers = np.pad(circles, ((0, 0), (0, 2)))
+unit, norm = normalise(four_numbers)
+arrows = normalise_backward(unit, norm, np.tile([0.0, 0.45, 0, 0], (36, 1)))[:, :2]
+assert np.abs((arrows * circles).sum(axis=1)).max() < 1e-15
+
 figure, ax = plt.subplots(figsize=(7.5, 6.8))
-ax.add_patch(plt.Circle((0, 0), 1, fill=False, lw=2, color="0.4", label="unit quaternions $r$"))
-ax.plot(*flat.T, "o", ms=6, color=lessons.COLORS[6], label=r"raw quaternions $\psi_r$")
+blue, red = lessons.COLORS[:2]
+ax.add_patch(
+    plt.Circle(
+        (0, 0),
+        1,
+        fill=False,
+        lw=2,
+        color="0.4",
+        label="unit quaternions $r$",
+    )
+)
+outputs = r"outputs $\psi_r$"
+ax.plot(
+    circles[:, 0],
+    circles[:, 1],
+    "o",
+    ms=6,
+    color=lessons.COLORS[6],
+    label=outputs,
+)
 ax.quiver(
-    *flat.T,
-    *arrows.T,
-    color=lessons.COLORS[1],
+    *(circles[:, 0], circles[:, 1]),
+    *(arrows[:, 0], arrows[:, 1]),
+    color=red,
     angles="xy",
     scale_units="xy",
     scale=1,
     width=0.008,
     zorder=3,
 )
-ax.plot([], [], color=lessons.COLORS[1], label=r"gradient $\bar\psi_r$")
-ax.annotate(
-    "",
-    (-2.5, 0.225),
-    (-2.5, -0.225),
-    arrowprops=dict(width=3, headwidth=11, color=lessons.COLORS[0]),
+ax.plot(
+    [],
+    [],
+    color=red,
+    label=r"gradient $\bar\psi_r$",
 )
-ax.text(-2.55, -0.5, r"$\bar r$ everywhere", color=lessons.COLORS[0], ha="center", fontsize=13)
-ax.set(
-    xlabel="real part $w$",
-    ylabel="imaginary part $x$",
-    aspect="equal",
-    xlim=(-3.4, 2.6),
-    ylim=(-2.6, 2.6),
+thick = {"width": 3, "headwidth": 11, "color": blue}
+ax.annotate("", (-2.5, 0.225), (-2.5, -0.225), arrowprops=thick)
+ax.text(
+    -2.55,
+    -0.5,
+    r"$\bar r$ everywhere",
+    color=blue,
+    ha="center",
+    fontsize=13,
 )
+ax.set_xlabel("real part $w$")
+ax.set_ylabel("imaginary part $x$")
+ax.set_aspect("equal")
+ax.set_xlim(-3.4, 2.6)
+ax.set_ylim(-2.6, 2.6)
 ax.set_title("Normalising removes the radial part of a gradient", fontsize=15)
-ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, fontsize=11, columnspacing=1)
+ax.legend(
+    loc="upper center",
+    bbox_to_anchor=(0.5, -0.12),
+    ncols=3,
+    fontsize=11,
+    columnspacing=1,
+)
 lessons.show(figure, "04_color_rotation_scale_quaternion")
 
 # %% [markdown]
 # ## Break it
-# Divide by $n$ and forget the projector, as if the length were a constant. Gradient descent towards a target rotation still
-# gets there: everything looks fine. But the raw length has shrunk, and the gradient is not that of the loss.
+# Suppose we divide by $n$ and forget the projector, as if the length were a constant. Gradient
+# descent towards a target rotation still arrives there, so everything looks fine. But this vector
+# is not the gradient of the loss. It has a component along $r$, although the loss does not depend
+# on the length of the quaternion, and during the descent the length shrinks.
 
 # %%
-target = rotation.normalise(rng.normal(size=4))[0]
+target, _ = normalise(rng.normal(size=4))
 start = np.array([0.6, -0.3, 0.2, 0.4])
-found = {}
-for name in ("right", "broken"):
-    q = start.copy()
+
+
+def descend(with_projector):
+    """Return the raw quaternion after gradient descent on |r - target|^2 / 2."""
+    y = start.copy()
     for _ in range(4000):
-        r, n = rotation.normalise(q)
-        r_bar = r - target  # of the loss |r - target|^2 / 2
-        q -= 0.05 * (rotation.normalise_backward(r, n, r_bar) if name == "right" else r_bar / n)
-    assert (np.linalg.norm(q) < np.linalg.norm(start)) == (name == "broken")
-    found[name] = np.degrees(2 * np.arccos(np.clip(abs(rotation.normalise(q)[0] @ target), 0, 1)))
-    print(
-        f"{name}: off the target by {found[name]:.4f} degrees, raw length {np.linalg.norm(q):.3f}"
-    )
-assert max(found.values()) < 0.1
-r, n = rotation.normalise(start)
+        r, n = normalise(y)
+        r_bar = r - target
+        y_bar = normalise_backward(r, n, r_bar) if with_projector else r_bar / n
+        y -= 0.05 * y_bar
+    return y
+
+
+for name, with_projector in (("right", True), ("broken", False)):
+    y = descend(with_projector)
+    cosine = abs(normalise(y)[0] @ target)
+    missing = np.degrees(2 * np.arccos(min(cosine, 1)))
+    length = np.linalg.norm(y)
+    print(f"{name}: {missing:.4f} degrees from the target, length {length:.3f}")
+    assert missing < 0.1
+    assert (length > np.linalg.norm(start)) == with_projector
+
+r, n = normalise(start)
 bar = r - target
-assert (
-    abs(rotation.normalise_backward(r, n, bar) @ r) < 1e-14 and abs(bar @ r / n[0]) > 0.1
-)  # the one-line check
+assert abs(normalise_backward(r, n, bar) @ r) < 1e-14
+assert abs(bar @ r / n[0]) > 0.1
 
 # %% [markdown]
 # ## What a codec does with it
-# No colour, rotation or scale of a Gaussian is sent: the feature stands for all of them, and three numbers $s_a$. Counted:
-# numbers per Gaussian when written out (14, without view dependence), and per anchor of ten children in the paper's sizes.
+# The file contains no colour, rotation or scale of any Gaussian, because the anchor's feature and
+# the three numbers $s_a$ determine them all. A Gaussian written out has 14 numbers, without view
+# dependence: position, scale, rotation, opacity and colour. The cell compares ten Gaussians with
+# one anchor of ten children, in the paper's sizes.
 
 # %%
 d, k = 16, 10
-explicit, anchor = 3 + 3 + 4 + 1 + 3, d + 3 + 3 + 3 * k + 3
-assert explicit == 14
-print(f"ten Gaussians: {k * explicit} numbers written out, {anchor} as an anchor")
+gaussian = 3 + 3 + 4 + 1 + 3  # x, s, r, alpha, color
+anchor = d + 3 + 3 + 3 * k + 3  # f_a, s_a, l_a, O_a, x_a
+print(f"ten Gaussians: {k * gaussian} numbers written out, {anchor} as an anchor")
 
 # %% [markdown]
-# Because $s_a$ is a common factor, its rounding error is common too: all children of an anchor swell or shrink by the same
-# relative amount. With the paper's base step of 0.001 for $s_a$, an axis of 0.02 is off by at most 2.5 percent, in every child.
+# Because $s_a$ is a common factor, its rounding error is common too: all children of an anchor
+# become larger or smaller by the same percentage. With the paper's base step of 0.001 for $s_a$, a
+# scale of 0.02 is wrong by at most 2.5 percent in every child.
 
 # %%
-Q_s, axis = 0.001, 0.02
-shares = rng.uniform(0.05, 0.95, 10)
-relative = (axis + Q_s / 2) * shares / (axis * shares) - 1
-assert Q_s == 0.001 and axis == 0.02 and np.allclose(relative, 2.5 / 100, rtol=1e-12)
+step = 0.001
+s_a = np.full((1, 3), 0.02)
+features = rng.normal(size=(1, 15))
+one_layer = [rng.normal(size=(15, 15))], [np.zeros(15)]
+exact, _ = scale.forward(s_a, features, *no_view, *one_layer)
+rounded, _ = scale.forward(s_a + step / 2, features, *no_view, *one_layer)
+assert close(rounded / exact, 1.025)
 
 # %% [markdown]
 # ## Exercises
-# **04.1** $y = (0, 3, 0, 4)$, $\bar r = (0, 0, 0, 25)$. What is $\bar y$, as a list of four? **04.2** Write the colours: the
-# sigmoid of `psi (A, 3k)`, cut into children; $e^{800}$ is no float, so think of $e^{-|\psi|}$. **04.3** Write the backward of
-# rotation, **04.4** of scale: the derivations above give `psi_bar`, and the function that `network` returns does the rest.
+# **04.1** $y = (0, 3, 0, 4)$ and $\bar r = (0, 0, 0, 25)$. What is $\bar y$? Give a list of four.
+#
+# **04.2** Write the colours: the sigmoid of `psi [A, 3 k]`, child by child. $e^{800}$ is larger
+# than any float, so think of $e^{-|\psi|}$.
+#
+# **04.3** Write the backward of the rotation.
+#
+# **04.4** Write the backward of the scale.
+#
+# In the last two, the derivations above give `psi_bar`, and the function that `network` returns
+# does the rest.
 
 # %%
 answer_1 = ...
 
 
-def network(f_a, delta_vc, d_vc, weights, biases):
-    """Its output psi (A, J), and a function from psi_bar (A, J) to the gradients of all five inputs."""
-    psi, res = mlp.forward(np.concatenate([f_a, delta_vc, d_vc], axis=1), weights, biases)
-    return psi.y, lambda psi_bar: opacity.split_view(mlp.backward(res, psi_bar), f_a.shape[1])
+def network(f_a, delta_vc, d_vc, weights, biases, width):
+    """Return psi [A, k, width], and a function from psi_bar to the gradients of the five inputs."""
+    psi, saved = anchor_network.forward(f_a, delta_vc, d_vc, weights, biases, width=width)
+    return psi, lambda psi_bar: anchor_network.backward(saved, psi_bar)
 
 
 def my_color(f_a, delta_vc, d_vc, weights, biases):
-    """f_a (A, d), delta_vc (A, 1), d_vc (A, 3), lists of arrays -> color (A, k, 3); right where psi is 800, -800 and -40."""
+    """Return color [A, k, 3]; it must be right where psi is 800, -800 and -40."""
     raise NotImplementedError
 
 
 def my_rotation_backward(inputs, cotangents):
-    """The five gradients of `network` as a dictionary, from cotangents["r_bar"] (A, k, 4); with the safe length above."""
+    """Return the gradients of the five inputs, given cotangents["r_bar"] [A, k, 4].
+
+    Use the length n with epsilon from the text.
+    """
     raise NotImplementedError
 
 
 def my_scale_backward(inputs, cotangents):
-    """The same five and "s_a", from cotangents["s_bar"] (A, k, 3); inputs also holds "s_a" (A, 3)."""
+    """Return the gradients of the six inputs, given cotangents["s_bar"] [A, k, 3].
+
+    inputs["s_a"] has the shape [A, 3].
+    """
     raise NotImplementedError
 
 
-raw, bar = np.array([0.0, 3, 0, 4]), np.array([0, 0, 0, 25])
-lessons.number("04.1", answer_1, rotation.normalise_backward(*rotation.normalise(raw), bar))
+bar = np.array([[[0.0, 0, 0, 25]]])
+_, saved = rotation.forward(np.array([[0.0, 3, 0, 4]]), *no_view, [np.eye(4)], [np.zeros(4)])
+lessons.number("04.1", answer_1, rotation.backward(saved, bar)["f_a"][0])
 lessons.forward("04.2", my_color, "color")
 lessons.backward("04.3", my_rotation_backward, "rotation")
 lessons.backward("04.4", my_scale_backward, "scale")
 
 # %% [markdown]
 # ## Check your port
-# `p4dgs-ref oracle check DIR --only rotation`, and the same with `color` and `scale`. The usual slip is a quaternion with the
-# real part *last*, as several libraries store it. Its length is one, all its numbers are right, and it is another rotation.
+# `p4dgs-ref oracle check DIR --only rotation` compares what a port wrote, and the same works with
+# `color` and `scale`. The usual mistake is a quaternion with the real part *last*, as several
+# libraries store it. Its length is still one and its numbers are the right ones, but it is another
+# rotation.
 
 # %%
-from p4dgs_ref import oracle
+from p4dgs_ref import EQUATIONS, oracle
 
-for key, module in (("color", color), ("rotation", rotation), ("scale", scale)):
-    print(key, oracle.check(lambda module=module, **given: module.forward(**given)[0], key))
-    assert oracle.check(lambda module=module, **given: module.forward(**given)[0], key).ok
-report = oracle.check(lambda **given: rotation.forward(**given)[0].r[..., [1, 2, 3, 0]], "rotation")
-assert "(x, y, z, w)" in report.first.explanation
+
+def real_part_last(**inputs):
+    r, _ = rotation.forward(**inputs)
+    return r[..., [1, 2, 3, 0]]
+
+
+for key in ("color", "rotation", "scale"):
+    report = oracle.check(EQUATIONS[key], key)
+    print(report)
+    assert report.ok
+report = oracle.check(real_part_last, "rotation")
 print(report.first.explanation)
-assert [EQUATIONS[key].number for key in ("color", "rotation", "scale")] == ["3'", "3'", "4"]
+assert "(x, y, z, w)" in report.first.explanation

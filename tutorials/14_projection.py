@@ -1,393 +1,553 @@
 # %% [markdown]
 # # Support: from an ellipsoid in space to an ellipse of pixels, and back
 #
-# **Promise.** After this you can project a Gaussian by hand, and follow a gradient from its conic back to its place and shape.
-# **Before it:** `13_covariance`. **Takes** six seconds of machine time on two cores, an hour of yours.
+# **Promise.** After this tutorial you can project a Gaussian by hand, and follow a gradient from
+# its conic back to its position and shape.
+# **Before it:** `13_covariance`. **Takes** six seconds of machine time on two cores, an hour of
+# yours.
 
 # %%
 import numpy as np
 
-from p4dgs_ref import EQUATIONS, oracle
+from p4dgs_ref import oracle
+from p4dgs_ref.equations.numerics import normalise
 from p4dgs_ref.school import lessons
+from p4dgs_ref.school.lessons import close, moved, random_like
 from p4dgs_ref.splatting import covariance, projection
 
-plt, rng, h = lessons.pyplot(), np.random.default_rng(14), 1e-6
-inner = lambda a, b: (a * b).sum()
+plt = lessons.pyplot()
+rng = np.random.default_rng(14)
+inner = lessons.inner
+h = 1e-6
 
 # %% [markdown]
 # ## Claim
-# A camera (focal lengths $f_x, f_y$, centre $c_x, c_y$, in pixels) sees a mean at a pixel $\mu$ and $\Sigma$ as a covariance of
-# pixels. Along its axes the mean is $x_c = W x_{world} + T = (x, y, z)$ (in Eq. (2) $x_c$ was the camera's place), and
-# $$\mu = \Bigl(f_x \tfrac{x}{z} + c_x,\; f_y \tfrac{y}{z} + c_y\Bigr),\quad \Sigma_{2D} = J W \Sigma W^T J^T + 0.3\,I,\quad
-#   K = \Sigma_{2D}^{-1}.$$
-
-# %% [markdown]
-# $J$ is the slope of $\mu$ in $(x, y, z)$, but for the clip; $K$ is the *conic*, which the next tutorial reads at every pixel.
-# The paper prints none of this: it is Gaussian splatting's. What the clip and the $0.3$ are for is said under *In code*.
+# A camera with the focal lengths $f_x, f_y$ and the centre $c_x, c_y$, in pixels, projects a mean
+# to a pixel $\mu$ and a covariance $\Sigma$ to a covariance of pixels. In the coordinates of the
+# camera, the mean is $x_c = W x_{world} + T = (x, y, z)$. (In Eq. (2), $x_c$ is the position of the
+# camera.) Then
+# $$\mu = \Bigl(f_x \tfrac{x}{z} + c_x,\; f_y \tfrac{y}{z} + c_y\Bigr),\quad
+#   \Sigma_{2D} = J W \Sigma W^T J^T + 0.3\,I,\quad K = \Sigma_{2D}^{-1}.$$
+# $K$ is the *conic*, which `15_compositing` evaluates at every pixel. $J$ is the slope of $\mu$ in
+# $(x, y, z)$, except for a clamp:
 # $$J = \begin{pmatrix} f_x/z & 0 & -f_x u/z \\ 0 & f_y/z & -f_y v/z \end{pmatrix},\quad
 #   u = \mathrm{clip}(x/z, \pm 1.3\,width/2f_x),\; v = \mathrm{clip}(y/z, \pm 1.3\,height/2f_y)$$
+# The paper prints none of this, because it belongs to Gaussian splatting. The section "In code"
+# explains the clamp and the $0.3$. If you have not looked at `p4dgs_ref/splatting/loop.py` yet, do
+# it now: it shows in a few lines what the renderer does with $\mu$ and $K$.
 
 # %% [markdown]
 # ## By hand
-# A flat world first: one axis $x$, the depth $z$, a row of pixels. With $f = 80$, $c = 31.5$ the point $(1, 4)$ falls on pixel
-# 51.5. The slope has two parts: $f/z$, here 20 pixels per unit to the side, and $-fx/z^2$, here -5 pixels per unit of depth.
+# Start with a flat world that has one axis $x$, the depth $z$ and a row of pixels. With $f = 80$
+# and $c = 31.5$, the point $(1, 4)$ is projected to the pixel $80\cdot\frac14 + 31.5 = 51.5$. The
+# slope has two parts: $f/z$, here 20 pixels per unit of $x$, and $-fx/z^2$, here $-5$ pixels per
+# unit of depth.
+#
+# Let a Gaussian at this point have the variances 0.04 in $x$ and 0.16 in depth. Its variance in
+# pixels is $J\Sigma J^T = 20^2\cdot 0.04 + 5^2\cdot 0.16 = 16 + 4$. With the blur it is 20.3 square
+# pixels. The conic is the inverse, 0.049 per square pixel.
 
 # %%
-f, c, x, z = 80, 31.5, 1, 4
-pixel = lambda x, z: f * x / z + c
-J = np.array([f / z, -f * x / z**2])
-assert pixel(x, z) == 51.5 and J.tolist() == [20, -5]
-assert np.allclose(
-    [pixel(x + h, z) - pixel(x - h, z), pixel(x, z + h) - pixel(x, z - h)], 2 * h * J, rtol=1e-6
+f, c = 80, 31.5
+
+
+def pixel(x, z):
+    return f * x / z + c
+
+
+def slope_of_pixel(x, z):
+    return np.array([f / z, -f * x / z**2])
+
+
+J = slope_of_pixel(1, 4)
+along_x = (pixel(1 + h, 4) - pixel(1 - h, 4)) / (2 * h)
+along_z = (pixel(1, 4 + h) - pixel(1, 4 - h)) / (2 * h)
+assert close([along_x, along_z], J, 1e-6)
+variance = J**2 @ [0.04, 0.16] + 0.3
+print(f"pixel {pixel(1, 4)}, variance {variance}, conic {1 / variance:.3f}")
+
+# %% [markdown]
+# How good is this? $J$ replaces a curved map by a straight one, so the result is accurate for
+# Gaussians that are small compared to their depth. The figure projects points of two Gaussians
+# exactly, and compares their distribution with the Gaussian that $J$ predicts.
+
+# %%
+figure, (above, on_row) = plt.subplots(
+    1,
+    2,
+    figsize=(13, 5.4),
+    layout="constrained",
 )
-
-# %% [markdown]
-# A Gaussian there with variances 0.04 to the side and 0.16 in depth: its variance in pixels is $J\Sigma J^T$, which is
-# 16 plus 4. With the blur it is 20.3 square pixels, and the conic, the inverse, is 0.049 per square pixel.
-
-# %%
-S = np.diag([0.04, 0.16])
-variance = J @ S @ J + 0.3
-assert S.diagonal().tolist() == [0.04, 0.16] and np.allclose(J**2 * S.diagonal(), [16, 4])
-assert np.isclose(variance, 20.3) and round(1 / variance, 3) == 0.049
-
-# %% [markdown]
-# Is it true? A straight line stands in for a bent one, so it holds for Gaussians that are small beside their depth. The picture
-# sends points of two Gaussians through the camera exactly, and draws beside them what $J$ says.
-
-# %%
-figure, (top, row) = plt.subplots(1, 2, figsize=(13, 5.4), layout="constrained")
-for name, at, S, color in (
-    ("far", np.array([1.0, 4]), S, lessons.COLORS[0]),
-    ("near", np.array([-0.4, 1]), np.diag([0.01, 0.09]), lessons.COLORS[1]),
+for name, mean, deviation, color in (
+    ("far", (1.0, 4.0), (0.2, 0.4), lessons.COLORS[0]),
+    ("near", (-0.4, 1.0), (0.1, 0.3), lessons.COLORS[1]),
 ):
-    points = at + rng.normal(size=(20000, 2)) * np.sqrt(S.diagonal())
-    slope = np.array([f / at[1], -f * at[0] / at[1] ** 2])
-    mean, std = pixel(*at), np.sqrt(slope @ S @ slope)
-    top.plot(
-        *points[:500].T, ".", ms=4, color=color, alpha=0.5, label=f"points of a Gaussian, {name}"
+    x, z = (mean + rng.normal(size=(20_000, 2)) * deviation).T
+    u_mean = pixel(*mean)
+    u_deviation = np.linalg.norm(slope_of_pixel(*mean) * deviation)
+    u = np.linspace(u_mean - 4 * u_deviation, u_mean + 4 * u_deviation, 200)
+    predicted = np.exp(-0.5 * ((u - u_mean) / u_deviation) ** 2)
+    predicted /= u_deviation * np.sqrt(2 * np.pi)
+    above.plot(
+        x[:500],
+        z[:500],
+        ".",
+        ms=4,
+        color=color,
+        alpha=0.5,
+        label=f"{name}: points",
     )
-    u = np.linspace(mean - 4 * std, mean + 4 * std, 200)
-    row.hist(
-        pixel(*points[points[:, 1] > 0.2].T),
+    seen = pixel(x, z)[z > 0.2]
+    limits = (-90, 80)
+    on_row.hist(
+        seen,
         120,
-        range=(-90, 80),
-        density=1,
+        range=limits,
+        density=True,
         fc=color,
         alpha=0.4,
         label=f"{name}: points",
     )
-    row.plot(
+    on_row.plot(
         u,
-        np.exp(-0.5 * ((u - mean) / std) ** 2) / std / np.sqrt(2 * np.pi),
+        predicted,
         color=color,
-        label=f"{name}: what J says",
+        label=f"{name}: predicted by J",
     )
-top.plot(0, 0, "k^", ms=14, ls="none", label="camera")
-top.plot([-1.6, 0, 1.6], [4, 0, 4], "k-", lw=1, label="edge of the image")
-top.set(
-    xlabel="x (scene units)", ylabel="depth z (scene units)", title="From above", xlim=(-2.4, 2.4)
+above.plot(
+    0,
+    0,
+    "k^",
+    ms=14,
+    ls="none",
+    label="camera",
 )
-row.set(xlabel="pixel u", ylabel="density (1/pixel)", title="On the row of pixels", xlim=(-90, 80))
-top.legend(fontsize=11), row.legend(fontsize=11)
-figure.suptitle(
-    "A straight line for a bent one: good far from the camera, poor close to it", fontsize=16
+above.plot(
+    [-1.6, 0, 1.6],
+    [4, 0, 4],
+    "k-",
+    lw=1,
+    label="edge of the image",
 )
+above.set_xlabel("x (scene units)")
+above.set_ylabel("depth z (scene units)")
+above.set_xlim(-2.4, 2.4)
+above.set_title("From above")
+above.legend(fontsize=11)
+on_row.set_xlabel("pixel u")
+on_row.set_ylabel("density (1/pixel)")
+on_row.set_xlim(-90, 80)
+on_row.set_title("On the row of pixels")
+on_row.legend(fontsize=11)
+figure.suptitle("The projection is accurate far from the camera and poor close to it", fontsize=16)
 lessons.show(figure, "14_projection_line")
 
 # %% [markdown]
 # ## In code
-# The same with three axes. We run the module, and beside it the steps one by one, with the names of `projection.py`.
-# Matrices are `m (N, 2, 3)`, the rows of $JW$; three numbers $(a, b, c)$ stand for the symmetric `[[a, b], [b, c]]`.
+# Now the same with three axes. The cell runs the module, and beside it the steps one by one. The
+# matrices $m$ `[N, 2, 3]` are the rows of $JW$. Three numbers $(a, b, c)$ stand for the symmetric
+# matrix `[[a, b], [b, c]]`. The first of the five Gaussians is placed so far to the side that the
+# clamp applies to it.
 
 # %%
 N = 5
-s, r = rng.uniform(0.1, 0.5, (N, 3)), rng.normal(size=(N, 4))
-Sigma = covariance.forward(s, r / np.linalg.norm(r, axis=1, keepdims=True))[0].Sigma
-W, T, x = (
-    np.linalg.qr(rng.normal(size=(3, 3)))[0],
-    np.array([0.1, -0.2, 4.0]),
-    rng.normal(size=(N, 3)) * 0.7,
-)
-x[0] = (np.array([5, 0.4, 2.5]) - T) @ W  # far to the side: beyond the clamp
-view = dict(
-    W=W, T=T, focal=np.array([80.0, 65]), center=np.array([30.2, 24.9]), size=np.array([64, 48])
-)
-out, res = projection.forward(x, Sigma, **view)
+r, _ = normalise(rng.normal(size=(N, 4)))
+Sigma, _ = covariance.forward(rng.uniform(0.1, 0.5, (N, 3)), r)
+W = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+T = np.array([0.1, -0.2, 4.0])
+focal, center, size = np.array([80.0, 65]), np.array([30.2, 24.9]), np.array([64, 48])
+camera = {"W": W, "T": T, "focal": focal, "center": center, "size": size}
+x = 0.7 * rng.normal(size=(N, 3))
+x[0] = (np.array([5, 0.4, 2.5]) - T) @ W
+(mean2d, cov2d, conic, depth, visible), saved = projection.forward(x, Sigma, **camera)
 
-x_c = x @ W.T + T  # 1 into the camera
+x_c = x @ W.T + T  # 1. in the coordinates of the camera
 z = x_c[:, 2:]
-ratio, limit = x_c[:, :2] / z, 1.3 * view["size"] / (2 * view["focal"])  # 2 x/z and y/z
-uv = np.clip(ratio, -limit, limit)  # 3 the clamp
-m = (W[None, :2] - uv[:, :, None] * W[2]) * (view["focal"] / z)[:, :, None]  # 4 rows of J W
-cov = m @ Sigma @ m.transpose(0, 2, 1) + 0.3 * np.eye(2)  # 5 pixels, and the blur
-K = np.linalg.inv(cov)  # 6 the conic
-assert (
-    np.allclose(out.mean2d, view["focal"] * ratio + view["center"], rtol=1e-14)
-    and (np.abs(ratio) > limit).sum() == 1
-)
-assert np.allclose(out.cov2d, cov.reshape(N, 4)[:, [0, 1, 3]]) and np.allclose(
-    out.conic, K.reshape(N, 4)[:, [0, 1, 3]]
-)
+ratio = x_c[:, :2] / z  # 2. x/z and y/z
+limit = 1.3 * size / (2 * focal)
+uv = np.clip(ratio, -limit, limit)  # 3. the clamp
+m = (W[:2] - uv[:, :, None] * W[2]) * (focal / z)[:, :, None]  # 4. the rows of J W
+cov = m @ Sigma @ m.transpose(0, 2, 1) + 0.3 * np.eye(2)  # 5. in pixels, with the blur
+K = np.linalg.inv(cov)  # 6. the conic
+
+
+def three_numbers(matrices):
+    """Return (a, b, c) of matrices [[a, b], [b, c]]."""
+    return matrices.reshape(-1, 4)[:, [0, 1, 3]]
+
+
+assert np.count_nonzero(np.abs(ratio) > limit) == 1
+assert visible.all()
+assert close(mean2d, focal * ratio + center)
+assert close(cov2d, three_numbers(cov))
+assert close(conic, three_numbers(K), 1e-10)
 
 # %% [markdown]
-# Three constants. At a depth of 0.2 or less, or where $\det\Sigma_{2D}$ is not positive or not finite, a row is *culled*: zeros,
-# no gradient. The blur, 0.3 square pixels, keeps standard deviations above 0.54 pixels. The clamp, at 1.3 times the half
-# width: far to the side $-f_x u/z$ would grow without bound, and a splat beside the image would smear into it.
+# The code has three constants. First, a Gaussian at a depth of 0.2 or less is *culled*, and so is
+# one whose $\det\Sigma_{2D}$ is not positive or not finite. A culled row consists of zeros and
+# receives no gradient. Second, the blur of 0.3 square pixels keeps the standard deviations above
+# 0.54 pixels, so that no Gaussian falls between the pixels. Third, the clamp applies at 1.3 times
+# half the width of the image. Without it, $-f_x u/z$ would grow without bound to the side, and
+# Gaussians beside the image would be smeared into it.
 
 # %%
-side, straight = np.linspace(0, 3, 200), {**view, "W": np.eye(3), "T": np.zeros(3)}
-there, balls = (
-    np.stack([2 * side, 0 * side, 2 + 0 * side], axis=1),
-    np.tile(0.05 * np.eye(3), (200, 1, 1)),
-)
+n_side = 200
+to_the_side = np.linspace(0, 3, n_side)
+in_a_row = np.stack([2 * to_the_side, 0 * to_the_side, 2 + 0 * to_the_side], axis=1)
+balls = np.tile(0.05 * np.eye(3), (n_side, 1, 1))
+straight = {**camera, "W": np.eye(3), "T": np.zeros(3)}
 figure, ax = plt.subplots(figsize=(9, 4.8))
-for k, style, name in ((np.inf, "C1--", "without the clamp"), (1.3, "C0-", "with it")):
-    ax.plot(
-        side,
-        np.sqrt(projection.forward(there, balls, **straight, tan_clamp=k)[0].cov2d[:, 0]),
-        style,
-        label=name,
+for clamp, style, label in ((np.inf, "C1--", "without the clamp"), (1.3, "C0-", "with the clamp")):
+    (_, cov2d, _, _, _), _ = projection.forward(
+        in_a_row,
+        balls,
+        **straight,
+        tan_clamp=clamp,
     )
-ax.axvspan(0, 0.4, color="0.9", label="inside the image")
-ax.set(
-    xlabel="x/z, how far to the side",
-    ylabel="standard deviation in u (pixels)",
-    title="The clamp keeps splats beside the image small",
+    ax.plot(to_the_side, np.sqrt(cov2d[:, 0]), style, label=label)
+ax.axvspan(
+    0,
+    0.4,
+    color="0.9",
+    label="inside the image",
 )
+ax.set_xlabel("x/z, how far to the side")
+ax.set_ylabel("standard deviation in u (pixels)")
+ax.set_title("The clamp keeps Gaussians beside the image small")
 ax.legend()
 lessons.show(figure, "14_projection_clamp")
-assert (
-    projection.forward.__defaults__ == (0.2, 0.3, 1.3)
-    and limit[0] == 1.3 * (64 / 2) / 80
-    and np.sqrt(0.3) > 0.54
-)
 
 # %% [markdown]
 # ## Backward by hand
-# From here the steps in reverse: conic, covariance, $JW$, clamp, ratio, camera. **First a convention**, where ports disagree.
-# The symmetric matrix holds $b$ *twice*, but it is *one* number among the outputs. So $\bar b$ is what the loss gains when both
-# entries move together. A matrix $D$ that stands for the same gradient must give the same answer:
-
-# %% [markdown]
+# We now take the steps in reverse: conic, covariance, $JW$, clamp, ratio, camera.
+#
+# **First a convention**, on which ports disagree. The symmetric matrix contains $b$ *twice*, but
+# $b$ is *one* number of the output. So $\bar b$ says how the loss changes if both entries change
+# together. A matrix $D$ that represents the same gradient must give the same result:
 # $$D = \begin{pmatrix} \bar a & \bar b/2 \\ \bar b/2 & \bar c \end{pmatrix},\qquad
-#   \bar a\,da + \bar b\,db + \bar c\,dc = \Bigl\langle D, \begin{pmatrix} da & db \\ db & dc \end{pmatrix}\Bigr\rangle.$$
-# Numbers to matrix: halve $b$. Matrix to numbers: double the off-diagonal entry. The numbers 2, 6, 5 are the matrix
-# [[2, 3], [3, 5]]. Everything between is plain matrix calculus.
+#   \bar a\,da + \bar b\,db + \bar c\,dc
+#   = \Bigl\langle D, \begin{pmatrix} da & db \\ db & dc \end{pmatrix}\Bigr\rangle.$$
+# From numbers to a matrix, $\bar b$ is halved. From a matrix to numbers, the entry beside the
+# diagonal is doubled. The numbers $(2, 6, 5)$, for example, are the matrix `[[2, 3], [3, 5]]`.
+# Everything in between is ordinary matrix calculus.
+
 
 # %%
-matrix = lambda bar: np.stack([bar[:, 0], bar[:, 1] / 2, bar[:, 1] / 2, bar[:, 2]], axis=1).reshape(
-    -1, 2, 2
-)
-numbers = lambda D: np.stack([D[:, 0, 0], 2 * D[:, 0, 1], D[:, 1, 1]], axis=1)
-bar, change = rng.normal(size=(N, 3)), rng.normal(size=(N, 3))
-assert np.isclose(
-    inner(bar, change), inner(matrix(bar), change[:, [0, 1, 1, 2]].reshape(N, 2, 2)), rtol=1e-12
-)
-assert matrix(np.array([[2, 6, 5]]))[0].tolist() == [[2, 3], [3, 5]] and np.array_equal(
-    numbers(matrix(bar)), bar
-)
+def to_matrix(bar):
+    """Return the matrices D [N, 2, 2] of gradients (a, b, c) [N, 3]."""
+    a, b, c = bar.T
+    return np.stack([a, b / 2, b / 2, c], axis=1).reshape(-1, 2, 2)
+
+
+def to_numbers(D):
+    """Return the gradients (a, b, c) [N, 3] of matrices D [N, 2, 2]."""
+    return three_numbers(D) * [1, 2, 1]
+
+
+def symmetric(numbers):
+    """Return the matrices [[a, b], [b, c]] of (a, b, c) [N, 3]."""
+    return numbers[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+
+
+bar, change = rng.normal(size=(2, N, 3))
+assert close(inner(bar, change), inner(to_matrix(bar), symmetric(change)))
+assert close(to_numbers(to_matrix(bar)), bar)
 
 # %% [markdown]
-# **Conic.** As scalars: $k = 1/v$ gives $dk = -dv/v^2 = -k^2\,dv$. As matrices: differentiate $K\Sigma_{2D} = I$,
-# $$dK\,\Sigma_{2D} + K\,d\Sigma_{2D} = 0 \;\Rightarrow\; dK = -K\,d\Sigma_{2D}\,K \;\Rightarrow\; D_\Sigma = -K\,D_K\,K,$$
-# $D_K$, $D_\Sigma$ being $D$ of conic and covariance. The last step uses $\langle A, BC\rangle = \langle AC^T, B\rangle$, its
-# mirror image $\langle A, BC\rangle = \langle B^TA, C\rangle$, and $K = K^T$. No determinant is differentiated.
+# **Conic.** With numbers, $k = 1/v$ gives $dk = -dv/v^2 = -k^2\,dv$. With matrices, we
+# differentiate $K\Sigma_{2D} = I$:
+# $$dK\,\Sigma_{2D} + K\,d\Sigma_{2D} = 0 \;\Rightarrow\; dK = -K\,d\Sigma_{2D}\,K
+#   \;\Rightarrow\; D_\Sigma = -K\,D_K\,K$$
+# Here $D_K$ and $D_\Sigma$ are the matrices $D$ of the conic and of the covariance. The last step
+# uses the rule $\langle A, BC\rangle = \langle AC^T, B\rangle$ of `13_covariance`, its counterpart
+# $\langle A, BC\rangle = \langle B^TA, C\rangle$, and $K = K^T$. No determinant needs to be
+# differentiated.
 
 # %%
 conic_bar, cov2d_bar = rng.normal(size=(2, N, 3))
-D = -K @ matrix(conic_bar) @ K
+D = -K @ to_matrix(conic_bar) @ K
 d = rng.normal(size=(N, 3))
-move = d[:, [0, 1, 1, 2]].reshape(N, 2, 2)
-dK = (np.linalg.inv(cov + h * move) - np.linalg.inv(cov - h * move)).reshape(N, 4)[:, [0, 1, 3]] / (
-    2 * h
-)
-assert np.isclose(inner(conic_bar, dK), inner(numbers(D), d), rtol=1e-8)
+dK = np.linalg.inv(cov + h * symmetric(d)) - np.linalg.inv(cov - h * symmetric(d))
+difference = inner(conic_bar, three_numbers(dK)) / (2 * h)
+assert close(difference, inner(to_numbers(D), d), 1e-8)
 
 # %% [markdown]
-# Written out, with $K = (A, B, C)$; here a factor of two is lost most easily:
-# $$\bar a = -(A^2\bar A + AB\,\bar B + B^2\bar C),\qquad \bar c = -(B^2\bar A + BC\,\bar B + C^2\bar C),$$
+# Written out with $K = (A, B, C)$, this is the place where a factor of two is lost most easily:
+# $$\bar a = -(A^2\bar A + AB\,\bar B + B^2\bar C),\qquad
+#   \bar c = -(B^2\bar A + BC\,\bar B + C^2\bar C),$$
 # $$\bar b = -\bigl(2AB\,\bar A + (AC + B^2)\,\bar B + 2BC\,\bar C\bigr).$$
 
 # %%
-(A, B, C), (A_bar, B_bar, C_bar) = out.conic.T, conic_bar.T
-written_out = -np.stack(
-    [
-        A * A * A_bar + A * B * B_bar + B * B * C_bar,
-        2 * A * B * A_bar + (A * C + B * B) * B_bar + 2 * B * C * C_bar,
-        B * B * A_bar + B * C * B_bar + C * C * C_bar,
-    ],
-    axis=1,
-)
-assert np.allclose(numbers(D), written_out, rtol=1e-10)
+A, B, C = conic.T
+A_bar, B_bar, C_bar = conic_bar.T
+a_bar = -(A * A * A_bar + A * B * B_bar + B * B * C_bar)
+b_bar = -(2 * A * B * A_bar + (A * C + B * B) * B_bar + 2 * B * C * C_bar)
+c_bar = -(B * B * A_bar + B * C * B_bar + C * C * C_bar)
+assert close(to_numbers(D), np.stack([a_bar, b_bar, c_bar], axis=1), 1e-9)
 
 # %% [markdown]
-# **Covariance.** The blur is a constant and drops out. As scalars: $v = m^2 S$, so $\bar S = m^2\bar v$ and $\bar m = 2mS\bar v$.
-# As matrices, $\Sigma_{2D} = m\,\Sigma\,m^T$ with $m = JW$:
-# $$\bar\Sigma = m^T D\,m,\qquad \bar m = D\,m\,\Sigma^T + D^T m\,\Sigma = D\,m\,(\Sigma + \Sigma^T).$$
+# **Covariance.** The blur is a constant and has no gradient. With numbers, $v = m^2 S$ gives
+# $\bar S = m^2\bar v$ and $\bar m = 2mS\bar v$. With matrices, $\Sigma_{2D} = m\,\Sigma\,m^T$ and
+# $$\bar\Sigma = m^T D\,m,\qquad
+#   \bar m = D\,m\,\Sigma^T + D^T m\,\Sigma = D\,m\,(\Sigma + \Sigma^T).$$
+# The covariance is an output as well, so its own cotangent is added to $D$.
 
 # %%
-D = D + matrix(cov2d_bar)  # the covariance is an output, too
+D = D + to_matrix(cov2d_bar)
 Sigma_bar = m.transpose(0, 2, 1) @ D @ m
 m_bar = D @ m @ (Sigma + Sigma.transpose(0, 2, 1))
-ours = projection.backward(res, conic_bar=conic_bar, cov2d_bar=cov2d_bar)
-assert np.allclose(ours["Sigma"], Sigma_bar, rtol=1e-10, atol=1e-12)
+ours = projection.backward(saved, conic_bar=conic_bar, cov2d_bar=cov2d_bar)
+assert close(ours["Sigma"], Sigma_bar, 1e-10)
 dm = rng.normal(size=m.shape)
-answer = inner(D, dm @ Sigma @ m.transpose(0, 2, 1) + m @ Sigma @ dm.transpose(0, 2, 1))
-assert np.isclose(answer, inner(m_bar, dm), rtol=1e-12)
+dcov = dm @ Sigma @ m.transpose(0, 2, 1) + m @ Sigma @ dm.transpose(0, 2, 1)
+assert close(inner(D, dcov), inner(m_bar, dm))
 
 # %% [markdown]
-# **$JW$ to $u_1 = u$, $u_2 = v$ and $z$.** With $W_i$ the rows of $W$, row $i$ of $m$ is $\frac{f_i}{z}(W_i - u_i W_3)$. So
-# $$\bar u_i = -\frac{f_i}{z}\,\bar m_i\cdot W_3,\qquad \bar z = -\frac1z\sum_{ij}\bar m_{ij}\,m_{ij}.$$
-# **Clamp**: $\bar u$ passes where $|x/z|$ is not beyond the limit, and is lost where it is.
+# **From $JW$ to $u_1 = u$, $u_2 = v$ and $z$.** With $W_i$ for the rows of $W$, row $i$ of $m$ is
+# $\frac{f_i}{z}(W_i - u_i W_3)$. So
+# $$\bar u_i = -\frac{f_i}{z}\,\bar m_i\cdot W_3,\qquad
+#   \bar z = -\frac1z\sum_{ij}\bar m_{ij}\,m_{ij}.$$
+# **Clamp.** $\bar u$ is passed on where $|x/z|$ is within the limit. Beyond the limit, $u$ is a
+# constant and its gradient is lost.
 
 # %%
-uv_bar = -(m_bar @ W[2]) * view["focal"] / z
+uv_bar = -(m_bar @ W[2]) * focal / z
 z_bar = -(m_bar * m).sum(axis=(1, 2))[:, None] / z
 ratio_bar = uv_bar * (np.abs(ratio) <= limit)
-assert ratio_bar[0, 0] == 0 and ratio_bar[1:].all()  # Gaussian 0 is beyond the clamp in x
+assert ratio_bar[0, 0] == 0  # Gaussian 0 is beyond the clamp in x
+assert ratio_bar[1:].all()
 
 # %% [markdown]
-# **The mean** is $f\rho + c$ with the ratio $\rho = x/z$, not clamped: its gradient joins here, $+f\bar\mu$. **The ratio** is a
-# quotient: $\bar x = \bar\rho/z$, and $\bar z$ loses $\bar\rho\,x/z^2$. **Depth** adds its own. **Camera**: $W^T\bar x_c$.
-# The last lines are the adjoint identity of it all. In the flat example $\bar\mu = 2$ gives $\bar x$ = 40 and $\bar z$ = -10.
+# **The mean** is $f\rho + c$ with the ratio $\rho = x/z$, which is not clamped. Its gradient
+# $f\bar\mu$ is added here.
+#
+# **The ratio** is a quotient, so $\bar x = \bar\rho/z$, and $\bar z$ gets the additional term
+# $-\bar\rho\,x/z^2$. In the flat example, $\bar\mu = 2$ gives $\bar x = 40$ and $\bar z = -10$.
+#
+# **The depth** adds its own cotangent to $\bar z$, and **the camera** multiplies by $W^T$. The last
+# lines of the cell are the adjoint identity of all steps together.
 
 # %%
-mean2d_bar, depth_bar = rng.normal(size=(N, 2)), rng.normal(size=N)
-ratio_bar = ratio_bar + mean2d_bar * view["focal"]
-z_bar = z_bar - (ratio_bar * x_c[:, :2]).sum(axis=1, keepdims=True) / z**2 + depth_bar[:, None]
+mean2d_bar = rng.normal(size=(N, 2))
+depth_bar = rng.normal(size=N)
+ratio_bar = ratio_bar + mean2d_bar * focal
+z_bar = z_bar - (ratio_bar * x_c[:, :2]).sum(axis=1, keepdims=True) / z**2
+z_bar = z_bar + depth_bar[:, None]
 x_bar = np.concatenate([ratio_bar / z, z_bar], axis=1) @ W
-ours = projection.backward(res, mean2d_bar, cov2d_bar, conic_bar, depth_bar)
-assert np.allclose(ours["x"], x_bar, rtol=1e-10, atol=1e-12) and (2 * J).tolist() == [40, -10]
-d = {"x": rng.normal(size=x.shape), "Sigma": rng.normal(size=Sigma.shape)}
-up, down = (projection.forward(x + e * d["x"], Sigma + e * d["Sigma"], **view)[0] for e in (h, -h))
-cotangents = dict(mean2d=mean2d_bar, cov2d=cov2d_bar, conic=conic_bar, depth=depth_bar)
-difference = sum(inner(bar, getattr(up, n) - getattr(down, n)) for n, bar in cotangents.items()) / (
-    2 * h
-)
-assert abs(difference - sum(inner(ours[n], d[n]) for n in d)) < 1e-7 * abs(difference)
+bars = (mean2d_bar, cov2d_bar, conic_bar, depth_bar)
+ours = projection.backward(saved, *bars)
+assert close(ours["x"], x_bar, 1e-10)
+
+inputs = {"x": x, "Sigma": Sigma}
+d = random_like(rng, inputs)
+up, _ = projection.forward(**moved(inputs, d, h), **camera)
+down, _ = projection.forward(**moved(inputs, d, -h), **camera)
+difference = (inner(up, bars) - inner(down, bars)) / (2 * h)
+gradient = inner(ours, d)
+assert close(difference, gradient, 1e-7)
+print(f"by differences {difference:.6f}, by gradient {gradient:.6f}")
 
 # %% [markdown]
-# What does it mean in space? A wish about the *mean* moves a Gaussian across its ray: along the ray the pixel does not change,
-# so $\bar x_c\cdot x_c = 0$. A wish for a larger *size* brings it nearer.
+# What do these gradients mean in space? A cotangent of the *mean* moves a Gaussian perpendicular to
+# its ray, because moving along the ray does not change the pixel: $\bar x_c\cdot x_c = 0$. A
+# cotangent that asks for a larger *size* moves it towards the camera.
 
 # %%
-grid = np.stack(np.meshgrid(np.linspace(-1.2, 1.2, 7), [0.0], [2.0, 3.0, 4.0]), axis=-1).reshape(
-    -1, 3
-)
-_, seen = projection.forward(grid, balls[: len(grid)], **straight)
-of_mean = projection.backward(seen, mean2d_bar=np.tile([1.0, 0], (len(grid), 1)))["x"]
-of_size = projection.backward(seen, cov2d_bar=np.tile([1.0, 0, 1], (len(grid), 1)))["x"]
-assert np.abs((of_mean * grid).sum(axis=1)).max() < 1e-13 and (of_size[:, 2] < 0).all()
-figure, panels = plt.subplots(1, 2, figsize=(11, 5.6), sharey=True, layout="constrained")
-for ax, arrows, color, what in (
-    (panels[0], of_mean, "C0", r"one pixel to the right, $\bar\mu_x = 1$: across the ray"),
-    (panels[1], of_size, "C1", r"a larger splat, $\bar a = \bar c = 1$: nearer"),
-):
-    ax.plot(0, 0, "k^", ms=14, ls="none", label="camera")
+across, depths = np.meshgrid(np.linspace(-1.2, 1.2, 7), [2.0, 3.0, 4.0])
+grid = np.stack([across, 0 * across, depths], axis=-1).reshape(21, 3)
+_, grid_saved = projection.forward(grid, balls[:21], **straight)
+to_the_right = np.tile([1.0, 0], (21, 1))
+larger = np.tile([1.0, 0, 1], (21, 1))
+of_mean = projection.backward(grid_saved, mean2d_bar=to_the_right)["x"]
+of_size = projection.backward(grid_saved, cov2d_bar=larger)["x"]
+assert np.abs((of_mean * grid).sum(axis=1)).max() < 1e-13
+assert (of_size[:, 2] < 0).all()
+
+
+def draw_arrows(ax, arrows, color, title):
+    """Draw the gradients of the Gaussians on the grid, seen from above."""
+    x, _, z = grid.T
     ax.plot(
-        *(grid[:, None] * [[0], [1]])[..., [0, 2]].transpose(2, 1, 0), color="0.85", lw=1, zorder=0
+        0,
+        0,
+        "k^",
+        ms=14,
+        ls="none",
+        label="camera",
     )
+    for place_x, place_z in zip(x, z):
+        ax.plot(
+            [0, place_x],
+            [0, place_z],
+            color="0.85",
+            lw=1,
+            zorder=0,
+        )
     ax.quiver(
-        grid[:, 0], grid[:, 2], arrows[:, 0], arrows[:, 2], color=color, angles="xy", width=0.008
+        x,
+        z,
+        arrows[:, 0],
+        arrows[:, 2],
+        color=color,
+        angles="xy",
+        width=0.008,
     )
-    ax.plot([], [], color=color, label=r"gradient $\bar x$")
-    ax.plot(grid[:, 0], grid[:, 2], "o", ms=5, color="0.4", label="Gaussians")
-    ax.set(
-        title=what,
-        xlabel="x (scene units)",
-        ylabel="depth z (scene units)",
-        aspect="equal",
-        xlim=(-2, 2),
-        ylim=(-0.3, 4.6),
+    ax.plot(
+        [],
+        [],
+        color=color,
+        label=r"gradient $\bar x$",
     )
-panels[1].legend(loc="lower right", fontsize=11)
-figure.suptitle("Which way a pixel's wish moves a Gaussian, seen from above", fontsize=16)
+    ax.plot(
+        x,
+        z,
+        "o",
+        ms=5,
+        color="0.4",
+        label="Gaussians",
+    )
+    ax.set_title(title)
+    ax.set_xlabel("x (scene units)")
+    ax.set_aspect("equal")
+    ax.set_xlim(-2, 2)
+    ax.set_ylim(-0.3, 4.6)
+
+
+figure, (left, right) = plt.subplots(
+    1,
+    2,
+    figsize=(11, 5.6),
+    sharey=True,
+    layout="constrained",
+)
+draw_arrows(left, of_mean, "C0", r"one pixel to the right, $\bar\mu_x = 1$: across the ray")
+draw_arrows(right, of_size, "C1", r"a larger splat, $\bar a = \bar c = 1$: towards the camera")
+left.set_ylabel("depth z (scene units)")
+right.legend(loc="lower right", fontsize=11)
+figure.suptitle("How cotangents in the image move a Gaussian, seen from above", fontsize=16)
 lessons.show(figure, "14_projection")
 
 # %% [markdown]
 # ## Break it
-# Forget the doubling: hand on $\bar b = D_{12}$ instead of $2D_{12}$. Take a splat in the middle of the image, its axes
-# along those of the image. Its scales receive the right gradient: it grows as it should. Only its turning is slow: 50 percent.
+# Suppose we forget the doubling and return $\bar b = D_{12}$ instead of $2D_{12}$. Take a Gaussian
+# in the middle of the image whose axes are parallel to those of the image. Its scales receive the
+# right gradient, so it grows as it should. Only the gradient of its rotation is half of what it
+# should be.
 
 
 # %%
-def careless(inputs, cotangents):
-    out, res = projection.forward(**inputs)
-    K = out.conic[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-    D = matrix(cotangents["cov2d_bar"]) - K @ matrix(cotangents["conic_bar"]) @ K
+def without_doubling(inputs, cotangents):
+    (_, _, conic, _, _), saved = projection.forward(**inputs)
+    K = symmetric(conic)
+    D = to_matrix(cotangents["cov2d_bar"]) - K @ to_matrix(cotangents["conic_bar"]) @ K
     return projection.backward(
-        res, cotangents["mean2d_bar"], numbers(D) * [1, 0.5, 1], None, cotangents["depth_bar"]
+        saved,
+        mean2d_bar=cotangents["mean2d_bar"],
+        cov2d_bar=three_numbers(D),
+        depth_bar=cotangents["depth_bar"],
     )
 
 
-shape, of_shape = covariance.forward(np.array([[0.4, 0.2, 0.3]]), np.array([[1.0, 0, 0, 0]]))
-one = dict(x=np.array([[0, 0, 3.0]]), Sigma=shape.Sigma, **straight)
-some = dict(
-    mean2d_bar=np.zeros((1, 2)),
-    cov2d_bar=np.zeros((1, 3)),
-    conic_bar=conic_bar[:1],
-    depth_bar=np.zeros(1),
-)
-right = covariance.backward(
-    of_shape, projection.backward(projection.forward(**one)[1], **some)["Sigma"]
-)
-wrong = covariance.backward(of_shape, careless(one, some)["Sigma"])
-assert np.allclose(wrong["s"], right["s"]) and np.isclose(
-    100 * wrong["r"][0, 3] / right["r"][0, 3], 50
-)
-verdict = oracle.check(lambda **inputs: projection.forward(**inputs)[0], "projection", careless)
-assert not verdict.ok and "one of its two places" in verdict.first.explanation
-print(verdict.first.explanation)
+shape, shape_saved = covariance.forward(np.array([[0.4, 0.2, 0.3]]), np.array([[1.0, 0, 0, 0]]))
+in_the_middle = {"x": np.array([[0, 0, 3.0]]), "Sigma": shape, **straight}
+of_conic = {
+    "mean2d_bar": np.zeros((1, 2)),
+    "cov2d_bar": np.zeros((1, 3)),
+    "conic_bar": conic_bar[:1],
+    "depth_bar": np.zeros(1),
+}
+_, saved = projection.forward(**in_the_middle)
+right = covariance.backward(shape_saved, projection.backward(saved, **of_conic)["Sigma"])
+wrong = covariance.backward(shape_saved, without_doubling(in_the_middle, of_conic)["Sigma"])
+assert close(wrong["s"], right["s"])
+assert close(wrong["r"][0, 3], right["r"][0, 3] / 2)
+
+
+def outputs_of_projection(**inputs):
+    return projection.forward(**inputs)[0]
+
+
+report = oracle.check(outputs_of_projection, "projection", without_doubling)
+print(report.first.explanation)
+assert "one of its two places" in report.first.explanation
 
 # %% [markdown]
 # ## What a codec does with it
-# Nothing here is coded: the decoder projects what it decoded, as a video decoder moves blocks. But projection says how many bits
-# a place is worth. In a box of side 2.6 seen from a distance of 4 with $f$ of 1111 pixels, rounding on 8 bits an axis is off
-# by more than a pixel; on 16, as in our file, by less than 0.02.
+# The file contains nothing of this, because the decoder projects the Gaussians itself, as a video
+# decoder moves blocks. But the projection tells how many bits a position is worth. Take a box of
+# side 2.6, seen from a distance of 4 with a focal length of 1111 pixels. With 8 bits per axis, the
+# rounded positions are wrong by more than a pixel. With 16 bits, as in the file of this project,
+# the error is below 0.02 pixels.
 
 # %%
-side, distance, focal = sizes = 2.6, 4, 1111
+side = 2.6
 places = rng.uniform(-side / 2, side / 2, (5000, 3))
-camera = {**straight, "T": np.array([0.0, 0, distance]), "focal": np.array([focal, focal])}
-means = lambda x: projection.forward(x, np.zeros((len(x), 3, 3)), **camera)[0].mean2d
-steps = {bits: side / (2**bits - 1) for bits in (8, 10, 12, 14, 16)}
-off = {
-    bits: np.abs(means(np.round(places / q) * q) - means(places)).max() for bits, q in steps.items()
-}
-print({bits: f"{pixels:.4f} px" for bits, pixels in off.items()})
-assert off[8] > 1 and off[16] < 0.02 and sizes == (2.6, 4, 1111)
+from_distance = {**straight, "T": np.array([0.0, 0, 4]), "focal": np.array([1111, 1111])}
+
+
+def pixels_of(places):
+    """Return the means [N, 2] of Gaussians in the image."""
+    flat = np.zeros((len(places), 3, 3))
+    (mean2d, _, _, _, _), _ = projection.forward(places, flat, **from_distance)
+    return mean2d
+
+
+errors = {}
+for bits in (8, 10, 12, 14, 16):
+    step = side / (2**bits - 1)
+    rounded = np.round(places / step) * step
+    errors[bits] = np.abs(pixels_of(rounded) - pixels_of(places)).max()
+    print(f"{bits} bits: wrong by at most {errors[bits]:.4f} pixels")
+assert errors[8] > 1
+assert errors[16] < 0.02
 
 # %% [markdown]
 # ## Exercises
-# **14.1** The flat Gaussian of "By hand" stands twice as far away, at $(1, 8)$. What is its variance in pixels, blur included?
-# **14.2** Write the forward: what is too near as if at $(0, 0, 1)$, then zeros where culled. **14.3** Write its backward.
+# **14.1** The flat Gaussian of "By hand" stands twice as far away, at $(1, 8)$. What is its
+# variance in pixels, including the blur?
+#
+# **14.2** Write the forward. Compute Gaussians that are too near as if they were at $(0, 0, 1)$,
+# and set all culled rows to zero at the end.
+#
+# **14.3** Write its backward.
 
 # %%
 answer_1 = ...
 
 
 def my_forward(x, Sigma, W, T, focal, center, size):
-    """-> mean2d (N, 2), cov2d (N, 3), conic (N, 3), depth (N,), visible (N,); zeros where culled."""
+    """Return mean2d [N, 2], cov2d [N, 3], conic [N, 3], depth [N] and visible [N].
+
+    Rows that are culled are zero.
+    """
     raise NotImplementedError
 
 
 def my_backward(inputs, cotangents):
-    """{"x" (N, 3), "Sigma" (N, 3, 3)}, from cotangents["mean2d_bar"], ["cov2d_bar"], ["conic_bar"], ["depth_bar"]."""
+    """Return the gradients {"x" [N, 3], "Sigma" [N, 3, 3]}.
+
+    `cotangents` holds "mean2d_bar", "cov2d_bar", "conic_bar" and "depth_bar".
+    """
     raise NotImplementedError
 
 
-lessons.number("14.1", answer_1, np.array([80 / 8, -80 / 64]) ** 2 @ [0.04, 0.16] + 0.3)
+lessons.number("14.1", answer_1, slope_of_pixel(1, 8) ** 2 @ [0.04, 0.16] + 0.3)
 lessons.forward("14.2", my_forward, "projection")
 lessons.backward("14.3", my_backward, "projection")
 
 # %% [markdown]
 # ## Check your port
-# `p4dgs-ref oracle check DIR --only projection` reads what a port wrote. Beside the off-diagonal entry, ports go wrong in the
-# clamp's slope in $z$: beyond it $u$ is a constant, so the third entry of $J$ depends on $z$ as $1/z$, no longer as $1/z^2$.
+# `p4dgs-ref oracle check DIR --only projection` compares what a port wrote. Besides the entry
+# beside the diagonal, the usual mistake is the slope of the clamp in $z$. Beyond the clamp $u$ is a
+# constant, so the third column of $J$ depends on $z$ as $1/z$, no longer as $1/z^2$.
+
 
 # %%
-full = lambda inputs, cotangents: projection.backward(projection.forward(**inputs)[1], **cotangents)
-verdict = oracle.check(lambda **inputs: projection.forward(**inputs)[0], "projection", full)
-print(verdict)
-assert verdict.ok and EQUATIONS["projection"].differentiable == ("x", "Sigma")
+def gradients_of_projection(inputs, cotangents):
+    _, saved = projection.forward(**inputs)
+    return projection.backward(saved, **cotangents)
+
+
+report = oracle.check(outputs_of_projection, "projection", gradients_of_projection)
+print(report)
+assert report.ok

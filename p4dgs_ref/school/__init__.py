@@ -1,22 +1,23 @@
-"""Classroom mode: a copy of the equations for students to fill in, a grader with held-back inputs, a teacher's key.
+"""Classroom mode: equations for students to write, a grader with held-back inputs, and the key.
 
 from p4dgs_ref import school
-school.classroom("course")                      # course/student, course/key, course/README.md
-print(school.text(school.grade("course")))      # points by equation
-eq = school.load("course/student/offsets.py")   # the equation in a student's file, to be called and looked at
+school.classroom("course")  # writes course/student, course/key and course/README.md
+print(school.text(school.grade("course")))  # the points of every equation
+eq = school.load("course/student/offsets.py")  # the equation in a student's file
 """
 
-from ..lazy import offer
+from .grading import grade
+from .marks import as_csv, as_json, text, write
+from .room import ClassroomError, classroom
+from .student import load
 
-_HOME = {
-    "classroom": "room",
-    "ClassroomError": "room",
-    "grade": "grading",
-    "load": "student",
-    "text": "marks",
-    "as_json": "marks",
-    "as_csv": "marks",
-    "write": "marks",
-}
-__all__ = sorted(_HOME)
-__getattr__, __dir__ = offer(__name__, _HOME)
+__all__ = [
+    "ClassroomError",
+    "as_csv",
+    "as_json",
+    "classroom",
+    "grade",
+    "load",
+    "text",
+    "write",
+]

@@ -1,4 +1,4 @@
-"""Grades a classroom: every equation in a process of its own, on held-back inputs, with credit for each part."""
+"""Grades a classroom: each equation in a process of its own, with points for every right part."""
 
 import time
 from pathlib import Path
@@ -6,24 +6,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..equations import EQUATIONS
-from ..oracle import doctor
+from ..oracle import doctor, published
 from ..oracle.checker import sentence
 from ..oracle.compare import Finding, compare, precision
 from ..oracle.ports import PortError
-from ..oracle.subjects import FLOW, subjects
+from ..table import EQUATIONS
 from . import held_back
 from .guard import suspicions
 from .removal import unwritten
-from .room import ClassroomError, read_record
+from .room import FORWARD, GRADIENTS, HARD, ClassroomError, read_record
 from .student import Student
 
-FORWARD, GRADIENTS, HARD = 4, 4, 2  # points of an equation
-SECONDS = 30  # for all cases of an equation, after which the rest is not asked
+SECONDS = 30  # for all cases of an equation; the cases after that are not asked
 
 
 class Part(NamedTuple):
-    """One thing that gives points: the forward, the gradient of one input, the hard cases of either."""
+    """One thing that gives points: the forward, one gradient, or the hard cases."""
 
     name: str
     of: float  # points
@@ -36,24 +34,22 @@ class Part(NamedTuple):
 
 
 class Grade(NamedTuple):
-    """How one equation stands."""
+    """The points of one equation."""
 
     key: str
-    parts: tuple  # Part
-    first: str  # what failed first, with its worst element; empty if nothing did
-    explanation: str  # a known mistake that explains it
-    flags: (
-        tuple  # what the file does to get at the reference; points are withheld where there is any
-    )
-    note: str  # "", "not begun", "missing" ...
+    parts: tuple  # of Part
+    first: str = ""  # the first wrong answer with its worst element
+    explanation: str = ""  # the known mistake that explains the wrong answers
+    flags: tuple = ()  # attempts to ask the reference; with any of them there are no points
+    note: str = ""  # "not begun", "cannot be read" ...
 
     @property
     def of(self):
-        return round(sum(part.of for part in self.parts), 6)  # thirds and sixths add up to a whole
+        return round(sum(part.of for part in self.parts), 6)  # thirds and sixths, an integer in all
 
     @property
     def earned(self):
-        """Points before flags."""
+        """The points without regard to flags."""
         return round(sum(part.points for part in self.parts), 6)
 
     @property
@@ -62,7 +58,7 @@ class Grade(NamedTuple):
 
 
 class Report(NamedTuple):
-    """All grades, in the order in which data flows."""
+    """The grades of all equations, in the order in which data flows."""
 
     seed: int
     grades: tuple
@@ -77,180 +73,151 @@ class Report(NamedTuple):
 
 
 def grade(folder, seed=None, student=None, timeout=5.0, progress=lambda text: None):
-    """Grade DIR/student, or the files in another folder `student`; nothing is written.
+    """Grade DIR/student, or the files in the folder `student`, and return a Report.
 
-    `seed` draws the held-back inputs, by default the classroom's; `timeout` in seconds, for one case.
-
-    Returns    Report; see `marks` for its text, JSON and CSV
-    Raises     ClassroomError
+    Nothing is written. `seed` determines the held-back inputs; the default is the seed of the
+    classroom. `timeout` is the time for one case, in seconds. Raises ClassroomError.
     """
     record = read_record(folder)
     files = Path(student) if student is not None else Path(folder) / "student"
     if not files.is_dir():
         raise ClassroomError(f"{files}: expected a folder with the files of a student")
     seed = record["seed"] if seed is None else seed
-    grades, known = [], subjects()
-    for key in FLOW:
+    grades = []
+    for key in published.equations():
         if key in record["equations"]:
             progress(f"grading {key}")
-            grades.append(
-                _equation(known[key], files / f"{key}.py", record["equations"][key], seed, timeout)
-            )
+            asked = record["equations"][key]
+            grades.append(grade_of(key, files / f"{key}.py", asked, seed, timeout))
     return Report(seed, tuple(grades))
 
 
 def parts_of(key, asked):
-    """{name of a part: its points} of an equation whose functions `asked` are to be written."""
-    inputs = EQUATIONS[key].differentiable if "backward" in asked else ()
-    both, hard = "forward" in asked and inputs, {}
-    share = 1 if both else 2
-    parts = {"forward": FORWARD + (0 if both else GRADIENTS)} if "forward" in asked else {}
-    parts.update(
-        {
-            f"gradient of {name}": (GRADIENTS + (0 if both else FORWARD)) / len(inputs)
-            for name in inputs
-        }
-    )
-    if "forward" in asked:
-        hard["hard cases: outputs"] = HARD / 2 * share
-    if inputs:
-        hard["hard cases: gradients"] = HARD / 2 * share
-    return {**parts, **hard}
+    """Return {name of a part: its points} of an equation with the functions `asked` to write."""
+    gradients = EQUATIONS[key].gradients if "backward" in asked else ()
+    forward = "forward" in asked
+    share = 1 if forward and gradients else 2  # one of the two takes all points
+    parts = {"forward": share * FORWARD} if forward else {}
+    for name in gradients:
+        parts[f"gradient of {name}"] = share * GRADIENTS / len(gradients)
+    if forward:
+        parts["hard cases: outputs"] = share * HARD / 2
+    if gradients:
+        parts["hard cases: gradients"] = share * HARD / 2
+    return parts
 
 
-def _equation(subject, path, asked, seed, timeout):
-    """The grade of one file."""
-    worth = parts_of(subject.key, asked)
-    nothing = tuple(Part(name, of, 0, 0) for name, of in worth.items())
+def grade_of(key, path, asked, seed, timeout):
+    """Return the Grade of one file."""
+    worth = parts_of(key, asked)
+    nothing = Grade(key, tuple(Part(name, of, 0, 0) for name, of in worth.items()))
     try:
         source = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
-        return Grade(
-            subject.key, nothing, "", "", (), f"{path.name}: expected a file of Python text"
-        )
+        return nothing._replace(note=f"{path.name}: expected a file of Python text")
     if all(unwritten(source, name) for name in asked):
-        return Grade(subject.key, nothing, "", "", (), "not begun")
+        return nothing._replace(note="not begun")
     try:
-        flags = tuple(suspicions(source, subject.key))
+        flags = tuple(suspicions(source, key))
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        return Grade(
-            subject.key,
-            nothing,
-            f"{path.name}: {type(error).__name__}: {error}",
-            "",
-            (),
-            "cannot be read",
-        )
-    counts, first, answers, begun = {name: [0, 0] for name in worth}, "", [], time.monotonic()
+        first = f"{path.name}: {type(error).__name__}: {error}"
+        return nothing._replace(first=first, note="cannot be read")
+    right = dict.fromkeys(worth, 0)
+    count = dict.fromkeys(worth, 0)
+    first = explanation = ""
+    begun = time.monotonic()
     with Student(path, timeout) as port:
-        for case in held_back.cases(subject, seed):
-            left = SECONDS - (time.monotonic() - begun)
-            wrong, why, got = (
-                _case(case, port) if left > 0 else ({}, f"not asked: {SECONDS} s are over", None)
-            )
-            for name, verdict in _verdicts(case, worth, wrong, got).items():
-                counts[name][0] += not verdict
-                counts[name][1] += 1
+        for case in held_back.cases(key, seed):
+            if time.monotonic() - begun < SECONDS:
+                wrong, why, got = judged(case, port)
+            else:
+                wrong, why, got = {}, f"not asked, because {SECONDS} s are over", None
+            for name, verdict in verdicts(case, worth, wrong, got).items():
+                count[name] += 1
+                right[name] += not verdict
                 if verdict and not first:
                     first = f"{case.id}: {why if got is None else verdict}"
-            if got:
-                answers.append((case, got))
-    said = _explained(subject.key, answers) if first else ""
-    return Grade(
-        subject.key,
-        tuple(Part(name, worth[name], *counts[name]) for name in worth),
-        first,
-        said,
-        flags,
-        "",
-    )
+        if first:
+            explanation = explained(key, port, begun + SECONDS)
+    parts = tuple(Part(name, of, right[name], count[name]) for name, of in worth.items())
+    return Grade(key, parts, first, explanation, flags)
 
 
-def _case(case, port):
-    """({tensor: what is wrong}, why there is no answer at all, {tensor: array} or None) of one case."""
+def judged(case, port):
+    """Return ({tensor: what is wrong}, why there is no answer, {tensor: array} or None)."""
     try:
         got = port.run(case)
     except PortError as error:
         return {}, f"{error.kind}: {error}", None
-    bound = case.tolerance("float64")
-    wrong = _wrong(case, got, bound)
+    wrong = differences(case, got)
     if any(name.startswith("out.") for name in wrong):  # a wrong forward is not punished twice
-        follow = {**got, **port.follow}
-        again = _wrong(case, follow, bound)
-        for name in [n for n in wrong if n.startswith("in_bar.") and n not in again]:
-            del wrong[name]
-            got[name] = follow[name]
+        again = differences(case, {**got, **port.follow})
+        for name in list(wrong):
+            if name.startswith("in_bar.") and name not in again:
+                del wrong[name]
+                got[name] = port.follow[name]
     for name in wrong:
-        reason = port.said.get("forward" if name.startswith("out.") else "backward")
-        if name not in got and reason:
-            wrong[name] = f"{'forward' if name.startswith('out.') else 'backward'}: {reason}"
+        part = "forward" if name.startswith("out.") else "backward"
+        if name not in got and part in port.said:
+            wrong[name] = f"{part}: {port.said[part]}"
     return wrong, "", got
 
 
-def _wrong(case, got, bound):
-    """{tensor: what is wrong with it}."""
-    strange = [
+def differences(case, got):
+    """Return {tensor: what is wrong with it}."""
+    found = [
         Finding(name, "dtype", f"{a.dtype}, expected float64")
         for name, a in got.items()
         if a.dtype.kind == "f" and a.dtype != np.float64
     ]
-    found = [*strange, *compare(case.tensors, got, bound)]
-    return {
-        f.tensor: f.message if f.kind == "value" else f"{f.tensor}: {f.kind}: {f.message}"
-        for f in reversed(found)
-    }
+    found += compare(case.tensors, got, case.tolerance("float64"))
+    wrong = {}
+    for f in found:
+        said = f.message if f.kind == "value" else f"{f.tensor}: {f.kind}: {f.message}"
+        wrong.setdefault(f.tensor, said)
+    return wrong
 
 
-def _verdicts(case, worth, wrong, got):
-    """{part: what is wrong, empty if right} of the parts that this case counts for."""
+def verdicts(case, worth, wrong, got):
+    """Return {part: what is wrong, "" if nothing} of the parts for which this case counts."""
 
-    def worst(prefixes):
+    def worst(prefix):
         if got is None:
             return "no answer"
-        return next((said for name, said in wrong.items() if (name + ".").startswith(prefixes)), "")
+        return next((said for name, said in wrong.items() if (name + ".").startswith(prefix)), "")
 
-    ordinary, gradients = (
-        tuple(case.record["flags"]) == ("ordinary",),
-        any(n.startswith("in_bar.") for n in case.tensors),
-    )
     found = {}
     for name in worth:
+        role = "out." if name in ("forward", "hard cases: outputs") else "in_bar."
         if name.startswith("hard"):
-            role = "out." if name.endswith("outputs") else "in_bar."
-            if not ordinary and (role == "out." or gradients):
-                found[name] = worst((role,))
-        elif ordinary:
-            found[name] = worst(
-                ("out.",)
-                if name == "forward"
-                else (f"in_bar.{name.removeprefix('gradient of ')}.",)
-            )
+            if not held_back.is_ordinary(case) and any(t.startswith(role) for t in case.tensors):
+                found[name] = worst(role)
+        elif held_back.is_ordinary(case):
+            input_name = name.removeprefix("gradient of ")
+            found[name] = worst(role if name == "forward" else f"{role}{input_name}.")
     return found
 
 
-def _explained(key, answers):
-    """The known mistakes that explain the outputs where those are wrong, else the gradients; empty if none does.
+def explained(key, port, deadline):
+    """Return the known mistakes that explain the answers to the published cases, "" if none does.
 
-    What is not written yet is no mistake: a case counts with what was answered alone.
+    Outputs are explained first; gradients only if the outputs are right. Functions that are not
+    written yet are ignored.
     """
+    answers = []
+    for case in published.cases(key):
+        if time.monotonic() < deadline:
+            wrong, _, got = judged(case, port)
+            if got:
+                answers.append((case, got, [name for name in wrong if name in got]))
     for role in ("out.", "in_bar."):
-        asked = []
-        for case, got in answers:
-            mine = {name: a for name, a in got.items() if name.startswith(role)}
-            case = case._replace(
-                tensors={
-                    name: a
-                    for name, a in case.tensors.items()
-                    if name in mine or not name.startswith(("out.", "in_bar."))
-                }
-            )
-            if mine:
-                asked.append((case, mine, bool(_wrong(case, mine, case.tolerance("float64")))))
-        if any(wrong for _, _, wrong in asked):
-            found = doctor.explain(
-                key, [row for row in asked if row[0].tolerance(precision(row[1]))]
-            )
-            return sentence(
-                [row for row in found if 2 * row[1] >= row[2]]
-            )  # what explains a few cases misleads
+        of_role = []
+        for case, got, wrong in answers:
+            tensors = {name: a for name, a in got.items() if name.startswith(role)}
+            if tensors and case.tolerance(precision(tensors)):
+                of_role.append((case, tensors, [name for name in wrong if name.startswith(role)]))
+        if any(wrong for _, _, wrong in of_role):
+            found = doctor.explain(key, of_role)
+            # A mistake that explains only a few cases would mislead.
+            return sentence([row for row in found if 2 * row[1] >= row[2]])
     return ""

@@ -1,25 +1,16 @@
-"""What the tutorials share: figures that are saved and shown, and exercises that are checked against the golden vectors."""
+"""What the tutorials share: figures, checks of gradients, and exercises that check themselves."""
 
-import inspect
 import os
 import sys
 from pathlib import Path
 
 import numpy as np
 
-from ..oracle import published, vectors
+from ..oracle import published
 from ..oracle.compare import compare, precision
-from ..oracle.subjects import flatten
 
-COLORS = (
-    "#0072B2",
-    "#D55E00",
-    "#009E73",
-    "#CC79A7",
-    "#E69F00",
-    "#56B4E9",
-    "#000000",
-)  # Okabe and Ito: colour-blind-safe
+# The colours of Okabe and Ito, which colour-blind readers can tell apart.
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 STYLE = {
     "figure.figsize": (8, 4.5),
     "figure.dpi": 120,
@@ -30,11 +21,15 @@ STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
-RESULTS = {}  # exercise -> solved; what a test reads after running a tutorial or its solutions
+RESULTS = {}  # exercise -> whether it is solved, for tests that run a tutorial or its solutions
 
 
+# --- figures --------------------------------------------------------------------------------------
 def pyplot():
-    """matplotlib.pyplot in the tutorials' style; without a window unless the session is interactive."""
+    """Return matplotlib.pyplot in the style of the tutorials.
+
+    It opens windows only in a notebook or at an interactive prompt.
+    """
     import matplotlib
 
     if not interactive():
@@ -47,29 +42,24 @@ def pyplot():
 
 
 def interactive():
-    """Whether somebody looks: a notebook or an interactive prompt."""
+    """Whether this is a notebook or an interactive prompt."""
     return hasattr(sys, "ps1") or "ipykernel" in sys.modules
 
 
 def out():
-    """The folder for pictures, `out` beside the tutorial that runs; P4DGS_TUTORIALS_OUT names another."""
-    caller = next(
-        (
-            Path(f.filename)
-            for f in inspect.stack()
-            if Path(f.filename).parent.name in ("tutorials", "solutions")
-        ),
-        None,
-    )
-    folder = (
-        os.environ.get("P4DGS_TUTORIALS_OUT") or (caller.parent if caller else Path.cwd()) / "out"
-    )
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    return Path(folder)
+    """Return the folder for figures, which is `out` beside the tutorial that runs.
+
+    The environment variable P4DGS_TUTORIALS_OUT names another one.
+    """
+    script = Path(sys.argv[0]).resolve().parent
+    beside = script if script.name in ("tutorials", "solutions") else Path.cwd()
+    folder = Path(os.environ.get("P4DGS_TUTORIALS_OUT") or beside / "out")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def show(figure, name):
-    """Save a figure as out/NAME.png and show it where somebody looks."""
+    """Save a figure as out/NAME.png, and show it in a notebook or at an interactive prompt."""
     place = out() / f"{name}.png"
     figure.savefig(place, bbox_inches="tight")
     print(f"figure: {place.parent.name}/{place.name}")
@@ -79,84 +69,122 @@ def show(figure, name):
         pyplot().close(figure)
 
 
-# --- exercises ----------------------------------------------------------------------------------------------------
+# --- checks of gradients --------------------------------------------------------------------------
+def random_like(rng, values):
+    """Return normal random numbers in the shape of an array, a list of arrays or a dictionary."""
+    if isinstance(values, dict):
+        return {name: random_like(rng, value) for name, value in values.items()}
+    if isinstance(values, list):
+        return [random_like(rng, value) for value in values]
+    return rng.normal(size=np.shape(values))
+
+
+def moved(values, directions, h):
+    """Return values + h * directions, for an array, a list of arrays or a dictionary.
+
+    Entries of a dictionary that have no direction stay as they are.
+    """
+    if isinstance(values, dict):
+        changed = {name: moved(values[name], d, h) for name, d in directions.items()}
+        return {**values, **changed}
+    if isinstance(values, list):
+        return [moved(value, d, h) for value, d in zip(values, directions)]
+    return values + h * directions
+
+
+def inner(a, b):
+    """Return the sum of all products of entries; of dictionaries, over the names in b."""
+    if isinstance(b, dict):
+        return sum(inner(a[name], b[name]) for name in b)
+    if isinstance(b, (list, tuple)):
+        return sum(inner(x, y) for x, y in zip(a, b))
+    return float(np.sum(a * b))
+
+
+def close(a, b, tolerance=1e-12):
+    """Whether a and b agree, up to a fraction of the largest number in b."""
+    off = np.abs(np.asarray(a) - b).max(initial=0)
+    return bool(off <= tolerance * np.abs(b).max(initial=0))
+
+
+# --- exercises ------------------------------------------------------------------------------------
 def golden(id):
-    """The tensors of one case of the golden vectors: golden("offsets/ordinary")["out.x"]."""
-    key, case = id.split("/")
-    subject = next(s for s in vectors.read_manifest()["subjects"] if s["key"] == key)
-    return next(c for c in published.read(subject) if c.name == case).tensors
+    """Return the tensors of one case of the golden vectors: golden("offsets/ordinary")["out.x"]."""
+    key, name = id.split("/")
+    return next(case for case in published.cases(key) if case.name == name).tensors
 
 
 def number(exercise, mine, want, digits=6):
-    """An exercise whose answer is a number or an array; `mine` is None or Ellipsis until it is solved."""
+    """Check an exercise whose answer is a number or an array; Ellipsis stands for no answer."""
     if mine is None or mine is Ellipsis:
-        return _settle(exercise, "no answer yet")
+        return settle(exercise, "no answer yet")
     try:
         mine, want = np.asarray(mine, float), np.asarray(want, float)
     except (TypeError, ValueError):
-        return _settle(exercise, "expected a number")
+        return settle(exercise, "expected a number")
     if mine.shape != want.shape:
-        return _settle(exercise, f"shape {mine.shape}, expected {want.shape}")
+        return settle(exercise, f"shape {mine.shape}, expected {want.shape}")
     off = np.abs(mine - want).max(initial=0)
     good = off <= 10.0**-digits * max(np.abs(want).max(initial=0), 1e-300)
-    return _settle(exercise, "" if good else f"off by {off:.3g}, {digits} digits are expected")
+    return settle(exercise, "" if good else f"off by {off:.3g}, expected {digits} right digits")
 
 
 def forward(exercise, mine, key):
-    """An exercise that asks for a forward: `mine(**inputs)` gives the outputs as a dictionary, a tuple or one array."""
+    """Check a forward: `mine(**inputs)` returns one array, a tuple or a dictionary of outputs."""
 
     def outputs(case):
         made = mine(**case.inputs())
-        if hasattr(made, "_asdict"):
-            made = made._asdict()
-        names = list(dict.fromkeys(n.split(".")[1] for n in case.tensors if n.startswith("out.")))
+        names = names_of(case, "out.")
         if not isinstance(made, dict):
             made = dict(zip(names, made if isinstance(made, tuple) else (made,)))
-        return flatten(
-            {n: made[n] if isinstance(made[n], list) else np.asarray(made[n]) for n in names},
-            "out.",
-        )
+        return flat(made, names, "out.")
 
-    return _against(exercise, key, outputs)
+    return against(exercise, key, outputs)
 
 
-def backward(exercise, mine, key, *wanted):
-    """An exercise that asks for a backward: `mine(inputs, cotangents)` gives {input: gradient}; `wanted` of them count."""
+def backward(exercise, mine, key):
+    """Check a backward: `mine(inputs, cotangents)` returns {input name: gradient}."""
 
     def gradients(case):
         made = mine(case.inputs(), case.cotangents())
-        names = wanted or dict.fromkeys(
-            n.split(".")[1] for n in case.tensors if n.startswith("in_bar.")
-        )
-        return flatten(
-            {n: made[n] if isinstance(made[n], list) else np.asarray(made[n]) for n in names},
-            "in_bar.",
-        )
+        return flat(made, names_of(case, "in_bar."), "in_bar.")
 
-    return _against(exercise, key, gradients)
+    return against(exercise, key, gradients)
 
 
-def _against(exercise, key, answer):
-    subject = next(s for s in vectors.read_manifest()["subjects"] if s["key"] == key)
-    for case in published.read(subject):
+def names_of(case, role):
+    """Return the names of a case's outputs (role "out.") or gradients (role "in_bar.")."""
+    return list(dict.fromkeys(n.split(".")[1] for n in case.tensors if n.startswith(role)))
+
+
+def flat(made, names, role):
+    """Return the arrays of these names under the names that the golden vectors give them."""
+    lists = {n: made[n] if isinstance(made[n], list) else np.asarray(made[n]) for n in names}
+    return published.flatten(lists, role)
+
+
+def against(exercise, key, answer):
+    """Compare `answer(case)` with every golden case of a subject, up to the first difference."""
+    for case in published.cases(key):
         if case.record["result"] != "valid":
             continue
         try:
             with np.errstate(all="ignore"):
                 got = answer(case)
         except NotImplementedError:
-            return _settle(exercise, "no answer yet")
-        except Exception as error:  # whatever the reader wrote
-            return _settle(exercise, f"case {case.id}: {type(error).__name__}: {error}")
+            return settle(exercise, "no answer yet")
+        except Exception as error:  # an answer may fail in any way
+            return settle(exercise, f"case {case.id}: {type(error).__name__}: {error}")
         asked = {n: a for n, a in case.tensors.items() if n in got or n.startswith("scale.")}
-        found = compare(asked, got, case.tolerance(precision(got)) or case.tolerance("float64"))
+        bound = case.tolerance(precision(got)) or case.tolerance("float64")
+        found = compare(asked, got, bound)
         if found:
-            return _settle(exercise, f"case {case.id}: {found[0].tensor}: {found[0].message}")
-    return _settle(exercise, "")
+            return settle(exercise, f"case {case.id}: {found[0].tensor}: {found[0].message}")
+    return settle(exercise, "")
 
 
-def _settle(exercise, problem):
-    """Remember and say how an exercise stands."""
+def settle(exercise, problem):
+    """Record and print whether an exercise is solved."""
     RESULTS[exercise] = not problem
     print(f"exercise {exercise}: " + (f"not solved: {problem}" if problem else "solved"))
     return not problem

@@ -1,53 +1,46 @@
-"""A grader's report as text, as JSON and as CSV."""
+"""The grader's report as text, as JSON and as CSV."""
 
 import csv
 import io
 import json
 from pathlib import Path
 
-from ..equations import EQUATIONS
 from ..oracle.report import name_of
 from ..scenes.output import filled
-from ..syllabus import tutorial_of
+from ..table import EQUATIONS
+from .syllabus import tutorial_of
 
 COLUMNS = ("number", "key", "points", "of", "tutorial", "first", "explanation", "flags", "note")
 
 
 def text(report):
-    """Points by equation; below each what failed first, and what explains it."""
-    width = max(len(name_of(grade.key)) for grade in report.grades)
+    """Return the points of every equation, with the first wrong answer and its explanation."""
+    names = [name_of(grade.key) for grade in report.grades]
+    width = max(map(len, names))
     lines = []
-    for grade in report.grades:
-        lines.append(
-            f"{name_of(grade.key):<{width}}  {grade.points:5.2f} of {grade.of:2.0f}  {_parts(grade)}".rstrip()
-        )
+    for name, grade in zip(names, report.grades):
+        points = f"{name:<{width}}  {grade.points:5.2f} of {grade.of:2.0f}"
+        lines.append(f"{points}  {missed(grade)}".rstrip())
         lines += [f"    points withheld ({grade.earned:.2f}): {flag}" for flag in grade.flags]
-        lines += [
-            f"    {said}: {what}"
-            for said, what in (("first", grade.first), ("explained by", grade.explanation))
-            if what
-        ]
-    whole = report.of
-    return "\n".join(
-        [
-            *lines,
-            f"{'sum':<{width}}  {report.points:5.2f} of {whole:.0f}  "
-            f"({100 * report.points / whole if whole else 0:.1f} %, seed {report.seed})",
-        ]
-    )
+        if grade.first:
+            lines.append(f"    first: {grade.first}")
+        if grade.explanation:
+            lines.append(f"    explained by: {grade.explanation}")
+    percent = 100 * report.points / report.of if report.of else 0
+    total = f"{'sum':<{width}}  {report.points:5.2f} of {report.of:.0f}"
+    lines.append(f"{total}  ({percent:.1f} %, seed {report.seed})")
+    return "\n".join(lines)
 
 
-def _parts(grade):
-    """The parts that miss points: `gradient of l_a 0 of 3`; nothing where all is right."""
-    return grade.note or ", ".join(
-        f"{part.name} {part.right} of {part.asked}"
-        for part in grade.parts
-        if part.right < part.asked
-    )
+def missed(grade):
+    """Return the note of a grade, or the parts that miss points: `gradient of l_a 0 of 3`."""
+    parts = [part for part in grade.parts if part.right < part.asked]
+    said = ", ".join(f"{part.name} {part.right} of {part.asked}" for part in parts)
+    return grade.note or said
 
 
 def rows(report):
-    """One dictionary an equation, with the fields of COLUMNS and its parts."""
+    """Return one dictionary for each equation, with the fields of COLUMNS and its parts."""
     return [
         {
             "number": EQUATIONS[grade.key].number,
@@ -75,7 +68,7 @@ def rows(report):
 
 
 def as_json(report):
-    """The contract for scripts."""
+    """Return the report as a dictionary; scripts may rely on its fields."""
     return {
         "seed": report.seed,
         "points": round(report.points, 4),
@@ -85,23 +78,22 @@ def as_json(report):
 
 
 def as_csv(report):
-    """One line an equation under a head, for a spreadsheet."""
+    """Return the report as a table for a spreadsheet, with one line for each equation."""
     out = io.StringIO()
-    table = csv.writer(out, lineterminator="\n")
-    table.writerow(COLUMNS)
+    table = csv.DictWriter(out, COLUMNS, lineterminator="\n", extrasaction="ignore")
+    table.writeheader()
     for row in rows(report):
-        table.writerow("; ".join(row[name]) if name == "flags" else row[name] for name in COLUMNS)
+        table.writerow({**row, "flags": "; ".join(row["flags"])})
     return out.getvalue()
 
 
 def write(report, folder):
-    """Write grades.txt, grades.json and grades.csv into a folder.
-
-    Raises     OutputError
-    """
+    """Write grades.txt, grades.json and grades.csv to a folder. Raises OutputError."""
+    files = {
+        "grades.txt": text(report) + "\n",
+        "grades.json": json.dumps(as_json(report), indent=1) + "\n",
+        "grades.csv": as_csv(report),
+    }
     with filled(Path(folder)) as beside:
-        (beside / "grades.txt").write_text(text(report) + "\n", encoding="utf-8")
-        (beside / "grades.json").write_text(
-            json.dumps(as_json(report), indent=1) + "\n", encoding="utf-8"
-        )
-        (beside / "grades.csv").write_text(as_csv(report), encoding="utf-8")
+        for name, content in files.items():
+            (beside / name).write_text(content, encoding="utf-8")

@@ -1,50 +1,68 @@
-"""Takes the bodies of functions out of a Python file and leaves all else as it is."""
+"""Removes the bodies of functions from a Python file and leaves everything else as it is."""
 
 import ast
 import json
 
-# Functions that hold the answer beside forward and backward: they go with them.
+# Functions that contain the answer as well. They are removed together with forward or backward.
 HELPERS = {
-    ("ssim", "forward"): ("dissimilarity",),
-    ("hash_grid", "forward"): ("query", "surrogate"),
-    ("hash_rate", "forward"): ("entropy", "surrogate"),
-    ("rotation", "forward"): ("normalise",),
-    ("rotation", "backward"): ("normalise_backward",),
-    ("view", "backward"): ("across",),
+    ("compositing", "forward"): ("alphas", "transmittances"),
     ("covariance", "forward"): ("rotation_matrix",),
-    ("compositing", "forward"): ("_alphas", "_transmittances"),
+    ("deformed", "forward"): ("moved",),
+    ("hash_grid", "forward"): ("query",),
+    ("hash_rate", "forward"): ("entropy",),
+    ("likelihood", "forward"): (
+        "literal",
+        "rate",
+        "near_the_mean",
+        "far_from_the_mean",
+        "narrow_bin",
+    ),
+    ("masking", "backward"): ("scatter",),
+    ("ssim", "forward"): ("dissimilarity",),
 }
 
 
 def functions_of(key, parts):
-    """Every function that goes when these parts of an equation are to be written: ("forward", "normalise", ...)."""
+    """Return the functions to write for parts of an equation: ("forward", "entropy", ...)."""
     return tuple(name for part in parts for name in (part, *HELPERS.get((key, part), ())))
 
 
 def without_bodies(source, names, say):
-    """`source` with the bodies of the named top-level functions replaced; docstrings stay.
+    """Return `source` with the bodies of the named top-level functions removed.
 
-    `say(name)` is the text of the NotImplementedError.
-
-    Raises     KeyError where a function is not there
+    Docstrings stay, and so do the first lines of a body that unpack `saved`: they show what the
+    reference's forward saves. `say(name)` is the message of the NotImplementedError. Raises
+    KeyError if there is no function of a name.
     """
     lines = source.splitlines(keepends=True)
-    found = {
-        node.name: node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef)
-    }
-    for node in sorted(
-        (found[name] for name in names), key=lambda node: -node.lineno
-    ):  # from below: lines stay valid
-        lines[_first_line(node, lines) : node.end_lineno] = [
-            f"    raise NotImplementedError({json.dumps(say(node.name))})\n"
-        ]
+    functions = functions_in(source)
+    # From the last function to the first, so that the line numbers stay valid.
+    for node in sorted((functions[name] for name in names), key=lambda node: -node.lineno):
+        stub = f"    raise NotImplementedError({json.dumps(say(node.name))})\n"
+        lines[first_line(node, lines) : node.end_lineno] = [stub]
     return "".join(lines)
 
 
-def _first_line(node, lines):
-    """Index of the first line after head and docstring; comments above the first statement belong to the body."""
-    if ast.get_docstring(node) is not None:
-        return node.body[0].end_lineno
+def functions_in(source):
+    """Return {name: syntax tree} of the top-level functions."""
+    nodes = ast.parse(source).body
+    return {node.name: node for node in nodes if isinstance(node, ast.FunctionDef)}
+
+
+def kept(node):
+    """Return the leading statements that stay: the docstring and the unpacking of `saved`."""
+    statements = node.body[:1] if ast.get_docstring(node) is not None else []
+    for statement in node.body[len(statements) :]:
+        if not isinstance(statement, ast.Assign) or ast.unparse(statement.value) != "saved":
+            break
+        statements.append(statement)
+    return statements
+
+
+def first_line(node, lines):
+    """Return the index of the first line of a body to remove, including the comments above it."""
+    if kept(node):
+        return kept(node)[-1].end_lineno
     start = node.body[0].lineno - 1
     while lines[start - 1].strip().startswith("#") or not lines[start - 1].strip():
         start -= 1
@@ -52,18 +70,17 @@ def _first_line(node, lines):
 
 
 def unwritten(source, name):
-    """Whether a function of a file is still as `without_bodies` left it, or is gone; False in a file that cannot be read."""
+    """Whether a function is still as `without_bodies` left it, or missing.
+
+    False for a file that cannot be parsed.
+    """
     try:
-        nodes = [
-            node
-            for node in ast.parse(source).body
-            if isinstance(node, ast.FunctionDef) and node.name == name
-        ]
+        node = functions_in(source).get(name)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         return False
-    if not nodes:
+    if node is None:
         return True
-    body = nodes[-1].body[1:] if ast.get_docstring(nodes[-1]) is not None else nodes[-1].body
+    body = node.body[len(kept(node)) :]
     raised = body[0].exc if len(body) == 1 and isinstance(body[0], ast.Raise) else None
     raised = raised.func if isinstance(raised, ast.Call) else raised
     return isinstance(raised, ast.Name) and raised.id == "NotImplementedError"

@@ -1,6 +1,8 @@
-"""A student's file: read in isolation, asked case by case in a process of its own.
+"""A student's file, loaded as an equation, and a process that answers the grader with it.
 
-The process speaks the oracle's protocol; `answer` may leave out what the student's functions do not give, and says why.
+The process speaks the protocol of `oracle.adapter`. Its replies have two more fields: `said` gives
+the reason if a function returned nothing, and `follow` contains the gradients that the student's
+backward computes from what the reference's forward saved.
 """
 
 import json
@@ -12,67 +14,49 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import splatting  # noqa: F401  declares covariance, projection, compositing
-from ..equations import EQUATIONS
 from ..oracle.adapter import Adapter, packed, unpacked
-from ..oracle.published import Golden
-from ..oracle.subjects import flatten
+from ..oracle.published import Golden, flatten
+from ..table import EQUATIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 START_SECONDS = 60
-START = "import sys; sys.path[0] = sys.argv.pop(1); from p4dgs_ref.school.student import main; main(*sys.argv[1:])"
-
-
-def read(path):
-    """The module in a student's file; what it imports from the project is the reference's, and no table remembers it.
-
-    Raises     whatever the file raises
-    """
-    path = Path(path)
-    reference = EQUATIONS[path.stem]
-    package = reference.module.rpartition(".")[0]
-    module = types.ModuleType(f"{package}.{path.stem}_of_a_student")
-    module.__package__, module.__file__ = package, str(path)
-    saved = dict(EQUATIONS)
-    del EQUATIONS[path.stem]  # so that the file can declare its own
-    try:
-        exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), module.__dict__)
-        module.declared = EQUATIONS.get(path.stem)
-    finally:
-        EQUATIONS.clear()
-        EQUATIONS.update(saved)
-    return module
+START = (
+    "import sys; sys.path[0] = sys.argv.pop(1); "
+    "from p4dgs_ref.school.student import main; main(*sys.argv[1:])"
+)
 
 
 def load(path):
-    """The Equation that a student's file declares.
+    """Return the Equation in a student's file; whatever the file imports is the reference's code.
 
-    Raises     KeyError where the file bears no equation's name, and whatever the file raises
+    Raises KeyError if the file does not have the name of an equation, and whatever the file raises.
     """
-    return read(path).declared
+    path = Path(path)
+    eq = EQUATIONS[path.stem]
+    module = types.ModuleType(f"{eq.module}_of_a_student")
+    module.__package__, module.__file__ = eq.module.rpartition(".")[0], str(path)
+    exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), module.__dict__)
+    sys.modules[module.__name__] = module
+    return eq._replace(module=module.__name__)
 
 
 class Student(Adapter):
-    """The process with one student's file, as a port."""
+    """The process with one student's file, used as a port."""
 
     def __init__(self, path, timeout):
         super().__init__(shlex.join([sys.executable, "-c", START, str(ROOT), str(path)]), timeout)
-        self.said, self.follow = {}, {}
+        self.said = {}  # {"forward": why it returned nothing, "backward": likewise}
+        self.follow = {}  # {"in_bar.x": gradients computed from what the reference saved}
 
     def run(self, case):
-        """What the student's functions give to a case, as `Adapter.run`; then
-
-        said       {"forward": why there is no output, "backward": why there are no gradients}
-        follow     {"in_bar.x": array}: the gradients where the reference's forward has gone before
-        """
+        """Return the outputs and gradients of the student's functions, as `Adapter.run` does."""
         self.said, self.follow = {}, {}
         return super().run(case)
 
     def _exchange(self, request, field):
-        starting, own = field == "p4dgs_oracle", self.timeout
-        self.timeout = (
-            max(START_SECONDS, own) if starting else own
-        )  # importing NumPy is not the student's time
+        own = self.timeout
+        if field == "p4dgs_oracle":  # importing NumPy does not count against the student
+            self.timeout = max(START_SECONDS, own)
         try:
             return super()._exchange(request, field)
         finally:
@@ -87,77 +71,71 @@ class Student(Adapter):
         return answer
 
 
-# --- inside the process -------------------------------------------------------------------------------------------
+# --- inside the process ---------------------------------------------------------------------------
 def main(path):
-    """Answer requests from stdin until it ends; whatever else is printed goes to stderr."""
-    asked, told = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    """Answer requests from stdin until it ends. Everything else that is printed goes to stderr."""
+    requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # a student's input() ends at once
-    read_module = _once(lambda: read(path))
-    for line in asked:
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # input() in a student's file ends at once
+    loaded = None
+    for line in requests:
         request = json.loads(line)
-        reply = (
-            {"p4dgs_oracle": 1}
-            if "p4dgs_oracle" in request
-            else {"id": request["id"], **answer(read_module, Path(path).stem, request)}
-        )
-        told.write(json.dumps(reply).encode() + b"\n")
-        told.flush()
+        if "p4dgs_oracle" in request:
+            reply = {"p4dgs_oracle": 1}
+        else:
+            loaded = loaded or loader(path)
+            reply = {"id": request["id"], **answer(loaded, Path(path).stem, request)}
+        replies.write(json.dumps(reply).encode() + b"\n")
+        replies.flush()
 
 
-def _once(make):
-    """`make`, called at the first call; what it raised is raised again at every other."""
-    kept = []
-
-    def get():
-        if not kept:
-            try:
-                kept.append((make(), None))
-            except BaseException as error:  # a file may well call sys.exit
-                kept.append((None, error))
-        value, error = kept[0]
-        if error is not None:
-            raise error
-        return value
-
-    return get
+def loader(path):
+    """Return a function that returns the student's equation, or raises what its file raised."""
+    try:
+        eq = load(path)
+    except BaseException as error:  # a file may even call sys.exit
+        return lambda error=error: throw(error)
+    return lambda: eq
 
 
-def answer(read_module, key, request):
-    """The fields of a reply to one case."""
-    reference, said = EQUATIONS[key], {}
-    tensors = {
-        f"{role}.{name}": a
-        for role in ("in", "out_bar")
-        for name, a in unpacked(request, role).items()
-    }
-    case = Golden(
-        request["id"], "", key, key, "", {"settings": request["settings"]}, tensors
-    )  # copies at every call
-    out, res = _tried(
-        lambda: _outputs(read_module().forward(**case.inputs()), reference), said, "forward"
-    ) or ({}, None)
-    in_bar = follow = {}
-    if reference.differentiable:
-        if out:
-            in_bar = (
-                _tried(lambda: _gradients(read_module(), res, case, reference), said, "backward")
-                or {}
-            )
-        remembered = reference.forward(**case.inputs())[1]
-        follow = (
-            _tried(
-                lambda: _gradients(read_module(), remembered, case, reference),
-                {} if out else said,
-                "backward",
-            )
-            or {}
-        )
-    return {"out": _packed(out), "in_bar": _packed(in_bar), "follow": _packed(follow), "said": said}
+def throw(error):
+    """Raise an exception."""
+    raise error
 
 
-def _tried(call, said, part):
-    """What the call gives, or None and a line on why not."""
+def answer(load_equation, key, request):
+    """Return the fields of the reply to one case."""
+    tensors = {}
+    for role in ("in", "out_bar"):
+        tensors |= {f"{role}.{name}": a for name, a in unpacked(request, role).items()}
+    record = {"settings": request["settings"]}
+    case = Golden(request["id"], "", key, key, "", record, tensors)
+    reference = EQUATIONS[key]
+    said = {}
+
+    def forward():
+        return outputs_of(reference, load_equation().forward(**case.inputs()))
+
+    def backward(saved):
+        made = load_equation().backward(saved, **case.cotangents())
+        if not isinstance(made, dict):
+            raise TypeError("expected a dictionary {input name: gradient}")
+        return flat({name: made[name] for name in reference.gradients if name in made})
+
+    outputs, saved = tried(forward, said, "forward") or ({}, None)
+    gradients = follow = {}
+    if reference.gradients:
+        if outputs:
+            gradients = tried(lambda: backward(saved), said, "backward") or {}
+        _, reference_saved = reference.forward(**case.inputs())
+        about = {} if outputs else said
+        follow = tried(lambda: backward(reference_saved), about, "backward") or {}
+    fields = {"out": outputs, "in_bar": gradients, "follow": follow}
+    return {**{name: numbers(arrays) for name, arrays in fields.items()}, "said": said}
+
+
+def tried(call, said, part):
+    """Return what the call returns; if it fails, return None and put the reason into `said`."""
     try:
         with np.errstate(all="ignore"):
             return call()
@@ -168,36 +146,30 @@ def _tried(call, said, part):
     return None
 
 
-def _outputs(made, reference):
-    """(outputs as flat arrays, Res) of what a student's forward returned; fields that nobody asked for are left out."""
-    names = reference.forward.__globals__["Out"]._fields
+def outputs_of(reference, made):
+    """Return (flat outputs, saved) of what a student's forward returned."""
     if not isinstance(made, tuple) or len(made) != 2:
-        raise TypeError("expected a pair, Out and Res")
-    out = made[0]._asdict() if hasattr(made[0], "_asdict") else made[0]
-    if not isinstance(out, dict) or not set(names) <= set(out):
-        raise TypeError(f"expected an Out with the fields {', '.join(names)}")
-    return _flat({name: out[name] for name in names}), made[1]
+        raise TypeError("expected a pair, the output and what backward needs")
+    output, saved = made
+    count = len(reference.outputs)
+    if count > 1 and (not isinstance(output, tuple) or len(output) != count):
+        raise TypeError(f"expected a tuple of {', '.join(reference.outputs)} as output")
+    return flat(reference.named(output if count > 1 else (output,))), saved
 
 
-def _gradients(module, res, case, reference):
-    made = module.backward(res, **case.cotangents())
-    if not isinstance(made, dict):
-        raise TypeError("expected a dictionary {input: gradient}")
-    return _flat({name: made[name] for name in reference.differentiable if name in made})
+def flat(values):
+    """Return arrays and lists of arrays as flat, named arrays; None is left out."""
+    arrays = {}
+    for name, a in values.items():
+        if isinstance(a, (list, tuple)):
+            arrays[name] = [np.asarray(b) for b in a]
+        elif a is not None:
+            arrays[name] = np.asarray(a)
+    return flatten(arrays)
 
 
-def _flat(values):
-    return flatten(
-        {
-            name: [np.asarray(b) for b in a] if isinstance(a, (list, tuple)) else np.asarray(a)
-            for name, a in values.items()
-            if a is not None
-        }
-    )
-
-
-def _packed(arrays):
-    """Numbers alone: what else a student returns is left out, and thus missing."""
+def numbers(arrays):
+    """Return the arrays of numbers, packed. Others are left out, so that they count as missing."""
     return {
         name: packed(np.ascontiguousarray(a).reshape(a.shape))
         for name, a in arrays.items()

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.oracle.vectors import read_manifest
-from p4dgs_ref.syllabus import TUTORIALS, tutorial_of
+from p4dgs_ref.school.syllabus import TUTORIALS, tutorial_of
 from p4dgs_ref.table import EQUATIONS
 from tests.golden import gallery, syllabus
 from tests.school import tutorial_form as form

@@ -6,17 +6,22 @@ import numpy as np
 
 from p4dgs_ref.school import lessons
 
-x_a, l_a = np.array([1, 2, 0]), np.array([0.5, 0.5, 2])
+x_a = np.array([1, 2, 0])
+l_a = np.array([0.5, 0.5, 2])
 
 # %% [markdown]
-# **01.1** Axis by axis: $1 + 0\cdot 0.5$, $2 + 4\cdot 0.5$, $0 - 0.5\cdot 2$.
+# **01.1** Axis by axis, the position is $1 + 0\cdot 0.5$, $2 + 4\cdot 0.5$ and $0 - 0.5\cdot 2$.
 
 # %%
 lessons.number("01.1", [1, 4, -1], x_a + np.array([0, 4, -0.5]) * l_a)
 
 
 # %% [markdown]
-# **01.2** and **01.3** A new axis of length one is what NumPy stretches along the children; its transpose is the sum.
+# **01.2** The indexing with `None` adds an axis of length one, and NumPy repeats the array along
+# it, once for each child.
+#
+# **01.3** The backward of repeating is summing, so `x_a` and `l_a` sum over the axis of the
+# children.
 
 
 # %%

@@ -7,40 +7,46 @@ import numpy as np
 from p4dgs_ref.equations import view
 from p4dgs_ref.school import lessons
 
-x_a, x_c = np.array([3.0, -1, 7]), np.array([1.0, 2, 1])
+x_a = np.array([3.0, -1, 7])
+x_c = np.array([1.0, 2, 1])
 
 # %% [markdown]
-# **02.1** The gradient of a length is the direction: $d_{vc} = (2, -3, 6)/7$, and $d_{vc}\cdot(0.7, 0, 0) = 0.2$.
+# **02.1** The gradient of a length is the direction, here $d_{vc} = (2, -3, 6)/7$. To first order
+# the distance changes by $d_{vc}\cdot(0.7, 0, 0) = 0.2$.
 
 # %%
-lessons.number(
-    "02.1",
-    2 / 7 * 0.7,
-    view.backward(view.forward(x_a[None], x_c)[1], np.ones((1, 1)))["x_a"][0] @ [0.7, 0, 0],
-)
+(_, direction), _ = view.forward(x_a[None], x_c)
+lessons.number("02.1", 2 / 7 * 0.7, direction[0] @ [0.7, 0, 0])
 
 
 # %% [markdown]
-# **02.2** Dividing by the largest component first keeps every square in range; where it is zero, so is the direction.
-# **02.3** The gradient of the length along the ray, plus what of $\bar d_{vc}$ lies across, over the length.
+# **02.2** Dividing by the largest component first keeps every square in range. Where the largest
+# component is zero, the distance and the direction are zero too.
+#
+# **02.3** The first term is the gradient of the length, which points along the ray. The second one
+# is the component of $\bar d_{vc}$ perpendicular to the ray, divided by the length. It is written
+# as the sum of the text, so that nothing cancels where the ray nearly follows an axis.
 
 
 # %%
 def my_forward(x_a, x_c):
     v = x_a - x_c
     largest = np.abs(v).max(axis=1, keepdims=True)
-    unit = v / np.where(largest > 0, largest, 1)
-    delta_vc = largest * np.sqrt((unit**2).sum(axis=1, keepdims=True))
-    return delta_vc, v / np.where(delta_vc > 0, delta_vc, 1)
+    scaled = v / np.where(largest > 0, largest, 1)
+    delta_vc = largest * np.sqrt((scaled**2).sum(axis=1, keepdims=True))
+    d_vc = v / np.where(delta_vc > 0, delta_vc, 1)
+    return delta_vc, d_vc
 
 
 def my_backward(inputs, cotangents):
     delta_vc, d_vc = my_forward(**inputs)
     d_bar = cotangents["d_vc_bar"]
-    # (d_bar . d_j) minors instead of d_bar - d (d . d_bar): nothing cancels where the ray follows an axis
-    minors = d_bar[:, :, None] * d_vc[:, None, :] - d_vc[:, :, None] * d_bar[:, None, :]
-    across = (minors * d_vc[:, None, :]).sum(axis=2) / np.where(delta_vc > 0, delta_vc, np.inf)
-    return {"x_a": d_vc * cotangents["delta_vc_bar"] + across}
+    products = d_bar[:, :, None] * d_vc[:, None, :]
+    minors = products - products.transpose(0, 2, 1)
+    across = (minors * d_vc[:, None, :]).sum(axis=2)
+    x_a_bar = d_vc * cotangents["delta_vc_bar"]
+    x_a_bar += across / np.where(delta_vc > 0, delta_vc, np.inf)
+    return {"x_a": x_a_bar}
 
 
 lessons.forward("02.2", my_forward, "view")

@@ -7,19 +7,20 @@ import numpy as np
 from p4dgs_ref.school import lessons
 
 # %% [markdown]
-# **03.1** The slope is $1 - 0.6^2 = 0.64$.
+# **03.1** The slope of $\tanh$ is $1 - 0.6^2 = 0.64$, so $\bar\psi = 2\cdot 0.64$.
 
 # %%
 lessons.number("03.1", 2 * (1 - 0.6**2), 1.28)
 
 
 # %% [markdown]
-# **03.2** Side by side, layer by layer, a ReLU after every layer but the last, then $\tanh$.
+# **03.2** Put the inputs side by side, apply the layers with a ReLU after every layer except the
+# last, then take the $\tanh$.
 
 
 # %%
 def my_mlp(x, weights, biases):
-    """What enters each layer, and the output."""
+    """Return the inputs of all layers as a list, and the output."""
     inputs = [x]
     for W, b in zip(weights[:-1], biases[:-1]):
         inputs.append(np.maximum(inputs[-1] @ W + b, 0))
@@ -27,26 +28,31 @@ def my_mlp(x, weights, biases):
 
 
 def my_opacity(f_a, delta_vc, d_vc, weights, biases):
-    return np.tanh(my_mlp(np.concatenate([f_a, delta_vc, d_vc], axis=1), weights, biases)[1])
+    x = np.concatenate([f_a, delta_vc, d_vc], axis=1)
+    _, psi = my_mlp(x, weights, biases)
+    return np.tanh(psi)
 
 
 lessons.forward("03.2", my_opacity, "opacity")
 
 
 # %% [markdown]
-# **03.3** From the last layer to the first: the two gradients of the layer, then through its weights and the ReLU before it.
+# **03.3** Go from the last layer to the first. In each layer compute the two gradients, then take
+# the cotangent through the weights and through the ReLU in front of the layer.
 
 
 # %%
 def my_mlp_backward(inputs, cotangents):
-    entered, _ = my_mlp(**inputs)
-    bar, weights_bar, biases_bar = cotangents["y_bar"], [], []
-    for x, W in zip(reversed(entered), reversed(inputs["weights"])):
-        weights_bar.insert(0, x.T @ bar)
+    inputs_of_layers, _ = my_mlp(**inputs)
+    bar = cotangents["y_bar"]
+    weights_bar = []
+    biases_bar = []
+    for i in reversed(range(len(inputs_of_layers))):
+        weights_bar.insert(0, inputs_of_layers[i].T @ bar)
         biases_bar.insert(0, bar.sum(axis=0))
-        bar = bar @ W.T
-        if x is not entered[0]:
-            bar = bar * (x > 0)
+        bar = bar @ inputs["weights"][i].T
+        if i > 0:
+            bar = bar * (inputs_of_layers[i] > 0)
     return {"x": bar, "weights": weights_bar, "biases": biases_bar}
 
 
@@ -54,7 +60,8 @@ lessons.backward("03.3", my_mlp_backward, "mlp")
 
 
 # %% [markdown]
-# **03.4** Zeros in the shape of the inputs, and the cotangents where the kept ones stand; a Boolean index keeps the order.
+# **03.4** Start from zeros in the shape of each input, and write the cotangents to the places of
+# the kept Gaussians. A Boolean index goes through these places in the order of the list.
 
 
 # %%

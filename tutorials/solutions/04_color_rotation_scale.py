@@ -4,62 +4,69 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.equations import mlp, opacity, rotation
+from p4dgs_ref.equations import anchor_network
+from p4dgs_ref.equations.numerics import normalise, normalise_backward
 from p4dgs_ref.school import lessons
 
 
-def network(f_a, delta_vc, d_vc, weights, biases):
-    """Its output psi (A, J), and a function from psi_bar (A, J) to the gradients of all five inputs."""
-    psi, res = mlp.forward(np.concatenate([f_a, delta_vc, d_vc], axis=1), weights, biases)
-    return psi.y, lambda psi_bar: opacity.split_view(mlp.backward(res, psi_bar), f_a.shape[1])
+def network(f_a, delta_vc, d_vc, weights, biases, width):
+    """Return psi [A, k, width], and a function from psi_bar to the gradients of the five inputs."""
+    psi, saved = anchor_network.forward(f_a, delta_vc, d_vc, weights, biases, width=width)
+    return psi, lambda psi_bar: anchor_network.backward(saved, psi_bar)
 
 
 # %% [markdown]
-# **04.1** $n = 5$, $r = (0, 0.6, 0, 0.8)$, $r\cdot\bar r = 20$, and $(\bar r - 20\,r)/5 = (0, -12, 0, 9)/5$.
+# **04.1** Here $n = 5$, $r = (0, 0.6, 0, 0.8)$ and $r\cdot\bar r = 20$, so
+# $(\bar r - 20\,r)/5 = (0, -12, 0, 9)/5$.
 
 # %%
-raw, bar = np.array([0.0, 3, 0, 4]), np.array([0, 0, 0, 25])
-lessons.number(
-    "04.1", [0, -2.4, 0, 1.8], rotation.normalise_backward(*rotation.normalise(raw), bar)
-)
+raw = np.array([0.0, 3, 0, 4])
+bar = np.array([0, 0, 0, 25])
+unit, norm = normalise(raw)
+lessons.number("04.1", [0, -2.4, 0, 1.8], normalise_backward(unit, norm, bar))
 
 
 # %% [markdown]
-# **04.2** $e^{-|\psi|}$ never overflows; the sigmoid is $1/(1+e)$ on the right and $e/(1+e)$ on the left.
+# **04.2** The number $e = e^{-|\psi|}$ lies between 0 and 1 and never overflows. The sigmoid is
+# $1/(1+e)$ for positive $\psi$ and $e/(1+e)$ for negative $\psi$.
 
 
 # %%
 def my_color(**inputs):
-    psi, _ = network(**inputs)
+    psi, _ = network(**inputs, width=3)
     e = np.exp(-np.abs(psi))
-    return (np.where(psi >= 0, 1, e) / (1 + e)).reshape(len(psi), psi.shape[1] // 3, 3)
+    return np.where(psi >= 0, 1, e) / (1 + e)
 
 
 lessons.forward("04.2", my_color, "color")
 
 
 # %% [markdown]
-# **04.3** The projector over the safe length. **04.4** One factor each; the anchor's sums over its children.
+# **04.3** This is the projector divided by the length with $\epsilon$.
+#
+# **04.4** Each of the two gradients is a factor times $\bar s$, and that of the anchor sums over
+# its children. The slope of the sigmoid is $e/(1+e)^2$ on both sides.
 
 
 # %%
 def my_rotation_backward(inputs, cotangents):
-    psi, pull = network(**inputs)
+    y, backward_of_network = network(**inputs, width=4)
     r_bar = cotangents["r_bar"]
-    y = psi.reshape(r_bar.shape)
     n = np.sqrt((y**2).sum(axis=2, keepdims=True) + 1e-24)
     r = y / n
-    y_bar = (r_bar - r * (r * r_bar).sum(axis=2, keepdims=True)) / n
-    return pull(y_bar.reshape(psi.shape))
+    along = (r * r_bar).sum(axis=2, keepdims=True)
+    return backward_of_network((r_bar - r * along) / n)
 
 
 def my_scale_backward(inputs, cotangents):
-    s_a, s_bar = inputs.pop("s_a"), cotangents["s_bar"]
-    psi, pull = network(**inputs)
-    e = np.exp(-np.abs(psi)).reshape(s_bar.shape)
-    fraction = np.where(psi.reshape(s_bar.shape) >= 0, 1, e) / (1 + e)
+    s_a = inputs.pop("s_a")
+    s_bar = cotangents["s_bar"]
+    psi, backward_of_network = network(**inputs, width=3)
+    e = np.exp(-np.abs(psi))
+    share = np.where(psi >= 0, 1, e) / (1 + e)
     psi_bar = s_bar * s_a[:, None] * e / (1 + e) ** 2
-    return {"s_a": (s_bar * fraction).sum(axis=1), **pull(psi_bar.reshape(psi.shape))}
+    s_a_bar = (s_bar * share).sum(axis=1)
+    return {"s_a": s_a_bar, **backward_of_network(psi_bar)}
 
 
 lessons.backward("04.3", my_rotation_backward, "rotation")

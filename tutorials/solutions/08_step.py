@@ -3,42 +3,45 @@
 
 # %%
 import numpy as np
-from scipy.special import expit
+from scipy.special import expit as sigmoid
 
 from p4dgs_ref.equations import mlp, step
 from p4dgs_ref.school import lessons
 
 # %% [markdown]
-# **08.1** $1 + \tanh u = \frac{1}{2}$, so $\tanh u = -\frac{1}{2}$. By the sigmoid: $e^{-2u} = 3$, $u = -\frac{1}{2}\ln 3$.
+# **08.1** From $1 + \tanh u = \frac{1}{2}$ follows $\tanh u = -\frac{1}{2}$. In the sigmoid form,
+# $e^{-2u} = 3$, so $u = -\frac{1}{2}\ln 3$.
 
 # %%
 lessons.number("08.1", -0.5 * np.log(3), np.arctanh(-0.5))
 
 
 # %% [markdown]
-# **08.2** The floor is a maximum over the share, so that $Q_0$ multiplies once.
+# **08.2** The floor is a maximum that is taken before multiplying by $Q_0$.
 
 
 # %%
 def my_forward(h, weights, biases, Q_0):
-    u = mlp.forward(h, weights, biases)[0].y
-    return 2 * Q_0 * np.maximum(expit(2 * u), step.FLOOR / 2)
+    u, _ = mlp.forward(h, weights, biases)
+    return Q_0 * np.maximum(2 * sigmoid(2 * u), step.SMALLEST)
 
 
 lessons.forward("08.2", my_forward, "step")
 
 
 # %% [markdown]
-# **08.3** The slope of the head, with $1 - s$ written as the sigmoid of $-2u$; then the network's backward.
+# **08.3** First the slope of the formula, with $1 - s$ written as the sigmoid of $-2u$, then the
+# backward of the network.
 
 
 # %%
 def my_backward(inputs, cotangents):
-    y, res = mlp.forward(inputs["h"], inputs["weights"], inputs["biases"])
-    s = expit(2 * y.y)
-    slope = np.where(s > step.FLOOR / 2, 4 * inputs["Q_0"] * s * expit(-2 * y.y), 0)
-    bars = mlp.backward(res, cotangents["q_bar"] * slope)
-    return {"h": bars["x"], "weights": bars["weights"], "biases": bars["biases"]}
+    u, saved = mlp.forward(inputs["h"], inputs["weights"], inputs["biases"])
+    s = sigmoid(2 * u)
+    slope = 4 * inputs["Q_0"] * s * sigmoid(-2 * u)
+    slope = np.where(2 * s > step.SMALLEST, slope, 0)
+    gradients = mlp.backward(saved, cotangents["q_bar"] * slope)
+    return {"h": gradients["x"], "weights": gradients["weights"], "biases": gradients["biases"]}
 
 
 lessons.backward("08.3", my_backward, "step")

@@ -7,63 +7,77 @@ import math
 import numpy as np
 from scipy.special import erfcx, log_ndtr
 
-from p4dgs_ref.equations import gaussian_bin, mlp, prior
+from p4dgs_ref.equations import likelihood, mlp, prior
 from p4dgs_ref.school import lessons
+from p4dgs_ref.school.lessons import close
 
 # %% [markdown]
-# **10.1** Seen from the left, $p = \Phi(-low) - \Phi(-high) = \Phi(-low)\,(1 - r)$ with the ratio of two tails $r$. Taking both
-# tails as logarithms (`log_ndtr`) serves every bin here; only $\log(1-r)$ wants care, hence `log1p`.
+# **10.1** The mirrored bin has $p = \Phi(-low) - \Phi(-high) = \Phi(-low)\,(1 - r)$, where $r$ is
+# the ratio of the two tails. With `log_ndtr`, both tails are known by their logarithms, which works
+# for every bin here. Only $\log(1-r)$ needs care, and `log1p` computes it accurately.
 
 # %%
 case = lessons.golden("gaussian_bin/tails")
 near = np.abs(case["in.z"]) <= 40
 z, w = np.abs(case["in.z"][near]), case["in.w"][near]
-tail, beyond = log_ndtr(-(z - w / 2)), log_ndtr(-(z + w / 2))
+tail = log_ndtr(-(z - w / 2))
+beyond = log_ndtr(-(z + w / 2))
 answer_1 = tail + np.log1p(-np.exp(beyond - tail))
 lessons.number("10.1", answer_1, case["out.log_p"][near], digits=9)
 
 # %% [markdown]
-# The same by `erfcx`, as the project does it: the factor $e^{-low^2/2}$ goes straight into the logarithm.
+# With `erfcx`, as the project does it, the factor $e^{-low^2/2}$ goes directly into the logarithm.
 
 # %%
-low, high, root = z - w / 2, z + w / 2, math.sqrt(0.5)
+low, high = z - w / 2, z + w / 2
+root = math.sqrt(0.5)
 g = 0.5 * (erfcx(low * root) - np.exp(-z * w) * erfcx(high * root))
-assert np.allclose(np.log(g) - low**2 / 2, answer_1, rtol=1e-11)
+assert close(np.log(g) - low**2 / 2, answer_1, 1e-11)
 
 
 # %% [markdown]
-# **10.2** Means go back as they came, raw deviations through $e^{raw}$ and its clamp.
+# **10.2** The gradients of the means go back unchanged. Those of the logarithms get the factor
+# $\sigma$, and zero where they were clamped.
 
 
 # %%
 def my_prior_backward(inputs, cotangents):
-    y, res = mlp.forward(inputs["h"], inputs["weights"], inputs["biases"])
-    mu, raw = prior.layout(inputs["widths"])
-    free = (y.y[:, raw] >= prior.RAW_MIN) & (y.y[:, raw] <= prior.RAW_MAX)
-    y_bar = np.zeros_like(y.y)
-    y_bar[:, mu] = cotangents["mu_bar"]
-    y_bar[:, raw] = cotangents["sigma_bar"] * np.exp(y.y[:, raw]) * free
-    bars = mlp.backward(res, y_bar)
-    return {"h": bars["x"], "weights": bars["weights"], "biases": bars["biases"]}
+    psi_p, saved = mlp.forward(inputs["h"], inputs["weights"], inputs["biases"])
+    mu_columns, raw_columns = prior.layout(inputs["widths"])
+    raw = psi_p[:, raw_columns]
+    free = (raw >= prior.RAW_MIN) & (raw <= prior.RAW_MAX)
+    psi_p_bar = np.zeros_like(psi_p)
+    psi_p_bar[:, mu_columns] = cotangents["mu_bar"]
+    psi_p_bar[:, raw_columns] = cotangents["sigma_bar"] * np.exp(raw) * free
+    gradients = mlp.backward(saved, psi_p_bar)
+    return {"h": gradients["x"], "weights": gradients["weights"], "biases": gradients["biases"]}
 
 
 lessons.backward("10.2", my_prior_backward, "prior")
 
 
 # %% [markdown]
-# **10.3** Two slopes, four inputs; $\sigma$ collects from both.
+# **10.3** There are two slopes and four inputs, and $\sigma$ receives a term from each slope.
 
 
 # %%
+def slopes_of_log_p(z, w):
+    """Return the slopes of log p in z and in w, accurate in all regimes."""
+    _, saved = likelihood.forward(z, np.zeros_like(z), np.ones_like(z), w)
+    gradients = likelihood.backward(saved, np.full_like(z, -math.log(2)))  # from bits to log p
+    return gradients["f_noisy"], gradients["q"]
+
+
 def my_likelihood_backward(inputs, cotangents):
     f, mu, sigma, q = (inputs[name] for name in ("f_noisy", "mu", "sigma", "q"))
-    b = gaussian_bin.stable(f, mu, sigma, q)
-    bar = -cotangents["bits_bar"] / (sigma * math.log(2))
+    z, w = (f - mu) / sigma, q / sigma
+    slope_z, slope_w = slopes_of_log_p(z, w)
+    factor = cotangents["bits_bar"] / (sigma * math.log(2))
     return {
-        "f_noisy": bar * b.slope_z,
-        "mu": -bar * b.slope_z,
-        "q": bar * b.slope_w,
-        "sigma": -bar * (b.z * b.slope_z + b.w * b.slope_w),
+        "f_noisy": -factor * slope_z,
+        "mu": factor * slope_z,
+        "q": -factor * slope_w,
+        "sigma": factor * (z * slope_z + w * slope_w),
     }
 
 

@@ -7,33 +7,36 @@ import numpy as np
 from p4dgs_ref.school import lessons
 
 # %% [markdown]
-# **11.1** A sum hands its cotangent to every term; what is masked is no term.
+# **11.1** A sum gives its cotangent to every term. A masked offset is not a term of the sum.
 
 
 # %%
 def my_anchor_backward(inputs, cotangents):
-    bars = {
-        name: np.full(inputs[name].shape, cotangents["R_anchor_bar"])
-        for name in ("bits_f", "bits_O", "bits_l", "bits_s")
-    }
-    bars["bits_O"] = np.where(inputs["mask"][:, :, None], bars["bits_O"], 0)
-    return bars
+    R_anchor_bar = cotangents["R_anchor_bar"]
+    gradients = {}
+    for name in ("bits_f", "bits_s", "bits_l", "bits_O"):
+        gradients[name] = np.full(inputs[name].shape, R_anchor_bar)
+    gradients["bits_O"][~inputs["mask"]] = 0
+    return gradients
 
 
 lessons.backward("11.1", my_anchor_backward, "anchor_rate")
 
 
 # %% [markdown]
-# **11.2** $\frac{dR}{dN_+} = \log_2\frac{N_-}{N_+}$, half of it per sign, straight through where $|\theta| \le 1$.
+# **11.2** The slope is $\frac{dR}{dN_+} = \log_2\frac{N_-}{N_+}$. Half of it belongs to each sign,
+# and it goes straight through where $|\theta| \le 1$.
 
 
 # %%
 def my_hash_backward(inputs, cotangents):
     grids = inputs["grids"]
-    n_pos = sum(np.count_nonzero(g >= 0) for g in grids)
-    n_neg = sum(g.size for g in grids) - n_pos
-    slope = 0.5 * np.log2(n_neg / n_pos) * cotangents["R_hash_bar"] if n_pos and n_neg else 0.0
-    return {"grids": [np.where(np.abs(g) <= 1, slope, 0.0) for g in grids]}
+    n_pos = sum(np.count_nonzero(grid >= 0) for grid in grids)
+    n_neg = sum(np.count_nonzero(grid < 0) for grid in grids)
+    slope = 0.0
+    if n_pos > 0 and n_neg > 0:
+        slope = 0.5 * np.log2(n_neg / n_pos) * cotangents["R_hash_bar"]
+    return {"grids": [np.where(np.abs(grid) <= 1, slope, 0.0) for grid in grids]}
 
 
 lessons.backward("11.2", my_hash_backward, "hash_rate")
@@ -46,7 +49,8 @@ lessons.backward("11.2", my_hash_backward, "hash_rate")
 # %%
 def my_rate(R_anchor, R_hash, n_parameters):
     bits = R_anchor + R_hash
-    return bits, bits / n_parameters if n_parameters else 0.0
+    L_rate = bits / n_parameters if n_parameters else 0.0
+    return bits, L_rate
 
 
 lessons.forward("11.3", my_rate, "rate_loss")

@@ -7,28 +7,27 @@ import numpy as np
 from p4dgs_ref.equations import ssim, window
 from p4dgs_ref.school import lessons
 
-given = lessons.golden("total_loss/ordinary")
-
 # %% [markdown]
-# **12.1** Linear: $10^{-3}\cdot 2.4 + 0.07$, and the cotangent times one and times $\lambda_{rate}$.
+# **12.1** The loss is $10^{-3}\cdot 2.4 + 0.07$. Its cotangent goes to $\mathcal{L}_{render}$ with
+# the factor one, and to $\mathcal{L}_{rate}$ with the factor $\lambda_{rate}$.
 
 # %%
-bar = given["out_bar.L_total"]
-lessons.number(
-    "12.1",
-    [0.0724, bar, 1e-3 * bar],
-    [given[n] for n in ("out.L_total", "in_bar.L_render", "in_bar.L_rate")],
-)
+case = lessons.golden("total_loss/ordinary")
+bar = case["out_bar.L_total"]
+names = ("out.L_total", "in_bar.L_render", "in_bar.L_rate")
+lessons.number("12.1", [0.0724, bar, 1e-3 * bar], [case[name] for name in names])
 
 
 # %% [markdown]
-# **12.2** A weighted mean of two numbers. With `1 - ssim.forward(...)` the case `H-P7.nearly_equal` fails: of a number near one,
-# rounded, little is left after subtracting one.
+# **12.2** This is a weighted mean of two numbers. With `1 - ssim.forward(...)[0]` the case
+# `H-P7.nearly_equal` fails. SSIM is almost one there, and subtracting it from one leaves only a few
+# digits.
 
 
 # %%
 def my_forward(image, truth, lambda_ssim):
-    L1, D_SSIM = np.abs(image - truth).mean(), ssim.dissimilarity(image, truth)[0]
+    L1 = np.abs(image - truth).mean()
+    D_SSIM, _ = ssim.dissimilarity(image, truth)
     return (1 - lambda_ssim) * L1 + lambda_ssim * D_SSIM, L1, D_SSIM
 
 
@@ -36,20 +35,28 @@ lessons.forward("12.2", my_forward, "render_loss")
 
 
 # %% [markdown]
-# **12.3** The moments, the three gradients of the moments, and the blur as its own transpose.
+# **12.3** Compute the moments, then the gradients of the moments, then apply the blur, which is its
+# own transpose.
 
 
 # %%
 def my_backward(inputs, cotangents):
     x, y = window.to_rows(inputs["image"]), window.to_rows(inputs["truth"])
-    e, blur, share = x - y, window.blur, cotangents["ssim_bar"] / x.size
+    e = x - y
+    blur = window.blur
     mu_x, mu_y, mu_e = blur(x), blur(y), blur(e)
     D1 = mu_x**2 + mu_y**2 + ssim.C1
-    D2 = blur(x * x) - mu_x**2 + blur(y * y) - mu_y**2 + ssim.C2
-    ell, s = mu_e**2 / D1, (blur(e * e) - mu_e**2) / D2
+    var_x = blur(x * x) - mu_x**2
+    var_y = blur(y * y) - mu_y**2
+    D2 = var_x + var_y + ssim.C2
+    ell = mu_e**2 / D1
+    s = (blur(e * e) - mu_e**2) / D2
+    share = cotangents["ssim_bar"] / x.size
     E_bar = -share * (1 - ell) / D2
-    mu_bar = -2 * share * (1 - s) * (mu_e - ell * mu_x) / D1 + 2 * E_bar * (s * mu_x - mu_e)
-    x_bar = blur(mu_bar) + 2 * e * blur(E_bar) - 2 * x * blur(s * E_bar)
+    X_bar = -s * E_bar
+    mu_bar = -2 * share * (1 - s) * (mu_e - ell * mu_x) / D1
+    mu_bar += 2 * E_bar * (s * mu_x - mu_e)
+    x_bar = blur(mu_bar) + 2 * e * blur(E_bar) + 2 * x * blur(X_bar)
     return {"image": x_bar.transpose(0, 2, 1)}
 
 

@@ -8,23 +8,26 @@ from p4dgs_ref.school import lessons
 from p4dgs_ref.splatting import covariance
 
 # %% [markdown]
-# **13.1** $w = \cos 60°$: a turn by $120°$ about $(1, 1, 1)$. It carries x to y, y to z, z to x: the matrix of zeros and ones
-# shows. So the variance $1$ of x goes to y, $4$ goes to z, and $9$ comes to x.
+# **13.1** $w = \cos 60°$, so this is a rotation by $120°$ about $(1, 1, 1)$. Its matrix consists of
+# zeros and ones, and it turns the x axis into y, y into z and z into x. The variance $1$ of x
+# therefore goes to y, $4$ goes to z, and $9$ goes to x.
 
 # %%
-lessons.number(
-    "13.1",
-    np.diag([9, 1, 4]),
-    covariance.forward(np.array([[1.0, 2, 3]]), np.full((1, 4), 0.5))[0].Sigma[0],
-)
+by_hand, _ = covariance.forward(np.array([[1.0, 2, 3]]), np.full((1, 4), 0.5))
+lessons.number("13.1", np.diag([9, 1, 4]), by_hand[0])
 
 
 # %% [markdown]
-# **13.2** and **13.3** The slopes of $R$ as in the text; because $R$ is quadratic, a difference over steps of one is exact too.
+# **13.2** Multiply the columns of the rotation matrix by the scales, then multiply the result by
+# its transpose.
+#
+# **13.3** The slopes of $R$ are those of the text. Because $R$ is quadratic, a difference over
+# steps of one gives them exactly.
 
 
 # %%
 def matrix(r):
+    """Return the rotation matrices [N, 3, 3] of quaternions [N, 4]."""
     w, x, y, z = r.T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -40,15 +43,18 @@ def my_forward(s, r):
 
 
 def my_backward(inputs, cotangents):
-    s, r, Sigma_bar = inputs["s"], inputs["r"], cotangents["Sigma_bar"]
+    s, r = inputs["s"], inputs["r"]
+    Sigma_bar = cotangents["Sigma_bar"]
     R = matrix(r)
-    M_bar = (Sigma_bar + Sigma_bar.transpose(0, 2, 1)) @ (R * s[:, None, :])
+    M = R * s[:, None, :]
+    both = Sigma_bar + Sigma_bar.transpose(0, 2, 1)
+    M_bar = both @ M
     R_bar = M_bar * s[:, None, :]
-    slopes = [(matrix(r + e) - matrix(r - e)) / 2 for e in np.eye(4)]
-    return {
-        "s": (M_bar * R).sum(axis=1),
-        "r": np.stack([(R_bar * slope).sum(axis=(1, 2)) for slope in slopes], axis=1),
-    }
+    r_bar = np.zeros_like(r)
+    for i, letter in enumerate(np.eye(4)):
+        slope = (matrix(r + letter) - matrix(r - letter)) / 2
+        r_bar[:, i] = (R_bar * slope).sum(axis=(1, 2))
+    return {"s": (M_bar * R).sum(axis=1), "r": r_bar}
 
 
 lessons.forward("13.2", my_forward, "covariance")
