@@ -1,6 +1,8 @@
 """From a trained model to one file and back, bit for bit.
 
-The format, one page a file, from the outside in: `container` (the file), `file` and `header` (its sections), `context`
-and `fixed_point` (how each symbol is to be coded), `gaussian_table` (its frequencies), `streams` (one section of symbols),
-`rans` (the entropy coder).  `python -m p4dgs_ref.codec` prints them all, with the tables.
+The docstrings of these modules are the specification of the file format. From the outside in:
+`container` is the file, `file` and `header` are its sections, `context` and `fixed_point` say how
+each symbol is coded, `gaussian_table` gives its frequencies, `streams` is one section of symbols,
+and `rans` is the entropy coder. `python -m p4dgs_ref.codec` prints them as one page, with the
+tables.
 """

@@ -1,6 +1,7 @@
-"""`python -m p4dgs_ref.codec` prints the complete format as one page: what its files say of themselves, and the tables.
+"""`python -m p4dgs_ref.codec` prints the complete file format as one page.
 
-Each part of the format stands in the docstring of the file that implements it; this is the order in which to read them.
+Every part of the format is the docstring of the module that implements it. The page begins at the
+outside of the file and ends with the tables of integers that a decoder needs.
 """
 
 import sys
@@ -8,35 +9,35 @@ from importlib import import_module
 
 from .fixed_point import table
 
-PAGES = (
-    ".container",
-    ".file",
-    ".header",
-    ".context",
-    "..equations.grid_nodes",
-    ".fixed_point",
-    ".gaussian_table",
-    ".streams",
-    ".rans",
+PARTS = (
+    "container",
+    "file",
+    "header",
+    "context",
+    "fixed_point",
+    "gaussian_table",
+    "streams",
+    "rans",
 )
-TABLES = ("phi", "exp2", "sigmoid", "log2")
+TABLES = {
+    "phi": "round(2^24 Phi(z)) at z = -6, -6 + 1/64, ... 6, Phi the normal distribution function",
+    "exp2": "round(2^16 2^(-i/16)) for i = 0, 1, ... 15",
+    "sigmoid": "round(2^24 / (1 + exp(-2 u))) at u = -4, -4 + 1/64, ... 6",
+    "log2": "round(2^16 log2(1 + i/256)) for i = 0, 1, ... 256",
+}
 
 
 def page():
     """The format page as text."""
-    parts = []
-    for number, name in enumerate(PAGES, 1):
-        module = import_module(name, __package__)
-        title = f"{number}. {module.__name__.replace('.', '/')}.py"
-        parts.append(f"{title}\n{'=' * len(title)}\n\n{module.__doc__.strip()}\n")
-        if name.endswith("grid_nodes"):  # its formulas stand with its functions
-            parts += [
-                f"{function.__name__}{chr(10)}{function.__doc__.strip()}\n"
-                for function in (module.nodes, module.entries)
-            ]
-    for name in TABLES:
-        parts.append(f"table {name!r}\n" + " ".join(map(str, table(name).tolist())) + "\n")
-    return "\n".join(parts)
+    parts = [import_module(f".{name}", __package__).__doc__ for name in PARTS]
+    texts = dict(zip((f"{name}.py" for name in PARTS), parts))
+    for name, meaning in TABLES.items():
+        texts[f"table {name!r}"] = f"{meaning}\n\n" + " ".join(map(str, table(name).tolist()))
+    page = "The file format of p4dgs_ref, version 1\n"
+    for number, (title, text) in enumerate(texts.items(), 1):
+        heading = f"{number}. {title}"
+        page += f"\n\n{heading}\n{'=' * len(heading)}\n\n{text.strip()}\n"
+    return page
 
 
 if __name__ == "__main__":

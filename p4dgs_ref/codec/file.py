@@ -1,51 +1,80 @@
-"""A model as a file: which section holds what, in which order, written and read.
+"""The sections of a file: what each of them holds.
 
-Section          content
-header           JSON: design, number of anchors A, background                                (header.py)
-positions        the box, 6 float32 (lo, then hi), then A times 3 uint16                      (raw)
-masks            A k bits, anchor by anchor: 1 where a child is kept                           (Bernoulli)
-hash_grid        level by level T nodes of F entries, a bit each: 1 for +1, 0 for -1           (Bernoulli)
-features         A d symbols of f, anchor by anchor                                            (Gaussian)
-scales           A 3 symbols of s                                                              (Gaussian)
-offset_scales    A 3 symbols of l                                                              (Gaussian)
-offsets          3 symbols (x, y, z) per kept child, anchor by anchor, child by child          (Gaussian)
-anchor_mlps      psi_alpha, psi_c, psi_r, psi_s: layer by layer W (row by row), then b         (float16)
-context_mlps     psi_p, psi_q                                                                  (float16)
-deformation_mlp  psi_d; absent where nothing moves                                             (float16)
+The sections stand in this order, that of their ids. Gaussian and Bernoulli sections are the two
+kinds of streams in `streams.py`. A is the number of anchors.
 
-All numbers are little-endian.  A decoder reads header, positions, hash_grid and context_mlps, computes the coding
-context (context.py), and can then read the Gaussian sections in any order; masks before offsets.  Every section is
-there, but for deformation_mlp, which is there if and only if the header lists translation, rotation or scaling; empty
-ones (no kept child: offsets) too.  Sections of plain numbers have exactly their length, lo <= hi, |lo| and |hi| at most
-1e30 (the double), and every weight is finite.
+    id  section          kind       content
+    1   header           JSON       the design, A and the background (`header.py`)
+    2   positions        plain      the box, 6 float32 (corner lo, then hi); 3 uint16 per anchor
+    3   features         Gaussian   d symbols of f per anchor
+    4   scales           Gaussian   3 symbols of s per anchor
+    5   offset_scales    Gaussian   3 symbols of l per anchor
+    6   offsets          Gaussian   3 symbols of O (x, y, z) per kept child, anchor by anchor and
+                                    child by child
+    7   masks            Bernoulli  k bits per anchor: 1 where the child is kept
+    8   hash_grid        Bernoulli  level by level, T nodes of F entries, one bit each: 1 for an
+                                    entry of +1, 0 for -1
+    9   deformation_mlp  float16    psi_d; absent where nothing moves
+    10  anchor_mlps      float16    psi_alpha, psi_c, psi_r, psi_s
+    11  context_mlps     float16    psi_p, psi_q
 
-NETWORKS.  A layer of I inputs and J outputs is y = x W + b: I J numbers W[i][j], j fastest, then J numbers b[j].  Layers
-lead from the inputs over the widths that the header lists to the outputs:
-    psi_alpha, psi_c, psi_r, psi_s   inputs d, or d + 4 with the effect view_color (psi_c) or view_geometry (the others);
-                                     hidden; outputs k, 3 k, 4 k, 3 k
-    psi_p, psi_q                     inputs h, one of every level and entry of a node: levels x F;  context;  outputs
-                                     2 (d + 6 + 3 k): d mu of f, d raw sigma of f, 3 mu of s, 3 raw of s, 3 and 3 of l,
-                                     3 k and 3 k of O; and 4: one of f, s, l, O each
-    psi_d                            inputs 3 (1 + 2 L_x) + 1 + 2 L_t; deformation; then three layers beside each other
-                                     on the last of those, W and b each: 3, 3, 4 outputs for translation, scaling,
-                                     rotation, or 0 for what the header does not list
+All numbers are little-endian. A decoder needs the sections in another order: it reads header,
+positions, hash_grid and context_mlps and computes the coding context (`context.py`). It can then
+read the Gaussian sections in any order, but masks before offsets.
 
-NUMBERS.  Each operation on doubles is rounded by itself (no fused multiply-add).  A position is lo + n ((hi - lo) /
-65535) of its uint16 n, an attribute symbol times q, q being its anchor's and group's (context.py).  What is masked is 0.
+Every section is present, also an empty one (offsets where no child is kept), with one exception:
+deformation_mlp is present if and only if the header lists translation, rotation or scaling. A
+section of plain or float16 numbers has exactly their length. The box has lo <= hi and coordinates
+of at most 1e30 (the double) in magnitude, and every weight is finite.
 
-WORKED NUMBERS.  lo = -1.5, hi = 1.5, n = 20000: -1.5 + 20000 * (3 / 65535) = -0.5844586861982147.
-With d = 4, k = 2, hidden = [8] and both view effects, anchor_mlps holds (9 8 + 9 2) + (9 8 + 9 6) + (9 8 + 9 8) +
-(9 8 + 9 6) = 486 numbers, 972 bytes.
+Names. Every quantity has one name along its whole way, and the four groups of attributes always
+stand in the order f, s, l, O:
+
+    attribute of an anchor       trained as   base step   step   bits     section
+    f_a  its feature             f_a          Q_f         q_f    bits_f   features
+    s_a  its scale               log_s        Q_s         q_s    bits_s   scales
+    l_a  scale of its offsets    log_l        Q_l         q_l    bits_l   offset_scales
+    O_a  its children's offsets  O_a          Q_O         q_O    bits_O   offsets
+
+The scales are trained as logarithms and coded as linear values. The header's Q_0 is the list of the
+four base steps. Of every coded attribute, `symbol` is the integer in the file and q the step of its
+group. Its mean mu and deviation sigma reach the coder as the integers mu_units and sigma_units, and
+q itself is q_units times Q_0 2^-15. h is the hash feature from which psi_q predicts q, and psi_p
+predicts mu and sigma. The anchors' positions x_a are in the section positions, the mask of their
+children in masks, and the signs of the hash grid's entries in hash_grid.
+
+Networks. A layer of I inputs and J outputs computes y = x W + b. It is stored as the I J numbers
+W[i][j], j fastest, then the J numbers b[j]. The layers of a network lead from its inputs over the
+hidden widths in the header to its outputs:
+
+    psi_alpha, psi_c,   inputs: d, or d + 4 where the header lists the effect view_color (psi_c) or
+    psi_r, psi_s        view_geometry (the others); hidden widths: `hidden`;
+                        outputs: k, 3 k, 4 k and 3 k
+    psi_p               inputs: h, F numbers per level; hidden widths: `context`;
+                        outputs: 2 (d + 6 + 3 k), namely d means of f, d raw deviations of f,
+                        3 means of s, 3 raw deviations of s, 3 and 3 of l, 3 k and 3 k of O
+    psi_q               inputs and hidden widths as psi_p; outputs: 4, one each for f, s, l and O
+    psi_d               inputs: 3 (1 + 2 L_x) + 1 + 2 L_t; hidden widths: `deformation`; then up to
+                        three last layers side by side, each with its own W and b: 3, 3 and 4
+                        outputs for translation, scaling and rotation, where the header lists them
+
+Values. A position is lo + n ((hi - lo) / 65535), n being its uint16, and an attribute is its symbol
+times q, the step of its anchor and group. Each operation on doubles is rounded by itself (no fused
+multiply-add). The offsets of masked children are 0.
+
+Worked numbers. lo = -1.5, hi = 1.5 and n = 20000 give -1.5 + 20000 * (3 / 65535) =
+-0.5844586861982147. With d = 4, k = 2, hidden = [8] and both view effects, anchor_mlps holds
+(9 8 + 9 2) + (9 8 + 9 6) + (9 8 + 9 8) + (9 8 + 9 6) = 486 numbers, which are 972 bytes.
 """
 
 import numpy as np
 
 from ..model import ANCHOR_NETWORKS, CONTEXT_NETWORKS, Anchors, Model, unsnap
-from .container import BitstreamError, open_container, write_container
+from .container import SECTIONS, BitstreamError, open_container, require, write_container
 from .context import coding_context
 from .gaussian_table import gaussian_model
 from .header import read_header, write_header
-from .quantise import LARGEST, Quantised, coded, dequantise, quantise
+from .quantise import BOX, Quantised, coded, dequantise, quantise, valid_box
 from .streams import decode_bits, decode_symbols, encode_bits, encode_gaussian
 
 NETWORK_SECTIONS = {
@@ -69,18 +98,17 @@ def sections_of(quantised):
     """The sections {name: bytes} of a quantised model."""
     model, ctx = quantised.model, quantised.context
     box = np.concatenate(model.box).astype("<f4").tobytes()
-    grid = np.concatenate([g.ravel() for g in model.grids])
+    signs = np.concatenate([grid.ravel() for grid in model.grids])
     sections = {
         "header": write_header(model),
         "positions": box + quantised.positions.astype("<u2").tobytes(),
         "masks": encode_bits(model.anchors.mask.ravel()),
-        "hash_grid": encode_bits(grid > 0),
+        "hash_grid": encode_bits(signs > 0),
     }
     for name, columns in attribute_columns(model.design):
         kept = quantised.kept[:, columns]
-        sections[name] = encode_gaussian(
-            *(a[:, columns][kept] for a in (quantised.symbols, ctx.mu_units, ctx.sigma_units))
-        )
+        arrays = (quantised.symbols, ctx.mu_units, ctx.sigma_units)
+        sections[name] = encode_gaussian(*(array[:, columns][kept] for array in arrays))
     for name, members in NETWORK_SECTIONS.items():
         numbers = network_numbers(model.networks, members)
         if numbers.size:
@@ -96,119 +124,107 @@ def network_numbers(networks, members):
 
 
 def encode(model):
-    """The file of a model, as bytes; the same model gives the same bytes.
+    """The file of a model, as bytes. The same model gives the same bytes.
 
-    Raises     EncodeError, OverflowError where a number does not fit the format
+    Raises EncodeError or OverflowError for a number that the format cannot hold.
     """
     return write_container(sections_of(quantise(model)))
 
 
 def decode(data):
-    """The model in a file: bit for bit the one that `quantise` made of what was encoded.
+    """The model in a file, bit for bit the one that `quantise` made of the encoded model.
 
-    Raises     BitstreamError naming section and offset for anything but a whole and consistent file
+    Raises BitstreamError, which names section and byte, for a file that is damaged or inconsistent.
     """
     return quantised_of(open_container(data)).model
 
 
 def quantised_of(sections):
-    """The inverse of `sections_of`; the same names in the same order as in `quantise`.
+    """The quantised model in the sections of a file, the inverse of `sections_of`.
 
-    Raises     BitstreamError
+    Raises BitstreamError, which names section and byte.
     """
-    design, A, background = read_header(_section(sections, "header"))
-    box, positions = _read_positions(_section(sections, "positions"), A)
-    networks, grids = (
-        _read_networks(sections, design),
-        _read_grids(_section(sections, "hash_grid"), design),
-    )
-    mask = decode_bits(_section(sections, "masks"), A * design.k, section="masks").reshape(
-        A, design.k
-    )
+    require("header" in sections, "header", 0, "section is missing")
+    design, A, background = read_header(sections["header"])
+    check_presence(sections, design.layers())
+    box, positions = read_positions(sections["positions"], A)
+    networks, grids = read_networks(sections, design), read_grids(sections["hash_grid"], design)
+    mask = decode_bits(sections["masks"], A * design.k, "masks").reshape(A, design.k)
     x_a = unsnap(positions, *box)
     ctx, kept = coding_context(design, networks, grids, positions), coded(mask, design)
     found = [
-        (columns, _read_symbols(sections, name, ctx, columns, kept))
+        (columns, read_symbols(sections[name], name, ctx, columns, kept))
         for name, columns in attribute_columns(design)
     ]
-    symbols = np.zeros(
-        kept.shape, np.int64
-    )  # not before: beside the coder's arrays there is no room for it
+    # Not earlier: there is no room for this array beside those of the coder.
+    symbols = np.zeros(kept.shape, np.int64)
     for columns, values in found:
         symbols[:, columns][kept[:, columns]] = values
     del found, values
-    f, s, l, O = dequantise(symbols, ctx, design)
-    model = Model(design, Anchors(x_a, f, s, l, O, mask), networks, grids, box, background)
+    anchors = Anchors(x_a, *dequantise(symbols, ctx, design), mask)
+    model = Model(design, anchors, networks, grids, box, background)
     return Quantised(model, positions, symbols, kept, ctx)
 
 
-def _section(sections, name):
-    if name not in sections:
-        raise BitstreamError(name, 0, "section is missing")
-    return sections[name]
-
-
-def _read_symbols(sections, name, ctx, columns, kept):
-    """The symbols of one section that are coded, in the order of the file."""
-    data, where = _section(sections, name), kept[:, columns]
-    model = gaussian_model(ctx.mu_units[:, columns][where], ctx.sigma_units[:, columns][where])
-    return decode_symbols(data, model, section=name)
-
-
-def _read_positions(data, A):
-    """The box, two (3,) float32, and the symbols (A, 3) int64."""
-    if len(data) != 24 + 6 * A:
-        raise BitstreamError(
-            "positions",
-            len(data),
-            f"expected {24 + 6 * A} bytes for {A} anchors, found {len(data)}",
+def check_presence(sections, layers):
+    """Refuse a file that lacks a section or has one that its scene does not need."""
+    for name in SECTIONS:
+        members = NETWORK_SECTIONS.get(name)
+        needed = members is None or any(member in layers for member in members)
+        require(name in sections or not needed, name, 0, "section is missing")
+        require(
+            needed or name not in sections, name, 0, "scene lists no effect that needs this section"
         )
+
+
+def read_symbols(data, name, ctx, columns, kept):
+    """The coded symbols of one section, in the order of the file."""
+    where = kept[:, columns]
+    tables = gaussian_model(ctx.mu_units[:, columns][where], ctx.sigma_units[:, columns][where])
+    return decode_symbols(data, tables, name)
+
+
+def read_positions(data, A):
+    """The box, two float32 arrays [3], and the positions [A, 3] int64."""
+    require(
+        len(data) == 24 + 6 * A,
+        "positions",
+        len(data),
+        f"expected {24 + 6 * A} bytes for {A} anchors, found {len(data)}",
+    )
     lo, hi = np.frombuffer(data, "<f4", 6).astype(np.float32).reshape(2, 3)
-    if not ((np.abs([lo, hi]) <= LARGEST).all() and (lo <= hi).all()):  # also false for NaN
-        raise BitstreamError(
-            "positions", 0, f"expected a box with lo <= hi, finite, to {LARGEST:g}"
-        )
+    require(valid_box(lo, hi), "positions", 0, f"expected a box with {BOX}")
     return (lo, hi), np.frombuffer(data, "<u2", offset=24).astype(np.int64).reshape(A, 3)
 
 
-def _read_grids(data, design):
-    """Levels (T, F) of +-1."""
+def read_grids(data, design):
+    """The levels [T, F] of the hash grid, +1 and -1."""
     shapes = design.levels()
     ends = np.cumsum([T * F for T, F in shapes])
-    bits = decode_bits(data, int(ends[-1]), section="hash_grid")
-    return [
-        np.where(part, 1.0, -1.0).reshape(shape)
-        for part, shape in zip(np.split(bits, ends[:-1]), shapes)
-    ]
+    signs = np.split(decode_bits(data, int(ends[-1]), "hash_grid"), ends[:-1])
+    return [np.where(part, 1.0, -1.0).reshape(shape) for part, shape in zip(signs, shapes)]
 
 
-def _read_networks(sections, design):
-    """Networks {name: (weights, biases)} in float64, in the order in which they are stored."""
+def read_networks(sections, design):
+    """The networks {name: (weights, biases)}, float64."""
     networks, layers = {}, design.layers()
     for section, members in NETWORK_SECTIONS.items():
-        present = [name for name in members if name in layers]
-        if not present:
-            if section in sections:
-                raise BitstreamError(
-                    section, 0, "the scene lists no effect that needs this section"
-                )
-            continue
-        data, start = _section(sections, section), 0
-        count = sum((rows + 1) * columns for name in present for rows, columns in layers[name])
-        if len(data) != 2 * count:
-            raise BitstreamError(
-                section, len(data), f"expected {2 * count} bytes, found {len(data)}"
-            )
+        shapes = {name: layers[name] for name in members if name in layers}
+        pairs = [pair for network in shapes.values() for pair in network]
+        sizes = [size for rows, columns in pairs for size in (rows * columns, columns)]
+        data = sections.get(section, b"")
+        require(
+            len(data) == 2 * sum(sizes),
+            section,
+            len(data),
+            f"expected {2 * sum(sizes)} bytes, found {len(data)}",
+        )
         numbers = np.frombuffer(data, "<f2").astype(float)
-        if not np.isfinite(numbers).all():
-            raise BitstreamError(
-                section, 2 * int(np.argmin(np.isfinite(numbers))), "expected finite weights"
-            )
-        for name in present:
-            weights, biases = [], []
-            for rows, columns in layers[name]:
-                weights.append(numbers[start : start + rows * columns].reshape(rows, columns))
-                biases.append(numbers[start + rows * columns : start + (rows + 1) * columns])
-                start += (rows + 1) * columns
-            networks[name] = (weights, biases)
+        wrong = np.flatnonzero(~np.isfinite(numbers))
+        if len(wrong):
+            raise BitstreamError(section, 2 * int(wrong[0]), "expected finite weights")
+        arrays = iter(np.split(numbers, np.cumsum(sizes)))
+        for name, network in shapes.items():
+            read = [(next(arrays).reshape(pair), next(arrays)) for pair in network]
+            networks[name] = [W for W, _ in read], [b for _, b in read]
     return networks

@@ -1,25 +1,34 @@
-"""The header section: one JSON object (ASCII) with the number of anchors, the background and the fields of `Design`.
+"""The header section: one JSON object in ASCII.
 
-anchors            A, how many anchors the positions section holds: 1 to 2^22
-background         three numbers, red, green, blue: -2^20 to 2^20
-d, k, F            widths: of a feature, of the children, of a hash grid's node: 1 to 4096, 256, 64
-hidden, context, deformation      lists of 0 to 8 hidden widths: anchor networks, psi_p and psi_q, psi_d: 1 to 2^14 each
-L_x, L_t           frequencies of the positional encoding: 1 to 64
-grid               list of 1 to 64 levels [axes, resolution R]: axes "xyz", "xy", "xz" or "yz", R from 1 to 2^16
-table              most nodes of a level: [of a 3D one, of a 2D one]: 1 to 2^24 each; a level of D axes stores
-                   T = min(R^D, table[0] where D = 3, table[1] where D = 2) nodes of F entries each
-Q_0                four base steps: f, s, l, O: 2^-100 to 2^100
-tau_alpha          the opacity below which a Gaussian is not drawn: -1 to 1
-effects            the model's effects that the scene lists, none twice: some of "translation", "rotation", "scaling",
-                   "view_color", "view_geometry", "occlusion", "background"; their order means nothing
+    anchors       A, the number of anchors: 1 to 2^22
+    background    three numbers, red, green and blue: -2^20 to 2^20
+    d             width of an anchor's feature: 1 to 4096
+    k             children per anchor: 1 to 256
+    hidden        list of 0 to 8 hidden widths of the anchor networks: 1 to 2^14 each
+    deformation   likewise, of psi_d
+    L_x, L_t      frequencies of the positional encoding of x and of t: 1 to 64 each
+    context       list of 0 to 8 hidden widths of psi_p and psi_q: 1 to 2^14 each
+    grid          list of 1 to 64 levels [axes, R]: axes "xyz", "xy", "xz" or "yz", resolution R
+                  1 to 2^16
+    table         [most nodes of a 3D level, most nodes of a 2D level]: 1 to 2^24 each
+    F             entries per node of the hash grid: 1 to 64
+    Q_0           list of the four base steps of f, s, l, O: 2^-100 to 2^100
+    tau_alpha     opacity below which a Gaussian is not drawn: -1 to 1
+    effects       list of the effects of the scene, none twice, in any order: some of "translation",
+                  "rotation", "scaling", "view_color", "view_geometry", "occlusion", "background"
 
-Every field is there once, in any order, and no other.  Whole numbers are written without point and exponent (a reader
-that cannot tell 4 from 4.0 may take both); the others are read as the nearest double, as JSON.parse and strtod do.
+Every field is present once, in any order, and there is no other field. The fields anchors to F hold
+integers, written without point and exponent, except for background; a reader that cannot tell 4
+from 4.0 may accept both. All other numbers are read as the nearest double, as JSON.parse and strtod
+do.
 
-The declared model are the arrays that this header promises, every number counted as 8 bytes: of each anchor 3 + d + 6
-+ 3 k attributes and k of the mask, the entries of the grid, the weights and biases of all networks.  At most 2^24
-entries and 2^25 numbers in all; a decoder takes at most 64 MiB plus four times that, beside the file itself.  The
-header has at most 2^14 bytes, as a parser of JSON takes many times its text.
+A level with D axes stores T = min(R^D, its number in `table`) nodes with F entries each.
+
+The header promises the following numbers: for every anchor 3 + d + 6 + 3 k attributes and k masks,
+the entries of the grid, and the weights and biases of all networks. There are at most 2^24 entries
+of the grid and at most 2^25 numbers in all. A decoder needs at most 64 MiB plus four times 8 bytes
+for each of these numbers, beside the file itself. The header has at most 2^14 bytes, because a JSON
+parser needs many times the memory of its text.
 """
 
 import json
@@ -28,33 +37,14 @@ import numpy as np
 
 from ..model import Design
 from ..scenes.scene import MODEL_EFFECTS
-from .container import BitstreamError
+from .container import require
 
-LIMITS = {
-    "anchors": 2**22,
-    "d": 4096,
-    "k": 256,
-    "F": 64,
-    "L_x": 64,
-    "L_t": 64,
-    "width": 2**14,
-    "layers": 8,
-    "levels": 64,
-    "resolution": 2**16,
-    "table": 2**24,
-    "entries": 2**24,
-    "numbers": 2**25,
-    "bytes": 2**14,
-}
-RANGES = {
-    "background": (3, -(2.0**20), 2.0**20),
-    "Q_0": (4, 2.0**-100, 2.0**100),
-    "tau_alpha": (1, -1.0, 1.0),
-}
+MOST_BYTES, MOST_ENTRIES, MOST_NUMBERS = 2**14, 2**24, 2**25
+AXES = ("xyz", "xy", "xz", "yz")
 
 
 def write_header(model):
-    """The section's bytes: JSON without spaces, keys in a fixed order, every number as Python prints it."""
+    """The section's bytes: JSON without spaces, keys in a fixed order."""
     fields = {
         "anchors": len(model.anchors.mask),
         "background": [float(c) for c in model.background],
@@ -64,108 +54,124 @@ def write_header(model):
 
 
 def read_header(data):
-    """(design, number of anchors, background).
+    """The design, the number of anchors and the background of a header section.
 
-    Raises     BitstreamError for anything that is not an object with exactly these fields within LIMITS and RANGES
+    Raises BitstreamError for anything but an object with exactly the fields above, in their ranges.
     """
-    if len(data) > LIMITS["bytes"]:
-        raise _refusal(f"{len(data)} bytes, at most {LIMITS['bytes']} expected")
+    expect(len(data) <= MOST_BYTES, f"{len(data)} bytes, expected at most {MOST_BYTES}")
     try:
-        fields = json.loads(str(data, "ascii"), object_pairs_hook=_once_each)
-    except (UnicodeDecodeError, ValueError, RecursionError):
-        raise _refusal("expected a JSON object, no field twice") from None
-    expected = {"anchors", "background", *Design._fields}
-    if not isinstance(fields, dict) or set(fields) != expected:
-        raise _refusal(f"expected exactly the fields {', '.join(sorted(expected))}")
-    anchors = _whole("anchors", fields.pop("anchors"), LIMITS["anchors"])
-    background = np.array(_numbers("background", fields.pop("background")))
-    for name in ("d", "k", "F", "L_x", "L_t"):
-        _whole(name, fields[name], LIMITS[name])
-    for name in ("hidden", "deformation", "context"):
-        fields[name] = tuple(
-            _whole(name, n, LIMITS["width"])
-            for n in _listed(name, fields[name], 0, LIMITS["layers"])
-        )
-    fields["grid"] = tuple(
-        _level(level) for level in _listed("grid", fields["grid"], 1, LIMITS["levels"])
+        pairs = json.loads(str(data, "ascii"), object_pairs_hook=tuple)
+    except (ValueError, RecursionError):
+        pairs = None
+    expect(isinstance(pairs, tuple), "expected a JSON object")
+    fields = dict(pairs)
+    expect(
+        len(pairs) == len(FIELDS) and set(fields) == set(FIELDS),
+        f"expected exactly the fields {', '.join(FIELDS)}, once each",
     )
-    fields["table"] = tuple(
-        _whole("table", size, LIMITS["table"]) for size in _listed("table", fields["table"], 2, 2)
+    values = {name: read(name, fields[name]) for name, read in FIELDS.items()}
+    expect(
+        len(set(values["effects"])) == len(values["effects"]),
+        "field 'effects': expected no effect twice",
     )
-    fields["Q_0"] = _numbers("Q_0", fields["Q_0"])
-    (fields["tau_alpha"],) = _numbers("tau_alpha", [fields["tau_alpha"]])
-    effects = _listed("effects", fields["effects"], 0, len(MODEL_EFFECTS))
-    if any(effect not in MODEL_EFFECTS for effect in effects) or len(set(effects)) != len(effects):
-        raise _refusal(f"field 'effects': expected some of {', '.join(MODEL_EFFECTS)}, none twice")
-    fields["effects"] = tuple(effects)
-    design = Design(**fields)
-    _check_size(design, anchors)
+    anchors, background = values.pop("anchors"), np.array(values.pop("background"))
+    design = Design(**values)
+    parts = declared_numbers(design, anchors)
+    expect(
+        parts["grid"] <= MOST_ENTRIES,
+        f"field 'grid': {parts['grid']} entries declared, expected at most {MOST_ENTRIES}",
+    )
+    expect(
+        sum(parts.values()) <= MOST_NUMBERS,
+        f"{sum(parts.values())} numbers declared {parts}, expected at most {MOST_NUMBERS}",
+    )
     return design, anchors, background
 
 
 def declared_numbers(design, anchors):
-    """How many numbers the arrays of the decoded model hold: (anchors' attributes and masks, grid, networks)."""
-    weights = sum(
-        (rows + 1) * columns for layers in design.layers().values() for rows, columns in layers
-    )
-    return (
-        anchors * (3 + sum(design.widths) + design.k),
-        sum(T * F for T, F in design.levels()),
-        weights,
-    )
+    """How many numbers a header promises: {"anchors": ..., "grid": ..., "networks": ...}."""
+    layers = [layer for network in design.layers().values() for layer in network]
+    return {
+        "anchors": anchors * (3 + sum(design.widths) + design.k),
+        "grid": sum(T * F for T, F in design.levels()),
+        "networks": sum((rows + 1) * columns for rows, columns in layers),
+    }
 
 
-def _check_size(design, anchors):
-    """The largest model: 256 MiB, for example 400,000 anchors of `paper_real`."""
-    per_kind = declared_numbers(design, anchors)
-    if per_kind[1] > LIMITS["entries"]:
-        raise _refusal(
-            f"field 'grid': {per_kind[1]} entries declared, at most {LIMITS['entries']} expected"
+def expect(holds, message):
+    """Refuse the header unless a condition holds."""
+    require(holds, "header", 0, message)
+
+
+def integer(most):
+    """The reader of an integer field from 1 to `most`."""
+
+    def read(name, value):
+        expect(
+            type(value) is int and 1 <= value <= most,  # type: a bool is no number here
+            f"field {name!r}: expected a whole number from 1 to {most}",
         )
-    if sum(per_kind) > LIMITS["numbers"]:
-        raise _refusal(
-            f"{sum(per_kind)} numbers declared (anchors {per_kind[0]}, grid {per_kind[1]}, networks "
-            f"{per_kind[2]}), at most {LIMITS['numbers']} expected"
+        return value
+
+    return read
+
+
+def number(least, most):
+    """The reader of a number in a range."""
+
+    def read(name, value):
+        expect(
+            type(value) in (int, float) and least <= value <= most,  # False for NaN
+            f"field {name!r}: expected numbers from {least:g} to {most:g}",
         )
+        return float(value)
+
+    return read
 
 
-def _refusal(message):
-    return BitstreamError("header", 0, message)
+def list_of(read_item, least, most):
+    """The reader of a list of `least` to `most` items."""
+
+    def read(name, values):
+        expect(
+            isinstance(values, list) and least <= len(values) <= most,
+            f"field {name!r}: expected a list of {least} to {most}",
+        )
+        return tuple(read_item(name, value) for value in values)
+
+    return read
 
 
-def _once_each(pairs):
-    if len(dict(pairs)) != len(pairs):
-        raise ValueError
-    return dict(pairs)
+def level(name, value):
+    """Reads a level of the hash grid, [axes, resolution]."""
+    expect(
+        isinstance(value, list) and len(value) == 2 and value[0] in AXES,
+        f"field {name!r}: expected [axes, resolution] with axes {', '.join(AXES)}",
+    )
+    return value[0], integer(2**16)(name, value[1])
 
 
-def _whole(name, value, limit):
-    if type(value) is not int or not 1 <= value <= limit:  # type: a bool is not a number
-        raise _refusal(f"field {name!r}: expected a whole number from 1 to {limit}")
+def effect(name, value):
+    """Reads the name of an effect."""
+    expect(value in MODEL_EFFECTS, f"field {name!r}: expected some of {', '.join(MODEL_EFFECTS)}")
     return value
 
 
-def _numbers(name, values):
-    count, least, most = RANGES[name]
-    if (
-        not isinstance(values, list)
-        or len(values) != count
-        or any(type(v) not in (int, float) or not least <= v <= most for v in values)
-    ):  # also false for NaN
-        raise _refusal(
-            f"field {name!r}: expected {'a number' if count == 1 else f'{count} numbers'} "
-            f"from {least:g} to {most:g}"
-        )
-    return tuple(float(v) for v in values)
-
-
-def _listed(name, values, least, most):
-    if not isinstance(values, list) or not least <= len(values) <= most:
-        raise _refusal(f"field {name!r}: expected a list of {least} to {most}")
-    return values
-
-
-def _level(level):
-    if not isinstance(level, list) or len(level) != 2 or level[0] not in ("xyz", "xy", "xz", "yz"):
-        raise _refusal("field 'grid': expected [axes, resolution] with axes xyz, xy, xz or yz")
-    return level[0], _whole("grid", level[1], LIMITS["resolution"])
+WIDTHS = list_of(integer(2**14), 0, 8)  # of hidden layers
+FIELDS = {
+    "anchors": integer(2**22),
+    "background": list_of(number(-(2.0**20), 2.0**20), 3, 3),
+    "d": integer(4096),
+    "k": integer(256),
+    "hidden": WIDTHS,
+    "deformation": WIDTHS,
+    "L_x": integer(64),
+    "L_t": integer(64),
+    "context": WIDTHS,
+    "grid": list_of(level, 1, 64),
+    "table": list_of(integer(2**24), 2, 2),
+    "F": integer(64),
+    "Q_0": list_of(number(2.0**-100, 2.0**100), 4, 4),
+    "tau_alpha": number(-1.0, 1.0),
+    "effects": list_of(effect, 0, len(MODEL_EFFECTS)),
+}

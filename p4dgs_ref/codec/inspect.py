@@ -1,4 +1,4 @@
-"""Where the bytes of a file are, beside what the model says they should be."""
+"""Where the bytes of a file are, and how many the entropy model predicts."""
 
 import numpy as np
 from scipy.special import xlogy
@@ -9,43 +9,44 @@ from .container import read_container
 from .file import NETWORK_SECTIONS, attribute_columns, quantised_of
 from .streams import ideal_bits_gaussian
 
+# Why a section is larger than its entropy under the float model: from each size in a row of the
+# ledger to the next.
+GAPS = {
+    "model": "means, deviations and frequencies are integers, and no frequency is zero",
+    "coder": "the coder ends with 4 to 8 bytes of state, a few bits per lane, and whole bytes",
+    "headers": "number of lanes, probability of a one, box of the positions, section table",
+}
+
 
 def entropy_bits(flags):
-    """N+ (-log2 p+) + N- (-log2 p-) of a boolean array, Eq. (14): the best any Bernoulli stream can do."""
+    """N+ (-log2 p+) + N- (-log2 p-) of a boolean array, Eq. (14): the least that it can cost."""
     n = np.array([np.count_nonzero(flags), np.size(flags) - np.count_nonzero(flags)], float)
     n = n[n > 0]
     return float((n * np.log2(n.sum() / n)).sum())
 
 
 def float_context(model):
-    """The context as training computes it, in float64: what the integers of `context.py` stand for."""
+    """The context as training computes it, in float64; `context.py` computes it in integers."""
     design, box = model.design, [corner.astype(float) for corner in model.box]
-    located = hash_grid.locate(
-        model.anchors.x_a, *box, design.grid, [T for T, _ in design.levels()]
-    )
+    tables = [T for T, _ in design.levels()]
+    located = hash_grid.locate(model.anchors.x_a, *box, design.grid, tables)
     return context(design, model.networks, model.grids, located)[0]
 
 
-# Why a section is larger than its entropy under the float model: the four columns of the ledger, left to right.
-GAPS = {
-    "model": "means, deviations and frequencies are whole numbers, every symbol in the window has at least one count",
-    "coder": "the coder ends with 4 to 8 bytes of state, a few bits a lane, and whole bytes",
-    "headers": "number of lanes, probability of a one, the box of the positions; the container's table of sections",
-}
-
-
 def stream_header(body, before):
-    """Bytes of a stream that say how to read it: `before` its message, the lane byte, the tail where lanes are many."""
+    """How many bytes of a section precede the coder's state: `before`, the lane byte, the tail."""
     return before + 1 + 4 * (body[before] & 15 > 0) if len(body) > before else len(body)
 
 
 def ledger(data):
-    """One row a section, the container first; the rows' bytes add up to len(data).
+    """One row for the container and one for every section; their `bytes` add up to len(data).
 
-    Fields     name, bytes; estimate_bytes: entropy under the float model; integer_bytes: under the integer frequencies;
-               payload_bytes and header_bytes, whose sum is bytes; symbols, bits_per_symbol, None where there are none.
-               What is stored as it is has no gaps: its three sizes are equal.  GAPS says what the differences are
-    Raises     BitstreamError for a file that cannot be decoded
+    A row has name, bytes, payload_bytes and header_bytes (whose sum is bytes), estimate_bytes (the
+    entropy under the float model), integer_bytes (under the integer frequencies), symbols and
+    bits_per_symbol (None where there are no symbols). Content that is stored as it is has three
+    equal sizes. GAPS explains the differences.
+
+    Raises BitstreamError for a file that cannot be decoded.
     """
     sections = read_container(data)
     q = quantised_of(sections)
@@ -53,43 +54,30 @@ def ledger(data):
     steps = np.repeat(q.context.q, model.design.widths, axis=1)
     floats, _ = likelihood.forward(q.symbols * steps, prior.mu, prior.sigma, steps)
     integers = symbol_bits(q)
-    found = {"positions": (q.positions.size, None, None, 24)}
-    for name, flags in (
-        ("masks", model.anchors.mask),
-        ("hash_grid", np.concatenate([g.ravel() for g in model.grids]) > 0),
-    ):
+    found = {"header": (len(sections["header"]),), "positions": (24, q.positions.size)}
+    signs = np.concatenate([grid.ravel() for grid in model.grids]) > 0
+    for name, flags in (("masks", model.anchors.mask), ("hash_grid", signs)):
         ones, f = np.count_nonzero(flags), int.from_bytes(sections[name][:4], "little") / 2**24
         coded = -(xlogy(ones, f) + xlogy(flags.size - ones, 1 - f)) / np.log(2)
-        found[name] = flags.size, entropy_bits(flags), coded, stream_header(sections[name], 4)
+        header = stream_header(sections[name], 4)
+        found[name] = header, flags.size, entropy_bits(flags), coded
     for name, columns in attribute_columns(model.design):
         kept = q.kept[:, columns]
-        found[name] = (
-            int(kept.sum()),
-            floats[:, columns][kept].sum(),
-            integers[:, columns][kept].sum(),
-            stream_header(sections[name], 0),
-        )
-    frame = len(data) - sum(map(len, sections.values()))
-    rows = [_row("container", frame, None, None, None, frame)]
-    for name, body in sections.items():
-        symbols, estimate, integer, header = found.get(name, (None, None, None, 0))
-        symbols = len(body) // 2 if name in NETWORK_SECTIONS else symbols
-        rows.append(
-            _row(
-                name,
-                len(body),
-                symbols,
-                estimate,
-                integer,
-                len(body) if name == "header" else header,
-            )
-        )
-    return rows
+        estimate, coded = (bits[:, columns][kept].sum() for bits in (floats, integers))
+        found[name] = stream_header(sections[name], 0), int(kept.sum()), estimate, coded
+    for name in NETWORK_SECTIONS:
+        found[name] = 0, len(sections.get(name, b"")) // 2
+    frame = frame_bytes(data, sections)
+    return [
+        ledger_row("container", frame, frame),
+        *(ledger_row(name, len(body), *found[name]) for name, body in sections.items()),
+    ]
 
 
-def _row(name, size, symbols, estimate, integer, header):
+def ledger_row(name, size, header, symbols=None, estimate=None, coded=None):
+    """A row of the ledger; `estimate` and `coded` in bits, None for content stored as it is."""
     payload = size - header
-    sizes = [float(payload if bits is None else bits / 8) for bits in (estimate, integer)]
+    sizes = [float(payload if bits is None else bits / 8) for bits in (estimate, coded)]
     return {
         "name": name,
         "bytes": size,
@@ -103,24 +91,27 @@ def _row(name, size, symbols, estimate, integer, header):
 
 
 def symbol_bits(q):
-    """What every symbol costs under the integer frequencies (A, n), zero where nothing is coded."""
+    """The bits [A, n] of every symbol under the integer frequencies, 0 where nothing is coded."""
     bits = np.zeros(q.kept.shape)
-    bits[q.kept] = ideal_bits_gaussian(
-        *(a[q.kept] for a in (q.symbols, q.context.mu_units, q.context.sigma_units))
-    )
+    arrays = (q.symbols, q.context.mu_units, q.context.sigma_units)
+    bits[q.kept] = ideal_bits_gaussian(*(array[q.kept] for array in arrays))
     return bits
 
 
 def anchor_bits(data):
-    """The model of a file and the bits that each of its anchors costs (A,): position, attributes, masks."""
+    """The model of a file, and the bits [A] of each anchor: its position, attributes and masks."""
     q = quantised_of(read_container(data))
     mask = q.model.anchors.mask
     return q.model, 48 + symbol_bits(q).sum(axis=1) + entropy_bits(mask) / len(mask)
 
 
 def components(data):
-    """Bytes by component; the container's frame counts as header.  They add up to len(data)."""
+    """The bytes of every section, the container's own among those of the header: {name: bytes}."""
     sections = read_container(data)
-    frame = len(data) - sum(map(len, sections.values()))
     sizes = {name: len(body) for name, body in sections.items()}
-    return {**sizes, "header": sizes.get("header", 0) + frame}
+    return {**sizes, "header": sizes.get("header", 0) + frame_bytes(data, sections)}
+
+
+def frame_bytes(data, sections):
+    """The bytes of a file that belong to no section."""
+    return len(data) - sum(map(len, sections.values()))

@@ -1,108 +1,121 @@
-"""The entropy coder: rANS with a 64-bit state, one lane for short messages and several in step for long ones.
+"""The entropy coder: rANS with a 64-bit state, in one lane for short messages, else in several.
 
-THE MODEL is one ascending array of integers, `keys`: table u lists its entries as (u << 24) + cum, cum = 0 first, and
-the last element of the array is (number of tables) << 24.  Entry i has start = keys[i] mod 2^24 and frequency
-keys[i+1] - keys[i], 1..2^24 - 1; every table totals 2^24.  A message is a sequence of entries, and the decoder knows
-which table each of them is from.
+MODEL. A message is a sequence of entries from frequency tables, and the decoder knows which table
+each of them is from. All tables stand in one ascending array of integers, `keys`: table u lists its
+entries as (u << 24) + cum, beginning with cum = 0, and the last element of the array is (number of
+tables) << 24. Entry i has start = keys[i] mod 2^24 and the frequency keys[i+1] - keys[i], from 1 to
+2^24 - 1. The frequencies of every table add up to 2^24.
 
-ONE LANE is an integer x, 2^31 <= x < 2^63, above a stack of 32-bit words.
-    push entry       if x >= freq * 2^39: put x mod 2^32 on the stack, x = floor(x / 2^32)
-                     x = floor(x / freq) * 2^24 + x mod freq + start
-    pop from u       slot = x mod 2^24, take the one entry of table u with start <= slot < start + freq
-                     x = floor(x / 2^24) * freq + slot - start;  if x < 2^31: x = x * 2^32 + (word from the stack)
-    push b bits v    if x >= 2^(63-b): put x mod 2^32 on the stack, x = floor(x / 2^32);   then x = x * 2^b + v
-    pop b bits       v = x mod 2^b, x = floor(x / 2^b);  if x < 2^31: x = x * 2^32 + (word from the stack)
-Push and pop undo each other exactly, so the encoder starts with the last symbol and the decoder ends with it.
+ONE LANE is an integer x, 2^31 <= x < 2^63, called the state, and a stack of 32-bit words. It has
+four operations:
 
-L LANES (a power of two) work in step and share the stack.  With n symbols and a tail of m (n - m a multiple of L),
-symbol i < n - m belongs to lane i mod L, the tail to lane 0 alone.  The encoder
-    1. sets lane 0 to 2^31 and pushes the tail, last symbol first, until the stack holds L words and n - m fits;
-    2. starts lane 1, then 2, ... L-1 at 2^31 + v where v is popped from lane 0 as 31 bits: no bit is spent on a start;
-    3. pushes the other symbols, last row of L first; within a row lane L-1 puts its word on the stack first;
-    4. puts away lane L-1, then L-2, ... 1 into lane 0: with n = bit length of x minus 32 it pushes the 31 low
-       bits of x, then the n bits under the top one, then n as 5 bits (about 4.5 bits a lane are lost here);
+    push an entry    if x >= freq 2^39: put x mod 2^32 on the stack and set x = floor(x / 2^32);
+                     then x = floor(x / freq) 2^24 + x mod freq + start
+    pop an entry     slot = x mod 2^24; take the entry of the table with
+                     start <= slot < start + freq; x = floor(x / 2^24) freq + slot - start;
+                     then, if x < 2^31, take a word from the stack and set x = x 2^32 + word
+    push b bits v    if x >= 2^(63-b): put x mod 2^32 on the stack and set x = floor(x / 2^32);
+                     then x = x 2^b + v
+    pop b bits       v = x mod 2^b; x = floor(x / 2^b);
+                     then, if x < 2^31, take a word from the stack and set x = x 2^32 + word
+
+Push and pop undo each other exactly. The encoder therefore begins with the last symbol, and the
+decoder ends with it.
+
+L LANES, L a power of two, take turns and share one stack. Of n symbols, the last m form the tail; n
+- m is a multiple of L. Symbol i < n - m belongs to lane i mod L, and the tail belongs to lane 0.
+The encoder
+
+    1. sets lane 0 to 2^31 and pushes the tail, last symbol first, until the stack holds L words and
+       the number of symbols left is a multiple of L;
+    2. starts lane 1, then 2, ... L-1 at 2^31 + v, where v is 31 bits popped from lane 0, so that
+       starting a lane costs nothing;
+    3. pushes the other symbols row by row, L symbols to a row, last row first, and within a row
+       lane L-1 first;
+    4. closes lane L-1, then L-2, ... 1: with n = (number of binary digits of its state) - 32, it
+       pushes into lane 0 the 31 low bits of that state, then the n bits between them and the
+       leading one, then n as 5 bits;
     5. writes lane 0 and then the stack, its top first.
-The decoder does the same backwards, "push" and "pop" exchanged:
-    4. for lane 1, 2, ... L-1: pops n (5 bits), then v (n bits), then w (31 bits) from lane 0; the lane is
-       (2^n + v) 2^31 + w
-    3. pops symbol 0, 1, ... n-m-1, each from its lane
-    2. for lane L-1, L-2, ... 1, which must lie in 2^31..2^32 - 1: pushes its 31 low bits into lane 0
-    1. pops the tail from lane 0, which must end at 2^31.  Where L > 1 the tail is never empty.
 
-BYTES, little-endian.  Nothing at all for n = 0.  Otherwise
-    1        bits 0-3: log2 L, 0..10;  bits 4-6: zero;  bit 7: lane 0 has a high word
-    4        m, only where L > 1
-    4 or 8   lane 0: low word, then the high word (not zero) where it has one
-    4 ...    the stack, its top first
-What follows the last word read is not this coder's: `decode` returns where it stopped.
+The decoder reverses these steps, with push and pop exchanged:
 
-L is the encoder's choice; this one takes the largest power of two that leaves each lane about 5000 bits, at
-most 1024, or 1 where that is below 32.
+    5. reads lane 0 and the stack; 4. for lane 1, 2, ... L-1: pops n (5 bits), then v (n bits), then
+    w (31 bits) from lane 0; the state of the lane is (2^n + v) 2^31 + w; 3. pops symbol 0, 1, ...
+    n-m-1, each from its lane; 2. for lane L-1, L-2, ... 1, whose state must now be from 2^31 to
+    2^32 - 1: pushes its 31 low bits into lane 0; 1. pops the tail from lane 0, whose state must end
+    at 2^31. Where L > 1 the tail is never empty.
 
-WORKED NUMBERS.  keys = 0, 12582912, 16777216 (one table, probabilities 3/4 and 1/4), message 0 1 0.  From the last
-symbol on, x = 2^31 becomes 2860515328, 11454644224, 15271460864 = 0x38E400000.  Bytes: 80 00 00 40 8E 03 00 00 00.
+BYTES, all integers little-endian. A message of no symbols has no bytes. Any other has
+
+    1 byte          bits 0 to 3: log2 L, from 0 to 10; bits 4 to 6: zero; bit 7: whether lane 0
+                    has a high word
+    4 bytes         m, only where L > 1
+    4 or 8 bytes    the state of lane 0: its low word, then its high word where it is not zero
+    4 bytes each    the words of the stack, its top first
+
+What follows the last word that is read does not belong to the message. The encoder may choose L.
+This one takes the largest power of two that leaves about 5000 bits to each lane, at most 1024, or 1
+where that would be below 32.
+
+Worked numbers. One table with the keys 0, 12582912, 16777216 gives its two entries the
+probabilities 3/4 and 1/4. The message 0 1 0 is pushed from its last symbol on: x = 2^31 becomes
+2860515328, then 11454644224, then 15271460864 = 0x38E400000. The bytes are 80 00 00 40 8E 03 00 00
+00.
 """
 
 from bisect import bisect_right
 
 import numpy as np
 
-from .container import BitstreamError
+from .container import BitstreamError, require
+from .fixed_point import bit_length
 
 PRECISION, WORD, LOWEST = 24, 32, 1 << 31
 SLOT, LOW_WORD = (1 << PRECISION) - 1, (1 << WORD) - 1
-MAX_LANES, MIN_LANES, BITS_PER_LANE, PIECE = 1024, 32, 5000, 8192
+MAX_LANES, MIN_LANES, BITS_PER_LANE = 1024, 32, 5000
+PIECE = 8192  # numbers converted to Python integers at a time
 
 
 def encode(entries, keys, lanes=None, push_rows=None):
-    """Code a message.
+    """The bytes of a message: entries [n], indices into keys [E+1].
 
-    Shapes     entries (n,) indices into keys, keys (E+1,) -> bytes
-    Domain     the model above; `lanes` overrides the choice; `push_rows` may be the readable `push_rows_plainly`
-    Raises     ValueError where the message is too short for that many lanes
+    `lanes` overrides the encoder's choice, and `push_rows` may be `push_rows_plainly`. Raises
+    ValueError for a message that is too short for that many lanes.
     """
     if len(entries) == 0:
         return b""
     starts, freqs = keys[entries] & SLOT, np.diff(keys)[entries]
     lanes = lanes or choose_lanes(freqs)
-    x, stack, left = _push_tail(starts, freqs, lanes)
-    head, row_words, top = b"", [], []
+    x, stack, left = push_tail(starts, freqs, lanes)
+    tail, row_words, top = b"", [], []
     if lanes > 1:
-        head = (len(entries) - left).to_bytes(4, "little")
-        states = _start_lanes(x, lanes, stack)
-        states, row_words = (push_rows or _push_rows)(
-            states, starts[:left].reshape(-1, lanes), freqs[:left].reshape(-1, lanes)
-        )
-        x, top = _put_away(states)
+        tail = (len(entries) - left).to_bytes(4, "little")
+        states = start_lanes(x, lanes, stack)
+        rows = [values[:left].reshape(-1, lanes) for values in (starts, freqs)]
+        states, row_words = (push_rows or push_rows_fast)(states, *rows)
+        x, top = close_lanes(states)
     high = 0x80 if x > LOW_WORD else 0
-    parts = (top[::-1], row_words, stack[::-1])
-    return (
-        bytes([lanes.bit_length() - 1 | high])
-        + head
-        + x.to_bytes(8 if high else 4, "little")
-        + b"".join(np.asarray(part, np.int64).astype("<u4").tobytes() for part in parts)
-    )
+    head = bytes([lanes.bit_length() - 1 | high]) + tail + x.to_bytes(8 if high else 4, "little")
+    words = [np.asarray(part, np.int64) for part in (top[::-1], row_words, stack[::-1])]
+    return head + np.concatenate(words).astype("<u4").tobytes()
 
 
 def choose_lanes(freqs):
-    """How many lanes the encoder takes, decided in integers so that every machine writes the same bytes."""
-    # log2 f from below, by log2(1 + a) >= a; at most 0.09 bit a symbol too dear.  frexp is exact for integers
-    length = np.frexp(freqs.astype(np.float64))[1].astype(np.int64)
-    bits = (
-        int(np.sum((PRECISION + 2 - length << PRECISION) - (freqs << PRECISION + 1 - length)))
-        >> PRECISION
-    )
-    lanes = min(1 << max((bits // BITS_PER_LANE).bit_length() - 1, 0), MAX_LANES)
+    """The number of lanes, computed in integers so that every machine writes the same bytes."""
+    # 24 - log2 f from above, because log2(1 + a) >= a: too many by at most 0.09 bits per symbol.
+    length = bit_length(freqs)
+    bits = (PRECISION + 2 - length << PRECISION) - (freqs << PRECISION + 1 - length)
+    most = (int(bits.sum()) >> PRECISION) // BITS_PER_LANE
+    lanes = min(1 << max(most.bit_length() - 1, 0), MAX_LANES)
     return lanes if lanes >= MIN_LANES else 1
 
 
-def _push_tail(starts, freqs, lanes):
-    """Step 1, lane 0 alone: its state, the stack, and how many symbols are left for the rows."""
+def push_tail(starts, freqs, lanes):
+    """Step 1 in lane 0: its state, the stack, and how many symbols are left for the rows."""
     x, words, left = LOWEST, [], len(starts)
-    for start, freq in zip(_backwards(starts), _backwards(freqs)):
-        if (
-            lanes > 1 and left % lanes == 0 and len(words) >= lanes
-        ):  # 31 bits a lane: `lanes` words feed them all
+    for start, freq in zip(backwards(starts), backwards(freqs)):
+        # Starting a lane takes 31 bits, so as many words as lanes suffice.
+        if lanes > 1 and left % lanes == 0 and len(words) >= lanes:
             break
         if x >= freq << 39:
             words.append(x & LOW_WORD)
@@ -115,46 +128,48 @@ def _push_tail(starts, freqs, lanes):
     return x, words, left
 
 
-def _backwards(values):
-    """Python integers of an array from its end, converted piece by piece."""
+def backwards(values):
+    """The Python integers of an array from its end, converted piece by piece to save memory."""
     for end in range(len(values), 0, -PIECE):
         yield from reversed(values[max(end - PIECE, 0) : end].tolist())
 
 
-def _push_bits(x, b, v, words):
+def push_bits(x, b, v, words):
+    """Push b bits v into a lane: its new state."""
     if x >= 1 << 63 - b:
         words.append(x & LOW_WORD)
         x >>= WORD
     return x << b | v
 
 
-def _pop_bits(x, b, words):
+def pop_bits(x, b, words):
+    """Pop b bits from a lane: its new state, and the bits."""
     v, x = x & (1 << b) - 1, x >> b
     return (x if x >= LOWEST else x << WORD | words.pop()), v
 
 
-def _start_lanes(x, lanes, words):
+def start_lanes(x, lanes, words):
     """Step 2: the states of all lanes."""
     states = [x]
     for _ in range(1, lanes):
-        states[0], v = _pop_bits(states[0], 31, words)
+        states[0], v = pop_bits(states[0], 31, words)
         states.append(LOWEST + v)
     return states
 
 
-def _put_away(states):
-    """Step 4: lane 0 with every other lane in it, and the words it pushed."""
+def close_lanes(states):
+    """Step 4: the state of lane 0 with all other lanes in it, and the words it pushed."""
     x, words = states[0], []
     for state in reversed(states[1:]):
         n = state.bit_length() - 32
-        x = _push_bits(x, 31, state & LOWEST - 1, words)
-        x = _push_bits(x, n, (state >> 31) - (1 << n), words)
-        x = _push_bits(x, 5, n, words)
+        x = push_bits(x, 31, state & LOWEST - 1, words)
+        x = push_bits(x, n, (state >> 31) - (1 << n), words)
+        x = push_bits(x, 5, n, words)
     return x, words
 
 
 def push_rows_plainly(states, starts, freqs):
-    """Step 3, readable: states after all rows, and the words in the order in which the decoder wants them."""
+    """Step 3, to be read: the states after all rows, and the words in the decoder's order."""
     words = []
     for row in reversed(range(len(starts))):
         for lane in reversed(range(len(states))):
@@ -166,126 +181,119 @@ def push_rows_plainly(states, starts, freqs):
     return states, np.array(words[::-1], np.int64)
 
 
-def _push_rows(states, starts, freqs):
-    """Step 3 over all lanes at once; int64 carries x < 2^63 and freq * 2^39 < 2^63."""
+def push_rows_fast(states, starts, freqs):
+    """The same over all lanes at once; int64 holds x < 2^63 and freq 2^39 < 2^63."""
     x = np.array(states, np.int64)
     limits, rest = freqs << 39, (1 << PRECISION) - freqs
     before, full = np.empty_like(starts), np.empty(starts.shape, bool)
-    shift, high = np.empty_like(x), np.empty_like(x)
     for row in reversed(range(len(starts))):
         before[row] = x
-        np.greater_equal(x, limits[row], out=full[row])
-        np.multiply(full[row], WORD, out=shift)
-        x >>= shift
-        np.floor_divide(x, freqs[row], out=high)
-        high *= rest[row]  # x + high * (2^24 - freq) = high * 2^24 + x mod freq
-        x += high
-        x += starts[row]
+        full[row] = x >= limits[row]
+        x >>= full[row] * WORD
+        # x + floor(x / freq) (2^24 - freq) = floor(x / freq) 2^24 + x mod freq
+        x += x // freqs[row] * rest[row] + starts[row]
     return x.tolist(), before[full] & LOW_WORD  # row by row, lane by lane: the decoder's order
 
 
 def decode(data, tables, keys, at=0, section="stream", pop_rows=None):
-    """Decode the message that begins at byte `at`.
+    """Decode the message that begins at byte `at`: entries [n] int32, and the offset of its end.
 
-    Shapes     data bytes, tables (n,), keys (E+1,) -> entries (n,) int32, offset of the first byte not read
-    Domain     the model above; `pop_rows` may be the readable `pop_rows_plainly`
-    Raises     BitstreamError where data ends early or no encoder can have written it
+    `tables` [n] is the number of every symbol's table; `pop_rows` may be `pop_rows_plainly`. Raises
+    BitstreamError where the data end early or no encoder can have written them.
     """
     entries = np.empty(len(tables), np.int32)
     if len(tables) == 0:
         return entries, at
-    lanes, left, x, start = _read_head(data, at, len(tables), section)
-    # a symbol reads one word at most, a lane that is taken out three: more are not this message's
-    words = np.frombuffer(
-        data, "<u4", min((len(data) - start) // 4, len(tables) + 3 * lanes), start
-    )
-    end = start + 4 * len(words)
+    lanes, left, x, start = read_head(data, at, len(tables), section)
+    # A symbol takes one word at most, and a lane to be opened three: the message has no more words.
+    count = min((len(data) - start) // 4, len(tables) + 3 * lanes)
+    words = np.frombuffer(data, "<u4", count, start)
+    end = start + 4 * count
     try:
         if lanes > 1:
-            states, words = _take_out(x, lanes, words)
-            states, words = (pop_rows or _pop_rows)(
-                states,
-                words,
-                tables[:left].reshape(-1, lanes),
-                keys,
-                entries[:left].reshape(-1, lanes),
+            states, words = open_lanes(x, lanes, words)
+            rows = [values[:left].reshape(-1, lanes) for values in (tables, entries)]
+            states, words = (pop_rows or pop_rows_fast)(states, words, rows[0], keys, rows[1])
+            require(
+                all(state >> 31 == 1 for state in states[1:]),
+                section,
+                end - 4 * len(words),
+                "a lane does not end where lanes start",
             )
-            if any(state >> 31 != 1 for state in states[1:]):
-                raise BitstreamError(
-                    section, end - 4 * len(words), "a lane does not end where lanes start"
-                )
-            x, words = _end_lanes(states, words)
-        x, words = _pop_tail(x, words, tables[left:], keys, entries[left:])
+            x, words = end_lanes(states, words)
+        x, words = pop_tail(x, words, tables[left:], keys, entries[left:])
     except IndexError:  # of an empty stack
         raise BitstreamError(section, len(data), "the data end before the last symbol") from None
-    if x != LOWEST:
-        raise BitstreamError(
-            section, end - 4 * len(words), f"lane 0 ends in state {x}, not in {LOWEST}"
-        )
-    return entries, end - 4 * len(words)
+    end -= 4 * len(words)
+    require(x == LOWEST, section, end, f"lane 0 ends in state {x}, not in {LOWEST}")
+    return entries, end
 
 
-def _read_head(data, at, count, section):
-    """Lanes, how many symbols are in the rows, the state of lane 0, and where the stack begins."""
+def read_head(data, at, count, section):
+    """The number of lanes, symbols in the rows, the state of lane 0, and where the stack begins."""
     first = data[at] if len(data) > at else 0
     lanes, size = 1 << (first & 15), 8 if first & 0x80 else 4
     start = at + 1 + 4 * (lanes > 1) + size
-    if len(data) < start:
-        raise BitstreamError(section, len(data), "the data end before the first symbol")
-    if first & 0x70 or lanes > MAX_LANES:
-        raise BitstreamError(section, at, f"lane byte {first:#04x} is not in use")
+    require(len(data) >= start, section, len(data), "the data end before the first symbol")
+    require(
+        not first & 0x70 and lanes <= MAX_LANES,
+        section,
+        at,
+        f"lane byte {first:#04x} is not in use",
+    )
     tail = int.from_bytes(data[at + 1 : at + 5], "little") if lanes > 1 else count
-    if tail > count or (count - tail) % lanes or lanes > 1 and not tail:
-        raise BitstreamError(
-            section, at + 1, f"a tail of {tail} of {count} symbols does not fit {lanes} lanes"
-        )
+    require(
+        0 < tail <= count and (count - tail) % lanes == 0,
+        section,
+        at + 1,
+        f"a tail of {tail} of {count} symbols does not fit {lanes} lanes",
+    )
     x = int.from_bytes(data[start - size : start], "little")
-    if not LOWEST <= x < 1 << 63 or size == 8 and x <= LOW_WORD:
-        raise BitstreamError(section, start - size, f"state {x} is not one an encoder ends in")
+    require(
+        LOWEST <= x < 1 << 63 and (size == 4 or x > LOW_WORD),
+        section,
+        start - size,
+        f"no encoder ends in state {x}",
+    )
     return lanes, count - tail, x, start
 
 
-def _take_out(x, lanes, words):
-    """Step 4 backwards: the states of all lanes and the words left."""
-    stack = words[: 3 * lanes][::-1].tolist()  # 67 bits a lane at most, so three words suffice
+def open_lanes(x, lanes, words):
+    """Step 4 of the decoder: the states of all lanes, and the words left."""
+    stack = words[: 3 * lanes][::-1].tolist()  # a lane has at most 67 bits, so three words suffice
     states, given = [x], len(stack)
     for _ in range(1, lanes):
-        states[0], n = _pop_bits(states[0], 5, stack)
-        states[0], high = _pop_bits(states[0], n, stack)
-        states[0], low = _pop_bits(states[0], 31, stack)
-        states.append((1 << n) + high << 31 | low)
+        states[0], n = pop_bits(states[0], 5, stack)
+        states[0], v = pop_bits(states[0], n, stack)
+        states[0], w = pop_bits(states[0], 31, stack)
+        states.append((1 << n) + v << 31 | w)
     return states, words[given - len(stack) :]
 
 
-def _end_lanes(states, words):
-    """Step 2 backwards: lane 0 with its bits given back, and the words it pushed before those left."""
+def end_lanes(states, words):
+    """Step 2 of the decoder: the state of lane 0, and the words it pushed before those left."""
     x, pushed = states[0], []
     for state in reversed(states[1:]):
-        x = _push_bits(x, 31, state - LOWEST, pushed)
+        x = push_bits(x, 31, state - LOWEST, pushed)
     return x, np.concatenate([np.array(pushed[::-1], words.dtype), words])
 
 
-def _pop_tail(x, words, tables, keys, entries):
-    """Step 1 backwards: fill `entries`; the state and the words left."""
-    edges, first = (
-        keys.tolist(),
-        keys.searchsorted(np.arange((int(keys[-1]) >> PRECISION) + 1) << PRECISION),
-    )
+def pop_tail(x, words, tables, keys, entries):
+    """Step 1 of the decoder: fills `entries`; the state of lane 0, and the words left."""
+    edges = keys.tolist()
+    first = keys.searchsorted(np.arange((int(keys[-1]) >> PRECISION) + 1) << PRECISION)
     for a in range(0, len(tables), PIECE):
-        stack, found = words[:PIECE][::-1].tolist(), []  # a symbol reads one word at most
+        stack, found = words[:PIECE][::-1].tolist(), []  # a symbol takes one word at most
         given, used = len(stack), tables[a : a + PIECE].astype(np.int64)
-        for base, low, high in zip(
-            (used << PRECISION).tolist(), first[used].tolist(), first[used + 1].tolist()
-        ):
+        bases, lows, highs = used << PRECISION, first[used], first[used + 1]
+        for base, low, high in zip(bases.tolist(), lows.tolist(), highs.tolist()):
             target = base + (x & SLOT)
-            entry = bisect_right(
-                edges, target, low, high
-            )  # the one after; only its own table is searched
-            start = edges[entry - 1]
-            x = (x >> PRECISION) * (edges[entry] - start) + target - start
+            following = bisect_right(edges, target, low, high)  # searches one table only
+            start = edges[following - 1]
+            x = (x >> PRECISION) * (edges[following] - start) + target - start
             if x < LOWEST:
                 x = x << WORD | stack.pop()
-            found.append(entry)
+            found.append(following)
         entries[a : a + PIECE] = found
         words = words[given - len(stack) :]
     entries -= 1
@@ -293,7 +301,7 @@ def _pop_tail(x, words, tables, keys, entries):
 
 
 def pop_rows_plainly(states, words, tables, keys, entries):
-    """Step 3 backwards, readable: fill `entries`; the states after all rows and the words left."""
+    """Step 3 of the decoder, to be read: fills `entries`; the states, and the words left."""
     edges, stack = keys.tolist(), words[::-1].tolist()
     for row in range(len(tables)):
         for lane, x in enumerate(states):
@@ -306,20 +314,14 @@ def pop_rows_plainly(states, words, tables, keys, entries):
     return states, words[len(words) - len(stack) :]
 
 
-def _pop_rows(states, words, tables, keys, entries):
-    """Step 3 backwards over all lanes at once."""
+def pop_rows_fast(states, words, tables, keys, entries):
+    """The same over all lanes at once."""
     x, freqs, count = np.array(states, np.int64), np.diff(keys), 0
-    slot, target, entry = np.empty_like(x), np.empty_like(x), np.empty_like(x)
     for row in range(len(tables)):
-        np.left_shift(tables[row], PRECISION, out=target, dtype=np.int64)
-        np.bitwise_and(x, SLOT, out=slot)
-        target |= slot
-        np.subtract(keys.searchsorted(target, "right"), 1, out=entry)
+        target = tables[row].astype(np.int64) << PRECISION | x & SLOT
+        entry = keys.searchsorted(target, "right") - 1
         entries[row] = entry
-        x >>= PRECISION
-        x *= freqs.take(entry)
-        target -= keys.take(entry)
-        x += target
+        x = (x >> PRECISION) * freqs.take(entry) + target - keys.take(entry)
         short = (x < LOWEST).nonzero()[0]
         if len(short):
             fresh = words[count : count + len(short)]

@@ -1,131 +1,130 @@
-"""One section of symbols as bytes: Gaussian symbols with their own mean and deviation, and plain bits.
+"""The two kinds of entropy-coded sections: Gaussian streams and bit streams.
 
-GAUSSIAN STREAM.  n symbols, |k| <= 2^31, whose mu_units and sigma_units the decoder already knows.
-    1. the rANS message (`rans`) of the n blocks K = floor(k / 2^low), each from its own table (`gaussian_table`);
-       a block outside its window is coded as the table's last entry, the escape;
-    2. the raw bits, packed from the lowest bit of each byte on; the last byte is filled up with zeros:
-       a. for every symbol in order, its `low` low bits, lowest first (none where sigma/q < 32);
-       b. for every escape in order, v >= 1 in Elias's gamma code: with v = 2^b + r, b zeros, a one, and the b bits of
-          r, lowest first.  v = 2 (K - (c+W+1)) + 1 above the window, v = 2 (c-W - K) below it; b <= 33.
-Both parts are read exactly to their end; anything left over is an error, and so is a symbol beyond +-2^31.  The stream of
-no symbols is empty.
+GAUSSIAN STREAM. It holds n symbols, |k| <= 2^31, whose mu_units and sigma_units the decoder already
+knows. The stream of no symbols is empty. Otherwise it has two parts:
 
-BIT STREAM.  n bits.  Nothing for n = 0; else f, the probability of a one times 2^24 (4 bytes, little-endian).
-f = 0: all bits are zero; f = 2^24: all are one; nothing follows.  Otherwise the rANS message of the n bits with the one
-table keys = 0, 2^24 - f, 2^24; entry 0 is a zero, entry 1 a one.  The encoder takes f = max(floor(ones * 2^24 / n), 1).
+1. The rANS message (`rans.py`) of the blocks K = floor(k / 2^low), each coded with the frequency
+   table of its symbol (`gaussian_table.py`). A block outside the window is coded as the escape, the
+   last entry of the table.
 
-WORKED NUMBERS.  Symbols 0, 5, -40, each with mu_units = 307, sigma_units = 9, so c = 0, W = 13 (`gaussian_table`).
--40 is an escape with v = 2 (-13 + 40) = 54 = 2^5 + 22: raw bits 00000 1 01101, bytes A0 05.  The whole stream:
+2. The raw bits, which fill every byte from its lowest bit on. Unused bits of the last byte are
+zero.
+
+   a. For every symbol in order, its `low` low bits, lowest first. There are none where sigma / q <
+      32. b. For every escape in order, an integer v >= 1 in Elias's gamma code: with v = 2^b + r
+      and r < 2^b, first b zeros, then a one, then the b bits of r, lowest first. Above the window v
+      = 2 (K - (c+W+1)) + 1, below it v = 2 (c-W - K). b is at most 33.
+
+Both parts are read exactly to their end. Anything left over is an error, and so is a symbol beyond
++-2^31.
+
+BIT STREAM. It holds n bits that share one probability, and it is empty for n = 0. Otherwise it
+begins with f, the probability of a one times 2^24, as a 4-byte little-endian integer. f = 0 means
+that all bits are zero and f = 2^24 that all are one; nothing follows. For any other f the rANS
+message of the n bits follows. Its only table has the keys 0, 2^24 - f, 2^24: entry 0 is a zero,
+entry 1 a one. An encoder takes f = max(floor(ones * 2^24 / n), 1), and 0 where there are no ones.
+
+Worked numbers. The symbols 0, 5 and -40 each have mu_units = 307 and sigma_units = 9, so c = 0 and
+W = 13 (`gaussian_table.py`). -40 is coded as an escape with v = 2 (-13 + 40) = 54 = 2^5 + 22: its
+raw bits are 00000 1 01101, the bytes A0 05. The whole stream is
+
     80  CB 67 86 A4 03 00 00 00  FF FF FF 00  A0 05
-The bits 1 1 1 0: f = 12582912.  The whole stream: 00 00 C0 00  80 00 00 40 BE 04 00 00 00
+
+The bits 1 1 1 0 have f = 12582912, and their stream is 00 00 C0 00  80 00 00 40 BE 04 00 00 00.
 """
 
 import numpy as np
 
 from . import rans
-from .container import BitstreamError
-from .gaussian_table import CHUNK, PRECISION, gaussian_model
+from .container import require
+from .fixed_point import bit_length
+from .gaussian_table import CHUNK, PRECISION, check_integers, gaussian_model
 
-MAX_SYMBOL, MAX_GAMMA, CERTAIN = 1 << 31, 33, 1 << PRECISION
+MAX_SYMBOL, MAX_GAMMA = 1 << 31, 33
+CERTAIN = 1 << PRECISION  # probability one
+SHORT = "the data end before the last raw bit"  # message of two checks
 
 
 def encode_gaussian(symbols, mu_units, sigma_units, lanes=None, push_rows=None):
-    """Code integer symbols under their own Gaussians.
+    """The stream of symbols [n], each coded under its own Gaussian. P-4DGS Eqs. (10) and (11).
 
-    Shapes     symbols, mu_units, sigma_units (n,) integers -> bytes
-    Units      symbols and mu in multiples of q; see `gaussian_table` for mu_units and sigma_units
-    Domain     |symbols| <= 2^31, whatever the model says; `lanes`, `push_rows` as in `rans.encode`
-    Raises     ValueError for other dtypes, shapes or ranges
-    Reference  P-4DGS Eqs. (10), (11)
+    Any symbol up to 2^31 in magnitude can be coded, however improbable. `lanes` and `push_rows` are
+    passed to `rans.encode`. Raises ValueError for other dtypes, shapes or ranges.
     """
     model = gaussian_model(mu_units, sigma_units)
-    entries, gamma = _find_entries(symbols, model)
+    entries, gamma = find_entries(symbols, model)
     widths = model.low[model.table]
-    low = pack_fields(symbols & (1 << widths) - 1, widths, *_gamma_fields(gamma))
-    return rans.encode(entries, model.keys, lanes, push_rows) + low
+    # A gamma code is two fields: b zeros and a one, then r in b bits.
+    b = bit_length(gamma) - 1
+    codes = np.stack([1 << b, gamma - (1 << b)], axis=1).ravel()
+    code_widths = np.stack([b + 1, b], axis=1).ravel()
+    raw = pack_fields(
+        np.concatenate([symbols & (1 << widths) - 1, codes]),
+        np.concatenate([widths, code_widths]),
+    )
+    return rans.encode(entries, model.keys, lanes, push_rows) + raw
 
 
 def decode_gaussian(data, mu_units, sigma_units, section="stream", pop_rows=None):
-    """The symbols again.
+    """The symbols [n] of a stream, int64.
 
-    Shapes     data bytes, mu_units, sigma_units (n,) integers -> symbols (n,) int64
-    Raises     BitstreamError(section, ...) where data are not what `encode_gaussian` writes;
-               ValueError for mu_units and sigma_units outside their ranges
+    Raises BitstreamError for data that `encode_gaussian` does not write, and ValueError for
+    mu_units or sigma_units outside their ranges.
     """
     return decode_symbols(data, gaussian_model(mu_units, sigma_units), section, pop_rows)
 
 
 def decode_symbols(data, model, section="stream", pop_rows=None):
-    """`decode_gaussian` for a model already made, so that mu and sigma need not be kept while it runs."""
+    """Like `decode_gaussian`, for a model already built, so that mu and sigma can be freed."""
     entries, start = rans.decode(data, model.table, model.keys, 0, section, pop_rows)
-    pieces = [
-        slice(a, a + CHUNK) for a in range(0, len(entries), CHUNK)
-    ]  # few bytes a symbol at any time
-    low_bits = sum(int(model.low[model.table[rows]].sum()) for rows in pieces)
-    escapes = sum(np.count_nonzero(entries[rows] == _escape(model, rows)) for rows in pieces)
-    if len(data) - start > (low_bits + (2 * MAX_GAMMA + 1) * escapes + 7) // 8:
-        raise BitstreamError(section, len(data), "bytes left over")
-    if low_bits > 8 * (len(data) - start):
-        raise BitstreamError(section, len(data), "the data end before the last raw bit")
-    symbols, at, end = np.empty(len(entries), np.int64), 8 * start, 8 * start + low_bits
+    # In pieces, so that only a few bytes per symbol are in use at any time.
+    pieces = [slice(a, a + CHUNK) for a in range(0, len(entries), CHUNK)]
+    symbols, at = np.empty(len(entries), np.int64), 8 * start
+    end = at + sum(int(model.low[model.table[rows]].sum()) for rows in pieces)
+    require(end <= 8 * len(data), section, len(data), SHORT)
     for rows in pieces:
         table = model.table[rows]
         place, widths = entries[rows] - model.first[table], model.low[table]
-        escaped, count = np.flatnonzero(entries[rows] == _escape(model, rows)), int(widths.sum())
-        gamma, end = _read_gammas(data, end, len(escaped), section)
+        escaped = np.flatnonzero(place == model.blocks[table])
+        gamma, end = read_gammas(data, end, len(escaped), section)
         place[escaped] = np.where(gamma & 1, place[escaped] + (gamma >> 1), -(gamma >> 1))
-        symbols[rows] = (model.lowest[rows] + place << widths) + unpack_fields(
-            _raw_bits(data, at, at + count), widths
+        low = raw_bits(data, at, at + int(widths.sum()))
+        symbols[rows] = (model.lowest[rows] + place << widths) + unpack_fields(low, widths)
+        at += len(low)
+        largest = np.abs(symbols[rows]).max()
+        require(
+            largest <= MAX_SYMBOL,
+            section,
+            start,
+            f"a symbol of magnitude {largest}, expected at most 2^31",
         )
-        at += count
-        wrong = symbols[rows][np.abs(symbols[rows]) > MAX_SYMBOL]
-        if len(wrong):
-            raise BitstreamError(
-                section, start, f"symbol {wrong[0]}, at most 2^31 in magnitude expected"
-            )
-    left = _raw_bits(data, end, 8 * len(data))
-    if len(left) >= 8 or left.any():
-        raise BitstreamError(section, end // 8, "bits left over")
+    rest = raw_bits(data, end, min(end + 8, 8 * len(data)))
+    require(len(rest) < 8 and not rest.any(), section, end // 8, "bits left over")
     return symbols
 
 
-def _escape(model, rows):
-    """The entry that would be an escape, for each of some symbols."""
-    return (model.first + model.blocks)[model.table[rows]]
-
-
-def _raw_bits(data, start, stop):
-    """Bits start to stop of bytes, the lowest of a byte first: an array of 0 and 1."""
+def raw_bits(data, start, stop):
+    """The bits from start to stop of bytes, the lowest of a byte first: an array of 0 and 1."""
     raw = np.frombuffer(data, np.uint8, (stop + 7) // 8 - start // 8, start // 8)
     return np.unpackbits(raw, bitorder="little")[start % 8 :][: stop - start]
 
 
 def ideal_bits_gaussian(symbols, mu_units, sigma_units):
-    """Bits of each symbol under the integer frequencies, escapes and raw bits included.
+    """The bits [n] that symbols cost under the integer frequencies, escapes and raw bits included.
 
-    Shapes     as `encode_gaussian` -> bits (n,) float64; their sum is the entropy of the stream
+    Their sum is the entropy of the stream.
     """
     model = gaussian_model(mu_units, sigma_units)
-    entries, gamma = _find_entries(symbols, model)
+    entries, gamma = find_entries(symbols, model)
     bits = PRECISION - np.log2(np.diff(model.keys)[entries]) + model.low[model.table]
-    bits[entries - model.first[model.table] == model.blocks[model.table]] += (
-        2 * _bit_length(gamma) - 1
-    )
+    escaped = entries - model.first[model.table] == model.blocks[model.table]
+    bits[escaped] += 2 * bit_length(gamma) - 1
     return bits
 
 
-def _find_entries(symbols, model):
-    """The entry of every symbol, and v of the escapes."""
-    if symbols.dtype.kind != "i" or symbols.shape != model.table.shape:
-        raise ValueError(
-            f"symbols: signed integers of shape {model.table.shape} expected, "
-            f"got {symbols.dtype} {symbols.shape}"
-        )
-    wrong = np.flatnonzero((symbols > MAX_SYMBOL) | (symbols < -MAX_SYMBOL))
-    if len(wrong):
-        raise ValueError(
-            f"symbols[{wrong[0]}] = {symbols[wrong[0]]}: at most 2^31 in magnitude expected"
-        )
+def find_entries(symbols, model):
+    """The entry of every symbol in the model's tables, and v of the escapes."""
+    check_integers("symbols", symbols, model.table.shape, -MAX_SYMBOL, MAX_SYMBOL)
     place = (symbols >> model.low[model.table]) - model.lowest
     blocks = model.blocks[model.table]
     escaped = np.flatnonzero((place < 0) | (place >= blocks))
@@ -135,39 +134,27 @@ def _find_entries(symbols, model):
     return model.first[model.table] + place, gamma
 
 
-def _bit_length(values):
-    return np.frexp(values.astype(np.float64))[1].astype(np.int64)  # exact: values below 2^53
-
-
-def _gamma_fields(gamma):
-    """Gamma codes as fields: b zeros and a one, then r in b bits."""
-    b = _bit_length(gamma) - 1
-    return [np.stack([1 << b, gamma - (1 << b)], 1).ravel(), np.stack([b + 1, b], 1).ravel()]
-
-
-def _read_gammas(data, start, count, section):
-    """`count` gamma codes from bit `start` of the data on: values (count,) and the bit after the last."""
-    text = _raw_bits(data, start, min(start + (2 * MAX_GAMMA + 1) * count, 8 * len(data))).tobytes()
-    at, values, ascii_bits = 0, np.empty(count, np.int64), bytes.maketrans(b"\0\1", b"01")
+def read_gammas(data, start, count, section):
+    """`count` gamma codes from bit `start` on: their values [count] and the bit after the last."""
+    stop = min(start + (2 * MAX_GAMMA + 1) * count, 8 * len(data))
+    text = raw_bits(data, start, stop).tobytes()
+    digits = bytes.maketrans(b"\0\1", b"01")
+    values, at = np.empty(count, np.int64), 0
     for i in range(count):
         one = text.find(1, at, at + MAX_GAMMA + 1)
-        if one < 0 and len(text) - at > MAX_GAMMA:
-            raise BitstreamError(
-                section, (start + at) // 8, f"an escape of more than {MAX_GAMMA} bits"
-            )
-        b = one - at
-        if one < 0 or one + b >= len(text):
-            raise BitstreamError(section, len(data), "the data end before the last raw bit")
-        at = one + b + 1
-        values[i] = (1 << b) + (
-            int(text[one:at].translate(ascii_bits)[::-1], 2) >> 1
-        )  # backwards it reads 2 r + 1
+        endless = one < 0 and len(text) - at > MAX_GAMMA
+        require(not endless, section, (start + at) // 8, "an escape of more than 33 bits")
+        end = 2 * one - at + 1
+        require(0 <= one and end <= len(text), section, len(data), SHORT)
+        # Read backwards, the digits from the one on are the binary number 2 r + 1.
+        r = int(text[one:end].translate(digits)[::-1], 2) >> 1
+        values[i] = (1 << one - at) + r
+        at = end
     return values, start + at
 
 
-def pack_fields(values, widths, more_values, more_widths):
-    """Bytes of values (n,) in widths (n,) bits each, lowest bit first, and of more such fields behind them."""
-    values, widths = np.concatenate([values, more_values]), np.concatenate([widths, more_widths])
+def pack_fields(values, widths):
+    """Bytes of values [n] in widths [n] bits each, lowest bit first."""
     raw, first = np.zeros(int(widths.sum()), np.uint8), np.cumsum(widths) - widths
     for bit in range(int(widths.max(initial=0))):
         wide = widths > bit
@@ -176,7 +163,7 @@ def pack_fields(values, widths, more_values, more_widths):
 
 
 def unpack_fields(raw, widths):
-    """Values (n,) of fields of widths (n,) bits at the start of raw, an array of bits."""
+    """The values [n] of fields of widths [n] bits at the start of raw, an array of bits."""
     values, first = np.zeros(len(widths), np.int64), np.cumsum(widths) - widths
     for bit in range(int(widths.max(initial=0))):
         wide = widths > bit
@@ -185,18 +172,16 @@ def unpack_fields(raw, widths):
 
 
 def encode_bits(bits, lanes=None):
-    """Code bits that share one probability.
+    """The stream of booleans [n] that share one probability. P-4DGS Eq. (14).
 
-    Shapes     bits (n,) bool -> bytes
-    Raises     ValueError for other dtypes or shapes
-    Reference  P-4DGS Eq. (14)
+    Raises ValueError for other dtypes or shapes.
     """
     if bits.dtype != bool or bits.ndim != 1:
-        raise ValueError(f"bits: booleans in one axis expected, got {bits.dtype} {bits.shape}")
+        raise ValueError(f"bits: expected booleans in one axis, got {bits.dtype} {bits.shape}")
     if len(bits) == 0:
         return b""
     f = probability_of_one(int(bits.sum()), len(bits))
-    message = b"" if f in (0, CERTAIN) else rans.encode(bits.astype(np.int64), _bit_keys(f), lanes)
+    message = b"" if f in (0, CERTAIN) else rans.encode(bits.astype(np.int64), bit_keys(f), lanes)
     return f.to_bytes(4, "little") + message
 
 
@@ -205,27 +190,25 @@ def probability_of_one(ones, count):
     return max((ones << PRECISION) // count, 1) if ones else 0
 
 
-def _bit_keys(f):
+def bit_keys(f):
+    """The frequency table of a bit."""
     return np.array([0, CERTAIN - f, CERTAIN], np.int64)
 
 
 def decode_bits(data, count, section="stream"):
-    """The bits again.
+    """The booleans [count] of a stream.
 
-    Shapes     data bytes -> bits (count,) bool
-    Raises     BitstreamError(section, ...) where data are not what `encode_bits` writes
+    Raises BitstreamError for data that `encode_bits` does not write.
     """
     end = 4 if count else 0
-    if len(data) < end:
-        raise BitstreamError(section, len(data), "the data end before the probability")
+    require(len(data) >= end, section, len(data), "the data end before the probability")
     f = int.from_bytes(data[:end], "little")
-    if f > CERTAIN:
-        raise BitstreamError(section, 0, f"a probability of {f} / 2^24")
+    require(f <= CERTAIN, section, 0, f"a probability of {f} / 2^24")
     if f in (0, CERTAIN):
         bits = np.full(count, f == CERTAIN)
     else:
-        entries, end = rans.decode(data, np.zeros(count, np.uint8), _bit_keys(f), end, section)
+        tables = np.zeros(count, np.uint8)
+        entries, end = rans.decode(data, tables, bit_keys(f), end, section)
         bits = entries.astype(bool)
-    if len(data) != end:
-        raise BitstreamError(section, end, f"{len(data) - end} bytes left over")
+    require(len(data) == end, section, end, f"{len(data) - end} bytes left over")
     return bits

@@ -58,7 +58,7 @@ def test_layout_names_every_byte(sections):
 
 
 def test_unknown_section_is_not_written():
-    with pytest.raises(ValueError, match="section 'colours': one of header"):
+    with pytest.raises(ValueError, match="section 'colours': expected one of header"):
         write_container({"colours": b""})
 
 

@@ -138,13 +138,13 @@ def test_every_table_totals_2_to_the_24_and_every_frequency_is_positive():
 @pytest.mark.parametrize(
     "changes, match",
     [
-        (dict(mu_units=np.zeros(3)), "mu_units: signed integers"),
-        (dict(mu_units=np.array([0, 0, MU_LIMIT + 1])), "mu_units: values within"),
+        (dict(mu_units=np.zeros(3)), "mu_units: expected signed integers"),
+        (dict(mu_units=np.array([0, 0, MU_LIMIT + 1])), "mu_units: expected values within"),
         (dict(sigma_units=np.array([0, SIGMA_MAX + 1, 0])), "sigma_units"),
         (dict(sigma_units=np.array([0])), "equal 1-d"),
         (dict(symbols=np.array([0, 1, 2**31 + 1])), r"symbols\[2\]"),
-        (dict(symbols=np.zeros(3)), "symbols: signed"),
-        (dict(symbols=np.zeros(2, int)), "symbols: signed"),
+        (dict(symbols=np.zeros(3)), "symbols: expected signed"),
+        (dict(symbols=np.zeros(2, int)), "symbols: expected signed"),
     ],
 )
 def test_wrong_arguments_are_named(changes, match):
@@ -353,4 +353,4 @@ def test_frequencies_and_coder_hold_no_float_arithmetic():
             for node in ast.walk(tree)
             if isinstance(node, ast.Constant) and isinstance(node.value, float)
         ]
-    assert inspect.getsource(rans).count("float") == 1
+    assert inspect.getsource(rans).count("float") == 0

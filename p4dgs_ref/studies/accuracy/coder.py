@@ -104,7 +104,7 @@ def encode(symbols, model):
     values = np.stack([1 << b, gamma - (1 << b)], 1).ravel()
     widths = np.stack([b + 1, b], 1).ravel()
     bits = PRECISION - np.log2(np.diff(model.keys)[entries])
-    data = rans.encode(entries, model.keys) + pack_fields(values, widths, values[:0], values[:0])
+    data = rans.encode(entries, model.keys) + pack_fields(values, widths)
     return data, float(bits.sum()) + (2 * b + 1).sum(), len(out)
 
 

@@ -1,0 +1,107 @@
+"""Models that several tests of the codec encode and decode."""
+
+import dataclasses
+import hashlib
+
+import numpy as np
+
+import p4dgs_ref as p4
+from p4dgs_ref.equations import prior
+from p4dgs_ref.model import split
+from p4dgs_ref.codec.inspect import float_context
+from p4dgs_ref.scenes.scene import MODEL_EFFECTS
+from p4dgs_ref.training.initial import design_of, initial_parameters
+from p4dgs_ref.training.parameters import Parameters
+from p4dgs_ref.training.presets import SMOKE
+from p4dgs_ref.training.trainer import assemble
+
+
+def random_model(seed=0, effects=MODEL_EFFECTS, points=None, **changes):
+    """A model without zeros: attributes drawn from its own prior, three children of four kept.
+
+    `changes` replace fields of the preset.
+    """
+    rng = np.random.default_rng(seed)
+    preset = SMOKE._replace(deformation_gain=0.3, **changes)
+    design = design_of(preset, effects)
+    p = Parameters(initial_parameters(preset, design, rng, points).arrays)
+    last = f"psi_p.b{len(design.context)}"
+    p[last][...] = rng.uniform(-5, 0.5, p[last].shape)  # raw deviations from fine to coarse
+    means = np.repeat([0.0, 2.0, 0.0], (design.d, 6, 3 * design.k))
+    p[last][prior.layout(design.widths)[0]] = means
+    for name in p.arrays:
+        if name.startswith("grid"):
+            signs = np.where(rng.random(p[name].shape) < 0.3, 1, -1)
+            p[name][...] = signs * rng.random(p[name].shape)
+            p[name][:1] = -0.0  # zero of either sign counts as +1
+    mask = rng.random((len(p["x_a"]), design.k)) < 0.75
+    mask[0, 0] = True  # at least one anchor stays
+    model = assemble(p, design, mask, None, rng.random(3))
+    ctx = float_context(model)
+    f, s, l, O = split(ctx.mu + ctx.sigma * rng.normal(size=ctx.mu.shape), design)
+    return changed(model, f_a=f, s_a=s, l_a=l, O_a=O)
+
+
+def changed(model, **arrays):
+    """The model with some of its anchors' arrays replaced."""
+    return dataclasses.replace(model, anchors=model.anchors._replace(**arrays))
+
+
+def points_in_a_plane(seed):
+    """Thirty points with the same z."""
+    return np.random.default_rng(seed).uniform(-1, 1, (30, 3)) * [1, 1, 0] + [0, 0, 0.3]
+
+
+MANY = dict(
+    anchors=2500,
+    d=16,
+    k=3,
+    hidden=(32, 32),
+    context=(32,),
+    F=3,
+    grid_2d=(8, 40),
+    table_2d=300,
+)
+LEAST = dict(k=1, hidden=(), context=(), grid_3d=(), grid_2d=(5,))
+TURNING = dict(deformation=(), grid_3d=(3, 4), grid_2d=())
+
+MAKE = {
+    "trained": lambda: p4.train(p4.load_scene("bouncing"), preset="smoke"),
+    "random": lambda: random_model(1),
+    "many": lambda: random_model(2, **MANY),
+    "static": lambda: random_model(3, ("view_color", "occlusion", "background")),
+    "no_effects": lambda: random_model(4, (), **LEAST),
+    "turning": lambda: random_model(5, ("rotation", "view_geometry"), **TURNING),
+    "flat": lambda: random_model(6, points=points_in_a_plane(6), grid_3d=(1, 6)),
+    "one_anchor": lambda: random_model(7, anchors=1, d=1, k=1),
+}
+
+
+def arrays_of(model):
+    """Every array of a model, {name: array}."""
+    lo, hi = model.box
+    arrays = {**model.anchors._asdict(), "lo": lo, "hi": hi, "background": model.background}
+    arrays.update({f"grid.{i}": grid for i, grid in enumerate(model.grids)})
+    for name, (weights, biases) in model.networks.items():
+        arrays.update({f"{name}.W{i}": W for i, W in enumerate(weights)})
+        arrays.update({f"{name}.b{i}": b for i, b in enumerate(biases)})
+    return arrays
+
+
+def digest(model):
+    """SHA-256 of the names, types, shapes and bytes of all arrays."""
+    parts = [
+        (name, a.dtype.str, a.shape, a.tobytes()) for name, a in sorted(arrays_of(model).items())
+    ]
+    return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+
+# What another process runs to decode the file in its first argument.
+DECODE_AND_PRINT = """
+import sys
+from p4dgs_ref.codec.file import decode, encode
+from tests.codec.models import digest
+data = open(sys.argv[1], "rb").read()
+model = decode(data)
+print(digest(model), encode(model) == data)
+"""
