@@ -133,9 +133,10 @@ def list_of(read_item, least, most):
     """The reader of a list of `least` to `most` items."""
 
     def read(name, values):
+        length = most if least == most else f"{least} to {most}"
         expect(
             isinstance(values, list) and least <= len(values) <= most,
-            f"field {name!r}: expected a list of {least} to {most}",
+            f"field {name!r}: expected a list of {length}",
         )
         return tuple(read_item(name, value) for value in values)
 

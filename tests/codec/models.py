@@ -6,9 +6,8 @@ import hashlib
 import numpy as np
 
 import p4dgs_ref as p4
-from p4dgs_ref.equations import prior
-from p4dgs_ref.model import split
-from p4dgs_ref.codec.inspect import float_context
+from p4dgs_ref.equations import hash_grid, prior
+from p4dgs_ref.model import context, split
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.training.initial import design_of, initial_parameters
 from p4dgs_ref.training.parameters import Parameters
@@ -37,9 +36,17 @@ def random_model(seed=0, effects=MODEL_EFFECTS, points=None, **changes):
     mask = rng.random((len(p["x_a"]), design.k)) < 0.75
     mask[0, 0] = True  # at least one anchor stays
     model = assemble(p, design, mask, None, rng.random(3))
-    ctx = float_context(model)
+    ctx = exact_context(model)
     f, s, l, O = split(ctx.mu + ctx.sigma * rng.normal(size=ctx.mu.shape), design)
     return changed(model, f_a=f, s_a=s, l_a=l, O_a=O)
+
+
+def exact_context(model):
+    """The context of a model in floating-point numbers, as the equations compute it."""
+    design, corners = model.design, [corner.astype(float) for corner in model.box]
+    tables = [T for T, _ in design.levels()]
+    located = hash_grid.locate(model.anchors.x_a, *corners, design.grid, tables)
+    return context(design, model.networks, model.grids, located)[0]
 
 
 def changed(model, **arrays):

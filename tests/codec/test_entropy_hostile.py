@@ -1,4 +1,4 @@
-"""Damaged and forged entropy-coded streams: refused by `BitstreamError`, never another exception."""
+"""Damaged and forged streams are refused by BitstreamError and by no other exception."""
 
 import tracemalloc
 
@@ -14,10 +14,8 @@ from p4dgs_ref.codec.streams import decode_bits, decode_gaussian, encode_bits, e
 def inputs(n, sigma_low, sigma_high, seed=4):
     rng = np.random.default_rng(seed)
     sigma_units, mu_units = rng.integers(sigma_low, sigma_high, n), rng.integers(-9000, 9000, n)
-    symbols = np.rint(mu_units / 1024 + 2.0 ** (sigma_units / 16) * rng.normal(size=n)).astype(
-        np.int64
-    )
-    return symbols, mu_units, sigma_units
+    symbols = np.rint(mu_units / 1024 + 2.0 ** (sigma_units / 16) * rng.normal(size=n))
+    return symbols.astype(np.int64), mu_units, sigma_units
 
 
 @pytest.fixture(scope="module", params=[1, 4])
@@ -28,13 +26,15 @@ def message(request):
 
 
 def outcome(data, mu, sigma):
-    """The symbols, or the message of the refusal; anything else is an error of the test."""
+    """The symbols, or the message of the refusal; any other error fails the test."""
     try:
         symbols = decode_gaussian(data, mu, sigma, section="features")
     except BitstreamError as error:
-        assert error.section == "features" and 0 <= error.offset <= len(data)
+        assert error.section == "features"
+        assert 0 <= error.offset <= len(data)
         return error.message
-    assert symbols.shape == mu.shape and np.abs(symbols).max(initial=0) <= 2**31
+    assert symbols.shape == mu.shape
+    assert np.abs(symbols).max(initial=0) <= 2**31
     return symbols
 
 
@@ -45,9 +45,9 @@ def is_refused(data, mu, sigma):
 def test_every_truncation_and_every_extension_is_refused(message):
     _, mu, sigma, data = message
     assert all(is_refused(data[:n], mu, sigma) for n in range(len(data)))
-    assert all(
-        is_refused(data + bytes([b]) * n, mu, sigma) for b in (0, 255) for n in (1, 4, 9, 400)
-    )
+    for byte in (0, 255):
+        for n in (1, 4, 9, 400):
+            assert is_refused(data + bytes([byte]) * n, mu, sigma)
 
 
 def test_missing_low_bits_are_refused():
@@ -70,7 +70,7 @@ def test_flipped_bits_never_pass_the_coder(message):
         if isinstance(answer, str):
             seen.add(answer)
         else:
-            assert at >= raw  # raw bits carry no redundancy; the container does
+            assert at >= raw  # raw bits have no redundancy; the container's checksum has
     assert any(answer.startswith("lane 0 ends in") for answer in seen)
     assert ("a lane does not end where lanes start" in seen) == (data[0] & 15 > 0)
 
@@ -122,9 +122,8 @@ def test_raw_bits_are_read_strictly():
 def test_symbols_beyond_2_to_the_31_are_refused():
     zero = np.zeros(2, int)
     data = encode_gaussian(np.array([2**31, 0]), zero, zero)
-    assert "at most 2^31" in outcome(
-        data, zero + 5 * 1024, zero
-    )  # the same tables, five symbols higher
+    # The same tables five symbols higher
+    assert "at most 2^31" in outcome(data, zero + 5 * 1024, zero)
 
 
 def test_megabytes_behind_a_stream_cost_no_memory(message):
@@ -161,7 +160,7 @@ def test_damaged_bit_streams():
 
 
 def test_many_lanes_need_a_tail():
-    """Step 1 of the encoder ends with words on the stack, so a message of several lanes has a tail: none is refused."""
+    """The encoder starts lanes from the words of the tail; a message without a tail is refused."""
     ones = np.zeros(4096, np.int64)
     data = bytearray(encode_gaussian(np.arange(4096) % 9 - 4, ones, ones + 32, lanes=32))
     assert data[0] & 15 == 5 and int.from_bytes(data[1:5], "little") > 0

@@ -1,4 +1,4 @@
-"""Models that the format cannot hold, and files that are damaged or forged: refused, and by the right name."""
+"""Damaged and forged files, and models that the format cannot hold, are refused by name."""
 
 import dataclasses
 import json
@@ -10,15 +10,13 @@ import pytest
 from p4dgs_ref.codec.container import SECTIONS, BitstreamError, read_container, write_container
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, decode, encode
 from p4dgs_ref.codec.gaussian_table import MU_LIMIT
-from p4dgs_ref.codec.header import LIMITS
 from p4dgs_ref.codec.inspect import ledger
 from p4dgs_ref.codec.quantise import EncodeError, quantise
 from p4dgs_ref.codec.streams import encode_bits
-from tests.codec.test_file import MAKE, changed, random_model
+from tests.codec.models import MAKE, changed, random_model
 
-pytestmark = pytest.mark.filterwarnings(
-    "error"
-)  # an overflow or a NaN on the way is a failure, too
+# An overflow or a NaN on the way is a failure, too.
+pytestmark = pytest.mark.filterwarnings("error")
 
 
 @pytest.fixture(scope="module")
@@ -32,26 +30,26 @@ def sections(model):
 
 
 def refused(sections, where, why=""):
-    """The forged file, checksums and all in order, is refused in that section."""
+    """Check that a forged file with valid checksums is refused in this section."""
     data = write_container(sections)
     for read in (decode, ledger):
         with pytest.raises(BitstreamError) as caught:
             read(data)
-        assert caught.value.section == where and why in caught.value.message
-        assert "\n" not in str(caught.value) and caught.value.offset >= 0
+        assert caught.value.section == where
+        assert why in caught.value.message
+        assert "\n" not in str(caught.value)
+        assert caught.value.offset >= 0
 
 
 def with_header(sections, **fields):
-    """The sections with some of the header's fields replaced; a name of none removes the field."""
+    """The sections with some fields of the header replaced, or removed where the value is `...`."""
     header = {**json.loads(sections["header"]), **fields}
-    return {
-        **sections,
-        "header": json.dumps({k: v for k, v in header.items() if v is not Ellipsis}).encode(),
-    }
+    kept = {name: value for name, value in header.items() if value is not ...}
+    return {**sections, "header": json.dumps(kept).encode()}
 
 
 def outcome(data):
-    """The decoded model, or the section that is refused; anything else is an error of the test."""
+    """The decoded model, or the section that is refused; any other error fails the test."""
     try:
         return decode(data)
     except BitstreamError as error:
@@ -73,34 +71,21 @@ def test_truncated_and_flipped_files_are_refused(sections):
 
 @pytest.mark.parametrize("name", SECTIONS)
 def test_every_section_is_needed_and_has_one_length(sections, name):
-    refused(
-        {key: body for key, body in sections.items() if key != name}, name, "section is missing"
-    )
+    without = {key: body for key, body in sections.items() if key != name}
+    refused(without, name, "section is missing")
     body = sections[name]
-    for wrong in (
-        b"",
-        body[:-1],
-        body[: len(body) // 2],
-        body[1:],
-        body + b"\0",
-        body + bytes(4),
-        body + body,
-    ):
+    shorter = (b"", body[:-1], body[: len(body) // 2], body[1:])
+    longer = (body + b"\0", body + bytes(4), body + body)
+    for wrong in shorter + longer:
         refused({**sections, name: wrong}, name)
 
 
-def test_what_does_not_move_may_not_have_the_section(sections):
+def test_a_scene_without_motion_may_not_have_the_section_for_it(sections):
     static = read_container(encode(MAKE["static"]()))
-    refused(
-        {**static, "deformation_mlp": sections["deformation_mlp"]},
-        "deformation_mlp",
-        "no effect that needs",
-    )
-    refused(
-        with_header(sections, effects=["view_color", "view_geometry"]),
-        "deformation_mlp",
-        "no effect that needs",
-    )
+    moving = {**static, "deformation_mlp": sections["deformation_mlp"]}
+    without_effect = with_header(sections, effects=["view_color", "view_geometry"])
+    for forged in (moving, without_effect):
+        refused(forged, "deformation_mlp", "no effect that needs")
 
 
 def test_other_counts_do_not_fit_the_sections(sections):
@@ -120,78 +105,63 @@ def test_other_counts_do_not_fit_the_sections(sections):
         refused(with_header(sections, **{name: value}), where)
 
 
-WHOLE = [0, -1, 1.0, True, "4", None, [4], 10**400, float("nan")]
-LISTS = [4, "xyz", None, {}, [0], [True], [[8]], [1.5], [None], [2**15], [8] * 9]
-NONSENSE = [
-    *[
-        (name, v)
-        for name in ("anchors", "d", "k", "F", "L_x", "L_t")
-        for v in (*WHOLE, LIMITS[name] + 1)
-    ],
-    *[(name, v) for name in ("hidden", "deformation", "context") for v in LISTS],
-    *[
-        ("grid", v)
-        for v in (
-            *LISTS,
-            [],
-            [["xyz"]],
-            [["xyz", 8, 8]],
-            [["zyx", 8]],
-            [[8, "xyz"]],
-            [["xy", 0]],
-            [[["xy"], 8]],
-            [["xy", 2**16 + 1]],
-            [["xy", True]],
-            [["xy", 8]] * 65,
-            {"xy": 8},
-        )
-    ],
-    *[("table", v) for v in (*LISTS, [8], [8, 8, 8], [8, 2**24 + 1])],
-    *[
-        ("Q_0", v)
-        for v in (
-            1,
-            None,
-            [],
-            [1] * 3,
-            [1] * 5,
-            [1, 1, 1, 0],
-            [1, 1, 1, -1],
-            [1, 1, 1, True],
-            [1, 1, 1, 1e31],
-            [1, 1, 1, 1e-31],
-            [1, 1, 1, 10**400],
-            [1, 1, 1, float("nan")],
-        )
-    ],
-    *[
-        ("tau_alpha", v)
-        for v in (None, True, "0", [0], 1.5, -1.5, 10**400, float("inf"), float("nan"))
-    ],
-    *[
-        ("background", v)
-        for v in (None, [], [1] * 4, [1, 1, "1"], [1, 1, float("-inf")], [1, 1, 1e30], "rgb")
-    ],
-    *[
-        ("effects", v)
-        for v in (None, "view_color", ["wind"], [["rotation"]], [True], [{}], ["occlusion"] * 2)
-    ],
+# Values that no field of their kind may have.
+LARGEST = {"anchors": 2**22, "d": 4096, "k": 256, "F": 64, "L_x": 64, "L_t": 64}
+NO_INTEGERS = [0, -1, 1.0, True, "4", None, [4], 10**400, float("nan")]
+NO_WIDTHS = [4, "xyz", None, {}, [0], [True], [[8]], [1.5], [None], [2**15], [8] * 9]
+NO_GRIDS = [
+    *NO_WIDTHS,
+    [],
+    [["xyz"]],
+    [["xyz", 8, 8]],
+    [["zyx", 8]],
+    [[8, "xyz"]],
+    [["xy", 0]],
+    [[["xy"], 8]],
+    [["xy", 2**16 + 1]],
+    [["xy", True]],
+    [["xy", 8]] * 65,
+    {"xy": 8},
 ]
+NO_STEPS = [
+    1,
+    None,
+    [],
+    [1] * 3,
+    [1] * 5,
+    *([1, 1, 1, v] for v in (0, -1, True, 1e31, 1e-31, 10**400, float("nan"))),
+]
+NO_OPACITIES = [None, True, "0", [0], 1.5, -1.5, 10**400, float("inf"), float("nan")]
+NO_COLORS = [None, [], [1] * 4, [1, 1, "1"], [1, 1, float("-inf")], [1, 1, 1e30], "rgb"]
+NO_EFFECTS = [None, "view_color", ["wind"], [["rotation"]], [True], [{}], ["occlusion"] * 2]
+NONSENSE = {
+    **{name: [*NO_INTEGERS, most + 1] for name, most in LARGEST.items()},
+    "hidden": NO_WIDTHS,
+    "deformation": NO_WIDTHS,
+    "context": NO_WIDTHS,
+    "grid": NO_GRIDS,
+    "table": [*NO_WIDTHS, [8], [8, 8, 8], [8, 2**24 + 1]],
+    "Q_0": NO_STEPS,
+    "tau_alpha": NO_OPACITIES,
+    "background": NO_COLORS,
+    "effects": NO_EFFECTS,
+}
 
 
-@pytest.mark.parametrize("name", dict(NONSENSE))
+@pytest.mark.parametrize("name", NONSENSE)
 def test_nonsense_in_the_header_names_the_field(sections, name):
-    for value in (value for field, value in NONSENSE if field == name):
+    for value in NONSENSE[name]:
         refused(with_header(sections, **{name: value}), "header", f"field {name!r}")
     refused(with_header(sections, **{name: ...}), "header", "expected exactly the fields")
 
 
-def test_headers_that_are_no_such_object(sections):
+def test_headers_that_are_not_such_an_object(sections):
     header = sections["header"]
     for bad in (
         b"[]",
         b"null",
         b"{}",
+        json.dumps([[name, value] for name, value in json.loads(header).items()]).encode(),
         b"\xef\xbb\xbf" + header,
         header + b"x",
         header[:-1] + b',"more":1}',
@@ -208,7 +178,7 @@ def test_headers_that_are_no_such_object(sections):
 
 
 def test_a_header_alone_costs_no_memory(sections):
-    """Bit streams of equal bits take four bytes, whatever their length: only the header's limits bound the grid."""
+    """A stream of equal bits has four bytes at any length, so only the header limits the grid."""
     levels = [["xyz", 400]] * 4
     few = with_header(sections, grid=levels, table=[2**24, 2**24])
     masks = {**with_header(sections, anchors=2**22), "masks": encode_bits(np.ones(1, bool))}
@@ -223,50 +193,35 @@ def test_a_header_alone_costs_no_memory(sections):
 
 
 @pytest.mark.parametrize("name", ["anchor_mlps", "context_mlps", "deformation_mlp"])
-def test_weights_that_are_no_numbers_are_refused_where_they_stand(sections, name):
+def test_weights_that_are_not_finite_are_refused_by_their_place(sections, name):
     body = sections[name]
     for at in (0, 14, len(body) - 2):
-        for pattern in (
-            0x7C00,
-            0xFC00,
-            0x7E00,
-            0x7C01,
-            0xFDFF,
-        ):  # +-infinity, quiet and signalling NaN
+        # both infinities, then quiet and signalling NaN
+        for pattern in (0x7C00, 0xFC00, 0x7E00, 0x7C01, 0xFDFF):
             spoilt = body[:at] + pattern.to_bytes(2, "little") + body[at + 2 :]
             refused({**sections, name: spoilt}, name, "expected finite weights")
             with pytest.raises(BitstreamError, match=f"section '{name}', byte {at}:"):
                 decode(write_container({**sections, name: spoilt}))
 
 
-def test_boxes_that_are_none_are_refused(sections):
+def test_invalid_boxes_are_refused(sections):
     body = sections["positions"]
     lo, hi = body[:12], body[12:24]
-    numbers = [
-        np.array(v, "<u4").tobytes()
-        for v in (0x7F800000, 0xFF800000, 0x7FC00000, 0x7FA00000, 0x7F000000)
-    ]
-    boxes = [
-        hi + lo,
-        *[lo[:4] + v + lo[8:] + hi for v in numbers],
-        *[lo + hi[:8] + v for v in numbers],
-    ]
+    # both infinities, quiet and signalling NaN, 1.7e38
+    patterns = (0x7F800000, 0xFF800000, 0x7FC00000, 0x7FA00000, 0x7F000000)
+    numbers = [np.array(pattern, "<u4").tobytes() for pattern in patterns]
+    boxes = [hi + lo]
+    boxes += [lo[:4] + v + lo[8:] + hi for v in numbers]
+    boxes += [lo + hi[:8] + v for v in numbers]
     for box in boxes:
-        refused(
-            {**sections, "positions": box + body[24:]}, "positions", "expected a box with lo <= hi"
-        )
+        forged = {**sections, "positions": box + body[24:]}
+        refused(forged, "positions", "expected a box with lo <= hi")
 
 
 def test_the_largest_weights_keep_the_context_finite():
-    """As many layers as the header allows, weights at float16's limit, the smallest and the largest steps."""
-    model = random_model(
-        8,
-        context=(6,) * LIMITS["layers"],
-        Q_f=2.0**-100,
-        Q_s=2.0**-100,
-        Q_l=2.0**100,
-        Q_O=2.0**-100,
-    )
+    """The most layers, weights at float16's limit, the smallest and the largest base steps."""
+    steps = dict(Q_f=2.0**-100, Q_s=2.0**-100, Q_l=2.0**100, Q_O=2.0**-100)
+    model = random_model(8, context=(6,) * 8, **steps)
     for sign in (1.0, -1.0):
         networks = {
             name: (
@@ -278,12 +233,13 @@ def test_the_largest_weights_keep_the_context_finite():
         nothing = {name: 0 * getattr(model.anchors, name) for name in ("f_a", "s_a", "l_a", "O_a")}
         data = encode(dataclasses.replace(changed(model, **nothing), networks=networks))
         ctx = quantise(decode(data)).context
-        assert np.isfinite(ctx.q).all() and (sign < 0 or np.abs(ctx.mu_units).max() == MU_LIMIT)
+        assert np.isfinite(ctx.q).all()
+        assert sign < 0 or np.abs(ctx.mu_units).max() == MU_LIMIT
         assert all(np.isfinite(row["estimate_bytes"]) for row in ledger(data))
 
 
-def test_repaired_nonsense_is_refused_or_decoded(sections):
-    """Anything may stand in a section whose checksum is right."""
+def test_nonsense_with_valid_checksums_is_refused_or_decoded(sections):
+    """A section with a valid checksum may hold anything."""
     rng, seen = np.random.default_rng(1), {}
     names = [name for name in SECTIONS if name != "header"]
     for round_ in range(400):
@@ -314,7 +270,7 @@ def test_repaired_nonsense_is_refused_or_decoded(sections):
 def test_headers_with_other_values_are_refused_or_decoded(sections):
     rng = np.random.default_rng(2)
     header = json.loads(sections["header"])
-    values = [v for _, v in NONSENSE]
+    values = [value for several in NONSENSE.values() for value in several]
     values += [1, 2, 3, 8, 0.5, [1, 2], [8, 8], [0.1] * 4, ["rotation"], [["xy", 9]], [0.5] * 3] * 5
     for _ in range(300):
         names = rng.choice([*header], int(rng.integers(1, 4)))
@@ -322,9 +278,8 @@ def test_headers_with_other_values_are_refused_or_decoded(sections):
         outcome(write_container(with_header(sections, **fields)))
     for _ in range(200):
         text = bytearray(sections["header"])
-        text[int(rng.integers(len(text)))] = int(
-            rng.choice([*b'0123456789-+.eE"[]{},:nNaIf\x00\xff '])
-        )
+        characters = [*b'0123456789-+.eE"[]{},:nNaIf\x00\xff ']
+        text[int(rng.integers(len(text)))] = int(rng.choice(characters))
         outcome(write_container({**sections, "header": bytes(text)}))
 
 
@@ -338,36 +293,26 @@ def test_weights_beyond_float16_name_the_network(model, name, value):
     ):
         with pytest.raises(EncodeError, match=f"network {name}: expected finite weights"):
             encode(dataclasses.replace(model, networks={**model.networks, name: spoilt}))
-    assert np.isfinite(
-        encode(
-            dataclasses.replace(
-                model,
-                networks={
-                    **model.networks,
-                    name: ([np.clip(weights[0], 65519, 65519), *weights[1:]], biases),
-                },
-            )
-        )[0]
-    )  # rounds to 65504
+    # 65519 rounds to 65504, the largest number of float16
+    largest = [np.full_like(weights[0], 65519.0), *weights[1:]]
+    networks = {**model.networks, name: (largest, biases)}
+    assert encode(dataclasses.replace(model, networks=networks))
 
 
 @pytest.mark.parametrize("name", ["x_a", "f_a", "s_a", "l_a", "O_a"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_numbers_that_are_none_name_the_array(model, name, value):
+def test_numbers_that_are_not_finite_name_the_array(model, name, value):
     array = getattr(model.anchors, name).copy()
     array[np.flatnonzero(model.anchors.mask.all(axis=1))[0]] = value
     with pytest.raises(EncodeError, match=rf"anchors {name}: expected finite numbers"):
         encode(changed(model, **{name: array}))
 
 
-def test_other_numbers_that_do_not_fit(model):
+def test_invalid_grids_backgrounds_and_boxes_are_named(model):
+    grids = [model.grids[0], model.grids[1] * np.nan, *model.grids[2:]]
     with pytest.raises(EncodeError, match="hash grid level 1: expected finite"):
-        encode(
-            dataclasses.replace(
-                model, grids=[g * np.nan if i == 1 else g for i, g in enumerate(model.grids)]
-            )
-        )
-    with pytest.raises(EncodeError, match="field 'background': expected 3 numbers"):
+        encode(dataclasses.replace(model, grids=grids))
+    with pytest.raises(EncodeError, match="field 'background': expected numbers"):
         encode(dataclasses.replace(model, background=np.array([0.1, np.nan, 0.2])))
     for box in (
         (model.box[1], model.box[0]),
@@ -395,17 +340,17 @@ def test_huge_symbols_name_the_array(model, name, group):
 @pytest.mark.parametrize(
     "field, value, message",
     [
-        ("tau_alpha", 2.0, "'tau_alpha': expected a number from -1"),
-        ("tau_alpha", np.nan, "expected a number from -1"),
+        ("tau_alpha", 2.0, "'tau_alpha': expected numbers from -1"),
+        ("tau_alpha", np.nan, "expected numbers from -1"),
         ("effects", ("view_color", "wind"), "'effects': expected some of"),
         ("grid", (), "expected a list of 1 to 64"),
-        ("Q_0", (1.0, 0.0, 1.0, 1.0), "'Q_0': expected 4 numbers"),
+        ("Q_0", (1.0, 0.0, 1.0, 1.0), "'Q_0': expected numbers from"),
         ("L_x", 0, "expected a whole number from 1 to 64"),
         ("context", (8,) * 9, "'context': expected a list of 0 to 8"),
     ],
 )
 def test_designs_beyond_the_header_are_not_written(model, field, value, message):
-    """Models that are consistent and yet no file may hold; without a level of the grid there would be no context."""
+    """The model is consistent, but the header of a file cannot describe it."""
     design = model.design._replace(**{field: value})
     networks = {
         name: ([np.zeros(shape) for shape in pairs], [np.zeros(n) for _, n in pairs])
@@ -416,7 +361,8 @@ def test_designs_beyond_the_header_are_not_written(model, field, value, message)
     )
     with pytest.raises(EncodeError) as caught:
         encode(spoilt)
-    assert message in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -436,7 +382,6 @@ def test_arrays_that_contradict_the_design_are_named(model, field, value, messag
 
 
 def test_a_model_without_anchors_is_not_written(model):
+    none = type(model.anchors)(*(array[:0] for array in model.anchors))
     with pytest.raises(EncodeError, match="anchors mask: expected booleans of one anchor or more"):
-        encode(
-            dataclasses.replace(model, anchors=type(model.anchors)(*(a[:0] for a in model.anchors)))
-        )
+        encode(dataclasses.replace(model, anchors=none))

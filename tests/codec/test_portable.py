@@ -1,10 +1,15 @@
-"""Decoding does not depend on the machine: not on a library's sums, exponentials or threads, nor on the float context."""
+"""Decoding gives the same on every machine.
+
+It depends neither on the order of a library's sums, nor on its exponentials or threads, nor on the
+float context.
+"""
 
 import dataclasses
 import math
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,8 +33,9 @@ from p4dgs_ref.codec.streams import ideal_bits_gaussian
 from p4dgs_ref.equations import hash_grid, likelihood, mlp, prior, step
 from p4dgs_ref.model import split
 from p4dgs_ref.studies.random_inputs import sample_model
-from tests.codec.test_file import MAKE, changed, digest, random_model
+from tests.codec.models import DECODE_AND_PRINT, MAKE, changed, digest, random_model
 
+ROOT = Path(__file__).resolve().parents[2]
 SEVERAL = dict(
     anchors=400,
     hidden=(9, 7),
@@ -44,20 +50,20 @@ SEVERAL = dict(
 
 @pytest.fixture(scope="module")
 def coded():
-    """A model, its file, and the digest of what is decoded from it on this machine as it is."""
+    """A model, its file, and the digest of the decoded model on this machine as it is."""
     model = random_model(11, **SEVERAL)
     data = encode(model)
     return model, data, digest(decode(data))
 
 
-# --- the float context decides nothing ------------------------------------------------------------------------------------
+# --- The float context is not used ---
 
 
 def test_the_float_context_is_not_used(coded, monkeypatch):
-    """Neither to encode nor to decode; that its functions raise is seen where they are used."""
+    """Its functions raise here; encoding and decoding do not call them, but the ledger does."""
 
     def refuse(*args, **kwargs):
-        raise AssertionError("the float context was asked")
+        raise AssertionError("the float context was used")
 
     model, data, expected = coded
     for owner, name in (
@@ -71,7 +77,7 @@ def test_the_float_context_is_not_used(coded, monkeypatch):
     ):
         monkeypatch.setattr(owner, name, refuse)
     assert encode(model) == data and digest(decode(data)) == expected
-    with pytest.raises(AssertionError, match="was asked"):
+    with pytest.raises(AssertionError, match="was used"):
         ledger(data)
 
 
@@ -82,8 +88,10 @@ def test_one_ulp_in_every_output_of_the_float_context_changes_nothing(coded, mon
 
     def nudged(function):
         def run(*args, **kwargs):
-            out, res = function(*args, **kwargs)
-            return type(out)(*(np.nextafter(a, towards) for a in out)), res
+            output, saved = function(*args, **kwargs)
+            if isinstance(output, tuple):
+                return tuple(np.nextafter(a, towards) for a in output), saved
+            return np.nextafter(output, towards), saved
 
         return run
 
@@ -91,17 +99,16 @@ def test_one_ulp_in_every_output_of_the_float_context_changes_nothing(coded, mon
         name = "query" if module is hash_grid else "forward"
         monkeypatch.setattr(module, name, nudged(getattr(module, name)))
     after = float_context(model)
-    assert all(
-        (a != b).mean() > 0.5 for a, b in zip(before, after)
-    )  # where h and the output do not cancel
+    # In most numbers the errors of h and of the output do not cancel.
+    assert all((a != b).mean() > 0.5 for a, b in zip(before, after))
     assert encode(model) == data and digest(decode(data)) == expected
 
 
-# --- nor does the order of a sum, nor a library's exponential -------------------------------------------------------------
+# --- Neither the order of a sum nor a library's exponential matters ---
 
 
 def reversed_sums(x, W):
-    """Term by term from the last input to the first."""
+    """Add term by term, from the last input to the first."""
     y = np.zeros((len(x), W.shape[1]))
     for i in reversed(range(len(W))):
         y += x[:, i : i + 1] * W[i]
@@ -109,20 +116,17 @@ def reversed_sums(x, W):
 
 
 def scattered_sums(x, W):
-    """Another random order for every output, large partial sums of one sign first."""
-    y = np.empty((len(x), W.shape[1]))
+    """Add the terms in ascending order, in every other output in descending order."""
+    y = np.zeros((len(x), W.shape[1]))
     for j in range(W.shape[1]):
-        terms = x * W[:, j]
-        y[:, j] = (
-            np.cumsum(np.sort(terms, axis=1)[:, :: 1 - 2 * (j % 2)], axis=1)[:, -1]
-            if terms.size
-            else 0
-        )
+        terms = np.sort(x * W[:, j], axis=1)[:, :: 1 - 2 * (j % 2)]
+        if terms.size:
+            y[:, j] = np.cumsum(terms, axis=1)[:, -1]
     return y
 
 
 def halved_sums(x, W):
-    """A tree, as threads would add."""
+    """Add in a tree, as threads do."""
     if len(W) < 2:
         return x @ W
     half = len(W) // 2
@@ -154,14 +158,14 @@ def test_any_order_of_summation_decodes_the_same(coded, monkeypatch, name):
     monkeypatch.setattr(fixed_point, "product", product)
     monkeypatch.setattr(integer_context.np, "einsum", interpolate)
     assert digest(decode(data)) == expected
-    assert (
-        len(called) == 2 * 3 + 8 and called.count("hash grid") == 8
-    )  # layers of psi_q and psi_p; levels
+    # Three layers each of psi_q and psi_p, and eight levels.
+    assert len(called) == 2 * 3 + 8
+    assert called.count("hash grid") == 8
     assert encode(model) == data
 
 
 def test_orders_differ_where_numbers_are_not_whole():
-    """The products above are different sums: of reals they round differently."""
+    """The products above add in different orders: for real numbers they differ."""
     rng = np.random.default_rng(0)
     x, W = rng.normal(size=(50, 300)), rng.normal(size=(300, 5))
     results = [product(x, W).tobytes() for name, product in PRODUCTS.items() if name != "integers"]
@@ -169,19 +173,18 @@ def test_orders_differ_where_numbers_are_not_whole():
 
 
 def test_functions_one_ulp_off_decode_the_same(coded, monkeypatch):
-    """exp, tanh, log2 and their like of NumPy and SciPy, all rounded up."""
+    """exp, tanh, log2 and similar functions of NumPy and SciPy are all rounded up."""
     _, data, expected = coded
 
     def up(function):
         return lambda *args, **kwargs: np.nextafter(function(*args, **kwargs), np.inf)
 
-    for module, names in (
-        (
-            np,
-            "exp exp2 expm1 log log2 log10 log1p tanh sinh cosh sin cos tan arctan power float_power cbrt",
-        ),
-        (scipy.special, "erf erfc erfcx ndtr log_ndtr ndtri expit logit"),
-    ):
+    of_numpy = (
+        "exp exp2 expm1 log log2 log10 log1p tanh sinh cosh "
+        "sin cos tan arctan power float_power cbrt"
+    )
+    of_scipy = "erf erfc erfcx ndtr log_ndtr ndtri expit logit"
+    for module, names in ((np, of_numpy), (scipy.special, of_scipy)):
         for name in names.split():
             monkeypatch.setattr(module, name, up(getattr(module, name)))
     assert np.exp(0.0) > 1 and scipy.special.expit(0.0) > 0.5
@@ -189,43 +192,31 @@ def test_functions_one_ulp_off_decode_the_same(coded, monkeypatch):
 
 
 def dispatched():
-    """What this NumPy chooses at run time among the processor's instructions, to be switched off."""
+    """The processor features that this NumPy chooses among at run time."""
     core = getattr(np, "_core", None) or np.core
     return " ".join(core._multiarray_umath.__cpu_dispatch__)
 
 
-@pytest.mark.parametrize(
-    "machine",
-    [
-        {
-            "OPENBLAS_NUM_THREADS": "1",
-            "OPENBLAS_CORETYPE": "Prescott",
-            "NPY_DISABLE_CPU_FEATURES": "all",
-        },
-        {"OPENBLAS_NUM_THREADS": "2", "OPENBLAS_CORETYPE": "Haswell"},
-        {"OPENBLAS_NUM_THREADS": "4"},
-    ],
-)
+MACHINES = [
+    {
+        "OPENBLAS_NUM_THREADS": "1",
+        "OPENBLAS_CORETYPE": "Prescott",
+        "NPY_DISABLE_CPU_FEATURES": "all",
+    },
+    {"OPENBLAS_NUM_THREADS": "2", "OPENBLAS_CORETYPE": "Haswell"},
+    {"OPENBLAS_NUM_THREADS": "4"},
+]
+
+
+@pytest.mark.parametrize("machine", MACHINES)
 def test_other_kernels_and_threads_decode_the_same(coded, tmp_path, machine):
-    """Sums without fused multiply-add, with other block sizes and split among threads; elementwise loops without SIMD."""
+    """Sums without fused multiply-add, in other block sizes and threads; loops without SIMD."""
     _, data, expected = coded
     (tmp_path / "model.p4dgs").write_bytes(data)
     machine = {name: dispatched() if value == "all" else value for name, value in machine.items()}
-    code = (
-        "import sys; sys.path.insert(0, sys.argv[1]); from test_file import *\n"
-        "data = open(sys.argv[2], 'rb').read(); model = decode(data)\n"
-        "print(digest(model), encode(model) == data)"
-    )
     done = subprocess.run(
-        [
-            sys.executable,
-            "-W",
-            "ignore",
-            "-c",
-            code,
-            os.path.dirname(__file__),
-            tmp_path / "model.p4dgs",
-        ],
+        [sys.executable, "-W", "ignore", "-c", DECODE_AND_PRINT, tmp_path / "model.p4dgs"],
+        cwd=ROOT,
         env={**os.environ, **machine},
         capture_output=True,
         text=True,
@@ -233,39 +224,34 @@ def test_other_kernels_and_threads_decode_the_same(coded, tmp_path, machine):
     assert done.stdout.split() == [expected, "True"], done.stderr
 
 
-# --- because every sum is of whole numbers below 2^53 ---------------------------------------------------------------------
+# --- The reason: every sum is one of integers below 2^53 ---
 
 
 def by_hand(x, weights, biases):
-    """`fixed_point`'s format page in Python's own integers: outputs of the last layer, largest partial sum, units."""
+    """`fixed_point.py` in Python's own integers: outputs, largest partial sum, fractional bits."""
     a, X, largest = INPUT_BITS, 2**INPUT_BITS, 0
     x = [[int(v) for v in row] for row in x]
     for i, (W, b) in enumerate(zip(weights, biases)):
-        p, p_b = (
-            max((math.frexp(abs(v))[1] for v in np.ravel(part)), default=0) for part in (W, b)
-        )
-        n = min(15 - p, 50 - p_b - a, 24)
+        n = min(15 - exponent(W), 50 - exponent(b) - a, 24)
         columns = [[round(math.ldexp(v, n)) for v in column] for column in np.transpose(W)]
-        biases_ = [round(math.ldexp(v, a + n)) for v in b]
-        y = [
-            [sum(v * w for v, w in zip(row, column)) + c for column, c in zip(columns, biases_)]
-            for row in x
-        ]
-        largest = max(
-            largest,
-            *(
-                sum(abs(v * w) for v, w in zip(row, column)) + abs(c)
-                for row in x
-                for column, c in zip(columns, biases_)
-            ),
-        )
-        B = X * max(sum(map(abs, column)) for column in columns) + max(map(abs, biases_))
+        shifts = [round(math.ldexp(v, a + n)) for v in b]
+        terms = [[[v * w for v, w in zip(row, column)] for column in columns] for row in x]
+        y = [[sum(part) + c for part, c in zip(row, shifts)] for row in terms]
+        for row in terms:
+            sums = [sum(map(abs, part)) + abs(c) for part, c in zip(row, shifts)]
+            largest = max(largest, *sums)
+        B = X * max(sum(map(abs, column)) for column in columns) + max(map(abs, shifts))
         a += n
         if i < len(weights) - 1:
             s = max(0, B.bit_length() - ACTIVATION_BITS)
             x = [[max(0, v + 2**s // 2 >> s) for v in row] for row in y]
             a, X = a - s, B + 2**s // 2 >> s
     return y, largest, a
+
+
+def exponent(values):
+    """The least integer p with |v| < 2^p for all values v."""
+    return max((math.frexp(abs(v))[1] for v in np.ravel(values)), default=0)
 
 
 WIDEST = 2**14
@@ -280,7 +266,7 @@ NETWORKS = {
 @pytest.mark.parametrize("name", NETWORKS)
 @pytest.mark.parametrize("scale", [65504.0, 1.9990234375, 1.0, 6e-8])
 def test_largest_networks_equal_pythons_integers(name, scale):
-    """Weights at float16's ends, all of one sign or of both, at the largest inputs."""
+    """Weights at the ends of float16, of one sign and of both, with the largest inputs."""
     rng, widths = np.random.default_rng(5), NETWORKS[name]
     signs = [
         rng.choice([-1.0, 1.0], pair) if i % 2 else np.ones(pair)
@@ -288,72 +274,62 @@ def test_largest_networks_equal_pythons_integers(name, scale):
     ]
     weights = [s * np.float16(scale).astype(float) for s in signs]
     biases = [np.full(n, 65504.0) * rng.choice([-1, 1], n) for n in widths[1:]]
-    x = np.concatenate(
-        [[np.full(widths[0], 2**15)], rng.integers(-(2**15), 2**15 + 1, (1, widths[0]))]
-    )
+    x = np.full((2, widths[0]), 2**15)
+    x[1] = rng.integers(-(2**15), 2**15 + 1, widths[0])
     layers = whole_layers(weights, biases)
     expected, largest, unit = by_hand(x, weights, biases)
     y = run_network(x.astype(float), layers)
-    assert [[int(v) for v in row] for row in y] == expected and layers[-1].bits == unit
+    assert [[int(v) for v in row] for row in y] == expected
+    assert layers[-1].bits == unit
     assert largest <= max(layer.bound for layer in layers) < 2**52
     for layer in layers:
-        assert np.abs(layer.W).max() < 2**15 and np.array_equal(layer.W, np.rint(layer.W))
+        assert np.abs(layer.W).max() < 2**15
+        assert np.array_equal(layer.W, np.rint(layer.W))
 
 
 def test_a_bound_is_reached():
-    """The largest input against the largest weights: the bound is not a loose one."""
+    """The largest inputs and weights reach the bound, so it cannot be lower."""
     (layer,) = whole_layers([np.full((WIDEST, 1), 65504.0)], [np.full(1, 65504.0)])
     assert run_network(np.full((1, WIDEST), 2.0**15), [layer])[0, 0] == layer.bound > 2**43
     assert isinstance(layer, Layer)
 
 
 def test_networks_beyond_the_bound_are_not_run():
-    """Only widths that no header allows get there."""
+    """Only a network wider than a header allows exceeds the bound."""
     wide = 2**17
-    with pytest.raises(AssertionError, match="a partial sum could round"):
+    with pytest.raises(AssertionError, match="a partial sum could be rounded"):
         whole_layers([np.ones((1, wide)), np.ones((wide, 1))], [np.zeros(wide), np.zeros(1)])
 
 
-# --- and yet the integers are the trained model's -------------------------------------------------------------------------
+# --- The integers are nevertheless those of the trained model ---
 
 
 @pytest.fixture(scope="module")
 def trained():
-    return p4.train(
-        p4.load_scene("bouncing"), preset="tiny", stage_ends=(60, 90, 200, 400), anchors=80
-    )
+    stages = (60, 90, 200, 400)
+    return p4.train(p4.load_scene("bouncing"), preset="tiny", stage_ends=stages, anchors=80)
 
 
 def test_the_integer_context_costs_a_trained_model_nothing(trained, record_property):
-    """Below 0.1 % in bits; with the frequencies, escapes and raw bits of the coder below 0.3 %."""
+    """It changes the bits by less than 0.1 %, and the whole coder by less than 0.3 %."""
     q = quantise(trained)
-    ctx, exact, steps = (
-        q.context,
-        float_context(q.model),
-        np.repeat(q.context.q, q.model.design.widths, axis=1),
-    )
-    wanted, got = (
-        likelihood.forward(q.symbols * steps, mu, sigma, steps)[0].bits[q.kept].sum()
-        for mu, sigma in (
-            (exact.mu, exact.sigma),
-            (ctx.mu_units / 1024 * steps, 2.0 ** (ctx.sigma_units / 16) * steps),
-        )
-    )
-    coder = ideal_bits_gaussian(
-        *(a[q.kept] for a in (q.symbols, ctx.mu_units, ctx.sigma_units))
-    ).sum()
-    shares = {
-        "integer_context_percent": 100 * (got / wanted - 1),
-        "coder_percent": 100 * (coder / wanted - 1),
-    }
-    for name, value in shares.items():
-        record_property(name, value)
-    print(shares)
-    assert wanted > 5000 and abs(got / wanted - 1) < 0.001 and abs(coder / wanted - 1) < 0.003
+    ctx, exact = q.context, float_context(q.model)
+    steps = np.repeat(ctx.q, q.model.design.widths, axis=1)
+    mu, sigma = ctx.mu_units / 1024 * steps, 2.0 ** (ctx.sigma_units / 16) * steps
+    values = q.symbols * steps
+    wanted = likelihood.forward(values, exact.mu, exact.sigma, steps)[0][q.kept].sum()
+    found = likelihood.forward(values, mu, sigma, steps)[0][q.kept].sum()
+    arrays = (q.symbols, ctx.mu_units, ctx.sigma_units)
+    coder = ideal_bits_gaussian(*(array[q.kept] for array in arrays)).sum()
+    record_property("integer_context_percent", 100 * (found / wanted - 1))
+    record_property("coder_percent", 100 * (coder / wanted - 1))
+    assert wanted > 5000
+    assert abs(found / wanted - 1) < 0.001
+    assert abs(coder / wanted - 1) < 0.003
 
 
 def drawn(seed, anchors, low, high, **fields):
-    """A model whose numbers follow its own float prior, sigma / q within about exp(low) and exp(high)."""
+    """A model drawn from its own float prior, with sigma / q from about exp(low) to exp(high)."""
     model = random_model(seed, anchors=anchors, **fields)
     rng, widths = np.random.default_rng(seed), model.design.widths
     (weights, biases), (mu, raw) = model.networks["psi_p"], prior.layout(widths)
@@ -370,17 +346,14 @@ def drawn(seed, anchors, low, high, **fields):
 
 
 def rare(seed, share):
-    """Masks and hash grid with few ones, or few zeros."""
-    model = random_model(
-        seed, anchors=3000, k=4, grid_3d=(40,), grid_2d=(90,), table_3d=2**16, table_2d=2**13, F=2
-    )
+    """A model whose masks and hash grid have few ones, or few zeros."""
+    grid = dict(grid_3d=(40,), grid_2d=(90,), table_3d=2**16, table_2d=2**13, F=2)
+    model = random_model(seed, anchors=3000, k=4, **grid)
     rng = np.random.default_rng(seed)
     mask = rng.random(model.anchors.mask.shape) < max(share, 0.01)
     mask[:, 0] |= share > 0.5
-    return dataclasses.replace(
-        changed(model, mask=mask),
-        grids=[np.where(rng.random(g.shape) < share, 1.0, -1.0) for g in model.grids],
-    )
+    grids = [np.where(rng.random(g.shape) < share, 1.0, -1.0) for g in model.grids]
+    return dataclasses.replace(changed(model, mask=mask), grids=grids)
 
 
 SIZED = {
@@ -399,10 +372,11 @@ SIZED = {
 
 @pytest.mark.parametrize("name", [*SIZED, "trained longer"])
 def test_every_section_has_the_size_of_its_entropy(name, request):
-    """At most 0.3 % and 16 bytes over the entropy under the float64 model, and not below that of its own frequencies.
+    """It is at most 0.3 % and 16 bytes above the entropy under the float64 model.
 
-    Outliers may cost less than under the float model, whose tail has no escape.  sigma / q stays above the format's least,
-    2^-8: below it a symbol costs almost nothing, and the little that it does cost is the rounding of mu.
+    It is not below the entropy of its own frequencies, but an outlier may cost less than under the
+    float model, whose tail has no escape. sigma / q stays above 2^-8, the least of the format:
+    below it a symbol costs almost nothing, and that little depends on the rounding of mu.
     """
     model = request.getfixturevalue("trained") if name == "trained longer" else SIZED[name]()
     rows = {row["name"]: row for row in ledger(encode(model))}

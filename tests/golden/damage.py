@@ -1,8 +1,8 @@
 """Ways to damage a file, for `fuzz`.
 
-RAW damage leaves lengths and checksums as they were, so every changed file must be refused.  REPAIRED damage puts them in
-order again and so reaches what is inside: bytes of one section, fields of the JSON header or of the container's table,
-sections exchanged, twice or missing.
+RAW damage leaves lengths and checksums as they were, so a decoder must refuse every changed file.
+REPAIRED damage makes them valid again and so reaches the content: the bytes of one section, fields
+of the JSON header or of the container's table, and sections exchanged, repeated or missing.
 """
 
 import json
@@ -13,60 +13,36 @@ import numpy as np
 
 from p4dgs_ref.codec.container import MAGIC, SECTIONS, VERSION, read_container, write_container
 
+# Values that a field of the header is set to, whatever its type.
 VALUES = [
-    0,
-    1,
-    2,
-    3,
-    5,
-    8,
-    255,
-    2**16,
-    2**22,
-    2**31,
-    10**400,
-    -1,
-    0.5,
-    1e300,
-    -0.0,
-    True,
-    None,
-    "",
-    "xyz",
-    [],
-    {},
-    [0],
-    [1, 2],
-    [8, 8],
-    [2**14] * 8,
-    [["xyz", 300]],
-    [["xy", 9], ["yz", 2]],
-    ["rotation"],
-    [0.1] * 3,
-    [1e-30] * 4,
+    *(0, 1, 2, 3, 5, 8, 255, 2**16, 2**22, 2**31, 10**400),
+    *(-1, 0.5, 1e300, -0.0, True, None),
+    *("", "xyz", [], {}, [0], [1, 2], [8, 8], [2**14] * 8),
+    *([["xyz", 300]], [["xy", 9], ["yz", 2]], ["rotation"], [0.1] * 3, [1e-30] * 4),
 ]
 
 
 class Mutation(NamedTuple):
-    kind: str  # form and operation, as "raw flip"
+    """A damaged file."""
+
+    kind: str  # raw or repaired, and the operation: "raw flip"
     data: bytes
     original: bytes  # the good file it was made from
 
 
 def mutation(seed, i, files):
-    """Mutation i of a seed, of one of some good files: the same on every machine."""
+    """Mutation number i of a seed, of one of several good files: the same on every machine."""
     rng = np.random.default_rng([seed, i])
     data, repaired = files[rng.integers(len(files))], bool(rng.integers(2))
-    damage = (_bytes, _bytes, _bytes, _sections, _table, _header)[rng.integers(6)]
-    what, damaged = damage(rng, data, repaired)
+    kinds = (damage_bytes, damage_bytes, damage_bytes, damage_sections, damage_table, damage_header)
+    what, damaged = kinds[rng.integers(6)](rng, data, repaired)
     return Mutation(f"{'repaired' if repaired else 'raw'} {what}", damaged, data)
 
 
-def _bytes(rng, data, repaired):
-    """One operation on the bytes of the file, or of one section that is then put back in order."""
-    operation = (truncate, extend, flip, overwrite, insert, remove, repeat, exchange)[
-        rng.integers(8)
-    ]
+def damage_bytes(rng, data, repaired):
+    """One operation on the bytes of the file; repaired: on one section, with new checksums."""
+    operations = (truncate, extend, flip, overwrite, insert, remove, repeat, exchange)
+    operation = operations[rng.integers(8)]
     if not repaired:
         return operation.__name__, operation(rng, data)
     sections = read_container(data)
@@ -74,8 +50,8 @@ def _bytes(rng, data, repaired):
     return operation.__name__, write_container({**sections, name: operation(rng, sections[name])})
 
 
-def _stretch(rng, data):
-    """Start and end of a stretch of up to 40 bytes."""
+def stretch(rng, data):
+    """Start and end of up to 40 consecutive bytes."""
     start = int(rng.integers(len(data) + 1))
     return start, min(start + int(rng.integers(1, 41)), len(data))
 
@@ -96,22 +72,23 @@ def flip(rng, data):
 
 
 def overwrite(rng, data):
-    a, b = _stretch(rng, data)
-    return data[:a] + (rng.bytes(b - a) if rng.integers(2) else rng.bytes(1) * (b - a)) + data[b:]
+    a, b = stretch(rng, data)
+    noise = rng.bytes(b - a) if rng.integers(2) else rng.bytes(1) * (b - a)
+    return data[:a] + noise + data[b:]
 
 
 def insert(rng, data):
-    a, _ = _stretch(rng, data)
+    a, _ = stretch(rng, data)
     return data[:a] + rng.bytes(int(rng.integers(1, 9))) + data[a:]
 
 
 def remove(rng, data):
-    a, b = _stretch(rng, data)
+    a, b = stretch(rng, data)
     return data[:a] + data[b:]
 
 
 def repeat(rng, data):
-    a, b = _stretch(rng, data)
+    a, b = stretch(rng, data)
     return data[:b] + data[a:b] + data[b:]
 
 
@@ -120,12 +97,14 @@ def exchange(rng, data):
     return data[:a] + data[b:c] + data[a:b] + data[c:]
 
 
-def _sections(rng, data, repaired):
-    """Two sections exchanged, or only their bodies, one twice or one missing; raw: below a table that says otherwise."""
+def damage_sections(rng, data, repaired):
+    """Two sections or their bodies exchanged, one repeated, or one missing.
+
+    Raw: the section table still describes the old order.
+    """
     rows = [(SECTIONS.index(name) + 1, body) for name, body in read_container(data).items()]
-    what = ("sections exchanged", "bodies exchanged", "section twice", "section missing")[
-        rng.integers(4)
-    ]
+    kinds = ("sections exchanged", "bodies exchanged", "section twice", "section missing")
+    what = kinds[rng.integers(4)]
     end, (i, j) = 18 + 9 * len(rows), rng.choice(len(rows), 2, replace=False)
     if what == "sections exchanged":
         rows[i], rows[j] = rows[j], rows[i]
@@ -135,60 +114,60 @@ def _sections(rng, data, repaired):
         rows.insert(j, rows[i])
     else:
         del rows[i]
-    return what, assemble(rows) if repaired else data[:end] + b"".join(body for _, body in rows)
+    if repaired:
+        return what, assemble(rows)
+    return what, data[:end] + b"".join(body for _, body in rows)
 
 
 def assemble(rows):
-    """A container of any rows (id, body), in whatever order, with lengths and checksums that are right."""
+    """A container of any rows (id, body) in any order, with valid lengths and checksums."""
     total = 18 + 9 * len(rows) + sum(len(body) for _, body in rows)
     head = MAGIC + bytes([VERSION, len(rows)]) + total.to_bytes(4, "little")
     for i, body in rows:
-        head += (
-            bytes([i]) + len(body).to_bytes(4, "little") + zlib.crc32(body).to_bytes(4, "little")
-        )
+        numbers = (len(body), zlib.crc32(body))
+        head += bytes([i]) + b"".join(number.to_bytes(4, "little") for number in numbers)
     return head + zlib.crc32(head).to_bytes(4, "little") + b"".join(body for _, body in rows)
 
 
-def _table(rng, data, repaired):
-    """One field of the container's header or table; repaired: the checksum of these made right."""
+def damage_table(rng, data, repaired):
+    """One field of the container header or the section table; repaired: with a valid checksum."""
     end = 14 + 9 * data[9]
-    fields = [(0, 8), (8, 1), (9, 1), (10, 4)]
-    fields += [
-        (row + at, size) for row in range(14, end, 9) for at, size in ((0, 1), (1, 4), (5, 4))
-    ]
+    fields = [(0, 8), (8, 1), (9, 1), (10, 4)]  # (offset, bytes)
+    for row in range(14, end, 9):
+        fields += [(row, 1), (row + 1, 4), (row + 5, 4)]
     at, size = fields[rng.integers(len(fields))]
     old = int.from_bytes(data[at : at + size], "little")
-    new = [0, 1, old + 1, old - 1, old + 9, 2**31, 2**32 - 1, int(rng.integers(2**32))][
-        rng.integers(8)
-    ] % 256**size
+    values = [0, 1, old + 1, old - 1, old + 9, 2**31, 2**32 - 1, int(rng.integers(2**32))]
+    new = values[rng.integers(8)] % 256**size
     head = data[:at] + new.to_bytes(size, "little") + data[at + size : end]
     crc = zlib.crc32(head).to_bytes(4, "little") if repaired else data[end : end + 4]
     return "table field", head + crc + data[end + 4 :]
 
 
-def _header(rng, data, repaired):
-    """One to three fields of the JSON header: other values, a number a little off, absent."""
+def damage_header(rng, data, repaired):
+    """One to three fields of the JSON header get another value or a near one, or are removed."""
     sections = read_container(data)
     fields = json.loads(sections["header"])
     for name in rng.choice([*fields], int(rng.integers(1, 4)), replace=False):
         how = rng.random()
         if how < 0.1:
             del fields[name]
+        elif how < 0.5:
+            fields[name] = nudged(rng, fields[name])
         else:
-            fields[name] = (
-                _nudged(rng, fields[name]) if how < 0.5 else VALUES[rng.integers(len(VALUES))]
-            )
-    header, start = json.dumps(fields, separators=(",", ":")).encode(), 18 + 9 * len(sections)
-    return "header field", (
-        write_container({**sections, "header": header})
-        if repaired
-        else data[:start] + header + data[start + len(sections["header"]) :]
-    )
+            fields[name] = VALUES[rng.integers(len(VALUES))]
+    header = json.dumps(fields, separators=(",", ":")).encode()
+    if repaired:
+        return "header field", write_container({**sections, "header": header})
+    start = 18 + 9 * len(sections)
+    return "header field", data[:start] + header + data[start + len(sections["header"]) :]
 
 
-def _nudged(rng, value):
-    """A JSON value with one of the numbers in it a little off."""
+def nudged(rng, value):
+    """A JSON value with one of its numbers slightly changed."""
     if isinstance(value, list) and value:
         i = int(rng.integers(len(value)))
-        return [*value[:i], _nudged(rng, value[i]), *value[i + 1 :]]
-    return value + int(rng.choice([-1, 1, 7])) if isinstance(value, (int, float)) else value
+        return [*value[:i], nudged(rng, value[i]), *value[i + 1 :]]
+    if isinstance(value, (int, float)):
+        return value + int(rng.choice([-1, 1, 7]))
+    return value

@@ -1,8 +1,11 @@
-"""Damages files in many ways and watches the decoder: `python -m tests.golden.fuzz --count N`.
+"""Damages files in many ways and checks the decoder: `python -m tests.golden.fuzz --count N`.
 
-Every damaged file must be refused by `BitstreamError`; only where lengths and checksums were put in order again
-("repaired") may it also decode, to a model within every limit of the header.  Never another exception or a warning, never
-more memory than `memory_bound`, never more than PATIENCE seconds.
+A damaged file must be refused by BitstreamError. It may decode only where lengths and checksums
+were made valid again ("repaired"), and then only to a model within every limit of the header. Any
+other exception, a warning, more memory than `memory_bound` or more than PATIENCE seconds is a
+failure.
+
+The last line says how many files were tried. Exit codes: 0 no failure, 1 failures, 2 invalid input.
 """
 
 import argparse
@@ -24,16 +27,14 @@ from p4dgs_ref.codec.streams import encode_gaussian
 from p4dgs_ref.studies.random_inputs import sample_model
 from tests.golden.damage import mutation
 
-PATIENCE, HANGS = (
-    5.0,
-    60.0,
-)  # seconds: too long for a small file; and when to give up on it with a traceback
+PATIENCE = 5.0  # seconds: more is too long for a small file
+HANGS = 60.0  # seconds after which the program stops with a traceback
 ANSWERS = ("refused", "within limits", "unchanged", "failed")
 
 
 @cache
 def good_files():
-    """Three small files: a scene with everything, the least one, and one whose features are coded in four lanes."""
+    """Three small files: one of a scene with every effect, the least, one with four lanes."""
     least = dict(d=1, k=1, hidden=(), context=(), grid=(("xz", 2),), F=1, effects=())
     q = quantise(sample_model(3, 50, d=8))
     features = [a[:, :8].ravel() for a in (q.symbols, q.context.mu_units, q.context.sigma_units)]
@@ -42,75 +43,84 @@ def good_files():
 
 
 def memory_bound(data):
-    """Bytes that decoding may take beside the file: 64 MiB and, where there is a header, four times what it declares."""
+    """The bytes that decoding may take beside the file.
+
+    They are 64 MiB and, where the header is valid, four times the size of the numbers it declares.
+    """
     try:
         design, anchors, _ = read_header(open_container(data)["header"])
     except (BitstreamError, KeyError):
         return 2**26
-    return 2**26 + 4 * 8 * sum(declared_numbers(design, anchors))
+    return 2**26 + 4 * 8 * sum(declared_numbers(design, anchors).values())
 
 
 def beyond_limits(q):
-    """The arrays of a decoded file that are not what its header declares, or hold what the format does not allow."""
+    """The names of decoded arrays with another shape than the header's or a value out of range."""
     model, design, A = q.model, q.model.design, len(q.positions)
-    arrays, shapes = (
-        model.anchors._asdict(),
-        {
-            "x_a": (A, 3),
-            "f_a": (A, design.d),
-            "s_a": (A, 3),
-            "l_a": (A, 3),
-            "O_a": (A, design.k, 3),
-            "mask": (A, design.k),
-        },
-    )
+    arrays = model.anchors._asdict()
+    shapes = {
+        "x_a": (A, 3),
+        "f_a": (A, design.d),
+        "s_a": (A, 3),
+        "l_a": (A, 3),
+        "O_a": (A, design.k, 3),
+        "mask": (A, design.k),
+    }
     for i, (grid, shape) in enumerate(zip(model.grids, design.levels(), strict=True)):
         arrays[f"grid {i}"], shapes[f"grid {i}"] = grid, shape
     for name, pairs in design.layers().items():
         for i, (W, b, pair) in enumerate(zip(*model.networks[name], pairs, strict=True)):
-            arrays.update({f"{name} W {i}": W, f"{name} b {i}": b})
-            shapes.update({f"{name} W {i}": pair, f"{name} b {i}": pair[1:]})
-    ranges = {"positions": (q.positions, 0, 65535), "symbols": (q.symbols, -(2**31), 2**31)}
-    return [
+            arrays[f"{name} W {i}"], shapes[f"{name} W {i}"] = W, pair
+            arrays[f"{name} b {i}"], shapes[f"{name} b {i}"] = b, pair[1:]
+    wrong = [
         name for name, a in arrays.items() if a.shape != shapes[name] or not np.isfinite(a).all()
-    ] + [name for name, (a, low, high) in ranges.items() if not low <= a.min() <= a.max() <= high]
+    ]
+    ranges = {"positions": (q.positions, 0, 65535), "symbols": (q.symbols, -(2**31), 2**31)}
+    for name, (values, low, high) in ranges.items():
+        if not low <= values.min() <= values.max() <= high:
+            wrong.append(name)
+    return wrong
 
 
 def judge(case):
-    """(one of ANSWERS, what is wrong or "") for a mutation; counts memory where tracemalloc runs."""
+    """Decode a mutation: one of ANSWERS, and what is wrong or "".
+
+    Memory is measured where tracemalloc runs.
+    """
     tracemalloc.reset_peak()
-    before, start, wrong = tracemalloc.get_traced_memory()[0], time.perf_counter(), []
+    before, start = tracemalloc.get_traced_memory()[0], time.perf_counter()
+    changed, q, wrong = case.data != case.original, None, []
     try:
         q = quantised_of(open_container(case.data))
-        answer = "unchanged" if case.data == case.original else "within limits"
+        answer = "within limits" if changed else "unchanged"
     except BitstreamError as error:
         answer = "refused"
         if error.section not in (*SECTIONS, "container") or error.offset < 0 or "\n" in str(error):
             wrong.append(f"refused without a place: {error}")
-    except Exception as error:  # whatever it is, it is what we are looking for
+    except Exception as error:  # any other exception is what the fuzzer looks for
         return "failed", f"{type(error).__name__}: {error}"
-    seconds, peak = time.perf_counter() - start, tracemalloc.get_traced_memory()[1] - before
-    if answer != "refused":
+    seconds = time.perf_counter() - start
+    peak = tracemalloc.get_traced_memory()[1] - before
+    if q is not None:
         wrong += [f"{name} beyond the limits" for name in beyond_limits(q)]
     if answer == "within limits" and case.kind.startswith("raw"):
-        wrong.append("changed, and yet decoded")
-    if answer == "refused" and case.data == case.original:
+        wrong.append("changed, but decoded")
+    if answer == "refused" and not changed:
         wrong.append("a good file was refused")
     if seconds > PATIENCE:
         wrong.append(f"{seconds:.1f} seconds")
     if peak > memory_bound(case.data):
-        wrong.append(f"{peak} bytes of memory, at most {memory_bound(case.data)} expected")
+        wrong.append(f"{peak} bytes of memory, expected at most {memory_bound(case.data)}")
     return ("failed" if wrong else answer), "; ".join(wrong)
 
 
 def fuzz(count, seed=0, files=None):
-    """Try mutations 0 ... count - 1 of a seed: ({kind: Counter of answers}, ["mutation i, kind: what is wrong", ...])."""
-    files, answers, failures, traced = (
-        files or good_files(),
-        defaultdict(Counter),
-        [],
-        tracemalloc.is_tracing(),
-    )
+    """Try mutations 0 to count - 1 of a seed.
+
+    Returns the answers {kind: Counter} and the failures ["mutation i, kind: what is wrong", ...].
+    """
+    files, answers, failures = files or good_files(), defaultdict(Counter), []
+    traced = tracemalloc.is_tracing()
     tracemalloc.start()
     try:
         with warnings.catch_warnings():
@@ -120,7 +130,8 @@ def fuzz(count, seed=0, files=None):
                 case = mutation(seed, i, files)
                 answer, wrong = judge(case)
                 answers[case.kind][answer] += 1
-                failures += [f"mutation {i}, {case.kind}: {wrong}"] if wrong else []
+                if wrong:
+                    failures.append(f"mutation {i}, {case.kind}: {wrong}")
     finally:
         faulthandler.cancel_dump_traceback_later()
         if not traced:
@@ -133,13 +144,11 @@ def main(arguments=None):
         prog="python -m tests.golden.fuzz", description=__doc__.splitlines()[0]
     )
     parser.add_argument(
-        "--count", type=int, default=2000, help="how many mutations (default: 2000)"
+        "--count", type=int, default=2000, help="number of mutations (default: 2000)"
     )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the mutations (default: 0)")
     parser.add_argument(
-        "--seed", type=int, default=0, help="mutations are numbered under a seed (default: 0)"
-    )
-    parser.add_argument(
-        "file", nargs="?", help="a good file to start from instead of three small built-in ones"
+        "file", nargs="?", help="a good file to damage (default: three small built-in files)"
     )
     options = parser.parse_args(arguments)
     files = None
@@ -149,15 +158,14 @@ def main(arguments=None):
                 files = (stream.read(),)
             quantised_of(open_container(files[0]))
         except (OSError, BitstreamError) as error:
-            parser.error(f"{options.file}: a good file expected, {error}")
+            parser.error(f"{options.file}: expected a good file: {error}")
     answers, failures = fuzz(options.count, options.seed, files)
     print(f"{'':28}" + "".join(f"{name:>15}" for name in ANSWERS))
     for kind, counts in [*sorted(answers.items()), ("all", sum(answers.values(), Counter()))]:
         print(f"{kind:28}" + "".join(f"{counts[name]:15,}" for name in ANSWERS))
-    print(
-        "\n".join(failures[:20])
-        or "no unexpected exception, no accepted change, no hang, no excess of memory"
-    )
+    for failure in failures[:20]:
+        print(failure)
+    print(f"{options.count:,} damaged files tried, {len(failures):,} failures")
     return 1 if failures else 0
 
 
