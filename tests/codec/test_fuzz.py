@@ -237,7 +237,7 @@ def test_large_models_stay_within_their_memory(name):
 def test_every_table_at_once_takes_five_eighths_of_the_64_mib():
     """This is the memory for all frequency tables and for decoding a symbol with each of them.
 
-    Decoding takes at most 33 bytes per symbol beside the tables. For the largest model, the one byte
+    Decoding takes at most 33 bytes per symbol beside the tables. For the largest model, the byte
     beyond four times 8 stays within the same five eighths.
     """
     deviations = np.arange(SIGMA_MIN, SIGMA_MAX + 1)
