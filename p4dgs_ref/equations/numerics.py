@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import expit as sigmoid
 
 __all__ = [
+    "in_precision_of",
     "length",
     "normalise",
     "normalise_backward",
@@ -28,6 +29,14 @@ def tanh_slope(y):
     """tanh'(y). The textbook 1 - tanh(y)**2 cancels where tanh is close to 1 in magnitude."""
     e = np.exp(-2 * np.abs(y))
     return 4 * e / (1 + e) ** 2
+
+
+def in_precision_of(x, number):
+    """`number`, converted so that a scalar x times or divided by it keeps its precision.
+
+    NumPy 1 returns float64 for a float32 scalar times a Python number, NumPy 2 float32.
+    """
+    return np.float32(number) if np.asarray(x).dtype == np.float32 else number
 
 
 def length(v):

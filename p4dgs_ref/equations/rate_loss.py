@@ -7,6 +7,8 @@ P-4DGS, section 3.3 (training objective). The paper's L_rate is `bits`; like HAC
 it by the number of values, so that lambda_rate means the same in small and large scenes (Q12).
 """
 
+from .numerics import in_precision_of
+
 
 def forward(
     R_anchor,  # []  bits of the anchors, Eq. (13)
@@ -15,12 +17,14 @@ def forward(
 ):
     """Return bits and L_rate [] and what `backward` needs; L_rate is 0 without parameters."""
     bits = R_anchor + R_hash
-    L_rate = bits / n_parameters if n_parameters else 0 * bits
+    count = in_precision_of(bits, n_parameters)
+    L_rate = bits / count if count else count * bits
     return (bits, L_rate), (n_parameters,)
 
 
 def backward(saved, bits_bar=0.0, L_rate_bar=0.0):
     """Gradients of R_anchor and R_hash; n_parameters is data."""
     (n_parameters,) = saved
-    bar = bits_bar + L_rate_bar / n_parameters if n_parameters else bits_bar
+    count = in_precision_of(L_rate_bar, n_parameters)
+    bar = bits_bar + L_rate_bar / count if count else bits_bar
     return {"R_anchor": bar, "R_hash": bar}

@@ -15,15 +15,16 @@ from . import ssim
 def forward(
     image,  # [H, W, C]  rendered image, intensities of range 1
     truth,  # [H, W, C]  true image
-    lambda_ssim,  # []  weight of D_SSIM, a Python float, so that float32 stays float32
+    lambda_ssim,  # []  weight of D_SSIM
     truth_moments=None,  # `ssim.moments(truth)`, which is constant for each view
 ):
     """Return L_render, L1 and D_SSIM [] and what `backward` needs."""
     difference = image - truth
-    L1 = image.dtype.type(np.abs(difference).mean(dtype=np.float64))
+    precision = image.dtype.type
+    L1 = precision(np.abs(difference).mean(dtype=np.float64))
     D_SSIM, saved_ssim = ssim.dissimilarity(image, truth, truth_moments)
-    D_SSIM = image.dtype.type(D_SSIM)
-    L_render = (1 - lambda_ssim) * L1 + lambda_ssim * D_SSIM
+    D_SSIM = precision(D_SSIM)
+    L_render = precision(1 - lambda_ssim) * L1 + precision(lambda_ssim) * D_SSIM
     return (L_render, L1, D_SSIM), (np.sign(difference), lambda_ssim, saved_ssim)
 
 

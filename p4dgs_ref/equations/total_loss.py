@@ -5,6 +5,8 @@
 P-4DGS, section 3.3 (training objective).
 """
 
+from .numerics import in_precision_of
+
 
 def forward(
     L_render,  # []  rendering loss of Eq. (16)
@@ -12,10 +14,12 @@ def forward(
     lambda_rate,  # []  weight of the rate, 5e-4 to 4e-3 in the paper
 ):
     """Return L_total [] and what `backward` needs."""
-    return lambda_rate * L_rate + L_render, (lambda_rate,)
+    weight = in_precision_of(L_rate, lambda_rate)
+    return weight * L_rate + L_render, (lambda_rate,)
 
 
 def backward(saved, L_total_bar):
     """Gradients of L_render and L_rate; lambda_rate is data."""
     (lambda_rate,) = saved
-    return {"L_render": L_total_bar, "L_rate": lambda_rate * L_total_bar}
+    weight = in_precision_of(L_total_bar, lambda_rate)
+    return {"L_render": L_total_bar, "L_rate": weight * L_total_bar}

@@ -24,6 +24,15 @@ def test_slope_of_the_tanh_where_it_saturates():
     assert (1 - np.tanh(y) ** 2)[0] == 0  # the textbook form
 
 
+@pytest.mark.parametrize("x", [np.float32(3), np.array(3, np.float32), np.float64(3), 3.0])
+def test_scalars_keep_their_precision(x):
+    dtype = np.asarray(x).dtype
+    tenth = numerics.in_precision_of(x, 0.1)
+    for result in (tenth * x, x / tenth):
+        assert np.asarray(result).dtype == dtype
+    assert tenth == dtype.type(0.1)
+
+
 @pytest.mark.parametrize("dtype, size", [(np.float64, 1e200), (np.float32, 1e25)])
 def test_lengths_of_large_and_small_vectors(dtype, size):
     vector = np.array([[3, -4, 12]], dtype)
