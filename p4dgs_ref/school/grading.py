@@ -8,7 +8,7 @@ import numpy as np
 
 from ..oracle import doctor, published
 from ..oracle.checker import sentence
-from ..oracle.compare import Finding, compare, precision
+from ..oracle.compare import compare, expected, precision
 from ..oracle.ports import PortError
 from ..table import EQUATIONS
 from . import held_back
@@ -25,8 +25,10 @@ class Part(NamedTuple):
 
     name: str
     of: float  # points
-    right: int  # answers
-    asked: int
+    prefix: str  # of the tensors that have to be right
+    ordinary: bool  # whether it is about the ordinary cases or about the hard ones
+    right: int = 0  # answers
+    asked: int = 0
 
     @property
     def points(self):
@@ -93,24 +95,26 @@ def grade(folder, seed=None, student=None, timeout=5.0, progress=lambda text: No
 
 
 def parts_of(key, asked):
-    """Return {name of a part: its points} of an equation with the functions `asked` to write."""
+    """Return the parts of an equation with the functions `asked` to write, worth 10 points."""
     gradients = EQUATIONS[key].gradients if "backward" in asked else ()
     forward = "forward" in asked
     share = 1 if forward and gradients else 2  # one of the two takes all points
-    parts = {"forward": share * FORWARD} if forward else {}
-    for name in gradients:
-        parts[f"gradient of {name}"] = share * GRADIENTS / len(gradients)
+    parts = []
     if forward:
-        parts["hard cases: outputs"] = share * HARD / 2
+        parts.append(Part("forward", share * FORWARD, "out.", True))
+        parts.append(Part("hard cases: outputs", share * HARD / 2, "out.", False))
+    for name in gradients:
+        of_one = share * GRADIENTS / len(gradients)
+        parts.append(Part(f"gradient of {name}", of_one, f"in_bar.{name}.", True))
     if gradients:
-        parts["hard cases: gradients"] = share * HARD / 2
-    return parts
+        parts.append(Part("hard cases: gradients", share * HARD / 2, "in_bar.", False))
+    return sorted(parts, key=lambda part: not part.ordinary)
 
 
 def grade_of(key, path, asked, seed, timeout):
     """Return the Grade of one file."""
-    worth = parts_of(key, asked)
-    nothing = Grade(key, tuple(Part(name, of, 0, 0) for name, of in worth.items()))
+    parts = parts_of(key, asked)
+    nothing = Grade(key, tuple(parts))
     try:
         source = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
@@ -122,35 +126,45 @@ def grade_of(key, path, asked, seed, timeout):
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         first = f"{path.name}: {type(error).__name__}: {error}"
         return nothing._replace(first=first, note="cannot be read")
-    right = dict.fromkeys(worth, 0)
-    count = dict.fromkeys(worth, 0)
     first = explanation = ""
-    begun = time.monotonic()
+    deadline = time.monotonic() + SECONDS
     with Student(path, timeout) as port:
         for case in held_back.cases(key, seed):
-            if time.monotonic() - begun < SECONDS:
-                wrong, why, got = judged(case, port)
-            else:
-                wrong, why, got = {}, f"not asked, because {SECONDS} s are over", None
-            for name, verdict in verdicts(case, worth, wrong, got).items():
-                count[name] += 1
-                right[name] += not verdict
-                if verdict and not first:
-                    first = f"{case.id}: {why if got is None else verdict}"
+            wrong, _ = judged(case, port, deadline)
+            for i, part in enumerate(parts):
+                if counts(part, case):
+                    said = first_of(wrong, part.prefix)
+                    right = part.right + (not said)
+                    parts[i] = part._replace(right=right, asked=part.asked + 1)
+                    if said and not first:
+                        first = f"{case.id}: {said}"
         if first:
-            explanation = explained(key, port, begun + SECONDS)
-    parts = tuple(Part(name, of, right[name], count[name]) for name, of in worth.items())
-    return Grade(key, parts, first, explanation, flags)
+            explanation = explained(key, port, deadline)
+    return Grade(key, tuple(parts), first, explanation, flags)
 
 
-def judged(case, port):
-    """Return ({tensor: what is wrong}, why there is no answer, {tensor: array} or None)."""
+def counts(part, case):
+    """Whether a part counts this case: of its kind, with a tensor that has to be right."""
+    asked = any((name + ".").startswith(part.prefix) for name in expected(case.tensors))
+    return asked and part.ordinary == held_back.is_ordinary(case)
+
+
+def first_of(wrong, prefix):
+    """Return what is wrong with the first tensor of a prefix, "" if nothing."""
+    return next((said for name, said in wrong.items() if (name + ".").startswith(prefix)), "")
+
+
+def judged(case, port, deadline):
+    """Return ({tensor: what is wrong with it}, {tensor: array}) of the answer to one case."""
     try:
+        if time.monotonic() >= deadline:
+            raise PortError("unasked", f"not asked, because {SECONDS} s are over")
         got = port.run(case)
     except PortError as error:
-        return {}, f"{error.kind}: {error}", None
+        said = str(error) if error.kind == "unasked" else f"{error.kind}: {error}"
+        return dict.fromkeys(expected(case.tensors), said), {}
     wrong = differences(case, got)
-    if any(name.startswith("out.") for name in wrong):  # a wrong forward is not punished twice
+    if first_of(wrong, "out."):  # a wrong forward is not punished twice
         again = differences(case, {**got, **port.follow})
         for name in list(wrong):
             if name.startswith("in_bar.") and name not in again:
@@ -160,42 +174,20 @@ def judged(case, port):
         part = "forward" if name.startswith("out.") else "backward"
         if name not in got and part in port.said:
             wrong[name] = f"{part}: {port.said[part]}"
-    return wrong, "", got
+    return wrong, got
 
 
 def differences(case, got):
     """Return {tensor: what is wrong with it}."""
-    found = [
-        Finding(name, "dtype", f"{a.dtype}, expected float64")
+    wrong = {
+        name: f"{name}: dtype: {a.dtype}, expected float64"
         for name, a in got.items()
         if a.dtype.kind == "f" and a.dtype != np.float64
-    ]
-    found += compare(case.tensors, got, case.tolerance("float64"))
-    wrong = {}
-    for f in found:
+    }
+    for f in compare(case.tensors, got, case.tolerance("float64")):
         said = f.message if f.kind == "value" else f"{f.tensor}: {f.kind}: {f.message}"
         wrong.setdefault(f.tensor, said)
     return wrong
-
-
-def verdicts(case, worth, wrong, got):
-    """Return {part: what is wrong, "" if nothing} of the parts for which this case counts."""
-
-    def worst(prefix):
-        if got is None:
-            return "no answer"
-        return next((said for name, said in wrong.items() if (name + ".").startswith(prefix)), "")
-
-    found = {}
-    for name in worth:
-        role = "out." if name in ("forward", "hard cases: outputs") else "in_bar."
-        if name.startswith("hard"):
-            if not held_back.is_ordinary(case) and any(t.startswith(role) for t in case.tensors):
-                found[name] = worst(role)
-        elif held_back.is_ordinary(case):
-            input_name = name.removeprefix("gradient of ")
-            found[name] = worst(role if name == "forward" else f"{role}{input_name}.")
-    return found
 
 
 def explained(key, port, deadline):
@@ -206,16 +198,14 @@ def explained(key, port, deadline):
     """
     answers = []
     for case in published.cases(key):
-        if time.monotonic() < deadline:
-            wrong, _, got = judged(case, port)
-            if got:
-                answers.append((case, got, [name for name in wrong if name in got]))
+        wrong, got = judged(case, port, deadline)
+        answers.append((case, got, [name for name in wrong if name in got]))
     for role in ("out.", "in_bar."):
         of_role = []
         for case, got, wrong in answers:
             tensors = {name: a for name, a in got.items() if name.startswith(role)}
             if tensors and case.tolerance(precision(tensors)):
-                of_role.append((case, tensors, [name for name in wrong if name.startswith(role)]))
+                of_role.append((case, tensors, [name for name in wrong if name in tensors]))
         if any(wrong for _, _, wrong in of_role):
             found = doctor.explain(key, of_role)
             # A mistake that explains only a few cases would mislead.

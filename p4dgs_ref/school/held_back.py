@@ -85,11 +85,10 @@ def permuted(shapes, inputs, rng):
     for name, letters in axes.items():
         for letter, n in zip(letters, inputs[name].shape):
             lengths.setdefault(letter, set()).add(n)
-    orders = {
-        letter: rng.permutation(min(n))
-        for letter, n in sorted(lengths.items())
-        if letter.isalpha() and len(n) == 1
-    }
+    orders = {}
+    for letter, found in sorted(lengths.items()):
+        if letter.isalpha() and len(found) == 1:
+            orders[letter] = rng.permutation(min(found))
     made = dict(inputs)
     for name, letters in axes.items():
         for axis, letter in enumerate(letters):
@@ -100,13 +99,12 @@ def permuted(shapes, inputs, rng):
 
 def changed(inputs, rng):
     """Return inputs with every float multiplied by a random number."""
-    made = {}
-    for name, value in inputs.items():
-        if isinstance(value, list):
-            made[name] = [scaled(name, a, rng) for a in value]
-        else:
-            made[name] = scaled(name, value, rng)
-    return made
+    return {
+        name: [scaled(name, a, rng) for a in value]
+        if isinstance(value, list)
+        else scaled(name, value, rng)
+        for name, value in inputs.items()
+    }
 
 
 def scaled(name, a, rng):

@@ -170,15 +170,8 @@ by its share of right answers.
 
 def readme(record):
     """Return the text of DIR/README.md."""
-    points = {
-        "WHOLE": FORWARD + GRADIENTS + HARD,
-        "FORWARD": FORWARD,
-        "GRADIENTS": GRADIENTS,
-        "HARD": HARD,
-    }
-    text = README
-    for name, value in points.items():
-        text = text.replace("{" + name + "}", str(value))
+    whole = FORWARD + GRADIENTS + HARD
+    text = README.format(WHOLE=whole, FORWARD=FORWARD, GRADIENTS=GRADIENTS, HARD=HARD)
     for key in published.equations():
         if key in record["equations"]:
             functions = functions_of(key, record["equations"][key])

@@ -228,7 +228,11 @@ def test_solutions_of_the_tutorials_pass_the_held_back_inputs(monkeypatch):
     """Right answers that are computed in another way than the reference's are right as well."""
     found = []
     monkeypatch.setattr(lessons, "forward", lambda _, mine, key: found.append((key, mine, None)))
-    monkeypatch.setattr(lessons, "backward", lambda _, mine, key: found.append((key, None, mine)))
+    monkeypatch.setattr(
+        lessons,
+        "backward",
+        lambda _, mine, key, *wanted: wanted or found.append((key, None, mine)),
+    )
     for path in sorted((TUTORIALS / "solutions").glob("*.py")):
         if path.stem[:2] <= "15":
             runpy.run_path(str(path))
