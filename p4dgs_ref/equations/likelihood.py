@@ -5,11 +5,12 @@
 
 P-4DGS, section 3.3 (context entropy coding). `literal` is this formula. It is infinite from 9
 sigma on (6 in float32), and a difference of two nearly equal numbers wherever the bin is narrow or
-far from the mean. `forward` gives the same bits to 1e-12: it measures from the mean outwards,
-where both tails are small numbers with all their digits, and computes log p in one of three ways:
+far from the mean. `forward` gives the same bits to 1e-12: it measures from the mean outwards, where
+both tails are small numbers with all their digits, and computes log p in one of four ways:
 
     where is the bin            log p                                         function
-    around or beside the mean   from the tails on either side                 `near_the_mean`
+    around the mean             log(1 - left tail - right tail)               `around_the_mean`
+    beside it                   log(near tail - tail beyond)                  `beside_the_mean`
     far out, low > 2            the same with exp(-low**2 / 2) taken out      `far_from_the_mean`
     narrow, max(w, z w) < 1/16  log of the density's Taylor series            `narrow_bin`
 
@@ -17,15 +18,16 @@ Notation: z = |f_noisy - mu| / sigma, w = q / sigma; the bin reaches from low = 
 high = z + w/2, in sigmas from the mean.
 """
 
-import math
-
 import numpy as np
 from scipy.special import erfcx, ndtr
 
-NARROW = 1 / 16  # of w max(1, z): above, a difference loses 4 bits; below, the series ends at 3e-16
+NARROW = (
+    1 / 16
+)  # of max(w, z w): above, a difference loses 4 bits; below, the series has all digits
 FAR = 2.0  # of low: from here on scaled tails have more digits than those of ndtr
 PIECE = 4096  # values at a time, so that intermediate results stay in the cache (time only)
-PHI_0 = 1 / math.sqrt(2 * math.pi)  # density of the standard Gaussian at its mean
+PHI_0 = 1 / np.sqrt(2 * np.pi)  # density of the standard Gaussian at its mean
+TO_BITS = -1 / np.log(2)  # from log p to bits
 
 
 def forward(
@@ -71,48 +73,54 @@ def literal(f_noisy, mu, sigma, q):
 
 
 def rate(f_noisy, mu, sigma, q):
-    """Bits of vectors [n] and their slopes by f_noisy, sigma and q."""
-    per_unit = -1 / (math.log(2) * sigma)  # from slopes of log p by z and w to bits per unit
-    offset, half, sigma = (
-        np.subtract(f_noisy, mu, dtype=float),
-        0.5 * q.astype(float),
-        sigma.astype(float),
-    )
-    # Subtract before dividing: the edge next to the mean keeps its digits.
+    """Bits of vectors [n] and their slopes by f_noisy, sigma and q, in float64."""
+    f_noisy, mu, sigma, q = (a.astype(np.float64, copy=False) for a in (f_noisy, mu, sigma, q))
+    offset = f_noisy - mu
     distance = np.abs(offset)
-    low, high = (distance - half) / sigma, (distance + half) / sigma
     z, w = distance / sigma, q / sigma
-    log_p, ratio = near_the_mean(low, high)  # ratio = phi(low) / p
+    # Subtract before dividing: the edge next to the mean keeps its digits.
+    low, high = (distance - q / 2) / sigma, (distance + q / 2) / sigma
+
+    log_p, ratio = np.empty_like(z), np.empty_like(z)  # ratio = phi(low) / p
     narrow = np.maximum(w, z * w) < NARROW
+    around = (low < 0) & ~narrow
     far = (low > FAR) & ~narrow
-    for regime, here in ((narrow_bin, narrow), (far_from_the_mean, far)):
-        if here.any():
-            log_p[here], ratio[here] = regime(low[here], high[here], z[here], w[here])
+    for regime, where in (
+        (narrow_bin, narrow),
+        (around_the_mean, around),
+        (beside_the_mean, ~(narrow | around | far)),
+        (far_from_the_mean, far),
+    ):
+        rows = np.flatnonzero(where)  # indexing by rows is faster than by a mask
+        if len(rows):
+            log_p[rows], ratio[rows] = regime(low[rows], high[rows], z[rows], w[rows])
+
     # phi(low) - phi(high) = phi(low) * drop, without a difference
     drop = -np.expm1(-z * w)
-    slope_z = np.copysign(ratio * drop, -offset)
-    slope_w = ratio * (1 - 0.5 * drop)
+    slope_z = -np.sign(offset) * ratio * drop  # d log p / dz, with the sign of the offset
+    slope_w = ratio * (1 - drop / 2)  # d log p / dw
     sigma_slope = -(offset / sigma * slope_z + w * slope_w)  # sigma divides both z and w
-    bits = log_p * (-1 / math.log(2)) + 0.0  # adding 0 turns -0 into 0
+    bits = TO_BITS * log_p + 0.0  # adding 0 turns -0 into 0
+    per_unit = TO_BITS / sigma
     return bits, per_unit * slope_z, per_unit * sigma_slope, per_unit * slope_w
 
 
-def near_the_mean(low, high):
-    """p is one minus the tails on either side, or the nearer tail minus the one beyond."""
-    inside = low < 0
-    near, beyond = ndtr(-np.abs(low)), ndtr(-high)
-    tails = near + beyond
-    p = np.where(inside, 1 - tails, near - beyond)
-    with np.errstate(divide="ignore", invalid="ignore"):  # bins that another regime computes
-        log_p = np.where(inside, np.log1p(-tails), np.log(p))
-        return log_p, PHI_0 * np.exp(-0.5 * low * low) / p
+def around_the_mean(low, high, z, w):
+    """The bin holds the mean: p is one minus the tails on either side."""
+    tails = ndtr(low) + ndtr(-high)
+    return np.log1p(-tails), phi(low) / (1 - tails)
+
+
+def beside_the_mean(low, high, z, w):
+    """Both edges are on one side: p is the nearer tail minus the one beyond."""
+    p = ndtr(-low) - ndtr(-high)
+    return np.log(p), phi(low) / p
 
 
 def far_from_the_mean(low, high, z, w):
     """The tails underflow; erfcx(v) = exp(v**2) erfc(v) does not: the common factor comes out."""
-    root = math.sqrt(0.5)
-    g = 0.5 * (erfcx(low * root) - np.exp(-z * w) * erfcx(high * root))
-    return np.log(g) - 0.5 * low * low, PHI_0 / g
+    g = 0.5 * (erfcx(low / np.sqrt(2)) - np.exp(-z * w) * erfcx(high / np.sqrt(2)))
+    return np.log(g) - 0.5 * low**2, PHI_0 / g
 
 
 def narrow_bin(low, high, z, w):
@@ -120,12 +128,16 @@ def narrow_bin(low, high, z, w):
 
     The terms are the Hermite polynomials He_2, He_4 and He_6 of z times w**2, w**4 and w**6.
     """
-    zw = z * w
-    y, v = zw * zw, w * w
+    y, v = (z * w) ** 2, w**2
     series = 1 + (y - v) / 24 + (y * y - 6 * y * v + 3 * v * v) / 1920
-    series += (y**3 - 15 * y * y * v + 45 * y * v * v - 15 * v**3) / 322560
-    log_ratio = np.log(w * series) + (v / 8 - zw / 2)  # log(p / phi(low))
-    return math.log(PHI_0) - 0.5 * low * low + log_ratio, np.exp(-log_ratio)
+    series += (y * y * y - 15 * y * y * v + 45 * y * v * v - 15 * v * v * v) / 322560
+    log_ratio = np.log(w * series) + v / 8 - z * w / 2  # log(p / phi(low))
+    return np.log(PHI_0) - 0.5 * low**2 + log_ratio, np.exp(-log_ratio)
+
+
+def phi(v):
+    """Density of the standard Gaussian."""
+    return PHI_0 * np.exp(-0.5 * v**2)
 
 
 def check_positive(name, a):
