@@ -10,7 +10,7 @@ stays finite (Q7).
 import numpy as np
 
 from . import mlp
-from .numerics import sigmoid
+from .numerics import sigmoid, sigmoid_slope
 
 SMALLEST = 2.0**-10  # of Q_0
 
@@ -28,7 +28,7 @@ def forward(
     psi_q, saved_mlp = mlp.forward(h, weights, biases)
     share = 2 * sigmoid(2 * psi_q)
     q = Q_0 * np.maximum(share, SMALLEST)
-    slope = np.where(share > SMALLEST, 2 * Q_0 * share * sigmoid(-2 * psi_q), 0)
+    slope = np.where(share > SMALLEST, 4 * Q_0 * sigmoid_slope(2 * psi_q), 0)
     return q, (slope, saved_mlp)
 
 
