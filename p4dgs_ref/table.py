@@ -194,10 +194,10 @@ _ROWS = (
     Equation(
         "anchor_rate",
         "13",
-        "R_anchor = sum of the bits of f, O, l, s over all anchors",
+        "R_anchor = sum of the bits of f, s, l, O over all anchors",
         "p4dgs_ref.equations.anchor_rate",
         ("R_anchor",),
-        ("bits_f", "bits_O", "bits_l", "bits_s"),
+        ("bits_f", "bits_s", "bits_l", "bits_O"),
     ),
     Equation(
         "hash_rate",

@@ -22,7 +22,7 @@ def forward(
     """
     kept = np.where(mask[:, :, None], bits_O, 0)
     # Summed in float64: 1e8 float32 terms would lose the last ones.
-    total = sum(bits.sum(dtype=np.float64) for bits in (bits_f, kept, bits_l, bits_s))
+    total = sum(bits.sum(dtype=np.float64) for bits in (bits_f, bits_s, bits_l, kept))
     return np.asarray(total, bits_f.dtype), (mask, bits_f.shape[1], bits_f.dtype)
 
 
