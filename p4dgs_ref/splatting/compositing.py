@@ -81,17 +81,21 @@ def backward(saved, image_bar, transmittance_bar=None):
             V * e_y**2,
         )
         sums[1:] += [term.sum(axis=1) for term in terms]
-    rows = {
-        "mean2d": sums[1:3].T,
-        "conic": sums[3:].T * np.array([-0.5, -1, -0.5], dtype),
-        "alpha": sums[0],
-        "color": color_bar,
+    N = len(all_colors)
+    return {
+        "mean2d": scatter(sums[1:3].T, order, N),
+        "conic": scatter(sums[3:].T * np.array([-0.5, -1, -0.5], dtype), order, N),
+        "alpha": scatter(sums[0], order, N),
+        "color": scatter(color_bar, order, N),
+        "background": background_bar,
     }
-    gradients = {}
-    for name, values in rows.items():
-        gradients[name] = np.zeros((len(all_colors), *values.shape[1:]), dtype)
-        gradients[name][order] = values
-    return {**gradients, "background": background_bar}
+
+
+def scatter(values, order, N):
+    """Values of the rows `order` among N rows, zero elsewhere."""
+    full = np.zeros((N, *values.shape[1:]), values.dtype)
+    full[order] = values
+    return full
 
 
 def depth_order(depth, visible):

@@ -36,9 +36,7 @@ class Chunk(NamedTuple):
     pairs: np.ndarray  # [K, G] row of the pair; M, the padding, where a tile's list has ended
     A: np.ndarray  # [K, G, P] alphas
     weights: np.ndarray  # [K, G, P] alpha T
-    slope: (
-        np.ndarray | None
-    )  # [K G, P] d log(clamped alpha) / d log alpha; None if nothing is clamped
+    slope: np.ndarray | None  # [K G, P] of log alpha through its clamp; None if none is clamped
 
 
 def forward(

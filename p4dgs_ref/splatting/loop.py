@@ -6,18 +6,18 @@ covers the share
 
     A = min(0.99, alpha * exp(-(p - mean2d)^T K (p - mean2d) / 2))
 
-of what lies behind it. A pixel starts with the transmittance T = 1: all light reaches the
-background. For every splat, from front to back,
+of what lies behind it. The transmittance T of a pixel is the share of it that is not covered yet;
+it starts at 1. For every splat, from front to back,
 
-    image += T * A * color          the splat adds its colour to the light that still gets through
-    T     *= 1 - A                  and lets the rest of that light pass
+    image += T * A * color          the splat shows its colour where nothing covers it
+    T     *= 1 - A                  and covers the share A of what was left
 
 and at the end image += T * background. `backward` goes from back to front. It needs one number for
-each pixel, `behind`: how much the loss changes per unit of light that passes the splat. Then
+each pixel, `behind`: the product of d loss / d image with the colour seen behind the splat. Then
 
     d loss / d A = T * (d loss / d image . color - behind)
 
-because covering the pixel a little more shows more of the colour and less of what is behind.
+because a splat that covers more of the pixel shows more of its colour and less of what is behind.
 
 The loop touches only the rectangle of pixels on which `settings` evaluates a splat. `compositing`
 does the same for all splats and pixels at once, `fast` for lists of splats by tile; a test
