@@ -1,6 +1,6 @@
 """Eq. (9): the context of an anchor, read from one 3D and three 2D grids of binary features.
 
-    h = H(x_a) = for every level: sum over the cell's corners of weight * sign(parameter)
+    h = H(x_a)        for every level, the sum over the cell's corners of weight * sign(parameter)
 
 P-4DGS, section 3.3 (adaptive quantisation). The levels' nodes, their weights and the hash are
 those of `grid_nodes` (Q11). A parameter >= 0, also -0, counts as +1.

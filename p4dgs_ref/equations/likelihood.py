@@ -21,10 +21,8 @@ high = z + w/2, in sigmas from the mean.
 import numpy as np
 from scipy.special import erfcx, ndtr
 
-NARROW = (
-    1 / 16
-)  # of max(w, z w): above, a difference loses 4 bits; below, the series has all digits
-FAR = 2.0  # of low: from here on scaled tails have more digits than those of ndtr
+NARROW = 1 / 16  # of max(w, z w): a difference loses 4 bits at most, the series ends at 3e-16
+FAR = 2.0  # of low: from here on, scaled tails have more digits than ndtr
 PIECE = 4096  # values at a time, so that intermediate results stay in the cache (time only)
 PHI_0 = 1 / np.sqrt(2 * np.pi)  # density of the standard Gaussian at its mean
 TO_BITS = -1 / np.log(2)  # from log p to bits
@@ -100,9 +98,8 @@ def rate(f_noisy, mu, sigma, q):
     slope_z = -np.sign(offset) * ratio * drop  # d log p / dz, with the sign of the offset
     slope_w = ratio * (1 - drop / 2)  # d log p / dw
     sigma_slope = -(offset / sigma * slope_z + w * slope_w)  # sigma divides both z and w
-    bits = TO_BITS * log_p + 0.0  # adding 0 turns -0 into 0
     per_unit = TO_BITS / sigma
-    return bits, per_unit * slope_z, per_unit * sigma_slope, per_unit * slope_w
+    return TO_BITS * log_p, per_unit * slope_z, per_unit * sigma_slope, per_unit * slope_w
 
 
 def around_the_mean(low, high, z, w):
