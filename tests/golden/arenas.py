@@ -1,29 +1,30 @@
-"""Where the search looks for trouble: for every equation a map from genes in [0, 1) onto its declared domain.
+"""Where the search looks: for every equation, a map from genes in [0, 1) onto its domain.
 
-A gene is a number; `decode` turns a row of genes into one input of an equation, so whatever a search does to genes, the
-input stays within the domain.  Equal genes are equal numbers: copying a gene makes ties, coincident points, flat boxes.
+`decode` turns a row of genes into one input of an equation, so that the input stays within the
+domain whatever the search does to the genes. Equal genes become equal numbers: copying a gene makes
+ties, coincident points and flat boxes.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from p4dgs_ref.equations.deformation import random_field
+from p4dgs_ref.studies.random_inputs import random_field
 
 
 class Arena(NamedTuple):
     """How to make inputs for one equation."""
 
     own: int  # genes of one input
-    shared: int  # genes of what all rows of one call share: weights, a camera; 0 where nothing is
+    shared: int  # genes of what all rows of one call share, like weights or a camera
     decode: object  # decode(own (n, .), shared (.,), dtype) -> inputs; n = 1 unless `rows`
     rows: bool = True  # each row of a call is an input of its own
-    fixed: tuple = ()  # inputs that only decide an order or a place: not varied when the size of terms is measured
-    share: float = 1.0  # of the inputs that a search spends; less where one costs more
+    fixed: tuple = ()  # inputs that only decide an order; `search.sizes` does not vary them
+    share: float = 1.0  # of the inputs of a search; less where an evaluation takes longer
 
 
 def number(g, low, high, tiny=0.0):
-    """Genes to numbers of either sign and size 10^low to 10^high, a few of them 0, -0 or +-`tiny`."""
+    """Genes to numbers of either sign from 10^low to 10^high, a few of them 0, -0 or +-`tiny`."""
     t = 2 * np.asarray(g) - 1
     u = np.abs(t)
     size = np.where(
@@ -40,12 +41,12 @@ def positive(g, low, high):
 
 
 def reach(dtype, double=30, single=9):
-    """The largest power of ten of the equations that multiply a few numbers."""
+    """The largest power of ten for equations that multiply a few numbers."""
     return double if dtype == np.float64 else single
 
 
 def take(genes, *shapes):
-    """Cut rows of genes into arrays (n, *shape), or one row without n into arrays of these shapes."""
+    """Cut rows of genes into arrays (n, *shape), or one row into arrays of these shapes."""
     parts, at, lead = [], 0, genes.shape[:-1]
     for shape in shapes:
         size = int(np.prod(shape))
@@ -55,7 +56,7 @@ def take(genes, *shapes):
 
 
 def network(genes, dtype, *widths):
-    """Weights and biases of a network from one vector of genes: sizes from 1e-3 to 1e2, zeros among them."""
+    """Weights and biases of a network from a vector of genes: 1e-3 to 1e2, with zeros."""
     pairs = list(zip(widths[:-1], widths[1:]))
     parts = take(number(genes, -3, 2), *pairs, *((n,) for _, n in pairs))
     return dict(weights=parts[: len(pairs)], biases=parts[len(pairs) :])
@@ -65,7 +66,7 @@ def genes_of(*widths):
     return sum((a + 1) * b for a, b in zip(widths[:-1], widths[1:]))
 
 
-# --- the equations, one function each ---------------------------------------------------------------------------
+# --- the equations, one function each ------------------------------------------------------------
 def offsets(own, shared, dtype):
     x_a, O_a, l_a = take(
         number(own, -reach(dtype), reach(dtype), np.finfo(dtype).smallest_subnormal),
@@ -167,7 +168,7 @@ def covariance(own, shared, dtype):
 
 
 def projection(own, shared, dtype):
-    """Sigma is L L^T of a triangle that may be singular; the camera turns about an axis and stands aside."""
+    """Sigma is L L^T of a triangular L that may be singular; the camera is turned and moved."""
     x, L = take(own, (3,), (3, 3))
     L = np.tril(number(L, -3, 3))
     q = number(shared[:4], -3, 0)
@@ -196,7 +197,7 @@ def projection(own, shared, dtype):
 
 
 def compositing(own, shared, dtype):
-    """Five splats on 3 x 2 pixels: conics of eigenvalues from 1e-6 to 3 (1 / blur), opacities up to the clamp and beyond."""
+    """Five splats on 3 x 2 pixels: eigenvalues of conics from 1e-6 to 3, opacities up to 1."""
     own = own[0]
     mean, angle, curve, alpha, color, depth, background = take(
         own, (5, 2), (5,), (5, 2), (5,), (5, 3), (5,), (3,)
@@ -217,7 +218,7 @@ def compositing(own, shared, dtype):
 
 
 def _images(own, size):
-    """Two images: wild numbers, or flat ones beside each other, as the last genes say."""
+    """Two images: random, nearly equal, or one of them flat, as the first two genes say."""
     image, truth = take(own[0, 2:], size, size)
     how, near = own[0, :2]
     image, truth = (
@@ -271,7 +272,7 @@ def noise(own, shared, dtype):
 
 
 def rounding(own, shared, dtype):
-    """Multiples of half a step and a hair beside them."""
+    """Multiples of half a step, and numbers a few ulp beside them."""
     n, hair, q = take(own, (3,), (3,), (1,))
     q = positive(q, -6, 3).astype(np.float32)
     return dict(
@@ -281,7 +282,7 @@ def rounding(own, shared, dtype):
 
 
 def likelihood(own, shared, dtype):
-    """Up to 1000 sigma away in bins of 1e-12 to 1e6 sigma; bins may end next to mu or far beyond it."""
+    """Up to 1000 sigma away in bins of 1e-12 to 1e6 sigma, some with an edge next to mu."""
     z, w, sigma, mu, hair = np.moveaxis(own.reshape(len(own), 2, 5), 2, 0)
     w, sigma = (
         positive(w, -12, 6),

@@ -1,23 +1,22 @@
-"""What every equation promises: how far off its numbers may be, in eps S, and for which inputs.
+"""What every equation promises: how large its errors may be, and for which inputs.
 
-S says how large the terms are that make up a number y: the largest of |y|, of what y changes per delta when every input
-changes by +-delta of itself, and of terms that cancel by a law (`terms`).  A sum of terms of size S cannot be had more
-accurately than eps S, however small it turns out.  eps is that of the precision in which inputs are given, 2^-52 or 2^-23.
-Values and gradients bear the same promise.  The bounds are powers of two, at least twice what the search has found.
+Errors are counted in eps S. S is the size of the terms of a number y: the largest of |y|, of the
+change of y per delta when every input changes by +-delta of itself, and of terms that cancel by a
+law (`terms`). A sum of terms of size S cannot be more accurate than eps S, however small the sum
+is. eps is that of the precision of the inputs, 2^-52 or 2^-23. Values and gradients have the same
+promise. The bounds are powers of two, at least twice the worst error that the search has found.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-LEAST = {
-    np.float64: 1e-290,
-    np.float32: 1e-25,
-}  # numbers below count as 0: factors underflow on the way to them
+# Smaller numbers count as 0, because factors underflow on the way to them.
+LEAST = {np.float64: 1e-290, np.float32: 1e-25}
 
 
 class Promise(NamedTuple):
-    """Bounds in eps S for float64 and float32; of which inputs; and why not less."""
+    """Bounds in eps S for float64 and float32, the inputs for which they hold, the reason."""
 
     double: float
     single: float

@@ -1,47 +1,57 @@
-"""Where a number's own terms are larger than varying the inputs shows: terms that cancel by a law, whatever the inputs.
+"""Sizes of terms that varying the inputs does not show, because they cancel by a law.
 
-The search measures the size S of terms by varying inputs (`promises`).  It cannot see that a gradient through a
-normalised vector vanishes along it, or that rows of a rotation are orthogonal: both stay so for inputs that are varied.
-Each function here takes inputs, cotangents and the measured sizes and returns the sizes of such terms.
+The search measures the size S of terms by varying inputs (see `promises`). It cannot see that the
+gradient through a normalised vector vanishes along that vector, or that the rows of a rotation are
+orthogonal, because both stay true when the inputs vary. Each function here takes inputs and
+cotangents and returns the sizes of such terms.
 """
 
 import numpy as np
 
+from p4dgs_ref.equations import anchor_network
 from p4dgs_ref.equations import likelihood as likelihood_equation
-from p4dgs_ref.equations import mlp
 from p4dgs_ref.equations import rotation as rotation_equation
+from p4dgs_ref.equations.numerics import normalise_backward
 from p4dgs_ref.splatting import projection as projection_equation
 
-
-def rotation(inputs, cotangents, S):
-    """Behind the normalisation every layer sums products whose sum is nothing along r: their absolute values."""
-    _, res = rotation_equation.forward(**inputs)
-    r_bar = rotation_equation.normalise_backward(res.r, res.norm, cotangents["r_bar"])
-    sizes = mlp.Res([np.abs(a) for a in res.mlp.inputs], [np.abs(W) for W in res.mlp.weights])
-    gradients = mlp.backward(sizes, np.abs(r_bar).reshape(len(r_bar), -1))
-    layers = {
-        f"{name}_bar.{i}": a
-        for name in ("weights", "biases")
-        for i, a in enumerate(gradients[name])
-    }
-    seen = rotation_equation.split_view(gradients, res.d)
-    return {**layers, **{name + "_bar": seen[name] for name in ("f_a", "delta_vc", "d_vc")}}
+BLUR, TAN_CLAMP = 0.3, 1.3
 
 
-def likelihood(inputs, cotangents, S):
-    """The gradient of sigma is one of z and one of w, which at the near edge of a wide bin leave little of each other."""
-    g = likelihood_equation.backward(likelihood_equation.forward(**inputs)[1], **cotangents)
-    moved = np.abs(g["f_noisy"] * (inputs["f_noisy"] - inputs["mu"])) + np.abs(g["q"] * inputs["q"])
-    return {"sigma_bar": moved / inputs["sigma"]}
+def rotation(inputs, cotangents):
+    """Sums of absolute values for the layers before the normalisation.
+
+    Each layer sums products whose sum along r is zero.
+    """
+    _, (r, norm, (saved_mlp, d)) = rotation_equation.forward(**inputs)
+    layer_inputs, weights = saved_mlp
+    sizes = [np.abs(a) for a in layer_inputs], [np.abs(W) for W in weights]
+    psi_bar = np.abs(normalise_backward(r, norm, cotangents["r_bar"]))
+    gradients = anchor_network.backward((sizes, d), psi_bar)
+    found = {name + "_bar": gradients[name] for name in ("f_a", "delta_vc", "d_vc")}
+    for name in ("weights", "biases"):
+        found.update({f"{name}_bar.{i}": a for i, a in enumerate(gradients[name])})
+    return found
 
 
-def ssim(inputs, cotangents, S):
-    """1 - D_SSIM: of images without likeness the 1 is larger than what is left."""
+def likelihood(inputs, cotangents):
+    """The gradient of sigma is the sum of one through z and one through w.
+
+    At the near edge of a wide bin they leave little of each other.
+    """
+    _, saved = likelihood_equation.forward(**inputs)
+    gradients = likelihood_equation.backward(saved, **cotangents)
+    through_z = np.abs(gradients["f_noisy"] * (inputs["f_noisy"] - inputs["mu"]))
+    through_w = np.abs(gradients["q"] * inputs["q"])
+    return {"sigma_bar": (through_z + through_w) / inputs["sigma"]}
+
+
+def ssim(inputs, cotangents):
+    """SSIM is computed as 1 - D_SSIM, so the size of its terms is at least 1."""
     return {"ssim": np.ones(())}
 
 
-def covariance(inputs, cotangents, S):
-    """R comes with an error of eps in each entry, even where it is small: Sigma and gradients with |R| = 1 everywhere."""
+def covariance(inputs, cotangents):
+    """Each entry of R has an error of eps, even a small one: everything with |R| = 1."""
     s = np.abs(inputs["s"])[:, None, :]
     Sigma = np.broadcast_to((s * s).sum(axis=2, keepdims=True), (len(s), 3, 3))
     Sigma_bar = np.abs(cotangents["Sigma_bar"])
@@ -53,27 +63,35 @@ def covariance(inputs, cotangents, S):
     }
 
 
-def projection(inputs, cotangents, S):
-    """Rows of J W vanish along the ray through the mean, and a c - b^2 of a needle cancels: both with absolute values."""
-    out, res = projection_equation.forward(**inputs)
-    z, square = res.x_c[:, 2:], lambda v: np.abs(v)[:, [[0, 1], [1, 2]]]  # (a, b, c) as a matrix
-    m = (np.abs(res.W[:2]) + np.abs(res.uv)[:, :, None] * np.abs(res.W[2])) * (res.focal / z)[
-        :, :, None
-    ]
-    mS = m @ np.abs(res.Sigma)
-    cov = mS @ m.transpose(0, 2, 1) + 0.3
-    a, b, c = out.cov2d.T
-    det = np.where(out.visible, a * c - b * b, np.inf)
+def projection(inputs, cotangents):
+    """The rows of J W cancel along the ray through the mean, and a c - b^2 of a needle cancels.
+
+    Both are computed here with absolute values.
+    """
+
+    def square(v):
+        """(a, b, c) as matrices of absolute values."""
+        return np.abs(v)[:, [[0, 1], [1, 2]]]
+
+    outputs, saved = projection_equation.forward(**inputs)
+    _, cov2d, _, _, visible = outputs
+    x_c, _, _, Sigma, _, _, W, focal, _ = saved
+    z = x_c[:, 2:]
+    limit = TAN_CLAMP * inputs["size"] / (2 * focal)
+    uv = np.clip(x_c[:, :2] / z, -limit, limit)
+    rows = np.abs(W[:2]) + np.abs(uv)[:, :, None] * np.abs(W[2])
+    m = rows * (focal / z)[:, :, None]
+    mS = m @ np.abs(Sigma)
+    cov = mS @ m.transpose(0, 2, 1) + BLUR
+    a, b, c = cov2d.T
+    det = np.where(visible, a * c - b * b, np.inf)
     lost = (cov[:, 0, 0] * cov[:, 1, 1] + cov[:, 0, 1] ** 2) / det
     K = cov[:, ::-1, ::-1] * (np.maximum(lost, 1) / det)[:, None, None]
     D = K @ square(cotangents["conic_bar"]) @ K + square(cotangents["cov2d_bar"])
     m_bar = 2 * D @ mS
-    ratio_bar = (m_bar @ np.abs(res.W[2])) * res.focal / z + np.abs(
-        cotangents["mean2d_bar"]
-    ) * res.focal
-    z_bar = (
-        (m_bar * m).sum(axis=(1, 2)) + (ratio_bar * np.abs(res.x_c[:, :2])).sum(axis=1) / z[:, 0]
-    ) / z[:, 0]
+    ratio_bar = (m_bar @ np.abs(W[2])) * focal / z + np.abs(cotangents["mean2d_bar"]) * focal
+    through_ratio = (ratio_bar * np.abs(x_c[:, :2])).sum(axis=1) / z[:, 0]
+    z_bar = ((m_bar * m).sum(axis=(1, 2)) + through_ratio) / z[:, 0]
     x_bar = z_bar + ratio_bar.sum(axis=1) / z[:, 0] + np.abs(cotangents["depth_bar"])
     return {
         "cov2d": cov[:, [0, 0, 1], [0, 1, 1]],

@@ -1,4 +1,4 @@
-"""The decimal oracle against tables, identities and closed forms, then the NumPy equations against the oracle."""
+"""The decimal equations against tables, identities and closed forms; NumPy against them."""
 
 import json
 import random
@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 import tests.golden.sixty_digits as sixty
-from p4dgs_ref.equations import EQUATIONS, Case
+from p4dgs_ref.table import EQUATIONS
+from tests.golden.cases import Case, cases_of
+from tests.golden.checks import altered
 from tests.golden.sixty_digits import functions as f
 from tests.golden.sixty_digits.errors import cotangents
 from tests.golden.sixty_digits.floats import exact
@@ -20,10 +22,10 @@ from tests.golden.sixty_digits.record import SAMPLES, measure, text
 
 DATA = Path(__file__).with_name("data")
 RECORDED = json.loads((DATA / "reference_errors.json").read_text(encoding="utf-8"))["errors"]
-CASES = [(key, case.name) for key, eq in EQUATIONS.items() for case in eq.cases()]
+CASES = [(key, case.name) for key in EQUATIONS for case in cases_of(key)]
 
-# Sixty digits: pi, e and log 2 as in OEIS A000796, A001113, A002162; all of them from mpmath 1.4 at 70 digits, which also
-# agrees with every function of this room to 158 digits at a few hundred points.
+# Sixty digits: pi, e and log 2 as in OEIS A000796, A001113, A002162; all of them from mpmath 1.4
+# with 70 digits, which also agrees with every function here to 158 digits at a few hundred points.
 TABLE = [
     ("pi", lambda: f.pi(), "3.14159265358979323846264338327950288419716939937510582097494"),
     (
@@ -97,7 +99,7 @@ def agree(got, want, digits=60):
         )
 
 
-# --- elementary functions ----------------------------------------------------------------------------------------
+# --- elementary functions ------------------------------------------------------------------------
 @pytest.mark.parametrize("name, ours, published", TABLE, ids=[row[0] for row in TABLE])
 def test_published_constants(name, ours, published):
     with f.working():
@@ -129,7 +131,7 @@ def test_identities():
 
 @pytest.mark.parametrize("z", ["1e-6", "0.5", "3", "7.99", "8.01", "40", "1000", "1e9"])
 def test_tails(z):
-    """M' = z M - 1 by a difference, the classical bounds z / (z^2 + 1) < M < 1 / z, and the other way to compute M."""
+    """M' = z M - 1 by a difference, z / (z^2 + 1) < M < 1 / z, and the other way to compute M."""
     z = Decimal(z)
     with f.working():
         h, M = z * Decimal("1e-40"), f.mills(z)
@@ -137,11 +139,8 @@ def test_tails(z):
         assert z / (z * z + 1) < M < 1 / z
     if 3 <= z <= 40:  # where a series serves as well as the continued fraction
         with f.guard(800):
-            agree(
-                f.exp(z * z / 2) * (f.pi() / 2).sqrt() - f.sum_of(f._odd_double_factorials(z)),
-                M,
-                150,
-            )
+            series = f.sum_of(f._odd_double_factorials(z))
+            agree(f.exp(z * z / 2) * (f.pi() / 2).sqrt() - series, M, 150)
 
 
 @pytest.mark.parametrize("z", [0, 0.3, 1, 8, 40, 1000])
@@ -168,8 +167,8 @@ def test_a_bin_is_the_sum_of_its_halves(z, w):
         (f.tanh, ("1e-200",)),
     ],
 )
-def test_what_cancels_is_carried_in_more_digits(function, arguments):
-    """The working precision gives what twice and thrice as many digits give."""
+def test_digits_that_cancel_are_added_first(function, arguments):
+    """The working precision gives the same as many more digits."""
     arguments = [Decimal(a) for a in arguments]
     with f.working():
         plain = function(*arguments)
@@ -177,7 +176,7 @@ def test_what_cancels_is_carried_in_more_digits(function, arguments):
             agree(plain, function(*arguments), f.WORKING - 5)
 
 
-# --- floats and decimals -----------------------------------------------------------------------------------------
+# --- floats and decimals -------------------------------------------------------------------------
 def test_conversion_is_exact_one_way_and_rounded_once_the_other():
     a = np.array([0.1, -1e300, 5e-324, np.inf]), np.array([0.1, 1e-45], np.float32)
     for b in a:
@@ -189,12 +188,10 @@ def test_conversion_is_exact_one_way_and_rounded_once_the_other():
     tie = Decimal(1) + Decimal(2) ** -24  # half-way between two float32
     with f.working():
         above, below = tie + Decimal("1e-30"), tie - Decimal("1e-30")
-        far = (
-            Decimal(2) ** 128 - Decimal(2) ** 103
-        )  # half-way between the largest float32 and what follows
+        far = Decimal(2) ** 128 - Decimal(2) ** 103  # half-way beyond the largest float32
         values = [tie, above, below, -above, far, far - 1, Decimal("1e400"), Decimal("NaN")]
     ulp, top = 2.0**-23, np.finfo(np.float32).max
-    assert np.float32(float(above)) == 1  # what rounding twice would have given
+    assert np.float32(float(above)) == 1  # the result of rounding twice
     want = np.array([1, 1 + ulp, 1, -1 - ulp, np.inf, top, np.inf, np.nan], np.float32)
     assert np.array_equal(sixty.to_float(values, np.float32), want, equal_nan=True)
 
@@ -206,9 +203,9 @@ def test_text():
         sixty.text(Decimal(1), 61)
 
 
-# --- gradients ---------------------------------------------------------------------------------------------------
+# --- gradients -----------------------------------------------------------------------------------
 def test_gradients_have_fifty_digits():
-    """Against derivatives that need no difference: of a bin about the mean, of waves up to 2^9, of a far tail."""
+    """Against derivatives in closed form: a bin about the mean, waves up to 2^9, a far tail."""
     one = np.ones((1, 1))
     bin_ = dict(f_noisy=0 * one, mu=0 * one, sigma=one, q=one)
     q_bar = sixty.gradient("likelihood", bin_, {"bits_bar": one}, "q")["q"][0, 0]
@@ -253,9 +250,9 @@ def test_kinks_have_no_gradient_and_everything_else_has():
         sixty.gradient("likelihood", even, {"bits_bar": np.ones((1, 1))}, "mu")["mu"] == 0
     )  # a minimum is no kink
     for key, eq in EQUATIONS.items():
-        for case in eq.cases():
-            if case.smooth and eq.differentiable:
-                bars = cotangents(eq, case, eq(**case.inputs)._asdict())
+        for case in cases_of(key):
+            if case.smooth and eq.gradients:
+                bars = cotangents(eq, case, eq(**case.inputs))
                 found = sixty.gradient(key, case.inputs, bars, samples=1)
                 for name, a in found.items():
                     for array in a if isinstance(a, list) else [a]:
@@ -264,7 +261,7 @@ def test_kinks_have_no_gradient_and_everything_else_has():
 
 
 def test_bits_of_another_library():
-    """The table of bins that mpmath made: value and slopes, rounded once, are the same doubles."""
+    """The table of bins from mpmath: value and slopes, rounded once, are the same doubles."""
     rows = json.loads((DATA / "gaussian_bin_constants.json").read_text(encoding="utf-8"))["rows"]
     one = np.ones((1, 1))
     for z, w, bits, bits_x, bits_q in rows[::5]:
@@ -279,14 +276,14 @@ def test_bits_of_another_library():
         assert got == want, (z, w)
 
 
-# --- the reference against the oracle ----------------------------------------------------------------------------
+# --- NumPy against the decimals ------------------------------------------------------------------
 @lru_cache(None)
 def measured(key, name, dtype, samples):
-    case = next(case for case in EQUATIONS[key].cases() if case.name == name)
+    case = next(case for case in cases_of(key) if case.name == name)
     return measure(key, case, np.dtype(dtype).type, samples)
 
 
-# In eps times the largest magnitude of the array, and why some cases need more.
+# Allowed errors, in eps times the largest magnitude of the array, and why some cases need more.
 ALLOWED = {
     "": 16,
     "projection/needle": 2**27,
@@ -306,20 +303,20 @@ REASONS = {
 }
 
 
-# Seen in exact arithmetic, culled in floats, as the projection declares: a determinant that rounds to 0, or to infinity.
+# Visible in exact arithmetic, culled in floats: the determinant rounds to 0 or to infinity.
 CULLED = ("projection/no_determinant", "projection/infinite_determinant")
 
 
 def compare(key, name, dtype, samples):
-    """One case within what is allowed, and no more than twice as wrong as recorded (or as one rounding error)."""
+    """A case is within the allowed error, and at most twice as wrong as recorded (or as 1 eps)."""
     found, place = measured(key, name, dtype, samples), f"{key}/{name}"
     kept = RECORDED[key][dtype].get(name)
     assert (found is None) == (kept is None), (
-        f"{place}: record anew (python -m tests.golden.sixty_digits.record)"
+        f"{place}: run python -m tests.golden.sixty_digits.record"
     )
     for side, e in (found or {}).items():
         if kept[side] is None:
-            assert e == np.inf and place in CULLED, f"{place}, {side}: record anew"
+            assert e == np.inf and place in CULLED, f"{place}, {side}: record it again"
             continue
         assert e <= ALLOWED.get(place, ALLOWED[""]), f"{place}, {side}: off by {e:.3g} eps S"
         assert e <= 2 * max(kept[side], 1), (
@@ -345,44 +342,54 @@ def test_the_record_is_of_these_cases():
     assert {(key, name) for key, by in RECORDED.items() for name in by["float64"]} == set(CASES)
     assert set(ALLOWED) - {""} == set(REASONS)
     for key, eq in EQUATIONS.items():
-        assert set(eq.differentiable) == set(FORMULAS[key][1])
+        assert set(eq.gradients) == set(FORMULAS[key][1])
 
 
 def test_the_record_is_written_as_it_is_read():
     assert (DATA / "reference_errors.json").read_text(encoding="utf-8") == text(RECORDED)
 
 
-# --- would a mistake be seen? ------------------------------------------------------------------------------------
+# --- mistakes are seen ---------------------------------------------------------------------------
 def lost(key, name, change):
-    """The errors of a reference whose forward or backward someone has changed."""
-    case = next(case for case in EQUATIONS[key].cases() if case.name == name)
+    """The errors of an equation whose forward or backward is changed."""
+    case = next(case for case in cases_of(key) if case.name == name)
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(EQUATIONS, key, change(EQUATIONS[key]))
         return sixty.error(key, case, samples=SAMPLES)
 
 
 def test_mistakes_are_seen():
-    scaled = lambda eq: eq._replace(
-        backward=lambda res, **bars: {
-            n: g * (1 + 1e-13) if n == "l_a" else g for n, g in eq.backward(res, **bars).items()
-        }
-    )
+    def scaled(eq):
+        def backward(saved, x_bar):
+            gradients = eq.backward(saved, x_bar)
+            return {**gradients, "l_a": gradients["l_a"] * (1 + 1e-13)}
+
+        return altered(eq, backward=backward)
+
     errors = lost("offsets", "ordinary", scaled)
-    assert (
-        errors["in_bar.l_a"]
-        > 200
-        > 16
-        > max(e for name, e in errors.items() if name != "in_bar.l_a")
-    )
-    shifted = lambda eq: eq._replace(
-        forward=lambda f, q: (lambda out, res: (out._replace(symbols=out.symbols + 1), res))(
-            *eq.forward(f, q)
-        )
-    )
+    others = max(e for name, e in errors.items() if name != "in_bar.l_a")
+    assert errors["in_bar.l_a"] > 200 > 16 > others
+
+    def shifted(eq):
+        def forward(f, q):
+            (symbols, f_hat), saved = eq.forward(f, q)
+            return (symbols + 1, f_hat), saved
+
+        return altered(eq, forward=forward)
+
     assert lost("rounding", "ties", shifted)["out.symbols"] == np.inf
-    squeezed = lambda eq: eq._replace(
-        forward=lambda **a: (lambda out, res: (out._replace(x=out.x[:1]), res))(*eq.forward(**a))
-    )
+
+    def squeezed(eq):
+        def forward(x_a, O_a, l_a):
+            x, saved = eq.forward(x_a, O_a, l_a)
+            return x[:1], saved
+
+        return altered(eq, forward=forward, backward=lambda saved, x_bar: zeros(saved))
+
+    def zeros(saved):
+        O_a, l_a = saved
+        return {"x_a": 0 * l_a, "O_a": 0 * O_a, "l_a": 0 * l_a}
+
     assert lost("offsets", "ordinary", squeezed)["out.x"] == np.inf
 
 
@@ -390,7 +397,7 @@ def test_scale_and_range():
     case = Case("far", dict(x_a=np.array([[1e200, 1.0, 1.0]]), x_c=np.zeros(3)))
     with pytest.raises(OverflowError, match="float32"):
         sixty.error("view", case, np.float32)
-    case = next(iter(EQUATIONS["offsets"].cases()))
+    case = cases_of("offsets")[0]
     plain, halved = (
         sixty.error("offsets", case, scale=s)["out.x"] for s in (None, {"out.x": 1e-3})
     )

@@ -1,8 +1,9 @@
-"""Every equation once more, in decimal arithmetic: what the NumPy reference is judged by, and where hard cases get their digits.
+"""Every equation in decimal arithmetic: the judge of the NumPy code, and the source of true values.
 
-Nothing here calls the equations or their backwards: values come from the printed formulas on `decimal` numbers, gradients
-from difference quotients of those values.  60 digits of a value and 50 of a gradient may be trusted.
-`python -m p4dgs_ref.sixty_digits.record` measures the reference against it.
+Nothing here calls the equations or their backwards. Values come from the printed formulas on
+`decimal` numbers, gradients from difference quotients of these values. 60 digits of a value and 50
+digits of a gradient may be trusted. `python -m tests.golden.sixty_digits.record` measures the NumPy
+equations against them.
 """
 
 from .errors import error

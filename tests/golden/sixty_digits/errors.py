@@ -1,42 +1,40 @@
-"""How far the NumPy equations are from the decimal ones, in units of eps times the size of what they add up."""
+"""How far the NumPy equations are from the decimal ones, in eps times the size of their terms."""
 
 import zlib
 from decimal import Decimal
 
 import numpy as np
 
-from p4dgs_ref import splatting  # noqa: F401  declares covariance, projection and compositing
-from p4dgs_ref.equations import EQUATIONS
+from p4dgs_ref.table import EQUATIONS
+
 from .floats import to_float, wrapped
 from .functions import working
 from .gradients import gradient, value
 
 
 def error(key, case, dtype=np.float64, scale=None, samples=None):
-    """The worst error of every array of one case: {"out.x": eps S, "in_bar.weights.0": eps S, ...}.
+    """The worst error of every array of one case: {"out.x": ..., "in_bar.weights.0": ..., ...}.
 
-    Shapes     scale {"out.x": S}, arrays or numbers; by default S is the largest magnitude in the array
-    Units      eps of `dtype` times S; infinite where a whole number, a mask, an infinity or a shape is wrong
-    Domain     gradients where there is one: not on kinks; `samples` elements of each array if given
-    Raises     OverflowError where inputs leave the range of `dtype`
+    Errors are in units of eps S, with the eps of `dtype`. `scale` gives S as arrays or numbers,
+    {"out.x": S}; otherwise S is the largest magnitude in the array. An error is infinite where an
+    integer, a mask, an infinity or a shape is wrong. `samples` limits the elements of each gradient
+    array. Raises OverflowError where inputs leave the range of `dtype`.
     """
-    eq = EQUATIONS[key]
-    inputs, eps = cast(case.inputs, dtype), float(np.finfo(dtype).eps)
-    out, res = eq.forward(**inputs)
-    bars = cast(cotangents(eq, case, out._asdict()), dtype)
-    got, want = flat(out._asdict(), "out."), flat(value(key, inputs), "out.")
-    if eq.differentiable:
-        got |= flat(eq.backward(res, **bars), "in_bar.")
+    eq, eps = EQUATIONS[key], float(np.finfo(dtype).eps)
+    inputs = cast(case.inputs, dtype)
+    outputs, pullback = eq.vjp(**inputs)
+    got, want = flat(outputs, "out."), flat(value(key, inputs), "out.")
+    if eq.gradients:
+        bars = cast(cotangents(eq, case, outputs), dtype)
+        got |= flat(pullback(**bars), "in_bar.")
         want |= flat(gradient(key, inputs, bars, samples=samples), "in_bar.")
-    if set(want) - set(got):
-        raise ValueError(
-            f"{key}, case {case.name}: the reference lacks {sorted(set(want) - set(got))}"
-        )
+    if missing := sorted(set(want) - set(got)):
+        raise ValueError(f"{key}, case {case.name}: the NumPy equation lacks {missing}")
     return {name: _worst(got[name], want[name], (scale or {}).get(name), eps) for name in want}
 
 
 def _worst(got, want, S, eps):
-    """The largest of |got - want| / (eps S); 0 for what is the nearest float."""
+    """The largest |got - want| / (eps S); 0 for the nearest floats."""
     got = np.asarray(got)
     if got.shape != want.shape:
         return float("inf")
@@ -44,15 +42,13 @@ def _worst(got, want, S, eps):
         return 0.0 if np.array_equal(wrapped(got), want) else float("inf")
     if S is None:
         S = np.abs(got[np.isfinite(got)]).max(initial=0)
-    off = [
-        _off(g, w, s, eps)
-        for g, w, s in zip(got.ravel(), want.ravel(), np.broadcast_to(S, got.shape).ravel())
-        if not w.is_nan()
-    ]
-    return max(off, default=0.0)
+    sizes = np.broadcast_to(S, got.shape).ravel()
+    elements = zip(got.ravel(), want.ravel(), sizes)
+    return max((_off(g, w, s, eps) for g, w, s in elements if not w.is_nan()), default=0.0)
 
 
 def _off(got, want, S, eps):
+    """The error of one number."""
     if got == to_float(want, got.dtype):
         return 0.0
     if not (np.isfinite(got) and want.is_finite() and S > 0):
@@ -65,11 +61,10 @@ def flat(values, prefix):
     """{"weights": [W]} -> {"in_bar.weights.0": W}."""
     arrays = {}
     for name, a in values.items():
-        arrays.update(
-            {f"{prefix}{name}.{i}": b for i, b in enumerate(a)}
-            if isinstance(a, list)
-            else {prefix + name: a}
-        )
+        if isinstance(a, list):
+            arrays.update({f"{prefix}{name}.{i}": b for i, b in enumerate(a)})
+        else:
+            arrays[prefix + name] = a
     return arrays
 
 
@@ -90,13 +85,12 @@ def cast(values, dtype):
     return {name: change(a) for name, a in values.items()}
 
 
-def cotangents(eq, case, out):
-    """The case's own, else normal numbers drawn by its name; of every float output."""
+def cotangents(eq, case, outputs):
+    """The cotangents of the case, and normal numbers drawn by its name for the other outputs."""
     rng = np.random.default_rng(zlib.crc32(f"{eq.key}/{case.name}".encode()))
-    return {
-        name + "_bar": case.cotangents.get(
-            name + "_bar", np.asarray(rng.standard_normal(np.shape(a)))
-        )
-        for name, a in out.items()
-        if np.asarray(a).dtype.kind == "f" and eq.differentiable
-    }
+    found = {}
+    for name, a in outputs.items():
+        if eq.gradients and np.asarray(a).dtype.kind == "f":
+            drawn = np.asarray(rng.standard_normal(np.shape(a)))
+            found[name + "_bar"] = case.cotangents.get(name + "_bar", drawn)
+    return found

@@ -6,47 +6,45 @@ import numpy as np
 
 from .functions import DIGITS, working
 
-BEYOND_FLOAT32 = Decimal(
-    2**128
-)  # where the next number after the largest would be: rounding ends in infinity
+# The place of the next number after the largest float32. Rounding to it gives infinity.
+BEYOND_FLOAT32 = Decimal(2**128)
 
 
 def exact(a):
-    """Every float as the decimal that it is: arrays become arrays of objects, lists stay lists, masks and settings as is."""
+    """Every float as its exact decimal: arrays of objects for arrays, lists for lists.
+
+    Masks and settings stay as they are.
+    """
     if isinstance(a, list):
         return [exact(b) for b in a]
-    if (
-        isinstance(a, float)
-        or isinstance(a, (np.ndarray, np.generic))
-        and np.asarray(a).dtype.kind in "fiu"
-    ):
+    is_array = isinstance(a, (np.ndarray, np.generic)) and np.asarray(a).dtype.kind in "fiu"
+    if isinstance(a, float) or is_array:
         return each(Decimal, np.asarray(a).astype(object))
     return a
 
 
 def each(function, *arrays):
-    """Apply a function of decimals element by element; a single number comes of single numbers."""
+    """Apply a function of decimals element by element; single numbers give a single number."""
     return np.frompyfunc(function, len(arrays), 1)(*arrays)
 
 
 def wrapped(a):
-    """An output as an array of decimals, whole numbers and masks (0, 1) too."""
+    """An output as an array of decimals, also where it holds integers or masks (0, 1)."""
     a = np.asarray(a, object)
-    return np.array(
-        [v if isinstance(v, Decimal) else Decimal(int(v)) for v in a.ravel()], object
-    ).reshape(a.shape)
+    decimals = [v if isinstance(v, Decimal) else Decimal(int(v)) for v in a.ravel()]
+    return np.array(decimals, object).reshape(a.shape)
 
 
 def to_float(a, dtype=np.float64):
     """The nearest floats, ties to even, of an array of decimals.
 
-    Python rounds a decimal to a double correctly.  A float32 taken from that double would be rounded twice, which goes
-    wrong where the double is a tie between two float32 and the decimal is not: so the candidate and its two neighbours
-    are compared with the decimal itself.
+    Python rounds a decimal to a double correctly. A float32 taken from that double would be rounded
+    twice, which goes wrong where the double is a tie between two float32 and the decimal is not.
+    Therefore the candidate and its two neighbours are compared with the decimal itself.
     """
     nearest = {"d": float, "f": _nearest_float32}[np.dtype(dtype).char]
     a = np.asarray(a, object)
-    with working():  # else distances would be rounded to the 28 digits of Python's own context
+    with working():  # otherwise distances would be rounded to the 28 digits of Python's context
         return np.array([nearest(v) for v in a.ravel()], dtype).reshape(a.shape)
 
 
@@ -54,7 +52,7 @@ def _nearest_float32(x):
     with np.errstate(over="ignore", under="ignore"):
         first = np.float32(float(x))
         near = [first, *(np.nextafter(first, np.float32(side)) for side in (-np.inf, np.inf))]
-    # min keeps the first of equals, which is `first`, rounded to even where x itself is a tie
+    # Where x is a tie, `min` keeps the first of equals, which is rounded to even.
     return min(near, key=lambda c: abs(_value(c) - x)) if x.is_finite() else first
 
 
@@ -63,7 +61,7 @@ def _value(c):
 
 
 def text(x, digits=50):
-    """A decimal with so many significant digits, correctly rounded, for tables of constants."""
+    """A decimal with that many significant digits, correctly rounded, for tables of constants."""
     if not 0 < digits <= DIGITS:
-        raise ValueError(f"digits = {digits}: expected 1 to {DIGITS}, what may be trusted")
+        raise ValueError(f"digits = {digits}: expected 1 to {DIGITS}")
     return f"{x:.{digits - 1}e}"

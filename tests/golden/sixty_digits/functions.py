@@ -1,8 +1,9 @@
-"""Elementary functions of `decimal` numbers, right to the last few digits of the current context whatever the argument.
+"""Elementary functions of `decimal` numbers, right to the last few digits of the current context.
 
-The standard library gives +, -, *, /, sqrt, exp and ln; everything else is made here, from series and one continued fraction,
-so that nothing is shared with the libraries that it is to judge.  Where a formula cancels, the digits that it will lose are
-added first (`guard`), and where two formulas meet, either is right on both sides.
+The standard library has +, -, *, /, sqrt, exp and ln. Everything else is made here from series and
+one continued fraction, so that nothing is shared with the libraries that it judges. Where a formula
+cancels, the digits that it loses are added first (`guard`). Where two formulas meet, both are right
+on both sides.
 """
 
 from contextlib import contextmanager
@@ -10,30 +11,29 @@ from decimal import MAX_EMAX, MIN_EMIN, ROUND_HALF_EVEN, Context, Decimal, getco
 from functools import lru_cache, wraps
 
 DIGITS = 60  # of a value that may be trusted
-WORKING = 160  # carried: difference quotients lose two thirds of them and have more than 50 left
-CONTEXT = Context(
-    prec=WORKING, Emin=MIN_EMIN, Emax=MAX_EMAX
-)  # e^(-10^11) is a number here, not an underflow
+WORKING = 160  # of intermediate results: difference quotients lose two thirds of them
+# With these exponents e^(-10^11) does not underflow.
+CONTEXT = Context(prec=WORKING, Emin=MIN_EMIN, Emax=MAX_EMAX)
 
 HALF = Decimal("0.5")
-SERIES = 8  # of a tail's distance: below, a power series; from here on, a continued fraction
+SERIES = 8  # distance of a tail: below, a power series; from here on, a continued fraction
 
 
 def working():
-    """A block of WORKING digits: `with working(): ...`."""
+    """A `with` block of WORKING digits."""
     return localcontext(CONTEXT)
 
 
 @contextmanager
 def guard(digits):
-    """A block with so many digits more than the current context."""
+    """A `with` block with that many more digits than the current context."""
     with localcontext() as context:
         context.prec += max(0, digits)
         yield
 
 
 def remembered(function):
-    """Keep results: a difference quotient asks again for whatever the changed input has no say in."""
+    """Cache results: difference quotients repeat what the moved input does not change."""
     kept = lru_cache(1 << 15)(lambda x, precision: function(x))
 
     @wraps(function)
@@ -44,7 +44,7 @@ def remembered(function):
 
 
 def sum_of(terms):
-    """The sum of a falling series, up to the first term that no longer changes it."""
+    """The sum of a series with falling terms, up to the first that no longer changes it."""
     total = Decimal(0)
     for term in terms:
         before, total = total, total + term
@@ -52,7 +52,7 @@ def sum_of(terms):
             return total
 
 
-# --- exponentials and logarithms ---------------------------------------------------------------------------------
+# --- exponentials and logarithms -----------------------------------------------------------------
 @remembered
 def exp(x):
     return x.exp()
@@ -74,7 +74,10 @@ def expm1(x):
 
 
 def _powers_over_factorials(term, factor, n, step):
-    """term, then times factor / (n + 1) ... (n + step), and so on: the terms of exp (step 1), sin and cos (step 2)."""
+    """The terms of exp (step 1) or of sin and cos (step 2).
+
+    Each is the one before times factor / ((n + 1) ... (n + step)).
+    """
     while True:
         yield term
         for i in range(n + 1, n + step + 1):
@@ -99,7 +102,7 @@ def _odd_powers(power, square):
 
 
 def sigmoid(x):
-    """1 / (1 + e^-x), from whichever exponential is below one."""
+    """1 / (1 + e^-x), computed from the exponential that is below one."""
     tail = exp(-abs(x))
     return (1 if x >= 0 else tail) / (1 + tail)
 
@@ -109,7 +112,7 @@ def tanh(x):
     return (-drop / (2 + drop)).copy_sign(x)
 
 
-# --- circular functions ------------------------------------------------------------------------------------------
+# --- circular functions --------------------------------------------------------------------------
 @lru_cache(64)
 def _pi(digits):
     """Machin's formula, 16 arctan(1/5) - 4 arctan(1/239), in integers."""
@@ -127,12 +130,15 @@ def _pi(digits):
 
 
 def pi():
-    """As many digits as the context has."""
+    """Pi with all digits of the context."""
     return +_pi(getcontext().prec)
 
 
 def _quadrant(x):
-    """x = n pi/2 + r with |r| <= pi/4, as (n mod 4, r); as many digits more as the whole turns take away."""
+    """x = n pi/2 + r with |r| <= pi/4, as (n mod 4, r).
+
+    The subtraction loses the digits of the whole turns, so they are added first.
+    """
     with guard(max(0, x.adjusted()) + 40):
         n = (x * 2 / pi()).to_integral_value(ROUND_HALF_EVEN)
         rest = x - n * pi() / 2
@@ -142,7 +148,7 @@ def _quadrant(x):
 
 @remembered
 def sin_cos(x):
-    """(sin x, cos x), either with all its digits, also beside its zeros."""
+    """(sin x, cos x), both with all digits, also beside their zeros."""
     turns, r = _quadrant(x)
     square = -r * r
     s, c = (
@@ -160,17 +166,16 @@ def cos(x):
     return sin_cos(x)[1]
 
 
-# --- the Gaussian ------------------------------------------------------------------------------------------------
+# --- the Gaussian --------------------------------------------------------------------------------
 @remembered
 def mills(z):
     """The tail beyond z >= 0 over the density at z: (1 - Phi(z)) / phi(z)."""
     if z < SERIES:
-        with guard(
-            20
-        ):  # e^(z^2/2) sqrt(pi/2) less a sum of about that size: e^32 of cancellation at most
+        with guard(20):  # a difference of nearly equal numbers, which cancel by at most e^32
             result = exp(z * z / 2) * (pi() / 2).sqrt() - sum_of(_odd_double_factorials(z))
         return +result
-    # 1 / (z + 1 / (z + 2 / (z + 3 / ...))): successive convergents P/Q lie on either side of the value, which proves the stop
+    # 1 / (z + 1 / (z + 2 / (z + 3 / ...))). Successive convergents P/Q lie on either side of the
+    # value, which proves that the loop may stop.
     allowed = Decimal(10) ** -getcontext().prec
     with guard(10):
         P, Q, P_next, Q_next, n = Decimal(0), Decimal(1), Decimal(1), z, 1
@@ -183,7 +188,7 @@ def mills(z):
 
 
 def _odd_double_factorials(z):
-    """z + z^3 / 3 + z^5 / (3 5) + ...: the integral of the density from 0 to z, over the density at z."""
+    """z + z^3 / 3 + z^5 / (3 5) + ...: the integral of the density from 0 to z over that at z."""
     term, n = z, 1
     while True:
         yield term
@@ -209,11 +214,13 @@ def erfc(x):
 
 
 def log_mass(z, w):
-    """log(Phi(z + w/2) - Phi(z - w/2)) for w > 0: on one side of the mean from scaled tails, so that nothing underflows."""
+    """log(Phi(z + w/2) - Phi(z - w/2)) for w > 0.
+
+    On one side of the mean it is computed from scaled tails, so that nothing underflows.
+    """
     z = abs(z)
-    lost = (
-        max(0, z.adjusted()) - w.adjusted() + 5
-    )  # digits that the edges, and their tails, have in common
+    # The digits that the two edges, and their tails, have in common.
+    lost = max(0, z.adjusted()) - w.adjusted() + 5
     with guard(lost):
         low, high = z - w / 2, z + w / 2
         if low < 0:

@@ -1,9 +1,10 @@
-"""Values and gradients of every equation in decimals; gradients are difference quotients, so no derivative is written here.
+"""Values and gradients of every equation in decimals; gradients are difference quotients.
 
-The quotient of `y` over `x` is taken at two steps, h and 10^-10 h.  Between them the first difference must fall like h and the
-second like h^2, each to 30 digits: then the quotient at the smaller step is right to 50 digits of the largest term.  Where
-they do not, the step was wider than some feature of the formula, and a narrower one is tried; where none will do, the input
-sits on a kink or a jump, and the gradient is NaN, for there is none.
+The quotient is taken at two steps, h and 10^-10 h. Between them the first difference must fall like
+h and the second like h^2, each to 30 digits; then the quotient at the smaller step is right to 50
+digits of the largest term. Where they do not, the step was wider than some feature of the formula,
+and a narrower one is tried. Where no step will do, the input is on a kink or a jump, and the
+gradient is NaN.
 """
 
 import zlib
@@ -17,10 +18,9 @@ from .functions import WORKING, working
 
 GRADIENT_DIGITS = 50  # trusted, relative to the largest term of the gradient
 FORMULAS = {**prediction.FORMULAS, **rates.FORMULAS, **images.FORMULAS}
-STRAIGHT_THROUGH = (
-    "hash_grid",
-    "hash_rate",
-)  # `grids` through a sign: held, while the clipped parameter moves
+# Their `grids` pass a sign: it is held, while the clipped parameter moves.
+STRAIGHT_THROUGH = ("hash_grid", "hash_rate")
+# Settings that have the precision of the input that they are compared with.
 MEETS = {
     "deformation": ("t", "x"),
     "masking": ("tau_alpha", "alpha"),
@@ -28,27 +28,26 @@ MEETS = {
 }
 
 NAN = Decimal("NaN")
-STEPS = Decimal("1e-40"), Decimal("1e-65")  # of the size of x, of its array, or of one
+STEPS = Decimal("1e-40"), Decimal("1e-65")  # relative to x, to its array, or to one
 FINER = Decimal("1e-10")
 AGREE = Decimal("1e-30")  # error of the first difference, or the second, between the two steps
 NOISE = Decimal(10) ** (
     20 - WORKING
-)  # of the terms summed: what rounding may have left, twenty digits kept back
+)  # of the summed terms: rounding errors, with twenty digits spare
 
 
 def value(key, inputs):
     """{output: array of decimals} of one equation.
 
-    Shapes     as those of the equation; lists stay lists; whole numbers and masks come as decimals too
-    Domain     floats of any precision, taken for the decimals that they are
-    Raises     decimal.InvalidOperation where the formula says inf - inf, 0/0, or asks for the order of a NaN
+    Lists stay lists; integers and masks become decimals too. Raises decimal.InvalidOperation where
+    the formula says inf - inf or 0/0, or compares with a NaN.
     """
     with working():
         return {name: wrapped(a) for name, a in FORMULAS[key][0](**taken(key, inputs)).items()}
 
 
 def taken(key, inputs):
-    """Inputs as decimals; a time and thresholds are declared to come in the precision of what they meet."""
+    """Inputs as decimals; a time and thresholds get the precision of the input in MEETS."""
     if key in MEETS:
         name, other = MEETS[key]
         inputs = {**inputs, name: inputs[other].dtype.type(inputs.get(name, images.ALPHA_MAX))}
@@ -56,11 +55,11 @@ def taken(key, inputs):
 
 
 def gradient(key, inputs, cotangents, name=None, samples=None):
-    """{input: array of decimals}: the gradient of <y_bar, y>, of one input or of all that receive one.
+    """{input: array of decimals}: the gradient of <y_bar, y> by one input, or by all of them.
 
-    Shapes     as those of the inputs, lists for lists; cotangents {"x_bar": array}, None or absent for zero
-    Domain     NaN on a kink, at an infinite input, and, if only some `samples` of every array are asked for, elsewhere;
-               every element costs four values, so long arrays of independent rows are better asked for in pieces
+    Cotangents {"x_bar": array} that are absent are zero. An element is NaN on a kink and at an
+    infinite input, and where only some `samples` of every array are asked for. Every element costs
+    four values of the formula.
     """
     formula, names = FORMULAS[key]
     with working():
@@ -71,7 +70,7 @@ def gradient(key, inputs, cotangents, name=None, samples=None):
         shapes = {n: np.shape(a) for n, a in formula(**start).items()}
 
         def terms(**changed):
-            """The terms of <y_bar, y>; None where a change of what is kept gave y another shape."""
+            """The terms of <y_bar, y>; None where the changed inputs gave y another shape."""
             out = formula(**{**start, **changed})
             if any(np.shape(a) != shapes[n] for n, a in out.items()):
                 return None
@@ -83,7 +82,7 @@ def gradient(key, inputs, cotangents, name=None, samples=None):
 
 
 def _gradient_of(terms, name, x, samples):
-    """Every element of one input, or of a list of them, in its turn."""
+    """The gradient of one input, or of a list of arrays, element by element."""
     arrays = x if isinstance(x, list) else [np.asarray(x, object)]
     found = [np.full(a.shape, NAN, object) for a in arrays]
     for i, a in enumerate(arrays):
@@ -107,14 +106,17 @@ def _gradient_of(terms, name, x, samples):
 
 
 def chosen(shape, name, samples):
-    """Which elements to differentiate, as indices: all, or so many drawn by name; fewer are always among more."""
+    """The indices of the elements to differentiate: all, or some drawn by name.
+
+    A smaller number of samples is a subset of a larger one.
+    """
     size = int(np.prod(shape))
     drawn = np.random.default_rng(zlib.crc32(name.encode())).permutation(size)
     return [np.unravel_index(j, shape) for j in (drawn if samples is None else drawn[:samples])]
 
 
 def sizes(a, at):
-    """Magnitudes on which x may act, the widest first: of its array, of one, of itself."""
+    """The magnitudes on which x may act, the largest first: that of its array, 1, its own."""
     own, widest = abs(a[at]), max((abs(v) for v in a.ravel() if v.is_finite()), default=Decimal(0))
     return sorted({v for v in (widest, Decimal(1), own) if v}, reverse=True)
 

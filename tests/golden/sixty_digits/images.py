@@ -1,4 +1,4 @@
-"""Covariance, projection, compositing, SSIM and Eq. (16), from the printed formulas, in decimals: from Gaussians to the loss."""
+"""Covariance, projection, compositing, SSIM and Eq. (16) in decimals, from the printed formulas."""
 
 from decimal import Decimal, getcontext
 from functools import lru_cache
@@ -10,9 +10,10 @@ from .functions import exp
 
 C1, C2 = Decimal("0.0001"), Decimal("0.0009")  # Q13: 0.01^2, 0.03^2
 RADIUS, WIDTH = 5, Decimal("1.5")  # Q13: 11 pixels, sigma 1.5
-# Q21.  Thresholds are floats like the inputs they are compared with, so that a depth of 0.2 is not beyond a plane at 0.2.
+# Q21. Thresholds are floats like the inputs that they are compared with, so that a depth of 0.2 is
+# not beyond a plane at 0.2.
 NEAR, BLUR, TAN_CLAMP = (Decimal(v) for v in (0.2, 0.3, 1.3))
-ALPHA_MAX = 0.99  # rounded further where opacities are float32
+ALPHA_MAX = 0.99  # rounded once more where opacities are float32
 
 
 def forward_covariance(s, r):
@@ -32,7 +33,7 @@ def forward_covariance(s, r):
 def forward_projection(
     x, Sigma, W, T, focal, center, size, near=NEAR, blur=BLUR, tan_clamp=TAN_CLAMP
 ):
-    """Gaussian by Gaussian; what is culled is zero."""
+    """Gaussian by Gaussian; culled ones are zero."""
     rows = [
         _project(p, S, W, T, focal, center, size, near, blur, tan_clamp) for p, S in zip(x, Sigma)
     ]
@@ -78,10 +79,9 @@ def forward_compositing(
     *,
     alpha_max,
 ):
-    """Pixel by pixel, front to back; without occlusion splats add up."""
-    order = sorted(
-        (i for i in range(len(depth)) if visible[i]), key=lambda i: depth[i]
-    )  # stable: ties by index
+    """Pixel by pixel, front to back. Without occlusion the splats add up."""
+    visible_ones = [i for i in range(len(depth)) if visible[i]]
+    order = sorted(visible_ones, key=lambda i: depth[i])  # stable: ties by index
     image, transmittance = np.empty((height, width, 3), object), np.empty((height, width), object)
     for row in range(height):
         for column in range(width):
@@ -102,9 +102,9 @@ def _falloff(e_x, e_y, conic):
     return exp(-(a * e_x * e_x + c * e_y * e_y) / 2 - b * e_x * e_y)
 
 
-# --- losses ------------------------------------------------------------------------------------------------------
+# --- losses --------------------------------------------------------------------------------------
 def blur(a):
-    """Average (H, W, C) over the window, with zeros around the image; the truth's are remembered."""
+    """Average (H, W, C) over the window, with zeros around the image."""
     return _blurred(a.shape, tuple(a.ravel()), getcontext().prec)
 
 

@@ -1,4 +1,4 @@
-"""Eqs. (1) to (6) and what they stand on, from the printed formulas, in decimals: from anchors to Gaussians at time t."""
+"""Eqs. (1) to (6) in decimals, from the printed formulas: from anchors to Gaussians at time t."""
 
 from decimal import Decimal
 
@@ -23,7 +23,7 @@ def forward_mlp(x, weights, biases):
     return {"y": network(x, weights, biases)}
 
 
-# --- spatial prediction ------------------------------------------------------------------------------------------
+# --- spatial prediction --------------------------------------------------------------------------
 def forward_offsets(x_a, O_a, l_a):
     return {"x": x_a[:, None, :] + O_a * l_a[:, None, :]}
 
@@ -39,12 +39,12 @@ def root(squares):
 
 
 def unit(r):
-    """Quaternions (..., 4) over their safe length."""
+    """Quaternions (..., 4) divided by their safe length."""
     return r / root((r * r).sum(axis=-1, keepdims=True) + NO_LENGTH)
 
 
 def predicted(f_a, delta_vc, d_vc, weights, biases, width):
-    """What one of the four anchor networks says, child by child (A, k, width)."""
+    """The output of one of the four anchor networks, child by child (A, k, width)."""
     y = network(np.concatenate([f_a, delta_vc, d_vc], axis=1), weights, biases)
     return y.reshape(len(y), y.shape[1] // width, width)
 
@@ -68,7 +68,7 @@ def forward_scale(s_a, f_a, delta_vc, d_vc, weights, biases):
 
 
 def forward_masking(alpha, mask, tau_alpha, x, color, s, r):
-    """Children, anchor by anchor, that are neither masked for good nor below the threshold."""
+    """The children that are neither masked nor below the threshold, anchor by anchor."""
     A, k = alpha.shape
     kept = [(a, j) for a in range(A) for j in range(k) if mask[a, j] and alpha[a, j] >= tau_alpha]
     rows = tuple(np.array(kept, int).reshape(-1, 2).T)
@@ -76,9 +76,9 @@ def forward_masking(alpha, mask, tau_alpha, x, color, s, r):
     return {**gathered, "index": [a * k + j for a, j in kept]}
 
 
-# --- temporal prediction -----------------------------------------------------------------------------------------
+# --- temporal prediction -------------------------------------------------------------------------
 def encoded(p, L):
-    """E(p) = (p, sin p, cos p, sin 2p, cos 2p, ...), each over the whole vector p (N, D)."""
+    """E(p) = (p, sin p, cos p, sin 2p, cos 2p, ...), each of the whole vector p (N, D)."""
     parts = [p]
     for j in range(L):
         parts += [each(sin, 2**j * p), each(cos, 2**j * p)]
@@ -99,7 +99,7 @@ def forward_deformation(x, t, weights, biases, L_x, L_t):
 
 
 def forward_deformed(x, s, r, delta_x, delta_s, delta_r):
-    """A delta of zero width is an effect that is off: its attribute passes."""
+    """A delta of zero width belongs to an effect that is off: its attribute passes unchanged."""
     return {
         "x_t": x + delta_x if delta_x.shape[1] else x,
         "s_t": s + delta_s if delta_s.shape[1] else s,

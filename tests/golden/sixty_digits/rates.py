@@ -1,4 +1,4 @@
-"""Eqs. (7) to (15) and (17), from the printed formulas, in decimals: context, quantisation, bits, and what training weighs."""
+"""Eqs. (7) to (15) and (17) in decimals, from the printed formulas: context, quantisation, bits."""
 
 from decimal import ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from itertools import product
@@ -19,19 +19,25 @@ def forward_noise(f, u, q):
 
 
 def forward_step(h, weights, biases, Q_0):
-    """Q_0 (1 + tanh v) = 2 Q_0 sigmoid(2v), which keeps its digits, and not below the floor."""
+    """Q_0 (1 + tanh v) = 2 Q_0 sigmoid(2v), which keeps its digits, but not below the floor."""
     return {"q": Q_0 * np.maximum(2 * each(sigmoid, 2 * network(h, weights, biases)), FLOOR)}
 
 
 def forward_rounding(f, q):
-    """Ties are those of the exact quotient: carried so far, no f/q of two floats comes near a tie without being one."""
+    """Ties are those of the exact quotient.
+
+    With this many digits, no quotient of two floats is near a tie without being one.
+    """
     symbols = each(lambda ratio: ratio.to_integral_value(ROUND_HALF_EVEN), f / q)
     return {"symbols": symbols, "f_hat": symbols * q}
 
 
-# --- the context -------------------------------------------------------------------------------------------------
+# --- the context ---------------------------------------------------------------------------------
 def forward_hash_grid(x_a, lo, hi, grids, resolutions, held=None):
-    """Multilinear reads of signs; `held`: parameters whose signs stay, while the clipped ones move (straight-through)."""
+    """Multilinear reads of signs.
+
+    `held` are the parameters whose signs stay, while the clipped ones move (straight-through).
+    """
     signs = [sign_of(grid, at) for grid, at in zip(grids, grids if held is None else held)]
     h = [
         [
@@ -85,7 +91,7 @@ def entry(node, res, table):
 
 
 def forward_prior(h, weights, biases, widths):
-    """Group by group: all mu, then all raw sigma."""
+    """In each group all mu come first, then all raw sigma."""
     y, mu, raw, start = network(h, weights, biases), [], [], 0
     for width in widths:
         mu.append(y[:, start : start + width])
@@ -97,20 +103,20 @@ def forward_prior(h, weights, biases, widths):
     }
 
 
-# --- bits --------------------------------------------------------------------------------------------------------
+# --- bits ----------------------------------------------------------------------------------------
 def forward_likelihood(f_noisy, mu, sigma, q):
     return {"bits": -each(log_mass, (f_noisy - mu) / sigma, q / sigma) / log(Decimal(2))}
 
 
 def forward_anchor_rate(bits_f, bits_O, bits_l, bits_s, mask):
-    """Masked offsets cost nothing, whatever their bits."""
+    """Masked offsets cost nothing."""
     return {
         "R_anchor": sum((bits.sum() for bits in (bits_f, bits_O[mask], bits_l, bits_s)), Decimal(0))
     }
 
 
 def forward_hash_rate(grids, held=None):
-    """N+ is a count, or with `held` signs one that moves by half the change of every clipped parameter."""
+    """N+ is a count; with `held` signs it moves by half the change of every clipped parameter."""
     n = Decimal(sum(grid.size for grid in grids))
     n_pos = sum(
         ((1 + sign_of(grid, at)) / 2).sum()
@@ -120,7 +126,7 @@ def forward_hash_rate(grids, held=None):
 
 
 def _cost(count, n):
-    """-count log2(count / n), as log(1 + rest / count); 0 for what does not occur."""
+    """-count log2(count / n), as log(1 + rest / count); 0 for a sign that does not occur."""
     return count * log1p((n - count) / count) / log(Decimal(2)) if count > 0 else Decimal(0)
 
 

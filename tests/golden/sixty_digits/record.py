@@ -1,7 +1,7 @@
-"""`python -m p4dgs_ref.sixty_digits.record [KEY ...]`: measure every case of every equation, or of those, and write it down.
+"""Measures every case of every equation: `python -m tests.golden.sixty_digits.record [KEY ...]`.
 
-Run where the tests are: the file, tests/data/reference_errors.json, is what `tests/test_sixty_digits.py` compares with, and an
-equation that gets twice as wrong as recorded fails.  All equations together take three minutes.
+The results go to tests/golden/data/reference_errors.json. `test_sixty_digits.py` compares with
+them: an equation whose error becomes twice as large fails. All equations take three minutes.
 """
 
 import json
@@ -10,21 +10,25 @@ from pathlib import Path
 
 import numpy as np
 
-from p4dgs_ref.equations import EQUATIONS
+from p4dgs_ref.table import EQUATIONS
+from tests.golden.cases import cases_of
+
 from .errors import error
 
 FILE = Path(__file__).parents[1] / "data" / "reference_errors.json"
-SAMPLES = 12  # elements of a gradient array that the quick test, and every measurement in float32, look at
+# Elements of a gradient array that the quick test, and every measurement in float32, look at.
+SAMPLES = 12
 HOW = (
-    "Largest error of the NumPy equations against 60-digit decimals: per case, of the outputs and of the gradients, in units "
-    "of eps times the largest magnitude in the array. float64: all elements; float32: at most 12 of each gradient array. "
-    "Cases whose inputs leave the range of float32 are absent there; null: infinitely wrong, for the rounding of floats "
-    "decides what is computed. Made by `python -m p4dgs_ref.sixty_digits.record`."
+    "Largest error of the NumPy equations against 60-digit decimals: per case, of the outputs and "
+    "of the gradients, in units of eps times the largest magnitude in the array. float64: all "
+    "elements; float32: at most 12 of each gradient array. Cases whose inputs leave the range of "
+    "float32 are absent there; null: infinitely wrong, because the rounding of floats decides what "
+    "is computed. Made by `python -m tests.golden.sixty_digits.record`."
 )
 
 
 def measure(key, case, dtype, samples=None):
-    """{"out": worst, "in_bar": worst} of one case; None if its inputs leave the range of `dtype`."""
+    """{"out": worst, "in_bar": worst} of one case; None if `dtype` cannot hold its inputs."""
     try:
         with np.errstate(all="ignore"):
             errors = error(key, case, dtype, samples=samples)
@@ -37,19 +41,18 @@ def measure(key, case, dtype, samples=None):
 
 
 def record(keys):
-    """{key: {dtype: {case: {"out": .., "in_bar": ..}}}}, three digits each, rounded up."""
+    """{key: {dtype: {case: {"out": ..., "in_bar": ...}}}}, three digits each, rounded up."""
     errors = {}
     for key in keys:
         print(key, flush=True)
         errors[key] = {}
         for dtype, samples in (("float64", None), ("float32", SAMPLES)):
-            rows = {
-                case.name: measure(key, case, np.dtype(dtype).type, samples)
-                for case in EQUATIONS[key].cases()
-            }
-            errors[key][dtype] = {
-                name: {side: _up(e) for side, e in row.items()} for name, row in rows.items() if row
-            }
+            rows = {}
+            for case in cases_of(key):
+                row = measure(key, case, np.dtype(dtype).type, samples)
+                if row:
+                    rows[case.name] = {side: _up(e) for side, e in row.items()}
+            errors[key][dtype] = rows
     return errors
 
 
@@ -58,26 +61,18 @@ def _up(e):
 
 
 def text(errors):
-    """The file's content, a line for every case."""
+    """The file's content, one line per case."""
 
     def block(name, rows, indent):
         return f"{indent}{json.dumps(name)}: {{\n" + ",\n".join(rows) + "\n" + indent + "}"
 
-    keys = [
-        block(
-            key,
-            [
-                block(
-                    dtype,
-                    [f"   {json.dumps(case)}: {json.dumps(row)}" for case, row in cases.items()],
-                    "  ",
-                )
-                for dtype, cases in by.items()
-            ],
-            " ",
-        )
-        for key, by in errors.items()
-    ]
+    keys = []
+    for key, by_dtype in errors.items():
+        dtypes = []
+        for dtype, cases in by_dtype.items():
+            rows = [f"   {json.dumps(case)}: {json.dumps(row)}" for case, row in cases.items()]
+            dtypes.append(block(dtype, rows, "  "))
+        keys.append(block(key, dtypes, " "))
     return f'{{"how": {json.dumps(HOW)},\n' + block("errors", keys, "") + "}\n"
 
 
