@@ -1,8 +1,9 @@
 # %% [markdown]
 # # The file, byte by byte
 #
-# **Promise.** After this you can open a `.p4dgs` file with nothing but `struct` and say of each byte what it is for.
-# **Before it:** `07_noise_and_rounding`, `10_prior_and_likelihood`. **Takes** four seconds on two cores, an hour of yours.
+# **Promise.** After this you can open a `.p4dgs` file with nothing but `struct`, and say of each
+# byte what it is for. **Before it:** `07_noise_and_rounding`, `10_prior_and_likelihood`.
+# **Takes** four seconds on two cores, an hour of yours.
 
 # %%
 import json
@@ -23,58 +24,58 @@ from p4dgs_ref.oracle import streams
 from p4dgs_ref.school import lessons
 
 plt = lessons.pyplot()
-data = (
-    published.FOLDER / "one_anchor.p4dgs"
-).read_bytes()  # the smallest model there is: one anchor, one child
+data = (published.FOLDER / "one_anchor.p4dgs").read_bytes()  # one anchor with one child
 
 # %% [markdown]
 # ## Claim
-# Eq. (13) and Eq. (14) count bits. A file must hold those bits and all that the equations leave out: positions, networks, and
-# how to read the rest. Here it is a frame, a table of $S$ sections, and the sections; no byte is without an owner:
-# $$bytes = \underbrace{14}_{frame} + \underbrace{9\,S}_{table} + \underbrace{4}_{checksum} + \sum_i bytes_i$$
+# Eq. (13) and Eq. (14) count bits. A file must hold these bits and everything that the equations
+# leave out: the positions, the networks, and a description of how to read the rest. It consists
+# of a frame, a table of $S$ sections, and the sections themselves. Every byte belongs to exactly
+# one of these parts:
+# $$bytes = \underbrace{14}_{frame} + \underbrace{9\,S}_{table} + \underbrace{4}_{checksum}
+#   + \sum_i bytes_i$$
 
 # %%
 parts = container.layout(data)
+sizes = [size for _, size in parts]
 S = len(parts) - 2
-assert len(data) == 14 + 9 * S + 4 + sum(n for _, n in parts[2:]) == sum(n for _, n in parts)
-print(len(data), "bytes:", ", ".join(f"{name} {n}" for name, n in parts))
+assert sum(sizes) == len(data)
+assert 14 + 9 * S + 4 + sum(sizes[2:]) == len(data)
+print(len(data), "bytes:", ", ".join(f"{name} {size}" for name, size in parts))
 
 # %% [markdown]
 # ## By hand
-# The smallest file worth writing has one section, number 7 (masks), with the bytes `01 02 03`: 30 bytes in all.
-# All integers are little-endian, the lowest byte first: the length 30 is `1e 00 00 00`.
+# The smallest useful example has a single section, number 7 (the masks), with the bytes
+# `01 02 03`. The whole file has 30 bytes. All integers are little-endian, which means that the
+# lowest byte comes first: the length 30 is stored as `1e 00 00 00`.
 
 # %%
-head = b"\x89P4D\r\n\x1a\n" + struct.pack(
-    "<BBI", 1, 1, 30
-)  # magic, version, number of sections, total length
-head += struct.pack(
-    "<BII", 7, 3, zlib.crc32(b"\1\2\3")
-)  # one row of the table: id, length, checksum
-smallest = head + struct.pack("<I", zlib.crc32(head)) + b"\1\2\3"
-assert (
-    len(smallest) == 30
-    and smallest[10:14].hex(" ") == "1e 00 00 00"
-    and container.SECTIONS[7 - 1] == "masks"
-)
-assert container.read_container(smallest) == {"masks": b"\1\2\3"}
+body = b"\1\2\3"
+head = b"\x89P4D\r\n\x1a\n"  # the magic number
+head += struct.pack("<BBI", 1, 1, 30)  # version, number of sections, length of the file
+head += struct.pack("<BII", 7, 3, zlib.crc32(body))  # a row of the table: id, length, checksum
+smallest = head + struct.pack("<I", zlib.crc32(head)) + body
+assert len(smallest) == 30
+assert smallest[10:14].hex(" ") == "1e 00 00 00"
+assert container.read_container(smallest) == {"masks": body}
 
 # %% [markdown]
-# The magic is chosen to break early. A copy that keeps seven bits of a byte damages its first byte, a copy in text mode its
-# line ends. PNG begins in the same way, for the same reason.
+# The magic number is chosen so that damaged copies are noticed early. A copy that keeps only
+# seven bits of each byte changes its first byte, and a copy in text mode changes its line ends.
+# PNG begins in the same way for the same reason.
 
 # %%
-assert container.MAGIC[0] >> 7 == 1
-for spoilt in (
-    bytes(b & 127 for b in data),
-    data.replace(b"\r\n", b"\n"),
-    data.replace(b"\n", b"\r\n"),
-):
-    assert spoilt[:8] != container.MAGIC
+seven_bits = bytes(byte & 127 for byte in data)
+unix = data.replace(b"\r\n", b"\n")
+windows = data.replace(b"\n", b"\r\n")
+for damaged in (seven_bits, unix, windows):
+    assert damaged[:8] != container.MAGIC
 
 # %% [markdown]
-# The checksum is the `CRC-32` of zlib: the message as one long polynomial over bits, divided by a fixed one, the remainder kept.
-# Bit by bit it is six lines. It finds every single wrong bit and every burst of up to 32 bits.
+# The checksum is the `CRC-32` of zlib. It regards the message as a long polynomial with bits as
+# coefficients, divides it by a fixed polynomial, and keeps the remainder. Bit by bit this takes a
+# few lines. It detects every single wrong bit, and every burst of wrong bits that is at most 32
+# bits long.
 
 
 # %%
@@ -83,111 +84,129 @@ def crc32(message):
     for byte in message:
         c ^= byte
         for _ in range(8):
-            c = c >> 1 ^ (
-                0xEDB88320 if c & 1 else 0
-            )  # subtract the divisor where the top term is there
+            divides = c & 1  # the leading term is in the lowest bit
+            c >>= 1
+            if divides:
+                c ^= 0xEDB88320
     return c ^ 0xFFFFFFFF
 
 
-assert crc32(b"\1\2\3") == zlib.crc32(b"\1\2\3") == 0x55BC801D
+assert crc32(body) == zlib.crc32(body)
 rng = np.random.default_rng(19)
+number = int.from_bytes(data, "little")
 for _ in range(500):
-    burst, at = (1 << 31) + int(rng.integers(2**31)), int(rng.integers(8 * len(data) - 31))
-    assert burst.bit_length() == 32  # 32 bits, right and wrong ones at random
-    spoilt = int.from_bytes(data, "little") ^ burst << at
-    assert zlib.crc32(spoilt.to_bytes(len(data), "little")) != zlib.crc32(data)
+    burst = (1 << 31) + int(rng.integers(2**31))  # 32 bits, of which random ones are wrong
+    place = int(rng.integers(8 * len(data) - 31))
+    damaged = (number ^ burst << place).to_bytes(len(data), "little")
+    assert zlib.crc32(damaged) != zlib.crc32(data)
 
 # %% [markdown]
 # ## In code
-# Now the real file. Fourteen bytes of frame, then a row for each section. Every checksum is asked before a byte is believed.
+# Now the real file: fourteen bytes of frame, then one row of the table for each section. A reader
+# verifies the checksum of a part before it uses any of its bytes.
 
 # %%
 magic, version, count, total = struct.unpack_from("<8sBBI", data)
+table_end = 14 + 9 * count
+(table_crc,) = struct.unpack_from("<I", data, table_end)
 assert magic == container.MAGIC and version == 1 and total == len(data)
-start, sections = 14 + 9 * count + 4, {}
-assert zlib.crc32(data[: start - 4]) == struct.unpack_from("<I", data, start - 4)[0]
+assert zlib.crc32(data[:table_end]) == table_crc
+sections = {}
+start = table_end + 4
 for row in range(count):
-    number, length, crc = struct.unpack_from("<BII", data, 14 + 9 * row)
+    section, length, crc = struct.unpack_from("<BII", data, 14 + 9 * row)
     body = data[start : start + length]
     assert zlib.crc32(body) == crc
-    sections[container.SECTIONS[number - 1]] = body
+    sections[container.SECTIONS[section - 1]] = body
     start += length
-assert start == total and sections == container.read_container(data)
+assert start == total
+assert sections == container.read_container(data)
 print(sections["header"].decode())
 
 # %% [markdown]
-# **The header** is JSON: widths of the networks, levels of the grid, base steps $Q_0$. With it every other length is known.
-# **Positions** are a box, six `float32`, and three `uint16` an anchor: $x_a = lo + n\,(hi - lo)/65535$, 6 bytes an anchor.
-# **Networks** are `float16` as they are: no prior is learnt for weights, so each costs all of its bits.
+# **The header** is JSON. It contains the widths of the networks, the levels of the grid and the
+# base steps $Q_0$, from which all other lengths can be derived.
+#
+# **Positions** are stored as a bounding box of six `float32` and three `uint16` for each anchor,
+# 6 bytes per anchor. An anchor is at $x_a = lo + n\,(hi - lo)/65535$.
+#
+# **Networks** are stored as `float16` without further coding. There is no learned prior for
+# weights, so every weight costs its full 16 bits.
 
 # %%
 header = json.loads(sections["header"])
-box, n = (
-    struct.unpack_from("<6f", sections["positions"]),
-    struct.unpack_from("<3H", sections["positions"], 24),
-)
-x_a = [lo + i * ((hi - lo) / 65535) for lo, hi, i in zip(box[:3], box[3:], n)]
+box = struct.unpack_from("<6f", sections["positions"])
+n = struct.unpack_from("<3H", sections["positions"], 24)
+x_a = []
+for lo, hi, i in zip(box[:3], box[3:], n):
+    x_a.append(lo + i * ((hi - lo) / 65535))
+assert x_a == [-1.5, -1.0, 0.25]
 assert len(sections["positions"]) == 24 + 6 * header["anchors"]
-weights = {
-    name: np.frombuffer(sections[name], "<f2")
-    for name in sections
-    if name.endswith("mlps") or name.endswith("mlp")
-}
-assert (len(weights["context_mlps"]) * 2, x_a) == (
-    len(sections["context_mlps"]),
-    [-1.5, -1.0, 0.25],
-)
+weights = np.frombuffer(sections["context_mlps"], "<f2")
+assert np.isfinite(weights).all()
 
 # %% [markdown]
-# **Masks and hash grid** are bits with one common probability: four bytes say $p_+\cdot 2^{24}$, then a message follows, unless
-# all bits are equal. Here the mask is one bit that is certain. The grid has 4 signs, $p_+ = \frac{3}{4}$; the message is one
-# integer $x$, whose *slot* $x \bmod 2^{24}$ names the sign: below $2^{22}$ it is $-1$. (Why: `20_intervals_to_rans`.)
+# **Masks and hash grid** are bits that share one probability. Four bytes hold $p_+\cdot 2^{24}$,
+# and a message follows unless all bits are equal. Here the mask is a single bit of probability
+# one, so no message follows. The grid has 4 signs with $p_+ = \frac{3}{4}$. Its message is one
+# integer $x$. The number $x \bmod 2^{24}$ is called the *slot* and determines the sign: slots
+# below $2^{22}$ stand for $-1$. (`20_intervals_to_rans` explains why.)
 
 # %%
-f = int.from_bytes(sections["masks"], "little")
-assert f == 2**24 and len(sections["masks"]) == 4  # probability one: no message follows
-(f,) = struct.unpack_from("<I", sections["hash_grid"])
-x, signs = int.from_bytes(sections["hash_grid"][5:13], "little"), []  # byte 4: size of x
+p_mask = int.from_bytes(sections["masks"], "little")
+assert p_mask == 2**24 and len(sections["masks"]) == 4
+(p_plus,) = struct.unpack_from("<I", sections["hash_grid"])
+assert p_plus / 2**24 == 3 / 4
+p_minus = 2**24 - p_plus
+assert p_minus == 2**22
+x = int.from_bytes(sections["hash_grid"][5:13], "little")  # byte 4 is the size of x
+signs = []
 for _ in range(4):
     slot = x % 2**24
-    begin, wide = (0, 2**24 - f) if slot < 2**24 - f else (2**24 - f, f)
-    signs.append(-1 if begin == 0 else 1)
-    x = x // 2**24 * wide + slot - begin
-assert (
-    f / 2**24 == 3 / 4 and 2**24 - f == 2**22 and signs == [1, 1, 1, -1] and x == 2**31
-)  # where it began
+    if slot < p_minus:
+        signs.append(-1)
+        x = x // 2**24 * p_minus + slot
+    else:
+        signs.append(1)
+        x = x // 2**24 * p_plus + slot - p_minus
+assert signs == [1, 1, 1, -1]
+assert x == 2**31  # the value with which the encoder began
 
 # %% [markdown]
-# **Features, scales, offsets** are whole numbers $\lfloor f/q\rceil$, each with a table of its own, made from the integers that
-# stand for $\mu/q$ and $\log_2(\sigma/q)$. For the one feature here they are 2331, in units of $1/1024$, and -56, in units of
-# $1/16$: mean 2.28, deviation 0.09 steps. The message is `x = 0x80c0d682`; its slot lies in the symbol 2's block: $f = 2q$.
+# **Features, scales and offsets** are the symbols $\lfloor f/q\rceil$. Each symbol has a
+# probability table of its own, which is computed from two integers that represent $\mu/q$ and
+# $\log_2(\sigma/q)$. For the only feature here they are 2331, in units of $1/1024$, and -56, in
+# units of $1/16$. That is a mean of 2.28 and a deviation of 0.09 steps. The message is
+# `x = 0x80c0d682`. Its slot lies in the block of the symbol 2, so $f = 2q$.
 
 # %%
-q = quantised_of(sections)
-mu_units, sigma_units = int(q.context.mu_units[0, 0]), int(q.context.sigma_units[0, 0])
-assert (mu_units, sigma_units) == (2331, -56) and (
-    round(2331 / 1024, 2),
-    round(2 ** (-56 / 16), 2),
-) == (2.28, 0.09)
-table = gaussian_model(np.array([mu_units]), np.array([sigma_units]))
+quantised = quantised_of(sections)
+mu_units = quantised.context.mu_units[0, :1]
+sigma_units = quantised.context.sigma_units[0, :1]
+assert mu_units.tolist() == [2331] and round(2331 / 1024, 2) == 2.28
+assert sigma_units.tolist() == [-56] and round(2 ** (-56 / 16), 2) == 0.09
+table = gaussian_model(mu_units, sigma_units)
 x = int.from_bytes(sections["features"][1:], "little")
-place = int(np.searchsorted(table.keys, x % 2**24, "right")) - 1
-assert (
-    x == 0x80C0D682
-    and table.lowest[0] + place == 2
-    and q.model.anchors.f_a[0, 0] == 2 * q.context.q[0, 0]
-)
-print(
-    "the feature's table:",
-    dict(zip(range(table.lowest[0], table.lowest[0] + 5), np.diff(table.keys)[:5].tolist())),
-)
+assert x == 0x80C0D682
+block = int(np.searchsorted(table.keys, x % 2**24, "right")) - 1
+symbol = table.lowest[0] + block
+assert symbol == 2
+assert quantised.model.anchors.f_a[0, 0] == 2 * quantised.context.q[0, 0]
+widths_of_blocks = np.diff(table.keys)[:5].tolist()
+print("the feature's table:")
+for i, width in enumerate(widths_of_blocks):
+    print(f"    symbol {table.lowest[0] + i}: {width} of {2**24} slots")
+
 
 # %%
-owners = np.repeat(np.arange(len(parts)), [n for _, n in parts])
-shade = lambda i: (
-    *plt.matplotlib.colors.to_rgb(lessons.COLORS[i % 6]),
-    0.28 if i < 6 else 0.62 if i < 12 else 0.12,
-)
+def shade(i):
+    """The colour of part i of the file."""
+    rgb = plt.matplotlib.colors.to_rgb(lessons.COLORS[i % 6])
+    opacity = (0.28, 0.62, 0.12)[i // 6]
+    return (*rgb, opacity)
+
+
+owners = np.repeat(np.arange(len(parts)), sizes)
 figure, axes = plt.subplots(figsize=(16, 9))
 for i, byte in enumerate(data):
     row, column = divmod(i, 32)
@@ -201,11 +220,12 @@ for i, byte in enumerate(data):
         family="monospace",
         fontsize=9.5,
     )
-at = 0
+address = 0
 for i, (name, size) in enumerate(parts):
+    label = f"{address:3d}  {name}, {size} bytes"
     axes.add_patch(plt.Rectangle((33.2, 2.2 * i + 1), 1.4, 1.4, color=shade(i), lw=0))
-    axes.text(35, 2.2 * i + 1.75, f"{at:3d}  {name}, {size} bytes", va="center", fontsize=13)
-    at += size
+    axes.text(35, 2.2 * i + 1.75, label, va="center", fontsize=13)
+    address += size
 axes.set(
     frame_on=False,
     xlim=(0, 46),
@@ -215,75 +235,89 @@ axes.set(
     yticks=np.arange(31) + 0.5,
     yticklabels=range(0, 31 * 32, 32),
     ylabel="address (bytes)",
-    title="A whole model in 980 bytes: what entropy coding acts on is the thin stripe in the middle",
+    title="A model in 980 bytes; entropy coding acts only on the thin stripe in the middle",
 )
 axes.grid(False)
-assert (
-    len(data) == 980
-    and sum(size for name, size in parts if name.endswith("mlp") or name.endswith("mlps"))
-    > 980 / 2 - 3
-)
+assert len(data) == 980
 lessons.show(figure, "19_file_byte_by_byte")
 
 # %% [markdown]
 # ## Backward by hand
-# A file has no backward. Move one feature: its symbol changes at ties only, so the bytes are constant almost everywhere and
-# their gradient is 0 or does not exist. What training follows is the smooth estimate of Eq. (11), below beside the truth.
-# Here a trained model of 60 anchors: all features of one anchor moved together, step by step, the file written anew each time.
-# Far out the stairs stay below: a table gives a rare symbol one count of $2^{24}$, so 24 bits, where Eq. (11) asks for more.
+# A file has no backward pass. If a feature is moved continuously, its symbol changes only at
+# ties. The bytes are therefore constant almost everywhere, and their derivative is 0 or does not
+# exist. Training follows the smooth estimate of Eq. (11) instead, and the next figure compares
+# this estimate with the truth. It uses a trained model of 60 anchors. All features of one anchor
+# are moved together in small steps, and the file is written again after each step. Far from the
+# mean the staircase stays below the estimate, because a table gives even the rarest symbol one of
+# its $2^{24}$ counts. Such a symbol costs 24 bits, whereas Eq. (11) asks for more.
 
 # %%
 golden = (oracle.path() / "model.p4dgs").read_bytes()
-g = quantised_of(container.open_container(golden))
-prior, d = inspect.float_context(g.model), g.model.design.d
-step, units = g.context.q[7, 0], (g.context.mu_units[7, :d], g.context.sigma_units[7, :d])
+trained = quantised_of(container.open_container(golden))
+anchors = trained.model.anchors
+prior = inspect.float_context(trained.model)
+d = trained.model.design.d
+step = trained.context.q[7, 0]
+mu_units = trained.context.mu_units[7, :d]
+sigma_units = trained.context.sigma_units[7, :d]
 steps_up = np.linspace(-6, 12, 73) + 0.003  # never on a tie
-moved = g.model.anchors.f_a[7] + steps_up[:, None] * step  # (73, d)
-lengths, integer = [], []
-for values in moved:
-    f_a = g.model.anchors.f_a.copy()
+moved = anchors.f_a[7] + steps_up[:, None] * step  # (73, d)
+
+
+def with_features(values):
+    """The model in which anchor 7 has other features."""
+    f_a = anchors.f_a.copy()
     f_a[7] = values
-    lengths.append(len(p4.encode(replace(g.model, anchors=g.model.anchors._replace(f_a=f_a)))))
-    integer.append(ideal_bits_gaussian(np.rint(values / step).astype(int), *units).sum())
-estimate, res = likelihood.forward(
-    moved, *(np.tile(a[7, :d], (73, 1)) for a in (prior.mu, prior.sigma)), np.full((73, d), step)
+    return replace(trained.model, anchors=anchors._replace(f_a=f_a))
+
+
+lengths, table_bits = [], []
+for values in moved:
+    lengths.append(len(p4.encode(with_features(values))))
+    symbols = np.rint(values / step).astype(int)
+    table_bits.append(ideal_bits_gaussian(symbols, mu_units, sigma_units).sum())
+estimate, saved = likelihood.forward(
+    moved,
+    np.tile(prior.mu[7, :d], (73, 1)),
+    np.tile(prior.sigma[7, :d], (73, 1)),
+    np.full((73, d), step),
 )
-slope = likelihood.backward(res, np.ones((73, d)))["f_noisy"].sum(axis=1)
-assert len(g.positions) == 60 and 1 < len(set(lengths)) < len(set(integer)) < len(
-    moved
-) == np.count_nonzero(slope)
-assert integer[-1] < 24 * d < estimate.bits[-1].sum() and set(np.diff(lengths)) <= {
-    -4,
-    0,
-    4,
-}  # words of 32 bits
+slope = likelihood.backward(saved, np.ones((73, d)))["f_noisy"].sum(axis=1)
+assert np.count_nonzero(slope) == len(moved)  # the estimate has a slope everywhere,
+assert len(set(lengths)) < len(set(table_bits)) < len(moved)  # the others are staircases
+assert set(np.diff(lengths)) <= {-4, 0, 4}  # a message consists of words of 32 bits
+assert table_bits[-1] < 24 * d < estimate.sum(axis=1)[-1]
+
 figure, axes = plt.subplots(figsize=(9, 5))
-axes.plot(steps_up, estimate.bits.sum(axis=1), label="estimate, Eq. (11)")
-axes.step(steps_up, integer, where="mid", label="ideal bits under whole-number tables")
+axes.plot(steps_up, estimate.sum(axis=1), label="estimate, Eq. (11)")
+axes.step(steps_up, table_bits, where="mid", label="ideal bits under the integer tables")
 axes.step(
     steps_up,
     8 * (np.array(lengths) - len(golden)),
     where="mid",
     ls="--",
-    label="the file against its length at 0",
+    label="length of the file, relative to the original",
 )
 axes.set(
     xlabel="how far the features of anchor 7 are moved (in steps q)",
     ylabel="bits",
-    title="The estimate has a slope, the file has stairs",
+    title="The estimate has a slope, the file is a staircase",
 )
 axes.legend(fontsize=11)
 lessons.show(figure, "19_what_no_gradient_sees")
 
 # %% [markdown]
 # ## Break it
-# Flip one bit of the file, any: it is refused, all 7840 times. Now the plausible mistake: a reader that skips the checksums.
-# Half of this file is weights, and a damaged weight is still a weight: the file opens, and nobody is told.
+# Flip any bit of the file, and the reader refuses it, for all 7840 bits. The plausible mistake is
+# a reader that skips the checksums. Half of this file consists of weights, and a damaged weight
+# is still a weight, so the file opens without a warning.
 
 
 # %%
 def flipped(message, bit):
-    return message[: bit // 8] + bytes([message[bit // 8] ^ 1 << bit % 8]) + message[bit // 8 + 1 :]
+    changed = bytearray(message)
+    changed[bit // 8] ^= 1 << bit % 8
+    return bytes(changed)
 
 
 def refused(read, *arguments):
@@ -294,42 +328,44 @@ def refused(read, *arguments):
     return False
 
 
-assert (
-    sum(refused(container.read_container, flipped(data, bit)) for bit in range(8 * len(data)))
-    == 7840
-)
-taken, tried = 0, 0
+for bit in range(8 * len(data)):
+    assert refused(container.read_container, flipped(data, bit))
+opened, tried = 0, 0
 for name, body in sections.items():
     for bit in range(3, 8 * len(body), 89):
-        forged = container.write_container(
-            {**sections, name: flipped(body, bit)}
-        )  # with checksums that fit
-        taken, tried = taken + (not refused(p4.decode, forged)), tried + 1
-print(f"without checksums {taken} of {tried} flipped bits go unnoticed")
-assert taken > tried / 2
+        damaged = {**sections, name: flipped(body, bit)}
+        forged = container.write_container(damaged)  # with checksums that fit
+        opened += not refused(p4.decode, forged)
+        tried += 1
+print(f"without checksums, {opened} of {tried} flipped bits are not noticed")
+assert opened > tried / 2
 
 # %% [markdown]
 # ## What a codec does with it
-# A video stream is built alike: a start code, units with a type and a length, parameter sets first, then coded symbols.
-# In the trained model the four sections that prediction and context act on are 748 of 9730 bytes; networks are most of the rest.
-# The paper's scenes have more anchors: there the attributes weigh more, and the frame hardly anything.
+# A video stream has the same structure: a start code, units with a type and a length, parameter
+# sets first, then coded symbols. In the trained model, the four sections that prediction and
+# context modelling act on have 748 of 9730 bytes, and most of the rest are networks. The scenes
+# of the paper have many more anchors, so their attributes weigh more and the frame hardly counts.
 
 # %%
 sizes = dict(container.layout(golden))
 attributes = sum(sizes[name] for name in ("features", "scales", "offset_scales", "offsets"))
-assert (
-    attributes == 748
-    and len(golden) == 9730
-    and sum(sizes[n] for n in sizes if "mlp" in n) > 0.8 * len(golden)
-)
+networks = sum(size for name, size in sizes.items() if "mlp" in name)
+assert (attributes, len(golden)) == (748, 9730)
+assert networks > 0.8 * len(golden)
 for row in inspect.ledger(golden):
-    print(f"{row['name']:16s} {row['bytes']:5d} bytes, estimate {row['estimate_bytes']:8.1f}")
+    estimate_bytes = row["estimate_bytes"]
+    print(f"{row['name']:16s} {row['bytes']:5d} bytes, estimate {estimate_bytes:8.1f}")
 
 # %% [markdown]
 # ## Exercises
-# **19.1** How many bytes are the positions of $400$ anchors? **19.2** Where is anchor $17$ of `golden`? Use `struct`.
-# **19.3** Write `my_container(data)`: `{name: bytes}`, or `ValueError`. It is tried on all golden streams, sound and forged:
-# 23 to be taken apart and, of the damaged ones, 13 whose frame is bad.
+# **19.1** How many bytes do the positions of $400$ anchors take?
+#
+# **19.2** Where is anchor $17$ of `golden`? Use `struct`.
+#
+# **19.3** Write `my_container(data)`, which returns `{name: bytes}` or raises `ValueError`. It is
+# tried on all published streams, both valid and damaged: 23 must be read, and among the damaged
+# ones 13 have a bad frame and must be refused.
 
 # %%
 answer_1 = ...
@@ -337,45 +373,53 @@ answer_2 = ...
 
 
 def my_container(data):
-    """{name of container.SECTIONS: bytes}; ValueError: magic, version, lengths, checksums, ids unknown or not rising."""
+    """Return {name of container.SECTIONS: bytes}.
+
+    Raise ValueError for a wrong magic number, version, length or checksum, and for section ids that
+    are unknown or not rising.
+    """
     raise NotImplementedError
 
 
 def grade_container(mine):
-    """How many sound streams come out right, and how many bad frames are refused."""
-    rows, right = streams.read_rows(), [0, 0]
+    """Count the valid streams that are read correctly and the bad frames that are refused."""
+    rows = streams.read_rows()
+    read = refusals = 0
     for row in rows["good"]:
         whole = (published.FOLDER / row["file"]).read_bytes()
-        right[0] += mine(whole) == container.read_container(whole)
+        read += mine(whole) == container.read_container(whole)
     for row in rows["bad"]:
         bad = (published.FOLDER / row["file"]).read_bytes()
         if refused(container.read_container, bad):
             try:
                 mine(bad)
             except ValueError:
-                right[1] += 1
-    return right
+                refusals += 1
+    return [read, refusals]
 
 
+assert grade_container(container.read_container) == [23, 13]
 try:
     answer_3 = grade_container(my_container)
 except NotImplementedError:
     answer_3 = ...
+anchor_17 = lessons.golden("frames/front_000")["in.x_a"][17]
 lessons.number("19.1", answer_1, 24 + 6 * 400)
-lessons.number("19.2", answer_2, lessons.golden("frames/front_000")["in.x_a"][17], digits=15)
-lessons.number("19.3", answer_3, grade_container(container.read_container))
-assert grade_container(container.read_container) == [23, 13]
+lessons.number("19.2", answer_2, anchor_17, digits=15)
+lessons.number("19.3", answer_3, [23, 13])
 
 # %% [markdown]
 # ## Check your port
-# `p4dgs-ref oracle check DIR --only codec` reads what a port decoded from the streams; or from Python, an object that decodes.
-# What a port gets wrong here: native instead of little-endian numbers, lengths believed before they are checked, a section
-# missed that may be absent, positions divided by `65536` instead of `65535`.
+# `p4dgs-ref oracle check DIR --only codec` reads the arrays that a port decoded from the
+# published streams. In Python, the check takes an object that decodes. Typical mistakes of ports
+# at this level are native instead of little-endian numbers, lengths that are used before they are
+# checked, a section that may be absent and is expected nevertheless, and positions divided by
+# `65536` instead of `65535`.
 
 
 # %%
 class Port:
-    """A port as the oracle asks one: arrays of a good stream, or why a bad one is refused."""
+    """A port as the oracle expects it: `decode` returns the arrays of a stream or a refusal."""
 
     def decode(self, name, stream):
         try:

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # Five questions everybody asks about bits
 #
-# **Promise.** After this you can answer the five questions that users of learned codecs ask most, each with a number.
-# **Before it:** `07_noise_and_rounding`, `08_step`, `10_prior_and_likelihood`. **Takes** three seconds on two cores, an hour
-# of yours.
+# **Promise.** After this you can answer the five questions that users of learned codecs ask most
+# often, each with a number. **Before it:** `07_noise_and_rounding`, `08_step`,
+# `10_prior_and_likelihood`. **Takes** three seconds on two cores, an hour of yours.
 
 # %%
 import math
@@ -12,357 +12,435 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from p4dgs_ref import EQUATIONS, look_at, oracle
+from p4dgs_ref import look_at, oracle
 from p4dgs_ref.codec import container, inspect
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
-from p4dgs_ref.equations import likelihood, noise
-from p4dgs_ref.oracle import stages_coding
+from p4dgs_ref.equations import anchor_rate, hash_rate, likelihood, noise, rate_loss
 from p4dgs_ref.school import lessons
+from p4dgs_ref.studies.accuracy import formulas
 
 plt = lessons.pyplot()
 rng = np.random.default_rng(22)
 data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
-model = quantised_of(container.open_container(data))
-design, prior, kept = model.model.design, inspect.float_context(model.model), model.kept
-q = np.repeat(model.context.q, design.widths, axis=1)
-price = lambda values: likelihood.forward(values, prior.mu, prior.sigma, q)[0].bits[kept]
+quantised = quantised_of(container.open_container(data))
+model = quantised.model
+design = model.design
+kept = quantised.kept
+prior = inspect.float_context(model)
+q = np.repeat(quantised.context.q, design.widths, axis=1)
+
+
+def bits_of(values):
+    """The bits of all coded numbers of the model, if they had these values."""
+    return likelihood.forward(values, prior.mu, prior.sigma, q)[0][kept]
+
 
 # %% [markdown]
 # ## Claim
-# **One: why is a likelihood above one?** It is a density. Eq. (11) has a mass, which never is.
-# **Two: why do likelihoods not sum to one?** They do, over the symbols that *could* be; not over those that *are*.
-# **Three: is the estimate the file?** To a few percent, for what it counts. It does not count everything.
-
-# %% [markdown]
-# **Four: why noise in training, rounding in the file?** Noise has a slope, and on average it has the right price.
-# **Five: why adaptive steps?** A number that the picture hardly feels may be coarse; that pays for fine ones elsewhere.
+# **One: why is a likelihood above one?** Because it is a density. Eq. (11) uses a probability
+# mass, which is never above one.
+#
+# **Two: why do likelihoods not sum to one?** They do, if you sum over the symbols that *could*
+# occur. They do not if you sum over the symbols that *did* occur.
+#
+# **Three: is the estimate the size of the file?** Yes, to a few percent, for what it counts. It
+# does not count everything.
+#
+# **Four: why noise in training and rounding in the file?** Noise has a derivative, and on average
+# it has the right price.
+#
+# **Five: why adaptive steps?** A number that hardly influences the picture may be coarse, and the
+# bits that it saves pay for fine steps elsewhere.
 
 # %% [markdown]
 # ## By hand
-# **Question one.** A Gaussian with $\sigma = 0.1$ has the density 3.989 at its mean: so much *per unit* of the attribute, so it
-# may be any size. Its "bits" would be -2.0, fewer than none. The bin of width $q = 0.1$ there has the mass 0.3829, a
-# probability, without unit: 1.385 bits. Where bins are narrow, mass is density times $q$.
+# **Question one.** A Gaussian with $\sigma = 0.1$ has the density 3.989 at its mean. A density is
+# a probability *per unit* of the attribute, so it may have any size. Used as a likelihood, it
+# would give -2.0 bits, less than nothing. The bin of width $q = 0.1$ at the same place has the
+# mass 0.3829. This is a probability without a unit, and it costs 1.385 bits. For a narrow bin the
+# mass is the density times $q$.
 
 # %%
 density = 1 / (0.1 * math.sqrt(2 * math.pi))
 mass = ndtr(0.5) - ndtr(-0.5)
 assert round(density, 3) == 3.989 and round(-math.log2(density), 1) == -2.0
 assert round(mass, 4) == 0.3829 and round(-math.log2(mass), 3) == 1.385
-tiny = math.exp(
-    -likelihood.forward(*(np.array([[v]]) for v in (0.0, 0.0, 0.1, 1e-4)))[0].bits[0, 0]
-    * math.log(2)
-)
-assert abs(tiny / (density * 1e-4) - 1) < 1e-6
+
+
+def one(value):
+    return np.array([[value]])
+
+
+narrow_bits, _ = likelihood.forward(one(0.0), one(0.0), one(0.1), one(1e-4))
+assert abs(2.0 ** -narrow_bits[0, 0] / (density * 1e-4) - 1) < 1e-6
 
 # %% [markdown]
 # ## In code
-# All 1416 numbers of a trained model, as they are in its file: every likelihood is between 0 and 1. Their mean is 0.124, but the
-# mean price is 4.076 bits, a likelihood of 0.059. Average bits, never likelihoods: the sum of logarithms is what is paid.
+# Take all 1416 numbers of a trained model as they are in its file. Every likelihood is between 0
+# and 1. Their mean is 0.124, but the mean price is 4.076 bits, which corresponds to a likelihood
+# of 0.059. Always average bits and never likelihoods, because the file pays the sum of the
+# logarithms.
 
 # %%
-bits = price(model.symbols * q)
+bits = bits_of(quantised.symbols * q)
 p = 2.0**-bits
-assert len(p) == 1416 and 0 < p.min() and p.max() <= 1
-assert (
-    round(p.mean(), 3) == 0.124
-    and round(bits.mean(), 3) == 4.076
-    and round(2.0 ** -bits.mean(), 3) == 0.059
-)
+assert len(p) == 1416
+assert 0 < p.min() and p.max() <= 1
+assert round(p.mean(), 3) == 0.124
+assert round(bits.mean(), 3) == 4.076
+assert round(2.0 ** -bits.mean(), 3) == 0.059
 
 # %% [markdown]
-# **Question two.** The likelihoods of these numbers sum to 175.5, which means nothing: each is from another table. Take *one*
-# number and run over all symbols it could have been: neighbouring bins share an edge, and the sum telescopes to 1.
+# **Question two.** The likelihoods of these numbers sum to 175.5, which means nothing, because
+# each comes from a different table. Take *one* number instead and sum over all symbols that it
+# could have had. Neighbouring bins share an edge, so the sum telescopes to 1.
 
 # %%
 assert round(p.sum(), 1) == 175.5
-reach = np.arange(-6000, 6001)
-for a, column in zip(*(index[::97] for index in np.nonzero(kept))):
-    row = [
-        np.full((1, len(reach)), v)
-        for v in (prior.mu[a, column], prior.sigma[a, column], q[a, column])
-    ]
-    alphabet = 2.0 ** -likelihood.forward(reach[None] * q[a, column], *row)[0].bits
-    assert abs(alphabet.sum() - 1) < 1e-9
+alphabet = np.arange(-6000, 6001)
+for a, column in np.argwhere(kept)[::97]:
+    step = q[a, column]
+    every_bits, _ = likelihood.forward(
+        alphabet[None] * step,
+        np.full((1, len(alphabet)), prior.mu[a, column]),
+        np.full((1, len(alphabet)), prior.sigma[a, column]),
+        np.full((1, len(alphabet)), step),
+    )
+    assert abs((2.0**-every_bits).sum() - 1) < 1e-9
 
 # %% [markdown]
-# A floor breaks that. With HAC's 1e-6 under every mass, an alphabet of $2^{16}$ symbols sums to 1.066. That promises more than
-# there is: no coder can charge at most 19.93 bits for the rare ones without charging the others more than Eq. (11) says.
+# A floor under the likelihood breaks this. HAC does not let a mass fall below 1e-6, and with this
+# floor an alphabet of $2^{16}$ symbols sums to 1.066. Such a table promises more than a coder can
+# keep: no coder can charge at most 19.93 bits for the rare symbols without charging the others
+# more than Eq. (11) says.
 
 # %%
-row = [np.full((1, 2**16), v) for v in (0.0, 1.0, 1.0)]
-floored = 2.0 ** -likelihood.hac(np.arange(-(2**15), 2**15, dtype=float)[None], *row)[0].bits
-assert (
-    floored.min() > 0.999 * 1e-6
-    and round(-math.log2(1e-6), 2) == 19.93
-    and round(floored.sum(), 3) == 1.066
-)
+alphabet = np.arange(-(2**15), 2**15, dtype=float)[None]
+zero, unit = np.zeros_like(alphabet), np.ones_like(alphabet)
+floored_bits, _ = formulas.hac(alphabet, zero, unit, unit)
+assert round(floored_bits.max(), 2) == 19.93
+assert round((2.0**-floored_bits).sum(), 3) == 1.066
 
 # %% [markdown]
-# **Question three.** From training's estimate to the file: with noise (here on the rounded numbers, for the file has no others),
-# rounded, under whole-number tables, coded, in sections. From each to the next: less than one percent, next to nothing, three
-# percent (each section ends in whole words of the coder, which weighs little in a larger file), a byte a section. What
-# Eq. (13) leaves out is the rest of the file.
+# **Question three.** From the estimate of training to the file there are five stages: with noise
+# (added here to the rounded numbers, because the file has no others), rounded, under integer
+# tables, coded, and stored in sections. The first change is less than one percent, and the second
+# is negligible. The third is three percent, because each message ends in whole words of the
+# coder; this weighs less in a larger file. The last adds one byte per section. The rest of the
+# file is what Eq. (13) leaves out.
 
 # %%
-noisy = (
-    np.mean([price((model.symbols + rng.random(q.shape) - 0.5) * q).sum() for _ in range(40)]) / 8
-)
+samples = []
+for _ in range(40):
+    u = rng.random(q.shape) - 0.5
+    samples.append(bits_of((quantised.symbols + u) * q).sum())
 rows = [row for row in inspect.ledger(data) if row["name"] in ATTRIBUTE_SECTIONS]
-total = {"Eq. (13)\nwith noise": noisy, "Eq. (13)\nrounded": bits.sum() / 8}
-total.update(
-    {
-        label: sum(row[name] for row in rows)
-        for label, name in (
-            ("whole-number\ntables", "integer_bytes"),
-            ("coded", "payload_bytes"),
-            ("sections", "bytes"),
-        )
-    }
-)
-steps = np.array(list(total.values()))
-print(
-    {label.replace("\n", " "): round(float(value), 1) for label, value in total.items()},
-    "whole file",
-    len(data),
-)
-change = np.diff(steps) / steps[:-1]
-assert (
-    -0.01 < change[0] < 0
-    and abs(change[1]) < 1e-3
-    and 0.02 < change[2] < 0.035
-    and steps[4] - steps[3] == len(rows)
-)
+total = {
+    "Eq. (13)\nwith noise": np.mean(samples) / 8,
+    "Eq. (13)\nrounded": bits.sum() / 8,
+    "integer\ntables": sum(row["integer_bytes"] for row in rows),
+    "coded": sum(row["payload_bytes"] for row in rows),
+    "sections": sum(row["bytes"] for row in rows),
+}
+for label, size in total.items():
+    print(f"{size:7.1f} bytes", label.replace("\n", " "))
+print(f"{len(data):5d}   bytes whole file")
+sizes = np.array(list(total.values()))
+change = np.diff(sizes) / sizes[:-1]
+assert -0.01 < change[0] < 0
+assert abs(change[1]) < 1e-3
+assert 0.02 < change[2] < 0.035
+assert sizes[4] - sizes[3] == len(rows)
 
 # %% [markdown]
 # ## Backward by hand
-# **Question four.** $\hat f = \lfloor f/q\rceil\,q$ has slope $0$ in $f$. Training rates $\tilde f = f + u\,q$ instead, Eq. (7),
-# with $u$ uniform in $[-\frac12, \frac12)$. As $d\tilde f = df + u\,dq$, with $b_f$, $b_q$ the slopes of Eq. (11):
-# $$\bar f = \bar b\,b_f, \qquad \bar q = \bar b\,(u\,b_f + b_q)$$
+# **Question four.** The derivative of $\hat f = \lfloor f/q\rceil\,q$ with respect to $f$ is $0$.
+# Training therefore rates $\tilde f = f + u\,q$, Eq. (7), with $u$ uniform in
+# $[-\frac12, \frac12)$. We have $d\tilde f = df + u\,dq$. With the derivatives $b_f$ and $b_q$ of
+# Eq. (11), the gradients are
+# $$\bar f = \bar b\,b_f, \qquad \bar q = \bar b\,(u\,b_f + b_q).$$
 
 # %%
-f, u, s = rng.normal(size=(1, 5)), rng.random((1, 5)) - 0.5, rng.lognormal(size=(1, 5))
-rated = lambda f, q: likelihood.forward(
-    noise.forward(f, u, q)[0].f_noisy, 0 * s, s, np.tile(q, (1, 5))
-)
-b_bar, step = rng.normal(size=(1, 5)), np.array([[0.7]])
+f = rng.normal(size=(1, 5))
+u = rng.random((1, 5)) - 0.5
+sigma = rng.lognormal(size=(1, 5))
+b_bar = rng.normal(size=(1, 5))
+step = one(0.7)
+
+
+def rated(f, step):
+    f_noisy, _ = noise.forward(f, u, step)
+    return likelihood.forward(f_noisy, 0 * sigma, sigma, np.tile(step, (1, 5)))
+
+
 bars = likelihood.backward(rated(f, step)[1], b_bar)
 through_noise = noise.backward(noise.forward(f, u, step)[1], bars["f_noisy"])
-f_bar, q_bar = (
-    through_noise["f"],
-    through_noise["q"][0, 0] + bars["q"].sum(),
-)  # q is used twice: two terms
-up, down = ((b_bar * rated(f + h * f_bar, step + h)[0].bits).sum() for h in (1e-6, -1e-6))
-assert (
-    np.array_equal(f_bar, bars["f_noisy"])
-    and abs((up - down) / 2e-6 - (f_bar**2).sum() - q_bar) < 1e-7
-)
+f_bar = through_noise["f"]
+q_bar = through_noise["q"][0, 0] + bars["q"].sum()  # q is used twice: two terms
+assert np.array_equal(f_bar, bars["f_noisy"])
+
+
+def loss_at(h):
+    """The loss after a move of f along its gradient and of q by h."""
+    return (b_bar * rated(f + h * f_bar, step + h)[0]).sum()
+
+
+slope = (loss_at(1e-6) - loss_at(-1e-6)) / 2e-6
+assert abs(slope - (f_bar**2).sum() - q_bar) < 1e-7
 
 # %% [markdown]
-# Is the price right as well? Let $f$ follow the prior; $P(x)$ is the mass of the bin about $x$. $\tilde f$ has the density
-# $P(x)/q$, the prior averaged over that bin, so noise pays
-# $$\int \frac{P(x)}{q}\,\bigl(-\log_2 P(x)\bigr)\,dx = \frac{1}{q}\int_0^q \sum_k P(kq + r)\,\bigl(-\log_2 P(kq + r)\bigr)\,dr.$$
-# On the right, with $x = kq + r$: the entropy of rounding on a grid shifted by $r$, averaged over all shifts.
-
-# %% [markdown]
-# **Noise is rounding with a random grid.** So it is exact on average, and wrong for one grid where bins are wide. With
-# $\sigma = 0.1\,q$ noise pays 0.261 bits. A mean on a multiple of $q$ costs 0.000 in the file, a mean between two of them
-# 1.000. At $\sigma = q$ all three agree: 2.105.
+# Is the price right as well? Let $f$ follow the prior, and let $P(x)$ be the mass of the bin
+# about $x$. The density of $\tilde f$ is the prior averaged over that bin, $P(x)/q$, so with
+# noise one pays on average
+# $$\int \frac{P(x)}{q}\,\bigl(-\log_2 P(x)\bigr)\,dx
+#   = \frac{1}{q}\int_0^q \sum_k P(kq + r)\,\bigl(-\log_2 P(kq + r)\bigr)\,dr.$$
+# On the right we have substituted $x = kq + r$. The sum is the entropy of rounding to a grid that
+# is shifted by $r$, and the integral averages over all shifts. In other words, **noise is
+# rounding to a random grid**. Its price is exact on average, but wrong for a particular grid if
+# the bins are wide. With $\sigma = 0.1\,q$ noise pays 0.261 bits, whereas in the file a mean on a
+# multiple of $q$ costs 0.000 bits and a mean between two multiples costs 1.000 bits. With
+# $\sigma = q$ all three are 2.105 bits.
 
 
 # %%
-def entropy(sigma, r):
-    """Bits of rounding to whole numbers, f Gaussian about -r: (n,) for shifts r (n,)."""
-    edges = (np.arange(-30, 32) - 0.5)[:, None] + r
+def entropy(sigma, shifts):
+    """Bits of rounding a Gaussian to integers, for several shifts of the grid."""
+    edges = (np.arange(-30, 32) - 0.5)[:, None] + shifts
     P = np.diff(ndtr(edges / sigma), axis=0)
-    return -(P * np.log2(np.where(P > 0, P, 1))).sum(axis=0)
+    logarithm = np.log2(np.where(P > 0, P, 1))
+    return -(P * logarithm).sum(axis=0)
 
 
-phases = (np.arange(200) + 0.5) / 200
-three = lambda sigma: [
-    entropy(sigma, phases).mean(),
-    *entropy(sigma, np.array([0, 0.5])),
-]  # noise, and two grids
+def three(sigma):
+    """The bits with noise, with the mean on a multiple of q, and with the mean between two."""
+    all_shifts = (np.arange(200) + 0.5) / 200
+    on, between = entropy(sigma, np.array([0, 0.5]))
+    return np.array([entropy(sigma, all_shifts).mean(), on, between])
+
+
 print(np.round(three(0.1), 4), np.round(three(1.0), 4))
-assert (
-    np.abs(np.array(three(0.1)) - [0.261, 0.000, 1.000]).max() < 5e-4
-    and np.abs(np.array(three(1.0)) - 2.105).max() < 5e-4
-)
-x = (np.arange(-50000, 50000) + 0.5) / 5000  # and the left side of the identity
+assert np.allclose(three(0.1), [0.261, 0.000, 1.000], rtol=0, atol=5e-4)
+assert np.allclose(three(1.0), 2.105, rtol=0, atol=5e-4)
+x = (np.arange(-50000, 50000) + 0.5) / 5000  # the left side of the identity
 P = ndtr((x + 0.5) / 0.1) - ndtr((x - 0.5) / 0.1)
-assert abs(-(P * np.log2(np.where(P > 0, P, 1))).sum() / 5000 - three(0.1)[0]) < 1e-4
+logarithm = np.log2(np.where(P > 0, P, 1))
+assert abs(-(P * logarithm).sum() / 5000 - three(0.1)[0]) < 1e-4
 
 # %%
-figure, axes = plt.subplots(1, 2, figsize=(16, 5), layout="constrained")
-axes[0].plot(list(total), steps, "o:", ms=14)
-for i, value in enumerate(steps):
-    axes[0].text(i, value + 2.5, f"{value:.1f}", ha="center", fontsize=14)
-axes[0].set(
+figure, (ladder, phases) = plt.subplots(1, 2, figsize=(16, 5), layout="constrained")
+ladder.plot(list(total), sizes, "o:", ms=14)
+for i, value in enumerate(sizes):
+    ladder.text(i, value + 2.5, f"{value:.1f}", ha="center", fontsize=14)
+ladder.set(
     ylim=(700, 760),
     ylabel="bytes of f, s, l, O",
-    title=f"The estimate speaks of {steps[4]:.0f} of the file's {len(data)} bytes",
+    title=f"The estimate covers {sizes[4]:.0f} of the file's {len(data)} bytes",
 )
 sigmas = np.geomspace(0.03, 3, 60)
-labels = ("noise: every grid", "rounding, mean on a multiple of q", "rounding, mean between two")
-for curve, style, label in zip(np.array([three(s) for s in sigmas]).T, ("-", "--", ":"), labels):
-    axes[1].plot(sigmas, curve, style, lw=3, label=label)
-axes[1].set(
+curves = np.array([three(s) for s in sigmas]).T
+phases.plot(sigmas, curves[0], "-", lw=3, label="noise: every grid")
+phases.plot(sigmas, curves[1], "--", lw=3, label="rounding, mean on a multiple of q")
+phases.plot(sigmas, curves[2], ":", lw=3, label="rounding, mean between two")
+phases.set(
     xscale="log",
     xlabel="σ / q",
     ylabel="bits a number",
     title="Noise pays the average over all grids",
 )
-axes[1].legend()
+phases.legend()
 lessons.show(figure, "22_five_questions_about_bits")
 
 # %% [markdown]
 # ## Break it
-# Use the density as likelihood: then no $q$ is in the rate. The loss falls as never before, below zero, for as $\sigma$ shrinks
-# such "bits" have no lower end; a thousand times less $\sigma$ is about 10 bits less. And $b_q$ is 0, so nothing
-# wants a coarse step. The vectors see it at once.
+# Use the density as the likelihood. Then $q$ no longer occurs in the rate. The loss falls as
+# never before, even below zero, because such "bits" have no lower limit as $\sigma$ shrinks: a
+# deviation that is a thousand times smaller saves about 10 bits. And $b_q$ is 0, so nothing
+# rewards a coarse step. The golden vectors detect the mistake immediately.
 
 
 # %%
 def with_density(f_noisy, mu, sigma, q):
-    return {
-        "bits": ((f_noisy - mu) / sigma) ** 2 / (2 * math.log(2))
-        + np.log2(sigma * math.sqrt(2 * math.pi))
-    }
+    z = (f_noisy - mu) / sigma
+    return z**2 / (2 * math.log(2)) + np.log2(sigma * math.sqrt(2 * math.pi))
 
 
-at = [np.zeros((1, 3)), np.zeros((1, 3)), np.array([[1e-1, 1e-4, 1e-7]])]
-fine, coarse = (with_density(*at, np.full((1, 3), step))["bits"][0] for step in (1, 2))
-assert (np.round(np.diff(fine)) == -10).all() and fine[2] < 0 and (coarse - fine == 0).all()
+shrinking = np.array([[1e-1, 1e-4, 1e-7]])
+origin = np.zeros((1, 3))
+fine = with_density(origin, origin, shrinking, np.full((1, 3), 1))
+coarse = with_density(origin, origin, shrinking, np.full((1, 3), 2))
+assert (np.round(np.diff(fine)) == -10).all()
+assert fine[0, 2] < 0
+assert np.array_equal(coarse, fine)
 assert not oracle.check(with_density, "likelihood").ok
 
 # %% [markdown]
 # ## What a codec does with it
-# **Question five.** Rounding, if bins are narrow, costs the picture $D = \sum_a w_a q_a^2/12$, where $w_a$ is how much it feels
-# anchor $a$, and the file $R = const - \sum_a \log_2 q_a$. For a given $R$ the least $D$ has the same ratio of slopes,
-# $\frac{w_aq_a}{6} : \frac{1}{q_a\ln 2}$, at every anchor: all $w_a q_a^2$ are equal, so $q_a \propto w_a^{-1/2}$.
-
-# %% [markdown]
-# A video encoder chooses its step block by block. Here it is learnt, Eq. (8). Was it?
-# We measure $w_a$: an anchor's features are moved by a tenth, up or down, and six pictures are compared.
+# **Question five.** As long as the bins are narrow, rounding adds the error
+# $D = \sum_a w_a q_a^2/12$ to the picture, where $w_a$ says how sensitive the picture is to
+# anchor $a$. The rate is $R = const - \sum_a \log_2 q_a$. For a given $R$ the error is least if
+# the ratio of the two derivatives, $\frac{w_aq_a}{6} : \frac{1}{q_a\ln 2}$, is the same at every
+# anchor. All $w_a q_a^2$ are then equal, so $q_a \propto w_a^{-1/2}$.
+#
+# A video encoder chooses its step for each block. In P-4DGS the steps are learned, Eq. (8). Do
+# they follow this law? We measure $w_a$: the features of an anchor are moved by a tenth, up or
+# down, and six pictures are compared.
 
 # %%
-cameras = [
-    look_at((2.2 * math.cos(v), 2.2 * math.sin(v), 0.9), (0, 0, -0.4), 36, 36, 40, 28)
-    for v in (0.3, 2.4, 4.5)
-]
+cameras = []
+for angle in (0.3, 2.4, 4.5):
+    position = (2.2 * math.cos(angle), 2.2 * math.sin(angle), 0.9)
+    cameras.append(look_at(position, (0, 0, -0.4), 36, 36, 40, 28))
 
 
 def pictures(f_a):
-    at = replace(model.model, anchors=model.model.anchors._replace(f_a=f_a))
-    return np.stack([at.render(camera, t) for camera in cameras for t in (0.2, 0.7)]).astype(float)
+    """Three cameras at two times, for other features."""
+    changed = replace(model, anchors=model.anchors._replace(f_a=f_a))
+    images = []
+    for camera in cameras:
+        for t in (0.2, 0.7):
+            images.append(changed.render(camera, t))
+    return np.stack(images).astype(float)
 
 
-learnt = model.context.q[:, :1]
-f_a = model.model.anchors.f_a + (rng.random((60, design.d)) - 0.5) * learnt  # as if not yet rounded
-truth, w = pictures(f_a), np.zeros((60, 1))
+learnt = quantised.context.q[:, :1]
+# The features before rounding are not in the file: we spread them over their bins again.
+f_a = model.anchors.f_a + (rng.random((60, design.d)) - 0.5) * learnt
+truth = pictures(f_a)
+w = np.zeros((60, 1))
 for a in range(60):
     for sign in (0.1, -0.1):
-        f_moved = f_a.copy()
-        f_moved[a] += sign * rng.choice([-1, 1], design.d)
-        w[a] += ((pictures(f_moved) - truth) ** 2).mean() / 0.02
+        moved = f_a.copy()
+        moved[a] += sign * rng.choice([-1, 1], design.d)
+        w[a] += ((pictures(moved) - truth) ** 2).mean() / 0.02
 typical = np.exp(np.log(w[w > 0]).mean())
-ideal = np.clip(
-    (np.maximum(w, 1e-30) / typical) ** -0.5, 1 / 8, 8
-)  # who is never seen gets the coarsest step
-together = np.corrcoef(np.log(ideal[:, 0]), np.log(learnt[:, 0]))[0, 1]
-print(f"correlation of learnt and ideal steps, in logarithms: {together:.2f}")
-assert together > 0.6
+from_w = (np.maximum(w, 1e-30) / typical) ** -0.5
+from_w = np.clip(from_w, 1 / 8, 8)  # an anchor that is never seen gets the coarsest step
+correlation = np.corrcoef(np.log(from_w[:, 0]), np.log(learnt[:, 0]))[0, 1]
+print(f"correlation of learned and ideal steps, in logarithms: {correlation:.2f}")
+assert correlation > 0.6
 
 # %% [markdown]
-# What is it worth? All features are rounded with steps of three kinds, each finer and coarser. Learnt ones beat one step for all
-# over most of the range. Those computed from $w_a$ are best where bins are narrow, as derived, and worst where they are wide:
-# $w_a$ was measured by small moves, and says nothing of large ones.
+# What is the gain? All features are rounded with three kinds of steps, each scaled from fine to
+# coarse. The learned steps are better than one step for all over most of the range. The steps
+# computed from $w_a$ are the best as long as the bins are narrow, as derived above, and the worst
+# when they are wide, because $w_a$ was measured with small moves and says nothing about large
+# ones.
 
 
 # %%
 def trade(q_a):
-    """Bits a feature and mean squared error of the pictures, features rounded with steps q_a (60, 1)."""
+    """Bits a feature and mean squared error of the pictures, for steps q_a (60, 1)."""
     rounded = np.rint(f_a / q_a) * q_a
-    mu, sigma = (a[:, : design.d] for a in (prior.mu, prior.sigma))
-    bits = likelihood.forward(rounded, mu, sigma, np.repeat(q_a, design.d, axis=1))[0].bits
-    return bits.mean(), ((pictures(rounded) - truth) ** 2).mean()
+    feature_bits, _ = likelihood.forward(
+        rounded,
+        prior.mu[:, : design.d],
+        prior.sigma[:, : design.d],
+        np.repeat(q_a, design.d, axis=1),
+    )
+    return feature_bits.mean(), ((pictures(rounded) - truth) ** 2).mean()
 
 
 ways = {
     "one step for all": np.ones((60, 1)),
-    "learnt, Eq. (8)": learnt / np.exp(np.log(learnt).mean()),
-    "from $w_a$": ideal,
+    "learned, Eq. (8)": learnt / np.exp(np.log(learnt).mean()),
+    "from $w_a$": from_w,
 }
-curves = {
-    name: np.array([trade(scale * way) for scale in np.geomspace(0.03, 1, 12)])
-    for name, way in ways.items()
-}
-at_1e5 = {
-    name: np.interp(1e-5, np.maximum.accumulate(curve[:, 1]), curve[:, 0])
-    for name, curve in curves.items()
-}
-print({name: f"{bits:.2f} bits a feature at an error of 1e-5" for name, bits in at_1e5.items()})
-assert at_1e5["one step for all"] - at_1e5["learnt, Eq. (8)"] > 0.2
-one, by_eq_8, by_w = (curve[0] for curve in curves.values())  # the finest steps: bits, error
-assert by_w[1] < by_eq_8[1] < one[1] and max(by_w[0], by_eq_8[0]) < one[0] + 0.01
-assert (
-    curves["from $w_a$"][-1] > curves["one step for all"][-1]
-).all()  # the widest: worse in both
-figure, axes = plt.subplots(1, 2, figsize=(16, 5), layout="constrained")
+curves = {}
+for name, way in ways.items():
+    curves[name] = np.array([trade(scale * way) for scale in np.geomspace(0.03, 1, 12)])
+same, by_eq_8, by_w = curves.values()
+
+
+def bits_at(curve, error):
+    return np.interp(error, np.maximum.accumulate(curve[:, 1]), curve[:, 0])
+
+
+for name, curve in curves.items():
+    print(f"{name}: {bits_at(curve, 1e-5):.2f} bits a feature at an error of 1e-5")
+assert bits_at(same, 1e-5) - bits_at(by_eq_8, 1e-5) > 0.2
+assert by_w[0, 1] < by_eq_8[0, 1] < same[0, 1]  # the finest steps: errors,
+assert max(by_w[0, 0], by_eq_8[0, 0]) < same[0, 0] + 0.01  # and bits
+assert (by_w[-1] > same[-1]).all()  # the widest steps: worse in both
+
+figure, (steps, error_of) = plt.subplots(1, 2, figsize=(16, 5), layout="constrained")
 seen = w[:, 0] > 0
-axes[0].loglog(w[seen], learnt[seen], "o", ms=8)
-axes[0].set(
-    xlabel="what a unit of error costs the picture, $w_a$",
-    ylabel="learnt step q of the features",
-    title="Anchors that matter got finer steps",
+steps.loglog(w[seen], learnt[seen], "o", ms=8)
+steps.set(
+    xlabel="sensitivity of the picture, $w_a$",
+    ylabel="learned step q of the features",
+    title="Anchors that matter more got finer steps",
 )
 for (name, curve), marker in zip(curves.items(), "os^"):
-    axes[1].semilogy(curve[:, 0], curve[:, 1], f"-{marker}", label=name)
-axes[1].set(
-    xlabel="bits a feature, Eq. (11)", ylabel="mean squared error", title="Same error, fewer bits"
+    error_of.semilogy(curve[:, 0], curve[:, 1], f"-{marker}", label=name)
+error_of.set(
+    xlabel="bits a feature, Eq. (11)",
+    ylabel="mean squared error",
+    title="The same error for fewer bits",
 )
-axes[1].legend()
+error_of.legend()
 lessons.show(figure, "22_adaptive_steps")
 
 # %% [markdown]
 # ## Exercises
-# **22.1** $\sigma = 0.02$, $q = 0.001$, value at the mean: density and likelihood? **22.2** Write the whole rate, Eq. (11),
-# Eq. (13), Eq. (14), Eq. (17), with `likelihood.forward`. **22.3** Its gradients of `mu` and `q (A, 4)`: a step serves a group.
+# **22.1** With $\sigma = 0.02$ and $q = 0.001$, what are the density and the likelihood of a
+# value at the mean?
+#
+# **22.2** Write the whole rate, Eqs. (11), (13), (14) and (17), with `likelihood.forward`.
+#
+# **22.3** Write its gradients of `mu` and `q (A, 4)`. Each step serves a whole group of numbers.
 
 # %%
 answer_1 = ...
 
 
 def my_rate(noisy, mu, sigma, q, mask, grids, d, k):
-    """{"bits", "L_rate"}; noisy, mu, sigma (A, n), columns f, s, l, O; q (A, 4); mask (A, k); grids [(T, F), ...].
+    """Return {"bits", "L_rate"}.
 
-    A sign is +1 where the entry is >= 0. Masked offsets cost no bits. L_rate is bits over all numbers, masked ones too.
+    noisy, mu and sigma are (A, n) with columns f, s, l, O; q is (A, 4), mask (A, k), and grids is a
+    list of arrays (T, F). A sign is +1 where the entry is >= 0. Masked offsets cost no bits. L_rate
+    is bits divided by the count of all numbers, the masked ones included.
     """
     raise NotImplementedError
 
 
 def my_rate_backward(inputs, cotangents):
-    """{"mu" (A, n), "q" (A, 4)} from cotangents["bits_bar"], cotangents["L_rate_bar"]; inputs holds the arguments of my_rate."""
+    """Return {"mu" (A, n), "q" (A, 4)}; the cotangents are "bits_bar" and "L_rate_bar".
+
+    `inputs` holds the arguments of my_rate.
+    """
     raise NotImplementedError
 
 
-lessons.number("22.1", answer_1, [1 / (0.02 * math.sqrt(2 * math.pi)), ndtr(0.025) - ndtr(-0.025)])
+true_density = 1 / (0.02 * math.sqrt(2 * math.pi))
+true_mass = ndtr(0.025) - ndtr(-0.025)
+lessons.number("22.1", answer_1, [true_density, true_mass])
 lessons.forward("22.2", my_rate, "rate_stage")
 lessons.backward("22.3", my_rate_backward, "rate_stage", "mu", "q")
 
 # %% [markdown]
 # ## Check your port
-# `p4dgs-ref oracle check DIR --only likelihood`, then `--only rate_stage`. What goes wrong: a density, nats, offsets of masked
-# children counted, a mean over numbers where a sum is meant, and `bits` of one image divided by its pixels.
+# Run `p4dgs-ref oracle check DIR --only likelihood`, then `--only rate_stage`. Typical mistakes
+# of ports are a density instead of a mass, nats instead of bits, offsets of masked children that
+# are counted, a mean over numbers instead of a sum, and `bits` divided by the number of pixels.
+
 
 # %%
-ours = oracle.check(
-    lambda **i: stages_coding.rate_forward(**i)[0],
-    "rate_stage",
-    lambda i, c: stages_coding.rate_backward(stages_coding.rate_forward(**i)[1], **c),
-)
-print(ours)
-assert (
-    ours.ok
-    and oracle.check(lambda **i: likelihood.forward(**i)[0], "likelihood").ok
-    and EQUATIONS["noise"].number == "7"
-)
+def port(noisy, mu, sigma, q, mask, grids, d, k):
+    columns = np.repeat(q, (d, 3, 3, 3 * k), axis=1)
+    bits, _ = likelihood.forward(noisy, mu, sigma, columns)
+    f, s, l, O = np.split(bits, (d, d + 3, d + 6), axis=1)
+    R_anchor, _ = anchor_rate.forward(
+        bits_f=f,
+        bits_s=s,
+        bits_l=l,
+        bits_O=O.reshape(-1, k, 3),
+        mask=mask,
+    )
+    (R_hash, _, _), _ = hash_rate.forward(grids)
+    return rate_loss.forward(R_anchor, R_hash, noisy.size)[0]
+
+
+verdict = oracle.check(port, "rate_stage")
+print(verdict)
+assert verdict.ok
+assert oracle.check(lambda **inputs: likelihood.forward(**inputs)[0], "likelihood").ok

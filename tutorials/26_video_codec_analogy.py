@@ -1,9 +1,10 @@
 # %% [markdown]
 # # P-4DGS as a video codec: intra, inter, and what they save
 #
-# **Promise.** After this you can name the parts of P-4DGS in a video engineer's words, and have weighed inter against intra.
-# **Before it:** `06_deformed`, `16_pipeline_by_hand`, `19_file_byte_by_byte`.
-# **Takes** ten seconds on two cores, an hour of yours.
+# **Promise.** After this you can name the parts of P-4DGS in the words of a video engineer, and
+# you have compared inter prediction with intra prediction in bytes. **Before it:** `06_deformed`,
+# `16_pipeline_by_hand`, `19_file_byte_by_byte`. **Takes** ten seconds on two cores, an hour of
+# yours.
 
 # %%
 import json
@@ -28,89 +29,99 @@ plt = lessons.pyplot()
 
 # %% [markdown]
 # ## Claim
-# Frames repeat themselves. A video codec does not store what it can predict: from the same frame (*intra*), from another frame
-# and motion vectors (*inter*); what remains is coded with few bits, given its context. P-4DGS does the same to Gaussians:
-
-# %% [markdown]
+# The frames of a video are similar to each other. A video codec does not store what it can
+# predict, either from the same frame (*intra*) or from another frame and motion vectors
+# (*inter*). It codes what remains with few bits, given its context. P-4DGS does the same with
+# Gaussians:
+#
 # | video codec | P-4DGS | equations |
 # |---|---|---|
-# | intra prediction from neighbouring blocks | an anchor predicts its $k$ Gaussians | $(1)$ to $(4)$ |
-# | reference frame; motion vectors, compensation | canonical space; $\psi_d$, $x + \Delta x$ | $(5)$, $(6)$ |
-
-# %% [markdown]
-# | video codec | P-4DGS | equations |
-# |---|---|---|
-# | quantiser with a step per block; CABAC's contexts | $q$ per anchor; $\mu, \sigma$ from the hash grid | $(7)$ to $(14)$ |
-# | rate-distortion optimisation | training | $(15)$ to $(17)$ |
-
-# %% [markdown]
-# So in the sum over $T$ frames the large term occurs once. Where the motion model is smaller than $T-1$ frames, inter wins:
-# $$R_{intra} = \sum_{t=1}^{T} R_t \approx T\,R_1 \qquad\text{against}\qquad R_{inter} = R_1 + R_{\psi_d}.$$
+# | intra prediction from neighbouring blocks | an anchor predicts its $k$ Gaussians | (1) to (4) |
+# | reference frame; motion compensation | canonical space; $\psi_d$, $x + \Delta x$ | (5), (6) |
+# | quantiser with a step per block | $q$ per anchor | (7), (8), (10) |
+# | contexts of CABAC | $\mu, \sigma$ from the hash grid | (9), (11) to (14) |
+# | rate-distortion optimisation | training | (15) to (17) |
+#
+# In a sum over $T$ frames, the large term therefore occurs only once. If the motion model is
+# smaller than $T-1$ frames, inter prediction wins:
+# $$R_{intra} = \sum_{t=1}^{T} R_t \approx T\,R_1 \qquad\text{against}\qquad
+#   R_{inter} = R_1 + R_{\psi_d}.$$
 
 # %% [markdown]
 # ## By hand
-# A video of 4 frames, one row of 8 pixels of 8 bits, in which everything moves on by one pixel a frame (round the end). Pixel by
-# pixel: 256 bits. With one frame stored, and for each of the other 3 a motion vector of 4 bits, 76: not a pixel is coded again.
+# Take a video of 4 frames, each a row of 8 pixels of 8 bits, in which everything moves on by one
+# pixel per frame (and re-enters at the other end). Pixel by pixel it has 256 bits. One stored
+# frame and, for each of the other 3 frames, a motion vector of 4 bits are 76 bits, and no pixel
+# has to be coded again.
 
 # %%
 row = np.array([0, 0, 90, 200, 90, 0, 0, 0])
 video = [np.roll(row, t) for t in range(4)]
-assert len(video) == 4 and len(row) == 8 and 4 * 8 * 8 == 256 and 8 * 8 + 3 * 4 == 76
-search = lambda reference, frame: min(
-    range(-8, 8), key=lambda v: (np.abs(np.roll(reference, v) - frame).sum(), abs(v))
-)
-vectors = [search(video[0], frame) for frame in video[1:]]
-assert vectors == [1, 2, 3] and all(-8 <= v < 8 for v in vectors) and 2**4 == 16
-assert all(np.array_equal(np.roll(video[0], v), frame) for v, frame in zip(vectors, video[1:]))
+bits_of_pixels = 8 * np.size(video)
+bits_of_vectors = 8 * len(row) + 4 * 3
+assert (bits_of_pixels, bits_of_vectors) == (256, 76)
+
+
+def search(reference, frame):
+    """The motion vector with the smallest error; among equals, the shortest."""
+
+    def badness(v):
+        return np.abs(np.roll(reference, v) - frame).sum(), abs(v)
+
+    return min(range(-8, 8), key=badness)
+
+
+for t, frame in enumerate(video):
+    assert search(video[0], frame) == t
+    assert np.array_equal(np.roll(video[0], t), frame)
 
 # %% [markdown]
 # ## In code
-# The experiment, in three dimensions. The packaged scene `bouncing`, drawn anew at $32\times 32$ pixels: 4 moments, each seen by
-# the same 12 cameras for training and 3 for testing. A *frame* here is what the 3D scene is at one moment.
+# We repeat the experiment in three dimensions. The packaged scene `bouncing` is drawn again with
+# $32\times 32$ pixels, at 4 moments, each seen by the same 12 cameras for training and 3 for
+# testing. A *frame* is here the whole 3D scene at one moment.
 
 # %%
-given = json.loads((packaged_folder() / "bouncing" / "scene.json").read_text(encoding="utf-8"))
-given |= {"resolution": [32, 32], "lens": {"fl_x": 42.8, "fl_y": 42.8, "cx": 16, "cy": 16}}
-given["cameras"] |= {"train": 12, "test": 3}
-drawing, times, still = (
-    describe(given),
-    [0.0, 1 / 3, 2 / 3, 1.0],
-    ("view_color", "occlusion", "background"),
-)
-cameras = [
-    (camera, split == "test")
-    for split in ("train", "test")
-    for camera, _ in place_cameras(drawing, split)
-]
-pictures = {t: [trace(drawing, camera, t) for camera, _ in cameras] for t in times}
-assert (
-    len(times) == 4
-    and sum(not held for _, held in cameras) == 12
-    and sum(held for _, held in cameras) == 3
-)
+file = packaged_folder() / "bouncing" / "scene.json"
+description = json.loads(file.read_text(encoding="utf-8"))
+description["resolution"] = [32, 32]
+description["lens"] = {"fl_x": 42.8, "fl_y": 42.8, "cx": 16, "cy": 16}
+description["cameras"].update(train=12, test=3)
+drawing = describe(description)
+cameras, is_test = [], []
+for split in ("train", "test"):
+    for camera, _ in place_cameras(drawing, split):
+        cameras.append(camera)
+        is_test.append(split == "test")
+times = [0.0, 1 / 3, 2 / 3, 1.0]
+pictures = {}
+for t in times:
+    pictures[t] = [trace(drawing, camera, t) for camera in cameras]
+assert sum(is_test) == 3 and len(is_test) == 15
+
+STILL = ("view_color", "occlusion", "background")
 
 
-def clip(moments, moves):
-    """A scene of some moments; one that does not move knows no time."""
-    shots = [
-        (image, camera, t if moves else 0.0, held)
-        for t in moments
-        for image, (camera, held) in zip(pictures[t], cameras)
-    ]
-    images, seen_by, when, held = zip(*shots)
+def scene_of(moments, moves):
+    """A scene of some moments. A scene without motion does not know their times."""
+    images, shown_at = [], []
+    for t in moments:
+        images += pictures[t]
+        shown_at += len(cameras) * [t if moves else 0.0]
     return p4.Scene.from_arrays(
         images,
-        seen_by,
-        when,
-        test=np.flatnonzero(held).tolist(),
-        effects=still + ("translation",) * moves,
+        len(moments) * cameras,
+        shown_at,
+        test=np.flatnonzero(len(moments) * is_test).tolist(),
+        effects=(*STILL, "translation") if moves else STILL,
     )
 
 
 # %% [markdown]
-# **Intra**: a static model for each frame. **Inter**: one model of all, with $\psi_d$. Each of the five is trained for 400 steps,
-# with as many anchors and the same networks, so intra has four times the training. Files are real, and decoded before they are
-# judged.
+# **Intra** is a static model for each frame. **Inter** is a single model of all frames, with
+# $\psi_d$. Each of the five models is trained for 400 steps, with the same number of anchors and
+# the same networks, so intra has four times the training. The files are real, and every model is
+# decoded from its file before it is evaluated.
 
 # %%
 sizes = dict(
@@ -125,61 +136,57 @@ sizes = dict(
 )
 
 
-def build(scene, steps):
-    """Train, write the file, read it again."""
-    data = p4.encode(fits.train(scene, fits.reduced(steps, **sizes)).model)
+def build(scene):
+    """Train a model, write its file, and read it again."""
+    trained = fits.train(scene, fits.reduced(400, **sizes)).model
+    data = p4.encode(trained)
     return p4.decode(data), data
 
 
-frames, whole = [clip([t], False) for t in times], clip(times, True)
-intra, inter = [build(frame, 400) for frame in frames], build(whole, 400)
-assert (
-    len(intra) + 1 == 5
-    and fits.reduced(400).iterations == 400
-    and all(
-        model.design.layers()["psi_c"] == inter[0].design.layers()["psi_c"] for model, _ in intra
-    )
-)
-bytes_intra, bytes_inter = [len(data) for _, data in intra], len(inter[1])
+def psnr(model, scene):
+    return evaluate(model, scene)[0]["psnr_db"]
+
+
+frames = [scene_of([t], moves=False) for t in times]
+intra = [build(frame) for frame in frames]
+inter, inter_data = build(scene_of(times, moves=True))
+intra_bytes = [len(data) for _, data in intra]
+inter_bytes = len(inter_data)
 quality = {
-    "intra": [evaluate(model, frame)[0]["psnr_db"] for (model, _), frame in zip(intra, frames)],
-    "inter": [evaluate(inter[0], clip([t], True))[0]["psnr_db"] for t in times],
-    "repeat frame 0": [evaluate(intra[0][0], frame)[0]["psnr_db"] for frame in frames],
+    "intra": [psnr(model, frame) for (model, _), frame in zip(intra, frames)],
+    "inter": [psnr(inter, scene_of([t], moves=True)) for t in times],
+    "repeat frame 0": [psnr(intra[0][0], frame) for frame in frames],
 }
 for name, db in quality.items():
     print(f"{name:14s} PSNR {np.round(db, 2)}, mean {np.mean(db):.2f} dB")
-print(f"intra {bytes_intra} = {sum(bytes_intra):,} bytes; inter {bytes_inter:,} bytes")
-assert (
-    bytes_inter < 0.6 * sum(bytes_intra)
-    and abs(np.mean(quality["inter"]) - np.mean(quality["intra"])) < 1
-)
-
-# %% [markdown]
-# About half the bytes, for pictures within 1 dB of each other. The control repeats frame 0 and costs nothing more: it is right at
-# its own time and wrong where things moved. What separates it from inter is what motion is worth.
-
-# %%
-gap = min(quality["inter"][1:3]) - max(quality["repeat frame 0"][1:3])
-print(
-    f"inter {sum(bytes_intra) / bytes_inter:.2f} times smaller; motion is worth {gap:.1f} dB where the balls are in the air"
-)
-assert (
-    quality["repeat frame 0"][0] == quality["intra"][0]
-    and gap > 3
-    and 1.6 < sum(bytes_intra) / bytes_inter < 2.6
-)
+print(f"intra {intra_bytes} = {sum(intra_bytes):,} bytes, inter {inter_bytes:,} bytes")
+assert inter_bytes < 0.6 * sum(intra_bytes)
 assert abs(np.mean(quality["inter"]) - np.mean(quality["intra"])) < 1
 
 # %% [markdown]
-# Where do the bytes go? At this size networks are most of a file, so part of intra's loss is that it stores them with each frame.
-# Count without them, only what describes the *scene*: positions, attributes, masks, grid. The factor then is nearly the number of
+# Inter needs about half the bytes, and its pictures are within 1 dB of those of intra. The
+# control, which repeats frame 0, costs no further bytes. It is right at its own time and wrong
+# wherever something has moved. The difference between the control and inter is what the motion
+# model contributes.
+
+# %%
+in_the_air = slice(1, 3)
+gap = min(quality["inter"][in_the_air]) - max(quality["repeat frame 0"][in_the_air])
+factor = sum(intra_bytes) / inter_bytes
+print(f"inter is {factor:.2f} times smaller; motion contributes {gap:.1f} dB")
+assert gap > 3
+assert 1.6 < factor < 2.6
+
+# %% [markdown]
+# Where do the bytes go? At this size networks are most of a file, so intra loses partly because
+# it stores the networks with each frame. Let us also count without networks, only what describes
+# the *scene*: positions, attributes, masks and grid. The factor is then close to the number of
 # frames.
 
 # %%
-NETWORKS = ("anchor_mlps", "context_mlps", "deformation_mlp")
 kinds = {
-    "networks": NETWORKS[:2],
-    "ψ_d, the motion": NETWORKS[2:],
+    "networks": ("anchor_mlps", "context_mlps"),
+    "ψ_d, the motion": ("deformation_mlp",),
     "positions": ("positions",),
     "attributes, masks, grid": (
         "features",
@@ -191,206 +198,249 @@ kinds = {
     ),
     "header": ("header",),
 }
-parts = {
-    name: [sum(components(data).get(part, 0) for part in kind) for kind in kinds.values()]
-    for name, data in (
-        *((f"frame {i}", data) for i, (_, data) in enumerate(intra)),
-        ("inter", inter[1]),
-    )
-}
-assert (
-    all(sum(parts[f"frame {i}"]) == len(data) for i, (_, data) in enumerate(intra))
-    and sum(parts["inter"]) == bytes_inter
-)
-scene_only = {name: part[2] + part[3] for name, part in parts.items()}
-factor = sum(scene_only[f"frame {i}"] for i in range(4)) / scene_only["inter"]
-print(
-    f"scene only: {factor:.2f} times; with everything: {sum(bytes_intra) / bytes_inter:.2f} times"
-)
-assert 3 < factor < 5 and parts["inter"][1] > 0 == parts["frame 0"][1]
-assert all(part[0] + part[1] > sum(part) / 2 for part in parts.values())
+
+
+def bytes_by_kind(data):
+    sizes = components(data)
+    return {kind: sum(sizes.get(part, 0) for part in parts) for kind, parts in kinds.items()}
+
+
+files = {f"frame {i}": bytes_by_kind(data) for i, (_, data) in enumerate(intra)}
+files["inter"] = bytes_by_kind(inter_data)
+for name, size in zip(files, [*intra_bytes, inter_bytes]):
+    assert sum(files[name].values()) == size
+    assert files[name]["networks"] + files[name]["ψ_d, the motion"] > size / 2
+
+
+def scene_bytes(name):
+    return files[name]["positions"] + files[name]["attributes, masks, grid"]
+
+
+all_frames = sum(scene_bytes(f"frame {i}") for i in range(4))
+factor_of_scene = all_frames / scene_bytes("inter")
+print(f"scene only: {factor_of_scene:.2f} times; with everything: {factor:.2f} times")
+assert 3 < factor_of_scene < 5
 
 # %%
 figure, (bars, growth) = plt.subplots(
-    1, 2, figsize=(15, 5.6), layout="constrained", gridspec_kw={"width_ratios": [1.3, 1]}
+    1,
+    2,
+    figsize=(15, 5.6),
+    layout="constrained",
+    width_ratios=(1.3, 1),
 )
 bottom = np.zeros(5)
-for i, (kind, color, hatch) in enumerate(zip(kinds, lessons.COLORS, ("", "//", "", "..", ""))):
-    height = np.array([part[i] for part in parts.values()])
+for kind, color, hatch in zip(kinds, lessons.COLORS, ("", "//", "", "..", "")):
+    height = np.array([own[kind] for own in files.values()])
     bars.bar(range(5), height, bottom=bottom, color=color, hatch=hatch, edgecolor="k", label=kind)
     bottom += height
-bars.set_xticks(
-    range(5), [f"intra\nframe {i}" for i in range(4)] + ["inter\nall frames"], fontsize=13
+names = [f"intra\nframe {i}" for i in range(4)] + ["inter\nall frames"]
+bars.set_xticks(range(5), names, fontsize=13)
+bars.set(
+    ylabel="bytes",
+    ylim=(0, 1.25 * max(bottom)),
+    title="Four files with a scene each, or one scene and its motion",
 )
-bars.set(ylabel="bytes", title="Four files with a scene each, or one scene and its motion")
 handles, labels = bars.get_legend_handles_labels()
 bars.legend(handles[::-1], labels[::-1], fontsize=12, loc="upper left")
-bars.set_ylim(0, 1.25 * max(bottom))
-for name, values, marker, hue in (
-    ("intra", np.cumsum(bytes_intra), "o-", 1),
-    ("inter", np.full(4, bytes_inter), "s--", 0),
-):
-    growth.plot(
-        range(1, 5),
-        values,
-        marker,
-        ms=11,
-        color=lessons.COLORS[hue],
-        label=f"{name}, mean PSNR {np.mean(quality[name]):.1f} dB",
-    )
+needed = {
+    "intra": (np.cumsum(intra_bytes), "o-", lessons.COLORS[1]),
+    "inter": (np.full(4, inter_bytes), "s--", lessons.COLORS[0]),
+}
+for name, (values, marker, hue) in needed.items():
+    label = f"{name}, mean PSNR {np.mean(quality[name]):.1f} dB"
+    growth.plot(range(1, 5), values, marker, ms=11, color=hue, label=label)
 growth.set(
     xlabel="frames that can be shown",
     ylabel="bytes needed",
     xticks=range(1, 5),
-    ylim=(0, 1.1 * sum(bytes_intra)),
-    title="Intra grows, inter is paid at once",
+    ylim=(0, 1.1 * sum(intra_bytes)),
+    title="Intra grows with each frame, inter is paid once",
 )
 growth.legend(fontsize=13)
 lessons.show(figure, "26_video_codec_analogy")
 
 # %%
-over, camera = [frame.test[0].image for frame in frames], frames[0].test[0].camera
-render = lambda model, t: np.clip(model.render(camera, t), 0, 1)
+camera = frames[0].test[0].camera
+truths = [frame.test[0].image for frame in frames]
+
+
+def render(model, t):
+    return np.clip(model.render(camera, t), 0, 1)
+
+
 shown = {
-    "truth": over,
+    "truth": truths,
     "intra": [render(model, 0.0) for model, _ in intra],
-    "inter": [render(inter[0], t) for t in times],
-    "repeat frame 0": [render(intra[0][0], 0.0)] * 4,
+    "inter": [render(inter, t) for t in times],
+    "repeat frame 0": 4 * [render(intra[0][0], 0.0)],
 }
 figure, axes = plt.subplots(4, 4, figsize=(9, 9.6), layout="constrained")
 for line, (name, images) in zip(axes, shown.items()):
-    for panel, image, truth, t in zip(line, images, over, times):
-        panel.imshow(image), panel.set(xticks=[], yticks=[]), panel.grid(False)
-        panel.set_xlabel(
-            f"t = {t:.2f}" if name == "truth" else f"{decibel(squared_error(image, truth)):.1f} dB",
-            fontsize=14,
-        )
+    for panel, image, truth, t in zip(line, images, truths, times):
+        panel.imshow(image)
+        panel.set(xticks=[], yticks=[])
+        panel.grid(False)
+        score = f"{decibel(squared_error(image, truth)):.1f} dB"
+        panel.set_xlabel(f"t = {t:.2f}" if name == "truth" else score, fontsize=14)
     line[0].set_ylabel(name, fontsize=16)
 figure.suptitle("One test view: only the last row ignores motion", fontsize=18)
 lessons.show(figure, "26_video_codec_analogy_pictures")
 
 # %% [markdown]
 # ## Backward by hand
-# Why can a quarter of the training be enough? In intra, $L = \sum_t L_t(\theta_t)$: a frame's error reaches its own anchors only.
-# In inter all use the *same* anchors, and their gradients add up (a step draws one term, all steps move the same anchors):
+# Why can a quarter of the training be enough for inter? In intra, $L = \sum_t L_t(\theta_t)$, so
+# the error of a frame reaches only its own anchors. In inter all frames use the *same* anchors,
+# and their gradients add up. (A training step draws one term of the sum, but all steps move the
+# same anchors.)
 # $$L = \sum_t L_t(\theta) \;\Longrightarrow\; \bar\theta = \sum_t \bar\theta^{(t)},
 #   \qquad\text{for a feature}\quad \bar f_a = \sum_t \bar f_a^{(t)}.$$
-
-# %% [markdown]
-# Checked on a small model: cotangents of the Gaussians at three times, three backward passes, one sum, against a difference of
-# the summed loss.
+# We check this with a small model. Random cotangents of the Gaussians at three times give three
+# backward passes; the sum of their gradients is compared with a finite difference of the summed
+# loss.
 
 # %%
 rng = np.random.default_rng(26)
-small, when = sample_model(3, 9), (0.0, 0.4, 1.0)
-names = ("x", "s", "r", "alpha", "color")
-at = lambda f_a, t: predict(
-    small.design, small.networks, small.anchors._replace(f_a=f_a), np.array([0.0, -3, 1]), t
-)
+small = sample_model(3, 9)
+x_c = np.array([0.0, -3, 1])
+OUTPUTS = ("x", "s", "r", "alpha", "color")
+
+
+def gaussians_at(f_a, t):
+    anchors = small.anchors._replace(f_a=f_a)
+    return predict(small.design, small.networks, anchors, x_c, t)
+
+
 f_a = small.anchors.f_a.astype(float)
-bars_t = [{n: rng.normal(size=getattr(at(f_a, t)[0], n).shape) for n in names} for t in when]
-f_bar = sum(
-    predict_backward(at(f_a, t)[1], *(bar[n] for n in names))[0]["f_a"]
-    for t, bar in zip(when, bars_t)
-)
-loss = lambda f_a: sum(
-    (bar[n] * getattr(at(f_a, t)[0], n)).sum() for t, bar in zip(when, bars_t) for n in names
-)
-way, h = rng.normal(size=f_a.shape), 1e-5
-difference = (loss(f_a + h * way) - loss(f_a - h * way)) / (2 * h)
-assert abs(difference - (f_bar * way).sum()) < 1e-6 * np.abs(f_bar * way).sum()
-print(f"by differences {difference:.8f}, by the sum of three gradients {(f_bar * way).sum():.8f}")
+cotangents = {}
+f_bar = np.zeros_like(f_a)
+for t in (0.0, 0.4, 1.0):
+    g, saved = gaussians_at(f_a, t)
+    cotangents[t] = [rng.normal(size=getattr(g, name).shape) for name in OUTPUTS]
+    anchors_bar, _ = predict_backward(saved, *cotangents[t])
+    f_bar += anchors_bar["f_a"]
+
+
+def loss_at(f_a):
+    total = 0
+    for t, bars in cotangents.items():
+        g, _ = gaussians_at(f_a, t)
+        for name, bar in zip(OUTPUTS, bars):
+            total += (bar * getattr(g, name)).sum()
+    return total
+
+
+way = rng.normal(size=f_a.shape)
+by_difference = (loss_at(f_a + 1e-5 * way) - loss_at(f_a - 1e-5 * way)) / 2e-5
+by_gradient = (f_bar * way).sum()
+assert abs(by_difference - by_gradient) < 1e-6 * abs(by_gradient)
+print(f"by differences {by_difference:.8f}, by the sum of three gradients {by_gradient:.8f}")
 
 # %% [markdown]
 # ## Break it
-# The oldest mistake of inter coding: the encoder predicts from the *original* last frame, the decoder from what it *decoded*.
-# Each frame's rounding error stays, and they add up: **drift**. The first frames look perfect. Predicting from the decoded frame
-# cures it.
+# The oldest mistake of inter coding is an encoder that predicts from the *original* previous
+# frame, while the decoder predicts from the frame that it has *decoded*. The rounding error of
+# each frame then stays in all later frames, and the errors add up. This is called **drift**. The
+# first frames look perfect. The remedy is to predict from the decoded frame in the encoder too.
 
 # %%
 signal = np.cumsum(rng.normal(size=(400, 500)), axis=0)  # 400 frames of 500 pixels
-rounded = np.rint(np.diff(signal, axis=0, prepend=0))  # what is sent, predicted from the original
-open_loop, closed_loop = np.cumsum(rounded, axis=0), np.zeros_like(signal)
+sent = np.rint(np.diff(signal, axis=0, prepend=0))  # predicted from the original
+open_loop = np.cumsum(sent, axis=0)
+closed_loop = np.zeros_like(signal)
+decoded = np.zeros(500)
 for t in range(400):
-    before = closed_loop[t - 1] if t else 0
-    closed_loop[t] = before + np.rint(signal[t] - before)  # predicted from what the decoder has
-drift, kept = (np.sqrt(np.mean((a - signal) ** 2, axis=1)) for a in (open_loop, closed_loop))
-assert (
-    abs(drift[0] - kept[0]) < 1e-12
-    and drift[-1] > 15 * kept[-1]
-    and np.abs(closed_loop - signal).max() <= 0.5 + 1e-9
-)
-for name, error in (("open loop", drift), ("closed loop", kept)):
-    print(f"{name}: error {error[0]:.2f} steps in the first frame, {error[-1]:.2f} in the last")
+    decoded = decoded + np.rint(signal[t] - decoded)  # predicted from the decoded frame
+    closed_loop[t] = decoded
+
+
+def rms_error(loop):
+    return np.sqrt(np.mean((loop - signal) ** 2, axis=1))
+
+
+drift, bounded = rms_error(open_loop), rms_error(closed_loop)
+print(f"open loop: error {drift[0]:.2f} steps in the first frame, {drift[-1]:.2f} in the last")
+print(f"closed loop: {bounded[0]:.2f} in the first frame, {bounded[-1]:.2f} in the last")
+assert abs(drift[0] - bounded[0]) < 1e-12
+assert drift[-1] > 15 * bounded[-1]
+assert np.abs(closed_loop - signal).max() <= 0.5 + 1e-9
 
 # %% [markdown]
-# P-4DGS cannot drift: every time is predicted from canonical space directly, never from another time. But the mistake's sibling
-# is at home here: to score the model *before* rounding. What counts is `decode(encode(model))`, as `build` returns it above.
+# P-4DGS cannot drift, because every time is predicted directly from canonical space and never
+# from another time. But a related mistake is possible: to evaluate the model *before* rounding.
+# The model that counts is `decode(encode(model))`, which `build` returns above.
 
 # %%
-again = p4.decode(inter[1]).render(camera, 0.5)
-assert np.array_equal(again, inter[0].render(camera, 0.5)) and p4.encode(inter[0]) == inter[1]
+again = p4.decode(inter_data)
+assert np.array_equal(again.render(camera, 0.5), inter.render(camera, 0.5))
+assert p4.encode(inter) == inter_data
 
 # %% [markdown]
 # ## What a codec does with it
-# Two things that video codecs have and P-4DGS has not. A **residual**: what motion cannot explain is coded per frame; here it is
-# lost unless $\psi_d$ can say it. And a **choice per block**: here all anchors pay for one network, and it has no smaller size at
-# a low rate, the limitation that the paper ends on. Its share of the file:
+# Video codecs have two things that P-4DGS lacks. The first is a **residual**: a video codec codes
+# for each frame what motion cannot explain, whereas P-4DGS loses whatever $\psi_d$ cannot
+# express. The second is a **choice per block**: here all anchors pay for one network, which does
+# not become smaller at a low rate. This is the limitation with which the paper ends. The share of
+# $\psi_d$ in our file:
 
 # %%
-share = parts["inter"][1] / bytes_inter
-print(
-    f"psi_d: {parts['inter'][1]:,} bytes, which lambda_rate cannot change; {100 * share:.0f} % of this inter file"
-)
-assert components(inter[1])["deformation_mlp"] == parts["inter"][1] and 0.3 < share < 0.7
+motion = files["inter"]["ψ_d, the motion"]
+print(f"psi_d has {motion:,} bytes, {motion / inter_bytes:.0%} of this inter file;", end=" ")
+print("lambda_rate cannot change them")
+assert 0.3 < motion / inter_bytes < 0.7
 
 # %% [markdown]
 # ## Exercises
-# **26.1** At $30$ frames a second an intra frame has $5000$ bytes; one file for two seconds has $10000$. Both rates, in kbit/s
-# (of $1000$ bits)? **26.2** The motion vector of each block of $8$ pixels, from `reference` to `frame`, as $8$ whole numbers: the
-# shift $v$ from $-8$ to $8$ for which `np.roll(reference, v)` has the least sum of absolute errors in the block.
-# **26.3** The backward of the motion model, Eq. (5), with `mlp` and `positional_encoding` of `p4dgs_ref.equations`.
-
-# %% [markdown]
-# For exercise 26.1, order `[intra, inter]`; $25$ frames of $1000$ bytes a second would be $200$. For exercise 26.2: the first
-# block has $v = 0$ (`frame` is brighter by $1$ everywhere, so no error is $0$). For exercise 26.3: $x$ is $(N, 3)$, `inputs` has
-# `x`, `t`, `weights`, `biases`, `L_x`, `L_t`; the last three weights are the heads, all of the same input: beside each other they
-# are one last layer. With a head $W$ of one row, $y = 2$ and $\overline{\Delta x} = (1, 0, -1)$, $\bar W = (2, 0, -2)$.
+# **26.1** At $30$ frames a second, an intra frame takes $5000$ bytes. One inter file for two
+# seconds takes $10000$ bytes. What are the two rates `[intra, inter]` in kbit/s (of $1000$ bits)?
+# For comparison, $25$ frames of $1000$ bytes a second are $200$ kbit/s.
+#
+# **26.2** Find the motion vector of each block of $8$ pixels from `reference` to `frame`, as $8$
+# integers: the shift $v$ from $-8$ to $8$ for which `np.roll(reference, v)` has the smallest sum
+# of absolute errors in the block. The first block has $v = 0$. (`frame` is brighter by $1$
+# everywhere, so no error is $0$.)
+#
+# **26.3** Write the backward of the motion model, Eq. (5), with `mlp` and `positional_encoding`
+# of `p4dgs_ref.equations`. The last three weights are the heads. They have the same input, so
+# side by side they form one last layer. For a head $W$ with a single row, $y = 2$ and
+# $\overline{\Delta x} = (1, 0, -1)$ give $\bar W = (2, 0, -2)$.
 
 # %%
 reference = np.random.default_rng(8).integers(0, 256, 64)
-frame = (
-    np.concatenate(
-        [
-            np.roll(reference, v)[8 * i : 8 * i + 8]
-            for i, v in enumerate((0, 3, 3, -2, -2, 5, 0, -7))
-        ]
-    )
-    + 1
-)
-errors = np.array(
-    [
-        [np.abs(np.roll(reference, v) - frame)[8 * i : 8 * i + 8].sum() for v in range(-8, 9)]
-        for i in range(8)
-    ]
-)
+vectors = (0, 3, 3, -2, -2, 5, 0, -7)
+frame = np.ones(64, int)
+for i, v in enumerate(vectors):
+    block = slice(8 * i, 8 * i + 8)
+    frame[block] += np.roll(reference, v)[block]
 answer_1 = answer_2 = ...
 
 
 def my_backward(inputs, cotangents):
-    """{"x", "weights", "biases"}: gradients, from cotangents["delta_x_bar"], ["delta_s_bar"], ["delta_r_bar"]."""
+    """Return {"x", "weights", "biases"}.
+
+    The cotangents are "delta_x_bar", "delta_s_bar" and "delta_r_bar". The inputs are "x" (N, 3),
+    "t", "weights", "biases", "L_x" and "L_t".
+    """
     raise NotImplementedError
 
 
 lessons.number("26.1", answer_1, [30 * 5000 * 8 / 1000, 10_000 * 8 / 1000 / 2])
-lessons.number("26.2", answer_2, errors.argmin(axis=1) - 8)
+lessons.number("26.2", answer_2, vectors)
 lessons.backward("26.3", my_backward, "deformation")
 
 # %% [markdown]
 # ## Check your port
-# `p4dgs-ref oracle check DIR --only deformation`. What a port gets wrong here: time as a frame number instead of a share of the
-# recording; the encoding frequency by frequency for each axis instead of for the whole vector; $\pi$ in its waves.
+# Run `p4dgs-ref oracle check DIR --only deformation`. Typical mistakes of ports are a time given
+# as a frame number instead of a share of the recording, an encoding that runs through all
+# frequencies of one axis before the next instead of encoding the whole vector, and a factor $\pi$
+# in the sines and cosines.
+
 
 # %%
-print(oracle.check(lambda **i: deformation.forward(**i)[0], "deformation"))
-assert oracle.check(lambda **i: deformation.forward(**i)[0], "deformation").ok
+def port(**inputs):
+    return deformation.forward(**inputs)[0]
+
+
+verdict = oracle.check(port, "deformation")
+print(verdict)
+assert verdict.ok

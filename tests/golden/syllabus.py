@@ -17,7 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from p4dgs_ref.oracle.vectors import read_manifest
+from p4dgs_ref.oracle import read_manifest
 from p4dgs_ref.scenes.output import write_atomically
 from p4dgs_ref.school.syllabus import TUTORIALS, tutorial_of
 from p4dgs_ref.table import EQUATIONS

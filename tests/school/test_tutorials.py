@@ -13,7 +13,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from p4dgs_ref.oracle.vectors import read_manifest
+from p4dgs_ref.oracle import read_manifest
 from p4dgs_ref.school.syllabus import TUTORIALS, tutorial_of
 from p4dgs_ref.table import EQUATIONS
 from tests.golden import gallery, syllabus

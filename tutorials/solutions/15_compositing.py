@@ -8,8 +8,9 @@ from p4dgs_ref.school import lessons
 from p4dgs_ref.splatting import compositing
 
 # %% [markdown]
-# **15.1** From the back: $B_2 = 1$, $B_1 = 0.8\cdot 0.5 + 0.2\cdot 1 = 0.6$, $B_0 = 0.5\cdot 1 + 0.5\cdot 0.6 = 0.8$.
-# The pixel is $0.5\cdot 1 + 0.5\cdot 0.8 = 0.9$. The gradients are $1\,(1 - 0.8)$, $0.5\,(1 - 0.6)$ and $0.25\,(0.5 - 1)$.
+# **15.1** From the back: $B_2 = 1$, $B_1 = 0.8\cdot 0.5 + 0.2\cdot 1 = 0.6$ and
+# $B_0 = 0.5\cdot 1 + 0.5\cdot 0.6 = 0.8$. The pixel is $0.5\cdot 1 + 0.5\cdot 0.8 = 0.9$. The
+# gradients are $1\,(1 - 0.8) = 0.2$, $0.5\,(1 - 0.6) = 0.2$ and $0.25\,(0.5 - 1) = -0.125$.
 
 # %%
 layers = dict(
@@ -23,76 +24,102 @@ layers = dict(
     height=1,
     width=1,
 )
-white, residual = compositing.forward(**layers)
-alpha_bar = compositing.backward(residual, np.array([[[1.0, 0, 0]]]))["alpha"]
-lessons.number("15.1", [0.9, 0.2, 0.2, -0.125], [white.image[0, 0, 0], *alpha_bar])
+(white, _), saved = compositing.forward(**layers)
+alpha_bar = compositing.backward(saved, np.array([[[1.0, 0, 0]]]))["alpha"]
+lessons.number("15.1", [0.9, 0.2, 0.2, -0.125], [white[0, 0, 0], *alpha_bar])
 
 
 # %% [markdown]
-# **15.2** A stable sort keeps equal depths in order of index. `T` is appended once more at the end: what is left.
+# **15.2** A stable sort keeps splats of equal depth in the order of their index. The
+# transmittances have one row more than there are splats: the last row is the light that reaches
+# the background.
 
 
 # %%
-def alphas(given):
-    order = np.flatnonzero(given["visible"])
-    order = order[np.argsort(given["depth"][order], kind="stable")]
+def front_to_back(given):
+    visible = np.flatnonzero(given["visible"])
+    by_depth = np.argsort(given["depth"][visible], kind="stable")
+    return visible[by_depth]
+
+
+def falloffs(given, order):
+    """The falloff of each splat at each pixel (M, P), and the way from its mean to the pixel."""
     y, x = np.indices((given["height"], given["width"])).reshape(2, 1, -1)
-    e = x - given["mean2d"][order, :1], y - given["mean2d"][order, 1:]
+    mean_x, mean_y = given["mean2d"][order].T[:, :, None]
+    e_x = x - mean_x
+    e_y = y - mean_y
     a, b, c = given["conic"][order].T[:, :, None]
-    falloff = np.exp(-0.5 * (a * e[0] ** 2 + c * e[1] ** 2) - b * e[0] * e[1])
-    raw, alpha_max = given["alpha"][order, None] * falloff, given.get("alpha_max", 0.99)
-    A = np.minimum(raw, alpha_max)
-    light = np.cumprod(np.concatenate([np.ones((1, A.shape[1])), 1 - A]), axis=0)
-    return (
-        order,
-        e,
-        falloff,
-        raw,
-        raw <= alpha_max,
-        A,
-        light if given.get("occlusion", True) else np.ones_like(light),
-    )
+    exponent = -0.5 * (a * e_x**2 + c * e_y**2) - b * e_x * e_y
+    return np.exp(exponent), e_x, e_y
+
+
+def transmittances(A, given):
+    """The light in front of each splat and, in the last row, of the background (M + 1, P)."""
+    through = np.vstack([np.ones((1, A.shape[1])), 1 - A])
+    if given.get("occlusion", True):
+        return np.cumprod(through, axis=0)
+    return np.ones_like(through)
 
 
 def my_forward(**given):
-    order, _, _, _, _, A, light = alphas(given)
+    order = front_to_back(given)
+    falloff, _, _ = falloffs(given, order)
+    raw = given["alpha"][order, None] * falloff
+    A = np.minimum(raw, given.get("alpha_max", 0.99))
+    T = transmittances(A, given)
+    image = (A * T[:-1]).T @ given["color"][order] + T[-1][:, None] * given["background"]
     shape = given["height"], given["width"]
-    image = (A * light[:-1]).T @ given["color"][order] + light[-1][:, None] * given["background"]
-    return image.reshape(*shape, 3), light[-1].reshape(shape)
+    return image.reshape(*shape, 3), T[-1].reshape(shape)
 
 
 lessons.forward("15.2", my_forward, "compositing")
 
 
 # %% [markdown]
-# **15.3** The sweep from the back; without occlusion nothing stands behind anything, so nothing is taken away.
+# **15.3** The sweep from the back. Without occlusion no splat hides another, so nothing is
+# subtracted from the gain.
 
 
 # %%
-def my_backward(inputs, cotangents):
-    order, (e_x, e_y), falloff, raw, free, A, light = alphas(inputs)
-    G, color = cotangents["image_bar"].reshape(-1, 3), inputs["color"][order]
-    behind = G @ inputs["background"] + cotangents["transmittance_bar"].ravel()
-    gain = color @ G.T
-    if inputs.get("occlusion", True):
+def my_backward(given, cotangents):
+    order = front_to_back(given)
+    falloff, e_x, e_y = falloffs(given, order)
+    raw = given["alpha"][order, None] * falloff
+    alpha_max = given.get("alpha_max", 0.99)
+    A = np.minimum(raw, alpha_max)
+    T = transmittances(A, given)
+
+    G = cotangents["image_bar"].reshape(-1, 3)
+    gain = given["color"][order] @ G.T
+    behind = G @ given["background"] + cotangents["transmittance_bar"].ravel()
+    if given.get("occlusion", True):
         for i in reversed(range(len(order))):
             gain[i] -= behind
             behind = behind + A[i] * gain[i]
-    A_bar = light[:-1] * gain * free
+    A_bar = T[:-1] * gain * (raw <= alpha_max)
+
     V = A_bar * raw
-    a, b, c = inputs["conic"][order].T[:, :, None]
-    rows = {
-        "color": (A * light[:-1]) @ G,
+    a, b, c = given["conic"][order].T[:, :, None]
+    mean_terms = [
+        V * (a * e_x + b * e_y),
+        V * (b * e_x + c * e_y),
+    ]
+    conic_terms = [
+        -0.5 * V * e_x**2,
+        -V * e_x * e_y,
+        -0.5 * V * e_y**2,
+    ]
+    visible_rows = {
+        "mean2d": np.sum(mean_terms, axis=2).T,
+        "conic": np.sum(conic_terms, axis=2).T,
         "alpha": (A_bar * falloff).sum(axis=1),
-        "mean2d": np.stack([V * (a * e_x + b * e_y), V * (b * e_x + c * e_y)], axis=1).sum(axis=2),
-        "conic": np.stack([-0.5 * V * e_x**2, -V * e_x * e_y, -0.5 * V * e_y**2], axis=1).sum(
-            axis=2
-        ),
+        "color": (A * T[:-1]) @ G,
     }
-    bars = {name: np.zeros_like(inputs[name]) for name in rows}
-    for name, values in rows.items():
+    bars = {"background": T[-1] @ G}
+    for name, values in visible_rows.items():
+        bars[name] = np.zeros_like(given[name])
         bars[name][order] = values
-    return {**bars, "background": light[-1] @ G}
+    return bars
 
 
 lessons.backward("15.3", my_backward, "compositing")

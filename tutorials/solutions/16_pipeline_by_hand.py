@@ -12,90 +12,108 @@ from p4dgs_ref.school import lessons
 from p4dgs_ref.splatting import render
 
 # %% [markdown]
-# **16.1** In the tutorial: `look([temporal(child, 0.0)[0] for child in canonical])[0]`. At time 0 the children do not stand at
-# their canonical places: $\psi_d$ has biases, and moves things then, too. The renderer, asked for the same anchor, agrees.
+# **16.1** In the tutorial, evaluate `look([temporal(child, 0.0)[0] for child in canonical])[0]`.
+# At time 0 the children do not stand at their canonical positions, because $\psi_d$ has biases
+# and therefore moves them even then. The renderer returns the same colour for the same anchor.
 
 # %%
 rng = np.random.default_rng(3524)
-draw = lambda *shape: rng.integers(-8, 9, shape) / 16
-grid = (("xyz", 2), ("xy", 2), ("xz", 2), ("yz", 2))
+
+
+def draw(*shape):
+    return rng.integers(-8, 9, shape) / 16
+
+
 design = Design(
-    2, 2, (3,), (3,), 1, 1, (), grid, (8, 4), 1, (0.25, 0.0625, 0.0625, 0.125), 0.0, MODEL_EFFECTS
+    d=2,
+    k=2,
+    hidden=(3,),
+    deformation=(3,),
+    L_x=1,
+    L_t=1,
+    context=(),
+    F=1,
+    table=(8, 4),
+    tau_alpha=0.0,
+    grid=(("xyz", 2), ("xy", 2), ("xz", 2), ("yz", 2)),
+    Q_0=(0.25, 0.0625, 0.0625, 0.125),
+    effects=MODEL_EFFECTS,
 )
-networks = {
-    name: ([draw(*pair) for pair in layers], [draw(columns) for _, columns in layers])
-    for name, layers in design.layers().items()
-}
+networks = {}
+for name, layers in design.layers().items():
+    weights = [draw(*rows_and_columns) for rows_and_columns in layers]
+    biases = [draw(columns) for _, columns in layers]
+    networks[name] = (weights, biases)
 networks["psi_alpha"][1][-1] += [1, 1]
-networks["psi_d"] = tuple([part[0], *(a / 8 for a in part[1:])] for part in networks["psi_d"])
+for part in networks["psi_d"]:
+    for head in part[1:]:
+        head /= 8
 anchor = Anchors(
-    *(
-        np.array([a])
-        for a in (
-            [0.0, 0, 0],
-            [0.5, -1],
-            [0.75, 0.5, 0.625],
-            [0.5, 0.5, 0.5],
-            [[0.5, 0, 0], [-0.5, 0.5, 1]],
-            [True, True],
-        )
-    )
+    x_a=np.array([[0.0, 0, 0]]),
+    f_a=np.array([[0.5, -1]]),
+    s_a=np.array([[0.75, 0.5, 0.625]]),
+    l_a=np.array([[0.5, 0.5, 0.5]]),
+    O_a=np.array([[[0.5, 0, 0], [-0.5, 0.5, 1]]]),
+    mask=np.array([[True, True]]),
 )
 camera = Camera(np.eye(3), np.array([0.0, 0, 4]), 40.0, 40.0, 16.0, 12.0, 33, 25)
 g = predict(design, networks, anchor, camera.center, 0.0)[0]
-image = render.forward(g.x, g.s, g.r, g.alpha, g.color, camera, np.ones(3), SETTINGS["exact"])[
-    0
-].image
+(image, *_), _ = render.forward(*g[:5], camera, np.ones(3), SETTINGS["exact"])
 lessons.number("16.1", [0.6387020, 0.4141825, 0.3525295], image[12, 18])
 
 # %% [markdown]
-# **16.2** and **16.3** Forward in the order of data, backward in the opposite order. Two sums are what is easily forgotten: the
-# feature is read by four networks, and the place is used twice, in Eq. (1) and, through the view, in Eq. (2).
+# **16.2** and **16.3** The forward pass follows the data, and the backward pass goes the opposite
+# way. Two sums are easily forgotten: four networks read the features, and the position is used
+# twice, in Eq. (1) and, through the view, in Eq. (2).
 
 
 # %%
 def run(x_a, f_a, s_a, l_a, O_a, mask, x_c, tau_alpha, effects, **networks):
-    """Everything, with the residuals that the backward needs."""
-    net = lambda name: (networks[f"{name}_weights"], networks[f"{name}_biases"])
-    seen, res_view = view.forward(x_a, x_c)
+    """The outputs by name, and what each backward needs."""
+
+    def network(name):
+        return networks[f"{name}_weights"], networks[f"{name}_biases"]
+
+    saved = {}
+    seen, saved["view"] = view.forward(x_a, x_c)
     unseen = (f_a[:, :0], f_a[:, :0])
     geometry = seen if "view_geometry" in effects else unseen
-    alpha, res_alpha = opacity.forward(f_a, *geometry, *net("psi_alpha"))
-    c, res_c = color.forward(f_a, *(seen if "view_color" in effects else unseen), *net("psi_c"))
-    r, res_r = rotation.forward(f_a, *geometry, *net("psi_r"))
-    s, res_s = scale.forward(s_a, f_a, *geometry, *net("psi_s"))
-    x, res_x = offsets.forward(x_a, O_a, l_a)
-    kept, res_m = masking.forward(alpha.alpha, mask, tau_alpha, x.x, c.color, s.s, r.r)
-    return kept, (res_view, res_alpha, res_c, res_r, res_s, res_x, res_m)
+    for_color = seen if "view_color" in effects else unseen
+    alpha, saved["alpha"] = opacity.forward(f_a, *geometry, *network("psi_alpha"))
+    c, saved["color"] = color.forward(f_a, *for_color, *network("psi_c"))
+    r, saved["r"] = rotation.forward(f_a, *geometry, *network("psi_r"))
+    s, saved["s"] = scale.forward(s_a, f_a, *geometry, *network("psi_s"))
+    x, saved["x"] = offsets.forward(x_a, O_a, l_a)
+    kept, saved["kept"] = masking.forward(alpha, mask, tau_alpha, x, c, s, r)
+    names = ("alpha", "x", "color", "s", "r", "index")
+    return dict(zip(names, kept)), saved
 
 
 def my_forward(**inputs):
-    return run(**inputs)[0]._asdict()
+    return run(**inputs)[0]
 
 
 def my_backward(inputs, cotangents):
-    res_view, res_alpha, res_c, res_r, res_s, res_x, res_m = run(**inputs)[1]
-    full = masking.backward(res_m, **cotangents)
-    placed = offsets.backward(res_x, full["x"])
+    saved = run(**inputs)[1]
+    full = masking.backward(saved["kept"], **cotangents)
+    placed = offsets.backward(saved["x"], full["x"])
+    scaled = scale.backward(saved["s"], full["s"])
     readers = [
-        opacity.backward(res_alpha, full["alpha"]),
-        color.backward(res_c, full["color"]),
-        rotation.backward(res_r, full["r"]),
-        scale.backward(res_s, full["s"]),
+        opacity.backward(saved["alpha"], full["alpha"]),
+        color.backward(saved["color"], full["color"]),
+        rotation.backward(saved["r"], full["r"]),
+        scaled,
     ]
-    seeing = [reader for reader in readers if reader["d_vc"].shape[1]]
     x_a_bar = placed["x_a"]
+    seeing = [reader for reader in readers if reader["d_vc"].shape[1]]
     if seeing:
-        x_a_bar = (
-            x_a_bar
-            + view.backward(
-                res_view, sum(n["delta_vc"] for n in seeing), sum(n["d_vc"] for n in seeing)
-            )["x_a"]
-        )
+        delta_vc_bar = sum(reader["delta_vc"] for reader in seeing)
+        d_vc_bar = sum(reader["d_vc"] for reader in seeing)
+        x_a_bar = x_a_bar + view.backward(saved["view"], delta_vc_bar, d_vc_bar)["x_a"]
     return {
         "x_a": x_a_bar,
         "f_a": sum(reader["f_a"] for reader in readers),
-        "s_a": readers[3]["s_a"],
+        "s_a": scaled["s_a"],
         "l_a": placed["l_a"],
         "O_a": placed["O_a"],
     }

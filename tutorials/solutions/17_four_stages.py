@@ -10,41 +10,49 @@ from p4dgs_ref.school import lessons
 from p4dgs_ref.training.trainer import LEARNING_RATES
 
 # %% [markdown]
-# **17.1** Real scenes end their stages after 3000, 4000, 10000 and 20000 iterations; stage 3 lasts 6000 of 20000: 30 percent.
+# **17.1** For real scenes the stages end after 3000, 4000, 10000 and 20000 iterations. Stage 3
+# therefore lasts 6000 of 20000 iterations, which is 30 percent.
 
 # %%
 ends = PRESETS["paper_real"].stage_ends
-assert ends == (3000, 4000, 10000, 20000) and ends[2] - ends[1] == 6000
+assert ends == (3000, 4000, 10000, 20000)
 lessons.number("17.1", 30, 100 * (ends[2] - ends[1]) / ends[3])
 
 # %% [markdown]
-# **17.2** Anchors and their four networks learn from the start, $\psi_d$ from stage 3, everything of the context from stage 4.
-# Noise is no parameter: stage 2 moves what stage 1 moved. In the paper's presets x_a never moves.
+# **17.2** The anchors and their four networks are trained from the start, $\psi_d$ from stage 3
+# on, and everything that belongs to the context from stage 4 on. The noise is not a parameter, so
+# stage 2 moves the same arrays as stage 1. In the paper's presets x_a never moves.
 
 # %%
 first = {"psi_d": 3, "psi_p": 4, "psi_q": 4, "grid": 4}
 want = [1, 1, 1, 1, 1, 1, 1, 1, 1, 3, 4, 4, 4]
-assert len(want) == len(LEARNING_RATES) and PRESETS["paper_real"].lr_x == (0, 0)
+assert PRESETS["paper_real"].lr_x == (0, 0)
 lessons.number("17.2", [first.get(stem, 1) for stem in LEARNING_RATES], want)
 
 # %% [markdown]
-# **17.3** `L_rate` is `bits` over the count of all numbers, masked ones too, so both cotangents meet in one factor. Offsets of a
-# masked child cost nothing and receive nothing. Each of the four steps serves a group: its gradients add up over the columns.
+# **17.3** `L_rate` is `bits` divided by a constant, so the two cotangents can be combined into
+# one factor. The offsets of a masked child cost nothing and receive no gradient. Each of the four
+# steps serves a whole group of columns, so its gradients are added up over these columns.
 
 
 # %%
 def my_backward(inputs, cotangents):
-    d, k, noisy, mask = (inputs[name] for name in ("d", "k", "noisy", "mask"))
-    widths = (d, 3, 3, 3 * k)
-    res = likelihood.forward(
-        noisy, inputs["mu"], inputs["sigma"], np.repeat(inputs["q"], widths, axis=1)
-    )[1]
+    noisy = inputs["noisy"]
+    mask = inputs["mask"]
+    widths = (inputs["d"], 3, 3, 3 * inputs["k"])
+    columns = np.repeat(inputs["q"], widths, axis=1)
+    _, saved = likelihood.forward(noisy, inputs["mu"], inputs["sigma"], columns)
+
     factor = cotangents["bits_bar"] + cotangents["L_rate_bar"] / noisy.size
-    coded = np.concatenate([np.ones((len(mask), d + 6), bool), np.repeat(mask, 3, axis=1)], axis=1)
-    bars = likelihood.backward(res, np.where(coded, factor, 0).astype(noisy.dtype))
+    always = np.ones((len(mask), sum(widths[:3])), bool)
+    coded = np.concatenate([always, np.repeat(mask, 3, axis=1)], axis=1)
+    bits_bar = np.where(coded, factor, 0).astype(noisy.dtype)
+
+    bars = likelihood.backward(saved, bits_bar)
+    starts = np.cumsum((0, *widths[:3]))
     return {
         "noisy": bars["f_noisy"],
-        "q": np.add.reduceat(bars["q"], np.cumsum((0, *widths[:3])), axis=1),
+        "q": np.add.reduceat(bars["q"], starts, axis=1),
     }
 
 

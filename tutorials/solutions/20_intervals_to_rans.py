@@ -13,50 +13,62 @@ sections = container.read_container((oracle.path() / "model.p4dgs").read_bytes()
 model = quantised_of(sections).model
 
 # %% [markdown]
-# **20.1** $b$ and $c$ have probability $\frac14$, two bits each, $a$ has $\frac12$, one bit. Width $\frac1{128}$.
+# **20.1** The symbols $b$ and $c$ have the probability $\frac14$ and cost two bits each; $a$ has
+# $\frac12$ and costs one bit. The final interval is $\frac1{128}$ wide.
 
 # %%
 lessons.number("20.1", 2 + 2 + 2 + 1, 7)
 
 
 # %% [markdown]
-# **20.2** From the last entry to the first. The test before a push asks whether $x$ would reach $2^{63}$:
-# $\lfloor x/f\rfloor 2^{24} < 2^{63}$ exactly if $x < f\,2^{39}$.
+# **20.2** Push from the last entry to the first. The test before a push asks whether $x$ would
+# reach $2^{63}$: $\lfloor x/f\rfloor 2^{24} < 2^{63}$ holds exactly if $x < f\,2^{39}$.
 
 
 # %%
 def my_encode(entries, keys):
-    x, stack = 2**31, []
+    x = 2**31
+    stack = []
     for entry in reversed(entries.tolist()):
-        start, freq = int(keys[entry]), int(keys[entry + 1] - keys[entry])
+        start = int(keys[entry])
+        freq = int(keys[entry + 1]) - start
         if x >= freq << 39:
             stack.append(x % 2**32)
             x >>= 32
         x = x // freq * 2**24 + x % freq + start
-    high = [x >> 32] if x >> 32 else []
-    return bytes([128 if high else 0]) + np.array([x % 2**32, *high, *stack[::-1]], "<u4").tobytes()
+    words = [x % 2**32]
+    if x >> 32:
+        words.append(x >> 32)
+    words += reversed(stack)
+    size = 0x80 if x >> 32 else 0
+    return bytes([size]) + np.array(words, "<u4").tobytes()
 
 
 mask = model.anchors.mask.ravel()
-keys = np.array([0, 2**24 - streams.probability_of_one(mask.sum(), mask.size), 2**24])
-mine = np.frombuffer(my_encode(mask.astype(int), keys), np.uint8)
+p_one = streams.probability_of_one(mask.sum(), mask.size)
+mask_keys = np.array([0, 2**24 - p_one, 2**24])
+mine = np.frombuffer(my_encode(mask.astype(int), mask_keys), np.uint8)
 lessons.number("20.2", mine, np.frombuffer(sections["masks"][4:], np.uint8))
 
 
 # %% [markdown]
-# **20.3** The same backwards. The words of the stack come in the order in which they are needed, so one walks through them.
+# **20.3** The same steps in reverse. The message stores the words of the stack in the order in
+# which the decoder needs them, so it reads them one after another.
 
 
 # %%
 def my_decode(message, count, keys):
     words = np.frombuffer(message, "<u4", offset=1).tolist()
-    x, entries = words.pop(0), []
-    if message[0] & 128:
+    x = words.pop(0)
+    if message[0] & 0x80:
         x |= words.pop(0) << 32
+    entries = []
     for _ in range(count):
         slot = x % 2**24
         entry = int(np.searchsorted(keys, slot, "right")) - 1
-        x = (x >> 24) * int(keys[entry + 1] - keys[entry]) + slot - int(keys[entry])
+        start = int(keys[entry])
+        freq = int(keys[entry + 1]) - start
+        x = x // 2**24 * freq + slot - start
         if x < 2**31:
             x = x << 32 | words.pop(0)
         entries.append(entry)
@@ -65,11 +77,7 @@ def my_decode(message, count, keys):
 
 
 grid = sections["hash_grid"]
+p_plus = int.from_bytes(grid[:4], "little")
+sign_keys = np.array([0, 2**24 - p_plus, 2**24])
 signs = np.concatenate([level.ravel() for level in model.grids]) > 0
-lessons.number(
-    "20.3",
-    my_decode(
-        grid[4:], len(signs), np.array([0, 2**24 - int.from_bytes(grid[:4], "little"), 2**24])
-    ),
-    signs,
-)
+lessons.number("20.3", my_decode(grid[4:], len(signs), sign_keys), signs)

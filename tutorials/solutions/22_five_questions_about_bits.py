@@ -11,38 +11,40 @@ from p4dgs_ref.equations import likelihood
 from p4dgs_ref.school import lessons
 
 # %% [markdown]
-# **22.1** The density is $1/(\sigma\sqrt{2\pi})$, about $20$; the mass is that times $q$ but for the bin's bend, about $0.02$.
+# **22.1** The density is $1/(\sigma\sqrt{2\pi})$, about $20$. The bin is narrow, so the mass is
+# nearly the density times $q$, about $0.02$.
 
 # %%
 sigma, q = 0.02, 0.001
-mass = 1 - 2 * ndtr(-q / (2 * sigma))
 density = 1 / (sigma * math.sqrt(2 * math.pi))
-lessons.number(
-    "22.1", [density, mass], [1 / (0.02 * math.sqrt(2 * math.pi)), ndtr(0.025) - ndtr(-0.025)]
-)
+mass = 1 - 2 * ndtr(-q / (2 * sigma))
+want = [1 / (0.02 * math.sqrt(2 * math.pi)), ndtr(0.025) - ndtr(-0.025)]
+lessons.number("22.1", [density, mass], want)
 
 
 # %% [markdown]
-# **22.2** Columns are groups f, s, l, O; each takes the step of its group. Offsets of masked children are not counted in the
-# bits, but the number of parameters counts them.
+# **22.2** The columns are the groups f, s, l, O, and each column uses the step of its group. The
+# offsets of masked children have no bits, but the number of parameters counts them.
 
 
 # %%
 def columns_of(values, d, k):
-    """(A, 4) -> (A, n): one column a group, repeated over its numbers."""
+    """(A, 4) -> (A, n): the value of a group for each of its numbers."""
     return np.repeat(values, (d, 3, 3, 3 * k), axis=1)
 
 
 def counted(mask, d):
-    """(A, n): 1 where a number is paid for."""
-    return np.concatenate([np.ones((len(mask), d + 6)), np.repeat(mask, 3, axis=1)], axis=1)
+    """(A, n): 1 where a number costs bits."""
+    always = np.ones((len(mask), d + 6))
+    return np.concatenate([always, np.repeat(mask, 3, axis=1)], axis=1)
 
 
 def my_rate(noisy, mu, sigma, q, mask, grids, d, k):
-    bits = likelihood.forward(noisy, mu, sigma, columns_of(q, d, k))[0].bits
+    bits, _ = likelihood.forward(noisy, mu, sigma, columns_of(q, d, k))
     signs = np.concatenate([grid.ravel() for grid in grids]) >= 0
     shares = np.array([signs.mean(), 1 - signs.mean()])
-    R_hash = -signs.size * (shares * np.log2(np.where(shares > 0, shares, 1))).sum()
+    logarithms = np.log2(np.where(shares > 0, shares, 1))
+    R_hash = -signs.size * (shares * logarithms).sum()
     total = (bits * counted(mask, d)).sum() + R_hash
     return {"bits": total, "L_rate": total / noisy.size}
 
@@ -51,21 +53,24 @@ lessons.forward("22.2", my_rate, "rate_stage")
 
 
 # %% [markdown]
-# **22.3** Every bit counts in both outputs, in the second divided by the number of parameters. A step that serves a whole
-# group collects the gradients of its columns, as what is used often always does.
+# **22.3** Every bit counts in both outputs, and in the second one it is divided by the number of
+# parameters. A step that serves a whole group collects the gradients of its columns, because a
+# quantity that is used several times always receives the sum.
 
 
 # %%
 def my_rate_backward(inputs, cotangents):
-    noisy, mu, sigma, q, mask, d, k = (
-        inputs[name] for name in ("noisy", "mu", "sigma", "q", "mask", "d", "k")
-    )
-    bits_bar = (cotangents["bits_bar"] + cotangents["L_rate_bar"] / noisy.size) * counted(mask, d)
-    bars = likelihood.backward(
-        likelihood.forward(noisy, mu, sigma, columns_of(q, d, k))[1], bits_bar
-    )
+    d, k, noisy = inputs["d"], inputs["k"], inputs["noisy"]
+    per_bit = cotangents["bits_bar"] + cotangents["L_rate_bar"] / noisy.size
+    bits_bar = per_bit * counted(inputs["mask"], d)
+    columns = columns_of(inputs["q"], d, k)
+    _, saved = likelihood.forward(noisy, inputs["mu"], inputs["sigma"], columns)
+    bars = likelihood.backward(saved, bits_bar)
     starts = [0, d, d + 3, d + 6]
-    return {"mu": bars["mu"], "q": np.add.reduceat(bars["q"], starts, axis=1)}
+    return {
+        "mu": bars["mu"],
+        "q": np.add.reduceat(bars["q"], starts, axis=1),
+    }
 
 
 lessons.backward("22.3", my_rate_backward, "rate_stage", "mu", "q")

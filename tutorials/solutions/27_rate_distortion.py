@@ -7,35 +7,43 @@ import numpy as np
 from p4dgs_ref.school import lessons
 
 # %% [markdown]
-# **27.1** $6\lambda + 0.01 = 3\lambda + 0.05$: the price is the error that is gained over the bits that are spent, the slope
-# of the line through both points. Where a curve's slope is $-\lambda$, there training stops.
+# **27.1** From $6\lambda + 0.01 = 3\lambda + 0.05$, the price is the reduction of the error
+# divided by the additional bits. It is the negative slope of the line through both points.
+# Training ends where the slope of its curve is $-\lambda$.
 
 # %%
 price = (0.05 - 0.01) / (6 - 3)
 assert np.isclose(6 * price + 0.01, 3 * price + 0.05)
 lessons.number("27.1", price, 0.04 / 3)
 
+
 # %% [markdown]
-# **27.2** $\sqrt{6\lambda/(w\ln 2)}$. What the picture minds four times as much gets half the step. Searching the
-# cost itself gives the same.
+# **27.2** The best step is $\sqrt{6\lambda/(w\ln 2)}$. If the picture is four times as sensitive,
+# the step is half as large. A direct search for the minimum of the cost gives the same step.
+
 
 # %%
-best = lambda w: np.sqrt(6 * 0.001 / (w * np.log(2)))
-assert np.isclose(best(8), best(2) / 2)
+def best_step(w):
+    return np.sqrt(6 * 0.001 / (w * np.log(2)))
+
+
+assert np.isclose(best_step(8), best_step(2) / 2)
 steps = np.linspace(0.06, 0.07, 100_001)
-lessons.number(
-    "27.2", best(2), steps[(2 * steps**2 / 12 - 0.001 * np.log2(steps)).argmin()], digits=5
-)
+cost = 2 * steps**2 / 12 - 0.001 * np.log2(steps)
+lessons.number("27.2", best_step(2), steps[cost.argmin()], digits=5)
+
 
 # %% [markdown]
-# **27.3** Both rates enter both outputs in the same way, so they receive the same gradient. Without numbers, `L_rate` is the
-# constant 0, and only `bits` sends something back.
+# **27.3** Both rates enter both outputs in the same way, so they receive the same gradient. If
+# there are no numbers, `L_rate` is the constant 0, and only `bits` has a gradient.
 
 
 # %%
 def my_backward(inputs, cotangents):
     n = inputs["n_parameters"]
-    bar = cotangents["bits_bar"] + (cotangents["L_rate_bar"] / n if n else 0)
+    bar = cotangents["bits_bar"]
+    if n:
+        bar = bar + cotangents["L_rate_bar"] / n
     return {"R_anchor": np.asarray(bar), "R_hash": np.asarray(bar)}
 
 
