@@ -125,8 +125,9 @@ README = """# Classroom
 Each file in `student/` is one equation of the paper P-4DGS from which the bodies of some functions
 have been removed. The docstring at the top contains the formula, and the comments beside the
 arguments give their shapes and units. Derive the backward on paper, then write the bodies in place
-of `raise NotImplementedError(...)`. Nothing else in the file has to change. The table below names
-the tutorial that explains each equation.
+of `raise NotImplementedError(...)`. The other functions without a body are helpers of these two;
+write them or delete them. Import NumPy or SciPy if you need them. The table below names the
+tutorial that explains each equation.
 
 - `forward` returns a pair: the output (a tuple if there are several) and a tuple `saved` with
   everything that `backward` needs.
