@@ -27,6 +27,7 @@ compares all three.
 import numpy as np
 
 from .compositing import depth_order
+from .tiles import listable, pixel_bounds
 
 
 def forward(
@@ -46,8 +47,12 @@ def forward(
     image, T = np.zeros((height, width, 3)), np.ones((height, width))
     stopped = np.zeros((height, width), bool)
     drawn = []
-    for i in depth_order(depth, visible):
-        area = rectangle(mean2d[i], cov2d[i], alpha[i], width, height, settings)
+    order = depth_order(depth, listable(alpha, visible, settings))
+    bounds = pixel_bounds(mean2d[order], cov2d[order], alpha[order], width, height, settings)
+    for i, low, high in zip(order, *bounds):
+        x_0, y_0 = low.clip(0).astype(int)
+        x_1, y_1 = (high + 1).clip(0, (width, height)).astype(int)
+        area = slice(y_0, max(y_0, y_1)), slice(x_0, max(x_0, x_1))
         y, x = np.mgrid[area]
         e_x, e_y = x - mean2d[i, 0], y - mean2d[i, 1]
         a, b, c = conic[i]
@@ -95,25 +100,3 @@ def backward(saved, image_bar):
         "color": color_bar,
         "background": (T[:, :, None] * image_bar).sum(axis=(0, 1)),
     }
-
-
-def rectangle(mean, cov, alpha, width, height, settings):
-    """Rows and columns of pixels, as two slices, on which a splat is evaluated."""
-    if settings.footprint == "all":
-        return slice(0, height), slice(0, width)
-    if settings.footprint == "ellipse":
-        if alpha <= settings.cut:
-            return slice(0, 0), slice(0, 0)
-        # The box around the ellipse in which alpha exp(-form / 2) >= cut.
-        reach = np.sqrt(2 * np.log(alpha / settings.cut) * cov[::2])
-        low, high = np.ceil(mean - reach), np.floor(mean + reach) + 1
-    else:
-        # All tiles that meet a square of 3 sigma, where sigma**2 is the largest eigenvalue.
-        side, half = settings.tile, (cov[0] + cov[2]) / 2
-        determinant = cov[0] * cov[2] - cov[1] ** 2
-        radius = np.ceil(3 * np.sqrt(half + np.sqrt(max(0.1, half**2 - determinant))))
-        low = np.trunc((mean - radius) / side) * side
-        high = np.trunc((mean + radius + side - 1) / side) * side
-    x_0, y_0 = np.clip(low, 0, (width, height)).astype(int)
-    x_1, y_1 = np.clip(high, 0, (width, height)).astype(int)
-    return slice(y_0, max(y_0, y_1)), slice(x_0, max(x_0, x_1))

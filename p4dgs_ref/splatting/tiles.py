@@ -27,9 +27,7 @@ def bin_splats(mean2d, cov2d, conic, alpha, depth, visible, width, height, setti
     """
     side = settings.tile
     columns, rows = -(-width // side), -(-height // side)
-    if settings.footprint == "ellipse":
-        visible = visible & (alpha > settings.cut)
-    order = depth_order(depth, visible)
+    order = depth_order(depth, listable(alpha, visible, settings))
     mean, conic, alpha = mean2d[order], conic[order], alpha[order]
     low, high = pixel_bounds(mean, cov2d[order], alpha, width, height, settings)
     # first tile, and the first one beyond: an empty range where the Gaussian is off the image
@@ -56,8 +54,16 @@ def bin_splats(mean2d, cov2d, conic, alpha, depth, visible, width, height, setti
     return Lists(key >> bits, order[key & ((1 << bits) - 1)], columns, rows)
 
 
+def listable(alpha, visible, settings):
+    """The rows that are evaluated anywhere [N]: an ellipse needs an alpha above the cut."""
+    return visible & (alpha > settings.cut) if settings.footprint == "ellipse" else visible
+
+
 def pixel_bounds(mean, cov, alpha, width, height, settings):
-    """First and last pixel [M, 2] of the rectangle on which each Gaussian is evaluated."""
+    """First and last pixel [M, 2], as x and y, of the rectangle where each Gaussian is evaluated.
+
+    It may reach beyond the image, and it is empty where the last pixel is before the first.
+    """
     if settings.footprint == "ellipse":
         reach = np.sqrt(largest_form(alpha, settings)[:, None] * cov[:, ::2])
         return np.ceil(mean - reach), np.floor(mean + reach)
@@ -65,11 +71,10 @@ def pixel_bounds(mean, cov, alpha, width, height, settings):
         middle = (cov[:, 0] + cov[:, 2]) / 2
         spread = np.sqrt(np.maximum(0.1, middle**2 - (cov[:, 0] * cov[:, 2] - cov[:, 1] ** 2)))
         radius = np.ceil(3 * np.sqrt(middle + spread))[:, None]
-        # The rule of the published kernel's `getRect`, which truncates (u + r + side - 1) / side
-        # to an exclusive bound: the last pixel is one short of u + r, also where u + r is not an
-        # integer.
+        # `getRect` of the published kernel truncates both quotients; the second one is exclusive.
         side = settings.tile
-        return np.trunc(mean - radius), np.trunc(mean + radius + side - 1) // side * side - 1
+        first, beyond = (mean - radius) / side, (mean + radius + side - 1) / side
+        return np.trunc(first) * side, np.trunc(beyond) * side - 1
     return np.zeros_like(mean), np.full_like(mean, (width - 1, height - 1))
 
 

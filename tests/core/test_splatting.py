@@ -1,5 +1,7 @@
 """The renderers against each other: the readable loop, the exact twin and the fast one."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -108,6 +110,31 @@ def test_ellipse_test_is_exact():
                 assert (tile, row) in listed
             superfluous += peak < 0.9 * FAST.cut and (tile, row) in listed
     assert superfluous <= 0.001 * len(listed)
+
+
+def kernel_tiles(u, v, cov, columns, rows, side=16):
+    """The tiles of one Gaussian, as the published kernel finds them."""
+    a, b, c = cov
+    middle, determinant = (a + c) / 2, a * c - b * b
+    largest_eigenvalue = middle + math.sqrt(max(0.1, middle * middle - determinant))
+    radius = math.ceil(3 * math.sqrt(largest_eigenvalue))
+    first_x = min(columns, max(0, int((u - radius) / side)))
+    first_y = min(rows, max(0, int((v - radius) / side)))
+    beyond_x = min(columns, max(0, int((u + radius + side - 1) / side)))
+    beyond_y = min(rows, max(0, int((v + radius + side - 1) / side)))
+    return {y * columns + x for x in range(first_x, beyond_x) for y in range(first_y, beyond_y)}
+
+
+def test_boxes_are_those_of_the_kernel():
+    inputs = splats(300, 75, 90, seed=11, sigma=(0.6, 15.0))
+    shift = np.random.default_rng(12).integers(-60, 60, (300, 2))
+    inputs["mean2d"] = np.where(np.arange(300)[:, None] % 3, inputs["mean2d"] + shift, shift)
+    lists = bin_splats(inputs, PAPER)
+    assert len(set(lists.row)) < 290  # some are off the image
+    for row in range(300):
+        (u, v), cov = inputs["mean2d"][row], inputs["cov2d"][row]
+        wanted = kernel_tiles(u, v, cov, lists.columns, lists.rows)
+        assert set(lists.tile[lists.row == row]) == wanted, row
 
 
 def test_lists_are_sorted_by_tile_then_depth_then_index():
