@@ -7,8 +7,8 @@ from .base import Line, UsageError, require_known, show
 
 def oracle_list(arguments):
     """List the cases."""
+    from ..oracle.published import read_manifest
     from ..oracle.report import listing
-    from ..oracle.vectors import read_manifest
 
     manifest = read_manifest()
     show(arguments, {name: manifest[name] for name in ("subjects", "streams")}, listing(manifest))
@@ -16,17 +16,16 @@ def oracle_list(arguments):
 
 def oracle_path(arguments):
     """Print where the vectors are installed."""
-    from ..oracle.vectors import path
+    from ..oracle.published import path
 
     show(arguments, {"path": str(path())}, path())
 
 
 def oracle_export(arguments):
     """Write the vectors into a folder."""
-    from ..oracle.vectors import export
+    from ..oracle.export import export
 
-    with Line(arguments) as line:
-        done = export(arguments.folder, arguments.regenerate, line)
+    done = export(arguments.folder)
     show(
         arguments,
         done,
@@ -39,8 +38,8 @@ def oracle_check(arguments):
     from ..oracle.adapter import Adapter
     from ..oracle.checker import check_port
     from ..oracle.ports import FolderPort
+    from ..oracle.published import names
     from ..oracle.report import as_json
-    from ..oracle.vectors import names
 
     folder, command = arguments.folder, arguments.adapter
     if (folder is None) == (command is None):

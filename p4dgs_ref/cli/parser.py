@@ -305,7 +305,6 @@ ORACLE = {
         "write the vectors into a folder",
         (
             option("folder", type=place, help="folder to write to"),
-            switch("--regenerate", "compute them anew instead of copying the published ones"),
             QUIET,
         ),
     ),

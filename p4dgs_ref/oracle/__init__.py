@@ -1,22 +1,25 @@
-"""The golden oracle: vectors for ports, a checker that names the wrong equation, a doctor that says what is wrong with it.
+"""The golden oracle: published vectors, a checker for ports, and a doctor that explains wrong answers.
 
-from p4dgs_ref import oracle
-print(oracle.check(my_offsets, "offsets"))          # judge a Python function
-oracle.path()                                       # where the vectors are installed
+    from p4dgs_ref import oracle
+    print(oracle.check(my_offsets, "offsets"))  # judge a Python function
+    oracle.path()  # the folder of the published vectors
+
+What makes the vectors and proves them is in `tests/golden` of a checkout.
 """
 
-from ..lazy import offer
+from .checker import Report, check, check_port
+from .ports import FolderPort, FunctionPort, PortError
+from .published import path, read_manifest
+from .safetensors import TensorError
 
-_HOME = {
-    "check": "checker",
-    "check_port": "checker",
-    "Report": "checker",
-    "path": "vectors",
-    "read_manifest": "vectors",
-    "FolderPort": "ports",
-    "FunctionPort": "ports",
-    "PortError": "ports",
-    "TensorError": "safetensors",
-}
-__all__ = sorted(_HOME)
-__getattr__, __dir__ = offer(__name__, _HOME)
+__all__ = [
+    "FolderPort",
+    "FunctionPort",
+    "PortError",
+    "Report",
+    "TensorError",
+    "check",
+    "check_port",
+    "path",
+    "read_manifest",
+]

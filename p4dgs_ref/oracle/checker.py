@@ -1,140 +1,141 @@
-"""The checker: every case put to a port, its answers judged, the first equation that diverges named and explained."""
+"""Puts every case to a port, judges its answers, and names the first equation that diverges."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from . import doctor, published, streams
+from . import doctor, published
 from .compare import Result, compare, precision
 from .ports import FunctionPort, PortError
-from .subjects import LEVELS
-from .vectors import FOLDER, read_manifest
+from .published import FOLDER, LEVELS
+from .report import text
 
 
 class Report(NamedTuple):
     """All verdicts, in the order in which data flows."""
 
     results: list
-    strangers: tuple = ()  # tensors that belong to no case: a misspelt name, reported and otherwise ignored
+    strangers: tuple = ()  # tensors that belong to no case, perhaps misspelt; otherwise ignored
 
     @property
     def ok(self):
-        """Whether every required case passed, and there was one."""
+        """Whether at least one case was required and every required case passed."""
         return any(r.required for r in self.results) and not any(r.wrong for r in self.results)
 
     @property
     def first(self):
-        """The first required case that was answered wrongly, else the first that was not answered, else None."""
+        """The first required case with a wrong answer, else the first with none, else None."""
         wrong = [r for r in self.results if r.wrong]
         return next((r for r in wrong if r.findings), next(iter(wrong), None))
 
     def levels(self):
-        """{level: {passed, of, says}} over the required cases."""
-        return {
-            level: {"passed": sum(not r.wrong for r in rows), "of": len(rows), "says": says}
-            for level, says in LEVELS.items()
-            if (rows := [r for r in self.results if r.level == level and r.required])
-        }
+        """Return {level: {passed, of, says}} of the required cases."""
+        found = {}
+        for level, says in LEVELS.items():
+            rows = [r for r in self.results if r.level == level and r.required]
+            if rows:
+                passed = sum(not r.wrong for r in rows)
+                found[level] = {"passed": passed, "of": len(rows), "says": says}
+        return found
 
     def __str__(self):
-        from .report import text
-
         return text(self)
 
 
-def judge(case, port, roles=("out.", "in_bar.")):
-    """(Result of one case, what the port answered or None)."""
-    required = case.record["result"] == "valid"
+def check(forward, key, vjp=None):
+    """Judge a Python function as an equation of the table, or as another subject of the vectors.
 
-    def result(verdict, findings=(), said=""):
-        return Result(case.id, case.equation, case.level, verdict, required, tuple(findings), said)
+    `forward(**inputs)` returns the outputs: a dictionary, a NamedTuple, a tuple in order or one
+    array. `vjp(inputs, cotangents)` returns {input: gradient}; without it only outputs are judged.
+    Arrays are whatever `np.asarray` reads. Raises KeyError where `key` is no subject.
+    """
+    roles = ("out.", "in_bar.") if vjp else ("out.",)
+    return Report(check_subject(published.cases(key), FunctionPort(forward, vjp), roles))
 
-    try:
-        got = {name: np.asarray(a) for name, a in port.run(case).items()}
-    except PortError as error:
-        required = required and error.kind != "unasked"
-        return result(error.kind, said=printable(str(error))), None
-    tolerance = case.tolerance(precision(got))
-    if tolerance is None:
-        return result("unasked")._replace(required=False), None
-    tensors = {n: a for n, a in case.tensors.items() if n.startswith((*roles, "scale."))}
-    findings = compare(tensors, got, tolerance)
-    return result(
-        "fail" if findings and required else "acceptable" if findings else "pass", findings
-    ), got
+
+def check_port(port, levels=(), only=(), folder=FOLDER, progress=lambda text: None):
+    """Return a Report on a port, in the order in which data flows.
+
+    `levels` and `only` (subjects or equations) choose cases; empty, they choose all.
+    """
+    only = {only} if isinstance(only, str) else set(only)
+    manifest = published.read_manifest(folder)
+    results = []
+    for level in LEVELS:
+        if levels and level not in levels:
+            continue
+        if level == "L3" and (not only or "codec" in only):
+            from . import streams  # loads the codec
+
+            progress("codec")
+            results += streams.check(port)
+        for subject in manifest["subjects"]:
+            chosen = not only or {subject["key"], subject["equation"]} & only
+            if subject["level"] == level and chosen:
+                progress(subject["key"])
+                results += check_subject(published.read(subject, folder), port)
+    return Report(_shared(results), tuple(port.strangers()))
 
 
 def check_subject(cases, port, roles=("out.", "in_bar.")):
-    """Verdicts on one subject's cases; where one fails, the doctor says what explains it."""
+    """Return the results of one subject's cases. Wrong answers are explained by the doctor."""
     results, answers = [], []
     for case in cases:
         result, got = judge(case, port, roles)
         results.append(result)
         if got is not None:
             answers.append((case, got, [f.tensor for f in result.findings]))
-    if any(r.findings for r in results):
-        said = sentence(*doctor.diagnose(cases[0].subject, answers))
-        results = [
-            r._replace(explanation=said) if r.findings and not r.explanation else r for r in results
-        ]
-    return results
+    if not any(r.findings for r in results):
+        return results
+    said = sentence(*doctor.diagnose(cases[0].subject, answers))
+    return [r._replace(explanation=said) if r.findings else r for r in results]
+
+
+def judge(case, port, roles=("out.", "in_bar.")):
+    """Return the Result of one case, and what the port answered, or None."""
+    required = case.record["result"] == "valid"
+
+    def result(verdict, findings=(), said="", required=required):
+        return Result(case.id, case.equation, case.level, verdict, required, tuple(findings), said)
+
+    try:
+        got = {name: np.asarray(a) for name, a in port.run(case).items()}
+    except PortError as error:
+        asked = required and error.kind != "unasked"
+        return result(error.kind, said=printable(str(error)), required=asked), None
+    tolerance = case.tolerance(precision(got))
+    if tolerance is None:
+        return result("unasked", required=False), None
+    tensors = {n: a for n, a in case.tensors.items() if n.startswith((*roles, "scale."))}
+    findings = compare(tensors, got, tolerance)
+    if not findings:
+        return result("pass"), got
+    return result("fail" if required else "acceptable", findings), got
 
 
 def printable(text):
-    """A port's words without what would move the cursor or cannot be written."""
+    """Return a port's words, with everything escaped that is no printable character."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def sentence(explained, part=""):
-    """What the doctor found, in one sentence; empty if nothing."""
-    found = [f"{mistake.description} [{mistake.id}]" for mistake, _, _ in explained]
-    if not found:
+    """Return the doctor's findings as one sentence, "" if there are none."""
+    if not explained:
         return ""
-    agreed, failed = explained[0][1:]
-    limits = [f"{agreed} of {failed} cases"] * (agreed != failed) + [f"the {part} alone"] * bool(
-        part
-    )
+    found = [f"{mistake.description} [{mistake.id}]" for mistake, _, _ in explained]
+    _, agreed, failed = explained[0]
+    limits = []
+    if agreed != failed:
+        limits.append(f"{agreed} of {failed} cases")
+    if part:
+        limits.append(f"the {part} alone")
     return " or ".join(found) + (f" (explains {', '.join(limits)})" if limits else "")
 
 
-def check_port(port, levels=(), only=(), folder=FOLDER, progress=lambda text: None):
-    """A Report on everything, or on some levels, or on `only` some subjects or equations, in the order of the data."""
-    results, only = [], (only,) if isinstance(only, str) else only
-    manifest = read_manifest(folder)
-    for level in (level for level in LEVELS if not levels or level in levels):
-        if level == "L3" and (not only or "codec" in only):
-            progress("codec")
-            results += streams.check(port)
-        for subject in manifest["subjects"]:
-            if subject["level"] == level and (
-                not only or {subject["key"], subject["equation"]} & set(only)
-            ):
-                progress(subject["key"])
-                results += check_subject(published.read(subject, folder), port)
-    return Report(_share(results), tuple(port.strangers()))
-
-
-def _share(results):
-    """A scalar or a stage that diverges has few known mistakes of its own, or none: it takes what explains its equation."""
+def _shared(results):
+    """Let a scalar or a stage that nothing explains take the explanation of its equation."""
     said = {r.equation: r.explanation for r in reversed(results) if r.findings and r.explanation}
     return [
         r._replace(explanation=said.get(r.equation, "")) if r.findings and not r.explanation else r
         for r in results
     ]
-
-
-def check(forward, key, vjp=None):
-    """Judge a Python function as an equation of the table.
-
-    forward(**inputs) gives the outputs: a dictionary, a NamedTuple, a tuple in order or one array; vjp(inputs, cotangents)
-    gives {input: gradient}, and without it only outputs are judged.  Arrays are whatever `np.asarray` reads.
-
-    Raises     KeyError where `key` is no subject of the vectors
-    """
-    subject = next((s for s in read_manifest()["subjects"] if s["key"] == key), None)
-    if subject is None:
-        raise KeyError(
-            f"{key!r}: expected one of {', '.join(s['key'] for s in read_manifest()['subjects'])}"
-        )
-    roles = ("out.", "in_bar.") if vjp else ("out.",)
-    return Report(check_subject(published.read(subject), FunctionPort(forward, vjp), roles))

@@ -1,29 +1,31 @@
-"""Is a port's answer to one case right?  Count, shape and type first, then every number within c eps S."""
+"""Judges a port's answer to one case: names, shapes and types first, then every number.
+
+A float is right within c eps S, where S is stored beside it in the vectors and c is the case's
+tolerance `eps_S` for the port's precision; `tolerance.py` says how both were measured.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
-IMAGES = (
-    "image",
-    "images",
-)  # judged as a whole: one S, a bound for the peak and one for the root mean square
+# Images have one S for all pixels, a bound for the worst pixel and one for the root mean square.
+IMAGES = ("image", "images")
 PRECISIONS = {"f8": "float64", "f4": "float32"}
 
 
 class Finding(NamedTuple):
-    """What is wrong with one tensor; the numbers are those of its worst element."""
+    """What is wrong with one tensor. The numbers are those of its worst element."""
 
     tensor: str
-    kind: str  # missing, extra, shape, dtype, value
+    kind: str  # missing, extra, shape, dtype or value
     message: str
     index: tuple = ()
     got: float | None = None
     want: float | None = None
     absolute: float | None = None
     relative: float | None = None
-    scaled: float | None = None  # |got - want| / (eps S); the bound is c
-    bound: float | None = None
+    scaled: float | None = None  # |got - want| / (eps S)
+    bound: float | None = None  # the largest `scaled` that is allowed
 
 
 class Result(NamedTuple):
@@ -32,9 +34,11 @@ class Result(NamedTuple):
     id: str
     equation: str
     level: str
-    verdict: str  # pass, fail, acceptable (differs, and may), unasked (not in this precision), or PortError's kind
+    # pass; fail; acceptable: it differs, and another answer is defensible here; unasked: not in
+    # this precision; or the kind of a PortError
+    verdict: str
     required: bool
-    findings: tuple  # compare.Finding
+    findings: tuple  # of Finding
     explanation: str
 
     @property
@@ -43,126 +47,120 @@ class Result(NamedTuple):
 
 
 def expected(tensors):
-    """The part of a case's tensors that a port must give: outputs and gradients."""
+    """Return the tensors of a case that a port must give: outputs and gradients."""
     return {name: a for name, a in tensors.items() if name.startswith(("out.", "in_bar."))}
 
 
 def precision(got):
-    """float32 where any float tensor has it, else float64: what the port computes in."""
-    codes = {
-        np.asarray(a).dtype.str[1:]
-        for a in expected(got).values()
-        if np.asarray(a).dtype.kind == "f"
-    }
-    return "float32" if "f4" in codes else "float64"
+    """Return the precision in which a port computes: float32 if any float tensor has it."""
+    arrays = (np.asarray(a) for a in expected(got).values())
+    return "float32" if "f4" in {a.dtype.str[1:] for a in arrays} else "float64"
 
 
 def compare(tensors, got, tolerance):
-    """Every way in which `got` {name: array} differs from a case's `tensors`, the worst element first in its tensor.
+    """Return a Finding for every tensor in which `got` {name: array} differs from a case's tensors.
 
-    Shapes     tensors as read from the vectors, scales among them; tolerance: the record of the port's precision
+    `tensors` are those of the vectors with their scales, `tolerance` is the record of the port's
+    precision.
     """
-    want, findings = expected(tensors), []
-    for name in got:
-        if name.startswith(("out.", "in_bar.")) and name not in want:
-            findings.append(Finding(name, "extra", "not expected in this case"))
+    return list(differences(tensors, got, tolerance))
+
+
+def differences(tensors, got, tolerance):
+    """Yield what `compare` returns."""
+    want = expected(tensors)
+    for name in expected(got):
+        if name not in want:
+            yield Finding(name, "extra", "not expected in this case")
     for name, right in want.items():
-        if name not in got:
-            findings.append(Finding(name, "missing", f"expected {right.dtype} {right.shape}"))
-            continue
-        mine = np.asarray(got[name])
-        if mine.shape != right.shape:
-            findings.append(Finding(name, "shape", f"{mine.shape}, expected {right.shape}"))
-        elif wrong := _wrong_type(mine, right):
-            findings.append(Finding(name, "dtype", f"{mine.dtype}, expected {wrong}"))
-        elif right.dtype.kind == "f":
-            findings += _numbers(name, mine, right, tensors["scale." + name], tolerance)
-        elif not np.array_equal(mine, right):
-            index = tuple(int(i) for i in np.argwhere(mine != right)[0])
-            findings.append(
-                Finding(
-                    name,
-                    "value",
-                    _said(name, index, mine[index], right[index]),
-                    index,
-                    float(mine[index]),
-                    float(right[index]),
-                )
-            )
-    return findings
+        if name in got:
+            mine = np.asarray(got[name])
+            finding = _difference(name, mine, right, tensors.get("scale." + name), tolerance)
+        else:
+            finding = Finding(name, "missing", f"expected {right.dtype} {right.shape}")
+        if finding:
+            yield finding
+
+
+def _difference(name, mine, right, scale, tolerance):
+    """Return a Finding if one tensor is wrong, else None."""
+    if mine.shape != right.shape:
+        return Finding(name, "shape", f"{mine.shape}, expected {right.shape}")
+    wrong_type = _wrong_type(mine, right)
+    if wrong_type:
+        return Finding(name, "dtype", f"{mine.dtype}, expected {wrong_type}")
+    if right.dtype.kind == "f":
+        return _float_difference(name, mine, right, scale, tolerance)
+    if np.array_equal(mine, right):
+        return None
+    index = tuple(int(i) for i in np.argwhere(mine != right)[0])
+    said = _said(name, index, mine[index], right[index])
+    return Finding(name, "value", said, index, float(mine[index]), float(right[index]))
 
 
 def _wrong_type(mine, right):
+    """Return the type that was expected, or "" if the port's type will do."""
     if right.dtype.kind == "f":
         return "" if mine.dtype.str[1:] in PRECISIONS else "float64 or float32"
     if right.dtype.kind == "b":
-        return (
-            ""
-            if mine.dtype.kind == "b" or mine.dtype.kind in "iu" and np.isin(mine, (0, 1)).all()
-            else "bool"
-        )
+        zeros_and_ones = mine.dtype.kind in "iu" and np.isin(mine, (0, 1)).all()
+        return "" if mine.dtype.kind == "b" or zeros_and_ones else "bool"
     return "" if mine.dtype.kind in "iu" else "integers"
 
 
 def _said(name, index, got, want):
-    for form in (".9g", ".17g") if isinstance(want, np.floating) else ("d",):
-        mine, right = (
-            f"{v:{form}}" for v in ((got, want) if form != "d" else (int(got), int(want)))
-        )
-        if mine != right:
-            break
-    return f"{name}{list(index) if index else ''}: got {mine}, expected {right}"
+    """Return the message about one element, with as many digits as tell both numbers apart."""
+    place = f"{name}{list(index) if index else ''}"
+    if not isinstance(want, np.floating):
+        return f"{place}: got {int(got)}, expected {int(want)}"
+    digits = 9 if f"{got:.9g}" != f"{want:.9g}" else 17
+    return f"{place}: got {got:.{digits}g}, expected {want:.{digits}g}"
 
 
 def deviations(mine, right, scale, precision_of):
-    """|got - want| in units of eps S, element by element; infinite where a NaN or an unequal infinity stands.
+    """Return |got - want| of every element, plain and in units of eps S.
 
-    The smallest normal number is free: what is smaller has few digits, and much hardware makes it 0.
+    Both are infinite where one side is NaN or the two are unequal infinities. A deviation up to the
+    smallest normal number is free: smaller numbers have few digits, and much hardware makes them 0.
     """
     with np.errstate(all="ignore"):
         absolute = np.abs(mine.astype(float) - right)
         beyond = np.maximum(absolute - np.finfo(precision_of).tiny, 0)
-        scaled = np.where(
-            beyond == 0, 0, beyond / (np.finfo(precision_of).eps * scale.astype(float))
-        )
+        unit = np.finfo(precision_of).eps * scale.astype(float)
+        scaled = np.where(beyond == 0, 0, beyond / unit)
     same = mine == right
     absolute, scaled = (np.where(same, 0, np.nan_to_num(a, nan=np.inf)) for a in (absolute, scaled))
     return absolute, scaled
 
 
-def _numbers(name, mine, right, scale, tolerance):
+def _float_difference(name, mine, right, scale, tolerance):
     if not right.size:
-        return []
+        return None
     absolute, scaled = deviations(mine, right, scale, mine.dtype)
     bound, image = tolerance["eps_S"], name.split(".")[1] in IMAGES
-    largest = scaled.max()
-    rms = (
-        float(largest * np.sqrt(((scaled / largest) ** 2).mean()))
-        if image and 0 < largest < np.inf
-        else float(largest)
-    )
-    index = np.unravel_index(np.argmax(scaled), scaled.shape)
-    if scaled[index] <= bound and (not image or rms <= tolerance["rms_eps_S"]):
-        return []
+    worst = tuple(int(i) for i in np.unravel_index(np.argmax(scaled), scaled.shape))
+    largest = float(scaled[worst])
+    rms = largest
+    if image and 0 < largest < np.inf:
+        rms = float(largest * np.sqrt(((scaled / largest) ** 2).mean()))
+    if largest <= bound and (not image or rms <= tolerance["rms_eps_S"]):
+        return None
     with np.errstate(all="ignore"):
-        relative = float(absolute[index] / abs(right[index])) if right[index] else np.inf
-    said = _said(name, tuple(map(int, index)), mine[index], right[index])
-    off = int((scaled > bound).sum())
-    said += (
-        f" ({off} of {scaled.size} numbers off; worst {scaled[index]:.3g} eps S, allowed {bound:g}"
+        relative = float(absolute[worst] / abs(right[worst])) if right[worst] else np.inf
+    said = _said(name, worst, mine[worst], right[worst])
+    said += f" ({int((scaled > bound).sum())} of {scaled.size} numbers off;"
+    said += f" worst {largest:.3g} eps S, allowed {bound:g}"
+    if image:
+        said += f"; root mean square {rms:.3g}, allowed {tolerance['rms_eps_S']:g}"
+    return Finding(
+        name,
+        "value",
+        said + ")",
+        worst,
+        float(mine[worst]),
+        float(right[worst]),
+        float(absolute[worst]),
+        relative,
+        largest,
+        float(bound),
     )
-    said += f"; root mean square {rms:.3g}, allowed {tolerance['rms_eps_S']:g})" if image else ")"
-    return [
-        Finding(
-            name,
-            "value",
-            said,
-            tuple(map(int, index)),
-            float(mine[index]),
-            float(right[index]),
-            float(absolute[index]),
-            relative,
-            float(scaled[index]),
-            float(bound),
-        )
-    ]

@@ -1,105 +1,129 @@
-"""Which known mistake explains a port's numbers?  Every one is tried on every case that the port answered."""
+"""Finds the known mistakes with which a port's wrong answers agree.
+
+A known mistake is one way in which ports go wrong. `tests/golden/mistakes` defines each as a change
+of behaviour and computes what a port with that mistake answers to the published cases. The folder
+`mistakes_v1` holds these answers: `mistakes.json` lists the mistakes, and one compressed
+safetensors file a subject holds every tensor that a mistake gets wrong, as
+`<mistake>/<case>/<tensor>`. Every other tensor is right in spite of the mistake.
+"""
+
+import gzip
+import json
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from .compare import compare, expected, precision
-from .mistakes import MISTAKES, NotApplicable
-from .tolerance import named
+from . import safetensors
+from .compare import differences, expected, precision
 
-LENIENCE = 4  # a mistake's numbers are computed another way than the port's: its bounds are this much wider
+FOLDER = Path(__file__).with_name("mistakes_v1")
+LENIENCE = 4  # the port computes the same mistake in another way: its bounds are this much wider
 HUGE = np.finfo(np.float32).max
+ROLES = {"outputs": "out.", "gradients": "in_bar."}
 
 
-ROLES = {"outputs": ("out.",), "gradients": ("in_bar.",)}
+class Mistake(NamedTuple):
+    """A known mistake and its wrong answers."""
+
+    id: str
+    subject: str  # whose cases show it
+    equation: str  # to blame
+    description: str  # what the port does instead, said to its author
+    answers: dict  # {case name: {"out.x": array}}
+
+
+@cache
+def known(subject):
+    """Return the known mistakes of a subject."""
+    rows = json.loads((FOLDER / "mistakes.json").read_text(encoding="utf-8"))
+    found = {row["id"]: Mistake(**row, answers={}) for row in rows if row["subject"] == subject}
+    if found:
+        file = FOLDER / f"{subject}.safetensors.gz"
+        arrays = safetensors.load(gzip.decompress(file.read_bytes()), file)
+        for name, array in arrays.items():
+            id, case, tensor = name.split("/")
+            found[id].answers.setdefault(case, {})[tensor] = array
+    return list(found.values())
 
 
 def diagnose(subject, answers):
-    """`explain` of all that was answered; if nothing explains that, of outputs or gradients: (mistakes, which alone).
+    """Return (`explain` of the answers, "").
 
-    A port that was written by hand often has the mistake in one direction only.
+    A port that was written by hand often has a mistake in one direction only. Where nothing
+    explains all answers, the outputs or the gradients are explained by themselves, and the second
+    value says which: "outputs" or "gradients".
     """
     found = explain(subject, answers)
-    for part, roles in ROLES.items() if not found else ():
-        one = [
-            (
-                case,
-                {n: a for n, a in got.items() if n.startswith(roles)},
-                [n for n in wrong if n.startswith(roles)],
-            )
-            for case, got, wrong in answers
-        ]
-        if any(wrong for *_, wrong in one) and (found := explain(subject, one)):
-            return found, part
-    return found, ""
+    if found:
+        return found, ""
+    for part, role in ROLES.items():
+        of_role = []
+        for case, got, wrong in answers:
+            tensors = {name: a for name, a in got.items() if name.startswith(role)}
+            of_role.append((case, tensors, [name for name in wrong if name.startswith(role)]))
+        if any(wrong for *_, wrong in of_role):
+            found = explain(subject, of_role)
+            if found:
+                return found, part
+    return [], ""
 
 
 def explain(subject, answers):
-    """The mistakes with which a port's answers agree, the best first: [(mistake, cases explained, cases that fail)].
+    """Return the mistakes with which a port's answers agree best.
 
-    Shapes     answers [(case of the vectors, got {name: array}, names of its wrong tensors)] of one subject, right ones too
+    `answers` lists (published case, {name: array}, names of the wrong tensors) of one subject, the
+    right answers too. Returns [(mistake, number of cases explained, number of failing cases)].
     """
     found = []
-    for mistake in MISTAKES:
-        if mistake.subject != subject:
-            continue
-        agreed = failed = 0
-        contradicted = False
+    for mistake in known(subject):
+        explained = failed = 0
+        consistent = True
         for case, got, wrong in answers:
             agrees = _agrees(mistake, case, got, wrong)
-            failed += bool(wrong)
-            agreed += bool(wrong) and agrees
-            contradicted |= (
-                not wrong and not agrees
-            )  # the mistake would have shown in a case that is right
-        if agreed:
-            found.append((agreed, not contradicted, mistake, failed))
-    found.sort(key=lambda row: row[:2], reverse=True)
-    best = found[0][:2] if found else None
-    return [
-        (mistake, agreed, failed)
-        for agreed, clean, mistake, failed in found
-        if (agreed, clean) == best
-    ]
+            if wrong:
+                failed += 1
+                explained += agrees
+            elif not agrees:  # the mistake would have shown in a case that the port gets right
+                consistent = False
+        if explained:
+            found.append(((explained, consistent), mistake, failed))
+    best = max((rank for rank, *_ in found), default=None)
+    return [(mistake, rank[0], failed) for rank, mistake, failed in found if rank == best]
 
 
 def _agrees(mistake, case, got, wrong):
-    """Whether a port with this mistake would have answered so; where the port is wrong, the mistake must show as well."""
-    try:
-        with np.errstate(all="ignore"):
-            would = named(*mistake.run(case.inputs(), case.cotangents()))
-    except NotApplicable:
+    """Whether a port with this mistake would have answered like this.
+
+    In a case that the port gets wrong, the mistake must show as well.
+    """
+    right = {name: a for name, a in expected(case.tensors).items() if name in got}
+    shown = {n: a for n, a in mistake.answers.get(case.name, {}).items() if n in right}
+    if not shown:
+        return not wrong
+    would = {**right, **shown}
+    if any(a.shape != np.shape(got[name]) for name, a in would.items()):
         return False
-    asked = [name for name in expected(case.tensors) if name in got]
-    if any(name not in would or would[name].shape != np.shape(got[name]) for name in asked):
-        return False
-    tensors = {name: _number(would[name]) for name in asked}
-    tensors.update(
-        {
-            f"scale.{name}": _largest(case.tensors[f"scale.{name}"], a)
-            for name, a in tensors.items()
-            if a.dtype.kind == "f"
-        }
-    )
-    mine = {name: np.asarray(got[name]) for name in asked}
     bound = case.tolerance(precision(got))
-    if wrong:
-        truth = {
-            name: a
-            for name, a in case.tensors.items()
-            if name in asked or name.startswith("scale.")
-        }
-        if not compare(truth, {name: would[name] for name in asked}, bound):
-            return False
-    bound = {name: LENIENCE * c if name.endswith("eps_S") else c for name, c in bound.items()}
-    return not compare(tensors, {name: _number(a) for name, a in mine.items()}, bound)
+    scales = {name: a for name, a in case.tensors.items() if name.startswith("scale.")}
+    if wrong and not any(differences({**right, **scales}, would, bound)):
+        return False
+    for name, a in would.items():
+        if a.dtype.kind == "f":
+            scales["scale." + name] = _largest(scales["scale." + name], a)
+    wider = {name: LENIENCE * c if name.endswith("eps_S") else c for name, c in bound.items()}
+    mine = {name: _without_nan(np.asarray(got[name])) for name in would}
+    theirs = {name: _without_nan(a) for name, a in would.items()}
+    return not any(differences({**theirs, **scales}, mine, wider))
 
 
-def _number(a):
-    """A NaN agrees with a NaN here: a mistake may well make them."""
-    return np.where(np.isnan(a), np.finfo(a.dtype).max, a) if a.dtype.kind == "f" else a
+def _without_nan(a):
+    """Replace NaN by a very large number, so that NaN agrees with NaN: mistakes may produce it."""
+    return np.where(np.isnan(a), HUGE, a) if a.dtype.kind == "f" else a
 
 
 def _largest(scale, values):
-    """One S for the whole array: a mistake sums other terms than those that S was measured on."""
-    size = np.where(np.isfinite(values) & (np.abs(values) < HUGE), np.abs(values), 0)
+    """Return one S for the whole array: a mistake sums other terms than those S was measured on."""
+    size = np.abs(values)[np.isfinite(values) & (np.abs(values) < HUGE)]
     return np.full(values.shape, max(size.max(initial=0), scale.max(initial=0)))

@@ -1,10 +1,26 @@
-"""The published vectors as a checker reads them: cases with their tensors, inputs put together again."""
+"""Reads the published vectors: the manifest, and the cases of a subject with their tensors.
 
-import hashlib
+A subject is one file of vectors: an equation (level L1), a scalar function (L0), a stage of several
+equations (L2) or the whole pipeline (L4).
+"""
+
+import json
+from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from . import safetensors
-from .vectors import FOLDER, read_manifest
+
+FOLDER = Path(__file__).with_name("v1")
+LEVELS = {
+    "L0": "scalars",
+    "L1": "one equation",
+    "L2": "a stage",
+    "L3": "the codec",
+    "L4": "the pipeline",
+}
 
 
 class Golden(NamedTuple):
@@ -13,34 +29,131 @@ class Golden(NamedTuple):
     id: str
     name: str
     subject: str
-    equation: str
+    equation: str  # the equation to blame where the case fails
     level: str
-    record: dict  # of the manifest
-    tensors: dict  # name with role -> array
+    record: dict  # the case's record in the manifest
+    tensors: dict  # {"in.x_a": array, "out.x": array, "scale.out.x": array, ...}
 
     def inputs(self):
-        """Keyword arguments of forward: tensors, lists of tensors and settings."""
-        return {
-            **unflatten(self.tensors, "in."),
-            **{n: _tuples(v) for n, v in self.record["settings"].items()},
-        }
+        """Return the keyword arguments of forward: tensors, lists of tensors and settings."""
+        settings = {name: _tuples(value) for name, value in self.record["settings"].items()}
+        return {**unflatten(self.tensors, "in."), **settings}
 
     def cotangents(self):
-        """Keyword arguments of backward."""
+        """Return the cotangents, {"x_bar": array}."""
         return {name + "_bar": a for name, a in unflatten(self.tensors, "out_bar.").items()}
 
     def tolerance(self, precision):
-        """The record {eps_S, reason} of a precision, None where the case does not ask for that one."""
+        """Return the record {eps_S, reason} of a precision, or None where it is not asked for."""
         return self.record["tolerance"][precision]
 
 
+def path():
+    """Return the folder of the published vectors."""
+    return FOLDER
+
+
+def read_manifest(folder=FOLDER):
+    """Return the manifest of a folder of vectors.
+
+    Raises TensorError where there is no valid one.
+    """
+    file = Path(folder) / "manifest.json"
+    try:
+        manifest = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise safetensors.TensorError(
+            f"{file}: expected the JSON manifest of the vectors ({error})"
+        ) from None
+    if manifest.get("format") != 1:
+        raise safetensors.TensorError(f"{file}: format: expected 1, got {manifest.get('format')!r}")
+    return manifest
+
+
+@cache
+def subjects():
+    """Return {key: record in the manifest} of all subjects, in the order in which data flows."""
+    return {subject["key"]: subject for subject in read_manifest()["subjects"]}
+
+
+def equations():
+    """Return the keys of all equations, in the order in which data flows."""
+    return [key for key, subject in subjects().items() if subject["level"] == "L1"]
+
+
+def names():
+    """Return all names that `oracle check --only` accepts: subjects, equations and the codec."""
+    return sorted({*subjects(), *equations(), "codec"})
+
+
+def cases(key):
+    """Return the cases of the subject with that key.
+
+    Raises KeyError where there is no such subject.
+    """
+    known = subjects()
+    if key not in known:
+        raise KeyError(f"{key!r}: expected one of {', '.join(known)}")
+    return read(known[key])
+
+
+def read(subject, folder=FOLDER):
+    """Return all cases of one subject, given its record in the manifest.
+
+    Raises TensorError where the subject's file is missing or damaged.
+    """
+    file = folder / subject["file"]
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise safetensors.TensorError(
+            f"{file}: expected a file of vectors ({error.strerror})"
+        ) from None
+    arrays = safetensors.load(data, file)
+    found = []
+    for case in subject["cases"]:
+        tensors = {t["name"]: arrays[f"{case['name']}/{t['name']}"] for t in case["tensors"]}
+        found.append(
+            Golden(
+                case["id"],
+                case["name"],
+                subject["key"],
+                subject["equation"],
+                subject["level"],
+                case,
+                tensors,
+            )
+        )
+    return found
+
+
+def flatten(values, prefix=""):
+    """Return {"weights": [W0, W1], "x": x} as {"weights.0": W0, "weights.1": W1, "x": x}.
+
+    What is no array and no list of arrays is left out.
+    """
+    flat = {}
+    for name, value in values.items():
+        if isinstance(value, list):
+            flat.update({f"{prefix}{name}.{i}": np.asarray(a) for i, a in enumerate(value)})
+        elif isinstance(value, (np.ndarray, np.generic)):
+            flat[prefix + name] = np.asarray(value)
+    return flat
+
+
+def settings(inputs):
+    """Return the inputs that are no tensors: Python's numbers, strings and tuples."""
+    tensors = (list, np.ndarray, np.generic)
+    return {name: value for name, value in inputs.items() if not isinstance(value, tensors)}
+
+
 def unflatten(tensors, prefix):
-    """{"in.weights.0": W0, "in.weights.1": W1} -> {"weights": [W0, W1]}; copies, for a port may write into them."""
+    """Undo `flatten`. The arrays are copied, because a port may write into its inputs."""
     values = {}
     for name, a in tensors.items():
         if name.startswith(prefix):
-            first, _, place = name[len(prefix) :].partition(".")
-            if place:
+            first, _, index = name.removeprefix(prefix).partition(".")
+            if index:
                 values.setdefault(first, []).append(a.copy())
             else:
                 values[first] = a.copy()
@@ -48,42 +161,5 @@ def unflatten(tensors, prefix):
 
 
 def _tuples(value):
+    """JSON has lists where the settings have tuples."""
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
-
-
-def read(subject, folder=FOLDER):
-    """All cases of one subject's record in the manifest.
-
-    Raises     safetensors.TensorError where the file is missing, damaged or another than the manifest's
-    """
-    path = folder / subject["file"]
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise safetensors.TensorError(
-            f"{path}: expected a file of vectors ({error.strerror})"
-        ) from None
-    arrays = safetensors.load(data, path)
-    return [
-        Golden(
-            case["id"],
-            case["name"],
-            subject["key"],
-            subject["equation"],
-            subject["level"],
-            case,
-            {t["name"]: arrays[f"{case['name']}/{t['name']}"] for t in case["tensors"]},
-        )
-        for case in subject["cases"]
-    ]
-
-
-def damaged(folder=FOLDER):
-    """Names of files in a folder of vectors whose bytes are not those of the manifest."""
-    files = read_manifest(folder)["files"]
-    return [
-        name
-        for name, file in files.items()
-        if not (folder / name).is_file()
-        or hashlib.sha256((folder / name).read_bytes()).hexdigest() != file["sha256"]
-    ]

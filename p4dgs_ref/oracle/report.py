@@ -1,82 +1,81 @@
-"""A checker's report as text for a person and as JSON for continuous integration."""
+"""A checker's report: as text for a person, as JSON for continuous integration."""
 
 import json
 
-from ..equations import EQUATIONS
+from .published import subjects
 
-SHOWN, REASONS = 8, 3  # names and explanations of failing cases, at most, a subject
+SHOWN = 8  # names of failing cases of a subject, at most
+REASONS = 3  # explanations of a subject, at most
 
 
 def name_of(equation):
-    """`Eq. (11) likelihood`, or the name alone where the paper prints no number."""
-    eq = EQUATIONS.get(equation)
-    return f"Eq. ({eq.number}) {equation}" if eq and eq.number[:1].isdigit() else equation
+    """Return `Eq. (11) likelihood`, or the key alone where the paper prints no number."""
+    subject = subjects().get(equation)
+    numbered = subject is not None and subject["number"][:1].isdigit()
+    return f"Eq. ({subject['number']}) {equation}" if numbered else equation
 
 
 def text(report):
-    """Credit by level, the first divergence and its explanation, then what else failed."""
+    """Return the levels' scores, the first divergence with its explanation, and what else failed."""
     lines = [
         f"{level} {row['says']:<15} {row['passed']:>4} of {row['of']}"
         for level, row in report.levels().items()
     ]
-    unasked, may = (sum(r.verdict == v for r in report.results) for v in ("unasked", "acceptable"))
-    if unasked:
-        lines.append(f"{unasked} cases are not asked in this precision")
-    if may:
-        lines.append(f"{may} cases differ where another answer is acceptable")
+    verdicts = [r.verdict for r in report.results]
+    if "unasked" in verdicts:
+        lines.append(f"{verdicts.count('unasked')} cases are not asked in this precision")
+    if "acceptable" in verdicts:
+        count = verdicts.count("acceptable")
+        lines.append(f"{count} cases differ where another answer is acceptable")
     if report.strangers:
-        lines.append(
-            f"{len(report.strangers)} tensors belong to no case: {', '.join(report.strangers[:SHOWN])}"
-        )
+        names = ", ".join(report.strangers[:SHOWN])
+        lines.append(f"{len(report.strangers)} tensors belong to no case: {names}")
     first = report.first
     if first is None:
-        return "\n".join(
-            lines + ["every required case passes" if report.ok else "no required case was run"]
-        )
+        lines.append("every required case passes" if report.ok else "no required case was run")
+        return "\n".join(lines)
     lines += ["", f"first divergence: {name_of(first.equation)}", *_case(first)]
-    return "\n".join(
-        lines
-        + _others([r for r in report.results if r.wrong and r is not first], first.explanation)
-    )
-
-
-def _others(results, known):
-    """What fails besides the first case, a line or two a subject."""
-    lines = ["", f"{len(results)} more fail:"] if results else []
-    for key in dict.fromkeys(r.id.split("/")[0] for r in results):
-        rows = [r for r in results if r.id.split("/")[0] == key]
-        names = [r.id.split("/")[1] for r in rows if r.verdict == "fail"]
-        said = ", ".join(names[:SHOWN]) + (
-            f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-        )
-        counts = [
-            f"{sum(r.verdict == v for r in rows)} {v}"
-            for v in sorted({r.verdict for r in rows} - {"fail"})
-        ]
-        lines.append(f"  {key}: " + "; ".join([said] * bool(said) + counts))
-        why = dict.fromkeys((bool(r.findings), r.explanation) for r in rows if r.explanation)
-        lines += [
-            f"    {'explained by' if found else 'because'}: {said if said != known else 'the same'}"
-            for found, said in list(why)[:REASONS]
-        ]
-        lines += [f"    and {len(why) - REASONS} more reasons"] if len(why) > REASONS else []
-    return lines
+    others = [r for r in report.results if r.wrong and r is not first]
+    return "\n".join(lines + _others(others, first.explanation))
 
 
 def _case(result):
     lines = [f"  {result.id}: {result.verdict}"]
-    lines += [
-        f"    {f.tensor}: {f.kind}: {f.message}" if f.kind != "value" else f"    {f.message}"
-        for f in result.findings
-    ]
     if result.explanation:
-        what = "explained by" if result.findings else "because"
-        lines.insert(1, f"    {what}: {result.explanation}")
+        reason = "explained by" if result.findings else "because"
+        lines.append(f"    {reason}: {result.explanation}")
+    for finding in result.findings:
+        head = "" if finding.kind == "value" else f"{finding.tensor}: {finding.kind}: "
+        lines.append(f"    {head}{finding.message}")
+    return lines
+
+
+def _others(results, known):
+    """Return what fails besides the first case, a line or two a subject."""
+    lines = ["", f"{len(results)} more fail:"] if results else []
+    by_subject = {}
+    for result in results:
+        by_subject.setdefault(result.id.split("/")[0], []).append(result)
+    for key, rows in by_subject.items():
+        names = [r.id.split("/")[1] for r in rows if r.verdict == "fail"]
+        said = ", ".join(names[:SHOWN])
+        if len(names) > SHOWN:
+            said += f" and {len(names) - SHOWN} more"
+        verdicts = [r.verdict for r in rows if r.verdict != "fail"]
+        counts = [f"{verdicts.count(v)} {v}" for v in sorted(set(verdicts))]
+        lines.append(f"  {key}: " + "; ".join([said] * bool(names) + counts))
+        reasons = list(dict.fromkeys((bool(r.findings), r.explanation) for r in rows))
+        reasons = [(found, said) for found, said in reasons if said]
+        for found, said in reasons[:REASONS]:
+            head = "explained by" if found else "because"
+            lines.append(f"    {head}: {'the same' if said == known else said}")
+        if len(reasons) > REASONS:
+            lines.append(f"    and {len(reasons) - REASONS} more reasons")
     return lines
 
 
 def as_json(report):
-    """The contract for scripts: {"levels", "cases", "first_divergence"}; null where a number is not finite."""
+    """Return the report for scripts. A number that is not finite becomes null."""
     cases = [
         {
             "id": r.id,
@@ -107,16 +106,14 @@ def _worst(findings):
 
 
 def listing(manifest):
-    """Every case in a line: id, level, result class, what it tests."""
+    """Return a line for every case: id, level, result class, what it tests."""
     rows = [
         (case["id"], subject["level"], case["result"], case["tests"])
         for subject in manifest["subjects"]
         for case in subject["cases"]
     ]
-    rows += [
-        (stream["id"], "L3", stream["result"], stream["says"]) for stream in manifest["streams"]
-    ]
+    rows += [(row["id"], "L3", row["result"], row["says"]) for row in manifest["streams"]]
     width = max(len(row[0]) for row in rows)
     return "\n".join(
-        f"{id:<{width}}  {level}  {result:<10}  {tests}" for id, level, result, tests in rows
+        f"{id:<{width}}  {level}  {kind:<10}  {says}" for id, level, kind, says in rows
     )

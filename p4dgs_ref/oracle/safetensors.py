@@ -1,11 +1,14 @@
-"""The safetensors format in a few lines: 8 bytes of length, a JSON header, raw little-endian numbers.
+"""The safetensors format: the length of a header, the header in JSON, the numbers.
 
 bytes 0 to 7     length n of the header, unsigned, little-endian
-n bytes          JSON {name: {"dtype": "F64", "shape": [5, 3], "data_offsets": [from, to]}}, padded with spaces
-the rest         the numbers, row by row; offsets count from here, tensors follow each other without a gap
+n bytes          JSON {name: {"dtype": "F64", "shape": [5, 3], "data_offsets": [from, to]}},
+                 padded with spaces
+the rest         the numbers, row by row, little-endian; offsets count from here, and tensors follow
+                 each other without a gap
 """
 
 import json
+import math
 import struct
 
 import numpy as np
@@ -29,90 +32,68 @@ LONGEST_HEADER = 100_000_000  # the limit of the format
 
 
 class TensorError(ValueError):
-    """A file that does not hold what it should: one line naming file, field and expectation."""
+    """A file does not hold what it should; one line names the file, the field and what is wrong."""
 
 
 def dump(arrays, metadata=None):
-    """Bytes of a file and where every tensor lies in it: (bytes, {name: {dtype, shape, offset, bytes}}).
+    """Return the bytes of a file and the place of every tensor in it.
 
-    Shapes     arrays {name: array of any shape, also () and empty}, of a type in DTYPES; offsets count from byte 0
-    Raises     KeyError for another type
-    Choice     wide types first, so that every tensor is aligned to its own width
+    The places are {name: {dtype, shape, offset, bytes}}, offsets counting from byte 0. Wide types
+    come first, so that every tensor is aligned to its own width. Raises KeyError for a type that is
+    not in DTYPES.
     """
-    header, parts, at = {"__metadata__": metadata} if metadata else {}, [], 0
+    header = {"__metadata__": metadata} if metadata else {}
+    parts, places, at = [], {}, 0
     for name in sorted(arrays, key=lambda name: -np.asarray(arrays[name]).dtype.itemsize):
         array = np.asarray(arrays[name])
-        dtype = NAMES[array.dtype.newbyteorder("<")]
-        parts.append(array.astype(DTYPES[dtype]).tobytes())
-        header[name] = {
-            "dtype": dtype,
-            "shape": list(array.shape),
-            "data_offsets": [at, at + len(parts[-1])],
-        }
-        at += len(parts[-1])
+        dtype, shape = NAMES[array.dtype.newbyteorder("<")], list(array.shape)
+        data = array.astype(DTYPES[dtype]).tobytes()
+        header[name] = {"dtype": dtype, "shape": shape, "data_offsets": [at, at + len(data)]}
+        places[name] = {"dtype": dtype, "shape": shape, "offset": at, "bytes": len(data)}
+        parts.append(data)
+        at += len(data)
     text = json.dumps(header, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 8)
-    places = {
-        name: {
-            "dtype": h["dtype"],
-            "shape": h["shape"],
-            "offset": 8 + len(text) + h["data_offsets"][0],
-            "bytes": h["data_offsets"][1] - h["data_offsets"][0],
-        }
-        for name, h in header.items()
-        if name != "__metadata__"
-    }
+    for place in places.values():
+        place["offset"] += 8 + len(text)
     return struct.pack("<Q", len(text)) + text + b"".join(parts), places
 
 
 def load(data, source="safetensors"):
-    """Every tensor of a file's bytes: {name: array}.
-
-    Raises     TensorError
-    """
+    """Return every tensor in the bytes of a file, {name: array}. Raises TensorError."""
 
     def need(condition, field, expected):
         if not condition:
             raise TensorError(f"{source}: {field}: expected {expected}")
 
     need(len(data) >= 8, "length", "at least the 8 bytes of the header's length")
-    n = struct.unpack("<Q", data[:8])[0]
+    n, rest = struct.unpack("<Q", data[:8])[0], len(data) - 8
     need(
-        n <= min(len(data) - 8, LONGEST_HEADER),
-        "header",
-        f"{n} bytes, the file has {len(data) - 8} after its length",
+        n <= min(rest, LONGEST_HEADER), "header", f"{n} bytes, the file has {rest} after its length"
     )
     try:
         header = json.loads(data[8 : 8 + n])
-        need(isinstance(header, dict), "header", "a JSON object")
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
-        need(False, "header", "a JSON object")
+        header = None
+    need(isinstance(header, dict), "header", "a JSON object")
+    header.pop("__metadata__", None)
     body, arrays = memoryview(data)[8 + n :], {}
     for name, h in header.items():
-        if name == "__metadata__":
-            continue
+        known = isinstance(h, dict) and isinstance(h.get("dtype"), str) and h["dtype"] in DTYPES
+        need(known, f"{name}.dtype", f"one of {', '.join(DTYPES)}")
+        shape, offsets = h.get("shape"), h.get("data_offsets")
+        need(_naturals(shape), f"{name}.shape", "a list of integers, none of them negative")
+        two = _naturals(offsets) and len(offsets) == 2
+        need(two, f"{name}.data_offsets", "two integers, none of them negative")
+        dtype, (start, end) = np.dtype(DTYPES[h["dtype"]]), offsets
+        size = math.prod(shape) * dtype.itemsize  # Python's integers do not overflow
         need(
-            isinstance(h, dict) and isinstance(h.get("dtype"), str) and h["dtype"] in DTYPES,
-            f"{name}.dtype",
-            f"one of {', '.join(DTYPES)}",
-        )
-        need(_naturals(h.get("shape")), f"{name}.shape", "a list of whole numbers")
-        need(
-            _naturals(h.get("data_offsets")) and len(h["data_offsets"]) == 2,
+            start <= end <= len(body) and end - start == size,
             f"{name}.data_offsets",
-            "two whole numbers",
-        )
-        dtype, (start, end) = np.dtype(DTYPES[h["dtype"]]), h["data_offsets"]
-        count = 1
-        for length in h["shape"]:
-            count *= length  # of Python's integers: nothing overflows
-        need(
-            start <= end <= len(body) and end - start == count * dtype.itemsize,
-            f"{name}.data_offsets",
-            f"{count * dtype.itemsize} bytes for {h['dtype']} {h['shape']} within the {len(body)} of the file, "
+            f"{size} bytes for {h['dtype']} {shape} within the {len(body)} of the file, "
             f"got {start} to {end}",
         )
-        arrays[name] = np.frombuffer(body[start:end], dtype).reshape(h["shape"])
+        arrays[name] = np.frombuffer(body[start:end], dtype).reshape(shape)
     return arrays
 
 

@@ -1,26 +1,25 @@
 """Level L3: the conformance streams of the codec as cases of the oracle.
 
-A port decodes `streams/<name>.p4dgs` and gives every array of the good streams, bit for bit, and a reason for every bad
-one.  As files: `codec/<name>.safetensors` (or .npz), the arrays by their names, and `codec/refusals.json`, {name: "why"}
-(null for a stream that was not refused).  Whole numbers may have any integer type, masks and signs may be BOOL; q, x_a
-and attributes are F64, the numbers of the networks F32.
+A port decodes `streams/<name>.p4dgs` and gives every array of the good streams, bit for bit, and a
+reason for each stream that it refuses. In files, these are `codec/<name>.safetensors` (or .npz)
+with the arrays by their names, and `codec/refusals.json` with {name: reason}; the reason is null
+for a stream that was not refused. Integers may have any integer type, and masks and signs may be
+BOOL; q, x_a and attributes are F64, and the numbers of the networks F32.
 """
 
 import hashlib
 import json
-import shutil
-from pathlib import Path
 
 import numpy as np
 
 from ..codec import published
-from ..codec.container import BitstreamError, open_container
+from ..codec.container import open_container
 from ..codec.file import quantised_of
-from . import safetensors
 from .compare import Finding, Result
 from .ports import FolderPort, PortError
 
-# In the order in which a decoder finds them: who is to blame where this array is the first that is wrong.
+# The arrays in the order in which a decoder finds them, and what is to blame where an array is the
+# first that is wrong.
 BLAMED = {
     "positions": "codec",
     "x_a": "codec",
@@ -40,130 +39,76 @@ BLAMED = {
 
 
 def read_rows():
-    """The manifest of the conformance streams: {"good": [...], "bad": [...]}."""
+    """Return the manifest of the conformance streams, {"good": [...], "bad": [...]}."""
     return json.loads((published.FOLDER / "manifest.json").read_text(encoding="utf-8"))
 
 
-def records():
-    """The streams as the manifest of the vectors lists them."""
-
-    def record(row, result, **more):
-        return {
-            "id": f"codec/{row['name']}",
-            "name": row["name"],
-            "says": row["says"],
-            "result": result,
-            "file": f"streams/{row['file']}",
-            "bytes": row["bytes"],
-            "sha256": row["sha256"],
-            **more,
-        }
-
-    rows = read_rows()
-    return [
-        record(row, "valid", expected=f"streams/{row['expected']}", arrays=row["arrays"])
-        for row in rows["good"]
-    ] + [
-        record(row, "invalid", **{key: row[key] for key in ("section", "offset", "kind")})
-        for row in rows["bad"]
-    ]
-
-
-def copy(folder):
-    """Put the streams and their arrays into `folder`/streams, where the manifest says they are."""
-    shutil.copytree(published.FOLDER, Path(folder) / "streams", dirs_exist_ok=True)
-
-
-def write_expected(folder):
-    """Decode every stream and write into `folder`/codec what came out, as a port would."""
-    place, refusals, rows = Path(folder) / "codec", {}, read_rows()
-    place.mkdir(parents=True, exist_ok=True)
-    for row in rows["good"] + rows["bad"]:
-        try:
-            arrays = decoded((published.FOLDER / row["file"]).read_bytes())
-        except BitstreamError as error:
-            refusals[row["name"]] = str(error)
-        else:
-            (place / f"{row['name']}.safetensors").write_bytes(safetensors.dump(arrays)[0])
-    (place / "refusals.json").write_text(json.dumps(refusals, indent=1), encoding="utf-8")
-
-
 def decoded(data):
-    """Every array that the conformance streams name, of any file: {name: array}.
+    """Return all arrays that the conformance streams name, {name: array}, decoded from any file.
 
-    Raises     BitstreamError
+    Raises BitstreamError.
     """
-    found = published.expected(quantised_of(open_container(data)))
-    return {
-        name: np.asarray(a).astype(bool if kind == "bit" else published.TYPES[kind])
-        for name, (kind, a) in found.items()
-    }
+    arrays = {}
+    for name, (kind, a) in published.expected(quantised_of(open_container(data))).items():
+        arrays[name] = np.asarray(a).astype(bool if kind == "bit" else published.TYPES[kind])
+    return arrays
 
 
 def check(port):
-    """Verdicts on every stream: of a port that decodes, or of the files that one wrote into its `folder`."""
-    decode, rows = (
-        port.decode if hasattr(port, "decode") else StreamFolder(port.folder).decode,
-        read_rows(),
-    )
-    return [
-        judge(row, good, decode)
-        for key, good in (("good", True), ("bad", False))
-        for row in rows[key]
-    ]
+    """Return the results of all streams, from a port that decodes or from a folder of answers."""
+    decode = port.decode if hasattr(port, "decode") else StreamFolder(port.folder).decode
+    rows = read_rows()
+    good = [judge(row, True, decode) for row in rows["good"]]
+    return good + [judge(row, False, decode) for row in rows["bad"]]
 
 
 def judge(row, good, decode):
-    """The verdict on one stream."""
+    """Return the Result of one stream."""
     findings, said, verdict = [], "", None
     try:
         arrays, refused = decode(row["name"], (published.FOLDER / row["file"]).read_bytes())
     except PortError as error:
         verdict, said = error.kind, str(error)
     else:
-        if not good:
-            said = "" if refused is not None else f"taken, but it must be refused: {row['says']}"
-        elif refused is not None:
-            said = f"refused, but it is sound: {refused}"
-        else:
+        if good and refused is None:
             findings = compare(row, arrays)
+        elif good:
+            said = f"refused a valid stream: {refused}"
+        elif refused is None:
+            said = f"accepted a stream that must be refused: {row['says']}"
+        verdict = "fail" if findings or said else "pass"
     blamed = BLAMED.get(findings[0].tensor, "codec") if findings else "codec"
-    return Result(
-        f"codec/{row['name']}",
-        blamed,
-        "L3",
-        verdict or ("fail" if findings or said else "pass"),
-        True,
-        tuple(findings),
-        said,
-    )
+    id = f"codec/{row['name']}"
+    return Result(id, blamed, "L3", verdict, True, tuple(findings), said)
 
 
 class StreamFolder(FolderPort):
-    """What a port wrote into its folder `codec`."""
+    """The answers that a port wrote into its folder `codec`."""
 
     def decode(self, name, _):
-        """What the port found in a stream, as `Adapter.decode`: (arrays, None), or (None, why it refuses it).
+        """Return what the port found in a stream: (arrays, None), or (None, its refusal).
 
-        Raises     PortError
+        Raises PortError.
         """
-        reasons, path = self._reasons()
-        if name in reasons and not isinstance(reasons[name], str | None):
-            raise PortError("damaged", f"{path}: {name}: expected the reason as a text, or null")
-        if reasons.get(name) is not None:
-            return None, reasons[name]
+        reasons, file = self._reasons()
+        reason = reasons.get(name)
+        if reason is not None and not isinstance(reason, str):
+            raise PortError("damaged", f"{file}: {name}: expected the reason as a text, or null")
+        if reason is not None:
+            return None, reason
         try:
-            return self._load(f"codec/{name}")[0], None
+            return self.load(f"codec/{name}")[0], None
         except PortError as error:
-            if error.kind == "missing" and name in reasons:  # null, and no arrays that anyone needs
+            if error.kind == "missing" and name in reasons:  # null: not refused, no arrays given
                 return {}, None
-            raise PortError(error.kind, f"{error}, or why it is refused in {path}") from None
+            raise PortError(error.kind, f"{error}, or why it is refused in {file}") from None
 
     def _reasons(self):
-        path = self.folder / "codec" / "refusals.json"
+        """Return the port's reasons and the file that holds them."""
+        file = self.folder / "codec" / "refusals.json"
         if "refusals" not in self.loaded:
             try:
-                self.loaded["refusals"] = json.loads(path.read_text(encoding="utf-8"))
+                self.loaded["refusals"] = json.loads(file.read_text(encoding="utf-8"))
             except FileNotFoundError:
                 self.loaded["refusals"] = {}
             except (OSError, ValueError, RecursionError):
@@ -171,77 +116,66 @@ class StreamFolder(FolderPort):
         if not isinstance(self.loaded["refusals"], dict):
             raise PortError(
                 "damaged",
-                f"{path}: expected a JSON object {{name of a stream: why it is refused, or null}}",
+                f"{file}: expected a JSON object {{name of a stream: the reason of its refusal, "
+                f"or null}}",
             )
-        return self.loaded["refusals"], path
+        return self.loaded["refusals"], file
 
 
 def compare(row, arrays):
-    """Every way in which a port's arrays differ from those of a good stream, in the order in which data flow."""
+    """Return all differences of a port's arrays from a good stream, in the order of BLAMED."""
     wanted = {entry["name"]: entry for entry in row["arrays"]}
-    findings = [
-        Finding(name, "missing", f"expected {wanted[name]['type']} {tuple(wanted[name]['shape'])}")
-        if name not in arrays
-        else _difference(row, wanted[name], np.asarray(arrays[name]))
-        for name in BLAMED
-        if name in wanted
-    ]
-    findings += [
-        Finding(name, "extra", "not expected of this stream")
-        for name in arrays
-        if name not in wanted
-    ]
+    findings = []
+    for name in BLAMED:
+        if name in wanted and name in arrays:
+            findings.append(_difference(row, wanted[name], np.asarray(arrays[name])))
+        elif name in wanted:
+            said = f"expected {wanted[name]['type']} {tuple(wanted[name]['shape'])}"
+            findings.append(Finding(name, "missing", said))
+    extra = [name for name in arrays if name not in wanted]
+    findings += [Finding(name, "extra", "not expected of this stream") for name in extra]
     return [finding for finding in findings if finding]
 
 
 def _difference(row, entry, mine):
-    """A Finding, or None where the array's bytes are those of the stream's checksum."""
+    """Return None if the array's bytes have the checksum of the stream's, else a Finding."""
     name, kind, shape = entry["name"], entry["type"], tuple(entry["shape"])
     if mine.shape != shape:
         return Finding(name, "shape", f"{mine.shape}, expected {shape}")
     dtype = np.dtype("u1" if kind == "bit" else published.TYPES[kind])
-    if (
-        mine.dtype.kind not in "iub"
-        if dtype.kind in "iu"
-        else mine.dtype.newbyteorder("<") != dtype
-    ):
-        return Finding(
-            name, "dtype", f"{mine.dtype}, expected {'integers' if dtype.kind in 'iu' else dtype}"
-        )
+    if dtype.kind == "f":
+        if mine.dtype.newbyteorder("<") != dtype:
+            return Finding(name, "dtype", f"{mine.dtype}, expected {dtype}")
+    elif mine.dtype.kind not in "iub":
+        return Finding(name, "dtype", f"{mine.dtype}, expected integers")
     narrow = mine.astype(dtype)
-    data = np.packbits(narrow, bitorder="little").tobytes() if kind == "bit" else narrow.tobytes()
-    exact = (
-        dtype.kind == "f"
-        or np.array_equal(narrow, mine)
-        and (kind != "bit" or mine.size == 0 or narrow.max() <= 1)
-    )
-    if exact and hashlib.sha256(data).hexdigest() == entry["sha256"]:
+    fits = dtype.kind == "f" or np.array_equal(narrow, mine)
+    if kind == "bit":
+        fits = fits and narrow.max(initial=0) <= 1
+        data = np.packbits(narrow, bitorder="little").tobytes()
+    else:
+        data = narrow.tobytes()
+    if fits and hashlib.sha256(data).hexdigest() == entry["sha256"]:
         return None
     want = stored(row, entry)
-    wrong = (
-        narrow.view(f"u{dtype.itemsize}") != want.view(f"u{dtype.itemsize}")
-        if dtype.kind == "f"
-        else mine != want
-    )
+    if dtype.kind == "f":
+        bits = f"u{dtype.itemsize}"
+        wrong = narrow.view(bits) != want.view(bits)
+    else:
+        wrong = mine != want
     index = tuple(int(i) for i in np.argwhere(wrong)[0])
-    got, right = (np.asarray(a)[index].item() for a in (mine, want))
-    return Finding(
-        name,
-        "value",
-        f"{name}{list(index)}: got {got!r}, expected {right!r} ({int(wrong.sum())} of {wrong.size} "
-        f"numbers off; all bits count)",
-        index,
-        float(got),
-        float(right),
-    )
+    got, right = mine[index].item(), want[index].item()
+    said = f"{name}{list(index)}: got {got!r}, expected {right!r} "
+    said += f"({int(wrong.sum())} of {wrong.size} numbers off; all bits count)"
+    return Finding(name, "value", said, index, float(got), float(right))
 
 
 def stored(row, entry):
-    """An array of a good stream, as its file of expected numbers holds it."""
-    count, kind, at = int(np.prod(entry["shape"])), entry["type"], entry["offset"]
+    """Return an array of a good stream from its file of expected numbers."""
+    shape, kind, at = entry["shape"], entry["type"], entry["offset"]
+    count = int(np.prod(shape))
     body = (published.FOLDER / row["expected"]).read_bytes()
     if kind == "bit":
-        return np.unpackbits(np.frombuffer(body, np.uint8, -(-count // 8), at), bitorder="little")[
-            :count
-        ].reshape(entry["shape"])
-    return np.frombuffer(body, published.TYPES[kind], count, at).reshape(entry["shape"])
+        packed = np.frombuffer(body, np.uint8, -(-count // 8), at)
+        return np.unpackbits(packed, bitorder="little")[:count].reshape(shape)
+    return np.frombuffer(body, published.TYPES[kind], count, at).reshape(shape)

@@ -1,140 +1,122 @@
-"""How far from a vector a port may be: multiples of eps S, where S says how large the terms are that make up a number.
+"""Measures S, the scale by which a port's errors are judged: a number may be off by c eps S.
 
-A sum of terms of size S cannot be had more accurately than eps S, however small it turns out: where terms cancel, a bound
-relative to the result would ask for the impossible, and where they do not, an absolute bound would let mistakes pass.  For
-every number y of an output or gradient
+A sum whose terms have the size S cannot be computed more accurately than eps S, however small the
+sum itself is. Where terms cancel, a bound relative to the result would therefore ask for the
+impossible; where they do not, an absolute bound would let mistakes pass. For a number y of an
+output or a gradient,
 
-    S = max(|y|, root of the sum over all input numbers x of (x dy/dx)^2)
+    S = max(|y|, root of the sum over all input numbers x of (x dy/dx)**2)
 
-and y is right within c eps S, with eps of the port's precision.  The second term is measured: all inputs (for gradients the
-cotangents too) are changed by +-delta of themselves, signs drawn at random, PROBES times; the root of the mean square of
-y's answer, over delta, estimates it.  For a sum it is the size of the terms; for anything else, how the unavoidable
-rounding of the inputs shows.  c is measured too: SAFETY times the largest error, in eps S, that this project's own
-evaluation in float32 makes, rounded up to a power of two, and at least FLOOR, for the order of a sum is free.
+and y is right within c eps S, with the eps of the port's precision.
+
+The second term of S is measured. All inputs, for gradients the cotangents too, are changed by
++-delta of themselves with random signs, PROBES times; the root mean square of the change of y,
+divided by delta, estimates the term. For a sum it is the size of the summands; for anything else it
+says how the rounding of the inputs shows. `tests/golden/measured.py` measures c.
+
+The functions below take `answer(inputs, cotangents)`, which returns outputs and gradients as flat
+tensors {"out.x": array, "in_bar.x_a": array}.
 """
 
 import zlib
 
 import numpy as np
 
-from ..studies.precision import cast
 from .compare import IMAGES
-from .subjects import flatten, run
+from .published import flatten
 
 PROBES = 12
-DELTA = (
-    2.0**-34
-)  # far above the rounding of float64, and small enough for terms that cancel to eight digits
-SAFETY, FLOOR = 4, 32
-LARGEST = 2.0**14  # a case that float32 misses by more asks for more than float32 has
-LEAST = 2.0**-40  # S of a number is at least this part of the largest S in its array
+DELTA = 2.0**-34  # far above float64's rounding, small enough for terms that cancel to eight digits
+LEAST = 2.0**-40  # of the largest S in its array: the smallest S of a number
 
 
-def scales(eq, case, cotangents, flat):
-    """S of every float tensor in `flat`: {"out.bits": array of its shape, or () for an image}.
+def answer_of(eq):
+    """Return the function `answer` of an equation of the table."""
 
-    Shapes     flat {"out.x": array, "in_bar.x": array}: the values themselves
+    def answer(inputs, cotangents):
+        outputs, pullback = eq.vjp(**inputs)
+        gradients = pullback(**cotangents) if eq.gradients else {}
+        gradients = {name: gradients[name] for name in eq.gradients}
+        return {**flatten(outputs, "out."), **flatten(gradients, "in_bar.")}
+
+    return answer
+
+
+def cotangents_of(eq, outputs, seed, given={}):
+    """Return a cotangent for every float output: the one given, else normal numbers.
+
+    The seed is a text.
     """
-    rng = np.random.default_rng(zlib.crc32(case.name.encode()))
-    wide, narrow = (
-        _spread(eq, case, cotangents, flat, delta, rng) for delta in (DELTA, DELTA / 16)
-    )
+    rng = np.random.default_rng(zlib.crc32(seed.encode()))
+    drawn = {}
+    for name, value in outputs.items():
+        if eq.gradients and np.asarray(value).dtype.kind == "f":
+            bar = rng.standard_normal(np.shape(value))
+            drawn[name + "_bar"] = given.get(name + "_bar", bar)
+    return drawn
+
+
+def cast(values, dtype):
+    """Return inputs or cotangents with every float array in another precision."""
+
+    return _floats_changed(values, lambda a: np.asarray(a, dtype))
+
+
+def _floats_changed(values, change):
+    """Apply `change` to every float array of a dictionary of arrays, lists and settings."""
+
+    def visit(value):
+        if isinstance(value, list):
+            return [visit(b) for b in value]
+        is_array = isinstance(value, (np.ndarray, np.generic))
+        return change(value) if is_array and value.dtype.kind == "f" else value
+
+    return {name: visit(value) for name, value in values.items()}
+
+
+def scales(answer, inputs, cotangents, flat, seed):
+    """Return S of every float tensor in `flat`, the answer: an array like it, () for an image.
+
+    The seed is a text.
+    """
+    rng = np.random.default_rng(zlib.crc32(seed.encode()))
+    wide = _spread(answer, inputs, cotangents, flat, DELTA, rng)
+    narrow = _spread(answer, inputs, cotangents, flat, DELTA / 16, rng)
     return {name: _scale(name, flat[name], wide[name], narrow[name]) for name in wide}
 
 
-def _spread(eq, case, cotangents, flat, delta, rng):
-    """Root mean square of every number's answer to random changes of all inputs by delta, over delta."""
+def _spread(answer, inputs, cotangents, flat, delta, rng):
+    """Return the root mean square change of every number per delta, all inputs being changed."""
+
+    def move(a):
+        signs = rng.choice([-1.0, 1.0], np.shape(a))
+        return (a * (1 + delta * signs)).astype(a.dtype)
+
     squares = {name: np.zeros(a.shape) for name, a in flat.items() if a.dtype.kind == "f"}
     with np.errstate(all="ignore"):
         for _ in range(PROBES):
+            moved_inputs = _floats_changed(inputs, move)
+            moved_cotangents = _floats_changed(cotangents, move)
             try:
-                moved = named(
-                    *run(eq, _moved(case.inputs, rng, delta), _moved(cotangents, rng, delta))
-                )
-            except (
-                ValueError
-            ):  # at a threshold: another number of Gaussians is kept, the cotangents do not fit
+                moved = answer(moved_inputs, moved_cotangents)
+            except ValueError:  # at a threshold another number of Gaussians is kept
                 continue
             for name in squares:
-                step = (moved[name] - flat[name]) / delta
-                squares[name] += (
-                    np.where(np.isfinite(step), np.minimum(np.abs(step), 1e150), 0) ** 2
-                )
+                step = np.abs(moved[name] - flat[name]) / delta
+                squares[name] += np.where(np.isfinite(step), np.minimum(step, 1e150), 0) ** 2
     return {name: np.sqrt(square / PROBES) for name, square in squares.items()}
 
 
 def _scale(name, values, wide, narrow):
     size = np.where(np.isfinite(values), np.abs(values), 0)
-    # Across a tie or a kink a sixteenth of the change makes the same jump, sixteen times the quotient: only |y| counts there.
+    # Across a tie or a kink a sixteenth of the change makes the same jump, which is sixteen times
+    # the quotient. Only |y| counts there.
     size = np.maximum(size, np.where(narrow > 4 * wide, 0, wide))
     largest = size.max(initial=0)
-    size = (
-        largest.reshape(()) if name.split(".")[1] in IMAGES else np.maximum(size, LEAST * largest)
-    )
-    inside = (size == 0) | (size > 1e-30) & (
-        size < 1e30
-    )  # six digits of S are enough where float32 has the range
-    return size.astype(np.float32) if inside.all() else size
-
-
-def _moved(values, rng, delta):
-    """Every float array times 1 +- delta."""
-
-    def move(a):
-        if isinstance(a, list):
-            return [move(b) for b in a]
-        if isinstance(a, (np.ndarray, np.generic)) and np.asarray(a).dtype.kind == "f":
-            return (a * (1 + delta * rng.choice([-1.0, 1.0], np.shape(a)))).astype(a.dtype)
-        return a
-
-    return {name: move(a) for name, a in values.items()}
-
-
-def named(out, gradients):
-    """Outputs and gradients as flat tensors with their roles."""
-    return {**flatten(out, "out."), **flatten(gradients, "in_bar.")}
-
-
-def float32_error(eq, case, cotangents, flat, scale):
-    """The largest error of this project's own float32 evaluation, in eps S; infinite where float32 cannot follow."""
-    try:
-        with np.errstate(all="ignore"):
-            low = named(*run(eq, cast(case.inputs, np.float32), cast(cotangents, np.float32)))
-    except (ValueError, ArithmeticError):
-        return np.inf
-    worst = 0.0
-    for name, want in flat.items():
-        got = low.get(name)
-        if got is None or got.shape != want.shape:
-            return np.inf
-        if want.dtype.kind != "f":
-            worst = worst if np.array_equal(got, want) else np.inf
-            continue
-        with np.errstate(
-            all="ignore"
-        ):  # not `deviations`: here what float32 cannot hold must show, nothing is free
-            off = np.abs(got.astype(float) - want) / (
-                np.finfo(np.float32).eps * scale[name].astype(float)
-            )
-        off = np.where(got == want, 0, off)  # equal infinities; 0 where S is 0
-        worst = max(worst, float(np.nan_to_num(off, nan=np.inf).max(initial=0)))
-    return worst
-
-
-def tolerances(error, image=False):
-    """{"float64": {eps_S, reason}, "float32": the same or None, ...} of a case whose float32 evaluation is off by `error`.
-
-    An image has two bounds: eps_S for its worst value, and a quarter of that for the root mean square of all errors.
-    """
-    measured = error <= LARGEST
-    c = FLOOR if not measured else max(FLOOR, int(2 ** np.ceil(np.log2(max(SAFETY * error, 1)))))
-    said = f"{SAFETY} times the {error:.2g} eps S by which float32 misses here, at least {FLOOR}, to a power of two"
-    bounds = {"eps_S": c, **({"rms_eps_S": c / 4} if image else {})}
-    double = {**bounds, "reason": said if measured else f"{FLOOR} eps S: the order of sums is free"}
-    if measured:
-        return {"float64": double, "float32": {**bounds, "reason": said}}
-    return {
-        "float64": double,
-        "float32": None,
-        "float32_reason": "float32 cannot hold these inputs or misses their result by more than 2^14 eps S; do this case in float64",
-    }
+    if name.split(".")[1] in IMAGES:
+        size = largest.reshape(())
+    else:
+        size = np.maximum(size, LEAST * largest)
+    # float32 has enough digits for S, but not always the range
+    in_range = (size == 0) | (size > 1e-30) & (size < 1e30)
+    return size.astype(np.float32) if in_range.all() else size

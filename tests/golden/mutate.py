@@ -1,8 +1,9 @@
-"""One-token mutations of the equations' own code: every place where one operator, number, name or order can go wrong.
+"""One-token mutations of the equations' own code: another operator, number, name or order.
 
-Each site is named `<file>:<function or constant>:<operator>:<n>`, n counting the operator's sites within that function,
-so that other edits leave the name alone.  A mutation is applied in this process: the mutated function is compiled and
-its code put into the function that all users of the module already hold; afterwards the old code is put back.
+Each site is named `<file>:<function or constant>:<operator>:<n>`, where n counts the sites of the
+operator within that function, so that edits elsewhere leave the name alone. A mutation is applied
+in this process: the mutated function is compiled, and its code is put into the function that all
+users of the module already hold. Afterwards the old code is put back.
 """
 
 import ast
@@ -14,38 +15,21 @@ from pathlib import Path
 from typing import NamedTuple
 
 import p4dgs_ref
-from p4dgs_ref.equations import EQUATIONS
+from p4dgs_ref.table import EQUATIONS
 
 ROOT = Path(p4dgs_ref.__file__).parent
+# Files that serve an equation, or several.
 HELPERS = {
-    "gaussian_bin": "likelihood",
     "grid_nodes": "hash_grid",
     "window": "ssim",
-}  # file -> equation it serves
-SPLATTING = ("covariance", "projection", "compositing")
-
-# Not the equations' code: makers of test cases, surrogates for tests, the rungs that are known to be worse.
-NOT_EQUATIONS = {
-    "cases",
-    "surrogate",
-    "literal",
-    "hac",
-    "HAC_FLOOR",
-    "random_network",
-    "random_field",
-    "random_splats",
-    "view_inputs",
-    "without_view",
-    "_inverse_of_needle",
+    "anchor_network": "",
+    "numerics": "",
 }
-REFUSALS = {"LIMIT", "wrong"}  # names that decide only which inputs are refused
-PORTIONS = {"BLOCK", "PIECE", "size"}  # names that decide only how much is computed at once
-PLAIN_KEYWORDS = {
-    "dtype",
-    "copy",
-    "strict",
-    "order",
-}  # of calls: types, copies and refusals, no mathematics
+NOT_COMPUTED = {"literal"}  # the printed formula of Eq. (11), which nothing calls
+# Names that decide only which inputs are refused, and how much is computed at once.
+REFUSALS = {"LIMIT", "wrong", "check_positive"}
+PORTIONS = {"BLOCK", "PIECE", "size"}
+PLAIN_KEYWORDS = {"dtype", "copy", "strict", "order"}  # of calls; they are no mathematics
 
 OPERATORS = {
     ast.Add: ast.Sub,
@@ -93,43 +77,17 @@ NAMES = {
     "ones_like": "zeros_like",
     "tanh": "sin",
     "erfcx": "ndtr",
-    "sigmoid": "tanh",
-    "expit": "tanh",
+    "sigmoid": "abs",
     "argsort": "argmin",
     "cumsum": "cumprod",
 }
 DROPPED = {"abs", "reversed", "sign"}  # calls replaced by their argument
 TRANSPOSERS = {"transpose", "swapaxes"}
-WORDS = (
-    ast.Name,
-    ast.Tuple,
-    ast.Slice,
-    ast.Starred,
-    ast.Constant,
-    ast.UnaryOp,
-)  # too short to be shown alone
-TYPES = {
-    "dtype",
-    "float",
-    "float64",
-    "int64",
-    "uint32",
-    "bits_f.dtype",
-    "res.dtype",
-    "slopes.dtype",
-    "res.sigma.dtype",
-}
-SYMMETRIC = {
-    "minimum",
-    "maximum",
-    "min",
-    "max",
-    "hypot",
-    "result_type",
-    "einsum",
-    "swapaxes",
-}  # in their arguments
-
+# Too short to be shown alone.
+WORDS = (ast.Name, ast.Tuple, ast.Slice, ast.Starred, ast.Constant, ast.UnaryOp)
+# Functions that are symmetric in their arguments.
+SYMMETRIC = {"minimum", "maximum", "min", "max", "hypot", "result_type", "einsum", "swapaxes"}
+TYPES = {"dtype", "float", "float64", "int64", "uint32", "inner"}
 LONG, AROUND = 80, 20  # letters of a description
 
 
@@ -138,7 +96,7 @@ class Mutation(NamedTuple):
 
     id: str
     module: str  # p4dgs_ref.equations.offsets
-    equation: str  # to blame
+    equation: str  # that the file is about; "" for a helper of several
     owner: str  # the function or constant in which the token stands
     description: str  # old -> new
     statement: ast.stmt  # of the owner
@@ -151,10 +109,9 @@ class Mutation(NamedTuple):
 
 
 def files():
-    """[(module, equation to blame)] of all mutated files."""
-    found = [(f"p4dgs_ref.equations.{key}", key) for key in EQUATIONS if key not in SPLATTING]
-    found += [(f"p4dgs_ref.equations.{name}", key) for name, key in HELPERS.items()]
-    return found + [(f"p4dgs_ref.splatting.{key}", key) for key in SPLATTING]
+    """Return [(module, its equation)] of all files that are mutated."""
+    found = [(eq.module, key) for key, eq in EQUATIONS.items()]
+    return found + [(f"p4dgs_ref.equations.{name}", key) for name, key in HELPERS.items()]
 
 
 def mutations():
@@ -167,7 +124,7 @@ def mutations_of(module, equation):
     found = []
     for statement in parsed(module):
         owner, counts = owner_of(statement), {}
-        if owner is None or owner in NOT_EQUATIONS | REFUSALS | PORTIONS:
+        if owner is None or owner in NOT_COMPUTED | REFUSALS | PORTIONS:
             continue
         for operator, place, new, shown in sites(statement):
             counts[operator] = counts.get(operator, 0) + 1
@@ -199,9 +156,10 @@ def owner_of(statement):
     """The name of a function or of the first constant that a statement defines; None for anything else."""
     if isinstance(statement, ast.FunctionDef):
         return statement.name
-    if isinstance(statement, ast.Assign) and "declare" not in ast.unparse(statement.value):
+    if isinstance(statement, ast.Assign):
         target = statement.targets[0]
-        return (target.elts[0] if isinstance(target, ast.Tuple) else target).id
+        name = (target.elts[0] if isinstance(target, ast.Tuple) else target).id
+        return None if name == "__all__" else name
     return None
 
 
@@ -259,6 +217,8 @@ def order_of(holder, node):
 
 def aside(node):
     """Whether a statement is an error path or decides how much is computed at once."""
+    if isinstance(node, ast.Expr) and isinstance(node.value, ast.Call):
+        return getattr(node.value.func, "id", "") in REFUSALS
     if isinstance(node, ast.Assign):
         return isinstance(node.targets[0], ast.Name) and node.targets[0].id in REFUSALS | PORTIONS
     if isinstance(node, ast.For):
@@ -332,7 +292,8 @@ def swaps(items):
     """A list with each pair of neighbours swapped in turn, where that changes more than the place of a type."""
     for i in range(len(items) - 1):
         pair = {ast.unparse(item).removeprefix("np.") for item in items[i : i + 2]}
-        if len(pair) == 2 and not pair & TYPES:
+        is_type = any(text in TYPES or text.endswith(".dtype") for text in pair)
+        if len(pair) == 2 and not is_type:
             yield [*items[:i], items[i + 1], items[i], *items[i + 2 :]]
 
 

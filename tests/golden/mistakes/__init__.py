@@ -1,0 +1,31 @@
+"""The known mistakes of ports, collected from their history.
+
+Each is defined once, as a change of behaviour: what a port with that mistake returns in place of an
+equation or a stage. From this definition `python -m tests.golden.mistakes` computes the wrong
+answers to the published cases, which `p4dgs_ref.oracle.doctor` compares with a port's.
+"""
+
+from tests.golden.mistakes import (
+    compositing,
+    geometry,
+    grid,
+    losses,
+    motion,
+    prediction,
+    rate,
+    stages,
+)
+from tests.golden.mistakes.kit import Mistake, NotApplicable
+
+MISTAKES = [
+    *prediction.MISTAKES,
+    *motion.MISTAKES,
+    *geometry.MISTAKES,
+    *compositing.MISTAKES,
+    *losses.MISTAKES,
+    *grid.MISTAKES,
+    *rate.MISTAKES,
+    *stages.MISTAKES,
+]
+
+__all__ = ["MISTAKES", "Mistake", "NotApplicable"]

@@ -1,0 +1,63 @@
+"""`python -m tests.golden.mistakes` writes the wrong answers that the doctor compares with a port's."""
+
+import gzip
+import json
+
+import numpy as np
+
+from p4dgs_ref.oracle import published, safetensors
+from p4dgs_ref.oracle.compare import compare
+from p4dgs_ref.oracle.doctor import FOLDER
+from p4dgs_ref.oracle.published import flatten
+from tests.golden.mistakes import MISTAKES, NotApplicable
+
+
+def answers(mistake, case):
+    """Return what a port with a mistake answers to a published case, as flat tensors.
+
+    Where the mistake does not apply, the answer is right.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            outputs, gradients = mistake.run(case.inputs(), case.cotangents())
+    except NotApplicable:
+        return {n: a for n, a in case.tensors.items() if n.startswith(("out.", "in_bar."))}
+    return {**flatten(outputs, "out."), **flatten(gradients, "in_bar.")}
+
+
+def wrong_tensors(mistake):
+    """Return {"<mistake>/<case>/<tensor>": array} of every tensor that a mistake gets wrong."""
+    found = {}
+    for case in published.cases(mistake.subject):
+        got = answers(mistake, case)
+        for finding in compare(case.tensors, got, case.tolerance("float64")):
+            found[f"{mistake.id}/{case.name}/{finding.tensor}"] = got[finding.tensor]
+    return found
+
+
+def files():
+    """Return {name: bytes} of all files of the doctor's folder."""
+    rows, tensors = [], {}
+    for mistake in MISTAKES:
+        row = {name: getattr(mistake, name) for name in ("id", "subject", "equation")}
+        rows.append({**row, "description": mistake.description})
+        tensors.setdefault(mistake.subject, {}).update(wrong_tensors(mistake))
+    found = {"mistakes.json": (json.dumps(rows, indent=1) + "\n").encode()}
+    for subject, arrays in tensors.items():
+        data = safetensors.dump(arrays)[0]
+        found[f"{subject}.safetensors.gz"] = gzip.compress(data, mtime=0)
+    return found
+
+
+def main():
+    FOLDER.mkdir(exist_ok=True)
+    for file in FOLDER.iterdir():
+        file.unlink()
+    for name, data in files().items():
+        (FOLDER / name).write_bytes(data)
+    size = sum(file.stat().st_size for file in FOLDER.iterdir())
+    print(f"{FOLDER}: {len(MISTAKES)} mistakes, {size:,} bytes")
+
+
+if __name__ == "__main__":
+    main()

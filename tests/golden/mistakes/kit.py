@@ -1,0 +1,203 @@
+"""How a known mistake is written down: the reference, given other inputs, showing other outputs, or both.
+
+Every mistake answers `run(inputs, cotangents) -> (out, in_bar)`: what a port with this mistake would have returned for a
+case.  `port` wraps the reference's own pair in transformations and their adjoints; `network` lets a network end in
+another head.  Where neither does, a file of mistakes writes the one differing step itself.
+"""
+
+from typing import Callable, NamedTuple
+
+import numpy as np
+from scipy.special import expit
+
+from p4dgs_ref.equations import mlp
+from tests.golden.subjects import subjects
+
+
+class NotApplicable(Exception):
+    """The mistake says nothing about this case, which lacks what the mistake is about."""
+
+
+class Mistake(NamedTuple):
+    """One way in which ports go wrong."""
+
+    id: str
+    subject: str  # whose cases show it: an equation or a stage
+    description: str  # what the port does instead, said to its author
+    run: Callable  # (inputs, {"x_bar": array}) -> ({output: array}, {input: gradient})
+
+    @property
+    def equation(self):
+        """The equation to blame."""
+        return subjects()[self.subject].equation
+
+
+def quiet(run):
+    """Mistakes divide by zero and overflow as ports do: without a word."""
+
+    def silently(inputs, cotangents):
+        with np.errstate(all="ignore"):
+            return run(inputs, cotangents)
+
+    return silently
+
+
+def bars_of(cotangents):
+    """{"x_bar": a} to {"x": a}."""
+    return {name.removesuffix("_bar"): bar for name, bar in cotangents.items()}
+
+
+def port(key, inputs=None, inputs_bar=None, outputs=None, outputs_bar=None):
+    """`run` of a port that is the reference but for some arrays.
+
+    Each argument is {name: function of that array} or one function of whole dictionaries:
+    inputs       f(x) or f(inputs): what the reference is given in their place
+    inputs_bar   f(bar, x) or f(bars, inputs): the gradient the port returns in place of the reference's
+    outputs      f(y) or f(out, inputs): what the port shows in place of the reference's output
+    outputs_bar  f(bar, y) or f(bars, out, inputs): the cotangent that the reference is given
+    """
+
+    def run(given, cotangents):
+        bars = bars_of(cotangents)
+        out, pullback = subjects()[key].vjp(**changed(inputs, given, (), (given,)))
+        shown = changed(outputs, out, (), (out, given))
+        bars = changed(outputs_bar, bars, (out,), (bars, out, given))
+        in_bar = pullback(**{name + "_bar": bar for name, bar in bars.items()})
+        return shown, changed(inputs_bar, in_bar, (given,), (in_bar, given))
+
+    return quiet(run)
+
+
+def changed(change, tree, beside, whole):
+    """`tree` with some entries replaced: by functions of an entry and those of its name beside it, or of everything."""
+    if callable(change):
+        return change(*whole)
+    return {
+        **tree,
+        **{
+            name: f(tree[name], *(other[name] for other in beside))
+            for name, f in (change or {}).items()
+        },
+    }
+
+
+def known(subject, id, description, **changes):
+    """A mistake told by transformations, the arguments of `port`."""
+    return Mistake(id, subject, description, port(subject, **changes))
+
+
+def surgery(subject, id, description, run):
+    """A mistake whose differing step is written out."""
+    return Mistake(id, subject, description, quiet(run))
+
+
+# --- transformations that recur ----------------------------------------------------------------------------------
+def without(name):
+    """An input is left out of the formula."""
+    return dict(inputs={name: np.zeros_like}, inputs_bar={name: no_gradient})
+
+
+def no_gradient(bar, _):
+    return np.zeros_like(bar)
+
+
+def inverse(order):
+    return np.argsort(order)
+
+
+def first_rows(order):
+    """The network's input is put together in another order: column order(inputs)[i] of ours stands at i."""
+
+    def rows(tree, index):
+        return {**tree, "weights": [tree["weights"][0][index], *tree["weights"][1:]]}
+
+    return dict(
+        inputs=lambda given: rows(given, inverse(order(given))),
+        inputs_bar=lambda bars, given: rows(bars, order(given)),
+    )
+
+
+def last_columns(order):
+    """The network's output is taken apart in another order: where we read column c, the port reads order(inputs)[c]."""
+
+    def columns(tree, index):
+        weights, biases = tree["weights"], tree["biases"]
+        return {
+            **tree,
+            "weights": [*weights[:-1], weights[-1][:, index]],
+            "biases": [*biases[:-1], biases[-1][index]],
+        }
+
+    return dict(
+        inputs=lambda given: columns(given, order(given)),
+        inputs_bar=lambda bars, given: columns(bars, inverse(order(given))),
+    )
+
+
+def component_major(width):
+    """Outputs of k children with `width` numbers each, read component by component instead of child by child."""
+    return last_columns(
+        lambda given: np.arange(len(given["biases"][-1])).reshape(width, -1).T.ravel()
+    )
+
+
+def hac_order(given):
+    """(f_a, d_vc, delta_vc), as HAC concatenates; nothing changes where the scene has no view inputs."""
+    d, view = given["f_a"].shape[1], given["d_vc"].shape[1]
+    return np.array([*range(d), *range(d + 1, d + 1 + view), *([d] if view else [])])
+
+
+# --- networks that end in another head ---------------------------------------------------------------------------
+def tanh(y):
+    return np.tanh(y), 1 - np.tanh(y) ** 2
+
+
+def sigmoid(y):
+    return expit(y), expit(y) * expit(-y)
+
+
+def exponential(y):
+    return np.exp(y), np.exp(y)
+
+
+def identity(y):
+    return y, np.ones_like(y)
+
+
+def relu(y):
+    return np.maximum(y, 0), (y > 0).astype(y.dtype)
+
+
+def network(head):
+    """`run` of a network's equation that ends in another head.
+
+    head(y, inputs) -> outputs, pull;  pull(bars) -> y_bar, {other input: gradient}
+    """
+
+    def run(given, cotangents):
+        parts = ("h",) if "h" in given else ("f_a", "delta_vc", "d_vc")
+        x = np.concatenate([given[name] for name in parts], axis=1)
+        y, saved = mlp.forward(x, given["weights"], given["biases"])
+        out, pull = head(y, given)
+        y_bar, others = pull(bars_of(cotangents))
+        bars = mlp.backward(saved, y_bar)
+        ends = np.cumsum([given[name].shape[1] for name in parts])[:-1]
+        inputs_bar = dict(zip(parts, np.split(bars.pop("x"), ends, axis=1)))
+        return out, {**others, **inputs_bar, **bars}
+
+    return run
+
+
+def headed(equation, id, description, head):
+    return surgery(equation, id, description, network(head))
+
+
+def elementwise(name, width, activation):
+    """A head that applies `activation(y) -> value, slope` to all outputs, `width` numbers a child (0: no such axis)."""
+
+    def head(y, _):
+        value, slope = activation(y)
+        shape = (len(y), y.shape[1] // width, width) if width else y.shape
+        return {name: value.reshape(shape)}, lambda bars: (bars[name].reshape(y.shape) * slope, {})
+
+    return head

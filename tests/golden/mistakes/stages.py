@@ -1,0 +1,107 @@
+"""Known mistakes between equations: every equation is right, and what one hands to the next is not."""
+
+import numpy as np
+
+from p4dgs_ref.equations import deformation, deformed
+from tests.golden.mistakes.kit import known, port, surgery
+
+
+# --- Fig. 1 ------------------------------------------------------------------------------------------------------
+def scales_exchanged(tree, *_):
+    return {**tree, "l_a": tree["s_a"], "s_a": tree["l_a"]}
+
+
+def deformation_seen(given, cotangents):
+    """The gradient of x that comes back from E(x) is added."""
+    out, bars = port("temporal_prediction")(given, cotangents)
+    delta, res = deformation.forward(
+        given["x"],
+        given["t"],
+        given["psi_d_weights"],
+        given["psi_d_biases"],
+        given["L_x"],
+        given["L_t"],
+    )
+    _, res_t = deformed.forward(given["x"], given["s"], given["r"], *delta)
+    moved = deformed.backward(res_t, **cotangents)
+    x_bar = deformation.backward(res, moved["delta_x"], moved["delta_s"], moved["delta_r"])["x"]
+    return out, {**bars, "x": bars["x"] + x_bar}
+
+
+RENDERING = [
+    known(
+        "spatial_prediction",
+        "stage-l-and-s-exchanged",
+        "l_a and s_a are exchanged: s_a scales the offsets",
+        inputs=scales_exchanged,
+        inputs_bar=scales_exchanged,
+    ),
+    surgery(
+        "temporal_prediction",
+        "stage-gradient-through-encoding",
+        "a gradient flows back from E(x) into x, where the pipeline stops it (Q10)",
+        deformation_seen,
+    ),
+]
+
+
+# --- Fig. 2 ------------------------------------------------------------------------------------------------------
+def of_offsets(change):
+    """mu and sigma with the 3k columns of O changed: (A, k, 3) -> its other order, flattened."""
+
+    def columns(tree, given):
+        first = -3 * given["k"]
+        return {
+            **tree,
+            **{
+                name: np.concatenate([tree[name][:, :first], change(tree[name][:, first:])], axis=1)
+                for name in ("mu", "sigma")
+            },
+        }
+
+    return columns
+
+
+def coordinate_major(O):
+    return O.reshape(len(O), O.shape[1] // 3, 3).swapaxes(1, 2).reshape(O.shape)
+
+
+def child_major(O):
+    return O.reshape(len(O), 3, O.shape[1] // 3).swapaxes(1, 2).reshape(O.shape)
+
+
+def middle_exchanged(q, *_):
+    return q[:, [0, 2, 1, 3]]
+
+
+def living(given):
+    """All numbers over those that are coded: of masked offsets none."""
+    total = given["noisy"].size
+    return total / (total - 3 * np.count_nonzero(~given["mask"]))
+
+
+CODING = [
+    known(
+        "context_stage",
+        "stage-offsets-coordinate-major",
+        "mu and sigma of O are flattened as (3, k) instead of (k, 3)",
+        outputs=of_offsets(coordinate_major),
+        outputs_bar=lambda bars, out, given: of_offsets(child_major)(bars, given),
+    ),
+    known(
+        "rate_stage",
+        "stage-steps-exchanged",
+        "the steps of s and l are exchanged: q is read as f, l, s, O",
+        inputs={"q": middle_exchanged},
+        inputs_bar={"q": middle_exchanged},
+    ),
+    known(
+        "rate_stage",
+        "stage-masked-not-counted",
+        "L_rate is divided by the numbers that are coded, masked offsets left out",
+        outputs=lambda out, given: {**out, "L_rate": out["L_rate"] * living(given)},
+        outputs_bar=lambda bars, out, given: {**bars, "L_rate": bars["L_rate"] * living(given)},
+    ),
+]
+
+MISTAKES = [*RENDERING, *CODING]

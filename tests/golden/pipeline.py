@@ -1,0 +1,421 @@
+"""Vectors of level L4: frames of a trained model, and ten steps of an optimisation.
+
+The model is published beside the vectors as `model.p4dgs`. `python -m tests.golden.pipeline` trains
+it again in seconds: the scene `bouncing` before a blue background with all effects, small networks,
+one seed. A training on another machine ends elsewhere, but nobody has to repeat it: the vectors
+hold the decoded arrays.
+"""
+
+import re
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from p4dgs_ref import model
+from p4dgs_ref.codec.file import decode, encode
+from p4dgs_ref.equations.grid_nodes import locate
+from p4dgs_ref.model import Anchors
+from p4dgs_ref.oracle.published import FOLDER
+from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.scenes.scene import MODEL_EFFECTS, View
+from p4dgs_ref.splatting import render
+from p4dgs_ref.splatting.camera import look_at
+from p4dgs_ref.splatting.settings import EXACT, SETTINGS
+from p4dgs_ref.training import objective
+from p4dgs_ref.training.adam import Adam
+from p4dgs_ref.training.fit import train
+from p4dgs_ref.training.parameters import Parameters
+from p4dgs_ref.training.presets import TINY
+from tests.golden.cases import Case
+from tests.golden.flat import (
+    CAMERA_SHAPES,
+    EMPTY,
+    NETWORKS,
+    camera_of,
+    described,
+    flat_networks,
+    networks_of,
+    shapes_of,
+)
+from tests.golden.subjects import Subject, no_pullback
+
+MODEL = FOLDER / "model.p4dgs"
+STEPS = 10
+RENDERING = NETWORKS[:5]  # the networks of Fig. 1
+
+
+# --- frames -------------------------------------------------------------------------------------
+def frames_vjp(
+    x_a,
+    f_a,
+    s_a,
+    l_a,
+    O_a,
+    mask,
+    W,
+    T,
+    focal,
+    center,
+    size,
+    t,
+    background,
+    tau_alpha,
+    effects,
+    L_x,
+    L_t,
+    renderer,
+    **networks,
+):
+    """An image of a decoded model: Fig. 1 from end to end, Eqs. (1) to (6).
+
+    x_c of Eq. (2) is -W^T T. `renderer` is the name of settings of Q21; the arithmetic is float64
+    whatever they say.
+    """
+    camera = camera_of(W, T, focal, center, size)
+    design = EMPTY._replace(L_x=L_x, L_t=L_t, tau_alpha=tau_alpha, effects=effects)
+    anchors = Anchors(x_a, f_a, s_a, l_a, O_a, mask)
+    g, _ = model.predict(design, networks_of(networks), anchors, camera.center, t)
+    settings = SETTINGS[renderer]._replace(dtype="float64")
+    (image, *_), _ = render.forward(
+        g.x, g.s, g.r, g.alpha, g.color, camera, background, settings, "occlusion" in effects
+    )
+    return {"image": image.astype(x_a.dtype, copy=False)}, no_pullback
+
+
+@cache
+def golden_model():
+    """The trained model, decoded."""
+    return decode(MODEL.read_bytes())
+
+
+def train_golden_model():
+    """Bytes of a small model that moves, shines and hides parts of itself."""
+    scene = replace(load_scene("bouncing", background=(0.35, 0.6, 0.85)), effects=MODEL_EFFECTS)
+    preset = TINY._replace(
+        name="golden",
+        anchors=60,
+        d=6,
+        k=5,
+        hidden=(14, 12),
+        deformation=(20, 18),
+        L_x=3,
+        L_t=2,
+        context=(10,),
+        grid_3d=(5,),
+        grid_2d=(9,),
+        stage_ends=(60, 90, 700, 1000),
+        decay_from=90,
+        grow_from=30,
+        grow_every=30,
+        grow_until=500,
+        mask_from=700,
+    )
+    return encode(train(scene, preset, seed=1))
+
+
+# Neither is square, centred or has square pixels.
+FRONT = look_at((1.1, -1.9, 0.9), (0.05, 0, -0.45), 38.0, 33.0, 40, 28, c_x=21.3, c_y=12.1)
+SIDE = look_at((-1.6, -1.2, 0.4), (0, 0.05, -0.4), 33.0, 37.0, 40, 28, c_x=17.2, c_y=14.6)
+
+
+def frames_cases():
+    m = golden_model()
+    networks = flat_networks({name: m.networks[name] for name in RENDERING})
+    common = dict(
+        **m.anchors._asdict(),
+        background=m.background,
+        **networks,
+        **{name: getattr(m.design, name) for name in ("tau_alpha", "effects", "L_x", "L_t")},
+    )
+    for name, camera in (("front", FRONT), ("side", SIDE)):
+        for t in (0.0, 0.35, 1.0):
+            yield Case(
+                f"{name}_{100 * t:03.0f}",
+                dict(**common, **described(camera), t=t, renderer="exact"),
+            )
+    yield Case("paper_settings", dict(**common, **described(FRONT), t=0.35, renderer="paper"))
+
+
+# --- trace --------------------------------------------------------------------------------------
+def trace_vjp(
+    x_a,
+    f_a,
+    log_s,
+    log_l,
+    O_a,
+    mask,
+    lo,
+    hi,
+    grids,
+    resolutions,
+    Q_0,
+    W,  # [V, 3, 3]  V cameras
+    T,
+    focal,
+    center,
+    size,  # [2]  the same for all
+    times,
+    truth,  # [V, H, W, 3]
+    background,
+    views,  # [S]  the view of every step
+    u,  # [S, A, n]  the noise of every step
+    learning_rates,  # [P]  of the parameters that `arrays` names
+    arrays,
+    tau_alpha,
+    effects,
+    L_x,
+    L_t,
+    lambda_rate,
+    lambda_ssim,
+    **networks,
+):
+    """Steps of stage 4: one view and one noise a step, gradients of L_total, Adam.
+
+    Adam's n-th step, g being the gradient: m = 0.9 m + 0.1 g, v = 0.999 v + 0.001 g^2, both 0 at
+    first; then the parameter moves by -rate (m / (1 - 0.9^n)) / (sqrt(v / (1 - 0.999^n)) + e),
+    e = 1e-15 / sqrt(1 - 0.999^n) (Kingma and Ba 2015). x_a does not move: its learning rate is 0,
+    because the grid has located it. There is no volume term.
+
+    Returns the losses of every step [S] before the step; `gradient_norm` [S, P] before the step;
+    `total` and `ramp` [S, P] after the step, the sum of every parameter array and the sum of its
+    elements times cos 0, cos 1, cos 2, ...; and `final`, all parameters after the last step, the
+    arrays row by row, one after the other.
+    """
+    p = gather(
+        dict(x_a=x_a, f_a=f_a, log_s=log_s, log_l=log_l, O_a=O_a), networks_of(networks), grids
+    )
+    nets = {name: p.network(name) for name in networks_of(networks)}
+    levels = p.listed("grid")
+    design = EMPTY._replace(
+        d=f_a.shape[1],
+        k=O_a.shape[1],
+        L_x=L_x,
+        L_t=L_t,
+        Q_0=tuple(Q_0),
+        tau_alpha=tau_alpha,
+        effects=effects,
+    )
+    located = locate(x_a, lo, hi, resolutions, [len(grid) for grid in grids])
+    fixed = objective.Fixed(
+        mask, located, background, True, True, lambda_rate, lambda_ssim, 0.0, EXACT
+    )
+    names = [own_name(name) for name in arrays]
+    rates = dict(zip(names, learning_rates.tolist(), strict=True))
+    adam = Adam(p)
+    rows = {name: [] for name in TRACED}
+    for v, noise in zip(views, u):
+        camera = camera_of(W[v], T[v], focal[v], center[v], size)
+        view = View("", truth[v], None, camera, times[v])
+        losses, _, saved = objective.forward(p, design, nets, levels, fixed, view, noise)
+        gradients, _ = objective.backward(saved)
+        adam.step(p, gradients, rates.get)
+        for name in LOSSES:
+            rows[name].append(getattr(losses, name))
+        rows["gradient_norm"].append([np.linalg.norm(gradients[name]) for name in names])
+        rows["total"].append([p[name].sum() for name in names])
+        rows["ramp"].append([ramp(p[name]) for name in names])
+    outputs = {name: np.array(values, p.vector.dtype) for name, values in rows.items()}
+    return {**outputs, "final": np.concatenate([p[name].ravel() for name in names])}, no_pullback
+
+
+LOSSES = ("L1", "D_SSIM", "L_render", "L_rate", "bits", "L_total")
+TRACED = (*LOSSES, "gradient_norm", "total", "ramp")
+
+
+def ramp(a):
+    """Return the sum of the elements of `a` times cos 0, cos 1, cos 2, ..."""
+    return a.ravel() @ np.cos(np.arange(a.size, dtype=a.dtype))
+
+
+def gather(attributes, networks, grids):
+    """All parameters in one Parameters, copied, as `objective` names them."""
+    arrays = dict(attributes)
+    for name, pair in networks.items():
+        for kind, layers in zip("Wb", pair):
+            arrays.update({f"{name}.{kind}{i}": layer for i, layer in enumerate(layers)})
+    arrays.update({f"grid.{i}": grid for i, grid in enumerate(grids)})
+    return Parameters(arrays, attributes["x_a"].dtype)
+
+
+def own_name(tensor):
+    """The name in Parameters of a flat input: psi_c_weights.0 -> psi_c.W0, grids.1 -> grid.1."""
+    name = re.sub(r"_weights\.", ".W", re.sub(r"_biases\.", ".b", tensor))
+    return name.replace("grids.", "grid.")
+
+
+def trace_cases():
+    yield Case("ten_steps", trace_inputs(np.random.default_rng(440)))
+
+
+def trace_inputs(rng, A=9, k=5, d=7, V=6):
+    """Anchors, networks and grids wide awake; views of another, smoother model; noise; all drawn by `rng`."""
+    resolutions = (("xyz", 3), ("xy", 5), ("xz", 4), ("yz", 4))
+    design = EMPTY._replace(
+        d=d,
+        k=k,
+        hidden=(7,),
+        deformation=(8,),
+        L_x=2,
+        L_t=1,
+        context=(6,),
+        grid=resolutions,
+        F=1,
+        table=(27, 19),
+        Q_0=(0.3, 0.02, 0.02, 0.2),
+        effects=MODEL_EFFECTS,
+    )
+    p, teacher = (draw(rng, design, A) for _ in range(2))
+    teacher["psi_c.W1"][...] *= 4  # strong colours
+    places = [
+        2.6 * np.array([np.cos(a), np.sin(a), 0.3 + 0.1 * i])
+        for i, a in enumerate(np.linspace(0, 5, V))
+    ]
+    cameras = [
+        look_at(place, (0.05, 0, 0), 14.0, 12.5, 13, 11, c_x=6.4, c_y=4.8) for place in places
+    ]
+    times, background = np.linspace(0.05, 0.95, V), np.array([0.9, 0.75, 0.3])
+    f, s, l, O = (
+        teacher["f_a"],
+        np.exp(teacher["log_s"]),
+        np.exp(teacher["log_l"]),
+        teacher["O_a"],
+    )
+    seen = model.Model(
+        design,
+        Anchors(teacher["x_a"], f, s, l, O, np.ones((A, k), bool)),
+        {name: teacher.network(name) for name in design.layers()},
+        [],
+        None,
+        background,
+    )
+    posed = [described(camera) for camera in cameras]
+    truth = np.stack([seen.render(camera, t, EXACT) for camera, t in zip(cameras, times)])
+    flat = {name: p[name] for name in ("x_a", "f_a", "log_s", "log_l", "O_a")}
+    flat |= flat_networks({name: p.network(name) for name in NETWORKS}) | {
+        "grids": p.listed("grid")
+    }
+    arrays = tuple(
+        name if not isinstance(a, list) else f"{name}.{i}"
+        for name, a in flat.items()
+        for i in range(len(a) if isinstance(a, list) else 1)
+    )
+    rate_of = {"x_a": 0.0, "O_a": 0.01, "psi_d": 0.002, "grids": 0.02}
+    rates = [rate_of.get(re.split(r"_weights|_biases|\.", name)[0], 0.005) for name in arrays]
+    return dict(
+        flat,
+        mask=rng.random((A, k)) < 0.85,
+        lo=p["x_a"].min(axis=0),
+        hi=p["x_a"].max(axis=0),
+        resolutions=resolutions,
+        Q_0=np.array(design.Q_0),
+        size=posed[0]["size"],
+        times=times,
+        truth=truth,
+        **{
+            name: np.stack([camera[name] for camera in posed])
+            for name in ("W", "T", "focal", "center")
+        },
+        background=background,
+        views=rng.integers(0, V, STEPS),
+        arrays=arrays,
+        learning_rates=np.array(rates),
+        u=rng.random((STEPS, A, sum(design.widths))) - 0.5,
+        tau_alpha=0.0,
+        effects=MODEL_EFFECTS,
+        L_x=design.L_x,
+        L_t=design.L_t,
+        lambda_rate=0.02,
+        lambda_ssim=0.2,
+    )
+
+
+def draw(rng, design, A):
+    """Parameters with nothing at zero, so that every one of them has a gradient."""
+    arrays = {
+        "x_a": rng.uniform(-0.7, 0.7, (A, 3)),
+        "f_a": rng.normal(size=(A, design.d)),
+        "log_s": rng.uniform(-1.6, -0.6, (A, 3)),
+        "log_l": rng.uniform(-1.6, -0.6, (A, 3)),
+        "O_a": rng.normal(size=(A, design.k, 3)),
+    }
+    for name, layers in design.layers().items():
+        for i, (rows, columns) in enumerate(layers):
+            arrays[f"{name}.W{i}"] = rng.normal(size=(rows, columns)) / np.sqrt(rows)
+            arrays[f"{name}.b{i}"] = rng.uniform(
+                0, 0.5, columns
+            )  # above 0: few units of a ReLU are dead
+    for i, shape in enumerate(design.levels()):
+        arrays[f"grid.{i}"] = rng.uniform(-0.9, 0.9, shape)
+    return Parameters(arrays, np.float64)
+
+
+ANCHOR_SHAPES = {"x_a": "A 3", "f_a": "A d", "O_a": "A k 3", "mask": "A k", "background": "3"}
+NUMBERS = dict.fromkeys(("tau_alpha", "effects", "L_x", "L_t"), "")
+CONSTANTS = {"STEPS": STEPS}
+SUBJECTS = (
+    Subject(
+        "frames",
+        "L4",
+        "compositing",
+        "1 to 6",
+        "decoded model -> image",
+        {
+            **ANCHOR_SHAPES,
+            "s_a": "A 3",
+            "l_a": "A 3",
+            **CAMERA_SHAPES,
+            "t": "",
+            **NUMBERS,
+            "renderer": "",
+            **shapes_of(*RENDERING),
+            "image": "H W 3",
+        },
+        (),
+        frames_vjp,
+        frames_cases,
+        CONSTANTS,
+    ),
+    Subject(
+        "trace",
+        "L4",
+        "total_loss",
+        "1 to 9, 11 to 17",
+        "parameters, views, noise -> losses, gradient norms, checksums, final parameters",
+        {
+            **ANCHOR_SHAPES,
+            "log_s": "A 3",
+            "log_l": "A 3",
+            "lo": "3",
+            "hi": "3",
+            "grids": "*T F",
+            "resolutions": "",
+            "Q_0": "4",
+            "W": "V 3 3",
+            "T": "V 3",
+            "focal": "V 2",
+            "center": "V 2",
+            "size": "2",
+            "times": "V",
+            "truth": "V H W 3",
+            "views": "S",
+            "u": "S A n",
+            "learning_rates": "P",
+            "arrays": "",
+            **NUMBERS,
+            "lambda_rate": "",
+            "lambda_ssim": "",
+            **shapes_of(*NETWORKS),
+            **dict.fromkeys(LOSSES, "S"),
+            **dict.fromkeys(("gradient_norm", "total", "ramp"), "S P"),
+            "final": "M",
+        },
+        (),
+        trace_vjp,
+        trace_cases,
+        CONSTANTS,
+    ),
+)
+
+if __name__ == "__main__":
+    MODEL.write_bytes(train_golden_model())

@@ -1,0 +1,136 @@
+"""The known mistakes: told apart from each other, and the doctor's data are what they compute."""
+
+import gzip
+import json
+from functools import cache
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.oracle import doctor, published, safetensors
+from p4dgs_ref.oracle.compare import expected
+from p4dgs_ref.oracle.tolerance import cast
+from p4dgs_ref.table import EQUATIONS
+from tests.golden.mistakes import MISTAKES, NotApplicable
+from tests.golden.mistakes.__main__ import answers, files
+from tests.golden.mistakes.place import in_place
+from tests.golden.subjects import subjects
+
+CLOSE = 1e-9  # of the largest number in an array
+NOISE = 1e-16  # what is left of a sum that is exactly zero
+EVERY = pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.id)
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # mistakes divide by zero
+
+
+def differ(a, b):
+    """Whether two arrays differ by more than rounding. A NaN equals a NaN."""
+    if a.shape != b.shape:
+        return True
+    a, b = a.astype(float), b.astype(float)
+    same = (a == b) | (np.isnan(a) & np.isnan(b))
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = np.where(same, 0, np.nan_to_num(np.abs(a - b), nan=np.inf))
+    return bool((off > max(CLOSE * np.abs(b[np.isfinite(b)]).max(initial=0), NOISE)).any())
+
+
+def difference(got, want):
+    """The names of the tensors in which two answers differ."""
+    names = {*got, *want}
+    return sorted(n for n in names if n not in got or n not in want or differ(got[n], want[n]))
+
+
+@cache
+def told(mistake):
+    """The mistake's answers to all published cases of its subject."""
+    return [answers(mistake, case) for case in published.cases(mistake.subject)]
+
+
+def test_list():
+    ids = [mistake.id for mistake in MISTAKES]
+    assert len(set(ids)) == len(ids) == 241
+    assert all(id == id.lower() and " " not in id and "_" not in id for id in ids)
+    descriptions = [(mistake.equation, mistake.description) for mistake in MISTAKES]
+    assert len(set(descriptions)) == len(descriptions)
+    assert {mistake.subject for mistake in MISTAKES} >= set(EQUATIONS)
+    for _, text in descriptions:
+        assert "\n" not in text and len(text) <= 120
+        assert text.endswith("...") or not text.endswith(".")
+
+
+@EVERY
+def test_in_the_place_of_the_right_function_it_shows(mistake):
+    """Called through the package, the mistake answers what its definition says."""
+    subject, right = subjects()[mistake.subject], []
+    cases = published.cases(mistake.subject)
+    for case in cases:
+        right.append(subject.answer(case.inputs(), case.cotangents()))
+    with in_place(mistake):
+        wrong = [
+            subjects()[mistake.subject].answer(case.inputs(), case.cotangents()) for case in cases
+        ]
+    noticed = 0
+    for case, got, want, said in zip(cases, wrong, right, told(mistake)):
+        if difference(said, expected(case.tensors)):
+            assert not difference({n: said[n] for n in got}, got), case.name
+            noticed += bool(difference(got, want))
+        assert not difference(subject.answer(case.inputs(), case.cotangents()), want), case.name
+    assert noticed, "no case notices it"
+
+
+@EVERY
+def test_it_works_in_float32(mistake):
+    for case in published.cases(mistake.subject):
+        with np.errstate(all="ignore"):
+            inputs = cast(case.inputs(), np.float32)
+            cotangents = cast(case.cotangents(), np.float32)
+            try:
+                values = mistake.run(inputs, cotangents)
+            except NotApplicable:
+                continue
+        for tree in values:
+            for name, a in published.flatten(tree).items():
+                assert a.dtype.kind != "f" or a.dtype in (np.float32, np.float64), name
+
+
+@pytest.mark.parametrize("key", sorted({mistake.subject for mistake in MISTAKES}))
+def test_mistakes_differ_from_each_other(key):
+    right = [expected(case.tensors) for case in published.cases(key)]
+    alike = []
+    for one, other in combinations([m for m in MISTAKES if m.subject == key], 2):
+        shown = [
+            (a, b)
+            for a, b, c in zip(told(one), told(other), right)
+            if difference(a, c) or difference(b, c)
+        ]
+        if shown and not any(difference(a, b) for a, b in shown):
+            alike.append((one.id, other.id))
+    assert not alike
+
+
+def test_the_data_of_the_doctor_are_what_the_mistakes_compute():
+    made = files()
+    held = {file.name: file.read_bytes() for file in doctor.FOLDER.iterdir()}
+    assert set(made) == set(held)
+    assert json.loads(made.pop("mistakes.json")) == json.loads(held["mistakes.json"])
+    for name, data in made.items():
+        new, old = (safetensors.load(gzip.decompress(d)) for d in (data, held[name]))
+        assert set(new) == set(old), name
+        assert not difference(new, old), name
+
+
+def test_the_data_are_small():
+    size = sum(file.stat().st_size for file in doctor.FOLDER.iterdir())
+    assert size < 1_000_000
+
+
+def test_the_definition_gets_the_right_functions_and_they_come_back():
+    mistakes = {mistake.id: mistake for mistake in MISTAKES}
+    for id in ("ssim-renormalised", "deformed-product", "stage-steps-exchanged"):
+        key = mistakes[id].subject
+        case = published.cases(key)[0]
+        right = subjects()[key].answer(case.inputs(), case.cotangents())
+        with pytest.raises(RuntimeError, match="in between"), in_place(mistakes[id]):
+            assert difference(subjects()[key].answer(case.inputs(), case.cotangents()), right)
+            raise RuntimeError("in between")
+        assert not difference(subjects()[key].answer(case.inputs(), case.cotangents()), right)

@@ -1,0 +1,83 @@
+"""The builder of the vectors makes the published ones again."""
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.oracle import published
+from p4dgs_ref.oracle.compare import deviations
+from tests.golden import vectors
+from tests.golden.subjects import subjects
+
+# What may differ from the published manifest: bytes move with the last digits of numbers.
+MEASURED = ("files", "generator")
+
+# Half of the smallest tolerance. On the machine that made the vectors 4 are enough.
+ULPS = 16
+
+
+@pytest.fixture(scope="module")
+def regenerated(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("regenerated")
+    return vectors.write(folder), folder
+
+
+def described(manifest):
+    """The manifest without what is measured, and without the places of tensors."""
+    rows = []
+    for subject in manifest["subjects"]:
+        cases = []
+        for case in subject["cases"]:
+            kept = {n: v for n, v in case.items() if n not in ("tolerance", "tensors")}
+            tensors = sorted((t["name"], t["dtype"], t["shape"]) for t in case["tensors"])
+            cases.append({**kept, "tensors": tensors})
+        rows.append({**subject, "cases": cases})
+    return {**{n: v for n, v in manifest.items() if n not in MEASURED}, "subjects": rows}
+
+
+@pytest.mark.slow
+def test_regenerated_vectors_are_the_published_ones(regenerated):
+    """Integers are equal, floats within ULPS eps S, scales within a factor of two.
+
+    Inputs may differ too, because another machine's LAPACK rounds in another way.
+    """
+    manifest, folder = regenerated
+    assert (folder / "FLAGS.json").read_bytes() == (published.FOLDER / "FLAGS.json").read_bytes()
+    for subject in manifest["subjects"]:
+        for old, new in zip(published.cases(subject["key"]), published.read(subject, folder)):
+            assert set(old.tensors) == set(new.tensors), old.id
+            for name, a in old.tensors.items():
+                b, what = new.tensors[name], f"{old.id}: {name}"
+                assert a.dtype == b.dtype and a.shape == b.shape, what
+                if name.startswith("scale."):
+                    assert np.allclose(a, b, rtol=1), what
+                elif a.dtype.kind == "f":
+                    scale = old.tensors.get("scale." + name, np.abs(a).max(initial=0))
+                    scaled = deviations(b, a, scale, np.float64)[1]
+                    missing = np.isnan(a) & np.isnan(b)
+                    assert scaled[~missing].max(initial=0) <= ULPS, what
+                else:
+                    assert np.array_equal(a, b), what
+
+
+@pytest.mark.slow
+def test_the_regenerated_manifest_is_the_published_one(regenerated):
+    manifest, folder = regenerated
+    old, new = described(published.read_manifest()), described(published.read_manifest(folder))
+    for a, b in zip(old["subjects"], new["subjects"], strict=True):
+        for x, y in zip(a.pop("cases"), b.pop("cases"), strict=True):
+            assert x == y
+        assert a == b
+    assert old == new
+
+
+def test_a_damaged_file_is_found(tmp_path):
+    vectors_of = published.FOLDER
+    for name in ("manifest.json", "view.safetensors"):
+        (tmp_path / name).write_bytes((vectors_of / name).read_bytes())
+    assert set(vectors.damaged(tmp_path)) == set(published.read_manifest()["files"]) - {
+        "view.safetensors"
+    }
+
+
+def test_subjects_stand_in_the_order_of_the_manifest():
+    assert list(subjects()) == [s["key"] for s in published.read_manifest()["subjects"]]

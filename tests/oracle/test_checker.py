@@ -1,0 +1,281 @@
+"""The checker fails when it should, names the first wrong equation, and reports per case; the commands around it."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from p4dgs_ref import oracle
+from p4dgs_ref.cli import parser as cli
+from p4dgs_ref.oracle import checker, ports, published, report, safetensors
+from p4dgs_ref.table import EQUATIONS
+from tests.golden.vectors import damaged
+
+
+# --- the checker ---------------------------------------------------------------------------------------------------------
+def answers(key):
+    """What a perfect port writes for one subject."""
+    subject = next(s for s in published.read_manifest()["subjects"] if s["key"] == key)
+    return {
+        f"{case.name}/{name}": a
+        for case in published.read(subject)
+        for name, a in case.tensors.items()
+        if name.startswith(("out.", "in_bar."))
+    }
+
+
+def judge_folder(folder, key, arrays, suffix="safetensors"):
+    if suffix == "npz":
+        np.savez(folder / f"{key}.npz", **arrays)
+    else:
+        (folder / f"{key}.safetensors").write_bytes(safetensors.dump(arrays)[0])
+    return checker.check_port(ports.FolderPort(folder), only=key)
+
+
+@pytest.mark.parametrize("suffix", ["safetensors", "npz"])
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_a_right_port_passes(tmp_path, suffix, dtype):
+    got = {
+        name: a.astype(dtype) if a.dtype.kind == "f" else a
+        for name, a in answers("offsets").items()
+    }
+    found = judge_folder(tmp_path, "offsets", got, suffix)
+    assert found.ok and found.first is None and found.levels()["L1"]["passed"] == len(found.results)
+
+
+def broken(key, name, change):
+    got = answers(key)
+    got[name] = change(np.array(got[name]))
+    return got
+
+
+@pytest.mark.parametrize(
+    "change, kind, says",
+    [
+        (lambda a: a + 1e-9, "value", r"out\.x\[\d, \d, \d\]: got"),
+        (lambda a: a[:-1], "shape", "expected"),
+        (lambda a: a.astype(int), "dtype", "float64 or float32"),
+        (lambda a: a * np.nan, "value", "nan"),
+        (lambda a: a.astype(np.float32) + np.float32(1e-3), "value", "eps S"),
+        (lambda a: a.T, "shape", "expected"),
+    ],
+)
+def test_a_wrong_tensor_fails(tmp_path, change, kind, says):
+    found = judge_folder(tmp_path, "offsets", broken("offsets", "ordinary/out.x", change))
+    assert (
+        not found.ok and found.first.id == "offsets/ordinary" and found.first.equation == "offsets"
+    )
+    assert found.first.findings[0].kind == kind
+    assert re.search(says, str(found))
+    assert sum(r.wrong for r in found.results) == 1, "the other cases are judged all the same"
+
+
+def test_the_worst_element_is_named(tmp_path):
+    def change(a):
+        a[1, 2, 0] += 3e-6
+        a[0, 1, 1] -= 7e-6
+        return a
+
+    finding = judge_folder(
+        tmp_path, "offsets", broken("offsets", "ordinary/out.x", change)
+    ).first.findings[0]
+    assert (
+        finding.index == (0, 1, 1)
+        and finding.absolute == pytest.approx(7e-6)
+        and finding.scaled > finding.bound
+    )
+    want = answers("offsets")["ordinary/out.x"][0, 1, 1]
+    assert finding.relative == pytest.approx(7e-6 / abs(want)) and finding.got == pytest.approx(
+        want - 7e-6
+    )
+
+
+def test_missing_extra_and_damaged_answers_are_reported(tmp_path):
+    got = answers("offsets")
+    del got["ordinary/in_bar.l_a"]
+    got["ordinary/out.y"] = np.ones(3)
+    found = judge_folder(tmp_path, "offsets", got)
+    assert {(f.tensor, f.kind) for f in found.first.findings} == {
+        ("in_bar.l_a", "missing"),
+        ("out.y", "extra"),
+    }
+    found = judge_folder(tmp_path, "offsets", {**answers("offsets"), "ordinari/out.x": np.ones(2)})
+    assert (
+        found.ok
+        and found.strangers == ("offsets.safetensors: ordinari/out.x",)
+        and "belong to no case" in str(found)
+    )
+    (tmp_path / "offsets.safetensors").write_bytes(b"nonsense")
+    assert {
+        r.verdict for r in checker.check_port(ports.FolderPort(tmp_path), only="offsets").results
+    } == {"damaged"}
+    (tmp_path / "offsets.safetensors").unlink()
+    (tmp_path / "offsets.npz").write_bytes(b"PK nonsense")
+    assert {
+        r.verdict for r in checker.check_port(ports.FolderPort(tmp_path), only="offsets").results
+    } == {"damaged"}
+    (tmp_path / "offsets.npz").unlink()
+    lost = checker.check_port(ports.FolderPort(tmp_path), only="offsets")
+    assert {r.verdict for r in lost.results} == {"missing"} and not lost.ok
+
+
+def test_nothing_checked_is_not_success():
+    assert not checker.Report([]).ok and "no required case" in str(checker.Report([]))
+
+
+def test_the_first_divergence_is_where_data_flows_first(tmp_path):
+    for key in ("offsets", "total_loss", "likelihood"):
+        change = broken(
+            key,
+            "ordinary/out." + {"offsets": "x", "total_loss": "L_total", "likelihood": "bits"}[key],
+            lambda a: a + 1,
+        )
+        (tmp_path / f"{key}.safetensors").write_bytes(safetensors.dump(change)[0])
+    results = []
+    for key in ("total_loss", "likelihood", "offsets"):
+        results += checker.check_port(ports.FolderPort(tmp_path), ["L1"], key).results
+    order = list(published.subjects())
+    results.sort(key=lambda r: order.index(r.id.split("/")[0]))
+    assert checker.Report(results).first.equation == "offsets"
+
+
+def test_json_report_keeps_the_contract(tmp_path):
+    found = judge_folder(
+        tmp_path, "offsets", broken("offsets", "ordinary/out.x", lambda a: a * np.nan)
+    )
+    value = json.loads(json.dumps(report.as_json(found), allow_nan=False))
+    assert value["first_divergence"] == "offsets" and set(value) >= {
+        "levels",
+        "cases",
+        "first_divergence",
+    }
+    assert all(
+        set(case) >= {"id", "equation", "verdict", "worst", "explanation"}
+        for case in value["cases"]
+    )
+    assert report.as_json(checker.Report([]))["first_divergence"] is None
+
+
+def test_a_python_function_is_judged():
+    def offsets(x_a, O_a, l_a):
+        return {"x": (x_a[:, None] + O_a * l_a[:, None]).tolist()}  # whatever np.asarray reads
+
+    eq = EQUATIONS["offsets"]
+    assert oracle.check(
+        lambda **inputs: eq(**inputs), "offsets", lambda i, c: eq.vjp(**i)[1](**c)
+    ).ok
+    assert oracle.check(lambda **inputs: eq(**inputs)["x"], "offsets").ok
+    assert not oracle.check(lambda x_a, O_a, l_a: x_a[:, None] - O_a * l_a[:, None], "offsets").ok
+    assert {r.verdict for r in oracle.check(lambda **inputs: 1 / 0, "offsets").results} == {"error"}
+    with pytest.raises(KeyError, match="expected one of"):
+        oracle.check(offsets, "offset")
+
+
+def test_precision_is_that_of_the_answers_alone(tmp_path):
+    """Scales are F32 and may stand beside: float64 answers are judged as such, also where float32 is not asked."""
+    found = judge_folder(
+        tmp_path,
+        "noise",
+        {
+            f"{case.name}/{name}": a * 3 if name == "out.f_noisy" else a
+            for case in published.read(subject_of("noise"))
+            for name, a in case.tensors.items()
+        },
+    )
+    assert "noise/tiny" in {r.id for r in found.results if r.wrong} and not any(
+        r.verdict == "unasked" for r in found.results
+    )
+
+
+def test_a_float32_port_may_leave_out_what_float32_cannot(tmp_path):
+    got = {
+        name: a.astype(np.float32)
+        for name, a in answers("noise").items()
+        if not name.startswith("tiny/")
+    }
+    found = judge_folder(tmp_path, "noise", got)
+    assert found.ok and [r.verdict for r in found.results if r.id == "noise/tiny"] == ["unasked"]
+    double = {name: a for name, a in answers("noise").items() if not name.startswith("tiny/")}
+    assert judge_folder(tmp_path, "noise", double).first.id == "noise/tiny"
+
+
+def subject_of(key):
+    return next(s for s in published.read_manifest()["subjects"] if s["key"] == key)
+
+
+def test_what_was_answered_wrongly_comes_before_what_was_not_answered(tmp_path):
+    found = judge_folder(
+        tmp_path, "rounding", broken("rounding", "ties/out.symbols", lambda a: a + 1)
+    )
+    assert (
+        found.results[0].verdict == "missing" and found.first.id == "rounding/ties"
+    )  # L0 stands before and is missing
+    assert re.search(r"got -?\d+, expected -?\d+", str(found))
+
+
+def test_a_mistake_in_one_direction_alone_is_explained():
+    eq = EQUATIONS["likelihood"]
+
+    def right(inputs, bars):
+        return eq.vjp(**inputs)[1](**bars)
+
+    found = oracle.check(lambda **inputs: eq(**inputs)["bits"] * np.log(2), "likelihood", right)
+    assert (
+        "[likelihood-nats]" in found.first.explanation
+        and "the outputs alone" in found.first.explanation
+    )
+
+
+def test_levels_and_names_may_be_repeated_in_any_order(tmp_path):
+    port = ports.FolderPort(published.FOLDER)
+    found = checker.check_port(port, ["L1", "L1", "L0"], ["step", "noise", "step"])
+    assert [r.level for r in found.results] == sorted(r.level for r in found.results)
+    assert {r.equation for r in found.results} == {"step", "noise"} and len(
+        {r.id for r in found.results}
+    ) == len(found.results)
+    assert found.ok and not any(r.verdict == "unasked" for r in found.results)
+
+
+# --- commands --------------------------------------------------------------------------------------------------------------
+def run(capsys, *argv):
+    code = cli.run(["oracle", *argv], 0.0)
+    return code, *capsys.readouterr()
+
+
+def test_commands(tmp_path, capsys):
+    code, out, _ = run(capsys, "path")
+    assert code == 0 and Path(out.strip()) == published.FOLDER
+    code, out, _ = run(capsys, "list")
+    assert code == 0 and "likelihood/tail" in out and "codec/" in out
+    run(capsys, "export", str(tmp_path / "v1"))
+    code, out, _ = run(capsys, "export", str(tmp_path / "v1"), "--json")
+    assert code == 0 and json.loads(out)["files"] == sum(
+        file.is_file() for file in (tmp_path / "v1").rglob("*")
+    )
+    assert damaged(tmp_path / "v1") == []
+    shutil.rmtree(tmp_path / "v1" / "streams")
+    code, out, _ = run(capsys, "check", str(tmp_path / "v1"), "--quiet", "--level", "L1")
+    assert code == 0 and "every required case passes" in out
+    (tmp_path / "v1" / "view.safetensors").unlink()
+    code, out, _ = run(capsys, "check", str(tmp_path / "v1"), "--quiet", "--level", "L1", "--json")
+    assert code == 1 and json.loads(out)["first_divergence"] == "view"
+
+
+@pytest.mark.parametrize(
+    "argv, says",
+    [
+        (["check"], "expected either a folder"),
+        (["check", "no such folder"], "expected a folder"),
+        (["check", "a", "--adapter", "b"], "expected either a folder"),
+        (["check", ".", "--dtype", "float32"], "of the adapter"),
+        (["check", ".", "--level", "L0", "--only", "offsets"], "no such case"),
+        (["export", "."], "expected an empty folder"),
+        (["check", ".", "--only", "nothing"], "expected one of"),
+    ],
+)
+def test_mistakes_of_the_user(capsys, argv, says):
+    code, out, err = run(capsys, *argv)
+    assert code == 2 and not out and err.count("\n") == 1 and says in err

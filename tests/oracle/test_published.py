@@ -1,0 +1,295 @@
+"""The published vectors: complete, true, and met by this project's own code."""
+
+import csv
+import hashlib
+import io
+import json
+import re
+import struct
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.oracle import checker, published, report, safetensors
+from p4dgs_ref.oracle.export import export
+from p4dgs_ref.oracle.tolerance import cast
+from p4dgs_ref.table import EQUATIONS
+from tests.golden.cases import FLAGS
+from tests.golden.subjects import subjects
+from tests.golden.vectors import WRITTEN, damaged
+
+SPEC = (
+    "offsets",
+    "view",
+    "opacity",
+    "masking",
+    "color",
+    "rotation",
+    "scale",
+    "positional_encoding",
+    "deformation",
+    "deformed",
+    "noise",
+    "step",
+    "hash_grid",
+    "rounding",
+    "likelihood",
+    "prior",
+    "anchor_rate",
+    "hash_rate",
+    "total_loss",
+    "render_loss",
+    "rate_loss",
+)
+GRADIENTLESS = {"rounding"}
+
+
+@pytest.fixture(scope="module")
+def manifest():
+    return published.read_manifest()
+
+
+@pytest.fixture(scope="module")
+def golden(manifest):
+    return {s["key"]: published.read(s) for s in manifest["subjects"]}
+
+
+# --- the format ----------------------------------------------------------------------------------------------------
+def test_safetensors_come_back():
+    rng = np.random.default_rng(0)
+    arrays = {
+        "a": rng.normal(size=(3, 2)),
+        "none": np.zeros((0, 4), np.float32),
+        "one": np.float64(2.5),
+        "flag": np.array([True, False]),
+        "i": np.arange(-3, 4),
+        "u": np.array([[2**32 - 1]], np.uint32),
+        "big": np.arange(3, dtype=">f8"),
+    }
+    data, places = safetensors.dump(arrays, {"license": "CC0-1.0"})
+    back = safetensors.load(data)
+    for name, a in arrays.items():
+        assert np.array_equal(back[name], a) and back[name].shape == np.shape(a), name
+        place = places[name]
+        assert data[place["offset"] :][: place["bytes"]] == back[name].tobytes()
+        assert place["offset"] % back[name].dtype.itemsize == 0
+    assert struct.unpack("<Q", data[:8])[0] % 8 == 0
+
+
+@pytest.mark.parametrize(
+    "damage, says",
+    [
+        (lambda d: d[:5], "length"),
+        (lambda d: struct.pack("<Q", 2**60) + d[8:], "header"),
+        (lambda d: d[:-1], "data_offsets"),
+        (lambda d: d.replace(b'"F64"', b'"F65"'), "dtype"),
+        (lambda d: d.replace(b"[3,2]", b"[3,3]"), "data_offsets"),
+        (lambda d: d.replace(b"[3,2]", b"[-3,2]").replace(b"  ", b" "), "header|shape"),
+        (lambda d: d.replace(b"{", b"<", 1), "header"),
+    ],
+)
+def test_damaged_safetensors_are_refused(damage, says):
+    data, _ = safetensors.dump({"a": np.ones((3, 2))})
+    with pytest.raises(safetensors.TensorError, match=says):
+        safetensors.load(damage(data))
+
+
+# --- what is published -----------------------------------------------------------------------------------------------
+def test_files_are_those_of_the_manifest(manifest):
+    assert damaged(published.FOLDER) == []
+    files = {file.name for file in published.FOLDER.iterdir() if file.is_file()}
+    made = {name for name in files if name.endswith(".safetensors")}
+    assert made == set(manifest["files"])
+    assert files - made == {"manifest.json", "FLAGS.json", *WRITTEN}
+
+
+def test_the_vectors_are_small(tmp_path):
+    done = export(tmp_path / "v1")
+    assert done["bytes"] < 4_000_000
+    print(f"\n{done['files']} files, {done['bytes']:,} bytes, {done['cases']} cases")
+
+
+def test_every_offset_of_the_manifest_leads_to_its_numbers(manifest, golden):
+    for subject in manifest["subjects"]:
+        data = (published.FOLDER / subject["file"]).read_bytes()
+        for case, read in zip(subject["cases"], golden[subject["key"]]):
+            for tensor in case["tensors"]:
+                raw = data[tensor["offset"] : tensor["offset"] + tensor["bytes"]]
+                a = np.frombuffer(raw, safetensors.DTYPES[tensor["dtype"]]).reshape(tensor["shape"])
+                assert a.tobytes() == read.tensors[tensor["name"]].tobytes()
+
+
+def test_every_equation_of_the_paper_has_values_and_gradients(manifest):
+    cases = {}
+    for subject in manifest["subjects"]:
+        if subject["level"] == "L1":
+            cases[subject["equation"]] = {
+                t["name"].split(".")[0] for case in subject["cases"] for t in case["tensors"]
+            }
+    assert set(SPEC) <= set(cases) and set(cases) == set(EQUATIONS)
+    for key, roles in cases.items():
+        assert {"in", "out", "scale"} <= roles
+        assert (key in GRADIENTLESS) or {"out_bar", "in_bar"} <= roles, key
+    assert {s["level"] for s in manifest["subjects"]} == {"L0", "L1", "L2", "L4"} and len(
+        manifest["streams"]
+    ) >= 60
+
+
+def test_ids_are_unique_and_records_complete(manifest):
+    ids = [case["id"] for s in manifest["subjects"] for case in s["cases"]] + [
+        stream["id"] for stream in manifest["streams"]
+    ]
+    assert len(set(ids)) == len(ids)
+    for subject in manifest["subjects"]:
+        for case in subject["cases"]:
+            assert case["result"] in ("valid", "acceptable") and ("why" in case) == (
+                case["result"] == "acceptable"
+            )
+            assert case["provenance"] in ("reference", "high-precision", "closed form")
+            assert set(case["flags"]) <= set(FLAGS) and case["flags"] and case["tests"]
+            for precision in ("float64", "float32"):
+                bound = case["tolerance"][precision]
+                assert (
+                    bound["eps_S"] >= 32 and bound["reason"]
+                    if bound
+                    else case["tolerance"]["float32_reason"]
+                )
+    assert {"reference", "high-precision", "closed form"} == {
+        c["provenance"] for s in manifest["subjects"] for c in s["cases"]
+    }
+
+
+def test_the_shapes_of_the_manifest_hold(manifest, golden):
+    for subject in manifest["subjects"]:
+        for case in golden[subject["key"]]:
+            lengths = {}
+            for tensor, a in case.tensors.items():
+                role, name, *_ = tensor.split(".")
+                if role in ("in", "out"):
+                    axes = subject["shapes"][name].split("->")[0 if role == "in" else -1]
+                    is_list = axes.startswith("*")  # letters may differ from array to array
+                    off = "off" in case.record["flags"]
+                    bind(
+                        axes.lstrip("*"), a, {} if is_list else lengths, off, f"{case.id} {tensor}"
+                    )
+            if "ordinary" in case.record["flags"]:
+                text = " ".join(subject["shapes"].values())
+                numbers = {int(n) for n in re.findall(r"\b[2-9]\b", text)}
+                counts = Counter([*lengths.values(), *numbers])
+                assert max(counts.values(), default=1) == 1, f"{case.id}: equal axes {lengths}"
+
+
+def bind(axes, array, lengths, may_be_off, what):
+    """Compare an array with its axes, "3 A 3k": numbers are lengths, letters keep theirs."""
+    axes = axes.split()
+    assert array.ndim == len(axes), f"{what}: shape {array.shape}, declared {axes}"
+    for n, axis in zip(array.shape, axes):
+        factor, letter = re.fullmatch(r"(\d*)([A-Za-z]*)", axis).groups()
+        factor = int(factor or 1)
+        if may_be_off and n == 0:  # an effect that is off has inputs and heads of zero width
+            continue
+        want = factor * (lengths.setdefault(letter, n // factor) if letter else 1)
+        assert n == want, f"{what}: shape {array.shape}, declared {axes} with {lengths}"
+
+
+def test_flags_say_what_they_hunt(manifest):
+    flags = json.loads((published.FOLDER / "FLAGS.json").read_text())
+    assert {name: f"{row['description']}: {row['hunts']}" for name, row in flags.items()} == FLAGS
+    assert all(
+        row["equations"] and set(row["equations"]) <= set(EQUATIONS) for row in flags.values()
+    )
+    bear = {
+        f: {s["key"] for s in manifest["subjects"] for c in s["cases"] if f in c["flags"]}
+        for f in FLAGS
+    }
+    assert {f: set(row["subjects"]) for f, row in flags.items()} == bear
+
+
+def test_published_ids_stay():
+    """v1 is append-only: oracle_ids.csv holds every id with the hash of its tensors."""
+    rows = list(
+        csv.reader(
+            io.StringIO(
+                (Path(__file__).parents[1] / "golden" / "data" / "oracle_ids.csv").read_text()
+            )
+        )
+    )[1:]
+    now = dict(ids())
+    assert {id: now.get(id) for id, _ in rows} == dict(rows), (
+        "a published case changed or vanished: give it a new id"
+    )
+    assert set(now) == {id for id, _ in rows}, "new cases: add their rows"
+
+
+def ids():
+    """(id, hash of all its tensors but the scales) of every published case."""
+    for subject in published.read_manifest()["subjects"]:
+        for case in published.read(subject):
+            digest = hashlib.sha256()
+            for name, a in sorted(case.tensors.items()):
+                if not name.startswith("scale."):
+                    digest.update(name.encode() + a.tobytes())
+            yield case.id, digest.hexdigest()[:16]
+
+
+# --- honest ------------------------------------------------------------------------------------------------------------
+class Reference:
+    """This project's own code as a port, in one precision."""
+
+    def __init__(self, dtype):
+        self.dtype = dtype
+
+    def run(self, case):
+        if case.tolerance(np.dtype(self.dtype).name) is None:
+            return {"out.unasked": np.zeros(1, self.dtype)}
+        with np.errstate(all="ignore"):
+            inputs, cotangents = (
+                cast(case.inputs(), self.dtype),
+                cast(case.cotangents(), self.dtype),
+            )
+            return subjects()[case.subject].answer(inputs, cotangents)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_the_reference_passes(manifest, golden, dtype):
+    """Against numbers most of which are not its own: decimals, closed forms."""
+    port, results = Reference(dtype), []
+    for cases in golden.values():
+        results += checker.check_subject(cases, port)
+    wrong = [r for r in results if r.wrong]
+    assert not wrong, report.text(checker.Report(results))
+
+
+def test_no_golden_image_is_empty_and_no_gradient_nothing(golden):
+    """Every subject has an ordinary case whose every gradient moves something; images have something on them."""
+    images = 0
+    for key, cases in golden.items():
+        alive = {}
+        for case in cases:
+            for name, a in case.tensors.items():
+                if name.startswith("in_bar."):
+                    alive[name.split(".")[1]] = max(
+                        alive.get(name.split(".")[1], 0), float((a != 0).mean() if a.size else 0)
+                    )
+                if name in ("out.image", "out.images") and case.level in ("L2", "L4"):
+                    flat = a.reshape(-1, 3)
+                    images += 1
+                    assert (
+                        np.abs(flat - np.median(flat, axis=0)).max(axis=1) > 0.05
+                    ).mean() > 0.1, f"{case.id} is nearly empty"
+        assert all(share > 0.1 for share in alive.values()), (
+            f"{key}: gradients nearly zero: {alive}"
+        )
+        assert not subjects()[key].gradients or alive, key
+    assert images >= 4
+
+
+def test_cotangents_are_not_ones(golden):
+    for cases in golden.values():
+        for case in cases:
+            for name, a in case.tensors.items():
+                assert (
+                    not name.startswith("out_bar.") or a.size < 2 or np.ptp(a) > 0 or not a.any()
+                ), f"{case.id}: {name}"

@@ -1,0 +1,404 @@
+"""What the page of the vectors prints runs as it is printed, and its readers find what is wrong in damaged vectors."""
+
+import json
+import math
+import re
+import shlex
+import shutil
+import struct
+import subprocess
+import sys
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.special import erfcx, ndtr
+
+from p4dgs_ref.cli import parser as cli
+from p4dgs_ref.oracle import published, safetensors
+from p4dgs_ref.oracle.adapter import Adapter
+from p4dgs_ref.oracle.checker import check, check_port
+from p4dgs_ref.oracle.ports import FolderPort
+from p4dgs_ref.oracle.published import FOLDER, read_manifest
+
+PAGE = (FOLDER / "README.md").read_text(encoding="utf-8")
+SECTIONS = dict(re.findall(r"^## (.*?)\n(.*?)(?=^## |\Z)", PAGE, re.DOTALL | re.MULTILINE))
+LANGUAGES = {"python": "py", "js": "js", "c": "c", "rust": "rs"}
+LAST = 5 * 4 * 3 - 1  # of the outputs of offsets/ordinary
+
+
+def program(language, section="Readers"):
+    """The one program of a language in a section of the page."""
+    (found,) = re.findall(
+        rf"^```{language}\n(.*?)^```$", SECTIONS[section], re.DOTALL | re.MULTILINE
+    )
+    return found
+
+
+def printed(language):
+    """The commands that build and run a reader, as the page has them: lists of arguments, an empty one for a script."""
+    (row,) = re.findall(
+        rf"^\| `reader\.{LANGUAGES[language]}` \|(.*)\|(.*)\|$", SECTIONS["Readers"], re.MULTILINE
+    )
+    return [shlex.split(cell.strip(" `")) for cell in row]
+
+
+def need(tool):
+    if shutil.which(tool) is None:
+        pytest.skip(f"no {tool} here")
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """A function: language -> (folder of its reader, the command that runs it), built once and without a warning."""
+
+    @cache
+    def prepared(language):
+        place, (build, run) = tmp_path_factory.mktemp(language), printed(language)
+        need((build or run)[0])
+        (place / f"reader.{LANGUAGES[language]}").write_text(program(language), encoding="utf-8")
+        if build:
+            done = subprocess.run(build, cwd=place, capture_output=True, text=True, timeout=120)
+            assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+        return place, run
+
+    return prepared
+
+
+@pytest.fixture
+def command(built, tmp_path):
+    """A function: language -> what its reader says, run by the printed command beside the folder of `copy`."""
+
+    def ran(language):
+        place, run = built(language)
+        for file in place.iterdir():
+            shutil.copy(file, tmp_path)
+        return subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+
+    return ran
+
+
+@pytest.fixture
+def copy(tmp_path):
+    """A folder with what the readers need, to be damaged."""
+    (folder := tmp_path / "vectors").mkdir()
+    for name in ("manifest.json", "offsets.safetensors"):
+        shutil.copy(FOLDER / name, folder)
+    return folder
+
+
+def record():
+    subject = next(s for s in read_manifest()["subjects"] if s["key"] == "offsets")
+    return next(case for case in subject["cases"] if case["id"] == "offsets/ordinary")
+
+
+def change(folder, name, index, value):
+    """Write value(old number, its S) over one number of a tensor."""
+    case, file = record(), folder / "offsets.safetensors"
+    places, data = {t["name"]: t["offset"] for t in case["tensors"]}, bytearray(file.read_bytes())
+    (S,) = struct.unpack_from("<f", data, places["scale.out.x"] + 4 * index)
+    (old,) = struct.unpack_from("<d", data, places[name] + 8 * index)
+    struct.pack_into("<d", data, places[name] + 8 * index, value(old, S))
+    file.write_bytes(data)
+
+
+def bounds(times):
+    """A change by so many times what is allowed."""
+    return lambda old, S: old + times * record()["tolerance"]["float64"]["eps_S"] * 2.0**-52 * S
+
+
+DAMAGE = {
+    "first": ("out.x", 0, bounds(1.5)),
+    "last": ("out.x", LAST, bounds(-1.5)),
+    "middle": ("out.x", 31, bounds(4)),
+    "nan": ("out.x", 7, lambda old, S: math.nan),
+    "infinity": ("out.x", 8, lambda old, S: math.inf),
+    "sign": ("out.x", 20, lambda old, S: -old),
+    "x_a": ("in.x_a", 14, lambda old, S: old * (1 + 1e-6)),
+    "O_a": ("in.O_a", 30, lambda old, S: old * (1 + 1e-6)),
+    "l_a": ("in.l_a", 0, lambda old, S: math.nan),
+}
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_reader_takes_the_vectors(language, command, copy):
+    done = command(language)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "offsets/ordinary: ok\n", "")
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_reader_refuses_damaged_vectors(language, damage, command, copy):
+    change(copy, *DAMAGE[damage])
+    done = command(language)
+    assert (done.returncode, done.stdout) == (1, "") and done.stderr.startswith(
+        "offsets/ordinary: x"
+    )
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_reader_keeps_to_the_tolerance(language, command, copy):
+    for index in (0, 31, LAST):
+        change(copy, "out.x", index, bounds(0.9))
+    done = command(language)
+    assert (done.returncode, done.stdout) == (0, "offsets/ordinary: ok\n")
+
+
+@pytest.mark.parametrize("damage", ("short", "missing", "no_case"))
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_reader_fails_without_what_it_needs(language, damage, command, copy):
+    vectors, manifest = copy / "offsets.safetensors", copy / "manifest.json"
+    if damage == "short":
+        vectors.write_bytes(vectors.read_bytes()[: record()["tensors"][0]["offset"] + 9])
+    elif damage == "missing":
+        vectors.unlink()
+    else:
+        manifest.write_text(
+            manifest.read_text(encoding="utf-8").replace("ordinary", "usual"), encoding="utf-8"
+        )
+    done = command(language)
+    assert (
+        done.returncode in (1, 101) and not done.stdout
+    )  # 101: how a Rust program ends that panics
+
+
+def test_readers_need_nothing_else():
+    lines = {language: program(language).splitlines() for language in LANGUAGES}
+    imports = [line.split()[1] for line in lines["python"] if line.startswith(("import", "from"))]
+    assert sorted(imports) == ["json", "struct", "sys"]
+    assert [line for line in lines["js"] if "require(" in line] == ['const fs = require("fs");']
+    assert all(len(body) <= 60 for body in lines.values())
+
+
+def test_page_says_what_the_files_have():
+    """Every field of the manifest is on the page, and every file of the folder."""
+    manifest = read_manifest()
+    cases = [case for subject in manifest["subjects"] for case in subject["cases"]]
+    keys = {
+        *manifest,
+        *(key for row in manifest["subjects"] + manifest["streams"] + cases for key in row),
+    }
+    keys |= {
+        key
+        for case in cases
+        for bounds in case["tolerance"].values()
+        if isinstance(bounds, dict)
+        for key in bounds
+    }
+    keys |= {key for case in cases for key in (*case["tensors"][0], *case["tolerance"])}
+    assert not sorted(key for key in keys if not re.search(rf"[`\"]{key}[`\"]", PAGE))
+    for words in ("result", "provenance"):
+        assert {case[words] for case in cases} <= set(re.findall(r"`([a-z -]+)`", PAGE))
+    dtypes = {t["dtype"] for case in cases for t in case["tensors"]}
+    assert dtypes <= set(re.findall(r"`([A-Z0-9]+)`", PAGE))
+    files = {
+        file.name for file in FOLDER.iterdir() if file.suffix != ".safetensors" and file.is_file()
+    }
+    assert not sorted(name for name in files - {"README.md"} if name not in PAGE)
+    assert re.findall(r"^(\d)\. \*\*", PAGE, re.MULTILINE) == list("123456")
+
+
+@pytest.mark.parametrize("dtype", ("float64", "float32"))
+def test_the_example_is_right_in_what_it_does(dtype):
+    """Its two equations pass, everything else is reported as skipped."""
+    with Adapter(
+        shlex.join([sys.executable, str(FOLDER / "example_adapter.py")]), dtype=dtype
+    ) as port:
+        for key in ("offsets", "noise"):
+            report = check_port(port, ["L1"], key)
+            assert (
+                report.ok
+                and len(report.results) >= 4
+                and {r.verdict for r in report.results} <= {"pass", "unasked"}
+            )
+        report = check_port(port, ["L1"], "view")
+        said = {(r.verdict, r.explanation) for r in report.results if r.verdict != "unasked"}
+        assert not report.ok and said == {("skipped", "not written yet")}
+
+
+# --- answers -----------------------------------------------------------------------------------------------------------
+TYPES = {"F64": np.float64, "F32": np.float32, "I64": np.int64, "BOOL": bool}
+
+
+def write(language, path, tensors):
+    """Let a writer of the page write {name: array} as a type: {name: [dtype, shape, flat list]}."""
+    tool, call = {
+        "python": ("python3", "import sys\nwrite(sys.argv[1], json.load(sys.stdin))\n"),
+        "js": ("node", 'write(process.argv[2], JSON.parse(fs.readFileSync(0, "utf8")));\n'),
+    }[language]
+    need(tool)
+    script = path.parent / f"writer.{LANGUAGES[language]}"
+    script.write_text(program(language, "Writers") + call, encoding="utf-8")
+    given = {
+        name: [dtype, list(a.shape), a.ravel().tolist()] for name, (dtype, a) in tensors.items()
+    }
+    subprocess.run(
+        [tool, str(script), str(path)], input=json.dumps(given), text=True, check=True, timeout=60
+    )
+
+
+def answers(key, port):
+    """What a port answers to the cases of a subject: {"ordinary/out.x": array}; port({"in.x_a": array}) -> both."""
+    subject = next(s for s in read_manifest()["subjects"] if s["key"] == key)
+    return {
+        f"{case.name}/{name}": a
+        for case in published.read(subject)
+        for name, a in port(case.tensors).items()
+    }
+
+
+def offsets(at):
+    x_a, O_a, l_a, x_bar = (at[name] for name in ("in.x_a", "in.O_a", "in.l_a", "out_bar.x"))
+    return {
+        "out.x": x_a[:, None] + O_a * l_a[:, None],
+        "in_bar.x_a": x_bar.sum(1),
+        "in_bar.O_a": x_bar * l_a[:, None],
+        "in_bar.l_a": (x_bar * O_a).sum(1),
+    }
+
+
+def noise(at):
+    f, u, q, f_bar = (at[name] for name in ("in.f", "in.u", "in.q", "out_bar.f_noisy"))
+    return {
+        "out.f_noisy": f + u * q,
+        "in_bar.f": f_bar,
+        "in_bar.q": (f_bar * u).sum(1, keepdims=True),
+    }
+
+
+@pytest.mark.parametrize("dtype", ("F64", "F32"))
+@pytest.mark.parametrize("language", ("python", "js"))
+def test_answers_that_a_writer_wrote_pass(language, dtype, tmp_path, capsys):
+    right = answers("offsets", offsets)
+    write(
+        language, tmp_path / "offsets.safetensors", {name: (dtype, a) for name, a in right.items()}
+    )
+    assert cli.run(["oracle", "check", str(tmp_path), "--only", "offsets"], 0.0) == 0
+    assert "4 of 4" in capsys.readouterr().out
+    wrong = {
+        name: (dtype, a * 1.001 if name == "ordinary/in_bar.l_a" else a)
+        for name, a in right.items()
+    }
+    write(language, tmp_path / "offsets.safetensors", wrong)
+    first = check_port(FolderPort(tmp_path), only=["offsets"]).first
+    assert (first.id, [f.tensor for f in first.findings]) == ("offsets/ordinary", ["in_bar.l_a"])
+
+
+@pytest.mark.parametrize("language", ("python", "js"))
+def test_a_writer_writes_every_type(language, tmp_path):
+    """Also integers beyond 32 bits, a scalar, and an axis of length zero."""
+    given = {
+        "a/out.x": ("F64", np.array([[0.1, -2e-300, 3.0]])),
+        "a/out.none": ("F32", np.zeros((0, 4))),
+        "a/out.i": ("I64", np.array([-1, 2**40])),
+        "b/out.mask": ("BOOL", np.array([[True], [False], [True]])),
+        "b/out.s": ("F32", np.array(0.1)),
+    }
+    write(language, tmp_path / "all.safetensors", given)
+    data = (tmp_path / "all.safetensors").read_bytes()
+    found = safetensors.load(data)
+    assert list(found) == list(given) and struct.unpack_from("<Q", data)[0] % 8 == 0
+    for name, (dtype, a) in given.items():
+        assert found[name].dtype == TYPES[dtype] and np.array_equal(
+            found[name], a.astype(TYPES[dtype])
+        ), name
+
+
+def test_precision_is_that_of_the_answers(tmp_path):
+    """A case without a tolerance in float32 is left out of a verdict on float32, and asked in float64."""
+    for dtype, verdicts in (("F64", {"pass"}), ("F32", {"pass", "unasked"})):
+        write(
+            "python",
+            tmp_path / "noise.safetensors",
+            {n: (dtype, a) for n, a in answers("noise", noise).items()},
+        )
+        report = check_port(FolderPort(tmp_path), only=["noise"])
+        assert report.ok and {r.verdict for r in report.results} == verdicts
+
+
+def test_printed_commands_run(tmp_path, monkeypatch, capsys):
+    need("python3")  # runs the example adapter
+    (block,) = re.findall(
+        r"^```sh\np4dgs-ref (.*?)^```$", SECTIONS["Commands"], re.DOTALL | re.MULTILINE
+    )
+    export, whole, *others = (
+        shlex.split(line, comments=True) for line in block.split("\np4dgs-ref ")
+    )
+    monkeypatch.chdir(tmp_path)
+    assert [cli.run(export, 0.0) for _ in range(2)] == [
+        0,
+        0,
+    ]  # into nothing, then into the earlier export
+    (answered := tmp_path / whole[2]).mkdir()
+    assert cli.run(whole, 0.0) == 1  # nothing is there: everything is missing
+    assert cli.run([*export[:2], str(tmp_path)], 0.0) == 2  # neither empty nor an export
+    for subject in read_manifest()["subjects"]:
+        shutil.copy(FOLDER / subject["file"], answered)
+    found = []
+    for line in others:
+        capsys.readouterr()
+        assert cli.run([*line, "--json"], 0.0) == 0, line
+        cases = json.loads(capsys.readouterr().out)["cases"]
+        found.append(
+            {
+                case["level"] if line.count("--level") == 2 else case["id"].split("/")[0]
+                for case in cases
+            }
+        )
+    assert found == [
+        {"L0", "L1"},
+        {"step", "step_floor", "prior", "sigma_clamp"},
+        {"step"},
+        {"offsets"},
+    ]
+
+
+def test_requests_are_spaced_as_the_page_says(tmp_path):
+    """One line each, as json.dumps writes it, keys in the printed order."""
+    port, heard = tmp_path / "port.py", tmp_path / "heard"
+    port.write_text(
+        f"""import json, sys
+for line in sys.stdin:
+    open({str(heard)!r}, "a").write(line)
+    request = json.loads(line)
+    print(json.dumps(dict(p4dgs_oracle=1) if "p4dgs_oracle" in request else dict(id=request["id"], skip="")), flush=True)
+""",
+        encoding="utf-8",
+    )
+    with Adapter(shlex.join([sys.executable, str(port)])) as adapter:
+        check_port(adapter, only=["offsets", "codec"])
+    lines = heard.read_text(encoding="utf-8").splitlines()
+    assert lines[0] in PAGE and all(json.dumps(json.loads(line)) == line for line in lines)
+    assert {tuple(json.loads(line)) for line in lines[1:]} == {
+        ("id", "subject", "equation", "settings", "in", "out_bar"),
+        ("id", "stream"),
+    }
+
+
+def test_eq_11_as_the_page_says_it_is_enough():
+    def mass(z, w):
+        x, phi_0 = abs(z), 1 / math.sqrt(2 * math.pi)
+        low, high, zw = x - w / 2, x + w / 2, x * w
+        B = w * (
+            1
+            + (x**2 - 1) * w**2 / 24
+            + (x**4 - 6 * x**2 + 3) * w**4 / 1920
+            + (x**6 - 15 * x**4 + 45 * x**2 - 15) * w**6 / 322560
+        )
+        with np.errstate(all="ignore"):
+            G = 0.5 * erfcx(low / math.sqrt(2)) - 0.5 * np.exp(-zw) * erfcx(high / math.sqrt(2))
+            where = [w * np.maximum(1, x) < 1 / 16, low < 0, low <= 1]
+            log_p = np.select(
+                where,
+                [
+                    np.log(phi_0 * B) - x**2 / 2,
+                    np.log1p(-ndtr(low) - ndtr(-high)),
+                    np.log(ndtr(-low) - ndtr(-high)),
+                ],
+                np.log(G) - low**2 / 2,
+            )
+            plain = phi_0 * np.exp(-(low**2) / 2 - log_p)
+            rho = np.select(where, [np.exp(zw / 2 - w**2 / 8) / B, plain, plain], phi_0 / G)
+        return log_p, np.sign(z) * rho * np.expm1(-zw), rho * (1 + np.exp(-zw)) / 2
+
+    assert (report := check(mass, "gaussian_bin")).ok, str(report)

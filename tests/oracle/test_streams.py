@@ -1,0 +1,261 @@
+"""Level L3: our own answers pass as files and through a process; every wrong one is found."""
+
+import hashlib
+import json
+import shlex
+import shutil
+import sys
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.codec import published
+from p4dgs_ref.oracle import export, safetensors, streams
+from p4dgs_ref.oracle.adapter import Adapter
+from p4dgs_ref.oracle.ports import FolderPort
+from tests.golden.vectors import stream_records
+
+ROWS = streams.read_rows()
+GOOD, BAD = ([row["name"] for row in ROWS[key]] for key in ("good", "bad"))
+
+DECODER = """
+import base64, json, sys
+from p4dgs_ref.codec.container import BitstreamError
+from p4dgs_ref.oracle.adapter import packed
+from p4dgs_ref.oracle.streams import decoded
+for text in sys.stdin:
+    request = json.loads(text)
+    answer = {"p4dgs_oracle": 1} if "id" not in request else {"id": request["id"]}
+    if "stream" in request:
+        try:
+            arrays = decoded(base64.b64decode(request["stream"]))
+            answer["arrays"] = {name: packed(a) for name, a in arrays.items()}
+        except BitstreamError as error:
+            answer["refused"] = str(error)
+        if "--lenient" in sys.argv and "refused" in answer:
+            answer = {"id": request["id"], "arrays": {}}
+        if "--strict" in sys.argv and "arrays" in answer:
+            answer = {"id": request["id"], "refused": "never seen this"}
+    print(json.dumps(answer), flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def ours(tmp_path_factory):
+    """What this project's decoder finds, as files; nothing may write into it."""
+    folder = tmp_path_factory.mktemp("ours")
+    export.write_expected(folder)
+    return folder
+
+
+@pytest.fixture
+def folder(ours, tmp_path):
+    """A copy to be damaged."""
+    shutil.copytree(ours / "codec", tmp_path / "codec")
+    return tmp_path
+
+
+def check(folder):
+    """{name: Result} of those that do not pass."""
+    results = streams.check(FolderPort(folder))
+    assert [r.id for r in results] == [f"codec/{name}" for name in GOOD + BAD]
+    assert all(r.level == "L3" and r.required for r in results)
+    return {r.id[6:]: r for r in results if r.verdict != "pass"}
+
+
+def change(folder, name, **arrays):
+    """Replace arrays of one answer; None takes one away."""
+    path = folder / "codec" / f"{name}.safetensors"
+    kept = {**safetensors.load(path.read_bytes()), **arrays}
+    path.write_bytes(safetensors.dump({n: a for n, a in kept.items() if a is not None})[0])
+
+
+def read(folder, name):
+    return safetensors.load((folder / "codec" / f"{name}.safetensors").read_bytes())
+
+
+def test_our_own_answers_pass(ours):
+    assert not check(ours)
+    assert sorted(path.stem for path in (ours / "codec").iterdir()) == sorted([*GOOD, "refusals"])
+    assert set(json.loads((ours / "codec" / "refusals.json").read_text())) == set(BAD)
+
+
+def test_they_come_from_the_decoder(tmp_path, monkeypatch):
+    """With a decoder that loses a bit of the positions, what it writes fails."""
+    right = streams.quantised_of
+    monkeypatch.setattr(
+        streams,
+        "quantised_of",
+        lambda sections: (q := right(sections))._replace(positions=q.positions ^ 1),
+    )
+    export.write_expected(tmp_path)
+    wrong = check(tmp_path)
+    assert set(wrong) == set(GOOD) and {r.findings[0].tensor for r in wrong.values()} == {
+        "positions"
+    }
+
+
+def test_other_types_for_the_same_numbers(folder):
+    """Whole numbers of any type, bits as bytes, any order in memory, npz instead of safetensors."""
+    for name in GOOD:
+        arrays = {
+            n: a if a.dtype.kind == "f" else a.astype(np.int64)
+            for n, a in read(folder, name).items()
+        }
+        (folder / "codec" / f"{name}.safetensors").unlink()
+        np.savez(
+            folder / "codec" / f"{name}.npz", **{n: np.asfortranarray(a) for n, a in arrays.items()}
+        )
+    assert not check(folder)
+
+
+@pytest.mark.parametrize("name", ["full", "escapes", "static"])
+def test_every_array_counts(folder, name):
+    """One number of each array off by the least there is; none may be left out; each is blamed on what makes it."""
+    for array, value in read(folder, name).items():
+        wrong, index = value.copy(), tuple(n - 1 for n in value.shape)
+        if value.dtype.kind == "f":
+            wrong[index] = np.nextafter(value[index], value.dtype.type(np.inf))
+        else:
+            wrong[index] ^= 1
+        for replaced, kind in (
+            (wrong, "value"),
+            (None, "missing"),
+            (value[..., None], "shape"),
+            (np.ones(value.shape, np.float16), "dtype"),
+        ):
+            change(folder, name, **{array: replaced})
+            (result,) = check(folder).values()
+            (finding,) = result.findings
+            assert (result.id, result.verdict, finding.tensor, finding.kind) == (
+                f"codec/{name}",
+                "fail",
+                array,
+                kind,
+            )
+            assert result.equation == streams.BLAMED[array]
+            assert kind != "value" or finding.index == index and "1 of" in finding.message
+        change(folder, name, **{array: value})
+    assert not check(folder)
+
+
+def test_the_sign_of_zero_counts(folder):
+    attributes = read(folder, "all_masked")["attributes"].copy()
+    index = tuple(np.argwhere(attributes == 0)[0])
+    attributes[index] = -attributes[index]
+    change(folder, "all_masked", attributes=attributes)
+    assert check(folder)["all_masked"].findings[0].index == index
+
+
+@pytest.mark.parametrize(
+    "array, value",
+    [("signs", 2), ("masks", 257), ("positions", 65536), ("symbols", 2**32), ("h", -(2**32))],
+)
+def test_numbers_beyond_their_type_are_not_wrapped(folder, array, value):
+    """What would be right after a conversion to the stored type is wrong."""
+    wide = read(folder, "full")[array].astype(np.int64)
+    change(folder, "full", **{array: wide + value * (wide == wide.flat[0])})
+    assert [(f.tensor, f.kind) for f in check(folder)["full"].findings] == [(array, "value")]
+
+
+def test_findings_stand_in_the_order_of_the_data(folder):
+    of = read(folder, "full")
+    change(
+        folder,
+        "full",
+        attributes=of["attributes"] + 1,
+        context_mlps=-of["context_mlps"],
+        q=None,
+        extra=of["q"],
+    )
+    result = check(folder)["full"]
+    assert [(f.tensor, f.kind) for f in result.findings] == [
+        ("context_mlps", "value"),
+        ("q", "missing"),
+        ("attributes", "value"),
+        ("extra", "extra"),
+    ]
+    assert result.equation == "codec"
+    change(
+        folder,
+        "full",
+        attributes=of["attributes"] + 1,
+        context_mlps=of["context_mlps"],
+        q=-of["q"],
+        extra=None,
+    )
+    assert check(folder)["full"].equation == "step"
+
+
+def test_what_is_not_there_or_damaged(folder):
+    (folder / "codec" / "full.safetensors").unlink()
+    (folder / "codec" / "ties.safetensors").write_bytes(b"no tensors")
+    wrong = check(folder)
+    assert {name: r.verdict for name, r in wrong.items()} == {"full": "missing", "ties": "damaged"}
+    assert "codec/full.safetensors" in wrong["full"].explanation
+    shutil.rmtree(folder / "codec")
+    assert {r.verdict for r in check(folder).values()} == {"missing"} and len(check(folder)) == len(
+        GOOD + BAD
+    )
+
+
+def test_refusals(folder):
+    path = folder / "codec" / "refusals.json"
+    reasons = json.loads(path.read_text())
+    path.write_text(json.dumps({**reasons, "nothing": None, "truncated": 3, "full": "too large"}))
+    wrong = check(folder)
+    assert {name: r.verdict for name, r in wrong.items()} == {
+        "nothing": "fail",
+        "truncated": "damaged",
+        "full": "fail",
+    }
+    assert (
+        "a file of no bytes" in wrong["nothing"].explanation
+        and "too large" in wrong["full"].explanation
+    )
+    path.write_text(json.dumps({name: why for name, why in reasons.items() if name != "no_json"}))
+    assert {name: r.verdict for name, r in check(folder).items()} == {"no_json": "missing"}
+    shutil.copy(folder / "codec" / "full.safetensors", folder / "codec" / "no_json.safetensors")
+    assert {name: r.verdict for name, r in check(folder).items()} == {"no_json": "fail"}
+    path.unlink()
+    assert set(check(folder)) == set(BAD)
+    for text in ("[]", "{", "\udcff"):
+        path.write_bytes(text.encode("utf-8", "surrogateescape"))
+        assert {r.verdict for r in check(folder).values()} == {"damaged"}
+
+
+@pytest.mark.parametrize("option, failing", [("", []), ("--lenient", BAD), ("--strict", GOOD)])
+def test_through_a_process(tmp_path, option, failing):
+    script = tmp_path / "decoder.py"
+    script.write_text(DECODER)
+    command = [
+        sys.executable,
+        "-c",
+        f"import sys; sys.path.insert(0, '.'); exec(open({str(script)!r}).read())",
+        option,
+    ]
+    with Adapter(shlex.join(command), timeout=60) as port:
+        results = streams.check(port)
+    assert {r.verdict for r in results} <= {"pass", "fail"} and len(results) == len(GOOD + BAD)
+    assert [r.id[6:] for r in results if r.verdict == "fail"] == failing
+
+
+def test_the_manifest_says_where_and_what(tmp_path):
+    """Every file that a record names lies where `copy` puts it, with its checksum."""
+    export.copy_streams(tmp_path)
+    export.copy_streams(tmp_path)  # over what is there
+    records = stream_records()
+    assert [r["result"] for r in records] == ["valid"] * len(GOOD) + ["invalid"] * len(BAD)
+    assert len({r["id"] for r in records}) == len(records)
+    for record in records:
+        data = (tmp_path / record["file"]).read_bytes()
+        assert (len(data), hashlib.sha256(data).hexdigest()) == (record["bytes"], record["sha256"])
+        if record["result"] == "valid":
+            body = (tmp_path / record["expected"]).read_bytes()
+            ends = [entry["offset"] for entry in record["arrays"][1:]] + [len(body)]
+            assert all(
+                hashlib.sha256(body[entry["offset"] : end]).hexdigest() == entry["sha256"]
+                for entry, end in zip(record["arrays"], ends)
+            )
+            assert {entry["name"] for entry in record["arrays"]} <= set(streams.BLAMED)
+            assert {entry["type"] for entry in record["arrays"]} <= {*published.TYPES, "bit"}
