@@ -270,7 +270,7 @@ def test_commands(tmp_path, capsys):
         (["check"], "expected either a folder"),
         (["check", "no such folder"], "expected a folder"),
         (["check", "a", "--adapter", "b"], "expected either a folder"),
-        (["check", ".", "--dtype", "float32"], "of the adapter"),
+        (["check", ".", "--dtype", "float32"], "apply to --adapter only"),
         (["check", ".", "--level", "L0", "--only", "offsets"], "no such case"),
         (["export", "."], "expected an empty folder"),
         (["check", ".", "--only", "nothing"], "expected one of"),
