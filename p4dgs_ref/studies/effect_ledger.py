@@ -1,7 +1,8 @@
-"""The ledger of effects: what each effect of the closed list costs a scene, and what it is worth to it.
+"""The ledger of effects: what each effect of the closed list costs a scene, and what it is worth.
 
-One build has the scene's own list; for every effect there is a twin in which that effect alone is switched.  All
-builds train side by side, a step of each in turn, so that whatever disturbs the machine disturbs all alike.
+One build has the scene's own list. For every effect there is another build in which that effect
+alone is switched. All builds train side by side, one step of each in turn, so that whatever
+disturbs the machine disturbs all of them.
 """
 
 import time
@@ -16,37 +17,32 @@ from ..training.presets import choose
 from ..training.trainer import Trainer
 from .effect_work import counted, effect_bytes
 from .evaluate import evaluate
-from .report import BLUE, pyplot, save_figure, write_csv
+from .report import BLUE, ORANGE, pyplot, save_figure, write_csv
 from .suggest import suggest
 
-SCHEDULE = (
-    "decay_from",
-    "grow_from",
-    "grow_until",
-    "collect_from",
-    "mask_from",
-)  # iterations, as stage_ends
+# The iterations of a preset that are shortened together with its stages.
+SCHEDULE = ("decay_from", "grow_from", "grow_until", "collect_from", "mask_from")
 COUNTED = 4  # last steps, whose work is counted; counting takes time, so they are not timed
-ORANGE = "#E69F00"  # Okabe and Ito, as in report.py
+AS_LISTED = "as listed"
 
 
 def shortened(preset, share):
-    """The preset with a share of its iterations, every stage and every date shortened alike."""
+    """The preset with a share of its iterations: all stages and dates are shortened alike."""
     ends = tuple(max(round(share * end), i + 1) for i, end in enumerate(preset.stage_ends))
-    return preset._replace(
-        stage_ends=ends, **{name: round(share * getattr(preset, name)) for name in SCHEDULE}
-    )
+    dates = {name: round(share * getattr(preset, name)) for name in SCHEDULE}
+    return preset._replace(stage_ends=ends, **dates)
 
 
 def switched(scene, effect):
-    """The scene with one effect more, or less, on its list; pictures and background colour stay."""
+    """The scene with one effect more, or less, on its list."""
     return replace(scene, effects=set(scene.effects) ^ {effect})
 
 
 def train_together(scenes, preset, seed, progress=None):
-    """Train builds of one scene side by side: {name: {model, data, ms, work, gaussians, trainer}}.
+    """Train builds of one scene side by side.
 
-    Takes      scenes {name: Scene}; ms is the median of the timed steps from stage 3 on, when every effect takes part
+    From {name: Scene} to {name: {model, data, ms, work, gaussians, trainer}}. ms is the median of
+    the timed steps from stage 3 on, when every effect takes part.
     """
     trainers = {name: Trainer(scene, preset, seed) for name, scene in scenes.items()}
     ms, work, visible = ({name: [] for name in scenes} for _ in range(3))
@@ -74,20 +70,19 @@ def train_together(scenes, preset, seed, progress=None):
             "ms": float(np.median(ms[name])),
             "work": work[name],
             "gaussians": float(np.mean(visible[name])),
-            "trainer": trainer,
         }
     return built
 
 
 def ledger(scene, preset="tiny", seed=0, share=0.5, progress=None, **changes):
-    """What every effect costs and is worth: one row an effect, in the order of the closed list.
+    """What every effect costs and is worth, one row per effect in the order of the closed list.
 
-    Takes      a Scene; a preset and fields of it to change; `share` of its iterations, 1 for all; `progress(text)`
-    Returns    [{effect, called_for, evidence, ms_on, ms_off, bytes_on, bytes_off, work_on, work_off,
-               psnr_lost_when_off, psnr_gained_when_forced}]: ms of a whole step in the two builds that differ in this
-               effect; bytes of its weights in the file; multiply-adds of its equations per step; PSNR in dB on the
-               test views, one of the two and None for the other
-    Raises     ValueError for a scene without test views, an unknown preset or field
+    `changes` are fields of the preset; `share` is that of its iterations, 1 for all. A row has the
+    fields effect, called_for, evidence, ms_on, ms_off, bytes_on, bytes_off, work_on, work_off,
+    psnr_lost_when_off and psnr_gained_when_forced: ms of a whole step in the two builds that differ
+    in this effect, bytes of its weights in the file, multiply-adds of its equations per step, and
+    PSNR in dB on the test views, of which one is None. Raises ValueError for a scene without test
+    views and for an unknown preset or field.
     """
     if not scene.test:
         raise ValueError(
@@ -97,107 +92,73 @@ def ledger(scene, preset="tiny", seed=0, share=0.5, progress=None, **changes):
     if progress:
         progress("looking at the pictures")
     evidence = {row["effect"]: row["evidence"] for row in suggest(scene)}
-    built = train_together(
-        {"as listed": scene, **{effect: switched(scene, effect) for effect in MODEL_EFFECTS}},
-        preset,
-        seed,
-        progress,
-    )
+    builds = {AS_LISTED: scene, **{effect: switched(scene, effect) for effect in MODEL_EFFECTS}}
+    built = train_together(builds, preset, seed, progress)
     psnr = {name: evaluate(build["model"], scene)[0]["psnr_db"] for name, build in built.items()}
     rows = []
     for effect in MODEL_EFFECTS:
         called = effect in scene.effects
-        on, off = (
-            built[name] for name in (("as listed", effect) if called else (effect, "as listed"))
-        )
+        on, off = (AS_LISTED, effect) if called else (effect, AS_LISTED)
+        worth = psnr[on] - psnr[off]
         rows.append(
             {
                 "effect": effect,
                 "called_for": called,
                 "evidence": evidence[effect],
-                **{
-                    f"{what}_{state}": of(build, effect)
-                    for what, of in MEASURES.items()
-                    for state, build in (("on", on), ("off", off))
-                },
-                "psnr_lost_when_off": psnr["as listed"] - psnr[effect] if called else None,
-                "psnr_gained_when_forced": None if called else psnr[effect] - psnr["as listed"],
+                **costs(built[on], built[off], effect),
+                "psnr_lost_when_off": worth if called else None,
+                "psnr_gained_when_forced": None if called else worth,
             }
         )
     return rows
 
 
-MEASURES = {
-    "ms": lambda build, effect: build["ms"],
-    "bytes": lambda build, effect: round(effect_bytes(build["data"])[effect]),
-    "work": lambda build, effect: round(np.mean([work.of(effect) for work in build["work"]])),
-}
-
-
-def signed(value):
-    """Decibels with a sign, or a dash where there is nothing to say."""
-    return "-" if value is None else f"{value:+.2f}"
+def costs(on, off, effect):
+    """Time, bytes and work of an effect in the build that has it and in the one that has not."""
+    found = {"ms_on": on["ms"], "ms_off": off["ms"]}
+    for state, build in (("on", on), ("off", off)):
+        found[f"bytes_{state}"] = round(effect_bytes(build["data"])[effect])
+    for state, build in (("on", on), ("off", off)):
+        found[f"work_{state}"] = round(np.mean([work.of(effect) for work in build["work"]]))
+    return found
 
 
 def describe(rows):
-    """The ledger as text: a line of numbers an effect, then the evidence for each."""
-    head = (
-        "effect",
-        "listed",
-        "ms on",
-        "ms off",
-        "bytes on",
-        "off",
-        "work on",
-        "off",
-        "lost off",
-        "gained on",
-    )
-    table = [head] + [
-        (
-            row["effect"],
-            "yes" if row["called_for"] else "no",
-            f"{row['ms_on']:.2f}",
-            f"{row['ms_off']:.2f}",
-            f"{row['bytes_on']:,}",
-            f"{row['bytes_off']:,}",
-            f"{row['work_on']:,}",
-            f"{row['work_off']:,}",
-            signed(row["psnr_lost_when_off"]),
-            signed(row["psnr_gained_when_forced"]),
-        )
-        for row in rows
-    ]
+    """The ledger as text: a line of numbers per effect, then the evidence for each."""
+    heading = "effect|listed|ms on|ms off|bytes on|off|work on|off|lost off|gained on"
+    table = [heading.split("|")]
+    for row in rows:
+        times = [f"{row[name]:.2f}" for name in ("ms_on", "ms_off")]
+        counts = [f"{row[name]:,}" for name in ("bytes_on", "bytes_off", "work_on", "work_off")]
+        psnr = [signed(row[f"psnr_{name}"]) for name in ("lost_when_off", "gained_when_forced")]
+        table.append([row["effect"], "yes" if row["called_for"] else "no", *times, *counts, *psnr])
     widths = [max(map(len, column)) for column in zip(*table)]
-    lines = [
-        "  ".join(
-            f"{cell:<{w}}" if i < 2 else f"{cell:>{w}}"
-            for i, (cell, w) in enumerate(zip(line, widths))
-        )
-        for line in table
-    ]
-    return "\n".join(
-        [
-            *lines,
-            "",
-            "ms of a whole step; work in multiply-adds a step; PSNR in dB on the test views",
-            "",
-            *(f"{row['effect']}: {row['evidence']}" for row in rows),
-        ]
-    )
+    lines = []
+    for line in table:
+        cells = [f"{cell:<{w}}" for cell, w in zip(line[:2], widths)]
+        cells += [f"{cell:>{w}}" for cell, w in zip(line[2:], widths[2:])]
+        lines.append("  ".join(cells))
+    units = "ms of a whole step; work in multiply-adds per step; PSNR in dB on the test views"
+    evidence = [f"{row['effect']}: {row['evidence']}" for row in rows]
+    return "\n".join([*lines, "", units, "", *evidence])
+
+
+def signed(value):
+    """Decibels with a sign, or a dash for None."""
+    return "-" if value is None else f"{value:+.2f}"
 
 
 def draw_ledger(path, rows):
-    """Three bar charts, blue what the scene lists, orange what it does not; the numbers as CSV beside."""
+    """Three bar charts, blue for listed effects and orange for the others; a CSV beside."""
     plt, path = pyplot(), Path(path)
     worth = [
         row["psnr_lost_when_off"] if row["called_for"] else row["psnr_gained_when_forced"]
         for row in rows
     ]
     panels = (
-        ("million multiply-adds a step", [row["work_on"] / 1e6 for row in rows], "{:.2f}"),
+        ("million multiply-adds per step", [row["work_on"] / 1e6 for row in rows], "{:.2f}"),
         ("bytes in the file", [row["bytes_on"] for row in rows], "{:,.0f}"),
-        ("PSNR with it, less without (dB)", worth, "{:+.2f}"),
+        ("PSNR with it minus without it (dB)", worth, "{:+.2f}"),
     )
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), sharey=True, layout="constrained")
     colors = [BLUE if row["called_for"] else ORANGE for row in rows]
@@ -205,16 +166,14 @@ def draw_ledger(path, rows):
         bars = ax.barh([row["effect"] for row in rows], values, color=colors)
         ax.bar_label(bars, [form.format(value) for value in values], padding=3)
         low, high = min(0, *values), max(0, *values)
-        ax.set(
-            xlabel=label,
-            xlim=(low - 0.3 * (high - low) * (low < 0), high + 0.3 * (high - low) + 1e-9),
-        )
+        margin = 0.3 * (high - low)
+        ax.set(xlabel=label, xlim=(low - margin * (low < 0), high + margin + 1e-9))
         ax.axvline(0, color="black", linewidth=0.8)
         ax.locator_params(axis="x", nbins=4)
     axes[0].invert_yaxis()
     figure.legend(
         [plt.Rectangle((0, 0), 1, 1, color=color) for color in (BLUE, ORANGE)],
-        ["the scene calls for it", "forced on: the scene does not list it"],
+        ["listed by the scene", "forced on: not listed by the scene"],
         loc="outside upper center",
         ncols=2,
         frameon=False,

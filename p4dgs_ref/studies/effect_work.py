@@ -1,7 +1,7 @@
-"""What an effect costs: multiply-adds counted while its equations run, and bytes of its weights in a file.
+"""What an effect costs: counted multiply-adds of its equations, and bytes of its weights in a file.
 
-Everything is attributed to the effect that alone needs it.  What effects share (the trunk of psi_d, Eq. 2) is
-divided evenly among those of them that are on; what every build needs belongs to none.
+Work belongs to the effect that alone needs it. What several effects share (the trunk of psi_d,
+Eq. 2) is divided evenly among those that are on; what every scene needs belongs to none.
 """
 
 from collections import Counter
@@ -21,56 +21,52 @@ SEES = {
     "scale": "view_geometry",
     "color": "view_color",
 }
-PRODUCTS = {
-    "forward": 1,
-    "backward": 2,
-}  # a product with weights W has two in its backward: of x and of W
-EQUATION_2 = {
-    "forward": 6,
-    "backward": 12,
-}  # multiplications, divisions and additions of products, per anchor
+# The backward of a product has two products: one for the input and one for the weights.
+PRODUCTS = {"forward": 1, "backward": 2}
+# Multiplications, divisions and additions of products in Eq. (2), per anchor.
+EQUATION_2 = {"forward": 6, "backward": 12}
 
 
 class Work:
-    """Calls of equations, {(equation, function): calls}, and multiply-adds of effects, {effect: multiply-adds}."""
+    """Counts calls, {(equation, function): calls}, and multiply-adds, {effect: multiply-adds}."""
 
     def __init__(self):
         self.calls, self.own, self.view = Counter(), Counter(), 0
 
-    def add(self, key, name, res):
-        """Take note of one call; `res` is the residual that ties its forward to its backward."""
+    def add(self, key, name, saved):
+        """Count one call of an equation; `saved` is what its forward returns for its backward."""
         self.calls[key, name] += 1
         if key == "view":
-            delta_vc, _ = res
+            delta_vc, _ = saved
             self.view += EQUATION_2[name] * len(delta_vc)
         elif key in SEES:
-            (inputs, weights), d = res[-1]
+            (inputs, weights), d = saved[-1]
             rows, width = inputs[0].shape
             self.own[SEES[key]] += PRODUCTS[name] * rows * (width - d) * weights[0].shape[1]
         elif key == "deformation":
-            self.own.update(_deformation(res, name))
+            self.own.update(deformation_work(saved, name))
         elif key == "deformed":
-            r_t, _, widths = res
+            r_t, _, widths = saved
             self.own.update({effect: len(r_t) * n for effect, n in zip(fx.MOTION, widths)})
         elif key == "compositing, fast":
-            chunks, _, _, T, _, _, background, occlusion, _ = res
+            chunks, _, _, T, _, _, background, occlusion, _ = saved
             pixels = sum(chunk.A.size for chunk in chunks)
             self.own["occlusion"] += 2 * pixels * bool(occlusion)  # weight and transmittance
             self.own["background"] += 3 * T.size * bool(background.any())
 
     def of(self, effect):
-        """Multiply-adds of an effect, its part of what it shares included."""
+        """Multiply-adds of an effect, with its part of shared work."""
         seeing = [name for name in VIEW if self.own[name]]
         return self.own[effect] + (self.view / len(seeing) if effect in seeing else 0)
 
 
-def _deformation(res, name):
-    """Multiply-adds of Eq. (5) by effect: the heads their own, encoding and trunk in equal parts."""
-    _, E_t, (layer_inputs, weights), cuts = res
+def deformation_work(saved, name):
+    """Multiply-adds of Eq. (5) by effect. Encoding and trunk are shared, the heads are not."""
+    _, E_t, (layer_inputs, weights), cuts = saved
     N, shapes = len(layer_inputs[0]), [W.shape for W in weights]
     widths = np.diff([0, *cuts, shapes[-1][1]])
     trunk = [rows * columns for rows, columns in shapes[:-1]]
-    inputs = sum(trunk[1:]) if name == "backward" else 0  # no gradient of E(x) is asked for (Q10)
+    inputs = sum(trunk[1:]) if name == "backward" else 0  # E(x) needs no gradient (Q10)
     encoding = N * shapes[0][0] if name == "forward" else 0
     shared = N * (sum(trunk) + inputs) + encoding + E_t.size * shapes[0][1]
     on = sum(width > 0 for width in widths)
@@ -83,7 +79,7 @@ def _deformation(res, name):
 
 @contextmanager
 def counted():
-    """Within it, equations count their work: `with counted() as work: trainer.step()`."""
+    """A `with` block that counts the work of the equations in it; gives the Work."""
     work = Work()
 
     def count(key, name, function):
@@ -99,17 +95,16 @@ def counted():
 
 
 def effect_bytes(data):
-    """Bytes of each effect's weights in a file, {effect: bytes}; effects without weights (occlusion) have none."""
+    """{effect: bytes of its weights in a file}; effects without weights have none."""
     model = decode(data)
     design, sizes = model.design, Counter()
     for net in ANCHOR_NETWORKS:
         W = model.networks[net][0][0]
-        sizes["view_color" if net == "psi_c" else "view_geometry"] += (
-            2 * (len(W) - design.d) * W.shape[1]
-        )
+        effect = "view_color" if net == "psi_c" else "view_geometry"
+        sizes[effect] += 2 * (len(W) - design.d) * W.shape[1]
     if "psi_d" in model.networks:
-        weights, biases = model.networks["psi_d"]
-        numbers = [W.size + b.size for W, b in zip(weights, biases)]
-        on = [(effect, count) for effect, count in zip(fx.MOTION, numbers[-3:]) if count]
-        sizes.update({effect: 2 * (count + sum(numbers[:-3]) / len(on)) for effect, count in on})
+        numbers = [W.size + b.size for W, b in zip(*model.networks["psi_d"])]
+        heads = {effect: n for effect, n in zip(fx.MOTION, numbers[-3:]) if n}
+        shared = sum(numbers[:-3]) / len(heads)
+        sizes.update({effect: 2 * (count + shared) for effect, count in heads.items()})
     return sizes

@@ -15,7 +15,7 @@ def heat_colors(bits, limits, name):
 
 
 def heat_image(model, bits, camera, t, limits, name):
-    """The image (H, W, 3) over white of the model at time t, coloured by the bits (A,) of anchors."""
+    """The model at time t over white, (H, W, 3), coloured by the bits (A,) of the anchors."""
     g = model.gaussians(t, camera)
     color = heat_colors(bits, limits, name)[g.index // model.design.k]
     occlusion = "occlusion" in model.design.effects

@@ -1,4 +1,4 @@
-"""The pictures of a run: truth beside decoded beside error, the motion, the bytes, the training; a CSV beside each."""
+"""The pictures of a run, each with a CSV: test views, motion, bytes, training."""
 
 import csv
 
@@ -20,18 +20,15 @@ LABELS = {
     "anchor_mlps": "anchor MLPs",
     "context_mlps": "context MLPs",
 }
-BLUE, LIGHT_BLUE, RED = (
-    "#0072B2",
-    "#56B4E9",
-    "#D55E00",
-)  # of Okabe and Ito's palette, for colour-blind readers
-STACK = (BLUE, "#E69F00", "#009E73", "#CC79A7")
+# Of Okabe and Ito's palette, for colour-blind readers.
+BLUE, LIGHT_BLUE, RED, ORANGE = "#0072B2", "#56B4E9", "#D55E00", "#E69F00"
+STACK = (BLUE, ORANGE, "#009E73", "#CC79A7")
 HEAT = "viridis"
-LARGEST_ERROR = 0.25  # of the error pictures' colours, the same in every report
+LARGEST_ERROR = 0.25  # the end of the error pictures' colours, the same in every report
 
 
 def pyplot():
-    """matplotlib.pyplot without a window, with type that stays readable when a README shrinks it."""
+    """matplotlib.pyplot without a window, with a font that stays readable in a small picture."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -51,24 +48,24 @@ def pyplot():
 
 
 def save_figure(figure, path):
-    """Write a PNG without the version that would make equal pictures differ, and close it."""
+    """Write a PNG without matplotlib's version in it, so that equal pictures are equal files."""
     figure.savefig(path, metadata={"Software": None})
     pyplot().close(figure)
 
 
 def write_csv(path, rows, columns=None):
     """Write rows (dictionaries, or lists under `columns`) as CSV."""
-    columns = columns or list(rows[0])
+    if columns is None:
+        columns = list(rows[0])
+        rows = [[row[column] for column in columns] for row in rows]
     with open(path, "w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
-        writer.writerows(
-            [row[c] for c in columns] if isinstance(row, dict) else row for row in rows
-        )
+        writer.writerows(rows)
 
 
 def draw_comparison(path, scene, rows, images, count=4):
-    """Truth, decoded, and absolute error of a few test views spread over time."""
+    """Truth, decoded image and absolute error of a few test views spread over time."""
     plt, views = pyplot(), scene.test
     order = np.argsort([view.time for view in views], kind="stable")
     chosen = order[np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int)]
@@ -99,12 +96,12 @@ def draw_comparison(path, scene, rows, images, count=4):
         pad=0.01,
         label="absolute error, mean of R, G, B (of 1)",
     )
-    figure.suptitle(f"{scene.name}: test views, not seen in training", fontsize=15)
+    figure.suptitle(f"{scene.name}: test views, not used in training", fontsize=15)
     save_figure(figure, path)
 
 
 def write_gif(path, images):
-    """Images (H, W, 3) in [0, 1] as a GIF that plays forth and back."""
+    """Write images (H, W, 3) in [0, 1] as a GIF that plays forwards and backwards."""
     import imageio.v3 as iio
 
     pixels = [(image * 255).round().astype(np.uint8) for image in images]
@@ -112,18 +109,13 @@ def write_gif(path, images):
 
 
 def write_motion(path, model, camera, frames=24, zoom=4):
-    """A GIF of the model over t from one held camera."""
-    write_gif(
-        path,
-        [
-            np.clip(model.render(camera, t), 0, 1).repeat(zoom, 0).repeat(zoom, 1)
-            for t in np.linspace(0, 1, frames)
-        ],
-    )
+    """A GIF of the model over t, seen by one camera at rest."""
+    images = [np.clip(model.render(camera, t), 0, 1) for t in np.linspace(0, 1, frames)]
+    write_gif(path, [image.repeat(zoom, 0).repeat(zoom, 1) for image in images])
 
 
 def draw_size(path, components, explicit):
-    """Bytes by component, and the file beside the same Gaussians as plain float32."""
+    """Bytes by component; the title compares the file with the same Gaussians as float32."""
     plt = pyplot()
     names = sorted(components, key=components.get)
     values = [components[name] for name in names]
@@ -135,7 +127,7 @@ def draw_size(path, components, explicit):
     ax.xaxis.set_major_formatter("{x:,.0f}")
     ax.locator_params(axis="x", nbins=5)
     figure.suptitle(
-        f"file: {total:,} bytes\nsame Gaussians as float32: {explicit:,} bytes, "
+        f"file: {total:,} bytes\nthe same Gaussians as float32: {explicit:,} bytes, "
         f"{explicit / total:.1f} times as many",
         fontsize=14,
     )
@@ -143,16 +135,17 @@ def draw_size(path, components, explicit):
 
 
 def draw_ledger(path, rows):
-    """Every section as a stacked bar: entropy, what whole numbers, the coder and headers add to it.
+    """Every section as a stacked bar: entropy, integer model, coder, headers.
 
-    Two panels, because the gaps are a hundredth of the sections: all bytes, and what is beyond the entropy alone.
+    There are two panels, because the last three are a hundredth of the sections: all bytes, and the
+    bytes beyond the entropy.
     """
     plt = pyplot()
     rows = sorted(rows, key=lambda row: row["bytes"])
     names = [LABELS.get(row["name"], row["name"]) for row in rows]
     parts = {
-        "entropy (or stored as it is)": [row["estimate_bytes"] for row in rows],
-        "+ whole-number model": [row["integer_bytes"] - row["estimate_bytes"] for row in rows],
+        "entropy (or stored without coding)": [row["estimate_bytes"] for row in rows],
+        "+ integer model": [row["integer_bytes"] - row["estimate_bytes"] for row in rows],
         "+ coder": [row["payload_bytes"] - row["integer_bytes"] for row in rows],
         "+ headers": [row["header_bytes"] for row in rows],
     }
@@ -171,13 +164,13 @@ def draw_ledger(path, rows):
 
 
 def draw_heat(path, image, bits, limits):
-    """The scene with every Gaussian in the colour of the bits its anchor cost, beside how often each cost occurs."""
+    """Every Gaussian in a colour for the bits of its anchor, and the histogram of the bits."""
     plt = pyplot()
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(11, 5), layout="constrained", width_ratios=(1.2, 1)
     )
     left.imshow(np.clip(image, 0, 1))
-    left.set(xticks=[], yticks=[], title="what an anchor costs, where it stands")
+    left.set(xticks=[], yticks=[], title="bits of the anchors, in place")
     left.spines[:].set_visible(False)
     scale = plt.cm.ScalarMappable(plt.Normalize(*limits), HEAT)
     figure.colorbar(scale, ax=left, label="bits of the Gaussian's anchor", shrink=0.9)
@@ -191,7 +184,7 @@ def draw_heat(path, image, bits, limits):
 
 
 def draw_training(path, history, stage_ends):
-    """PSNR of the training views and coded bits per number, over iterations, with the paper's four stages."""
+    """PSNR of the training views and bits per coded number over the iterations and four stages."""
     plt = pyplot()
     table = {name: np.array([row[i] for row in history], float) for i, name in enumerate(COLUMNS)}
     figure, (top, bottom) = plt.subplots(2, 1, figsize=(8.5, 6), sharex=True, layout="constrained")
@@ -230,19 +223,19 @@ def draw_training(path, history, stage_ends):
 
 
 def write_comparison(folder, scene, rows, images):
-    """comparison.png and .csv."""
+    """Write comparison.png and .csv."""
     draw_comparison(folder / "comparison.png", scene, rows, images)
     write_csv(folder / "comparison.csv", rows)
 
 
 def write_training(folder, history, stage_ends):
-    """training.png and .csv."""
+    """Write training.png and .csv."""
     draw_training(folder / "training.png", history, stage_ends)
     write_csv(folder / "training.csv", history, COLUMNS)
 
 
 def write_report(folder, model, scene, rows, images, metrics, history, stage_ends):
-    """All pictures and tables of a run into the Path `folder`."""
+    """Write all pictures and tables of a run into a folder."""
     write_comparison(folder, scene, rows, images)
     write_motion(folder / "motion.gif", model, scene.test[0].camera)
     draw_size(folder / "size.png", metrics["components"], metrics["explicit_bytes"])

@@ -1,10 +1,11 @@
-"""Which effects do the pictures call for?  Inferred from images, cameras and times alone, never from the scene's list.
+"""Which effects do the pictures call for? Inferred from images, cameras and times alone.
 
-Silhouettes decide about motion.  If nothing moves and nothing turns to the viewer, every pixel of the foreground
-looks at some point that is foreground in all other views too; the points that are form the visual hull (Laurentini
-1994).  Foreground that the hull leaves bare is a contradiction, hence a proof that something changed.  The colours that
-the views show of one point of the hull's surface decide, where nothing contradicts, about a dependence on the view.
-What pictures cannot tell is kept: a model with an effect too many is larger, one with an effect too few is wrong.
+Silhouettes decide about motion. If nothing moves and nothing depends on the viewer, every pixel of
+the foreground looks at some point that is foreground in all other views too. These points form the
+visual hull (Laurentini 1994). Foreground that the hull does not cover proves that something
+changed. Where nothing contradicts, the colours that the views show of one point of the hull's
+surface decide about a dependence on the viewer. Where pictures cannot tell, an effect is kept: a
+model with an effect too many is larger, a model with an effect too few is wrong.
 """
 
 import numpy as np
@@ -14,68 +15,60 @@ from .. import effects as fx
 from ..scenes.scene import MODEL_EFFECTS
 
 GRID = 72  # points of the hull along an axis
-BARE = (
-    0.002  # share of the foreground that may stay bare: the lattice may lose the rim of a thin part
-)
-COLOR_CHANGE = (
-    0.05  # of 1: what texture and a hull that is fatter than the body make of one point's colours
-)
+BARE = 0.002  # share of the foreground that the lattice may leave bare at thin parts
+COLOR_CHANGE = 0.05  # of 1: the change of one point's colours by texture and by a too large hull
 QUANTILE = (
-    0.75  # of all points: a quarter may lie in concavities, where the hull is not the surface
+    0.75  # of the points: a quarter may lie in concavities, where the hull is not the surface
 )
 WITNESSES = 6  # views that must see a point before its colours are compared
 POINTS = 600  # surface points whose colours are compared
 AROUND = np.ones((3, 3), bool)
+KEPT = "kept: "
 
 
 def suggest(scene):
-    """The model's effects that a scene's training views call for, each with a reason.
+    """The effects that a scene's training views call for; its list of effects is not read.
 
-    Takes      a Scene; its list of effects is not read
-    Returns    [{effect, called_for, evidence}], one for each of the closed list in its order; evidence is one sentence
-               with a number.  Where the pictures cannot tell it says so, and the effect is kept
+    Returns [{effect, called_for, evidence}] for the closed list in its order. The evidence is one
+    sentence with a number.
     """
     views = scene.train
     times = np.array([view.time for view in views])
     masks = [foreground(view, scene.background) for view in views]
     bare, change = evidence_of_change(views, masks)
+    occlusion = f"{KEPT}{len(views)} pictures cannot exclude that one surface hides another"
     found = {
-        **motion(times, bare, change),
+        **dict.fromkeys(fx.MOTION, motion(times, bare, change)),
         "view_color": view_color(bare, change),
         "view_geometry": view_geometry(times, bare),
-        "occlusion": (
-            True,
-            f"kept: which of two surfaces hides the other cannot be excluded from "
-            f"{len(views)} pictures",
-        ),
-        "background": background(views, masks, scene.background),
+        "occlusion": (True, occlusion),
+        "background": background(masks, scene.background),
     }
     return [
-        {"effect": effect, "called_for": called, "evidence": text}
-        for effect, (called, text) in ((name, found[name]) for name in MODEL_EFFECTS)
+        {"effect": effect, "called_for": found[effect][0], "evidence": found[effect][1]}
+        for effect in MODEL_EFFECTS
     ]
 
 
 def foreground(view, color):
-    """Where a view shows more than its background (H, W) bool: by its alpha, otherwise by its colour."""
-    return (
-        view.alpha > 0.5
-        if view.alpha is not None
-        else np.abs(view.image - color).max(axis=2) > 0.02
-    )
+    """Where a view shows more than its background, (H, W) bool: by its alpha or by its colour."""
+    if view.alpha is not None:
+        return view.alpha > 0.5
+    return np.abs(view.image - color).max(axis=2) > 0.02
 
 
 def evidence_of_change(views, masks):
-    """(share of the foreground that the hull leaves bare, change of a point's colour), None for what is unknown."""
-    if len(views) < 2 or all(mask.all() for mask in masks):
-        return None, None
-    hull, size = visual_hull(views, masks)
-    depths = [depth_map(hull, size, view.camera) for view in views]
+    """The share of the foreground that the hull leaves bare, and the change of a point's colour.
+
+    None for what is unknown.
+    """
     total = sum(int(mask.sum()) for mask in masks)
-    if not total:
+    if len(views) < 2 or all(mask.all() for mask in masks) or not total:
         return None, None
+    hull, step = visual_hull(views, masks)
+    depths = [depth_map(hull, step, view.camera) for view in views]
     bare = sum(int((mask & np.isinf(depth)).sum()) for mask, depth in zip(masks, depths)) / total
-    return bare, color_change(views, masks, hull, size, depths)
+    return bare, color_change(views, masks, hull, step, depths)
 
 
 def visual_hull(views, masks):
@@ -84,7 +77,6 @@ def visual_hull(views, masks):
     A view that does not see a point says nothing about it.
     """
     middle, reach = looked_at(views)
-    step = 2 * reach / (GRID - 1)
     line = np.linspace(-reach, reach, GRID)
     points = middle + np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
     for view, mask in zip(views, masks):
@@ -92,167 +84,131 @@ def visual_hull(views, masks):
         keep = ~inside
         keep[inside] = mask[row[inside], column[inside]]
         points = points[keep & (depth > 0)]
-    return points, step
+    return points, 2 * reach / (GRID - 1)
 
 
 def looked_at(views):
-    """The point nearest to all optical axes, and the radius about it that the narrowest view still shows."""
-    axes, centers = (
-        np.array([getter(view.camera) for view in views])
-        for getter in (lambda camera: camera.R[2], lambda camera: camera.center)
-    )
+    """The point nearest to all optical axes, and the radius around it that a typical view shows."""
+    cameras = [view.camera for view in views]
+    axes = np.array([camera.R[2] for camera in cameras])
+    centers = np.array([camera.center for camera in cameras])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    middle = np.linalg.lstsq(
-        across.sum(axis=0), np.einsum("nij,nj->i", across, centers), rcond=None
-    )[0]
-    opening = [
-        max(view.camera.width / view.camera.f_x, view.camera.height / view.camera.f_y) / 2
-        for view in views
-    ]
+    sums = across.sum(axis=0), np.einsum("nij,nj->i", across, centers)
+    middle = np.linalg.lstsq(*sums, rcond=None)[0]
+    opening = [max(c.width / c.f_x, c.height / c.f_y) / 2 for c in cameras]
     return middle, float(np.median(np.linalg.norm(centers - middle, axis=1) * opening))
 
 
 def pixels_of(points, camera):
-    """Row, column, depth of points, and whether they fall into the picture."""
+    """Row, column and depth of points, and whether they are in the picture."""
     x, y, z = (points @ camera.R.T + camera.T).T
     near = np.where(z > 1e-6, z, np.inf)
-    column, row = (
-        np.rint(focal * a / near + c).astype(np.int64)
-        for focal, a, c in ((camera.f_x, x, camera.c_x), (camera.f_y, y, camera.c_y))
-    )
-    inside = (
-        (z > 1e-6) & (row >= 0) & (row < camera.height) & (column >= 0) & (column < camera.width)
-    )
-    return row, column, z, inside
+    column = np.rint(camera.f_x * x / near + camera.c_x).astype(np.int64)
+    row = np.rint(camera.f_y * y / near + camera.c_y).astype(np.int64)
+    inside = (row >= 0) & (row < camera.height) & (column >= 0) & (column < camera.width)
+    return row, column, z, inside & (z > 1e-6)
 
 
 def depth_map(hull, step, camera):
-    """Depth of the hull's nearest point at every pixel, infinity where none projects into the pixel or beside it."""
+    """Depth of the hull's nearest point in or beside every pixel, infinite where there is none."""
     row, column, z, inside = pixels_of(hull, camera)
-    depth = np.full((camera.height + 2, camera.width + 2), np.inf)
+    height, width = camera.height, camera.width
+    depth = np.full((height + 2, width + 2), np.inf)
     reach = int(np.ceil(step * max(camera.f_x, camera.f_y) / np.median(z) / 2)) if len(z) else 1
     for dv in range(-reach, reach + 1):
         for du in range(-reach, reach + 1):
-            np.minimum.at(
-                depth,
-                (
-                    np.clip(row[inside] + 1 + dv, 0, camera.height + 1),
-                    np.clip(column[inside] + 1 + du, 0, camera.width + 1),
-                ),
-                z[inside],
-            )
+            v = np.clip(row[inside] + 1 + dv, 0, height + 1)
+            u = np.clip(column[inside] + 1 + du, 0, width + 1)
+            np.minimum.at(depth, (v, u), z[inside])
     return depth[1:-1, 1:-1]
 
 
 def color_change(views, masks, hull, step, depths):
-    """How much the colour of one surface point differs between the views that see it: QUANTILE of standard deviations.
+    """How much the colour of one surface point differs between the views that see it.
 
-    A view sees a point if no point of the hull lies before it and its pixel is well inside the foreground.
+    It is a quantile over the points of their standard deviation. A view sees a point if no point of
+    the hull lies before it and its pixel is well inside the foreground.
     """
-    inner = [~binary_dilation(~mask, AROUND) for mask in masks]
     shown = np.full((len(views), len(hull), 3), np.nan)
-    for color, view, depth, mask in zip(shown, views, depths, inner):
+    for color, view, depth, mask in zip(shown, views, depths, masks):
+        inner = ~binary_dilation(~mask, AROUND)
         row, column, z, inside = pixels_of(hull, view.camera)
         row, column = np.where(inside, row, 0), np.where(inside, column, 0)
-        seen = inside & mask[row, column] & (z <= depth[row, column] + step)
+        seen = inside & inner[row, column] & (z <= depth[row, column] + step)
         color[seen] = view.image[row[seen], column[seen]]
     often = np.flatnonzero(np.isfinite(shown[:, :, 0]).sum(axis=0) >= WITNESSES)
     if not len(often):
         return None
-    chosen = often[np.linspace(0, len(often) - 1, min(POINTS, len(often))).astype(int)]
-    middle = np.nanmedian(shown[:, chosen], axis=0)  # a view that looks past the body is no witness
-    spread = np.nanmedian(np.abs(shown[:, chosen] - middle), axis=0).max(axis=1)
-    return float(
-        np.quantile(1.4826 * spread, QUANTILE)
-    )  # of a normal distribution's standard deviation
+    chosen = shown[:, often[np.linspace(0, len(often) - 1, min(POINTS, len(often))).astype(int)]]
+    # Medians, because a view that looks past the body must not count.
+    middle = np.nanmedian(chosen, axis=0)
+    spread = np.nanmedian(np.abs(chosen - middle), axis=0).max(axis=1)
+    return float(np.quantile(1.4826 * spread, QUANTILE))  # a normal distribution's deviation
 
 
+# --- verdicts: (called for, evidence) ------------------------------------------------------------
 def motion(times, bare, change):
-    """(called for, evidence) of translation, rotation and scaling, which pictures show together."""
-    together = (
-        "; which of translation, rotation and scaling it is, one camera at a time cannot tell"
-    )
+    """Translation, rotation and scaling, which pictures show together."""
     if len(set(times)) == 1:
-        verdict = False, f"all {len(times)} views have the time {times[0]:g}, so nothing can move"
-    elif bare is None:
-        verdict = (
+        return False, f"all {len(times)} views have the time {times[0]:g}, so nothing can move"
+    if bare is None:
+        return (
             True,
-            f"kept: {len(times)} views without a silhouette cannot show whether something moves",
+            f"{KEPT}{len(times)} views without silhouettes cannot show whether anything moves",
         )
-    elif bare > BARE:
-        verdict = (
-            True,
-            f"{100 * bare:.1f} % of the foreground is nowhere that all other times allow{together}",
+    if bare > BARE:
+        return True, (
+            f"{100 * bare:.1f} % of the foreground is where some other time shows background; one "
+            "camera at a time cannot tell translation, rotation and scaling apart"
         )
-    elif change is None or change > COLOR_CHANGE:
-        shown = (
-            "no point is seen often enough"
-            if change is None
-            else f"colours of one point differ by {change:.3f}"
-        )
-        verdict = (
-            True,
-            f"kept: silhouettes agree over time, but {shown}, which motion inside them would explain",
-        )
-    else:
-        verdict = (
-            False,
-            (
-                f"one still shape fits all silhouettes ({100 * bare:.2f} % of the foreground left over) "
-                f"and colours of one point differ by {change:.3f} only"
-            ),
-        )
-    return dict.fromkeys(fx.MOTION, verdict)
+    if change is None or change > COLOR_CHANGE:
+        shown = f"colours of one point differ by {change:.3f}" if change is not None else ""
+        shown = shown or f"no point is seen by {WITNESSES} views"
+        return True, f"{KEPT}silhouettes agree over time, but {shown}, as with motion inside them"
+    return False, (
+        f"one still shape fits all silhouettes ({100 * bare:.2f} % of the foreground left over), "
+        f"and colours of one point differ only by {change:.3f}"
+    )
 
 
 def view_color(bare, change):
-    """(called for, evidence) of a colour that depends on the viewer."""
+    """A colour that depends on the viewer."""
     if bare is not None and bare > BARE:
         return True, (
-            f"kept: {100 * bare:.1f} % of the foreground changes, and of what moves no two cameras show the "
-            f"same moment"
+            f"{KEPT}{100 * bare:.1f} % of the foreground changes, and no two cameras show what "
+            "moves at the same moment"
         )
     if change is None:
-        return (
-            True,
-            f"kept: no surface point is seen by {WITNESSES} views, so none can be compared between cameras",
-        )
+        return True, f"{KEPT}no surface point is seen by {WITNESSES} views, so none can be compared"
     if change > COLOR_CHANGE:
         return True, f"the colour of one still point differs by {change:.3f} between cameras"
-    return (
-        False,
-        f"the colour of one point differs by {change:.3f} between cameras, no more than sampling makes it",
+    return False, (
+        f"the colour of one point differs by {change:.3f} between cameras, not more than sampling "
+        "explains"
     )
 
 
 def view_geometry(times, bare):
-    """(called for, evidence) of shapes that depend on the viewer."""
+    """Shapes that depend on the viewer."""
     if bare is None:
-        return True, "kept: without two silhouettes, 0 shapes can be compared between cameras"
+        return True, f"{KEPT}without two silhouettes, 0 shapes can be compared between cameras"
+    share = f"{100 * bare:.1f} % of the foreground"
+    if bare > BARE and len(set(times)) == 1:
+        return True, f"{share} is where some other camera shows background, at one time"
     if bare > BARE:
-        if len(set(times)) == 1:
-            return (
-                True,
-                f"{100 * bare:.1f} % of the foreground is nowhere that all other cameras allow, at one time",
-            )
         return True, (
-            f"kept: {100 * bare:.1f} % of the foreground changes, and motion and the viewer cannot be told "
-            f"apart where every camera has its own time"
+            f"{KEPT}{share} changes, and where every camera has its own time, motion and viewer "
+            "cannot be told apart"
         )
-    return (
-        False,
-        f"one shape fits the silhouettes of all cameras ({100 * bare:.2f} % of the foreground left over)",
-    )
+    return False, f"one shape fits the silhouettes of all cameras ({100 * bare:.2f} % left over)"
 
 
-def background(views, masks, color):
-    """(called for, evidence) of a colour behind the scene."""
+def background(masks, color):
+    """A colour behind the scene."""
     share = 1 - float(np.mean([mask.mean() for mask in masks]))
+    shown = f"{100 * share:.0f} % of the pixels show"
     if share == 0:
-        return False, "0 % of the pixels show the background"
+        return False, f"{shown} the background"
     if not np.any(color):
-        return (
-            False,
-            f"{100 * share:.0f} % of the pixels show the background, and it is black, which needs no term",
-        )
-    return True, f"{100 * share:.0f} % of the pixels show a background that is not black"
+        return False, f"{shown} the background, and it is black, which needs no term"
+    return True, f"{shown} a background that is not black"

@@ -27,9 +27,7 @@ def test_special_functions_are_counted_and_left_as_they_were():
     before = dict(vars(formulas))
     x = np.linspace(0.1, 2, 7)[None]
     assert (
-        timing.special_calls(
-            formulas, lambda: formulas.literal(x, 0 * x, 1 + 0 * x, 1 + 0 * x)
-        )
+        timing.special_calls(formulas, lambda: formulas.literal(x, 0 * x, 1 + 0 * x, 1 + 0 * x))
         == 5 * 7
     )
     assert dict(vars(formulas)) == before

@@ -1,4 +1,4 @@
-"""The ledger of effects, units that nothing wakes, and a still scene with and without all effects."""
+"""The ledger of effects, hidden units that are always zero, and a scene with all effects on."""
 
 import csv
 import json
@@ -13,10 +13,24 @@ from p4dgs_ref.codec.inspect import components
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.model import ANCHOR_NETWORKS, without_silent_units
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
-from p4dgs_ref.studies import effect_ledger, effect_pair
+from p4dgs_ref.studies import effect_ledger
 from p4dgs_ref.training.presets import SMOKE
-from p4dgs_ref.training.trainer import assemble
-from tests.core.test_effects import EPS, SEEN_BY, trained
+from p4dgs_ref.training.trainer import Trainer, assemble
+from tests.studies import pairs
+
+EPS = np.finfo(float).eps
+VIEW = ("view_color", "view_geometry")
+SHORT = SMOKE._replace(stage_ends=(1, 2, 3, 5))  # every stage, in five steps
+
+
+def trained(name, *forced):
+    """A trainer after five steps on a scene, with some effects forced on."""
+    scene = load_scene(name)
+    effects = [effect for effect in MODEL_EFFECTS if effect in (*scene.effects, *forced)]
+    trainer = Trainer(replace(scene, effects=tuple(effects)), SHORT)
+    for _ in range(SHORT.iterations):
+        trainer.step()
+    return trainer
 
 
 def test_ledger(tmp_path):
@@ -25,13 +39,13 @@ def test_ledger(tmp_path):
     assert [row["effect"] for row in rows] == list(MODEL_EFFECTS) and len(told) > 10
     assert json.loads(json.dumps(rows)) == rows
     for row in rows:
-        called = row["effect"] in scene.effects
-        assert row["called_for"] == called and row["ms_on"] > 0 and row["ms_off"] > 0
-        assert row["work_on"] > 0 == row["work_off"] and row["bytes_on"] >= 0 == row["bytes_off"]
-        assert (row["bytes_on"] > 0) == (row["effect"] in (*MOTION, *SEEN_BY))
-        assert (row["psnr_lost_when_off"] is None) != called and (
-            row["psnr_gained_when_forced"] is None
-        ) == called
+        listed = row["effect"] in scene.effects
+        assert row["called_for"] == listed and row["ms_on"] > 0 and row["ms_off"] > 0
+        assert row["work_on"] > 0 == row["work_off"]
+        assert row["bytes_on"] >= 0 == row["bytes_off"]
+        assert (row["bytes_on"] > 0) == (row["effect"] in (*MOTION, *VIEW))
+        assert (row["psnr_lost_when_off"] is not None) == listed
+        assert (row["psnr_gained_when_forced"] is None) == listed
     assert rows[MODEL_EFFECTS.index("background")]["psnr_lost_when_off"] > 0.5
     text = effect_ledger.describe(rows)
     assert all(row["evidence"] in text for row in rows)
@@ -53,45 +67,36 @@ def test_a_switched_build_differs_in_one_effect_only():
 
 @pytest.mark.parametrize("name", ["static", "figure"])
 def test_silent_units_change_no_picture(name, monkeypatch):
-    """Units that no feature wakes: the slim model is the same function on this file's anchors, and its file is smaller."""
-    scene = load_scene(name)
-    trainer = trained(name, "occlusion", True)[0]
-    p = trainer.parameters
+    """A model without the units that are always zero is the same function, and its file smaller."""
+    trainer = trained(name, "occlusion")
+    scene, p = trainer.scene, trainer.parameters
     for i, net in enumerate(ANCHOR_NETWORKS):
-        p[f"{net}.b0"][[i, i + 1]], p[f"{net}.b1"][i : i + 3 + i] = -100, -100
-    trained_model = assemble(p, trainer.design, trainer.mask, trainer.box, scene.background)
-    with monkeypatch.context() as fat:
-        fat.setattr(quantise, "without_silent_units", lambda model: model)
-        data = encode(trained_model)
+        p[f"{net}.b0"][[i, i + 1]] = -100
+        p[f"{net}.b1"][i : i + 3 + i] = -100
+    whole = assemble(p, trainer.design, trainer.mask, trainer.box, scene.background)
+    with monkeypatch.context() as unslimmed:
+        unslimmed.setattr(quantise, "without_silent_units", lambda model: model)
+        data = encode(whole)
     model = decode(data)
     slim = without_silent_units(model)
-    # at least two and three are silent everywhere; training may have put more to sleep
-    assert (
-        slim.design.hidden[0] <= SMOKE.hidden[0] - 2
-        and slim.design.hidden[1] <= SMOKE.hidden[1] - 3
-    )
-    again = encode(trained_model)
+    # Two and three units are zero in all networks; training may have silenced more.
+    first, second = slim.design.hidden
+    assert first <= SMOKE.hidden[0] - 2 and second <= SMOKE.hidden[1] - 3
+    again = encode(whole)
     assert again == encode(slim) == encode(decode(again))
-    assert (
-        len(again) < len(data) - 100
-        and components(again)["features"] == components(data)["features"]
-    )
+    assert len(again) < len(data) - 100
+    assert components(again)["features"] == components(data)["features"]
     for view in scene.test[:3]:
-        ours, theirs = (
-            slim.gaussians(view.time, view.camera),
-            model.gaussians(view.time, view.camera),
-        )
-        back = decode(again).gaussians(view.time, view.camera)
-        for a, b, c in zip(ours, theirs, back):
-            assert np.array_equal(a, c) and np.abs(a - b).max() <= 64 * EPS * max(
-                np.abs(b).max(), 1
-            )
-    seeing = decode(trained(name, "view_color", True)[2])
+        models = slim, model, decode(again)
+        for a, b, c in zip(*(m.gaussians(view.time, view.camera) for m in models)):
+            assert np.array_equal(a, c)
+            assert np.abs(a - b).max() <= 64 * EPS * max(np.abs(b).max(), 1)
+    seeing = decode(encode(trained(name, "view_color").model()))
     assert without_silent_units(seeing) is seeing
 
 
-def test_silent_units_keep_one_where_all_sleep():
-    trainer = trained("static", "occlusion", True)[0]
+def test_one_unit_is_kept_where_all_are_silent():
+    trainer = trained("static", "occlusion")
     model = trainer.model()
     for net in ANCHOR_NETWORKS:
         for b in model.networks[net][1][:-1]:
@@ -102,38 +107,32 @@ def test_silent_units_keep_one_where_all_sleep():
     assert np.array_equal(slim.render(view.camera, 0), model.render(view.camera, 0))
 
 
-def test_pair():
-    """Two seeds of each build, the comparison from its rows alone, and rows that JSON takes."""
-    rows = effect_pair.static_pair(seeds=(0, 3), preset="smoke")
-    builds = (effect_pair.LISTED, effect_pair.ALL)
-    assert [(row["seed"], row["build"]) for row in rows] == [
-        (seed, build) for seed in (0, 3) for build in builds
-    ]
-    assert json.loads(json.dumps(rows)) == rows
-    for less, more in zip(rows[::2], rows[1::2]):
-        assert less["bytes"] < more["bytes"]
-        assert 0 < less["work"] < more["work"]
+# --- as listed against all effects ---------------------------------------------------------------
+def test_pairs_of_builds():
+    """Two seeds of each build, and the comparison of made-up rows."""
+    rows = pairs.static_pair((0, 3), "smoke")
+    builds = [(row["seed"], row["build"]) for row in rows]
+    assert builds == [(seed, build) for seed in (0, 3) for build in (pairs.LISTED, pairs.ALL)]
+    for few, full in zip(rows[::2], rows[1::2]):
+        assert few["bytes"] < full["bytes"] and 0 < few["work"] < full["work"]
+    changes = zip((2, 5, 4, 10), (60, 105, 55, 105), (30.0, 31.0, 32.0, 31.5))
     made = [
         {**row, "ms_per_step": ms, "bytes": size, "psnr_db": psnr}
-        for row, ms, size, psnr in zip(
-            rows, (2, 5, 4, 10), (60, 105, 55, 105), (30.0, 31.0, 32.0, 31.5)
-        )
+        for row, (ms, size, psnr) in zip(rows, changes)
     ]
-    result = effect_pair.compare_pair(made)
+    result = pairs.compare(made)
     assert result["speedup"] == 2.5 and result["psnr_lost"] == 0.25 and result["seed_spread"] == 2
     assert result["bytes_saved"] == pytest.approx(1 - 55 / 105 / 2 - 60 / 105 / 2)
-    assert "2.50 times" in effect_pair.describe_pair(made)
 
 
 @pytest.mark.slow
 def test_static_needs_less_than_with_everything_on():
-    """Bytes and counted work of `static`, half a training; seconds are the machine's: printed, not asserted."""
-    rows = effect_pair.static_pair(seeds=(0, 1), share=0.5)
-    print("\n" + effect_pair.describe_pair(rows))
-    result = effect_pair.compare_pair(rows)
+    """Bytes and counted work of `static`, half a training; the times are printed only."""
+    rows = pairs.static_pair((0, 1), share=0.5)
+    result = pairs.compare(rows)
+    print(f"\na step is {result['speedup']:.2f} times as fast")
     assert result["bytes_saved"] >= 0.4
     assert result["psnr_lost"] <= max(result["seed_spread"], 1.0)
-    listed_rows, all_rows = (rows[i::2] for i in (0, 1))
-    for less, more in zip(listed_rows, all_rows):
-        assert less["build"] == effect_pair.LISTED and more["build"] == effect_pair.ALL
-        assert more["work"] > 3 * less["work"] and more["bytes"] > 1.5 * less["bytes"]
+    for few, full in zip(rows[::2], rows[1::2]):
+        assert few["build"] == pairs.LISTED and full["build"] == pairs.ALL
+        assert full["work"] > 3 * few["work"] and full["bytes"] > 1.5 * few["bytes"]
