@@ -69,11 +69,13 @@ def table_of(mu, sigma, q):
     reach = math.ceil(12 * sigma / q) + 1
     first = round(mu / q) - reach
     n = 2 * reach + 1
-    edges = (first + np.arange(n + 1) - 0.5) * q
+    one_each = np.arange(n + 1)
+    edges = (first + one_each - 0.5) * q
     cumulative = ndtr((edges - mu) / sigma)
-    cumulative[0], cumulative[-1] = 0, 1
-    counts = np.floor(cumulative * (2**BITS - n)).astype(int) + np.arange(n + 1)
-    return first, counts
+    cumulative[0] = 0
+    cumulative[-1] = 1
+    shared = np.floor(cumulative * (2**BITS - n)).astype(int)
+    return first, shared + one_each
 
 
 def encode(symbols, tables):
@@ -161,7 +163,14 @@ def price(symbols):
     return total
 
 
-camera = look_at((1.1, -1.9, 0.9), (0.05, 0, -0.45), 84.0, 84.0, 96, 72)
+camera = look_at(
+    position=(1.1, -1.9, 0.9),
+    target=(0.05, 0, -0.45),
+    f_x=84.0,
+    f_y=84.0,
+    width=96,
+    height=72,
+)
 
 
 def picture(symbols):
@@ -275,13 +284,15 @@ up = np.nextafter(sigma, np.float32(np.inf))
 growth = up.astype(float) / sigma - 1
 expected = 0.0
 changed = 0
-for (first, counts), (_, counts_up), row in zip(tables, build(mu, up), zip(mu, sigma, q, growth)):
-    m, s, step, relative = (float(v) for v in row)
+numbers = np.stack([mu, sigma, q, growth], axis=1).astype(float)
+for number, (first, counts), (_, moved) in zip(numbers, tables, build(mu, up)):
+    m, s, step, relative = number
     boundaries = (first + np.arange(1, len(counts) - 1) - 0.5) * step
     z = (boundaries - m) / s
-    expected += (2**BITS * phi(z) * np.abs(z)).sum() * relative
-    if len(counts) == len(counts_up):
-        changed += (counts != counts_up).sum()
+    hits = 2**BITS * phi(z) * np.abs(z) * relative
+    expected += hits.sum()
+    if len(counts) == len(moved):
+        changed += (counts != moved).sum()
 print(f"boundaries moved by one ulp in every deviation: {changed} counted, {expected:.0f} expected")
 assert abs(changed - expected) < 4 * math.sqrt(expected)
 
@@ -310,8 +321,9 @@ while snap(edge) == snap(above):
     above = np.nextafter(edge, np.float32(1))
 assert snap(above) - snap(edge) == 1  # neighbouring floats, rounded to different multiples
 assert 1.04 < 2 ** (1 / 16) < 1.05
-distance = np.log2(forwards[1].astype(float)) - np.log2(backwards[1].astype(float))
-crossings = 1e6 * 16 * np.abs(distance).mean()
+ratio = forwards[1].astype(float) / backwards[1]
+distance = 16 * np.abs(np.log2(ratio))
+crossings = 1e6 * distance.mean()
 assert round(crossings, 1) == 1.6
 
 # %% [markdown]
@@ -396,7 +408,9 @@ with suppress(NotImplementedError):
     answer_2 = my_network(h, layers)
 with suppress(NotImplementedError):
     answer_3 = my_sigma_units(raw, log2_D, exponents)
-lessons.number("21.1", answer_1, [62 * 7 + 9 - 9, 62 * 10 + 9])  # B in one table, A in the other
+B_with_nine = 62 * 7 + 9 - 9
+A_with_ten = 62 * 10 + 9
+lessons.number("21.1", answer_1, [B_with_nine, A_with_ten])
 lessons.number("21.2", answer_2, y, digits=15)
 lessons.number("21.3", answer_3, stored["sigma_units"], digits=15)
 

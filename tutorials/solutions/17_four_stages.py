@@ -24,10 +24,15 @@ lessons.number("17.1", 30, 100 * (ends[2] - ends[1]) / ends[3])
 # stage 2 moves the same arrays as stage 1. In the paper's presets x_a never moves.
 
 # %%
-first = {"psi_d": 3, "psi_p": 4, "psi_q": 4, "grid": 4}
-want = [1, 1, 1, 1, 1, 1, 1, 1, 1, 3, 4, 4, 4]
+late = {
+    "psi_d": 3,
+    "psi_p": 4,
+    "psi_q": 4,
+    "grid": 4,
+}
+first = [late.get(stem, 1) for stem in LEARNING_RATES]
 assert PRESETS["paper_real"].lr_x == (0, 0)
-lessons.number("17.2", [first.get(stem, 1) for stem in LEARNING_RATES], want)
+lessons.number("17.2", first, 9 * [1] + [3, 4, 4, 4])
 
 # %% [markdown]
 # **17.3** `L_rate` is `bits` divided by a constant, so the two cotangents can be combined into
@@ -44,8 +49,9 @@ def my_backward(inputs, cotangents):
     _, saved = likelihood.forward(noisy, inputs["mu"], inputs["sigma"], columns)
 
     factor = cotangents["bits_bar"] + cotangents["L_rate_bar"] / noisy.size
-    always = np.ones((len(mask), sum(widths[:3])), bool)
-    coded = np.concatenate([always, np.repeat(mask, 3, axis=1)], axis=1)
+    always = np.ones((len(mask), inputs["d"] + 6), bool)
+    offsets = np.repeat(mask, 3, axis=1)
+    coded = np.concatenate([always, offsets], axis=1)
     bits_bar = np.where(coded, factor, 0).astype(noisy.dtype)
 
     bars = likelihood.backward(saved, bits_bar)

@@ -18,7 +18,7 @@ from p4dgs_ref.school import lessons
 sigma, q = 0.02, 0.001
 density = 1 / (sigma * math.sqrt(2 * math.pi))
 mass = 1 - 2 * ndtr(-q / (2 * sigma))
-want = [1 / (0.02 * math.sqrt(2 * math.pi)), ndtr(0.025) - ndtr(-0.025)]
+want = [19.9471140, ndtr(0.025) - ndtr(-0.025)]
 lessons.number("22.1", [density, mass], want)
 
 
@@ -36,16 +36,21 @@ def columns_of(values, d, k):
 def counted(mask, d):
     """(A, n): 1 where a number costs bits."""
     always = np.ones((len(mask), d + 6))
-    return np.concatenate([always, np.repeat(mask, 3, axis=1)], axis=1)
+    offsets = np.repeat(mask, 3, axis=1)
+    return np.concatenate([always, offsets], axis=1)
 
 
 def my_rate(noisy, mu, sigma, q, mask, grids, d, k):
     bits, _ = likelihood.forward(noisy, mu, sigma, columns_of(q, d, k))
-    signs = np.concatenate([grid.ravel() for grid in grids]) >= 0
-    shares = np.array([signs.mean(), 1 - signs.mean()])
-    logarithms = np.log2(np.where(shares > 0, shares, 1))
-    R_hash = -signs.size * (shares * logarithms).sum()
-    total = (bits * counted(mask, d)).sum() + R_hash
+    R_anchor = (bits * counted(mask, d)).sum()
+    entries = np.concatenate([grid.ravel() for grid in grids])
+    n = entries.size
+    n_pos = (entries >= 0).sum()
+    R_hash = 0
+    for count in (n_pos, n - n_pos):
+        if count:
+            R_hash -= count * np.log2(count / n)
+    total = R_anchor + R_hash
     return {"bits": total, "L_rate": total / noisy.size}
 
 

@@ -47,9 +47,11 @@ def my_motion(x, s, r, t, L_x, L_t, psi_d_weights, psi_d_biases):
     for W, b in zip(psi_d_weights[:-3], psi_d_biases[:-3]):
         y = np.maximum(y @ W + b, 0)
     moved = []
-    for a, W, b in zip((x, s, r), psi_d_weights[-3:], psi_d_biases[-3:]):
-        delta = y @ W + b
-        moved.append(a + delta if delta.shape[1] else a)
+    heads = zip(psi_d_weights[-3:], psi_d_biases[-3:])
+    for a, (W, b) in zip((x, s, r), heads):
+        if W.shape[1]:
+            a = a + y @ W + b
+        moved.append(a)
     x_t, s_t, r_t = moved
     if psi_d_weights[-1].shape[1]:
         squared = (r_t**2).sum(axis=1, keepdims=True)
@@ -76,8 +78,9 @@ def my_color_backward(inputs, cotangents):
     slope = expit(y) * expit(-y)
     y_bar = cotangents["color_bar"].reshape(y.shape) * slope
     bars = mlp.backward(saved, y_bar)
-    cuts = np.cumsum([part.shape[1] for part in parts])[:2]
-    gradients = dict(zip(names, np.split(bars["x"], cuts, axis=1)))
+    widths = [part.shape[1] for part in parts]
+    columns = np.split(bars["x"], np.cumsum(widths)[:2], axis=1)
+    gradients = dict(zip(names, columns))
     gradients["weights"] = bars["weights"]
     gradients["biases"] = bars["biases"]
     return gradients

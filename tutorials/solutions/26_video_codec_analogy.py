@@ -12,7 +12,9 @@ from p4dgs_ref.school import lessons
 # $10000\cdot 8$ bits for two seconds, however many frames are shown.
 
 # %%
-lessons.number("26.1", [1200, 40], [30 * 5000 * 8 / 1000, 10_000 * 8 / 1000 / 2])
+intra = 30 * 5000 * 8 / 1000
+inter = 10_000 * 8 / 1000 / 2
+lessons.number("26.1", [1200, 40], [intra, inter])
 
 # %% [markdown]
 # **26.2** Shift the whole reference by each candidate and sum the errors of each block; this
@@ -58,11 +60,17 @@ def my_backward(inputs, cotangents):
     y_bar = np.concatenate([cotangents[name] for name in names], axis=1)
     bars = mlp.backward(saved, y_bar)
     E_x_bar = bars["x"][:, : E_x.shape[1]]
-    cuts = np.cumsum([W.shape[1] for W in weights[-3:]])[:2]
+    x_bar = positional_encoding.backward(saved_x, E_x_bar)["p"]
+    *weights_bar, last_layer_bar = bars["weights"]
+    *biases_bar, last_bias_bar = bars["biases"]
+    widths = [W.shape[1] for W in weights[-3:]]
+    cuts = np.cumsum(widths)[:2]
+    weights_bar += np.split(last_layer_bar, cuts, axis=1)
+    biases_bar += np.split(last_bias_bar, cuts)
     return {
-        "x": positional_encoding.backward(saved_x, E_x_bar)["p"],
-        "weights": [*bars["weights"][:-1], *np.split(bars["weights"][-1], cuts, axis=1)],
-        "biases": [*bars["biases"][:-1], *np.split(bars["biases"][-1], cuts)],
+        "x": x_bar,
+        "weights": weights_bar,
+        "biases": biases_bar,
     }
 
 
