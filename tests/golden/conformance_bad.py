@@ -1,4 +1,4 @@
-"""The damaged conformance streams: one defect each, all checksums right but where the checksum is the defect."""
+"""The bad conformance streams: one defect each; checksums are valid unless they are the defect."""
 
 import json
 import struct
@@ -16,7 +16,7 @@ ROW, HEAD = 9, 14  # bytes of a row of the section table, and of what stands bef
 
 
 def framed(rows, magic=MAGIC, version=1, total=None, tail=b""):
-    """A file of any (id, length, body) rows, sound or not, with checksums that are right."""
+    """A file of any rows (id, length, body), valid or not, with valid checksums."""
     size = HEAD + ROW * len(rows) + 4 + sum(len(body) for _, _, body in rows) + len(tail)
     head = magic + struct.pack("<BBI", version, len(rows), size if total is None else total)
     head += b"".join(
@@ -28,6 +28,7 @@ def framed(rows, magic=MAGIC, version=1, total=None, tail=b""):
 
 
 def rows_of(sections):
+    """The rows (id, length, body) of sections."""
     return [
         (i, len(sections[name]), sections[name])
         for i, name in enumerate(SECTIONS, 1)
@@ -36,11 +37,12 @@ def rows_of(sections):
 
 
 def spliced(body, at, replacement):
+    """The bytes with some of them replaced."""
     return body[:at] + replacement + body[at + len(replacement) :]
 
 
 def forgeries():
-    """[(name, what is wrong, file, section, offset or None, kind)], from one small sound stream."""
+    """All bad streams, made from a good one: (name, what is wrong, file, section, offset, kind)."""
     parts = Parts(
         21,
         anchors=6,
@@ -51,9 +53,8 @@ def forgeries():
         effects=("rotation",),
     )
     parts.mask[...] = True
-    parts.prior(
-        weights=0.0, mu=0.0, raw=[0.0] * 2 + [0.5] * 12
-    )  # sigma/q = 2 for f: no raw bits in features
+    # sigma / q = 2 for f, so that features have no raw bits.
+    parts.prior(weights=0.0, mu=0.0, raw=[0.0] * 2 + [0.5] * 12)
     parts.steps(0.0, 0.0, 0.0, 0.0)
     symbols = parts.draw(-3, 3, 6, 14)
     symbols[0, 0] = 100  # an escape, the only one of its section
@@ -73,10 +74,9 @@ def _frames(sections):
     sound = framed(rows)
     table_end = HEAD + ROW * len(rows)
     flipped, in_table = bytearray(sound), bytearray(sound)
-    flipped[sound.index(sections["anchor_mlps"]) + 4] ^= (
-        1  # of a weight: nothing but the checksum can tell
-    )
-    in_table[HEAD + 5] ^= 1  # of the header's checksum
+    # A bit of a weight, which only the checksum can reveal, and one of the header's checksum.
+    flipped[sound.index(sections["anchor_mlps"]) + 4] ^= 1
+    in_table[HEAD + 5] ^= 1
     longer = [(number, length + (number == 2), body) for number, length, body in rows]
     beyond = [*rows[:-1], (12, *rows[-1][1:])]
     return [
@@ -237,7 +237,7 @@ def _headers(sections):
 
 
 def _contents(sections):
-    """Defects of numbers that stand as they are."""
+    """Defects of numbers that are stored without entropy coding."""
     infinite = spliced(sections["context_mlps"], 6, b"\x00\x7c")
     no_number = spliced(sections["anchor_mlps"], 0, b"\x01\xfe")
     lo, hi = sections["positions"][:12], sections["positions"][12:24]
@@ -300,16 +300,15 @@ def _contents(sections):
 def _streams(sections, quantised):
     """Defects of entropy-coded messages."""
     features, scales = sections["features"], sections["scales"]
-    message = features[:-2]  # behind it the escape's gamma code, thirteen bits
+    message = features[:-2]  # without the escape's gamma code of thirteen bits
     ctx = quantised.context
     offsets = [a[:, 8:].ravel() for a in (quantised.symbols, ctx.mu_units, ctx.sigma_units)]
 
     def started_high(states, starts, freqs):
         return rans.push_rows_plainly([states[0], states[1] + 2**31, *states[2:]], starts, freqs)
 
-    likely = rans.encode(
-        np.ones(12, np.int64), np.array([0, 1, 1 << 24])
-    )  # ends in a state below 2^32
+    # This message ends in a state below 2^32.
+    likely = rans.encode(np.ones(12, np.int64), np.array([0, 1, 1 << 24]))
     two_lanes = encode_gaussian(*offsets, lanes=2)
     tail = int.from_bytes(two_lanes[1:5], "little")
     gamma = {

@@ -1,4 +1,7 @@
-"""The sound conformance streams: models made of integers alone, each to test one corner of the format."""
+"""The good conformance streams: models made of integers, each for one corner of the format.
+
+The texts of SAYS are published in the manifest.
+"""
 
 import numpy as np
 
@@ -26,7 +29,7 @@ LARGEST, SUBNORMAL = 65504.0, 2.0**-24  # float16's largest number and its small
 
 
 class Draw:
-    """Integers that look random and are the same everywhere: Knuth's 64-bit linear congruence, top 32 bits."""
+    """Pseudo-random integers: the top 32 bits of Knuth's 64-bit linear congruential generator."""
 
     def __init__(self, seed):
         self.state = seed
@@ -41,16 +44,15 @@ class Draw:
 
 
 class Parts:
-    """What a stream is made of, before its context is computed; a maker below changes what it tests."""
+    """The parts of a stream before its context is computed; a maker below changes what it tests."""
 
     def __init__(self, seed, anchors=4, **changes):
         self.draw, self.design = Draw(seed), BASE._replace(**changes)
         self.positions = self.draw(0, 65535, anchors, 3)
         self.box = np.array([-1.5, -1.0, 0.25], np.float32), np.array([1.5, 2.0, 1.75], np.float32)
         self.mask = self.draw(0, 3, anchors, self.design.k) > 0
-        self.mask[range(anchors), np.arange(anchors) % self.design.k] = (
-            True  # no anchor without a child
-        )
+        # Every anchor keeps a child.
+        self.mask[range(anchors), np.arange(anchors) % self.design.k] = True
         self.grids = [
             np.where(self.draw(0, 2, T, F) > 0, 1.0, -1.0) for T, F in self.design.levels()
         ]
@@ -61,14 +63,18 @@ class Parts:
             )
             for name, layers in self.design.layers().items()
         }
-        self.lanes = {}  # section -> lanes, where not the encoder's own choice
+        self.lanes = {}  # section -> number of lanes, where the encoder does not choose
         prior, n = self.networks["psi_p"][1][-1], 0
-        for width in self.design.widths:  # raw sigma from exp(-4) to exp(0)
+        for width in self.design.widths:  # raw deviations from -4 to 0
             prior[n + width : n + 2 * width] = self.draw(-32, 0, width) / 8
             n += 2 * width
 
     def prior(self, weights=0.0, mu=None, raw=None):
-        """Overwrite psi_p's last layer: all weights, and the biases of all mu and all raw sigma, repeated as needed."""
+        """Overwrite the last layer of psi_p.
+
+        All weights become `weights`; the biases of the means and of the raw deviations become `mu`
+        and `raw`, repeated as needed.
+        """
         W, b = (arrays[-1] for arrays in self.networks["psi_p"])
         W[...] = weights
         columns = np.split(np.arange(len(b)), np.cumsum(np.repeat(self.design.widths, 2))[:-1])
@@ -77,12 +83,12 @@ class Parts:
                 b[np.concatenate(parts)] = np.resize(values, sum(self.design.widths))
 
     def steps(self, *biases):
-        """Let psi_q say these numbers for f, s, l, O, whatever h is."""
+        """Let psi_q return these numbers for f, s, l and O, whatever h is."""
         self.networks["psi_q"][0][-1][...] = 0
         self.networks["psi_q"][1][-1][...] = biases
 
     def quantised(self, symbols=None):
-        """The stream's integers; symbols (A, n) of the maker's, or within about a deviation of the mean."""
+        """The quantised model, with these symbols [A, n] or some within about a deviation."""
         ctx = coding_context(self.design, self.networks, self.grids, self.positions)
         kept = coded(self.mask, self.design)
         if symbols is None:
@@ -130,7 +136,7 @@ def one_child():
 
 
 def escapes():
-    """mu = 0 and sigma/q = 2^-8, 1, 2^20: windows of 1 and 13 blocks, and of 193 blocks of 2^15."""
+    """mu is 0 and sigma / q is 2^-8, 1 or 2^20: the windows reach 2, 13 and 193 blocks far."""
     parts = Parts(6, anchors=8, Q_0=(0.5, 1.0, 2.0**-12, 2.0**-12))
     parts.prior(mu=0.0, raw=[-14.0, -14.0, *[0.0] * 3, *[6.0] * 9])
     parts.steps(0.0, 0.0, 0.0, 0.0)
@@ -151,7 +157,7 @@ def escapes():
 
 
 def sigma_clamps():
-    """Raw at, beside and beyond -14 and 6; with these steps sigma/q runs beyond 2^-8 and 2^20; mu/q is 511/1024."""
+    """Raw deviations at, next to and beyond -14 and 6; sigma / q beyond 2^-8 and 2^20."""
     parts = Parts(7, anchors=3, Q_0=(0.5, 2.0**-12, 2.0**-11, 2.0**-4))
     parts.steps(0.0, 0.0, 0.0, 0.0)
     mu = np.repeat(parts.design.Q_0, parts.design.widths) * 511 / 1024
@@ -172,7 +178,7 @@ def largest_steps():
 
 
 def base_steps():
-    """mu/q beyond +-2^34 with the smallest steps, almost nothing with the largest."""
+    """mu / q is beyond +-2^34 for the smallest base step and almost 0 for the largest."""
     parts = Parts(10, Q_0=(2.0**-100, 2.0**100, 0.1, 2 / 3))
     parts.prior(weights=0.25, mu=[1.0, -1.0, 0.0, 300.0, -300.0])
     symbols = parts.draw(-3, 3, 4, 14)
@@ -189,7 +195,7 @@ def no_effects():
 
 
 def hashed():
-    """Tables smaller than their grids and no powers of two; at 65536 nodes an axis, positions are nodes."""
+    """Tables are smaller than their grids; with 65536 nodes along an axis, positions are nodes."""
     return Parts(
         13,
         anchors=9,
@@ -200,7 +206,7 @@ def hashed():
 
 
 def lattice():
-    """Anchors on nodes, on the upper faces, and in a box without extent along z."""
+    """Anchors are on nodes and on upper faces; the box has no extent along z."""
     parts = Parts(14, anchors=6, grid=(("xyz", 4), ("xz", 16), ("yz", 2)))
     parts.positions[:, 0] = [0, 65535, 21845, 65535, 21844, 4369]
     parts.positions[:, 1] = [0, 65535, 43690, 0, 43691, 1]
@@ -210,7 +216,7 @@ def lattice():
 
 
 def lanes():
-    """Messages of more lanes than they deserve: every power of two that they carry, 1024 in the grid."""
+    """Messages have more lanes than an encoder would choose, from 2 to 1024."""
     parts = Parts(
         15, anchors=24, d=7, k=3, grid=(("xyz", 12), ("xy", 126), ("xz", 31)), table=(2**12, 2**14)
     )
@@ -220,24 +226,24 @@ def lanes():
 
 
 def raw_bits():
-    """sigma/q from 2^6 to almost 2^20: up to 15 raw bits a symbol, of both signs."""
+    """sigma / q is from 2^6 to almost 2^20: up to 15 raw bits per symbol, of either sign."""
     parts = Parts(16, anchors=6, Q_0=(2.0**-6, 2.0**-9, 2.0**-12, 2.0**-10))
     parts.prior(weights=0.5, raw=np.arange(14) / 4)
     return parts
 
 
 def largest_weights():
-    """Eight hidden layers of psi_p at float16's limit: every activation is shifted, units end far above one."""
+    """Eight hidden layers of psi_p with weights at float16's limit: every activation is shifted."""
     parts = Parts(17, anchors=3, context=(3,) * 8)
     for W, b in zip(*parts.networks["psi_p"]):
         W[...], b[...] = np.where(W < 0, -LARGEST, LARGEST), LARGEST
-        W[:, 0] = LARGEST  # a way through all layers for what is not negative,
-    parts.networks["psi_p"][0][0][:, 1] = -LARGEST  # and into it for what is
+        W[:, 0] = LARGEST  # lets positive numbers through all layers
+    parts.networks["psi_p"][0][0][:, 1] = -LARGEST  # makes negative inputs positive
     return parts
 
 
 def smallest_weights(unit=SUBNORMAL, seed=18):
-    """Weights of a few units before a layer of large ones, whose largest bias decides how many bits they keep."""
+    """Tiny weights precede a layer of large ones, whose largest bias limits their bits."""
     parts = Parts(seed, anchors=3)
     for name in ("psi_p", "psi_q"):
         weights, biases = parts.networks[name]
@@ -251,7 +257,7 @@ def small_weights():
 
 
 def coarse_units():
-    """All hidden activations are 0 before weights at the limit: outputs are biases in sixteenths, ties to even."""
+    """All hidden activations are 0, so the outputs are the biases, rounded to sixteenths."""
     parts = Parts(22, anchors=2)
     for name in ("psi_p", "psi_q"):
         weights, biases = parts.networks[name]
@@ -263,7 +269,7 @@ def coarse_units():
 
 
 def deviations():
-    """q = 1/2, so log2 q is whole; every float16 raw sigma that lies beside the edge of a sixteenth of log2 sigma."""
+    """Every float16 raw deviation next to the edge of a sixteenth of log2 sigma; log2 q is -1."""
     raw = np.arange(-14 << 16, 6 << 16)
     beyond = (raw * 94548 + 2**15 >> 16) % 4096 - 2048
     raw = raw[(-3 <= beyond) & (beyond < 7) & (np.float16(raw / 2**16) == raw / 2**16)] / 2**16
@@ -285,7 +291,7 @@ def deviations():
 
 
 def ties():
-    """Weights and biases half-way between two integers of fixed point, which go to the even one."""
+    """Weights and biases are half-way between two fixed-point integers."""
     parts = Parts(19, anchors=6)
     for weights, biases in (parts.networks["psi_p"], parts.networks["psi_q"]):
         for W, b in zip(weights, biases):
@@ -296,7 +302,7 @@ def ties():
 
 
 def full():
-    """Every effect, section and axis, several layers and levels, dense and hashed."""
+    """Every effect, section and axis; several layers and levels, dense and hashed."""
     return Parts(
         20,
         anchors=12,
@@ -323,17 +329,26 @@ def full():
 
 
 SAYS = {
-    smallest_grid: "a hash grid of one level with one node, the least there is: no grid is not a choice of the format",
+    smallest_grid: (
+        "a hash grid of one level with one node, the least there is: "
+        "no grid is not a choice of the format"
+    ),
     one_anchor: "one anchor in a box without extent, d = k = 1, networks without hidden layers",
     all_masked: "one anchor and no child: `offsets` is empty, `masks` is a stream of equal bits",
-    all_masked_but_one: "one child of fifteen kept: anchors without children keep their other attributes",
+    all_masked_but_one: (
+        "one child of fifteen kept: anchors without children keep their other attributes"
+    ),
     one_child: "k = 1, all kept and all signs +1: two streams of equal bits",
     escapes: "symbols inside, at and outside of their windows, to +-2^31",
-    sigma_clamps: "raw sigma at and beyond both clamps, sigma/q at and beyond both ends of its range",
+    sigma_clamps: (
+        "raw sigma at and beyond both clamps, sigma/q at and beyond both ends of its range"
+    ),
     smallest_steps: "q on its floor, and just above",
     largest_steps: "q at its ceiling, and just below",
     base_steps: "Q_0 from 2^-100 to 2^100, mu/q saturated at both ends",
-    static: "a scene that does not move: no section deformation_mlp; the view is seen by psi_c alone",
+    static: (
+        "a scene that does not move: no section deformation_mlp; the view is seen by psi_c alone"
+    ),
     no_effects: "no effect at all, two 2D levels, tables of neither xy nor xyz",
     hashed: "hashed levels, 3D and 2D, to 65536 nodes an axis",
     lattice: "positions on nodes and on the faces of a flat box",
