@@ -61,7 +61,6 @@ floor(89668 * 202 / 256) = 4883930 and cum(0) = 4883921 + 13 = 4883934. At the b
 0.2594, and costs 1.947 bits.
 """
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -109,12 +108,12 @@ def gaussian_model(mu_units, sigma_units):
     used = np.zeros(SIGMA_MAX - SIGMA_MIN + 1 << MU_BITS, bool)
     for a in range(0, len(pair), CHUNK):
         rows = slice(a, a + CHUNK)
-        number = sigma_units[rows].astype(np.int64) - SIGMA_MIN
-        _, step, low, reach = (values[number] for values in all_shapes())
+        sigma = sigma_units[rows].astype(np.int64)
+        _, step, low, reach = shape_of(sigma)
         mu = (mu_units[rows].astype(np.int64) + (1 << step >> 1)) >> step << step
         lowest[rows] = (mu + HALF >> MU_BITS + low) - reach
         # low > 0 only where mu' is a multiple of its block, so the place is always below 1024.
-        pair[rows] = (number << MU_BITS) | (mu & (1 << MU_BITS + low) - 1)
+        pair[rows] = (sigma - SIGMA_MIN << MU_BITS) | (mu & (1 << MU_BITS + low) - 1)
         used[pair[rows]] = True
 
     pairs = np.flatnonzero(used)
@@ -173,9 +172,3 @@ def keys_of(sigma_units, place):
     # entries = n + 1, and the product stays below 2^48
     cum = (C * ((1 << PRECISION) - entries)[table] >> PRECISION) + j
     return (table << PRECISION) + cum
-
-
-@cache
-def all_shapes():
-    """`shape_of` every deviation; the index is sigma_units - SIGMA_MIN."""
-    return shape_of(np.arange(SIGMA_MIN, SIGMA_MAX + 1, dtype=np.int64))

@@ -188,7 +188,7 @@ def push_rows_fast(states, starts, freqs):
     before, full = np.empty_like(starts), np.empty(starts.shape, bool)
     for row in reversed(range(len(starts))):
         before[row] = x
-        full[row] = x >= limits[row]
+        np.greater_equal(x, limits[row], out=full[row])
         x >>= full[row] * WORD
         # x + floor(x / freq) (2^24 - freq) = floor(x / freq) 2^24 + x mod freq
         x += x // freqs[row] * rest[row] + starts[row]
