@@ -6,6 +6,7 @@ outside of the file and ends with the tables of integers that a decoder needs.
 
 import sys
 from importlib import import_module
+from textwrap import fill
 
 from .fixed_point import table
 
@@ -29,10 +30,10 @@ TABLES = {
 
 def page():
     """The format page as text."""
-    parts = [import_module(f".{name}", __package__).__doc__ for name in PARTS]
-    texts = dict(zip((f"{name}.py" for name in PARTS), parts))
+    texts = {f"{name}.py": import_module(f".{name}", __package__).__doc__ for name in PARTS}
     for name, meaning in TABLES.items():
-        texts[f"table {name!r}"] = f"{meaning}\n\n" + " ".join(map(str, table(name).tolist()))
+        numbers = " ".join(map(str, table(name).tolist()))
+        texts[f"Table {name}"] = f"{meaning}\n\n{fill(numbers, 100)}"
     page = "The file format of p4dgs_ref, version 1\n"
     for number, (title, text) in enumerate(texts.items(), 1):
         heading = f"{number}. {title}"

@@ -62,24 +62,31 @@ clips before this multiplication overflows. clip(v, low, high) is v, at least lo
    those of the group:
 
        raw = the output in units of 2^-16, clipped to [-14 * 2^16, 6 * 2^16]
-       l = floor((94548 raw + 2^15) / 2^16)                  (94548 is log2(e) in units of 2^-16)
+       log2_sigma = floor((94548 raw + 2^15) / 2^16)         (94548 is log2(e) in units of 2^-16)
        floor(D / 2^n) - 2^23 = 2^15 i + r                    0 <= r < 2^15
        log2_D = (n + 23) 2^16 + log2[i] + floor((log2[i+1] - log2[i]) r / 2^15)
-       sigma_units = clip(floor((l - log2_D - (p - 39) 2^16 + 2^11) / 2^12), -128, 319)
+       sigma_units = clip(floor((log2_sigma - log2_D - (p - 39) 2^16 + 2^11) / 2^12), -128, 319)
 
 The columns of an anchor are ordered f, s, l, O; `file.py` gives the outputs of psi_p and psi_q.
 
-Worked numbers. A level "xy" with R = 3 and T = 9 and an anchor at (20000, 50000, any): base is (0,
-1) and t is (40000, 34465). The corners read nodes 3, 4, 6 and 7 with the weights 793372450,
-1242800000, 880063775 and 1378600000. With the signs + - - + the sum is v = 49108675; Q = 131068, so
-h = 375.
+Worked numbers. A level "xy" with R = 3 and T = 9, and an anchor at (20000, 50000, any):
 
-The network of `fixed_point.py` has the output y = 456327168 with a = 30 and B = 966393856. As an
-output of psi_q it gives u = 1741, v = 18125, i = 283, r = 13, share = 11753797 and q_units = 45913;
-with Q_0 = 0.1 the step is q = 0.1401153564453125. Then f = 0.8, p = -3, D = 13421772 * 45913 =
-616233817836, n = 16 and R = floor(2^47 / 9402981) = 14967326. As a mean it gives t = 2, m =
-114081792, S = 39 and mu_units = 3106. A raw deviation of -3.5 is -229376 in units of 2^-16: l =
--330918, i = 30, r = 31333, log2_D = 2566696 and sigma_units = -35.
+    base = (0, 1)     t = (40000, 34465)
+    nodes             3            4             6            7
+    weights           793372450    1242800000    880063775    1378600000
+    signs             +            -             -            +
+    v = 49108675      Q = 131068   h = 375
+
+The network of `fixed_point.py` has the output y = 456327168 with a = 30 and B = 966393856.
+
+    as an output of psi_q    u = 1741, v = 18125, i = 283, r = 13, share = 11753797,
+                             q_units = 45913; with Q_0 = 0.1, q = 0.1401153564453125
+    1 / q                    f = 0.8, p = -3, D = 13421772 * 45913 = 616233817836, n = 16,
+                             R = floor(2^47 / 9402981) = 14967326
+    as a mean                t = 2, m = 114081792, S = 39, mu_units = 3106
+
+A raw deviation of -3.5 is -229376 in units of 2^-16. It gives log2_sigma = -330918, i = 30,
+r = 31333, log2_D = 2566696 and sigma_units = -35.
 """
 
 from typing import NamedTuple

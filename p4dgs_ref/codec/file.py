@@ -1,7 +1,7 @@
 """The sections of a file: what each of them holds.
 
-The sections stand in this order, that of their ids. Gaussian and Bernoulli sections are the two
-kinds of streams in `streams.py`. A is the number of anchors.
+The sections stand in this order, that of their ids. Gaussian sections and bit sections are the
+two kinds of streams in `streams.py`. A is the number of anchors.
 
     id  section          kind       content
     1   header           JSON       the design, A and the background (`header.py`)
@@ -11,8 +11,8 @@ kinds of streams in `streams.py`. A is the number of anchors.
     5   offset_scales    Gaussian   3 symbols of l per anchor
     6   offsets          Gaussian   3 symbols of O (x, y, z) per kept child, anchor by anchor and
                                     child by child
-    7   masks            Bernoulli  k bits per anchor: 1 where the child is kept
-    8   hash_grid        Bernoulli  level by level, T nodes of F entries, one bit each: 1 for an
+    7   masks            bits       k bits per anchor: 1 where the child is kept
+    8   hash_grid        bits       level by level, T nodes of F entries, one bit each: 1 for an
                                     entry of +1, 0 for -1
     9   deformation_mlp  float16    psi_d; absent where nothing moves
     10  anchor_mlps      float16    psi_alpha, psi_c, psi_r, psi_s
@@ -27,8 +27,8 @@ deformation_mlp is present if and only if the header lists translation, rotation
 section of plain or float16 numbers has exactly their length. The box has lo <= hi and coordinates
 of at most 1e30 (the double) in magnitude, and every weight is finite.
 
-Names. Every quantity has one name along its whole way, and the four groups of attributes always
-stand in the order f, s, l, O:
+Names. Every quantity has the same name everywhere, and the four groups of attributes always stand
+in the order f, s, l, O:
 
     attribute of an anchor       trained as   base step   step   bits     section
     f_a  its feature             f_a          Q_f         q_f    bits_f   features

@@ -7,7 +7,7 @@ means the number of binary digits of an integer B, 0 for B = 0.
 1. Input. The input x of a network is a vector of integers with |x| <= X = 2^15 and a = 15.
 
 2. Layer. The weights W (I rows, J columns) and biases b (J) are the float16 numbers of the file.
-With
+   With
 
        p   = the least integer with max |W| < 2^p      (0 where all are zero)
        p_b = the least integer with max |b| < 2^p_b    (0 where all are zero)
@@ -37,11 +37,13 @@ With
 
 Any of n, a and a + n may be negative.
 
-Worked numbers. x = (16384, -8192), W = (0.5, -0.3)^T and b = (0.1). In float16, -0.3 is
--0.300048828125 and 0.1 is 0.0999755859375. Then p = 0, p_b = -3, n = min(15, 38, 24) = 15, W' =
-(16384, -9832)^T, b' = 107347968, and y = 456327168 in units of 2^-30, which is 0.42499. The bound
-is B = 2^15 (16384 + 9832) + 107347968 = 966393856. As a hidden layer, s = 8, x = 1782528, a = 22
-and X = 3774976.
+Worked numbers. x = (16384, -8192), W = (0.5, -0.3)^T and b = (0.1); in float16, -0.3 is
+-0.300048828125 and 0.1 is 0.0999755859375.
+
+    p = 0, p_b = -3, n = min(15, 38, 24) = 15, W' = (16384, -9832)^T, b' = 107347968
+    y = 456327168 in units of 2^-30, which is 0.42499
+    B = 2^15 (16384 + 9832) + 107347968 = 966393856
+    as a hidden layer: s = 8, x = 1782528, a = 22, X = 3774976
 """
 
 import json

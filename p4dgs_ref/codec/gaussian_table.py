@@ -29,9 +29,12 @@ stays below 2^53 if differences are taken before products.
    K is the block of symbol k. The low bits, k mod 2^low, are stored as they are (`streams.py`). low
    is 0 wherever sigma / q < 32.
 
-4. Window. c = floor((mu' + 512) / 2^(10+low)) is the block of the mean, and the window reaches W =
-   1 + ceil(12 * 2^min(e, 4)) blocks to either side. The blocks c-W to c+W have a frequency each.
-   Any other block is coded as the escape, which takes the place of block c+W+1.
+4. Window. The block of the mean is c, and the window reaches W blocks to either side:
+
+       c = floor((mu' + 512) / 2^(10+low))         W = 1 + ceil(12 * 2^min(e, 4))
+
+   The blocks c-W to c+W have a frequency each. Any other block is coded as the escape, which takes
+   the place of block c+W+1.
 
 5. Distribution function. At the boundary below block K,
 
@@ -53,12 +56,15 @@ stays below 2^53 if differences are taken before products.
    The escape begins at cum = 2^24 - 1 and has frequency 1, so the total is exactly 2^24. cum
    increases with K, so a decoder can find a block by bisection and needs no table.
 
-Worked numbers. mu / q = 0.3 and sigma / q = 1.5 give mu_units = 307 and sigma_units = 9. Then e =
-0, f = 9, step = 6, node = 5, mu' = 320, low = 0, c = 0, W = 13, n = 27 and exp2[9] = 44376. At the
-boundary below block 0, z = floor(-832 * 44376 / 4096) = -9014, i = 348, r = 202, C = 4813177 +
-floor(89668 * 202 / 256) = 4883930 and cum(0) = 4883921 + 13 = 4883934. At the boundary below block
-1, z = 2080 and cum(1) = 9236032. The symbol 0 therefore has the frequency 4352098, a probability of
-0.2594, and costs 1.947 bits.
+Worked numbers. mu / q = 0.3 and sigma / q = 1.5 give mu_units = 307 and sigma_units = 9.
+
+    e = 0, f = 9, step = 6, node = 5, mu' = 320, low = 0, c = 0, W = 13, n = 27, exp2[9] = 44376
+    below block 0:  z = floor(-832 * 44376 / 4096) = -9014, i = 348, r = 202
+                    C = 4813177 + floor(89668 * 202 / 256) = 4883930
+                    cum(0) = 4883921 + 13 = 4883934
+    below block 1:  z = 2080, cum(1) = 9236032
+
+The symbol 0 therefore has the frequency 4352098, a probability of 0.2594, and costs 1.947 bits.
 """
 
 from typing import NamedTuple

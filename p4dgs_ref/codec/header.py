@@ -8,8 +8,8 @@
     deformation   likewise, of psi_d
     L_x, L_t      frequencies of the positional encoding of x and of t: 1 to 64 each
     context       list of 0 to 8 hidden widths of psi_p and psi_q: 1 to 2^14 each
-    grid          list of 1 to 64 levels [axes, R]: axes "xyz", "xy", "xz" or "yz", resolution R
-                  1 to 2^16
+    grid          list of 1 to 64 levels [axes, R]: axes "xyz", "xy", "xz" or "yz", and resolution
+                  R, 1 to 2^16
     table         [most nodes of a 3D level, most nodes of a 2D level]: 1 to 2^24 each
     F             entries per node of the hash grid: 1 to 64
     Q_0           list of the four base steps of f, s, l, O: 2^-100 to 2^100
@@ -17,10 +17,10 @@
     effects       list of the effects of the scene, none twice, in any order: some of "translation",
                   "rotation", "scaling", "view_color", "view_geometry", "occlusion", "background"
 
-Every field is present once, in any order, and there is no other field. The fields anchors to F hold
-integers, written without point and exponent, except for background; a reader that cannot tell 4
-from 4.0 may accept both. All other numbers are read as the nearest double, as JSON.parse and strtod
-do.
+Every field is present once, in any order, and there is no other field. background, Q_0 and
+tau_alpha hold numbers that are read as the nearest double, as JSON.parse and strtod do. All other
+numbers are integers, written without point and exponent; a reader that cannot tell 4 from 4.0 may
+accept both.
 
 A level with D axes stores T = min(R^D, its number in `table`) nodes with F entries each.
 

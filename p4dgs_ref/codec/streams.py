@@ -7,13 +7,14 @@ knows. The stream of no symbols is empty. Otherwise it has two parts:
    table of its symbol (`gaussian_table.py`). A block outside the window is coded as the escape, the
    last entry of the table.
 
-2. The raw bits, which fill every byte from its lowest bit on. Unused bits of the last byte are
-zero.
+2. The raw bits, which fill every byte from its lowest bit on. Unused bits of the last byte are 0.
 
-   a. For every symbol in order, its `low` low bits, lowest first. There are none where sigma / q <
-      32. b. For every escape in order, an integer v >= 1 in Elias's gamma code: with v = 2^b + r
-      and r < 2^b, first b zeros, then a one, then the b bits of r, lowest first. Above the window v
-      = 2 (K - (c+W+1)) + 1, below it v = 2 (c-W - K). b is at most 33.
+   a. For every symbol in order, its `low` low bits, lowest first. There are none where
+      sigma / q < 32.
+
+   b. For every escape in order, an integer v >= 1 in Elias's gamma code: with v = 2^b + r and
+      r < 2^b, first b zeros, then a one, then the b bits of r, lowest first. Above the window
+      v = 2 (K - (c+W+1)) + 1, below it v = 2 (c-W - K). b is at most 33.
 
 Both parts are read exactly to their end. Anything left over is an error, and so is a symbol beyond
 +-2^31.
