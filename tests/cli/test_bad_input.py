@@ -1,4 +1,4 @@
-"""Mistakes of a user: one line that names file or option and field, exit code 2, and nothing left behind."""
+"""Mistakes of users: one line with file or option and field, exit code 2, nothing left behind."""
 
 import json
 import math
@@ -26,7 +26,7 @@ ROOT = Path(p4.__file__).resolve().parents[1]
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory):
-    """A folder with a scene, a run of it, a file, and things that are none of these."""
+    """A folder with a scene, a run of it, a file, and damaged versions of these."""
     place = tmp_path_factory.mktemp("original")
     (place / "scene").mkdir()
     rng = np.random.default_rng(0)
@@ -80,14 +80,14 @@ def original(tmp_path_factory):
 
 @pytest.fixture
 def place(original, tmp_path, monkeypatch):
-    """A copy of it, to work in."""
+    """A copy of `original` to work in."""
     shutil.copytree(original, tmp_path / "place")
     monkeypatch.chdir(tmp_path / "place")
     return tmp_path / "place"
 
 
 def tree(place):
-    """Every path below a folder, and the bytes of every file."""
+    """Every path below a folder, with the bytes of every file."""
     return {
         str(path): path.read_bytes() if path.is_file() else None
         for path in sorted(place.rglob("*"))
@@ -95,7 +95,7 @@ def tree(place):
 
 
 def run(line, capsys):
-    """Exit code and what was printed to stderr."""
+    """The exit code of a command and what it printed to stderr."""
     try:
         code = cli.run(shlex.split(line), time.perf_counter())
     except SystemExit as stopped:
@@ -120,7 +120,7 @@ def refused(line, words, place, capsys):
 
 
 def edit_frame(name, **fields):
-    """Change fields of the second frame of a split; None takes one away."""
+    """A change of fields of the second frame of a split; None removes one."""
 
     def edit(place):
         file = place / "scene" / f"transforms_{name}.json"
@@ -363,7 +363,7 @@ def test_no_test_views():
             job()
 
 
-@pytest.mark.filterwarnings("error")  # NumPy's would be more lines than one
+@pytest.mark.filterwarnings("error")  # warnings of NumPy would be further lines
 def test_learning_rate_that_explodes(place, capsys):
     before = tree(place)
     code, err = run(
@@ -378,9 +378,8 @@ def test_learning_rate_that_explodes(place, capsys):
     shutil.rmtree(place / "new")
     code, err = run("demo scene -o new/deep --preset smoke --set lr_d=1e30,1e30 --quiet", capsys)
     assert code == 1 and err.count("\n") == 1 and tree(place) == before
-    code, err = run(
-        "demo scene -o new --preset smoke --set lr_c=1e39,1e39 --quiet", capsys
-    )  # beyond float32
+    # A rate that float32 cannot hold.
+    code, err = run("demo scene -o new --preset smoke --set lr_c=1e39,1e39 --quiet", capsys)
     assert code == 1 and err.startswith(
         "p4dgs-ref: iteration 0: after Adam's step, parameter psi_c.W0["
     )

@@ -1,4 +1,4 @@
-"""The command line's contract: every command once, as a user types it, and the same from Python."""
+"""The contract of the command line: every command once, and the same from Python."""
 
 import json
 import os
@@ -62,7 +62,7 @@ COMPONENTS = {
 
 
 def start(*argv, cwd=None, **options):
-    """The command in a process of its own."""
+    """Start the command in a process of its own."""
     env = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]),
@@ -86,7 +86,7 @@ def finish(process):
 
 @pytest.fixture(scope="module")
 def reports(tmp_path_factory):
-    """Two folders in which the same demo has run, started side by side: (folder, stdout, stderr) each."""
+    """The (report, stdout, stderr) of two runs of the same demo in different folders."""
     folders = [tmp_path_factory.mktemp(name) for name in ("one", "two")]
     options = ("demo", "--preset", "smoke", "--seed", "3", "--set", "Q_f=0.5", "--json")
     running = [
@@ -98,7 +98,7 @@ def reports(tmp_path_factory):
 
 @pytest.fixture
 def run(capsys, monkeypatch, tmp_path):
-    """Run a command in this process, in an empty folder; returns what it printed, parsed where it asked for JSON."""
+    """Run a command in an empty folder; returns what it printed, parsed if it is JSON."""
     monkeypatch.chdir(tmp_path)
 
     def run(line):
@@ -126,7 +126,7 @@ def test_demo_metrics(reports):
     spent = [metrics[key] for key in ("train_seconds", "encode_seconds", "decode_seconds")]
     assert 0 < min(spent) and sum(spent) < metrics["seconds"]
     assert 5 < metrics["psnr_fg_db"] < metrics["psnr_db"] < 30 and 0 < metrics["ssim"] < 1
-    lines = err.splitlines()  # no terminal: about a dozen lines, not 45
+    lines = err.splitlines()  # without a terminal about a dozen lines, not 45
     assert 10 <= len(lines) <= 16
     for word in (
         "45/45",
@@ -200,7 +200,8 @@ def test_inspect_and_evaluate_agree_with_the_demo(reports, run):
 
 def test_train_encode_decode_render(run, capsys):
     trained = run(
-        "train bouncing -o run --preset smoke --downscale 4 --set k=3 --background 0.2,0.3,0.4 --json"
+        "train bouncing -o run --preset smoke --downscale 4 --set k=3 "
+        "--background 0.2,0.3,0.4 --json"
     )
     assert trained["iterations"] == 45 and trained["anchors"] == 20
     names = sorted(path.name for path in Path("run").iterdir())
@@ -217,7 +218,12 @@ def test_train_encode_decode_render(run, capsys):
         np.testing.assert_array_equal(arrays["f_a"], model.anchors.f_a)
     assert json.loads(Path("arrays/model.json").read_text())["k"] == 3
     drawn = run("render out/scene.p4dgs -o held --frames 3 --size 20 --azimuth -50 --json")
-    assert drawn["images"] == 3 and iio.imread("held/motion.gif").shape == (4, 20, 20, 3)  # 0 1 2 1
+    assert drawn["images"] == 3 and iio.imread("held/motion.gif").shape == (
+        4,
+        20,
+        20,
+        3,
+    )  # 0, 1, 2, 1
     names = sorted(path.name for path in Path("held").iterdir())
     assert names == ["motion.gif", "t_000.png", "t_001.png", "t_002.png"]
     run("render out/scene.p4dgs -o views --scene bouncing --downscale 4 --settings exact")
@@ -267,12 +273,15 @@ def test_every_command_explains_itself_and_has_json(name, capsys):
 
 def test_a_reader_that_goes_away_is_no_error():
     process = start("equations")
-    process.stdout.close()  # long before the first line is written
+    process.stdout.close()  # before the first line is written
     assert process.stderr.read() == "" and process.wait(timeout=60) == 0
 
 
 def test_long_trainings_need_a_yes(run, monkeypatch, capsys):
-    line = "train bouncing -o run --preset smoke --downscale 8 --set stage_ends=9,9,9,90000000 --set anchors=2"
+    line = (
+        "train bouncing -o run --preset smoke --downscale 8 "
+        "--set stage_ends=9,9,9,90000000 --set anchors=2"
+    )
     assert cli.run(shlex.split(line), time.perf_counter()) == 2
     first, second = capsys.readouterr().err.splitlines()
     assert (

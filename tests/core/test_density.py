@@ -12,7 +12,7 @@ from p4dgs_ref.training.trainer import Trainer
 
 @pytest.fixture(scope="module")
 def scene():
-    return load_scene("bouncing")
+    return load_scene("bouncing", downscale=4)
 
 
 def prepared(scene, preset, A=12):
@@ -25,7 +25,7 @@ def prepared(scene, preset, A=12):
 
 
 def test_scaffold_growing_by_hand(scene):
-    """One child pulls above the first threshold only: its 16-epsilon voxel gets an anchor with its parent's feature."""
+    """A child with a gradient above the first threshold only gets an anchor in its coarse voxel."""
     preset = PAPER_SYNTHETIC._replace(k=4, d=3, extent=0.5, grid_3d=(4,), grid_2d=(4,))
     trainer, statistics = prepared(scene, preset)
     p = trainer.parameters
@@ -59,7 +59,7 @@ def test_growing_does_not_double_an_occupied_voxel(scene):
     statistics.gradient[3] = 100.0  # all four children sit on their anchor: O_a = 0
     rng = np.random.default_rng(0)
     assert len(density.grow(trainer.parameters, statistics, preset, rng)["x_a"]) == 0
-    # its neighbour's children pull in one free voxel: one anchor, the largest feature
+    # Four children in one free voxel: it gets one anchor.
     trainer.parameters["O_a"][3] = 2.0
     assert len(density.grow(trainer.parameters, statistics, preset, rng)["x_a"]) == 1
 
@@ -72,7 +72,7 @@ def test_pruning_and_masking_by_opacity(scene):
     assert np.flatnonzero(density.dead_anchors(statistics, trainer.mask, TINY)).tolist() == [4, 8]
     faint = density.faint_children(statistics, TINY)
     assert faint[4].all() and faint[6].tolist() == [False, True, False, False] and faint.sum() == 5
-    statistics.visits[:] = 80  # not more than 0.8 of the window: no verdict
+    statistics.visits[:] = 80  # not more than 0.8 of the window: no decision
     assert (
         not density.dead_anchors(statistics, trainer.mask, TINY).any()
         and not density.faint_children(statistics, TINY).any()
@@ -129,12 +129,12 @@ def test_reseeding_copies_where_the_image_pulls(scene):
     density.reseed(
         p, trainer.adam.first, trainer.adam.second, dead, statistics, np.random.default_rng(0)
     )
-    assert np.array_equal(p.vector, before)  # nothing pulls: nothing moves
+    assert np.array_equal(p.vector, before)  # without gradients nothing moves
 
 
 @pytest.mark.parametrize("grow", ["scaffold", "reseed"])
 def test_training_survives_growing_in_every_stage(scene, grow):
-    """Short windows, low thresholds: anchors come and go in all four stages, and arrays stay consistent."""
+    """With short windows and low thresholds, anchors come and go in all four stages."""
     preset = SMOKE._replace(
         grow=grow,
         grow_from=4,

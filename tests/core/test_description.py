@@ -1,4 +1,4 @@
-"""Mistakes in scene.json, the simulator's description: one line that names the file, the field, the expectation."""
+"""Mistakes in scene.json: one line that names the file, the field and what was expected."""
 
 import json
 import math

@@ -1,7 +1,9 @@
-"""Off means absent in the model: no call, parameter, optimiser state or byte; and equal to the neutral input."""
+"""An effect that is off is absent from the model and equals its neutral input.
+
+Absent means: no call, no parameter, no state of the optimiser, no byte in the file.
+"""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -11,8 +13,7 @@ from p4dgs_ref.codec.file import encode
 from p4dgs_ref.codec.inspect import components
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.model import Anchors, predict, predict_backward
-from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
-from p4dgs_ref.scenes.dnerf import packaged_scenes
+from p4dgs_ref.scenes import MODEL_EFFECTS
 from p4dgs_ref.splatting import covariance, projection, render
 from p4dgs_ref.splatting.settings import EXACT, FAST
 from p4dgs_ref.studies.effect_work import counted, effect_bytes
@@ -20,31 +21,21 @@ from p4dgs_ref.training.initial import design_of, initial_parameters
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import SMOKE
 from p4dgs_ref.training.trainer import Trainer
-
-SCENES = packaged_scenes()
-EPS = np.finfo(float).eps
-SHORT = SMOKE._replace(stage_ends=(1, 2, 3, 5))  # every stage, in five steps
-SEEN_BY = {"view_color": ("psi_c",), "view_geometry": ("psi_alpha", "psi_r", "psi_s")}
-
-
-def listed(effects, effect, on):
-    return tuple(e for e in MODEL_EFFECTS if e in effects and e != effect or e == effect and on)
-
-
-@cache
-def trained(name, effect, on):
-    """A short training of a scene with one effect forced on or off: the trainer, its last step's work, its file."""
-    scene = load_scene(name)
-    trainer = Trainer(replace(scene, effects=listed(scene.effects, effect, on)), SHORT)
-    while trainer.iteration < SHORT.iterations:
-        with counted() as work:
-            trainer.step()
-    return trainer, work, encode(trainer.model())
+from tests.core.effect_scenes import (
+    EPS,
+    SCENES,
+    SEEN_BY,
+    SHORT,
+    listed,
+    small_camera,
+    small_scene,
+    trained,
+)
 
 
-# --- the model: what is off is absent -----------------------------------------------------------------------------
+# --- what is off is absent ---
 def weights_of(arrays, effect, d):
-    """The numbers that only this effect needs among named arrays."""
+    """How many of the numbers in named arrays only this effect needs."""
     if effect in MOTION:
         trunk, head = len(SHORT.deformation), MOTION.index(effect)
         return sum(
@@ -90,11 +81,10 @@ def test_off_is_absent_and_on_is_there(name, effect):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_the_effects_bytes_add_up_to_what_the_file_has_more(name, monkeypatch):
-    """All against none: the sizes of the two network sections, written by the codec, and our attribution of them."""
-    monkeypatch.setattr(
-        quantise, "without_silent_units", lambda model: model
-    )  # no effect's bytes, but its merit
-    scene = load_scene(name)
+    """The bytes of each effect add up to the difference of files with all effects and with none."""
+    # Units that are removed because they are silent would be counted for no effect.
+    monkeypatch.setattr(quantise, "without_silent_units", lambda model: model)
+    scene = small_scene(name)
     files = [
         encode(Trainer(replace(scene, effects=effects), SHORT).model())
         for effects in (MODEL_EFFECTS, ())
@@ -107,7 +97,7 @@ def test_the_effects_bytes_add_up_to_what_the_file_has_more(name, monkeypatch):
 
 
 def test_counted_work_is_that_of_the_formulas():
-    """A hand count: heads, trunk, view columns, from the shapes alone."""
+    """The work of `rotation` counted by hand from the shapes: its head and its share of psi_d."""
     trainer = trained("static", "rotation", True)[0]
     with counted() as work:
         _, seen, _ = trainer.step()
@@ -119,8 +109,8 @@ def test_counted_work_is_that_of_the_formulas():
 
 
 def test_a_background_that_is_not_taken_out_is_noticed():
-    """The counter looks at what is composited, not at the list."""
-    scene = load_scene("static")
+    """The counter looks at what is composited, not at the list of effects."""
+    scene = small_scene("static")
     trainer = Trainer(replace(scene, effects=("occlusion",)), SHORT)
     object.__setattr__(trainer.scene, "background", np.float32([1, 1, 1]))
     with counted() as work:
@@ -128,23 +118,9 @@ def test_a_background_that_is_not_taken_out_is_noticed():
     assert work.of("background") > 0
 
 
-# --- the model: off equals the neutral input ----------------------------------------------------------------------
-def small_camera(camera, width=12):
-    """The same camera with fewer pixels."""
-    by, height = camera.width / width, round(camera.height * width / camera.width)
-    return replace(
-        camera,
-        f_x=camera.f_x / by,
-        f_y=camera.f_y / by,
-        c_x=(camera.c_x + 0.5) / by - 0.5,
-        c_y=(camera.c_y + 0.5) / by - 0.5,
-        width=width,
-        height=height,
-    )
-
-
+# --- off equals the neutral input ---
 def random_build(effects, seed):
-    """Random parameters in float64 with every network awake."""
+    """Random parameters in float64 in which every network contributes."""
     preset = SMOKE._replace(anchors=9, deformation_gain=1.0, feature_std=0.7, extent=0.6)
     design, rng = design_of(preset, effects), np.random.default_rng(seed)
     p = Parameters(initial_parameters(preset, design, rng).arrays, np.float64)
@@ -153,12 +129,15 @@ def random_build(effects, seed):
 
 
 def neutral(p, design, effect):
-    """The parameters of the build with the effect, fed its neutral input: zero heads, zero rows for the view."""
+    """The same model with the effect and its neutral input.
+
+    Heads of psi_d are zero, and so are the rows of networks that read the view.
+    """
     arrays, rng = dict(p.arrays), np.random.default_rng(7)
     for net, layers in design.layers().items():
         for i, (rows, columns) in enumerate(layers):
             W, b = (arrays.get(f"{net}.{kind}{i}") for kind in "Wb")
-            if W is None:  # the first effect of motion: a trunk, which zero heads silence
+            if W is None:  # the first effect of motion needs a trunk, which zero heads silence
                 silent = i >= len(layers) - 3
                 W, b = (
                     (0 if silent else 1) * rng.normal(size=(rows, columns)),
@@ -172,7 +151,7 @@ def neutral(p, design, effect):
 
 
 def picture_and_gradients(p, design, view, background, image_bars):
-    """The image, and for every cotangent of it the gradients of all arrays {name: gradient}."""
+    """The image, the gradients {name: gradient} for each of its cotangents, and the Gaussians."""
     networks = {name: p.network(name) for name in design.layers()}
     anchors = Anchors(
         p["x_a"],
@@ -214,7 +193,10 @@ def picture_and_gradients(p, design, view, background, image_bars):
 
 
 def one_by_one(bar):
-    """A cotangent as a sum of cotangents of one pixel each: their gradients are the terms that a gradient sums."""
+    """Split a cotangent into cotangents of one pixel each.
+
+    Their gradients are the terms of the sum that the gradient is, which bound its rounding error.
+    """
     for v, u in np.ndindex(bar.shape[:2]):
         alone = np.zeros_like(bar)
         alone[v, u] = bar[v, u]
@@ -224,7 +206,7 @@ def one_by_one(bar):
 @pytest.mark.parametrize("effect", MOTION + tuple(SEEN_BY))
 @pytest.mark.parametrize("name", SCENES)
 def test_off_equals_the_neutral_input(name, effect):
-    scene = load_scene(name)
+    scene = small_scene(name)
     view = scene.train[5 + MODEL_EFFECTS.index(effect)]
     design, p = random_build(listed(scene.effects, effect, False), seed=len(name))
     full = design._replace(effects=listed(scene.effects, effect, True))
@@ -295,10 +277,10 @@ def projected_terms(saved, terms):
 @pytest.mark.parametrize(
     "settings", (EXACT, FAST._replace(dtype="float64", cut=1e-14)), ids=lambda s: s.name
 )
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", ["bouncing", "orientation"])
 def test_without_occlusion_every_gaussian_is_as_if_alone(name, settings):
-    """The neutral input of occlusion is nothing in front: the sum of the pictures of single Gaussians, over black."""
-    scene, rng = load_scene(name), np.random.default_rng(11)
+    """Without occlusion a picture over black is the sum of the pictures of single Gaussians."""
+    scene, rng = small_scene(name), np.random.default_rng(11)
     camera, black = small_camera(scene.train[3].camera), np.zeros(3)
     n = 7
     r = rng.normal(size=(n, 4))
@@ -336,11 +318,11 @@ def test_without_occlusion_every_gaussian_is_as_if_alone(name, settings):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_background_off_equals_black(name):
-    scene = load_scene(name)
+    scene = small_scene(name)
     view = scene.train[2]
     design, p = random_build(listed(scene.effects, "background", False), seed=4)
     full = design._replace(effects=listed(scene.effects, "background", True))
-    bar = np.random.default_rng(3).normal(size=(12, 12, 3))
+    bar = np.random.default_rng(3).normal(size=(8, 8, 3))
     without = replace(scene, effects=design.effects)
     assert not without.background.any() and scene.background.any()
     off, (ours,), _ = picture_and_gradients(p, design, view, without.background, [bar])

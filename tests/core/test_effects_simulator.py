@@ -1,19 +1,14 @@
-"""Off means absent in the simulator too; and what the pictures that it draws say about the effects in them."""
-
-import json
-from dataclasses import replace
+"""An effect that is off is absent from the simulator and equals its neutral input."""
 
 import numpy as np
 import pytest
 
 from p4dgs_ref.effects import MOTION
-from p4dgs_ref.scenes import MODEL_EFFECTS, SIMULATOR_EFFECTS, Scene, load_scene
+from p4dgs_ref.scenes import SIMULATOR_EFFECTS
 from p4dgs_ref.scenes.simulator import motion, trace
-from p4dgs_ref.scenes.dnerf import packaged_folder
 from p4dgs_ref.scenes.simulator.description import describe
 from p4dgs_ref.scenes.simulator.simulate import place_cameras
-from p4dgs_ref.studies import suggest
-from tests.core.test_effects import EPS, SCENES, SEEN_BY, small_camera
+from tests.core.effect_scenes import EPS, SCENES, described, simulated_effects, small_camera
 
 STILL = {
     "line": {"by": [0, 0, 0]},
@@ -23,7 +18,7 @@ STILL = {
     "spin": {"degrees": 0},
     "pulse": {"amount": 0},
 }
-# what takes part in drawing an effect, and nothing else: (place, name)
+# the functions that draw an effect and nothing else: (place, name)
 CODE = {
     "translation": [(motion.MOTIONS, kind) for kind in ("line", "bounce", "arc")],
     "rotation": [(motion.MOTIONS, kind) for kind in ("swing", "spin")],
@@ -34,15 +29,6 @@ CODE = {
     "diffuse": [(trace, "diffuse")],
     "specular": [(trace, "specular")],
 }
-
-
-def described(name, effects):
-    data = json.loads((packaged_folder() / name / "scene.json").read_text())
-    return {**data, "effects": list(effects)}
-
-
-def simulated_effects(name):
-    return json.loads((packaged_folder() / name / "scene.json").read_text())["effects"]
 
 
 def with_neutral_input(data, effect):
@@ -67,14 +53,14 @@ def with_neutral_input(data, effect):
 
 
 def facing_bodies(data):
-    """No packaged scene has a body that turns to the viewer; give the first one that ability, used or not."""
+    """The description with a first body that faces the camera, which no packaged scene has."""
     return {**data, "bodies": [{**data["bodies"][0], "faces_camera": True}, *data["bodies"][1:]]}
 
 
 def drawn(data, t=0.37, view=4):
     description = describe(data)
     camera = place_cameras(description, "train")[view][0]
-    return trace.trace(description, small_camera(camera, 20), t)
+    return trace.trace(description, small_camera(camera, 14), t)
 
 
 @pytest.mark.parametrize(
@@ -122,14 +108,15 @@ def test_simulator_view_color_off_equals_a_viewer_straight_above(name, monkeypat
             body, pose, x, x + trace.UP, light, effects
         ),
     )
-    # x + UP - x loses digits of x: the direction is off by an ulp or two of x, and the lobe's slope is 0.5 * 3
+    # x + UP - x loses digits: the direction is off by an ulp or two of x, and the lobe's slope is
+    # 0.5 * 3.
     assert np.abs(drawn(lit) - off).max() <= 4 * EPS * (1 + 0.5 * 3)
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_simulator_occlusion_off_adds_what_each_body_alone_shows(name):
     description = describe(described(name, simulated_effects(name)))
-    camera = small_camera(place_cameras(description, "train")[4][0], 20)
+    camera = small_camera(place_cameras(description, "train")[4][0], 14)
     rays, where = (
         trace.rays(camera),
         motion.poses(description.bodies, description.effects, 0.37, camera.center),
@@ -184,90 +171,3 @@ def test_simulator_does_not_call_what_is_off(name, effect, monkeypatch):
         or effect == "specular"
         and name in ("bouncing", "orbit", "glossy")
     )
-
-
-# --- what the pictures say ----------------------------------------------------------------------------------------
-def suggested(scene):
-    return {row["effect"]: row for row in suggest.suggest(scene)}
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_suggestion_is_right_as_far_as_pictures_tell(name):
-    """It never drops an effect that the scene lists, and what it adds it says that it merely keeps."""
-    scene = load_scene(name)
-    rows = suggested(scene)
-    assert tuple(rows) == MODEL_EFFECTS
-    moves = bool(set(MOTION) & set(scene.effects))
-    assert all(rows[e]["called_for"] == moves for e in MOTION)
-    for effect, row in rows.items():
-        assert any(c.isdigit() for c in row["evidence"]) and "\n" not in row["evidence"]
-        assert row["called_for"] or effect not in scene.effects, (effect, row["evidence"])
-        if row["called_for"] and effect not in scene.effects:
-            assert (
-                "kept" in row["evidence"] or effect in MOTION and "cannot tell" in row["evidence"]
-            ), row
-    if not moves:
-        assert {e for e, row in rows.items() if row["called_for"]} == set(scene.effects)
-
-
-def still(**changes):
-    """A variation of `static`, drawn anew: what it shows is known, and a list is not."""
-    description = describe({**described("static", SIMULATOR_EFFECTS), **changes})
-    posed = place_cameras(description, "train")
-    return Scene.from_arrays(
-        [np.rint(trace.trace(description, c, t) * 255).astype(np.uint8) for c, t in posed],
-        [c for c, _ in posed],
-        [t for _, t in posed],
-    )
-
-
-def bodies(**changes):
-    return [{**body, **changes} for body in described("static", ())["bodies"]]
-
-
-@pytest.mark.parametrize(
-    "changes, effects",
-    [
-        ({}, set()),
-        ({"bodies": bodies(specular={"strength": 0.7, "exponent": 6})}, {*MOTION, "view_color"}),
-        (
-            {"bodies": bodies(motion=[{"kind": "spin", "axis": [0, 0, 1], "degrees": 180}])},
-            {*MOTION, *SEEN_BY},
-        ),
-        ({"bodies": bodies(motion=[{"kind": "line", "by": [0.1, 0, 0]}])}, {*MOTION, *SEEN_BY}),
-        ({"bodies": bodies(motion=[{"kind": "pulse", "amount": 0.1}])}, {*MOTION, *SEEN_BY}),
-        ({"bodies": bodies(faces_camera=True)}, {*MOTION, *SEEN_BY}),
-    ],
-)
-def test_suggestion_on_variations_of_a_still_scene(changes, effects):
-    """Two and a half pixels of motion, a tenth of the size, a highlight, a turn: each is seen."""
-    rows = suggested(still(**changes))
-    assert {e for e, row in rows.items() if row["called_for"]} == effects | {
-        "occlusion",
-        "background",
-    }
-
-
-def test_suggestion_at_one_time_and_without_alpha():
-    scene = load_scene("bouncing")
-    frozen = replace(scene, train=[replace(view, time=0.5) for view in scene.train])
-    rows = suggested(frozen)
-    assert (
-        not any(rows[e]["called_for"] for e in MOTION) and "0.5" in rows["translation"]["evidence"]
-    )
-    assert rows["view_geometry"]["called_for"] and "kept" not in rows["view_geometry"]["evidence"]
-    plain = replace(
-        load_scene("static"),
-        train=[replace(view, alpha=None) for view in load_scene("static").train],
-    )
-    assert not any(suggested(plain)[e]["called_for"] for e in (*MOTION, *SEEN_BY))
-    filled = [
-        replace(view, alpha=None, image=np.full_like(view.image, 0.5)) for view in scene.train
-    ]
-    rows = suggested(replace(scene, train=filled))
-    assert (
-        all("kept" in rows[e]["evidence"] for e in (*MOTION, *SEEN_BY))
-        and not rows["background"]["called_for"]
-    )
-    black = replace(scene, effects=("occlusion",))
-    assert not suggested(black)["background"]["called_for"]

@@ -1,4 +1,4 @@
-"""Scenes: the loader's conventions, its errors (one line: file, field, expectation), scenes from arrays."""
+"""Scenes: the conventions of the loader, its messages, scenes from arrays."""
 
 import json
 import math
@@ -16,7 +16,7 @@ WIDTH, HEIGHT = 12, 8
 
 
 def pose(azimuth=0.3, elevation=0.5, radius=4.0):
-    """A camera-to-world matrix in Blender's axes, built from spherical angles alone."""
+    """A camera-to-world matrix in Blender's axes, from spherical angles."""
     back = np.array(
         [
             math.cos(elevation) * math.cos(azimuth),
@@ -39,7 +39,7 @@ def write_folder(
     head=None,
     splits=("train", "test"),
 ):
-    """A folder as the authors of D-NeRF publish theirs; returns its pictures by name."""
+    """Write a folder in the layout of the published D-NeRF scenes; returns its pictures by name."""
     rng, pictures = np.random.default_rng(7), {}
     for split in splits:
         (folder / split).mkdir(parents=True)
@@ -73,8 +73,8 @@ def edit(folder, change, name="transforms_train.json"):
     (folder / name).write_text(json.dumps(data))
 
 
-def test_original_folder_of_800_pixels(tmp_path):
-    pictures = write_folder(tmp_path / "jumping", 800, 800, splits=("train", "val", "test"))
+def test_a_folder_in_the_published_layout(tmp_path):
+    pictures = write_folder(tmp_path / "jumping", 80, 80, splits=("train", "val", "test"))
     scene = load_scene(tmp_path / "jumping")
     assert (len(scene.train), len(scene.val), len(scene.test), scene.name) == (3, 3, 3, "jumping")
     assert scene.effects == MODEL_EFFECTS and [view.time for view in scene.val] == [0, 0.5, 1]
@@ -84,9 +84,9 @@ def test_original_folder_of_800_pixels(tmp_path):
     assert view.image.dtype == view.alpha.dtype == np.float32
     np.testing.assert_allclose(view.alpha, alpha, atol=1e-6)
     np.testing.assert_allclose(view.image, rgb * alpha[..., None] + 1 - alpha[..., None], atol=1e-6)
-    f = 400 / math.tan(0.69 / 2)
+    f = 40 / math.tan(0.69 / 2)
     lens = [view.camera.f_x, view.camera.f_y, view.camera.c_x, view.camera.c_y]
-    np.testing.assert_allclose(lens, [f, f, 399.5, 399.5])
+    np.testing.assert_allclose(lens, [f, f, 39.5, 39.5])
     np.testing.assert_allclose(view.camera.center, pose(azimuth=1)[:3, 3], atol=1e-12)
 
 
@@ -102,10 +102,8 @@ def test_composited_over_the_background(tmp_path, extension, background, color):
     pictures = write_folder(tmp_path / "scene", extension=extension)
     scene = load_scene(str(tmp_path / "scene"), background=background)
     np.testing.assert_allclose(scene.background, np.float32(color))
-    camera, f = (
-        scene.test[2].camera,
-        WIDTH / 2 / math.tan(0.69 / 2),
-    )  # the angle spans the width; square pixels
+    camera = scene.test[2].camera
+    f = WIDTH / 2 / math.tan(0.69 / 2)  # the angle spans the width; pixels are square
     np.testing.assert_allclose([camera.f_x, camera.f_y, camera.c_x, camera.c_y], [f, f, 5.5, 3.5])
     picture = pictures["test/r_002"] / 255
     want = picture[..., :3] * picture[..., 3:] + np.array(color) * (1 - picture[..., 3:])
@@ -152,10 +150,7 @@ def test_effects_listed_in_the_folder(folder):
         json.dumps({"effects": ["specular", "occlusion", "rotation"]})
     )
     scene = load_scene(folder)
-    assert scene.effects == (
-        "rotation",
-        "occlusion",
-    )  # the model's part, in the closed list's order
+    assert scene.effects == ("rotation", "occlusion")  # the model's, in the order of the list
     assert not scene.background.any()  # no `background`: black, the neutral input
 
 
@@ -296,7 +291,7 @@ def test_packaged_names_and_paths(tmp_path, monkeypatch):
 
 
 def project_by_hand(data, frame, point):
-    """A world point in a file's own convention: OpenGL axes, pixels counted from the corner -> (column, row)."""
+    """Project a point as the file says: OpenGL axes, pixels counted from the corner."""
     x, y, z, _ = np.linalg.inv(np.array(frame["transform_matrix"])) @ [*point, 1]
     return data["cx"] - data["fl_x"] * x / z, data["cy"] + data["fl_y"] * y / z
 
@@ -318,7 +313,7 @@ def test_arm_tips_land_on_pixels_of_their_colour():
                 np.testing.assert_allclose(
                     (u + 0.5, v + 0.5), project_by_hand(data, frame, tip), atol=1e-9
                 )
-                # the arm that ends nearer to the camera than the others' axes is not hidden at its tip
+                # An arm whose tip is nearer to the camera than the other arms is not hidden there.
                 ends = np.array([a["shape"]["end"] for a in arms if a is not arm])
                 axes = np.linspace(0, 1, 50)[:, None] * ends[:, None]
                 if np.linalg.norm(axes - camera.center, axis=-1).min() > np.linalg.norm(
@@ -356,9 +351,8 @@ def test_scene_from_arrays():
     np.testing.assert_allclose(scene.test[1].image, want, atol=1e-6)
     eight_bit = Scene.from_arrays((images[..., :3] * 255).astype(np.uint8), cameras, times)
     assert eight_bit.train[0].image.dtype == np.float32 and eight_bit.train[0].alpha is None
-    assert (
-        Scene.from_arrays(images[:1], cameras[:1], [0.0]).train[0].time == 0
-    )  # a single frame is a scene
+    single = Scene.from_arrays(images[:1], cameras[:1], [0.0])
+    assert single.train[0].time == 0
 
 
 def test_mistakes_in_arrays():

@@ -1,4 +1,4 @@
-"""Training: stages, learning rates, Adam, growing, pruning, masking, positions, and where a NaN came from."""
+"""Training: presets, Adam, learning rates, stages, positions, and where a NaN came from."""
 
 import numpy as np
 import pytest
@@ -15,12 +15,12 @@ from p4dgs_ref.training.trainer import Trainer
 
 @pytest.fixture(scope="module")
 def scene():
-    return load_scene("bouncing")
+    return load_scene("bouncing", downscale=4)
 
 
-# --- presets ------------------------------------------------------------------------------------------------------
+# --- presets ---
 def test_paper_presets_hold_the_numbers_that_the_paper_prints():
-    """Appendix, 'Hyperparameters', and section 4.1, typed here a second time."""
+    """Appendix, 'Hyperparameters', and section 4.1."""
     for preset, voxel, d, ends in (
         (PAPER_SYNTHETIC, 0.001, 16, (3000, 5000, 10_000, 40_000)),
         (PAPER_REAL, 0.01, 32, (3000, 4000, 10_000, 20_000)),
@@ -53,7 +53,7 @@ def test_paper_presets_hold_the_numbers_that_the_paper_prints():
 
 
 def test_deformation_network_sizes_of_choice_q1(scene):
-    """68,328 weights with a time net are D3DGS's; as read here, without one, the input is 63 + 13 wide."""
+    """Without the time net of D3DGS the input is 63 + 13 wide."""
     from p4dgs_ref.training.initial import design_of
 
     layers = design_of(PAPER_SYNTHETIC, scene.effects + ("rotation", "scaling")).layers()["psi_d"]
@@ -110,9 +110,9 @@ def test_changes_as_text_and_as_values_agree():
     )
 
 
-# --- optimiser ----------------------------------------------------------------------------------------------------
+# --- optimiser ---
 def test_adam_against_the_formula_written_out():
-    """Kingma and Ba, algorithm 1, one number at a time; the second array joins after three steps."""
+    """Algorithm 1 of Kingma and Ba; the second array takes part after three steps only."""
     rng = np.random.default_rng(0)
     p = Parameters({"a": rng.normal(size=3), "b": rng.normal(size=2)}, np.float64)
     adam, start = Adam(p), p.vector.copy()
@@ -137,7 +137,7 @@ def test_adam_against_the_formula_written_out():
 
 
 def test_adam_stays_bounded_after_long_silence():
-    """H-P9: no gradient for long, then 1e-30 in float32: the step stays far below the learning rate."""
+    """H-P9: after a long time without gradient, 1e-30 in float32 moves less than the rate."""
     p = Parameters({"a": np.zeros(2)})
     adam, g = Adam(p), p.zeros()
     for _ in range(1000):
@@ -152,11 +152,15 @@ def test_adam_stays_bounded_after_long_silence():
 
 
 def test_learning_rate_is_geometric():
-    rate = lambda step: exponential(step, 0.01, 1e-4, 1000)
+    def rate(step):
+        return exponential(step, 0.01, 1e-4, 1000)
+
+    def late(step):
+        return exponential(step, 1.0, 0.1, 500, start=300)
+
     assert rate(0) == pytest.approx(0.01) and rate(500) == pytest.approx(1e-3)
     assert rate(1000) == rate(9999) == pytest.approx(1e-4)
     assert exponential(7, 0.0, 0.0, 1000) == 0 and exponential(7, 0.3, 0.3, 1000) == 0.3
-    late = lambda step: exponential(step, 1.0, 0.1, 500, start=300)
     assert late(100) == late(300) == 1 and late(400) == pytest.approx(0.1**0.5)
 
 
@@ -171,7 +175,7 @@ def test_parameters_are_views_of_one_vector():
     )
 
 
-# --- start and stages ---------------------------------------------------------------------------------------------
+# --- start and stages ---
 def test_anchors_start_on_the_lattice_with_their_neighbours_distance(scene):
     trainer = Trainer(scene, SMOKE)
     p = initial_parameters(SMOKE, trainer.design, np.random.default_rng(0))
@@ -186,7 +190,7 @@ def test_anchors_start_on_the_lattice_with_their_neighbours_distance(scene):
 
 
 def test_what_each_stage_moves(scene):
-    """Stage 1 and 2: no deformation, no context; 3: deformation; 4: all but positions."""
+    """Stages 1 and 2 train no deformation and no context, 3 deformation, 4 all but positions."""
     trainer, before, moved = Trainer(scene, SMOKE), {}, {}
     for iteration in range(SMOKE.iterations):
         stage = trainer.stage
@@ -244,14 +248,14 @@ def test_every_view_comes_once_before_any_comes_twice(scene):
 
 
 def test_a_static_scene_owns_no_deformation():
-    trainer = Trainer(load_scene("static"), SMOKE)
+    trainer = Trainer(load_scene("static", downscale=4), SMOKE)
     assert not any(name.startswith("psi_d") for name in trainer.parameters.arrays)
     while trainer.iteration < SMOKE.iterations:
         trainer.step()
     assert "psi_d" not in trainer.model().networks
 
 
-# --- where did the NaN come from ----------------------------------------------------------------------------------
+# --- where did the NaN come from ---
 @pytest.mark.parametrize(
     "array, value, words",
     [
@@ -269,7 +273,7 @@ def test_a_bad_parameter_is_named(scene, array, value, words):
 
 
 def test_an_overflow_is_traced_to_its_equation(scene):
-    """log_l = 100 is a finite parameter; exp of it is not finite in float32, and Eq. (1) is the first to show it."""
+    """log_l = 100 is finite, its exponential in float32 is not; Eq. (1) is the first to use it."""
     trainer = Trainer(scene, SMOKE)
     trainer.parameters["log_l"][2, 0] = 100
     trainer.parameters["O_a"][2] = 1
@@ -294,7 +298,7 @@ def test_a_bad_backward_is_traced(scene, monkeypatch):
 
 
 def test_an_equation_inside_another_is_named_with_it(scene, monkeypatch):
-    """Eq. (5)'s network overflows: the message says whose network it is."""
+    """The network of Eq. (5) overflows, and the message says whose network it is."""
     trainer = Trainer(scene, SMOKE)
     while trainer.stage < 3:
         trainer.step()

@@ -1,4 +1,4 @@
-"""Stopping and going on: whatever ends a training, resuming it gives the bytes of an uninterrupted one."""
+"""Whatever stops a training, resuming it gives the bytes of an uninterrupted one."""
 
 import os
 import re
@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 
 import pytest
-from p4dgs_ref.cli import job
 
 import p4dgs_ref as p4
+from p4dgs_ref.cli import job
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.adam import Adam
@@ -21,7 +21,7 @@ from p4dgs_ref.training.checkpoint import CHECKPOINT, load
 from p4dgs_ref.training.fit import fit, load_model
 
 ROOT = Path(p4.__file__).resolve().parents[1]
-# Every stage, growing with re-seeding, masking: all that a checkpoint has to carry.
+# Every stage, re-seeding and masking, so that a checkpoint has to carry everything.
 LIVELY = dict(
     preset="smoke",
     seed=5,
@@ -50,7 +50,7 @@ def scene():
 
 @pytest.fixture(scope="module", params=[LIVELY, SCAFFOLD], ids=["reseed", "scaffold"])
 def whole(request, scene):
-    """Settings, and the bytes and the table of an uninterrupted training."""
+    """Settings, and the bytes and the history of an uninterrupted training."""
     trainer = fit(scene, **request.param)
     assert trainer.mask.any() and not trainer.mask.all()
     return request.param, p4.encode(trainer.model()), trainer.history
@@ -58,17 +58,15 @@ def whole(request, scene):
 
 @pytest.fixture
 def interruptible():
-    """Python's own handler of Ctrl-C, whatever the tests were started under."""
+    """Set Python's own handler of Ctrl-C; a training must put back what it found."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
-    assert (
-        signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    )  # a training puts back what it found
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     signal.signal(signal.SIGINT, before)
 
 
 def call_at(monkeypatch, owner, name, number, action):
-    """Let the call of that number, counted from 0, do `action(function, *arguments)` instead."""
+    """Replace one call of a function, counted from 0, by `action(function, *arguments)`."""
     function, calls = getattr(owner, name), []
 
     def counted(*args):
@@ -85,7 +83,7 @@ def go_on(scene, settings, folder):
 
 
 def half_step(step, adam, parameters, *rest):
-    """Adam, stopped after it has moved the first half of the parameters."""
+    """A step of Adam that is stopped after it has moved the first half of the parameters."""
     before = parameters.vector.copy()
     step(adam, parameters, *rest)
     half = len(before) // 2
@@ -167,9 +165,7 @@ def test_killed_in_the_middle_of_a_checkpoint(scene, whole, tmp_path, monkeypatc
 
 def test_training_in_a_thread(scene):
     done = []
-    thread = threading.Thread(
-        target=lambda: done.append(p4.train(scene, "smoke"))
-    )  # signals are not its business
+    thread = threading.Thread(target=lambda: done.append(p4.train(scene, "smoke")))
     thread.start()
     thread.join(60)
     assert len(done) == 1
@@ -202,7 +198,7 @@ def test_ctrl_c_in_the_demo_leaves_nothing(tmp_path, monkeypatch, capsys):
 
 
 def start(argv, cwd):
-    """The command line in a process of its own, which Ctrl-C can reach."""
+    """Start the command line in a process of its own, to which Ctrl-C can be sent."""
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
         [sys.executable, "-m", "p4dgs_ref", *argv],
@@ -216,7 +212,7 @@ def start(argv, cwd):
 
 
 def stop_at(iteration, argv, cwd, how):
-    """Start a training, send it a signal once its checkpoint has come so far, and wait for its end."""
+    """Start a training, send it a signal at a checkpoint, and wait for its end."""
     process, checkpoint = start(argv, cwd), cwd / argv[argv.index("-o") + 1]
     deadline = time.monotonic() + 40
     while not (
@@ -280,7 +276,7 @@ def test_interrupted_then_killed_then_resumed(tmp_path):
 
 @pytest.mark.slow
 def test_killed_again_and_again(tmp_path):
-    """One training killed at a dozen places, in every stage, against one that was left alone."""
+    """A training that was killed at a dozen places, in every stage, ends like one that was not."""
     last = 900
     run_to_the_end(command("whole", "--quiet", last=last), tmp_path)
     stop_at(30, command("broken", last=last), tmp_path, signal.SIGKILL)

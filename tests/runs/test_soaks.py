@@ -1,4 +1,4 @@
-"""Training from hard starts: `smoke` ends finite, with a file that decodes to what was quantised and a picture of it."""
+"""Trainings from hard starts end finite, with a file that decodes to the quantised model."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ EYES = ((1.5, -2.5, 1.0), (-0.4, 2.8, 0.6), (2.4, 1.1, -0.5))
 
 
 def scene(images=None, times=(0.0, 0.5, 1.0), size=(9, 7), effects=None):
-    """Three views of a shaded ball, or the pictures given."""
+    """A scene of three views of a shaded ball, or of the given images."""
     width, height = size
     cameras = [
         look_at(eye, (0, 0, 0), 1.1 * width, 1.1 * width, width, height)
@@ -33,7 +33,7 @@ def painted(value, n=3):
 
 
 def put(name, values):
-    """A change of the first parameters: every row of `name` is `values`."""
+    """A change of a trainer that sets every row of a parameter."""
 
     def change(trainer):
         trainer.parameters[name][...] = values
@@ -90,7 +90,7 @@ STARTS = {
 
 @pytest.mark.parametrize("name", STARTS)
 def test_a_hard_start_ends_finite_with_a_file(name):
-    """Every warning of NumPy's that means a lost number is an error, from the first step to the decoded picture."""
+    """From the first step to the decoded picture, NumPy's overflows and NaNs are errors."""
     data, changes, spoil, points = STARTS[name]
     trainer = Trainer(data, choose("smoke", changes), 3, points=points)
     if spoil:
@@ -117,7 +117,7 @@ def test_there_are_twenty_starts():
 
 
 def test_a_start_that_cannot_end_well_is_named():
-    """The soaks would see it: a parameter that is none stops training with the place where it was first seen."""
+    """These tests would notice: a NaN in a parameter stops training and is named."""
     trainer = Trainer(scene(), choose("smoke", {}), 3)
     trainer.parameters["f_a"][1, 2] = np.nan
     with pytest.raises(ArithmeticError, match=r"parameter: f_a\[1, 2\] is nan"):

@@ -1,4 +1,4 @@
-"""The quality that the project promises on its tiny scenes, from the decoded file, at its default settings."""
+"""The promised quality of decoded files on the tiny scenes, at the default settings."""
 
 import pytest
 
@@ -32,7 +32,7 @@ def test_tiny_preset_reaches_its_quality(name, psnr_db, ssim, most_bytes):
 
 @pytest.mark.slow
 def test_a_smooth_orbit_confounds_time_with_view():
-    """`orbit` differs from `bouncing` in its training cameras alone, and does clearly worse on the same test views."""
+    """`orbit` differs from `bouncing` in the training cameras only, and is clearly worse."""
     scores = {}
     for name in ("orbit", "bouncing"):
         scene = p4.load_scene(name)
