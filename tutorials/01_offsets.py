@@ -148,9 +148,9 @@ assert close(ours["l_a"], l_a_bar)
 # unit of $h$, by
 # $$\langle\bar x_a, d_{x_a}\rangle + \langle\bar O, d_O\rangle + \langle\bar l, d_l\rangle.$$
 # This is the *adjoint identity*. It tests all gradients of an equation with two evaluations of its
-# forward, and every tutorial uses it. The module `lessons` therefore has short functions for its
-# three parts: `random_like` draws the directions, `moved` adds $h$ times the directions to the
-# inputs, and `inner` is $\langle a, b\rangle$.
+# forward, and most tutorials use it. The module `lessons` therefore has short functions for its
+# parts: `random_like` draws the directions, `moved` adds $h$ times the directions to the inputs,
+# `inner` is $\langle a, b\rangle$, and `close` compares two results up to a relative tolerance.
 
 # %%
 d = random_like(rng, inputs)

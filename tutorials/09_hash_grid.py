@@ -28,7 +28,7 @@ rng = np.random.default_rng(9)
 # holds $F$ numbers, called *features*, that are $+1$ or $-1$.
 #
 # The paper prints no more. The rest is choice `Q11`. It follows Instant-NGP, which introduced hash
-# grids to graphics, and HAC, the codec of static scenes whose entropy model the paper uses. Each
+# grids to graphics, and HAC, the codec of static scenes whose entropy model the paper follows. Each
 # grid exists in several resolutions, called *levels*. Within a level, values are interpolated
 # between the nodes, and $h$ contains the values of all levels side by side. The value of level $l$
 # is

@@ -353,7 +353,7 @@ assert not gradients["biases"][0].any()
 
 # %% [markdown]
 # ## Break it
-# HAC, the codec of static scenes whose entropy model the paper uses, never lets the probability
+# HAC, the codec of static scenes whose entropy model the paper follows, never lets the probability
 # fall below $10^{-6}$. No number then costs more than 19.93 bits, and nothing is ever infinite.
 # Training runs, and it reports a lower rate than the file will need. But below this floor the
 # gradient is 0. A number 6 standard deviations from the mean is never pulled towards it, although

@@ -47,13 +47,9 @@ class Student(Adapter):
     def __init__(self, path, timeout):
         super().__init__(shlex.join([sys.executable, "-c", START, str(ROOT), str(path)]), timeout)
         self.for_start, self.for_case = max(START_SECONDS, timeout), timeout
-        self.said = {}  # {"forward": why it returned nothing, "backward": likewise}
-        self.follow = {}  # {"in_bar.x": gradients computed from what the reference saved}
-
-    def run(self, case):
-        """Return the outputs and gradients of the student's functions, as `Adapter.run` does."""
+        # Of the last case: {"forward": why it returned nothing, "backward": likewise}, and
+        # {"in_bar.x": gradients computed from what the reference saved}.
         self.said, self.follow = {}, {}
-        return super().run(case)
 
     def _exchange(self, request, field):
         # Importing NumPy at the start does not count against the student.
@@ -61,11 +57,11 @@ class Student(Adapter):
         return super()._exchange(request, field)
 
     def _ask(self, request, subject, kinds):
+        self.said, self.follow = {}, {}
         answer = super()._ask(request, subject, kinds)
-        if isinstance(answer.get("said"), dict):
-            self.said = {str(name): str(text) for name, text in answer["said"].items()}
-        if "follow" in answer:
-            self.follow = {f"in_bar.{name}": a for name, a in unpacked(answer, "follow").items()}
+        said = answer.get("said")
+        self.said = said if isinstance(said, dict) else {}
+        self.follow = {f"in_bar.{name}": a for name, a in unpacked(answer, "follow").items()}
         return answer
 
 

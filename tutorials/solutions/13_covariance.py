@@ -13,7 +13,8 @@ from p4dgs_ref.splatting import covariance
 # therefore goes to y, $4$ goes to z, and $9$ goes to x.
 
 # %%
-by_hand, _ = covariance.forward(np.array([[1.0, 2, 3]]), np.full((1, 4), 0.5))
+scales = np.array([[1.0, 2, 3]])
+by_hand, _ = covariance.forward(scales, np.full((1, 4), 0.5))
 lessons.number("13.1", np.diag([9, 1, 4]), by_hand[0])
 
 
@@ -29,12 +30,17 @@ lessons.number("13.1", np.diag([9, 1, 4]), by_hand[0])
 def matrix(r):
     """Return the rotation matrices [N, 3, 3] of quaternions [N, 4]."""
     w, x, y, z = r.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
+    R = np.zeros((len(r), 3, 3))
+    R[:, 0, 0] = 1 - 2 * (y * y + z * z)
+    R[:, 0, 1] = 2 * (x * y - w * z)
+    R[:, 0, 2] = 2 * (x * z + w * y)
+    R[:, 1, 0] = 2 * (x * y + w * z)
+    R[:, 1, 1] = 1 - 2 * (x * x + z * z)
+    R[:, 1, 2] = 2 * (y * z - w * x)
+    R[:, 2, 0] = 2 * (x * z - w * y)
+    R[:, 2, 1] = 2 * (y * z + w * x)
+    R[:, 2, 2] = 1 - 2 * (x * x + y * y)
+    return R
 
 
 def my_forward(s, r):

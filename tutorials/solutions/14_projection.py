@@ -11,7 +11,9 @@ from p4dgs_ref.school import lessons
 # $100\cdot 0.04 + 1.5625\cdot 0.16 + 0.3 = 4.55$ square pixels.
 
 # %%
-lessons.number("14.1", 4.55, np.array([80 / 8, -80 / 64]) ** 2 @ [0.04, 0.16] + 0.3)
+J = np.array([80 / 8, -80 / 64])
+variance = J**2 @ [0.04, 0.16] + 0.3
+lessons.number("14.1", 4.55, variance)
 
 
 # %% [markdown]
@@ -36,24 +38,30 @@ def steps(x, Sigma, W, T, focal, center, size):
     ratio = x_c[:, :2] / z
     limit = 1.3 * size / (2 * focal)
     uv = np.clip(ratio, -limit, limit)
-    m = (W[:2] - uv[:, :, None] * W[2]) * (focal / z)[:, :, None]
-    cov = m @ Sigma @ m.transpose(0, 2, 1) + 0.3 * np.eye(2)
-    a, c = cov[:, 0, 0], cov[:, 1, 1]
+    scale = (focal / z)[:, :, None]
+    m = scale * (W[:2] - uv[:, :, None] * W[2])
+    cov = m @ Sigma @ m.transpose(0, 2, 1)
+    a = cov[:, 0, 0] + 0.3
     b = (cov[:, 0, 1] + cov[:, 1, 0]) / 2
+    c = cov[:, 1, 1] + 0.3
     det = a * c - b * b
     visible = visible & (det > 0) & np.isfinite(det)
-    conic = np.stack([c, -b, a], axis=1) / np.where(visible, det, 1)[:, None]
-    conic = np.where(visible[:, None], conic, 0)
+    safe_det = np.where(visible, det, 1)
+    conic = np.stack([c, -b, a], axis=1) / safe_det[:, None]
+    conic[~visible] = 0
     cov2d = np.stack([a, b, c], axis=1)
-    return visible, x_c, ratio, np.abs(ratio) <= limit, m, cov2d, conic
+    inside = np.abs(ratio) <= limit
+    return visible, x_c, ratio, inside, m, cov2d, conic
 
 
 def my_forward(x, Sigma, W, T, focal, center, size):
-    visible, x_c, ratio, _, _, cov2d, conic = steps(x, Sigma, W, T, focal, center, size)
-    keep = visible[:, None]
-    mean2d = np.where(keep, ratio * focal + center, 0)
-    depth = np.where(visible, x_c[:, 2], 0)
-    return mean2d, np.where(keep, cov2d, 0), conic, depth, visible
+    camera = W, T, focal, center, size
+    visible, x_c, ratio, _, _, cov2d, conic = steps(x, Sigma, *camera)
+    mean2d = ratio * focal + center
+    depth = x_c[:, 2].copy()
+    for rows in (mean2d, cov2d, depth):
+        rows[~visible] = 0
+    return mean2d, cov2d, conic, depth, visible
 
 
 lessons.forward("14.2", my_forward, "projection")
@@ -77,14 +85,17 @@ def my_backward(inputs, cotangents):
     Sigma, W, focal = inputs["Sigma"], inputs["W"], inputs["focal"]
     z = x_c[:, 2:]
     K = symmetric(conic)
-    D = symmetric(cov2d_bar * halved) - K @ symmetric(conic_bar * halved) @ K
+    D_K = symmetric(conic_bar * halved)
+    D = symmetric(cov2d_bar * halved) - K @ D_K @ K
+    Sigma_bar = m.transpose(0, 2, 1) @ D @ m
     m_bar = D @ m @ (Sigma + Sigma.transpose(0, 2, 1))
     uv_bar = -(m_bar @ W[2]) * focal / z
     ratio_bar = uv_bar * inside + focal * mean2d_bar
-    z_bar = depth_bar[:, None] - (m_bar * m).sum(axis=(1, 2))[:, None] / z
-    z_bar = z_bar - (ratio_bar * x_c[:, :2]).sum(axis=1, keepdims=True) / z**2
-    x_bar = np.concatenate([ratio_bar / z, z_bar], axis=1) @ W
-    return {"x": x_bar, "Sigma": m.transpose(0, 2, 1) @ D @ m}
+    through_m = (m_bar * m).sum(axis=(1, 2))
+    through_ratio = ratio_bar * x_c[:, :2] / z**2
+    z_bar = depth_bar - through_m / x_c[:, 2] - through_ratio.sum(axis=1)
+    of_camera = np.concatenate([ratio_bar / z, z_bar[:, None]], axis=1)
+    return {"x": of_camera @ W, "Sigma": Sigma_bar}
 
 
 lessons.backward("14.3", my_backward, "projection")
