@@ -140,8 +140,9 @@ print(f"z = 40 costs {by_erfcx:.6f} bits")
 # $$p = \phi(z)\,w\,\Bigl(1 + \frac{w^2}{24}(z^2 - 1) + \dots\Bigr)$$
 #
 # The module `likelihood.py` therefore computes $\log p$ with different functions in different
-# regimes: near the mean, far from it, and in narrow bins. The figure shows the probability of a
-# symbol as an area, the cost of a symbol far from the mean, and the digits in narrow bins.
+# regimes: around the mean, beside it, far from it, and in narrow bins. The figure shows the
+# probability of a symbol as an area, the cost of a symbol far from the mean, and the digits in
+# narrow bins.
 
 # %%
 z_narrow = 0.7

@@ -13,7 +13,8 @@ HELPERS = {
     ("likelihood", "forward"): (
         "literal",
         "rate",
-        "near_the_mean",
+        "around_the_mean",
+        "beside_the_mean",
         "far_from_the_mean",
         "narrow_bin",
     ),
