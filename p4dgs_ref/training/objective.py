@@ -71,23 +71,6 @@ class Seen(NamedTuple):
     image: np.ndarray  # [H, W, 3]
 
 
-class Saved(NamedTuple):
-    """What `backward` needs."""
-
-    p: object
-    design: object
-    fixed: Fixed
-    values: np.ndarray
-    s: np.ndarray  # standard deviations of the rendered Gaussians
-    noise: list  # empty in stage 1
-    context: tuple | None  # None before stage 4; likewise `rate`
-    predict: tuple
-    render: object
-    loss: tuple
-    rate: tuple | None
-    total: tuple
-
-
 def linear_values(p):
     """The coded attributes side by side [A, n], as in `model.join`: logarithms undone (Q5)."""
     return beside(p["f_a"], np.exp(p["log_s"]), np.exp(p["log_l"]), p["O_a"])
@@ -133,53 +116,42 @@ def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
     )
     L_total = float(L_total) + volume(g.s, fixed.lambda_volume)
     losses = [L_total, *(float(loss) for loss in (L_render, L1, D_SSIM, L_rate, bits))]
-    saved = Saved(
-        p,
-        design,
-        fixed,
-        values,
-        g.s,
-        saved_noise,
-        saved_context,
-        saved_predict,
-        saved_render,
-        saved_loss,
-        saved_rate,
-        saved_total,
-    )
+    saved_parts = saved_noise, saved_context, saved_predict, saved_render, saved_loss, saved_rate
+    saved = p, design, fixed, values, g.s, saved_parts, saved_total
     return Losses(*losses), Seen(saved_predict.alpha, g.index, visible, image), saved
 
 
 def backward(saved):
     """Gradients of L_total as Parameters of the same layout, and of the splats' mean2d [N, 2]."""
-    p, design, fixed = saved.p, saved.design, saved.fixed
+    p, design, fixed, values, s, saved_parts, saved_total = saved
+    saved_noise, saved_context, saved_predict, saved_render, saved_loss, saved_rate = saved_parts
     gradients = p.zeros()
-    losses_bar = total_loss.backward(saved.total, 1.0)
-    image_bar = render_loss.backward(saved.loss, losses_bar["L_render"])["image"]
-    bars = render.backward(saved.render, image_bar)
-    bars["s"] = bars["s"] + volume_backward(saved.s, fixed.lambda_volume)
+    losses_bar = total_loss.backward(saved_total, 1.0)
+    image_bar = render_loss.backward(saved_loss, losses_bar["L_render"])["image"]
+    bars = render.backward(saved_render, image_bar)
+    bars["s"] = bars["s"] + volume_backward(s, fixed.lambda_volume)
     gaussians_bar = [
         bars[name].astype(p.vector.dtype) for name in ("x", "s", "r", "alpha", "color")
     ]
-    anchors, networks = predict_backward(saved.predict, *gaussians_bar)
+    anchors, networks = predict_backward(saved_predict, *gaussians_bar)
     noisy_bar = beside(*(anchors[name] for name in ("f_a", "s_a", "l_a", "O_a")))
-    if saved.rate is not None:
+    if saved_rate is not None:
         rate_bar, mu_bar, sigma_bar, rate_q_bar, rate_grids = rate_backward(
-            saved.rate, losses_bar["L_rate"], design
+            saved_rate, losses_bar["L_rate"], design
         )
         noisy_bar = noisy_bar + rate_bar  # one noisy value is rendered and coded (Q23)
     values_bar = noisy_bar
-    if saved.noise:
-        values_bar, q_bar = noise_backward(saved.noise, noisy_bar, design)
-    if saved.rate is not None:
+    if saved_noise:
+        values_bar, q_bar = noise_backward(saved_noise, noisy_bar, design)
+    if saved_rate is not None:
         context_grids, context_networks = context_backward(
-            saved.context, q_bar + rate_q_bar, mu_bar, sigma_bar
+            saved_context, q_bar + rate_q_bar, mu_bar, sigma_bar
         )
         networks.update(context_networks)
         for i, (read, counted) in enumerate(zip(context_grids, rate_grids)):
             gradients[f"grid.{i}"][...] = read + counted
     lengths = slice(design.d, design.d + 6)  # the columns of s and l, trained as logarithms (Q5)
-    values_bar[:, lengths] *= saved.values[:, lengths]
+    values_bar[:, lengths] *= values[:, lengths]
     for name, bar in zip(ATTRIBUTES, groups(values_bar, design)):
         gradients[name][...] = bar.reshape(gradients[name].shape)
     gradients["x_a"][...] = anchors["x_a"]
