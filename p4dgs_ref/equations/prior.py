@@ -2,8 +2,8 @@
 
     (mu, sigma) = psi_p(h)
 
-P-4DGS, section 3.3 (context entropy coding). The network puts out mu and log sigma; sigma is its
-exponential, with the logarithm clamped to -14 ... 6 (Q8).
+P-4DGS, section 3.3 (context entropy coding). The network returns mu and log sigma, which is
+clamped to -14 ... 6 (Q8).
 """
 
 import numpy as np

@@ -21,7 +21,7 @@ def forward(
     below 2**31 in magnitude.
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        # In float32 a quotient could round to a tie that is none.
+        # A quotient in float32 could itself be rounded onto a tie.
         ratio = np.rint(np.divide(f, q, dtype=np.float64))
     wrong = np.argwhere(~(np.abs(ratio) < LIMIT))
     if len(wrong):
