@@ -1,6 +1,1 @@
-"""The paper, one module for every equation."""
-
-from ..table import EQUATIONS
-from .equation import FLAGS, Case, Equation, declare
-
-__all__ = ["EQUATIONS", "FLAGS", "Case", "Equation", "declare"]
+"""The paper, one module for every equation; `p4dgs_ref.table` lists them in the paper's order."""
