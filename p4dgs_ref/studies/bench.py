@@ -76,15 +76,38 @@ def replaced(owner, **members):
             setattr(owner, name, member)
 
 
-@contextmanager
-def watched_parts(wrap):
-    """Within it, `wrap(part, function)` stands for every function of every part of a step."""
+class Clock:
+    """Milliseconds that a part takes in all its calls of one step."""
+
+    begin = staticmethod(time.perf_counter)
+
+    @staticmethod
+    def end(total, start):
+        return total + 1e3 * (time.perf_counter() - start)
+
+
+def part_by_part(trainer, gauge):
+    """One step with every function of every part wrapped by a gauge: {part: value}."""
+    values = dict.fromkeys(PARTS, 0.0)
+
+    def gauged(part, function):
+        def run(*args, **kwargs):
+            start = gauge.begin()
+            result = function(*args, **kwargs)
+            values[part] = gauge.end(values[part], start)
+            return result
+
+        return run
+
     with ExitStack() as stack:
         for part, places in PARTS.items():
             for owner, name in places:
-                wrapped = wrap(part, getattr(owner, name))
+                wrapped = gauged(part, getattr(owner, name))
                 stack.enter_context(replaced(owner, **{name: wrapped}))
-        yield
+        start = time.perf_counter()
+        trainer.step()
+        whole = 1e3 * (time.perf_counter() - start)
+    return {**values, "whole step": whole}
 
 
 def alternate(functions, repeats):
@@ -159,23 +182,9 @@ def step_parts(scene, preset, warm, repeats):
         trainer.step()
     trainer.iteration = max(trainer.iteration, preset.stage_ends[2])
     trainer.step()
-    spent = dict.fromkeys(PARTS, 0.0)
-
-    def timed(part, function):
-        def run(*args, **kwargs):
-            start = time.perf_counter()
-            result = function(*args, **kwargs)
-            spent[part] += time.perf_counter() - start
-            return result
-
-        return run
-
-    with watched_parts(timed):
-        start = time.perf_counter()
-        for _ in range(repeats):
-            trainer.step()
-        whole = 1e3 * (time.perf_counter() - start) / repeats
-    ms = {part: 1e3 * seconds / repeats for part, seconds in spent.items()}
+    steps = [part_by_part(trainer, Clock) for _ in range(repeats)]
+    ms = {part: float(np.mean([step[part] for step in steps])) for part in steps[0]}
+    whole = ms.pop("whole step")
     return {**ms, "everything else": whole - sum(ms.values()), "whole step": whole}
 
 

@@ -1,4 +1,6 @@
-"""True values of Eq. (11) for the study of its formulas: `python -m tests.golden.likelihood_points`.
+"""True values of Eq. (11) for the study of its formulas.
+
+    python -m tests.golden.likelihood_points
 
 Some points are drawn from each of the study's two planes. Their bits and slopes are computed with
 60 digits, rounded to float64 and stored beside the study.

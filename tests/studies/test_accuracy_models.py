@@ -1,4 +1,4 @@
-"""The studies of accuracy against time that train, and those of gradients and sizes; the page of all."""
+"""The studies of accuracy that train, those of gradients and sizes, and the page."""
 
 import json
 import math
@@ -12,6 +12,7 @@ from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.model import Context
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting import fast
+from p4dgs_ref.studies import bench
 from p4dgs_ref.studies.accuracy import (
     fits,
     gradients,
@@ -255,16 +256,16 @@ def test_a_blown_up_view_shows_the_same_scene(scene):
 def test_parts_are_gauged_counted_and_left_as_they_were():
     rows_before = {
         (owner, name): getattr(owner, name)
-        for places in size.PARTS.values()
+        for places in bench.PARTS.values()
         for owner, name in places
     }
     scene_ = size.blown_up(load_scene("bouncing", downscale=4), 1, 2)
     found = {}
     for A in (20, 60):
         trainer = size.at_stage_4(scene_, A)
-        times, memory = size.part_by_part(trainer, size.Clock), size.part_memory(trainer)
-        assert all(0 < times[part] <= times["whole step"] for part in size.PARTS)
-        assert all(0 < memory[part] <= memory["whole step"] for part in size.PARTS)
+        times, memory = bench.part_by_part(trainer, bench.Clock), size.part_memory(trainer)
+        assert all(0 < times[part] <= times["whole step"] for part in bench.PARTS)
+        assert all(0 < memory[part] <= memory["whole step"] for part in bench.PARTS)
         found[A] = size.counted(trainer)
         assert found[A]["gaussians"] == size.LIVE * A
     assert (

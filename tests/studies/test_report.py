@@ -1,4 +1,4 @@
-"""What a run leaves behind: measures checked against independent sums, pictures, and never a part of a report."""
+"""The report of a run: measures against independent sums, pictures, all files or none."""
 
 import csv
 import io

@@ -4,7 +4,6 @@ The architecture is the paper's (its preset `paper_synthetic`) with fewer anchor
 stage 4. Fitted powers carry the costs on to the paper's size.
 """
 
-import time
 import tracemalloc
 from dataclasses import replace
 
@@ -15,7 +14,7 @@ from ...scenes.scene import Scene
 from ...splatting import fast
 from ...training.presets import PAPER_SYNTHETIC
 from ...training.trainer import Trainer
-from ..bench import PARTS, memory_of, watched_parts
+from ..bench import Clock, memory_of, part_by_part
 from .diagram import Axes, Finding, figure, finish, legend_below, lines, select, table
 from .fits import multiply_adds
 from .rendering import evaluated_pairs
@@ -62,16 +61,6 @@ def at_stage_4(scene, anchors):
     return trainer
 
 
-class Clock:
-    """Milliseconds that a part takes in all its calls of one step."""
-
-    begin = staticmethod(time.perf_counter)
-
-    @staticmethod
-    def end(total, start):
-        return total + 1e3 * (time.perf_counter() - start)
-
-
 class Scale:
     """Megabytes that a part holds at the worst moment of any of its calls."""
 
@@ -83,26 +72,6 @@ class Scale:
     @staticmethod
     def end(most, before):
         return max(most, (tracemalloc.get_traced_memory()[1] - before) / 1e6)
-
-
-def part_by_part(trainer, gauge):
-    """One step with every function of every part wrapped by a gauge: {part: value}."""
-    values = dict.fromkeys(PARTS, 0.0)
-
-    def gauged(part, function):
-        def run(*args, **kwargs):
-            start = gauge.begin()
-            result = function(*args, **kwargs)
-            values[part] = gauge.end(values[part], start)
-            return result
-
-        return run
-
-    with watched_parts(gauged):
-        start = time.perf_counter()
-        trainer.step()
-        whole = 1e3 * (time.perf_counter() - start)
-    return {**values, "whole step": whole}
 
 
 def part_memory(trainer):

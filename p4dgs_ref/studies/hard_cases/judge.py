@@ -27,6 +27,15 @@ def exact(literal, ours, true, error):
     return Measured(literal, ours, true, float(error), None, 0.0, None)
 
 
+def refuses(call, error, says=""):
+    """Whether a call raises that error, with a message that contains `says`."""
+    try:
+        call()
+    except error as refusal:
+        return says in str(refusal)
+    return False
+
+
 def measure(case, dtype):
     """Run an equation forward and backward on a case in one precision."""
     inputs, cotangents = cast(case.inputs, dtype), cast(case.cotangents, dtype)
