@@ -52,7 +52,7 @@ assert np.isclose(shares.sum(), (loss_of(1e-6) - loss_of(-1e-6)) / 2e-6)
 
 # %% [markdown]
 # ## In code
-# We need a model that has learnt something: the preset `tiny`, reduced to 80 anchors, after 360
+# We need a model that has learned something: the preset `tiny`, reduced to 80 anchors, after 360
 # iterations, the last 30 of them in stage 4. All its parameters are then copied to `float64`, and
 # the exact settings of the renderer are used.
 

@@ -328,9 +328,9 @@ def pictures(f_a):
     return np.stack(images).astype(float)
 
 
-learnt = quantised.context.q[:, :1]
+learned = quantised.context.q[:, :1]
 # The features before rounding are not in the file: we spread them over their bins again.
-f_a = model.anchors.f_a + (rng.random((60, design.d)) - 0.5) * learnt
+f_a = model.anchors.f_a + (rng.random((60, design.d)) - 0.5) * learned
 truth = pictures(f_a)
 w = np.zeros((60, 1))
 for a in range(60):
@@ -341,7 +341,7 @@ for a in range(60):
 typical = np.exp(np.log(w[w > 0]).mean())
 from_w = (np.maximum(w, 1e-30) / typical) ** -0.5
 from_w = np.clip(from_w, 1 / 8, 8)  # an anchor that is never seen gets the coarsest step
-log_steps = np.log([from_w[:, 0], learnt[:, 0]])
+log_steps = np.log([from_w[:, 0], learned[:, 0]])
 correlation = np.corrcoef(log_steps)[0, 1]
 print(f"correlation of learned and ideal steps, in logarithms: {correlation:.2f}")
 assert correlation > 0.6
@@ -370,7 +370,7 @@ def trade(q_a):
 
 ways = {
     "one step for all": np.ones((60, 1)),
-    "learned, Eq. (8)": learnt / np.exp(np.log(learnt).mean()),
+    "learned, Eq. (8)": learned / np.exp(np.log(learned).mean()),
     "from $w_a$": from_w,
 }
 scales = np.geomspace(0.03, 1, 12)
@@ -395,7 +395,7 @@ assert (by_w[-1] > same[-1]).all()  # the widest steps: worse in both
 
 figure, (steps, error_of) = plt.subplots(1, 2, figsize=(16, 5), layout="constrained")
 seen = w[:, 0] > 0
-steps.loglog(w[seen], learnt[seen], "o", ms=8)
+steps.loglog(w[seen], learned[seen], "o", ms=8)
 steps.set(
     xlabel="sensitivity of the picture, $w_a$",
     ylabel="learned step q of the features",
