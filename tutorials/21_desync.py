@@ -56,9 +56,10 @@ assert not wrong % 16 < 10
 
 # %% [markdown]
 # ## In code
-# We write a codec as one would write it at first. It computes $\mu$ and $\sigma$ in `float32`,
-# and gives each of the $n$ symbols of a table $\lfloor(2^{16} - n)\,p\rfloor$ counts plus one.
-# All 1416 attributes of a trained model go into one message, anchor by anchor.
+# We write a codec as one would write it at first. It computes $\mu$ and $\sigma$ in `float32`. Of
+# the $2^{16}$ counts of a table with $n$ symbols, it distributes $2^{16} - n$ by placing a
+# boundary at $\lfloor(2^{16} - n)\,\Phi\rfloor$, and then gives every symbol one count more. All
+# 1416 attributes of a trained model go into one message, anchor by anchor.
 
 # %%
 BITS = 16

@@ -67,7 +67,9 @@ def my_forward(**given):
     raw = given["alpha"][order, None] * falloff
     A = np.minimum(raw, given.get("alpha_max", 0.99))
     T = transmittances(A, given)
-    image = (A * T[:-1]).T @ given["color"][order] + T[-1][:, None] * given["background"]
+    weights = A * T[:-1]
+    image = weights.T @ given["color"][order]
+    image += T[-1][:, None] * given["background"]
     shape = given["height"], given["width"]
     return image.reshape(*shape, 3), T[-1].reshape(shape)
 

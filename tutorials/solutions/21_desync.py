@@ -29,14 +29,19 @@ lessons.number("21.1", [nine, ten], [434, 629])
 # %%
 def my_network(x, layers):
     for layer in layers[:-1]:
+        unit = 2**layer.s
         y = x @ layer.W + layer.b
-        rounded = np.floor((y + 2**layer.s // 2) / 2**layer.s)
+        rounded = np.floor((y + unit // 2) / unit)
         x = np.maximum(rounded, 0)
-    return x @ layers[-1].W + layers[-1].b
+    last = layers[-1]
+    return x @ last.W + last.b
 
 
-row = next(row for row in streams.read_rows()["good"] if row["name"] == "full")
-stored = {array["name"]: streams.stored(row, array) for array in row["arrays"]}
+rows = {row["name"]: row for row in streams.read_rows()["good"]}
+full_row = rows["full"]
+stored = {}
+for array in full_row["arrays"]:
+    stored[array["name"]] = streams.stored(full_row, array)
 stream = (published.FOLDER / "full.p4dgs").read_bytes()
 full = quantised_of(container.open_container(stream)).model
 layers = fixed_point.whole_layers(*full.networks["psi_p"])
@@ -53,8 +58,10 @@ lessons.number("21.2", my_network(h, layers), y, digits=15)
 # %%
 def my_sigma_units(raw, log2_D, p):
     log2_sigma = (94548 * raw + 2**15) >> 16
-    of_steps = log2_sigma - log2_D - ((p - 39) << 16)
-    return np.clip((of_steps + 2**11) >> 12, -128, 319)
+    log2_Q_0 = (p - 39) << 16
+    of_steps = log2_sigma - log2_D - log2_Q_0
+    units = (of_steps + 2**11) >> 12
+    return np.clip(units, -128, 319)
 
 
 widths = full.design.widths
@@ -62,7 +69,8 @@ of_sigma = y[:, prior.layout(widths)[1]]
 raw = fixed_point.rescale(of_sigma, layers[-1].bits, 16, 2**24)
 raw = np.clip(raw, -14 << 16, 6 << 16)
 fraction, p = np.frexp(full.design.Q_0)
-D = np.floor(fraction * 2**24).astype(int) * stored["q_units"]
+mantissa = np.floor(fraction * 2**24).astype(int)
+D = mantissa * stored["q_units"]
 log2_D = np.repeat(fixed_point.log2(D), widths, axis=1)
 exponents = np.repeat(p.astype(int), widths)
 mine = my_sigma_units(raw, log2_D, exponents)
