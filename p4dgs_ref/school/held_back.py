@@ -78,24 +78,16 @@ def permuted(shapes, inputs, rng):
 
     `shapes` are those of the manifest, such as "A k 3 -> N 3"; lists of arrays begin with "*".
     """
-    axes = {}
+    made = dict(inputs)
+    orders = {}
     for name, a in inputs.items():
         letters = shapes.get(name, "*").split("->")[0].split()
-        if isinstance(a, np.ndarray) and len(letters) == a.ndim and letters[:1] != ["*"]:
-            axes[name] = letters
-    lengths = {}
-    for name, letters in axes.items():
-        for letter, n in zip(letters, inputs[name].shape):
-            lengths.setdefault(letter, set()).add(n)
-    orders = {}
-    for letter, found in sorted(lengths.items()):
-        if letter.isalpha() and len(found) == 1:
-            orders[letter] = rng.permutation(min(found))
-    made = dict(inputs)
-    for name, letters in axes.items():
-        for axis, letter in enumerate(letters):
-            if letter in orders:
-                made[name] = np.take(made[name], orders[letter], axis=axis)
+        if isinstance(a, np.ndarray) and len(letters) == a.ndim:
+            for axis, letter in enumerate(letters):
+                if letter.isalpha():
+                    n = a.shape[axis]
+                    order = orders.setdefault((letter, n), rng.permutation(n))
+                    made[name] = np.take(made[name], order, axis=axis)
     return made
 
 

@@ -18,14 +18,12 @@ def text(report):
     names = [name_of(grade.key) for grade in report.grades]
     width = max(map(len, names))
     lines = []
-    for name, grade in zip(names, report.grades):
-        points = f"{name:<{width}}  {grade.points:5.2f} of {grade.of:2.0f}"
+    for heading, grade in zip(names, report.grades):
+        points = f"{heading:<{width}}  {grade.points:5.2f} of {grade.of:2.0f}"
         lines.append(f"{points}  {missed(grade)}".rstrip())
         lines += [f"    points withheld ({grade.earned:.2f}): {flag}" for flag in grade.flags]
-        if grade.first:
-            lines.append(f"    first: {grade.first}")
-        if grade.explanation:
-            lines.append(f"    explained by: {grade.explanation}")
+        said = {"first": grade.first, "explained by": grade.explanation}
+        lines += [f"    {name}: {what}" for name, what in said.items() if what]
     percent = 100 * report.points / report.of if report.of else 0
     total = f"{'sum':<{width}}  {report.points:5.2f} of {report.of:.0f}"
     lines.append(f"{total}  ({percent:.1f} %, seed {report.seed})")

@@ -32,15 +32,10 @@ def classroom(folder, only=None, backward_only=False, seed=None):
     folder = Path(folder)
     record = record_in(folder)
     old = record["equations"]
-    new = {}
-    for key in chosen(only):
-        asked = parts_asked(key, backward_only)
-        if asked and key not in old:
-            new[key] = asked
-    kept = sorted(old)
+    asked_of = {key: parts_asked(key, backward_only) for key in chosen(only)}
+    new = {key: asked for key, asked in asked_of.items() if asked and key not in old}
     record["equations"] = {**old, **new}
-    if seed is not None:
-        record["seed"] = seed
+    record["seed"] = record["seed"] if seed is None else seed
     try:
         with (
             filled(folder) as top,
@@ -57,7 +52,7 @@ def classroom(folder, only=None, backward_only=False, seed=None):
     except FileExistsError as error:
         raise OutputError(f"{error.filename}: expected a folder or nothing") from None
     count = sum(len(functions_of(key, asked)) for key, asked in new.items())
-    return {"output": str(folder), "equations": list(new), "functions": count, "kept": kept}
+    return {"output": str(folder), "equations": list(new), "functions": count, "kept": sorted(old)}
 
 
 def parts_asked(key, backward_only):
