@@ -30,7 +30,7 @@ TABLES = {
 
 def page():
     """The format page as text."""
-    texts = {f"{name}.py": import_module(f".{name}", __package__).__doc__ for name in PARTS}
+    texts = {f"{name}.py": import_module(f".{name}", __package__).__doc__ or "" for name in PARTS}
     for name, meaning in TABLES.items():
         numbers = " ".join(map(str, table(name).tolist()))
         texts[f"Table {name}"] = f"{meaning}\n\n{fill(numbers, 100)}"

@@ -123,7 +123,7 @@ def network_numbers(networks, members):
     return np.concatenate([np.zeros(0), *(array.ravel() for pair in layers for array in pair)])
 
 
-def encode(model):
+def encode(model: Model) -> bytes:
     """The file of a model, as bytes. The same model gives the same bytes.
 
     Raises EncodeError or OverflowError for a number that the format cannot hold.
@@ -131,7 +131,7 @@ def encode(model):
     return write_container(sections_of(quantise(model)))
 
 
-def decode(data):
+def decode(data: bytes) -> Model:
     """The model in a file, bit for bit the one that `quantise` made of the encoded model.
 
     Raises BitstreamError, which names section and byte, for a file that is damaged or inconsistent.

@@ -48,7 +48,7 @@ Worked numbers. x = (16384, -8192), W = (0.5, -0.3)^T and b = (0.1); in float16,
 
 import json
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -69,7 +69,7 @@ class Layer(NamedTuple):
 @cache
 def table(name):
     """A table of `tables.json`, int64. The tables are part of the format: do not recompute them."""
-    tables = json.loads(files(__package__).joinpath("tables.json").read_text())
+    tables = json.loads(Path(__file__).with_name("tables.json").read_text())
     return np.array(tables[name], np.int64)
 
 

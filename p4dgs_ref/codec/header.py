@@ -62,7 +62,7 @@ def read_header(data):
     try:
         pairs = json.loads(str(data, "ascii"), object_pairs_hook=tuple)
     except (ValueError, RecursionError):
-        pairs = None
+        pairs = []
     expect(isinstance(pairs, tuple), "expected a JSON object")
     fields = dict(pairs)
     expect(

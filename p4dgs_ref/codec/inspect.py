@@ -27,9 +27,9 @@ def entropy_bits(flags):
 
 def float_context(model):
     """The context as training computes it, in float64; `context.py` computes it in integers."""
-    design, box = model.design, [corner.astype(float) for corner in model.box]
+    design, (lo, hi) = model.design, (corner.astype(float) for corner in model.box)
     tables = [T for T, _ in design.levels()]
-    located = hash_grid.locate(model.anchors.x_a, *box, design.grid, tables)
+    located = hash_grid.locate(model.anchors.x_a, lo, hi, design.grid, tables)
     return context(design, model.networks, model.grids, located)[0]
 
 
