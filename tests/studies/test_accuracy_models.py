@@ -33,7 +33,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def model(scene):
-    """Trained so little that only its arithmetic means anything."""
+    """A model with so little training that only its arithmetic can be tested."""
     return fits.train(scene, fits.reduced(40, anchors=60)).model
 
 
@@ -59,7 +59,7 @@ def test_wider_steps_need_fewer_bytes(scene, model):
 
 # --- training ------------------------------------------------------------------------------------
 class Chosen:
-    """Stands for a Generator whose draw is given."""
+    """Stands for a Generator that draws the given rows."""
 
     def __init__(self, rows):
         self.rows = rows
@@ -149,7 +149,7 @@ def test_a_context_learns_to_save_bits(model):
     assert sizes["attribute_bytes"] < alone["attribute_bytes"] and sizes["grid_bytes"] > 4
 
 
-def test_the_prior_without_context_is_the_moments_of_what_is_coded():
+def test_the_prior_without_context_has_the_moments_of_the_coded_values():
     values, kept = np.array([[1.0, 9], [3, 5], [8, 5]]), np.array([[1, 0], [1, 1], [0, 1]], bool)
     mu, raw = hash_grid.channel_moments(values, kept, np.full((3, 2), 0.2))
     assert np.allclose(mu, [2, 5]) and np.allclose(
@@ -171,7 +171,7 @@ def errors_of(rows, method, dtype="float64"):
     }
 
 
-def test_difference_quotients_err_as_their_order_says(curves):
+def test_errors_of_difference_quotients_fall_with_their_order(curves):
     for method, order in (("forward", 1), ("central", 2), ("fourth order", 4)):
         error = errors_of(curves, method)
         assert abs(math.log10(error[2] / error[3]) - order) < 0.35, method
@@ -205,7 +205,7 @@ def test_a_wrong_backward_would_be_seen(monkeypatch):
     assert min(errors_of(gradients.sweep("opacity", True), "complex step").values()) > 1e-11
 
 
-def test_the_tolerance_drawn_is_the_one_the_suite_grants():
+def test_the_tolerance_in_the_figure_is_that_of_the_tests():
     text = (Path(__file__).parents[1] / "core" / "test_equations.py").read_text()
     assert f"allowed = {gradients.TOLERANCE:.0e} ".replace("e-07", "e-7") in text
 

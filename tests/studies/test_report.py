@@ -123,7 +123,7 @@ def test_bytes_of_the_plain_gaussians(done):
 
 
 def test_equal_images(tmp_path):
-    """A white scene and a threshold that keeps no Gaussian: the rendered images are exact."""
+    """A white scene and a threshold that keeps no Gaussian: the images are exact."""
     source = p4.load_scene("bouncing", downscale=4)
     views = [
         view.__class__(view.name, np.ones_like(view.image), None, view.camera, view.time)
@@ -157,7 +157,7 @@ def test_json_safe():
 
 
 @pytest.mark.parametrize("broken", ["draw_comparison", "write_motion", "draw_training"])
-def test_a_report_that_fails_leaves_nothing(scene, tmp_path, monkeypatch, broken):
+def test_a_failed_report_leaves_nothing(scene, tmp_path, monkeypatch, broken):
     def fail(*args):
         raise RuntimeError("no ink")
 
