@@ -13,10 +13,10 @@ import numpy as np
 from scipy.special import expit as sigmoid
 
 from p4dgs_ref import decode, oracle
-from p4dgs_ref.codec.inspect import float_context
 from p4dgs_ref.equations import mlp, rounding, step
 from p4dgs_ref.school import lessons
 from p4dgs_ref.school.lessons import close, inner, moved, random_like
+from p4dgs_ref.studies.inspect import float_context
 from p4dgs_ref.studies.random_inputs import random_network
 
 plt = lessons.pyplot()

@@ -10,10 +10,10 @@
 import numpy as np
 
 from p4dgs_ref import EQUATIONS, oracle
-from p4dgs_ref.codec.inspect import ledger
 from p4dgs_ref.equations import anchor_rate, hash_rate, rate_loss
 from p4dgs_ref.school import lessons
 from p4dgs_ref.school.lessons import close, inner, moved, random_like
+from p4dgs_ref.studies.inspect import ledger
 
 plt = lessons.pyplot()
 rng = np.random.default_rng(11)

@@ -14,13 +14,13 @@ import numpy as np
 import p4dgs_ref as p4
 from p4dgs_ref import effects as fx
 from p4dgs_ref import oracle
-from p4dgs_ref.codec.inspect import components
 from p4dgs_ref.equations import color, deformation, deformed, positional_encoding
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.school import lessons
 from p4dgs_ref.splatting import compositing
 from p4dgs_ref.studies.effect_ledger import describe, ledger
 from p4dgs_ref.studies.effect_work import counted
+from p4dgs_ref.studies.inspect import components
 from p4dgs_ref.studies.random_inputs import random_field, sample_model
 from p4dgs_ref.studies.suggest import suggest
 from p4dgs_ref.training.initial import design_of

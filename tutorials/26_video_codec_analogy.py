@@ -13,7 +13,6 @@ import numpy as np
 
 import p4dgs_ref as p4
 from p4dgs_ref import oracle
-from p4dgs_ref.codec.inspect import components
 from p4dgs_ref.equations import deformation
 from p4dgs_ref.model import predict, predict_backward
 from p4dgs_ref.scenes.dnerf import packaged_folder
@@ -23,6 +22,7 @@ from p4dgs_ref.scenes.simulator.trace import trace
 from p4dgs_ref.school import lessons
 from p4dgs_ref.studies.accuracy import fits
 from p4dgs_ref.studies.evaluate import decibel, evaluate, squared_error
+from p4dgs_ref.studies.inspect import components
 from p4dgs_ref.studies.random_inputs import sample_model
 
 plt = lessons.pyplot()

@@ -11,10 +11,10 @@ import copy
 import numpy as np
 
 from p4dgs_ref import decode, encode, evaluate, load_scene, oracle
-from p4dgs_ref.codec.inspect import components
 from p4dgs_ref.equations import likelihood, rate_loss, total_loss
 from p4dgs_ref.model import context
 from p4dgs_ref.school import lessons
+from p4dgs_ref.studies.inspect import components
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
 

@@ -330,7 +330,7 @@ def evaluate(arguments):
 
 def inspect(arguments):
     """List the sections of a file."""
-    from ..codec.inspect import GAPS, ledger
+    from ..studies.inspect import GAPS, ledger
     from ..studies.report import draw_ledger, write_csv
 
     if arguments.heat and not arguments.output:
@@ -350,8 +350,8 @@ def write_heat(arguments, data, folder):
     """Write heat.png, the scene in colours that show the bits of its anchors, and heat.csv."""
     import numpy as np
 
-    from ..codec.inspect import anchor_bits
     from ..studies.heat import heat_image
+    from ..studies.inspect import anchor_bits
     from ..studies.report import HEAT, draw_heat, write_csv
 
     model, bits = anchor_bits(data)

@@ -11,7 +11,6 @@ from .. import model
 from ..codec.context import coding_context
 from ..codec.file import attribute_columns
 from ..codec.gaussian_table import MU_BITS, SIGMA_BITS
-from ..codec.inspect import float_context
 from ..codec.quantise import quantise
 from ..codec.rans import pop_rows_plainly, push_rows_plainly
 from ..codec.streams import decode_gaussian, encode_gaussian
@@ -34,6 +33,7 @@ from ..training import objective
 from ..training.adam import Adam
 from ..training.presets import TINY
 from ..training.trainer import Trainer
+from .inspect import float_context
 from .random_inputs import cov2d_of, random_splats
 
 # The modules whose forward and backward make up each part of a training step.

@@ -4,9 +4,9 @@ import time
 
 import numpy as np
 
-from ..codec.inspect import components
 from ..equations import ssim
 from ..splatting.settings import FAST
+from .inspect import components
 
 # D3DGS stores 3 numbers of position, 3 of scale, 4 of rotation, 1 of opacity and 48 of colour.
 FLOATS_PER_GAUSSIAN = 59

@@ -13,13 +13,13 @@ import pytest
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.codec.container import read_container, write_container
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, decode, encode, quantised_of
-from p4dgs_ref.codec.inspect import components, ledger
 from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.codec.streams import decode_bits
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.model import Anchors, join
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting.camera import look_at
+from p4dgs_ref.studies.inspect import components, ledger
 from tests.codec.models import (
     DECODE_AND_PRINT,
     MAKE,

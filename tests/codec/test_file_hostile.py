@@ -10,9 +10,9 @@ import pytest
 from p4dgs_ref.codec.container import SECTIONS, BitstreamError, read_container, write_container
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, decode, encode
 from p4dgs_ref.codec.gaussian_table import MU_LIMIT
-from p4dgs_ref.codec.inspect import ledger
 from p4dgs_ref.codec.quantise import EncodeError, quantise
 from p4dgs_ref.codec.streams import encode_bits
+from p4dgs_ref.studies.inspect import ledger
 from tests.codec.models import MAKE, changed, random_model
 
 # An overflow or a NaN on the way is a failure, too.

@@ -3,7 +3,7 @@
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.codec.inspect import components
+from p4dgs_ref.studies.inspect import components
 
 
 @pytest.mark.slow

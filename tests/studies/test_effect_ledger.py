@@ -9,11 +9,11 @@ import pytest
 
 from p4dgs_ref.codec import quantise
 from p4dgs_ref.codec.file import decode, encode
-from p4dgs_ref.codec.inspect import components
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.model import ANCHOR_NETWORKS, without_silent_units
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
 from p4dgs_ref.studies import effect_ledger
+from p4dgs_ref.studies.inspect import components
 from p4dgs_ref.training.presets import SMOKE
 from p4dgs_ref.training.trainer import Trainer, assemble
 from tests.studies import pairs

@@ -12,7 +12,6 @@ from ...codec import rans
 from ...codec.context import coding_context
 from ...codec.fixed_point import exponent
 from ...codec.gaussian_table import MU_BITS, PRECISION, SIGMA_BITS, Model, gaussian_model
-from ...codec.inspect import float_context
 from ...codec.streams import (
     decode_gaussian,
     decode_symbols,
@@ -22,6 +21,7 @@ from ...codec.streams import (
 )
 from ...equations import likelihood
 from ..bench import in_units, quantised_tiny, random_message
+from ..inspect import float_context
 from .diagram import (
     Axes,
     Finding,

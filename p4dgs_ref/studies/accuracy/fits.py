@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ...codec.file import decode, encode
-from ...codec.inspect import components
 from ...model import ANCHOR_NETWORKS, CONTEXT_NETWORKS
 from ...training.presets import TINY
 from ...training.trainer import Trainer
 from ..evaluate import evaluate
+from ..inspect import components
 
 ATTRIBUTES = ("features", "scales", "offset_scales", "offsets")  # sections of the file
 TEST_VIEWS = "the test views of `bouncing`, rendered from the decoded file"

@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 
 from ...codec.file import encode
-from ...codec.inspect import components
 from ...codec.quantise import quantise
 from ...equations import hash_grid, hash_rate, likelihood
 from ...equations.prior import layout
@@ -18,6 +17,7 @@ from ...model import context, context_backward, join
 from ...scenes import load_scene
 from ...training.adam import Adam
 from ...training.parameters import Parameters, random_layers
+from ..inspect import components
 from .diagram import Axes, Finding, figure, finish, legend, lines, table, work_precision
 from .fits import ATTRIBUTES, multiply_adds, reduced, train
 from .quantisation import fixed

@@ -22,12 +22,12 @@ from ...codec.gaussian_table import (
     build_keys,
     gaussian_model,
 )
-from ...codec.inspect import float_context
 from ...codec.quantise import EncodeError, quantise, underflows
 from ...codec.rans import PRECISION
 from ...codec.streams import decode_gaussian, encode_gaussian, ideal_bits_gaussian
 from ...equations import rounding
 from ...model import LATTICE, join, snap
+from ..inspect import float_context
 from ..random_inputs import sample_model
 from .judge import exact, refuses
 

@@ -14,10 +14,10 @@ from p4dgs_ref.codec.__main__ import page
 from p4dgs_ref.codec.container import SECTIONS, layout, read_container
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.fixed_point import table
-from p4dgs_ref.codec.inspect import anchor_bits, components, ledger, symbol_bits
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.studies.heat import heat_image
+from p4dgs_ref.studies.inspect import anchor_bits, components, ledger, symbol_bits
 from tests.codec.models import MAKE
 
 

@@ -3,11 +3,11 @@
 import numpy as np
 from scipy.special import xlogy
 
+from ..codec.container import read_container
+from ..codec.file import NETWORK_SECTIONS, attribute_columns, quantised_of
+from ..codec.streams import ideal_bits_gaussian
 from ..equations import hash_grid, likelihood
 from ..model import context
-from .container import read_container
-from .file import NETWORK_SECTIONS, attribute_columns, quantised_of
-from .streams import ideal_bits_gaussian
 
 # Why a section is larger than its entropy under the float model: from each size in a row of the
 # ledger to the next.
