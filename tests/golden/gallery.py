@@ -12,7 +12,7 @@ import numpy as np
 
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.output import filled
-from p4dgs_ref.studies import accuracy
+from p4dgs_ref.studies.accuracy import report
 from p4dgs_ref.studies.main_job import main_job
 
 WIDTH = 640  # pixels of a figure
@@ -138,7 +138,7 @@ def draw_demo(out):
 
 def draw_accuracy(out):
     """Run the two studies whose pictures are shown, and leave these in the folder `out`."""
-    accuracy.run(["rendering", "likelihood"], out)
+    report.run(["rendering", "likelihood"], out)
 
 
 def shrink(source, target):

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from p4dgs_ref.__main__ import main
 from p4dgs_ref.equations import likelihood, view
 from p4dgs_ref.studies.accuracy import formulas
 from p4dgs_ref.studies.accuracy.timing import special_calls
@@ -242,3 +243,17 @@ def test_a_direction_nearly_along_an_axis():
         _, saved = view.forward(np.array([[1, h, 0]], dtype), np.zeros(3, dtype))
         gradients = view.backward(saved, np.zeros((1, 1), dtype), bar.astype(dtype))
         assert gradients["x_a"][0, 0] == pytest.approx(h * (h * 3 + 2), rel=1e-5)
+
+
+# --- the command ---------------------------------------------------------------------------------
+def test_the_command_fails_where_a_case_fails(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(stability_map, "draw_map", lambda path: path.write_bytes(b""))
+    arguments = ["stability", "--quiet", "--json", "-o", str(tmp_path), "--only"]
+    assert main([*arguments, "H-R1.9sigma"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {row["id"] for row in found["cases"]} == {"H-R1.9sigma"}
+    assert main([*arguments, "H-R99"]) == 2
+    assert "H-R99" in capsys.readouterr().err
+    worse = altered(EQUATIONS["likelihood"], forward=formulas.hac, backward=likelihood.backward)
+    monkeypatch.setitem(EQUATIONS, "likelihood", worse)
+    assert main([*arguments, "H-R1.9sigma"]) == 1
