@@ -57,7 +57,7 @@ def backward(saved, image_bar, transmittance_bar=None):
     color_bar, background_bar = np.zeros((M, 3), dtype), np.zeros(3, dtype)
     sums = np.zeros((6, M), dtype)  # over all pixels, for every Gaussian
     for pixels, x, y in pixel_blocks(height, width, M, dtype):
-        A, falloff, e_x, e_y = alphas(*splats, x, y)
+        A, falloff, e_x, e_y = alphas(mean2d, conic, alpha, alpha_max, x, y)
         T, transmittance = transmittances(A, occlusion)
         color_bar += (A * T) @ g[pixels]
         background_bar += transmittance @ g[pixels]
