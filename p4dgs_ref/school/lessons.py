@@ -161,8 +161,13 @@ def against(exercise, key, port, role, wanted=()):
         if "NotImplementedError" in result.explanation:
             return settle(exercise, "no answer yet")
         if result.wrong:
-            said = [f"{finding.tensor}: {finding.message}" for finding in result.findings]
-            return settle(exercise, f"case {case.id}: {[*said, result.explanation][0]}")
+            said = result.explanation
+            if result.findings:
+                first = result.findings[0]
+                said = (
+                    first.message if first.kind == "value" else f"{first.tensor}: {first.message}"
+                )
+            return settle(exercise, f"case {case.id}: {said}")
     return settle(exercise, "")
 
 
