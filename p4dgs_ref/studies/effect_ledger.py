@@ -41,19 +41,18 @@ def switched(scene, effect):
 def train_together(scenes, preset, seed, progress=None):
     """Train builds of one scene side by side.
 
-    From {name: Scene} to {name: {model, data, ms, work, gaussians, trainer}}. ms is the median of
+    From {name: Scene} to {name: {model, data, ms, work}}. ms is the median of
     the timed steps from stage 3 on, when every effect takes part.
     """
     trainers = {name: Trainer(scene, preset, seed) for name, scene in scenes.items()}
-    ms, work, visible = ({name: [] for name in scenes} for _ in range(3))
+    ms, work = ({name: [] for name in scenes} for _ in range(2))
     with np.errstate(all="ignore"):  # an overflow stops training with its own message
         for i in range(preset.iterations):
             for name, trainer in trainers.items():
                 if i >= preset.iterations - COUNTED:
                     with counted() as found:
-                        _, seen, _ = trainer.step()
+                        trainer.step()
                     work[name].append(found)
-                    visible[name].append(len(seen.index))
                     continue
                 stage, start = trainer.stage, time.perf_counter()
                 trainer.step()
@@ -69,7 +68,6 @@ def train_together(scenes, preset, seed, progress=None):
             "data": data,
             "ms": float(np.median(ms[name])),
             "work": work[name],
-            "gaussians": float(np.mean(visible[name])),
         }
     return built
 

@@ -30,7 +30,6 @@ def static_pair(seeds, preset="tiny", share=1):
                     "ms_per_step": build["ms"],
                     "bytes": len(build["data"]),
                     "work": float(np.mean(work)),
-                    "gaussians": build["gaussians"],
                     "psnr_db": evaluate(build["model"], scene)[0]["psnr_db"],
                 }
             )

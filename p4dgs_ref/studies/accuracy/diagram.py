@@ -41,7 +41,7 @@ class Axes(NamedTuple):
 TIME = Axes("ms", "error", "time (ms, median of alternating repeats)", "error")
 
 
-def lines(ax, rows, axes, by="method", knob="knob", label=True, order=()):
+def lines(ax, rows, axes, knob="knob", label=True, order=()):
     """Draw one line per method through its rows (dictionaries), with the knob beside each point.
 
     A value that the axis cannot show stays out of the line: NaN and infinity are a red cross above
@@ -50,9 +50,9 @@ def lines(ax, rows, axes, by="method", knob="knob", label=True, order=()):
     drawn = [row for row in rows if can_be_drawn(row[axes.y], axes.y_scale)]
     values = [row[axes.y] for row in drawn]
     low, high = (min(values), max(values)) if values else (1e-16, 1.0)
-    methods = list(dict.fromkeys([*order, *(row[by] for row in rows)]))
+    methods = list(dict.fromkeys([*order, *(row["method"] for row in rows)]))
     for i, method in enumerate(methods):
-        own = [row for row in rows if row[by] == method]
+        own = select(rows, method=method)
         if not own:
             continue
         shown = [row for row in own if can_be_drawn(row[axes.y], axes.y_scale)]

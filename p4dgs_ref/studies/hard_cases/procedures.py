@@ -101,7 +101,7 @@ def culled(value):
 
     def run(dtype):
         x = np.array([[0.0, 0, 0], [0.5, 0, 0]], dtype)
-        Sigma = np.stack([np.where(np.eye(3) > 0, value, 0 if value > 0 else value), np.eye(3)])
+        Sigma = np.stack([np.where(np.eye(3) > 0, value, 0), np.eye(3)])
         Sigma = Sigma.astype(dtype)
         with np.errstate(all="ignore"):
             found = conic_and_gradients(x, Sigma)
