@@ -1,4 +1,4 @@
-"""The golden oracle: published vectors, a checker for ports, and a doctor that explains wrong answers.
+"""The golden oracle: published vectors, a checker for ports, a doctor for wrong answers.
 
     from p4dgs_ref import oracle
     print(oracle.check(my_offsets, "offsets"))  # judge a Python function

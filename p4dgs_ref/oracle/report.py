@@ -16,7 +16,7 @@ def name_of(equation):
 
 
 def text(report):
-    """Return the levels' scores, the first divergence with its explanation, and what else failed."""
+    """Return the scores, the first divergence with its explanation, and what else failed."""
     lines = [
         f"{level} {row['says']:<15} {row['passed']:>4} of {row['of']}"
         for level, row in report.levels().items()

@@ -153,7 +153,7 @@ def parsed(module):
 
 
 def owner_of(statement):
-    """The name of a function or of the first constant that a statement defines; None for anything else."""
+    """The name of the function or the first constant that a statement defines, else None."""
     if isinstance(statement, ast.FunctionDef):
         return statement.name
     if isinstance(statement, ast.Assign):
@@ -163,9 +163,9 @@ def owner_of(statement):
     return None
 
 
-# --- where, and what instead -------------------------------------------------------------------------------------
+# --- where, and what instead --------------------------------------------------------------------
 def sites(statement):
-    """(operator's name, place, replacement, node in whose text the change is shown) in the order of the text."""
+    """Yield (operator's name, place, replacement, node in which the change is shown), in order."""
     if isinstance(statement, ast.Assign):
         yield from within(statement, "value", statement.value, statement.value)
         return
@@ -198,7 +198,7 @@ def within(holder, field, node, shown, index=None):
 
 
 def order_of(holder, node):
-    """Fields that hold code that runs; an assignment's targets count, the names that a loop binds do not."""
+    """The fields with code that runs: targets of assignments, but not the names that loops bind."""
     if (
         isinstance(holder, ast.Call)
         and isinstance(node, ast.UnaryOp)
@@ -246,7 +246,7 @@ def replacements(holder, field, node):
         yield from calls(node)
     elif (
         isinstance(node, (ast.List, ast.Tuple))
-        and field not in ("slice", "targets")
+        and field not in ("slice", "targets", "iter")  # the order of a loop's items is mostly free
         and not isinstance(holder, (ast.Return, ast.Yield, ast.keyword))
     ):
         yield from (("swap-items", changed(node, elts=items)) for items in swaps(node.elts))
@@ -289,7 +289,7 @@ def calls(node):
 
 
 def swaps(items):
-    """A list with each pair of neighbours swapped in turn, where that changes more than the place of a type."""
+    """Yield a list with each pair of neighbours swapped, unless one of them is a type."""
     for i in range(len(items) - 1):
         pair = {ast.unparse(item).removeprefix("np.") for item in items[i : i + 2]}
         is_type = any(text in TYPES or text.endswith(".dtype") for text in pair)
@@ -302,10 +302,10 @@ def changed(node, **fields):
     return type(node)(**{**{name: getattr(node, name, None) for name in node._fields}, **fields})
 
 
-# --- putting it there --------------------------------------------------------------------------------------------
+# --- putting it there ---------------------------------------------------------------------------
 @contextmanager
 def put(place, new):
-    """The statement with another node at a place."""
+    """Put another node at a place of a statement, for a while."""
     holder, field, index = place
     values = getattr(holder, field)
     old = values if index is None else values[index]
@@ -326,7 +326,7 @@ def put(place, new):
 
 
 def described(place, new, shown):
-    """`old -> new`, in the text of the expression around it; of a long one, only the words around the change."""
+    """Return `old -> new` with the expression around it, shortened where it is long."""
     holder, field, index = place
     old = getattr(holder, field) if index is None else getattr(holder, field)[index]
     before = " ".join(ast.unparse(shown).split())
@@ -345,7 +345,7 @@ def described(place, new, shown):
 
 @contextmanager
 def applied(mutation):
-    """The package with one token changed, for all who already hold its functions."""
+    """Change one token of the package, for all who already hold its functions."""
     module = importlib.import_module(mutation.module)
     scratch = dict(vars(module))
     if mutation.is_function:

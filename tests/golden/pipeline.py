@@ -249,7 +249,7 @@ def trace_cases():
 
 
 def trace_inputs(rng, A=9, k=5, d=7, V=6):
-    """Anchors, networks and grids wide awake; views of another, smoother model; noise; all drawn by `rng`."""
+    """Anchors, networks, grids, noise, and views of another, smoother model, drawn by `rng`."""
     resolutions = (("xyz", 3), ("xy", 5), ("xz", 4), ("yz", 4))
     design = EMPTY._replace(
         d=d,

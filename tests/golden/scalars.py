@@ -149,7 +149,8 @@ def pixel_cases():
         center=np.array([2.5, 1.5]),
         size=np.array([6, 4]),
     )
-    # 6 x 4 pixels: the axis meets (2.5, 1.5), between four of them; the outermost centres are (0, 0) and (5, 3)
+    # The axis meets the image of 6 x 4 pixels at (2.5, 1.5), between four of them. The outermost
+    # centres are (0, 0) and (5, 3).
     seen = np.array([[0, 0, 1.0], [-2.5 / 8, -1.5 / 4, 1], [5 / 8, 0.75, 2]])
     yield Case(
         "pixel_centres",
@@ -157,7 +158,7 @@ def pixel_cases():
         ("zero",),
         expected={"mean2d": np.array([[2.5, 1.5], [0, 0], [5, 3]]), "depth": np.array([1.0, 1, 2])},
     )
-    # u = 8 x / z, v = 4 y / z: du/dx = 32, du/dz = -16, dv/dy = 16, dv/dz = -4 in the last row; 0.2 itself is culled
+    # u = 8 x / z, v = 4 y / z: in the last row du/dx = 32, du/dz = -16, dv/dy = 16, dv/dz = -4.
     near = np.array(
         [[0.125, 0.0625, 0.1875], [0.125, 0.0625, 0], [0.125, 0.0625, -1], [0.125, 0.0625, 0.25]]
     )

@@ -91,26 +91,27 @@ def row_cases():
         dict(corner=np.array([[0, 0], [6, 1], [1, 6], [6, 6]]), res=7, table=60),
         expected={"row": np.array([0, 13, 43, 48])},
     )
-    # 2654435761 = 0x9E3779B1, 805459861 = 0x30025795: their last 13 bits are 0x19B1, 0x1795, the XOR of those is 0xE24
+    # 2654435761 = 0x9E3779B1 and 805459861 = 0x30025795; their last 13 bits are 0x19B1 and
+    # 0x1795, and the XOR of those is 0xE24.
     yield Case(
         "primes",
         dict(corner=np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1]]), res=24, table=2**13),
         expected={"row": np.array([1, 0x19B1, 0x1795, 0xE24])},
     )
-    # a table of 6007 rows: nothing but the whole number of 32 bits will do, and a signed one is negative
+    # A table of 6007 rows needs all 32 bits, and a signed number would be negative.
     paper = np.concatenate([rng.integers(0, 514, (8, 3)), [[513, 513, 513], [0, 513, 1]]])
     yield Case("paper_3d", dict(corner=paper, res=514, table=2**13), ("extreme",))
     yield Case("table_of_no_power_of_two", dict(corner=paper, res=514, table=6007), ("extreme",))
     plane = np.concatenate([rng.integers(0, 1026, (7, 2)), [[1025, 1025]]])
     yield Case("paper_2d", dict(corner=plane, res=1026, table=2**15), ("extreme",))
-    # products beyond 2^53, which a double does not hold
+    # Products beyond 2^53, which a double does not hold.
     beyond = rng.integers(2**23, 2**24, (9, 3))
     yield Case(
         "products_beyond_doubles", dict(corner=beyond, res=2**24, table=2**15 - 19), ("extreme",)
     )
 
 
-# --- what follows psi_q and psi_p -----------------------------------------------------------------
+# --- what follows psi_q and psi_p ---------------------------------------------------------------
 def step_vjp(u, Q_0):
     """The step of a network's output u; its floor 2^-10 Q_0 is reached at u = -3.8121 (Q7)."""
     outputs, pullback = EQUATIONS["step"].vjp(h=u, **identity(u), Q_0=Q_0)
@@ -169,7 +170,7 @@ def sigma_cases():
     )
 
 
-# --- ties and bins --------------------------------------------------------------------------------
+# --- ties and bins ------------------------------------------------------------------------------
 def ties_cases():
     half = np.array([[-2.5, -1.5, -0.5, 0.5, 1.5, 2.5, 3.5]])
     even = np.array([[-2, -2, 0, 0, 2, 2, 4]])
@@ -187,7 +188,8 @@ def ties_cases():
         ("tie",),
         expected={"symbols": np.array([[-2, -1, 0, 1, 2, 3, 4], [-3, -2, -1, 0, 1, 2, 3]])},
     )
-    # no decimal here is exact: the quotients of 0.15 and 0.35 fall short of the tie, the others are rounded onto it
+    # No decimal here is exact: the quotients of 0.15 and 0.35 are below the tie, the others are
+    # rounded to it.
     decimal = dict(f=np.array([[0.05, 0.15, 0.25, 0.35, 0.45, -0.25]]), q=np.array([[0.1]]))
     yield Case("decimal", decimal, ("tie",), expected={"symbols": np.array([[0, 1, 2, 3, 4, -2]])})
     yield Case(
@@ -218,7 +220,9 @@ def bin_cases():
         z, w = np.broadcast_arrays(np.array(z, float), np.array(w, float))
         return Case(name, dict(z=z.copy(), w=w.copy()), flags, expected=expected)
 
-    both = lambda *z: np.array([sign * v for v in z for sign in (1, -1)])
+    def both(*z):
+        return np.array([sign * v for v in z for sign in (1, -1)])
+
     yield case("ordinary", [0.3, -1.1, 2.4, -0.7, 3.9], [0.5, 1.0, 0.2, 3.0, 1.5], "ordinary")
     for name, w, *flag in (
         ("tails", 1.0),
@@ -248,7 +252,7 @@ def bin_cases():
         "negative",
         "tail",
     )
-    # either side of where this project changes formulas: w = 1/32, z w = 1/32, and the lower edge at 8
+    # On either side of where this project changes formulas: w = 1/16, z w = 1/16, lower edge at 2.
     above, below = 1 + 1e-9, 1 - 1e-9
     yield case(
         "regimes",

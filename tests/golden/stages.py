@@ -55,7 +55,7 @@ def spatial_surrogate(**base):
 
 
 def anchor_inputs(rng, A, d, k, hidden, effects):
-    """Anchors about the origin, a camera centre, and anchor networks of the widths that the effects ask for."""
+    """Anchors about the origin, a camera centre, and anchor networks as the effects need them."""
     design = EMPTY._replace(d=d, k=k, hidden=hidden, effects=effects)
     networks = {
         name: random_network(rng, layers[0][0], *(columns for _, columns in layers))
@@ -97,7 +97,7 @@ def spatial_cases():
     yield Case("color_sees_the_view", seeing, ("off",))
 
 
-# --- Fig. 1: canonical Gaussians -> Gaussians at t ------------------------------------------------
+# --- Fig. 1: canonical Gaussians -> Gaussians at t ----------------------------------------------
 def temporal_vjp(x, s, r, t, L_x, L_t, psi_d_weights, psi_d_biases):
     """Temporal prediction: deformation, then its use (Eqs. 5 and 6).
 
@@ -152,7 +152,7 @@ def gaussians(rng, N):
     )
 
 
-# --- Fig. 1: Gaussians at t -> image --------------------------------------------------------------
+# --- Fig. 1: Gaussians at t -> image ------------------------------------------------------------
 def projection_vjp(x, s, r, W, T, focal, center, size):
     """From Gaussians to splats: covariance, then projection. Rows that are culled are zeros.
 

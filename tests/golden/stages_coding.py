@@ -1,4 +1,4 @@
-"""Vectors of level L2, the half of Fig. 2: positions to coding context, noisy attributes to bits."""
+"""Vectors of level L2: Fig. 2, from positions to coding context, from noisy attributes to bits."""
 
 import numpy as np
 

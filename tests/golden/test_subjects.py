@@ -43,7 +43,7 @@ def answers(subject, case, seed):
     return outputs, pullback(**bars)
 
 
-# --- what holds for every equation holds here ------------------------------------------------------------------------
+# --- what holds for every equation holds here ---------------------------------------------------
 def test_every_subject_blames_an_equation_and_none_has_the_key_of_one():
     assert len(BY_KEY) == len(ROWS) and not set(BY_KEY) & set(EQUATIONS)
     assert {subject.equation for subject in ROWS} <= set(EQUATIONS)
@@ -87,7 +87,7 @@ def test_float32_stays_float32(subject, case):
             assert b.dtype.kind != "f" or b.dtype == np.float32, name
 
 
-# --- nothing is trivial ----------------------------------------------------------------------------------------------
+# --- nothing is trivial -------------------------------------------------------------------------
 def has_gradients(subject, case):
     """Whether gradients must not vanish.
 
@@ -125,7 +125,7 @@ def test_a_culled_row_has_neither_place_nor_gradient():
         assert not a[~visible].any() and a[visible].all(axis=tuple(range(1, a.ndim))).any()
 
 
-# --- single numbers --------------------------------------------------------------------------------------------------
+# --- single numbers -----------------------------------------------------------------------------
 def test_hash_rows_in_whole_numbers_without_limit():
     subject = BY_KEY["hash_index"]
     largest = 0
@@ -153,7 +153,7 @@ def test_bins_are_even_and_rise_towards_the_middle():
             assert (slope_z[::2] < 0).all()
 
 
-# --- frames ----------------------------------------------------------------------------------------------------------
+# --- frames -------------------------------------------------------------------------------------
 def test_frames_are_those_of_the_decoded_model():
     golden, frames = pipeline.golden_model(), BY_KEY["frames"]
     exact = [case for case in frames.cases() if case.inputs["renderer"] == "exact"]
@@ -190,7 +190,7 @@ def test_the_model_moves_hides_and_is_small():
     assert np.abs(through - images["front_035"]).max() > 0.2
 
 
-# --- size ------------------------------------------------------------------------------------------------------------
+# --- size ---------------------------------------------------------------------------------------
 @pytest.mark.parametrize("level, most", [("L0", 100_000), ("L2", 500_000), ("L4", 1_200_000)])
 def test_levels_are_small(level, most):
     """Inputs; outputs and gradients with their cotangents and scales (half as wide)."""

@@ -210,7 +210,7 @@ def test_adam_is_what_the_trace_says_it_is():
 
 
 def test_ten_steps_do_not_amplify_rounding(inputs, trace):
-    """Inputs moved by 1e-15 of themselves move outputs by less than 1e-12 of their largest number."""
+    """Inputs moved by 1e-15 of themselves move outputs by less than 1e-12."""
 
     def moved(a, rng):
         if isinstance(a, list):

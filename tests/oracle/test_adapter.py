@@ -1,4 +1,4 @@
-"""The checker's side of the adapter protocol, against real processes: good ones, and every way to be a bad one."""
+"""The adapter's protocol against real processes: right ones, and ones that fail in every way."""
 
 import base64
 import json
@@ -19,7 +19,7 @@ from p4dgs_ref.oracle.checker import judge
 from p4dgs_ref.oracle.ports import PortError
 from p4dgs_ref.oracle.published import Golden
 
-# A port of y = x: case n of its process is answered rightly, unless the lines put into it do something else.
+# A port of y = x. It answers case n rightly unless the lines that are put into it change that.
 PORT = """
 import json, os, signal, subprocess, sys, time
 open({log!r}, "a").write(f"{{os.getpid()}}\\n")
@@ -31,7 +31,8 @@ for n, text in enumerate(sys.stdin):
     request = json.loads(text)
     answer = {{"p4dgs_oracle": 1}}
     if "in" in request:
-        answer = {{"id": request["id"], "out": {{"y": request["in"]["x"]}}, "in_bar": {{"x": request["out_bar"]["y"]}}}}
+        answer = {{"id": request["id"], "out": {{"y": request["in"]["x"]}}}}
+        answer["in_bar"] = {{"x": request["out_bar"]["y"]}}
     {twist}
     send(json.dumps(answer) + "\\n")
 """
@@ -252,12 +253,17 @@ LOST = {
 }
 
 
+# Starts a process that sleeps, and writes its number into a file.
+SLEEPER = "open({!r}, 'a').write(str(subprocess.Popen(['sleep', '60']).pid) + '\\n')"
+
+
 @pytest.mark.parametrize("line", LOST)
 def test_a_line_that_is_no_answer(port, line):
-    """It may be a line ahead of us, so the process is of no more use."""
+    """The process may owe an answer and is not asked again."""
     ask = port(
-        f"line = {line}\nif n == 2: sys.stdout.buffer.write((line.encode() if isinstance(line, str) else line) + b'\\n');"
-        " sys.stdout.flush(); continue"
+        f"line = {line}\n"
+        "data = line.encode() if isinstance(line, str) else line\n"
+        "if n == 2: sys.stdout.buffer.write(data + b'\\n'); sys.stdout.flush(); continue"
     )
     assert verdicts(ask, 1) == ["ok"]
     kind, message = failure(ask, case("1"))
@@ -383,8 +389,7 @@ def test_a_command_that_is_none(command):
 
 
 def test_nothing_that_a_port_started_outlives_it(port, tmp_path):
-    child = f"open({str(tmp_path / 'started')!r}, 'a').write(str(subprocess.Popen(['sleep', '60']).pid) + '\\n')"
-    ask = port(start=child)
+    ask = port(start=SLEEPER.format(str(tmp_path / "started")))
     assert verdicts(ask, 1) == ["ok"]
     ask.close()
     assert len(port.pids()) == 2
@@ -392,12 +397,8 @@ def test_nothing_that_a_port_started_outlives_it(port, tmp_path):
 
 
 def test_stopping_the_checker_stops_the_port(port, tmp_path):
-    """Ctrl-C while the port is at work, and so is a process that it started."""
-    port(
-        "if n: open({0!r}, 'a').write(str(subprocess.Popen(['sleep', '60']).pid) + '\\n'); time.sleep(60)".format(
-            str(port.log)
-        )
-    )
+    """Ctrl-C while the port and a process that it started are at work."""
+    port(f"if n: {SLEEPER.format(str(port.log))}; time.sleep(60)")
     script = (
         "from p4dgs_ref.oracle.adapter import Adapter\nimport signal, sys\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"

@@ -1,4 +1,4 @@
-"""The checker fails when it should, names the first wrong equation, and reports per case; the commands around it."""
+"""The checker: it fails when it should, names the first wrong equation and reports each case."""
 
 import json
 import re
@@ -15,7 +15,7 @@ from p4dgs_ref.table import EQUATIONS
 from tests.golden.vectors import damaged
 
 
-# --- the checker ---------------------------------------------------------------------------------------------------------
+# --- the checker --------------------------------------------------------------------------------
 def answers(key):
     """What a perfect port writes for one subject."""
     subject = next(s for s in published.read_manifest()["subjects"] if s["key"] == key)
@@ -175,7 +175,7 @@ def test_a_python_function_is_judged():
 
 
 def test_precision_is_that_of_the_answers_alone(tmp_path):
-    """Scales are F32 and may stand beside: float64 answers are judged as such, also where float32 is not asked."""
+    """Scales are F32 and may be among the answers, which are judged as float64 all the same."""
     found = judge_folder(
         tmp_path,
         "noise",
@@ -239,7 +239,7 @@ def test_levels_and_names_may_be_repeated_in_any_order(tmp_path):
     assert found.ok and not any(r.verdict == "unasked" for r in found.results)
 
 
-# --- commands --------------------------------------------------------------------------------------------------------------
+# --- commands -----------------------------------------------------------------------------------
 def run(capsys, *argv):
     code = cli.run(["oracle", *argv], 0.0)
     return code, *capsys.readouterr()

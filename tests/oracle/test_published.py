@@ -56,7 +56,7 @@ def golden(manifest):
     return {s["key"]: published.read(s) for s in manifest["subjects"]}
 
 
-# --- the format ----------------------------------------------------------------------------------------------------
+# --- the format ---------------------------------------------------------------------------------
 def test_safetensors_come_back():
     rng = np.random.default_rng(0)
     arrays = {
@@ -96,7 +96,7 @@ def test_damaged_safetensors_are_refused(damage, says):
         safetensors.load(damage(data))
 
 
-# --- what is published -----------------------------------------------------------------------------------------------
+# --- what is published --------------------------------------------------------------------------
 def test_files_are_those_of_the_manifest(manifest):
     assert damaged(published.FOLDER) == []
     files = {file.name for file in published.FOLDER.iterdir() if file.is_file()}
@@ -234,7 +234,7 @@ def ids():
             yield case.id, digest.hexdigest()[:16]
 
 
-# --- honest ------------------------------------------------------------------------------------------------------------
+# --- honest -------------------------------------------------------------------------------------
 class Reference:
     """This project's own code as a port, in one precision."""
 
@@ -263,7 +263,7 @@ def test_the_reference_passes(manifest, golden, dtype):
 
 
 def test_no_golden_image_is_empty_and_no_gradient_nothing(golden):
-    """Every subject has an ordinary case whose every gradient moves something; images have something on them."""
+    """Every gradient of a subject is alive in some case, and images show something."""
     images = 0
     for key, cases in golden.items():
         alive = {}

@@ -1,4 +1,4 @@
-"""What the page of the vectors prints runs as it is printed, and its readers find what is wrong in damaged vectors."""
+"""The programs on the page of the vectors run as printed and find damage in vectors."""
 
 import json
 import math
@@ -36,7 +36,7 @@ def program(language, section="Readers"):
 
 
 def printed(language):
-    """The commands that build and run a reader, as the page has them: lists of arguments, an empty one for a script."""
+    """The commands that build and run a reader, as on the page; a script has nothing to build."""
     (row,) = re.findall(
         rf"^\| `reader\.{LANGUAGES[language]}` \|(.*)\|(.*)\|$", SECTIONS["Readers"], re.MULTILINE
     )
@@ -50,7 +50,7 @@ def need(tool):
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    """A function: language -> (folder of its reader, the command that runs it), built once and without a warning."""
+    """A function: language -> (folder of its reader, command), built once without a warning."""
 
     @cache
     def prepared(language):
@@ -67,7 +67,7 @@ def built(tmp_path_factory):
 
 @pytest.fixture
 def command(built, tmp_path):
-    """A function: language -> what its reader says, run by the printed command beside the folder of `copy`."""
+    """A function: language -> what its reader says, run as printed beside the folder of `copy`."""
 
     def ran(language):
         place, run = built(language)
@@ -216,7 +216,7 @@ def test_the_example_is_right_in_what_it_does(dtype):
         assert not report.ok and said == {("skipped", "not written yet")}
 
 
-# --- answers -----------------------------------------------------------------------------------------------------------
+# --- answers ------------------------------------------------------------------------------------
 TYPES = {"F64": np.float64, "F32": np.float32, "I64": np.int64, "BOOL": bool}
 
 
@@ -238,7 +238,7 @@ def write(language, path, tensors):
 
 
 def answers(key, port):
-    """What a port answers to the cases of a subject: {"ordinary/out.x": array}; port({"in.x_a": array}) -> both."""
+    """The answers {"ordinary/out.x": array} of a port {"in.x_a": array} -> {"out.x": array}."""
     subject = next(s for s in read_manifest()["subjects"] if s["key"] == key)
     return {
         f"{case.name}/{name}": a
@@ -305,7 +305,7 @@ def test_a_writer_writes_every_type(language, tmp_path):
 
 
 def test_precision_is_that_of_the_answers(tmp_path):
-    """A case without a tolerance in float32 is left out of a verdict on float32, and asked in float64."""
+    """A case without a tolerance in float32 is asked in float64 only."""
     for dtype, verdicts in (("F64", {"pass"}), ("F32", {"pass", "unasked"})):
         write(
             "python",
@@ -361,7 +361,8 @@ def test_requests_are_spaced_as_the_page_says(tmp_path):
 for line in sys.stdin:
     open({str(heard)!r}, "a").write(line)
     request = json.loads(line)
-    print(json.dumps(dict(p4dgs_oracle=1) if "p4dgs_oracle" in request else dict(id=request["id"], skip="")), flush=True)
+    starts = "p4dgs_oracle" in request
+    print(json.dumps(dict(p4dgs_oracle=1) if starts else dict(id=request["id"], skip="")), flush=True)
 """,
         encoding="utf-8",
     )

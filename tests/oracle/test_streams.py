@@ -111,7 +111,7 @@ def test_other_types_for_the_same_numbers(folder):
 
 @pytest.mark.parametrize("name", ["full", "escapes", "static"])
 def test_every_array_counts(folder, name):
-    """One number of each array off by the least there is; none may be left out; each is blamed on what makes it."""
+    """The smallest change of one number of any array is found and blamed on what makes it."""
     for array, value in read(folder, name).items():
         wrong, index = value.copy(), tuple(n - 1 for n in value.shape)
         if value.dtype.kind == "f":

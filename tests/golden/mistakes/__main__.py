@@ -1,4 +1,4 @@
-"""`python -m tests.golden.mistakes` writes the wrong answers that the doctor compares with a port's."""
+"""`python -m tests.golden.mistakes` writes the wrong answers that the doctor knows."""
 
 import gzip
 import json

@@ -6,7 +6,7 @@ from p4dgs_ref.splatting.compositing import depth_order
 from tests.golden.mistakes.kit import bars_of, known, no_gradient, port, surgery
 
 
-# --- the reference on other inputs -------------------------------------------------------------------------------
+# --- the reference on other inputs --------------------------------------------------------------
 def given_as(**changes):
     """Other inputs or settings that receive no gradient: name -> f(inputs)."""
     return dict(inputs=lambda given: {**given, **{name: f(given) for name, f in changes.items()}})
@@ -193,7 +193,7 @@ OTHER_INPUTS = [
 ]
 
 
-# --- the sum itself ----------------------------------------------------------------------------------------------
+# --- the sum itself -----------------------------------------------------------------------------
 def composed(cut=lambda A: A, own_alpha=False, clamp_passes=False, through_T=True):
     """`run` of a whole compositing, in which one thing can differ.
 

@@ -1,4 +1,4 @@
-"""Known mistakes in covariance and projection: from Gaussians in the world to ellipses in the image."""
+"""Known mistakes in covariance and projection: from Gaussians to ellipses in the image."""
 
 import numpy as np
 
@@ -7,13 +7,13 @@ from p4dgs_ref.table import EQUATIONS
 from tests.golden.mistakes.kit import bars_of, known, port, surgery
 
 
-# --- covariance --------------------------------------------------------------------------------------------------
+# --- covariance ---------------------------------------------------------------------------------
 def conjugate(r):
     return r * np.array([1, -1, -1, -1], r.dtype)
 
 
 def differentiated(Sigma_of, bars_of_R_s):
-    """`run` with Sigma_of(R, s) and its gradients bars_of_R_s(Sigma_bar, R, s) -> R_bar, s_bar."""
+    """`run` with Sigma_of(R, s) and its gradients bars_of_R_s(Sigma_bar, R, s), R_bar and s_bar."""
 
     def run(given, cotangents):
         s, r = given["s"][:, None, :], given["r"]
@@ -100,7 +100,8 @@ COVARIANCE = [
     surgery(
         "covariance",
         "covariance-not-symmetrised",
-        "the gradient of Sigma is taken to be symmetric: 2 Sigma_bar M for (Sigma_bar + Sigma_bar^T) M",
+        "the gradient of Sigma is taken to be symmetric: "
+        "2 Sigma_bar M for (Sigma_bar + Sigma_bar^T) M",
         differentiated(squared, twice),
     ),
     known(
@@ -118,7 +119,7 @@ COVARIANCE = [
 ]
 
 
-# --- projection: other cameras -----------------------------------------------------------------------------------
+# --- projection: other cameras ------------------------------------------------------------------
 def moved(**changes):
     """Other settings of the camera: name -> f(inputs)."""
     return dict(inputs=lambda given: {**given, **{name: f(given) for name, f in changes.items()}})
@@ -279,7 +280,7 @@ CAMERAS = [
 ]
 
 
-# --- projection: other formulas ----------------------------------------------------------------------------------
+# --- projection: other formulas -----------------------------------------------------------------
 def turned_back(given):
     """x such that W^T for W moves nothing: only the covariance sees another W."""
     W = np.asarray(given["W"])
@@ -305,7 +306,10 @@ def cov_for_conic_bar(bars, out, given):
 
 
 def covariance_bar(bars, out):
-    """All that arrives at (a, b, c) of the covariance: d(K) = -K d(cov) K for the conic, where b stands in two places."""
+    """Return the whole gradient of the covariance's (a, b, c), that through the conic included.
+
+    d(K) = -K d(cov) K for the conic, in which b has two places.
+    """
     a, b, c = out["conic"].astype(float).T
     g_a, g_b, g_c = bars["conic"].astype(float).T
     through = np.stack(
@@ -327,8 +331,9 @@ def counted_once(bars, out, given):
 def jacobian(place):
     """`run` of a port whose Jacobian is taken elsewhere.
 
-    place(ratio, limit) -> uv, in place of the clamped x/z and y/z; its slope in x/z, as far as x and y are concerned;
-    the same times x/z, as far as z is concerned; and what multiplies the focal lengths, with minus its logarithmic slope.
+    place(ratio, limit) returns uv, used instead of the clamped x/z and y/z; the slope of uv in x/z
+    that x and y see; that slope times x/z as z sees it; the factor of the focal lengths; and minus
+    the logarithmic slope of that factor.
     """
 
     def run(given, cotangents):
@@ -389,7 +394,10 @@ def clamp_times_x(ratio, limit):
 
 
 def over_x(ratio, limit):
-    """f / x in the diagonal, which is f / z divided by x/z; f / z where x is 0, as a port must do something there."""
+    """f / x in the diagonal, which is f / z divided by x/z.
+
+    Where x is 0, a port must do something else; here it takes f / z.
+    """
     straight = ratio == 0
     by = np.where(straight, 1, ratio)
     uv, inside = np.clip(ratio, -limit, limit), np.abs(ratio) <= limit
@@ -432,7 +440,8 @@ FORMULAS = [
     surgery(
         "projection",
         "projection-clamp-gradient-of-z",
-        "beyond the clamp the gradient of z treats the clamped x as a constant, as the published kernel does",
+        "beyond the clamp the gradient of z treats the clamped x as a constant, "
+        "as the published kernel does",
         jacobian(clamp_of_kernel),
     ),
     surgery(

@@ -8,7 +8,7 @@ from p4dgs_ref.equations.grid_nodes import PRIMES
 from tests.golden.mistakes.kit import NotApplicable, bars_of, known, surgery
 
 
-# --- Eq. (9): a reader whose every step can be another one -------------------------------------------------------
+# --- Eq. (9): a reader whose every step can be another one --------------------------------------
 def u_of(x_a, lo, hi, axis):
     extent = (hi - lo)[axis]
     u = np.divide(
@@ -25,7 +25,7 @@ def on_nodes(u, res):
 
 
 def dense_or(hashed):
-    """The row of a corner (A, 2^D, D): dense where the table holds all, else `hashed(corner, table)`."""
+    """The rows of corners (A, 2^D, D): dense where the table holds all, else hashed."""
 
     def row(corner, res, table):
         D = corner.shape[2]
@@ -113,7 +113,7 @@ def added(corner, table):
     return wrapped(corner).astype(np.int64).sum(axis=2) % 2**32 % table
 
 
-# --- Eq. (9): what is asked and shown ----------------------------------------------------------------------------
+# --- Eq. (9): what is asked and shown -----------------------------------------------------------
 def levels_of(given):
     """Columns of h by level."""
     L, F = len(given["grids"]), given["grids"][0].shape[1]
@@ -274,14 +274,18 @@ HASH_GRID = [
 ]
 
 
-# --- Eq. (14) ----------------------------------------------------------------------------------------------------
+# --- Eq. (14) -----------------------------------------------------------------------------------
 def entropy(own, other):
     """-own log2(own / (own + other)), 0 where there is none."""
     return -own * math.log2(own / (own + other)) if own else 0.0
 
 
 def priced(bits, slope, positive=lambda grid: grid >= 0, inside=lambda grid: np.abs(grid) <= 1):
-    """`run` with bits(n_pos, n_neg), its slope in n_pos where both occur, and other rules for a sign and its gradient."""
+    """`run` with another price of the signs.
+
+    bits(n_pos, n_neg) is the price and `slope` its slope in n_pos, where both signs occur. The
+    rules `positive` and `inside` say what counts as positive and where the gradient passes.
+    """
 
     def run(given, cotangents):
         grids = given["grids"]

@@ -1,8 +1,9 @@
-"""How a known mistake is written down: the reference, given other inputs, showing other outputs, or both.
+"""How a known mistake is defined: as the function that a port with this mistake would be.
 
-Every mistake answers `run(inputs, cotangents) -> (out, in_bar)`: what a port with this mistake would have returned for a
-case.  `port` wraps the reference's own pair in transformations and their adjoints; `network` lets a network end in
-another head.  Where neither does, a file of mistakes writes the one differing step itself.
+`run(inputs, cotangents)` returns outputs and gradients. `port` makes it of the right function by
+changing its inputs or outputs, with the adjoint changes of the gradients. `network` makes it of a
+network that ends in another head. Where neither is enough, a file of mistakes writes the function
+with the wrong step.
 """
 
 from typing import Callable, NamedTuple
@@ -15,7 +16,7 @@ from tests.golden.subjects import subjects
 
 
 class NotApplicable(Exception):
-    """The mistake says nothing about this case, which lacks what the mistake is about."""
+    """The mistake cannot be made in this case; a port with it answers right."""
 
 
 class Mistake(NamedTuple):
@@ -33,7 +34,7 @@ class Mistake(NamedTuple):
 
 
 def quiet(run):
-    """Mistakes divide by zero and overflow as ports do: without a word."""
+    """Return `run` without warnings: mistakes divide by zero and overflow."""
 
     def silently(inputs, cotangents):
         with np.errstate(all="ignore"):
@@ -43,18 +44,19 @@ def quiet(run):
 
 
 def bars_of(cotangents):
-    """{"x_bar": a} to {"x": a}."""
+    """Return {"x": a} of {"x_bar": a}."""
     return {name.removesuffix("_bar"): bar for name, bar in cotangents.items()}
 
 
 def port(key, inputs=None, inputs_bar=None, outputs=None, outputs_bar=None):
-    """`run` of a port that is the reference but for some arrays.
+    """Return `run` of a port that is the right function with some arrays changed.
 
-    Each argument is {name: function of that array} or one function of whole dictionaries:
-    inputs       f(x) or f(inputs): what the reference is given in their place
-    inputs_bar   f(bar, x) or f(bars, inputs): the gradient the port returns in place of the reference's
-    outputs      f(y) or f(out, inputs): what the port shows in place of the reference's output
-    outputs_bar  f(bar, y) or f(bars, out, inputs): the cotangent that the reference is given
+    Each argument is {name: function of that array}, or one function of whole dictionaries:
+
+    inputs       f(x) or f(inputs): what the right function is given instead
+    inputs_bar   f(bar, x) or f(bars, inputs): the gradient that the port returns instead
+    outputs      f(y) or f(out, inputs): the output that the port returns instead
+    outputs_bar  f(bar, y) or f(bars, out, inputs): the cotangent that the right pullback is given
     """
 
     def run(given, cotangents):
@@ -69,7 +71,11 @@ def port(key, inputs=None, inputs_bar=None, outputs=None, outputs_bar=None):
 
 
 def changed(change, tree, beside, whole):
-    """`tree` with some entries replaced: by functions of an entry and those of its name beside it, or of everything."""
+    """Return `tree` with some entries changed.
+
+    `change` is one function of `whole`, or {name: function of the entry and of its namesakes in the
+    trees `beside`}.
+    """
     if callable(change):
         return change(*whole)
     return {
@@ -82,18 +88,18 @@ def changed(change, tree, beside, whole):
 
 
 def known(subject, id, description, **changes):
-    """A mistake told by transformations, the arguments of `port`."""
+    """Return a mistake that is defined by the arguments of `port`."""
     return Mistake(id, subject, description, port(subject, **changes))
 
 
 def surgery(subject, id, description, run):
-    """A mistake whose differing step is written out."""
+    """Return a mistake whose function is written out."""
     return Mistake(id, subject, description, quiet(run))
 
 
-# --- transformations that recur ----------------------------------------------------------------------------------
+# --- transformations that recur -----------------------------------------------------------------
 def without(name):
-    """An input is left out of the formula."""
+    """The changes that leave an input out of the formula."""
     return dict(inputs={name: np.zeros_like}, inputs_bar={name: no_gradient})
 
 
@@ -106,7 +112,10 @@ def inverse(order):
 
 
 def first_rows(order):
-    """The network's input is put together in another order: column order(inputs)[i] of ours stands at i."""
+    """The changes that concatenate a network's input in another order.
+
+    Column i is our column order(inputs)[i].
+    """
 
     def rows(tree, index):
         return {**tree, "weights": [tree["weights"][0][index], *tree["weights"][1:]]}
@@ -118,7 +127,10 @@ def first_rows(order):
 
 
 def last_columns(order):
-    """The network's output is taken apart in another order: where we read column c, the port reads order(inputs)[c]."""
+    """The changes that split a network's output in another order.
+
+    Where we read column c, the port reads column order(inputs)[c].
+    """
 
     def columns(tree, index):
         weights, biases = tree["weights"], tree["biases"]
@@ -135,19 +147,19 @@ def last_columns(order):
 
 
 def component_major(width):
-    """Outputs of k children with `width` numbers each, read component by component instead of child by child."""
+    """The changes that read k children of `width` numbers each component by component."""
     return last_columns(
         lambda given: np.arange(len(given["biases"][-1])).reshape(width, -1).T.ravel()
     )
 
 
 def hac_order(given):
-    """(f_a, d_vc, delta_vc), as HAC concatenates; nothing changes where the scene has no view inputs."""
+    """The order f_a, d_vc, delta_vc of HAC; our order where the scene has no view inputs."""
     d, view = given["f_a"].shape[1], given["d_vc"].shape[1]
     return np.array([*range(d), *range(d + 1, d + 1 + view), *([d] if view else [])])
 
 
-# --- networks that end in another head ---------------------------------------------------------------------------
+# --- networks that end in another head ----------------------------------------------------------
 def tanh(y):
     return np.tanh(y), 1 - np.tanh(y) ** 2
 
@@ -193,7 +205,10 @@ def headed(equation, id, description, head):
 
 
 def elementwise(name, width, activation):
-    """A head that applies `activation(y) -> value, slope` to all outputs, `width` numbers a child (0: no such axis)."""
+    """A head that applies activation(y), which returns value and slope, to all outputs.
+
+    `width` is how many numbers a child has; with 0 the outputs have no such axis.
+    """
 
     def head(y, _):
         value, slope = activation(y)

@@ -9,7 +9,7 @@ from p4dgs_ref.table import EQUATIONS
 from tests.golden.mistakes.kit import bars_of, known, no_gradient, surgery
 
 
-# --- Eqs. (15) and (17) ------------------------------------------------------------------------------------------
+# --- Eqs. (15) and (17) -------------------------------------------------------------------------
 def weighed(render, rate):
     """L_total = render(lambda) L_render + rate(lambda) L_rate."""
 
@@ -133,9 +133,9 @@ RATE_LOSS = [
 ]
 
 
-# --- Eq. (16) ----------------------------------------------------------------------------------------------------
+# --- Eq. (16) -----------------------------------------------------------------------------------
 def blended(of_L1=rest, of_D=itself, D=itself, D_slope=one, power=1, sign=np.sign, mean=True):
-    """L = of_L1(lambda) L1 + of_D(lambda) D(D_SSIM), where L1 is the mean, or sum, of |difference|^power."""
+    """L = of_L1(lambda) L1 + of_D(lambda) D(D_SSIM), L1 the mean or sum of |difference|^power."""
 
     def run(given, cotangents):
         _, pullback = EQUATIONS["ssim"].vjp(image=given["image"], truth=given["truth"])
@@ -204,7 +204,7 @@ RENDER_LOSS = [
 ]
 
 
-# --- SSIM --------------------------------------------------------------------------------------------------------
+# --- SSIM ---------------------------------------------------------------------------------------
 SIDE = 2 * RADIUS + 1
 
 
@@ -248,9 +248,10 @@ def similarity(
     share=everywhere,
     mix=None,
 ):
-    """`run` of SSIM with another window, constants, factor of all moments or of the covariance, mean, or mixed channels.
+    """`run` of SSIM with something else: window, constants, factors of moments, mean, channels.
 
-    With e = x - y each numerator is its denominator less a moment of e, as in the reference: so the digits agree.
+    With e = x - y each numerator is its denominator minus a moment of e, as in our own SSIM, so
+    that all digits can be compared.
     """
 
     def run(given, cotangents):

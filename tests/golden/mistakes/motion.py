@@ -1,4 +1,4 @@
-"""Known mistakes in the encoding of position and time and in Eqs. (5) and (6): Gaussians that move."""
+"""Known mistakes in the encoding of position and time and in Eqs. (5) and (6)."""
 
 import numpy as np
 
@@ -6,9 +6,12 @@ from p4dgs_ref.equations.numerics import normalise, normalise_backward
 from tests.golden.mistakes.kit import bars_of, inverse, known, no_gradient, port, relu, surgery
 
 
-# --- positional encoding -----------------------------------------------------------------------------------------
+# --- positional encoding ------------------------------------------------------------------------
 def encoded(frequencies, slope=(1, -1), slope_powers=None):
-    """E with other frequencies, f(L) -> (L,); slope: signs of sin' and cos'; slope_powers: frequencies in backward."""
+    """`run` of E with other frequencies(L).
+
+    `slope` has the signs of sin' and cos'; `slope_powers` gives other frequencies in backward.
+    """
 
     def run(given, cotangents):
         p, L = given["p"], given["L"]
@@ -48,7 +51,7 @@ def columns(order):
 
 
 def arranged(*axes, raw_last=False):
-    """Columns of the waves, (L, 2, D) in our order, with these axes in another; raw input first or last."""
+    """The waves' columns (L, 2, D) with the axes in another order; the raw input first or last."""
 
     def order(D, L):
         waves = D + np.arange(2 * L * D).reshape(L, 2, D).transpose(axes).ravel()
@@ -142,9 +145,12 @@ ENCODING = [
 ]
 
 
-# --- Eq. (5) -----------------------------------------------------------------------------------------------------
+# --- Eq. (5) ------------------------------------------------------------------------------------
 def rows_moved(tree, by):
-    """The rows of the first layer moved down: of the trunk's first one, or of all heads where there is no trunk."""
+    """Move the rows of the first layer down.
+
+    It is the trunk's first layer, or all heads where there is no trunk.
+    """
     weights = tree["weights"]
     n = 1 if len(weights) > 3 else 3
     return {**tree, "weights": [*(np.roll(W, by, axis=0) for W in weights[:n]), *weights[n:]]}
@@ -155,7 +161,7 @@ def exchanged(tree, *_):
 
 
 def exchanged_bar(bars, out, given):
-    """Where one of the heads has no width, both cotangents go to the other."""
+    """Where one of the heads has no width, the cotangents stay."""
     return exchanged(bars) if out["delta_x"].shape == out["delta_s"].shape else bars
 
 
@@ -164,7 +170,7 @@ IDENTITY = (1, 0, 0, 0)
 
 
 def headless(given, keep):
-    """Inputs whose three heads have bias `keep(b)`."""
+    """Inputs whose three heads have the biases keep(b)."""
     return {**given, "biases": [*given["biases"][:-3], *map(keep, given["biases"][-3:])]}
 
 
@@ -216,9 +222,9 @@ DEFORMATION = [
 ]
 
 
-# --- Eq. (6) -----------------------------------------------------------------------------------------------------
+# --- Eq. (6) ------------------------------------------------------------------------------------
 def turned(add, add_bar):
-    """r_t from `add(r, delta_r)`, where rotation is on; add_bar(bar, r, delta_r) -> gradients of both."""
+    """`run` with r_t = add(r, delta_r) where rotation is on; add_bar gives both gradients."""
 
     def run(given, cotangents):
         bars = bars_of(cotangents)
@@ -275,7 +281,7 @@ def product_bar(bar, r, delta):
 
 
 def when_on(f):
-    """Of s_t, where scaling is on."""
+    """Change s_t where scaling is on."""
 
     def change(tree, *others):
         given = others[-1]
@@ -289,7 +295,7 @@ def when_on(f):
 
 
 def log_scaled_bar(bars, given):
-    """Of s exp(delta_s), from the gradient of s + delta_s."""
+    """The gradient of s exp(delta_s), made of that of s + delta_s."""
     if not given["delta_s"].shape[1]:
         return bars
     growth = np.exp(given["delta_s"])

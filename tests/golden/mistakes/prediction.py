@@ -1,4 +1,4 @@
-"""Known mistakes in Eqs. (1) to (4): from anchors to canonical Gaussians, and in the networks that predict them."""
+"""Known mistakes in Eqs. (1) to (4), masking and the networks."""
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from tests.golden.mistakes.kit import (
 HAC = "the networks' input is (f_a, d_vc, delta_vc), HAC's order, instead of (f_a, delta_vc, d_vc)"
 
 
-# --- Eq. (1) -----------------------------------------------------------------------------------------------------
+# --- Eq. (1) ------------------------------------------------------------------------------------
 def first_axis_bar(bar, _):
     return np.stack([bar.sum(axis=1), 0 * bar[:, 0], 0 * bar[:, 0]], axis=1)
 
@@ -75,7 +75,7 @@ OFFSETS = [
 ]
 
 
-# --- Eq. (2) -----------------------------------------------------------------------------------------------------
+# --- Eq. (2) ------------------------------------------------------------------------------------
 EPSILON = 1e-6
 
 
@@ -87,7 +87,7 @@ def softened_bar(bars, out, _):
     delta, d = out["delta_vc"], out["d_vc"]
     along = (bars["d_vc"] * d).sum(axis=1, keepdims=True)
     at_camera = delta == 0
-    # an anchor on the camera has v / EPSILON for a direction; the reference's own gradient is 0 there
+    # An anchor on the camera has the direction v / EPSILON; the right gradient is 0 there.
     return {
         "delta_vc": bars["delta_vc"]
         + np.where(at_camera, 0, along * (EPSILON / (delta + EPSILON)) / (delta + EPSILON)),
@@ -135,7 +135,7 @@ VIEW = [
 ]
 
 
-# --- Eq. (3) -----------------------------------------------------------------------------------------------------
+# --- Eq. (3) ------------------------------------------------------------------------------------
 def view_first(given):
     d = given["f_a"].shape[1]
     return np.array([*range(d, len(given["weights"][0])), *range(d)])
@@ -186,9 +186,12 @@ OPACITY = [
 ]
 
 
-# --- masking -----------------------------------------------------------------------------------------------------
+# --- masking ------------------------------------------------------------------------------------
 def kept_where(**changes):
-    """Other rows are kept.  Of the cotangents, made for the true rows, a port reads as many as it has rows, if there are."""
+    """`run` that keeps other rows.
+
+    The cotangents are those of the right rows. The port reads as many of them as it has rows.
+    """
 
     def run(given, cotangents):
         other = {name: f(given) for name, f in changes.items()}
@@ -208,7 +211,7 @@ def child_major(tree, *_):
 
 
 def packed(bars, given):
-    """Gradients in the first rows, as they came, instead of in the rows that were kept."""
+    """Put the gradients into the first rows instead of the rows that were kept."""
     index = np.flatnonzero(given["mask"] & (given["alpha"] >= given["tau_alpha"]))
     wrong = {}
     for name, bar in bars.items():
@@ -253,7 +256,7 @@ MASKING = [
 ]
 
 
-# --- Eq. (3) for colour and rotation, Eq. (4) -------------------------------------------------------------------
+# --- Eq. (3) for colour and rotation, Eq. (4) ---------------------------------------------------
 def half_slope(y):
     return sigmoid(y)[0], sigmoid(y)[0]
 
@@ -295,7 +298,7 @@ COLOR = [
 
 
 def quaternions(value_of, pull_of=None):
-    """A head of (A, k, 4): `value_of(y)`, and `pull_of(bar, y)` for its gradient, the bar itself if there is none."""
+    """A head (A, k, 4) with value_of(y) and its gradient pull_of(bar, y), by default the bar."""
 
     def head(y, _):
         y_4 = y.reshape(len(y), y.shape[1] // 4, 4)
@@ -355,7 +358,7 @@ ROTATION = [
 
 
 def scales(combine, activation=sigmoid):
-    """A head of (A, k, 3): `combine(s_a, fraction) -> s, ds/ds_a, ds/dfraction` per child."""
+    """A head (A, k, 3); combine(s_a, fraction) returns s, ds/ds_a and ds/dfraction of a child."""
 
     def head(y, given):
         shape = (len(y), y.shape[1] // 3, 3)
@@ -410,7 +413,7 @@ SCALE = [
 ]
 
 
-# --- the networks themselves -------------------------------------------------------------------------------------
+# --- the networks themselves --------------------------------------------------------------------
 def perceptron(hidden, last=identity):
     """A network with other activations, `hidden` between layers and `last` behind the last one."""
 

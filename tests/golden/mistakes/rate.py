@@ -1,4 +1,4 @@
-"""Known mistakes in Eqs. (7), (8) and (10) to (13): noise, steps, rounding, and what a value costs."""
+"""Known mistakes in Eqs. (7), (8) and (10) to (13): noise, steps, rounding, the cost of values."""
 
 import math
 
@@ -24,7 +24,7 @@ LOG_2 = math.log(2)
 PHI_0 = 1 / math.sqrt(2 * math.pi)  # density of the standard Gaussian at its mean
 
 
-# --- Eq. (7) -----------------------------------------------------------------------------------------------------
+# --- Eq. (7) ------------------------------------------------------------------------------------
 NOISE = [
     known(
         "noise",
@@ -60,7 +60,7 @@ NOISE = [
 ]
 
 
-# --- Eq. (8) -----------------------------------------------------------------------------------------------------
+# --- Eq. (8) ------------------------------------------------------------------------------------
 def steps(value):
     """A head whose steps are Q_0 times `value(psi_q) -> value, slope`."""
 
@@ -146,7 +146,7 @@ STEP = [
 ]
 
 
-# --- Eq. (10) ----------------------------------------------------------------------------------------------------
+# --- Eq. (10) -----------------------------------------------------------------------------------
 def rounded(rule, back=lambda symbols, f, q: (symbols * q.astype(float)).astype(f.dtype)):
     """Another `rule(f, q)` for the symbols, or another way back."""
 
@@ -206,7 +206,7 @@ ROUNDING = [
 ]
 
 
-# --- Eq. (11) ----------------------------------------------------------------------------------------------------
+# --- Eq. (11) -----------------------------------------------------------------------------------
 HAC_BITS = -math.log2(1e-6)
 
 
@@ -309,7 +309,7 @@ LIKELIHOOD = [
 ]
 
 
-# --- Eq. (12) ----------------------------------------------------------------------------------------------------
+# --- Eq. (12) -----------------------------------------------------------------------------------
 def deviations(value):
     """A head whose sigma is `value(raw) -> sigma, slope`."""
 
@@ -343,7 +343,10 @@ def clamp_passing(raw):
 
 
 def positions(rule):
-    """Where the port's output has what stands in our columns: rule(start, width, n) -> columns of mu, of raw sigma."""
+    """The changes that read psi_p's outputs elsewhere.
+
+    rule(start, i, n) returns the columns of mu and of raw sigma for the numbers i of a group.
+    """
 
     def order(given):
         widths = given["widths"]
@@ -419,9 +422,9 @@ PRIOR = [
 ]
 
 
-# --- Eq. (13) ----------------------------------------------------------------------------------------------------
+# --- Eq. (13) -----------------------------------------------------------------------------------
 def tiled(mask):
-    """The mask of k children repeated coordinate by coordinate, (3, k), over offsets that are stored as (k, 3)."""
+    """The mask repeated coordinate by coordinate, (3, k), over offsets stored as (k, 3)."""
     return np.tile(mask, (1, 3)).reshape(*mask.shape, 3)
 
 

@@ -1,4 +1,4 @@
-"""Known mistakes between equations: every equation is right, and what one hands to the next is not."""
+"""Known mistakes between equations: each is right, but what one gives to the next is not."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from p4dgs_ref.equations import deformation, deformed
 from tests.golden.mistakes.kit import known, port, surgery
 
 
-# --- Fig. 1 ------------------------------------------------------------------------------------------------------
+# --- Fig. 1 -------------------------------------------------------------------------------------
 def scales_exchanged(tree, *_):
     return {**tree, "l_a": tree["s_a"], "s_a": tree["l_a"]}
 
@@ -45,7 +45,7 @@ RENDERING = [
 ]
 
 
-# --- Fig. 2 ------------------------------------------------------------------------------------------------------
+# --- Fig. 2 -------------------------------------------------------------------------------------
 def of_offsets(change):
     """mu and sigma with the 3k columns of O changed: (A, k, 3) -> its other order, flattened."""
 
