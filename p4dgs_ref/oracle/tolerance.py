@@ -36,7 +36,13 @@ def answer_of(eq):
     def answer(inputs, cotangents):
         outputs, pullback = eq.vjp(**inputs)
         gradients = pullback(**cotangents) if eq.gradients else {}
-        gradients = {name: gradients[name] for name in eq.gradients}
+        # A scalar's gradient may be one of Python's numbers.
+        gradients = {
+            name: gradients[name]
+            if isinstance(gradients[name], list)
+            else np.asarray(gradients[name])
+            for name in eq.gradients
+        }
         return {**flatten(outputs, "out."), **flatten(gradients, "in_bar.")}
 
     return answer

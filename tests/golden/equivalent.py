@@ -16,17 +16,12 @@ EQUIVALENT = {
     "likelihood:FAR:float:1": "between 2 and 2.02 sigma both formulas have all their digits",
     "likelihood:rate:lt-lte:1": BORDER,
     "likelihood:rate:gt-gte:1": BORDER,
-    "likelihood:rate:swap-items:5": "a bin is in at most one of the two regimes",
-    "likelihood:rate:add-sub:3": "-0 bits instead of 0: equal as numbers",
-    "likelihood:near_the_mean:lt-lte:1": (
+    "likelihood:rate:lt-lte:2": (
         "at low = 0 one minus the tails and their difference are the same number"
     ),
+    "likelihood:rate:int:3": "between 0 and 1 sigma both formulas have all their digits",
     "likelihood:narrow_bin:int:11": "three millionths of a term that is at most 4e-11",
-    "anchor_rate:forward:swap-items:1": ORDER,
-    "anchor_rate:forward:swap-items:2": ORDER,
-    "anchor_rate:forward:swap-items:3": ORDER,
     "hash_rate:forward:swap-arguments:1": "the entropy of two counts is symmetric in them",
-    "hash_rate:entropy:swap-items:1": ORDER,
     "mlp:backward:gt-gte:1": "a product that `needs_x=False` saves is computed, but not used",
     "projection:forward:float:4": CULLED,
     "projection:forward:float:5": CULLED,

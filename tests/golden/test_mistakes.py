@@ -19,7 +19,14 @@ from tests.golden.subjects import subjects
 
 CLOSE = 1e-9  # of the largest number in an array
 NOISE = 1e-16  # what is left of a sum that is exactly zero
-EVERY = pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.id)
+# One of eight in the short lane, all in the long one.
+EVERY = pytest.mark.parametrize(
+    "mistake",
+    [
+        pytest.param(mistake, id=mistake.id, marks=[pytest.mark.slow] if i % 8 else [])
+        for i, mistake in enumerate(MISTAKES)
+    ],
+)
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # mistakes divide by zero
 
 
@@ -93,7 +100,13 @@ def test_it_works_in_float32(mistake):
                 assert a.dtype.kind != "f" or a.dtype in (np.float32, np.float64), name
 
 
-@pytest.mark.parametrize("key", sorted({mistake.subject for mistake in MISTAKES}))
+@pytest.mark.parametrize(
+    "key",
+    [
+        pytest.param(key, marks=[pytest.mark.slow] if key in ("projection", "compositing") else [])
+        for key in sorted({mistake.subject for mistake in MISTAKES})
+    ],
+)
 def test_mistakes_differ_from_each_other(key):
     right = [expected(case.tensors) for case in published.cases(key)]
     alike = []
@@ -108,6 +121,7 @@ def test_mistakes_differ_from_each_other(key):
     assert not alike
 
 
+@pytest.mark.slow
 def test_the_data_of_the_doctor_are_what_the_mistakes_compute():
     made = files()
     held = {file.name: file.read_bytes() for file in doctor.FOLDER.iterdir()}

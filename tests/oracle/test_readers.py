@@ -362,7 +362,8 @@ for line in sys.stdin:
     open({str(heard)!r}, "a").write(line)
     request = json.loads(line)
     starts = "p4dgs_oracle" in request
-    print(json.dumps(dict(p4dgs_oracle=1) if starts else dict(id=request["id"], skip="")), flush=True)
+    reply = dict(p4dgs_oracle=1) if starts else dict(id=request["id"], skip="")
+    print(json.dumps(reply), flush=True)
 """,
         encoding="utf-8",
     )
