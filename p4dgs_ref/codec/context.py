@@ -137,15 +137,6 @@ def hash_feature(positions, grids, design):
     return np.concatenate(features, axis=1).astype(float)
 
 
-def step_units(h, psi_q):
-    """q_units [A, 4] (part 3), int64."""
-    u = rescale(run_network(h, psi_q), psi_q[-1].bits, 12, 2**15)
-    v = np.clip(u + (4 << 12), 0, (10 << 12) - 1)
-    steps, i, r = table("sigmoid"), v >> 6, v & 63
-    share = steps[i] + ((steps[i + 1] - steps[i]) * r >> 6)
-    return np.clip(share + 128 >> 8, STEP_FLOOR, STEP_MAX)
-
-
 def shift(values, S):
     """floor(values 2^-S + 1/2) clipped to +-MU_LIMIT, for |values| <= 2^52 and S of either sign."""
     right, left = np.clip(S, 0, 62), np.clip(-S, 0, 28)
@@ -172,7 +163,12 @@ def coding_context(design, networks, grids, positions):
 
 def context_of(h, psi_q, psi_p, design):
     """q, mu_units and sigma_units (parts 3 to 6) of some anchors."""
-    q_units = step_units(h, psi_q)
+    u = rescale(run_network(h, psi_q), psi_q[-1].bits, 12, 2**15)
+    v = np.clip(u + (4 << 12), 0, (10 << 12) - 1)
+    steps, i, r = table("sigmoid"), v >> 6, v & 63
+    share = steps[i] + ((steps[i + 1] - steps[i]) * r >> 6)
+    q_units = np.clip(share + 128 >> 8, STEP_FLOOR, STEP_MAX)
+
     fraction, p = np.frexp(np.array(design.Q_0))
     D = np.floor(fraction * 2.0**24).astype(np.int64) * q_units  # [A, 4], 28 to 41 bits
     n = bit_length(D) - 24

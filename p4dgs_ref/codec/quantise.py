@@ -113,10 +113,10 @@ def round_attributes(values, q, design):
     for i, part in enumerate(groups(values, design)):
         name = f"anchors {GROUPS[i]}_a"
         try:
-            (symbols, _), _ = rounding.forward(finite(name, part), q[:, i : i + 1])
-            columns.append(symbols)
+            outputs, _ = rounding.forward(finite(name, part), q[:, i : i + 1])
         except OverflowError as error:
             raise OverflowError(f"{name}, kept children: {error}") from None
+        columns.append(outputs[0])
     return np.concatenate(columns, axis=1)
 
 

@@ -43,7 +43,6 @@ from .gaussian_table import CHUNK, PRECISION, check_integers, gaussian_model
 
 MAX_SYMBOL, MAX_GAMMA = 1 << 31, 33
 CERTAIN = 1 << PRECISION  # probability one
-SHORT = "the data end before the last raw bit"  # message of two checks
 
 
 def encode_gaussian(symbols, mu_units, sigma_units, lanes=None, push_rows=None):
@@ -59,11 +58,10 @@ def encode_gaussian(symbols, mu_units, sigma_units, lanes=None, push_rows=None):
     b = bit_length(gamma) - 1
     codes = np.stack([1 << b, gamma - (1 << b)], axis=1).ravel()
     code_widths = np.stack([b + 1, b], axis=1).ravel()
-    raw = pack_fields(
+    return rans.encode(entries, model.keys, lanes, push_rows) + pack_fields(
         np.concatenate([symbols & (1 << widths) - 1, codes]),
         np.concatenate([widths, code_widths]),
     )
-    return rans.encode(entries, model.keys, lanes, push_rows) + raw
 
 
 def decode_gaussian(data, mu_units, sigma_units, section="stream", pop_rows=None):
@@ -82,7 +80,7 @@ def decode_symbols(data, model, section="stream", pop_rows=None):
     pieces = [slice(a, a + CHUNK) for a in range(0, len(entries), CHUNK)]
     symbols, at = np.empty(len(entries), np.int64), 8 * start
     end = at + sum(int(model.low[model.table[rows]].sum()) for rows in pieces)
-    require(end <= 8 * len(data), section, len(data), SHORT)
+    require(end <= 8 * len(data), section, len(data), "the data end before the last raw bit")
     for rows in pieces:
         table = model.table[rows]
         place, widths = entries[rows] - model.first[table], model.low[table]
@@ -142,11 +140,14 @@ def read_gammas(data, start, count, section):
     digits = bytes.maketrans(b"\0\1", b"01")
     values, at = np.empty(count, np.int64), 0
     for i in range(count):
-        one = text.find(1, at, at + MAX_GAMMA + 1)
-        endless = one < 0 and len(text) - at > MAX_GAMMA
-        require(not endless, section, (start + at) // 8, "an escape of more than 33 bits")
+        one = text.find(1, at)
         end = 2 * one - at + 1
-        require(0 <= one and end <= len(text), section, len(data), SHORT)
+        require(
+            0 <= one - at <= MAX_GAMMA and end <= len(text),
+            section,
+            (start + at) // 8,
+            "an escape of more than 33 bits, or the data end before its last bit",
+        )
         # Read backwards, the digits from the one on are the binary number 2 r + 1.
         r = int(text[one:end].translate(digits)[::-1], 2) >> 1
         values[i] = (1 << one - at) + r

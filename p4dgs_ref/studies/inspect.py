@@ -67,7 +67,7 @@ def ledger(data):
         found[name] = stream_header(sections[name], 0), int(kept.sum()), estimate, coded
     for name in NETWORK_SECTIONS:
         found[name] = 0, len(sections.get(name, b"")) // 2
-    frame = frame_bytes(data, sections)
+    frame = len(data) - sum(map(len, sections.values()))
     return [
         ledger_row("container", frame, frame),
         *(ledger_row(name, len(body), *found[name]) for name, body in sections.items()),
@@ -107,11 +107,5 @@ def anchor_bits(data):
 
 def components(data):
     """The bytes of every section, the container's own among those of the header: {name: bytes}."""
-    sections = read_container(data)
-    sizes = {name: len(body) for name, body in sections.items()}
-    return {**sizes, "header": sizes.get("header", 0) + frame_bytes(data, sections)}
-
-
-def frame_bytes(data, sections):
-    """The bytes of a file that belong to no section."""
-    return len(data) - sum(map(len, sections.values()))
+    sizes = {name: len(body) for name, body in read_container(data).items()}
+    return {**sizes, "header": sizes.get("header", 0) + len(data) - sum(sizes.values())}
