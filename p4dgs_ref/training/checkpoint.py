@@ -58,14 +58,10 @@ def load(folder):
             arrays = {name: file[name] for name in file.files}
         values = json.loads(arrays.pop("_values").tobytes())
         version = values["version"]
-    except FileNotFoundError:
-        raise RunError(
-            f"{path}: no such checkpoint; `p4dgs-ref train SCENE -o {folder}` makes one"
-        ) from None
     except OSError as error:
         raise RunError(
-            f"{path}: cannot be read ({error.strerror or 'damaged'}); "
-            "expected a checkpoint of `p4dgs-ref train`"
+            f"{path}: {error.strerror or 'damaged'}; expected a checkpoint, "
+            f"which `p4dgs-ref train SCENE -o {folder}` makes"
         ) from None
     except Exception:  # a damaged archive can fail in any layer of its reader
         raise RunError(f"{path}: damaged, or not a checkpoint of `p4dgs-ref train`") from None

@@ -34,12 +34,6 @@ class Statistics:
         self.gradient.reshape(-1)[rows] += length[seen.visible]
         self.seen.reshape(-1)[rows] += 1
 
-    def with_rows(self, keep, added):
-        """The statistics of the anchors `keep`, followed by empty rows for the added ones."""
-        fresh = Statistics.empty(added, self.opacity.shape[1])
-        pairs = zip(vars(self).values(), vars(fresh).values())
-        return Statistics(*(np.concatenate([old[keep], new]) for old, new in pairs))
-
 
 def centers(p):
     """The centres [A, k, 3] of all children, Eq. (1)."""
@@ -82,10 +76,8 @@ def grow(p, statistics, preset, rng):
 
 def among(cells, present):
     """Which rows of `cells` occur among those of `present`."""
-    both, which = np.unique(np.concatenate([present, cells]), axis=0, return_inverse=True)
-    occupied = np.zeros(len(both), bool)
-    occupied[which.ravel()[: len(present)]] = True
-    return occupied[which.ravel()[len(present) :]]
+    occupied = {tuple(row) for row in present.tolist()}
+    return np.array([tuple(row) in occupied for row in cells.tolist()], bool)
 
 
 def often_visited(statistics, preset):

@@ -46,10 +46,11 @@ class Progress:
             return
         self.shown = now
         ms, decibel, loss = np.mean(self.window, axis=0)
+        left = 1e-3 * ms * (total - done)
         rate = f"{losses.L_rate:.2f}" if losses.L_rate else "-"
         # The most important comes first: a narrow terminal shows as much as fits.
         self.write(
-            f"{done:{len(str(total))}d}/{total}  {1e-3 * ms * (total - done):.0f} s left  stage {stage}  "
+            f"{done:{len(str(total))}d}/{total}  {left:.0f} s left  stage {stage}  "
             f"loss {loss:.4f}  PSNR {decibel:.2f} dB  {rate} bits/parameter  {anchors} anchors  "
             f"{gaussians} Gaussians  {ms:.1f} ms/step"
         )

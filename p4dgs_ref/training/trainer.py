@@ -177,7 +177,7 @@ class Trainer:
         self.statistics = density.Statistics.empty(*self.mask.shape)
 
     def keep_rows(self, keep, added=None):
-        """Drop anchors and append new ones, with their mask, moments and statistics.
+        """Drop anchors and append new ones, with their masks and moments, and start a new window.
 
         The last anchor is never dropped.
         """
@@ -188,10 +188,12 @@ class Trainer:
             keep = np.arange(len(keep)) == 0
         zeros = {name: np.zeros_like(rows) for name, rows in added.items()}
         self.adopt(self.parameters.with_rows(density.ROWS, keep, added))
-        self.adam.first = self.adam.first.with_rows(density.ROWS, keep, zeros)
-        self.adam.second = self.adam.second.with_rows(density.ROWS, keep, zeros)
+        self.adam.first, self.adam.second = (
+            moments.with_rows(density.ROWS, keep, zeros)
+            for moments in (self.adam.first, self.adam.second)
+        )
         self.mask = np.concatenate([self.mask[keep], np.ones((count, self.design.k), bool)])
-        self.statistics = self.statistics.with_rows(keep, count)
+        self.statistics = density.Statistics.empty(*self.mask.shape)
         if self.box:
             self.freeze_positions()
 

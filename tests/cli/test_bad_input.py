@@ -265,7 +265,7 @@ LINES = [
     ),
     ("train scene -o text/run --preset smoke --quiet", ("text/run", "folder that can be written")),
     ("train scene -o run --preset smoke", ("checkpoint.npz", "--resume")),
-    ("train scene -o new --preset smoke --resume", ("new/checkpoint.npz", "no such checkpoint")),
+    ("train scene -o new --preset smoke --resume", ("new/checkpoint.npz", "No such file")),
     ("train scene -o run --preset tiny --resume", ("checkpoint.npz", "'preset.name'")),
     (
         "train scene -o run --preset smoke --set lr_f=1,1 --resume",
@@ -294,7 +294,7 @@ LINES = [
             "train scene -o run_{} --preset smoke --resume --quiet",
         )
     ),
-    ("encode nowhere -o x.p4dgs", ("nowhere/checkpoint.npz", "no such checkpoint")),
+    ("encode nowhere -o x.p4dgs", ("nowhere/checkpoint.npz", "No such file", "train SCENE")),
     ("encode text -o x.p4dgs", ("text/checkpoint.npz", "Not a directory")),
     ("encode run -o scene", ("scene", "file")),
     ("encode run -o text/x.p4dgs", ("text", "folder that can be written")),
