@@ -147,7 +147,8 @@ def sine_by_doubling(v):
     """sin 2a = 2 sin a cos a, L - 1 times: the error doubles each time."""
     sine, cosine = np.sin(v["p"][0, 0]), np.cos(v["p"][0, 0])
     for _ in range(v["L"] - 1):
-        sine, cosine = 2 * sine * cosine, cosine * cosine - sine * sine
+        # NumPy 1 would make float64 of a float32 scalar times 2.
+        sine, cosine = (sine + sine) * cosine, cosine * cosine - sine * sine
     return sine
 
 
