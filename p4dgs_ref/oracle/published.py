@@ -141,12 +141,6 @@ def flatten(values, prefix=""):
     return flat
 
 
-def settings(inputs):
-    """Return the inputs that are no tensors: Python's numbers, strings and tuples."""
-    tensors = (list, np.ndarray, np.generic)
-    return {name: value for name, value in inputs.items() if not isinstance(value, tensors)}
-
-
 def unflatten(tensors, prefix):
     """Undo `flatten`. The arrays are copied, because a port may write into its inputs."""
     values = {}

@@ -145,6 +145,10 @@ SHAPES = {
     "total_loss": {"L_render": "", "L_rate": "", "lambda_rate": "", "L_total": ""},
 }
 
+# Where the published manifest says something else than the table of equations does now.
+FORMULAS = {"anchor_rate": "R_anchor = sum of the bits of f, O, l, s over all anchors"}
+GRADIENTS = {"anchor_rate": ("bits_f", "bits_O", "bits_l", "bits_s")}
+
 CONSTANTS = {
     "rotation": {"EPSILON": 1e-12},
     "projection": {"near": 0.2, "blur": 0.3, "tan_clamp": 1.3},

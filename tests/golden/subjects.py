@@ -10,7 +10,7 @@ from typing import Callable, NamedTuple
 from p4dgs_ref.oracle import tolerance
 from p4dgs_ref.table import EQUATIONS
 from tests.golden.cases import cases_of
-from tests.golden.declared import CONSTANTS, SHAPES
+from tests.golden.declared import CONSTANTS, FORMULAS, GRADIENTS, SHAPES
 from tests.golden.hard_cases import catalogue
 
 # Rendering comes first: anchors -> canonical Gaussians -> Gaussians at t -> image -> loss.
@@ -89,9 +89,9 @@ def equation(key):
         "L1",
         key,
         row.number,
-        row.formula,
+        FORMULAS.get(key, row.formula),
         SHAPES[key],
-        row.gradients,
+        GRADIENTS.get(key, row.gradients),
         row.vjp,
         cases,
         CONSTANTS.get(key, {}),

@@ -1,7 +1,9 @@
 """Makes the vectors: every case of every subject with inputs, outputs, cotangents and gradients.
 
-`python -m tests.golden.vectors DIR` computes them again into a folder and puts the codec's streams
-beside them, as `p4dgs-ref oracle export DIR` does with the published ones.
+`python -m tests.golden.vectors` adds the cases that are not published yet to the published vectors,
+and leaves all others as they are. `python -m tests.golden.vectors DIR` computes all of them again
+into a folder and puts the codec's streams beside them, as `p4dgs-ref oracle export DIR` does with
+the published ones.
 """
 
 import hashlib
@@ -14,9 +16,9 @@ import numpy as np
 import scipy
 
 from p4dgs_ref import __version__
-from p4dgs_ref.oracle import safetensors, streams, tolerance
+from p4dgs_ref.oracle import published, safetensors, streams, tolerance
 from p4dgs_ref.oracle.export import copy_streams, write_expected
-from p4dgs_ref.oracle.published import FOLDER, flatten, read_manifest, settings
+from p4dgs_ref.oracle.published import FOLDER, flatten, read_manifest
 from p4dgs_ref.scenes.output import filled
 from tests.golden import independent, measured
 from tests.golden.cases import FLAGS
@@ -60,17 +62,29 @@ def vector(subject, case):
     return record, {name: np.ascontiguousarray(a).reshape(a.shape) for name, a in tensors.items()}
 
 
+def settings(inputs):
+    """Return the inputs that are no tensors: Python's numbers, strings and tuples."""
+    tensors = (list, np.ndarray, np.generic)
+    return {name: value for name, value in inputs.items() if not isinstance(value, tensors)}
+
+
 def says(case):
     """Return a sentence on what a case tests."""
     hunted = "; ".join(FLAGS[flag].split(": ", 1)[1] for flag in case.flags)
     return f"{case.name.replace('_', ' ')}; hunts {hunted}"
 
 
-def subject_file(subject):
-    """Return the bytes of a subject's file and its record for the manifest."""
+def subject_file(subject, kept):
+    """Return the bytes of a subject's file and its record for the manifest.
+
+    `kept` are cases {name: Golden} that are published and not computed again.
+    """
     records, tensors, names = [], {}, []
     for case in subject.cases():
-        record, own = vector(subject, case)
+        if case.name in kept:
+            record, own = dict(kept[case.name].record), kept[case.name].tensors
+        else:
+            record, own = vector(subject, case)
         records.append(record)
         names.append(list(own))
         tensors.update({f"{case.name}/{name}": a for name, a in own.items()})
@@ -94,12 +108,17 @@ def subject_file(subject):
     return data, row
 
 
-def build(progress=lambda text: None):
-    """Return every file of vectors, {name: bytes}, and the manifest."""
+def build(progress=lambda text: None, keep=False):
+    """Return every file of vectors, {name: bytes}, and the manifest.
+
+    With `keep`, the published cases stay as they are.
+    """
     files, rows = {}, []
     for subject in subjects().values():
         progress(f"vectors of {subject.key}")
-        data, row = subject_file(subject)
+        is_known = keep and subject.key in published.subjects()
+        kept = {case.name: case for case in published.cases(subject.key)} if is_known else {}
+        data, row = subject_file(subject, kept)
         files[row["file"]] = data
         rows.append(row)
     manifest = {
@@ -160,9 +179,9 @@ def flags():
     return found
 
 
-def write(folder, progress=lambda text: None):
-    """Compute all vectors and write them into an existing folder; return the manifest."""
-    files, manifest = build(progress)
+def write(folder, progress=lambda text: None, keep=False):
+    """Write all vectors into an existing folder; return the manifest. See `build`."""
+    files, manifest = build(progress, keep)
     files["manifest.json"] = _json(manifest)
     files["FLAGS.json"] = _json(flags())
     for name, data in files.items():
@@ -190,8 +209,8 @@ def _sum(data):
     return {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
 
 
-def main(folder, progress):
-    """Write a folder that `oracle check` passes, as `oracle export` does."""
+def regenerate(folder, progress):
+    """Compute all vectors into a folder that `oracle check` passes, as `oracle export` does."""
     with filled(folder) as place:
         for name in WRITTEN:
             shutil.copyfile(FOLDER / name, place / name)
@@ -201,6 +220,7 @@ def main(folder, progress):
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        sys.exit("expected a folder: python -m tests.golden.vectors DIR")
-    main(sys.argv[1], lambda text: print(text, flush=True))
+    if sys.argv[1:]:
+        regenerate(sys.argv[1], print)
+    else:
+        write(FOLDER, print, keep=True)

@@ -15,7 +15,7 @@ EVERY = pytest.mark.parametrize(
         for i, mistake in enumerate(MISTAKES)
     ],
 )
-HIDDEN = 9  # mistakes that cannot be told from others by their gradients alone
+HIDDEN = 9  # mistakes whose gradients alone are explained better by another mistake
 
 
 class Patient:
