@@ -13,6 +13,7 @@ from p4dgs_ref.table import EQUATIONS
 from tests.golden import checks
 from tests.golden.cases import FLAGS, cases_of
 from tests.golden.hard_cases import catalogue, make_constants, publish
+from tests.golden.hard_cases.measured import procedure_rows
 
 ENTRIES = [entry for entry in catalogue.ENTRIES.values() if entry.case is not None]
 DATA = Path(__file__).with_name("data")
@@ -35,6 +36,30 @@ def test_the_package_holds_the_catalogue():
         assert old == new, new["id"]
         for a, b in zip(*(list(literal.values()) for literal in literals), strict=True):
             assert a == b or float(a) == pytest.approx(float(b), rel=1e-3), new["id"]
+
+
+@pytest.fixture(scope="module")
+def procedures():
+    return procedure_rows()
+
+
+def test_the_catalogue_is_complete():
+    assert len(catalogue.ROWS) == 43 and len(catalogue.ENTRIES) == 114
+    assert set(catalogue.ROWS) <= {id.split(".")[0] for id in catalogue.ENTRIES}
+
+
+def test_no_procedure_is_beyond_its_bound(procedures):
+    """The hard cases of codec, rendering and training, really run in both precisions."""
+    assert len(procedures) == 2 * 29
+    assert all(row["error"] >= 0 and row["bound"] <= 1e-3 for row in procedures)
+    failed = [row for row in procedures if row["verdict"] != "ok"]
+    assert not [f"{row['id']} {row['dtype']}: {row['error']}" for row in failed]
+
+
+def test_the_usual_shortcuts_fail_where_procedures_say(procedures):
+    literal = {(row["id"], row["dtype"]): row["literal"] for row in procedures}
+    assert literal["H-E9.int16", "float64"] == -32768
+    assert abs(literal["H-R7.sum", "float32"] / 2.0037919e8 - 1) > 0.01
 
 
 def test_constants_have_fifty_digits_and_cover_every_case():

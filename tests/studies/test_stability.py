@@ -31,12 +31,11 @@ def rows():
 
 
 # --- the table -----------------------------------------------------------------------------------
-def test_every_row_of_the_catalogue_is_there_in_both_precisions(rows):
-    assert len(catalogue.ROWS) == 43 and len(rows) == 228
-    assert len({(row["id"], row["dtype"]) for row in rows}) == len(rows)
+def test_every_case_of_an_equation_is_there_in_both_precisions(rows):
+    entries = [entry.id for entry in catalogue.ENTRIES.values() if entry.case is not None]
+    assert len(entries) == 85
     for dtype in ("float64", "float32"):
-        found = {row["id"].split(".")[0] for row in rows if row["dtype"] == dtype}
-        assert set(catalogue.ROWS) <= found
+        assert [row["id"] for row in rows if row["dtype"] == dtype] == entries
 
 
 def test_nothing_is_beyond_its_bound(rows):
@@ -81,9 +80,7 @@ def test_literal_formulas_fail_where_the_literature_says(rows):
     assert literal["H-R6.positive", "float64"] == "nan"
     assert literal["H-G3.1e4px", "float32"] in ("inf", "-inf")
     assert literal["H-Q1.q1", "float64"] == 3
-    assert literal["H-E9.int16", "float64"] == -32768
     assert literal["H-P1.inside", "float32"] == "nan"
-    assert abs(literal["H-R7.sum", "float32"] / 2.0037919e8 - 1) > 0.01
 
 
 def wrong_gradients(saved, bits_bar):
@@ -101,11 +98,11 @@ def wrong_gradients(saved, bits_bar):
 )
 def test_a_formula_that_is_worse_fails(changes, monkeypatch):
     case = hard_cases()["H-R1.9sigma"]
-    assert table.judged(table.run(case, "float64"))["verdict"] == "ok"
+    assert table.judged(judge.measure(case, "float64"))["verdict"] == "ok"
     worse = altered(EQUATIONS["likelihood"], **changes)
     monkeypatch.setitem(EQUATIONS, "likelihood", worse)
     with np.errstate(all="ignore"):
-        judged = table.judged(table.run(case, "float64"))
+        judged = table.judged(judge.measure(case, "float64"))
     assert judged["verdict"] == "fails"
     row = {"id": case.id, "equation": "", "dtype": "float64", **judged}
     assert "H-R1.9sigma float64" in table.describe([row])

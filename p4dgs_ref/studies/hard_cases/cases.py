@@ -15,18 +15,18 @@ FILE = Path(__file__).with_name("cases.json")
 
 
 class HardCase(NamedTuple):
-    """One hard case. Those with inputs are calls of an equation; the others are procedures."""
+    """One hard case: a call of an equation."""
 
     id: str  # "H-R1.6sigma": row H-R1 of the catalogue, then which of its inputs
-    equation: str  # key of the equation, or the part of the package that the case is about
+    equation: str
     says: str  # what is hard, and what the column "literal" shows
-    inputs: dict = {}
-    cotangents: dict = {}
-    true: dict = {}  # outputs {"x": array} and gradients {"x_bar": array}; NaN where there is none
-    shown: tuple = ()  # (array, index) of the number that the table shows
-    literal: dict = {}  # {dtype: the result of the printed formula, or of the usual shortcut}
-    bounds: dict = {}  # {dtype: [largest error of outputs, of gradients or None]}, relative
-    each: bool = True  # outputs relative to each number, otherwise to the largest of the array
+    inputs: dict
+    cotangents: dict
+    true: dict  # outputs {"x": array} and gradients {"x_bar": array}; NaN where there is none
+    shown: tuple  # (array, index) of the number that the table shows
+    literal: dict  # {dtype: the result of the printed formula, or of the usual shortcut}
+    bounds: dict  # {dtype: [largest error of outputs, of gradients or None]}, relative
+    each: bool  # outputs relative to each number, otherwise to the largest of the array
 
 
 @cache

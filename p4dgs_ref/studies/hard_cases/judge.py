@@ -22,20 +22,6 @@ class Measured(NamedTuple):
     grad_bound: float | None
 
 
-def exact(literal, ours, true, error):
-    """The result of a procedure that must be exactly right."""
-    return Measured(literal, ours, true, float(error), None, 0.0, None)
-
-
-def refuses(call, error, says=""):
-    """Whether a call raises that error, with a message that contains `says`."""
-    try:
-        call()
-    except error as refusal:
-        return says in str(refusal)
-    return False
-
-
 def measure(case, dtype):
     """Run an equation forward and backward on a case in one precision."""
     inputs, cotangents = cast(case.inputs, dtype), cast(case.cotangents, dtype)

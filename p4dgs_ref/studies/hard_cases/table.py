@@ -19,19 +19,9 @@ def rows(only=None, report=lambda row: None):
             continue
         about = {"id": case.id, "equation": case.equation, "says": case.says}
         for dtype in DTYPES:
-            found.append({**about, "dtype": dtype, **judged(run(case, dtype))})
+            found.append({**about, "dtype": dtype, **judged(measure(case, dtype))})
             report(found[-1])
     return found
-
-
-def run(case, dtype):
-    """The Measured of one case in one precision."""
-    if case.inputs:
-        return measure(case, dtype)
-    from .coding import CODING
-    from .procedures import PROCEDURES
-
-    return {**CODING, **PROCEDURES}[case.id](dtype)
 
 
 def judged(measured):

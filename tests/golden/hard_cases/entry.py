@@ -17,9 +17,9 @@ class Entry(NamedTuple):
     """One row of the catalogue with one of its inputs."""
 
     id: str  # "H-R1.6sigma": the row, then which of its inputs
-    equation: str  # key of an equation, or the part of the package that the entry is about
+    equation: str  # key of an equation, or the part of the package that a procedure is about
     says: str  # what is hard, and what the column "literal" shows
-    case: Case | None = None  # None for an entry that is a procedure of the package
+    case: Case | None = None  # None for a procedure, in `procedures` or `coding`
     shown: tuple = ()  # (array, index) of the number in the table
     literal: str = ""  # the name of a formula in literals.py
     bounds: dict = {}  # {dtype: [of the outputs, of the gradients or None]}, relative
@@ -27,7 +27,7 @@ class Entry(NamedTuple):
 
 
 def procedures(*rows):
-    """Entries (id, equation, says) that the package runs as procedures."""
+    """Entries (id, equation, says) that take more than one call of an equation."""
     return [Entry(*row) for row in rows]
 
 

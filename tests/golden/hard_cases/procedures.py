@@ -4,19 +4,21 @@ import math
 
 import numpy as np
 
-from ...equations import anchor_rate, deformed, likelihood, rate_loss
-from ...equations.likelihood import FAR, NARROW
-from ...scenes.scene import Scene, SceneError
-from ...splatting import compositing, covariance, fast, projection
-from ...splatting.camera import look_at
-from ...splatting.settings import EXACT, FAST
-from ...training.adam import BETA_1, BETA_2, EPSILON, Adam
-from ...training.parameters import Parameters
-from ...training.progress import psnr
-from ..accuracy import formulas
-from ..precision import cast
-from ..random_inputs import random_splats
-from .judge import Measured, exact, number, refuses, relative
+from p4dgs_ref.equations import anchor_rate, deformed, likelihood, rate_loss
+from p4dgs_ref.equations.likelihood import FAR, NARROW
+from p4dgs_ref.scenes.scene import Scene, SceneError
+from p4dgs_ref.splatting import compositing, covariance, fast, projection
+from p4dgs_ref.splatting.camera import look_at
+from p4dgs_ref.splatting.settings import EXACT, FAST
+from p4dgs_ref.studies.accuracy import formulas
+from p4dgs_ref.studies.hard_cases.judge import Measured, number, relative
+from p4dgs_ref.studies.precision import cast
+from p4dgs_ref.studies.random_inputs import random_splats
+from p4dgs_ref.training.adam import BETA_1, BETA_2, EPSILON, Adam
+from p4dgs_ref.training.parameters import Parameters
+from p4dgs_ref.training.progress import psnr
+
+from .verdicts import exact, refuses
 
 FEW = 64  # eps: a few roundings of terms a few times larger than their sum
 SPLATS = ("mean2d", "conic", "alpha", "color")  # the inputs of compositing with a gradient

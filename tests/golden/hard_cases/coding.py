@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from ...codec import published
-from ...codec.container import BitstreamError, open_container, write_container
-from ...codec.file import decode, encode, quantised_of
-from ...codec.gaussian_table import (
+from p4dgs_ref.codec import published
+from p4dgs_ref.codec.container import BitstreamError, open_container, write_container
+from p4dgs_ref.codec.file import decode, encode, quantised_of
+from p4dgs_ref.codec.gaussian_table import (
     MU_BITS,
     SIGMA_BITS,
     SIGMA_MAX,
@@ -22,14 +22,15 @@ from ...codec.gaussian_table import (
     build_keys,
     gaussian_model,
 )
-from ...codec.quantise import EncodeError, quantise, underflows
-from ...codec.rans import PRECISION
-from ...codec.streams import decode_gaussian, encode_gaussian, ideal_bits_gaussian
-from ...equations import rounding
-from ...model import LATTICE, join, snap
-from ..inspect import float_context
-from ..random_inputs import sample_model
-from .judge import exact, refuses
+from p4dgs_ref.codec.quantise import EncodeError, quantise, underflows
+from p4dgs_ref.codec.rans import PRECISION
+from p4dgs_ref.codec.streams import decode_gaussian, encode_gaussian, ideal_bits_gaussian
+from p4dgs_ref.equations import rounding
+from p4dgs_ref.model import LATTICE, join, snap
+from p4dgs_ref.studies.inspect import float_context
+from p4dgs_ref.studies.random_inputs import sample_model
+
+from .verdicts import exact, refuses
 
 
 def _model(dtype, seed=5, anchors=24):
