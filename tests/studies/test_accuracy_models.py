@@ -206,7 +206,7 @@ def test_a_wrong_backward_would_be_seen(monkeypatch):
 
 
 def test_the_tolerance_in_the_figure_is_that_of_the_tests():
-    text = (Path(__file__).parents[1] / "core" / "test_equations.py").read_text()
+    text = (Path(__file__).parents[1] / "core" / "adjoint.py").read_text()
     assert f"allowed = {gradients.TOLERANCE:.0e} ".replace("e-07", "e-7") in text
 
 
