@@ -50,7 +50,7 @@ def oracle_check(arguments):
         raise UsageError(f"{folder}: expected a folder of a port's answers")
     if folder and (arguments.dtype or arguments.timeout):
         raise UsageError(
-            "--dtype, --timeout: they apply to --adapter only; "
+            "--dtype, --timeout: these apply to --adapter only; "
             "the precision of a folder is that of its tensors"
         )
     require_known("--only", arguments.only, names())

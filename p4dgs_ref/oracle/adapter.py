@@ -1,7 +1,7 @@
-"""Asks a port that runs as a process: a line of JSON to its stdin, a line back from its stdout.
+"""Checks a port that runs as a process: lines of JSON go to its stdin and come from its stdout.
 
 PROTOCOL, version 1. Every line is one JSON object in UTF-8 and gets one line back. stdout carries
-nothing else. stderr is free; its end is quoted when something goes wrong.
+nothing else. A port may log to stderr; its end is quoted when something goes wrong.
 
     checker   {"p4dgs_oracle": 1, "dtype": "float64"}       first; dtype may be "float32"
     port      {"p4dgs_oracle": 1}
@@ -36,6 +36,7 @@ import numpy as np
 
 from .ports import PortError
 from .safetensors import DTYPES, NAMES
+from .tolerance import cast
 
 VERSION = 1
 LONGEST = 2**26  # bytes of an answer
@@ -46,11 +47,11 @@ QUOTED = 300  # characters of stderr, or of a line that is no answer
 
 
 class AdapterError(ValueError):
-    """A command that cannot be run; one line names it and what was expected."""
+    """The command of an adapter cannot be run. The message is one line."""
 
 
-class Adapter:
-    """A port behind a command. As a context manager it ends the process with the check."""
+class Adapter(contextlib.AbstractContextManager):
+    """A port that a command starts. Used as a context manager, it ends the process on exit."""
 
     def __init__(self, command, timeout=10.0, dtype="float64"):
         """`timeout` is for each case and for the start, in seconds. Raises AdapterError."""
@@ -86,7 +87,7 @@ class Adapter:
         return found | {f"in_bar.{name}": a for name, a in gradients.items()}
 
     def decode(self, name, data):
-        """Return what the port finds in a file: (arrays by name, None), or (None, its refusal).
+        """Return the arrays that the port finds in a file and None, or None and its refusal.
 
         Raises PortError as `run` does.
         """
@@ -97,48 +98,41 @@ class Adapter:
         return unpacked(answer, "arrays"), None
 
     def close(self):
-        """End the process, if there is one, with everything that it started."""
+        """End the process, if one is running, and all processes that it started."""
         child, self.child = self.child, None
         if child is not None:
             child.end(grace=1.0)
 
     def strangers(self):
-        """Return no tensors: every answer has the id of its case."""
+        """Return an empty list: every answer belongs to the case whose id it repeats."""
         return []
-
-    def __enter__(self):
-        return self
 
     def __exit__(self, *_):
         self.close()
 
     def _packed(self, case, prefix):
         """Return the tensors of a role as ARRAYs in the precision of the check."""
-        found = {}
-        for name, a in case.tensors.items():
-            if name.startswith(prefix):
-                if a.dtype.kind == "f":
-                    with np.errstate(over="ignore"):  # beyond float32: infinite, as in every port
-                        a = a.astype(self.dtype)
-                found[name.removeprefix(prefix)] = packed(a)
-        return found
+        tensors = {n: a for n, a in case.tensors.items() if n.startswith(prefix)}
+        with np.errstate(over="ignore"):  # beyond float32: infinite, as in every port
+            tensors = cast(tensors, self.dtype)
+        return {name.removeprefix(prefix): packed(a) for name, a in tensors.items()}
 
     def _ask(self, request, subject, kinds):
-        """Return the answer to a request, which has one field of `kinds`.
+        """Return the answer to a request; exactly one of the fields `kinds` is in it.
 
-        A process that failed may be dead, hang or owe an answer; the next case starts another one.
+        After a failure the process is ended, and the next case starts a new one.
         """
         if max(len(self.lost), self.lost.get(subject, 0)) >= PATIENCE:
             said = f"not asked, after {PATIENCE} failures in a row; the last: {self.last}"
             raise PortError(self.last.kind, said)
-        stage = f"start {len(self.lost)}"  # another name each time, so that failing starts add up
+        stage = f"start {len(self.lost)}"  # a new name each time, so that failed starts are counted
         try:
             if self.child is None:
                 self.child = Child(self.command)
                 self._exchange({"p4dgs_oracle": VERSION, "dtype": self.dtype.name}, "p4dgs_oracle")
             stage = subject
             answer = self._exchange(request, "id")
-        except BaseException as error:  # Ctrl-C too must not leave a process that owes an answer
+        except BaseException as error:  # after Ctrl-C too, no process may be left running
             child, self.child = self.child, None
             words = child.end(grace=0.0) if child else ""
             if not isinstance(error, PortError):
@@ -173,18 +167,18 @@ class Adapter:
 
 
 class Child:
-    """A process and the three pipes to it; the code never waits for one pipe alone."""
+    """A process and the three pipes to it, which are all served at once so that none blocks."""
 
     def __init__(self, command):
         pipe = subprocess.PIPE
         try:
-            # In a group of its own, which can be killed as a whole.
+            # In its own process group, which can be killed as a whole.
             self.process = subprocess.Popen(
                 command, stdin=pipe, stdout=pipe, stderr=pipe, bufsize=0, start_new_session=True
             )
         except OSError as error:
             raise PortError("died", f"cannot be started ({error.strerror})") from None
-        self.unread = bytearray()  # of stdout, not yet a line
+        self.unread = bytearray()  # bytes of stdout that are not yet a whole line
         self.words = b""  # the end of stderr
         self.pipes = self.process.stdin, self.process.stdout, self.process.stderr
         for stream in self.pipes:
@@ -222,7 +216,7 @@ class Child:
                     unsent = self._serve(key.fileobj, ready, unsent)
 
     def _serve(self, stream, ready, unsent):
-        """Move what one pipe is ready for; return what is still to be sent."""
+        """Read from or write to a pipe that is ready; return the bytes still to be sent."""
         if stream is self.process.stdin:
             try:
                 unsent = unsent[os.write(stream.fileno(), unsent[: 2**16]) :] if unsent else unsent
@@ -275,7 +269,7 @@ class Child:
 
 
 def packed(array):
-    """Return an array as ARRAY of the protocol."""
+    """Return an array in the form ARRAY of the protocol."""
     dtype = NAMES[array.dtype.newbyteorder("<")]
     data = base64.b64encode(array.astype(DTYPES[dtype]).tobytes()).decode()
     return {"dtype": dtype, "shape": list(array.shape), "data": data}
@@ -307,7 +301,7 @@ def _array(field, name):
     need(code, f"a dtype of {', '.join(DTYPES)}, got {_short(json.dumps(field['dtype']))}")
     is_shape = isinstance(shape, list) and len(shape) <= 32
     is_shape = is_shape and all(type(n) is int and 0 <= n < 2**31 for n in shape)
-    need(is_shape, "a shape, a list of whole numbers")
+    need(is_shape, "a shape, a list of non-negative integers")
     need(isinstance(field["data"], str), "data in base64")
     try:
         data = base64.b64decode(field["data"], validate=True)

@@ -1,4 +1,4 @@
-"""Puts every case to a port, judges its answers, and names the first equation that diverges."""
+"""Runs a port on every case, judges its answers, and names the first equation that diverges."""
 
 from typing import NamedTuple
 
@@ -24,7 +24,7 @@ class Report(NamedTuple):
 
     @property
     def first(self):
-        """The first required case with a wrong answer, else the first with none, else None."""
+        """The first required case with a wrong answer, else the first without one, else None."""
         wrong = [r for r in self.results if r.wrong]
         return next((r for r in wrong if r.findings), next(iter(wrong), None))
 
@@ -114,7 +114,7 @@ def judge(case, port, roles=("out.", "in_bar.")):
 
 
 def printable(text):
-    """Return a port's words, with everything escaped that is no printable character."""
+    """Return a port's words, with every unprintable character escaped."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
@@ -133,7 +133,7 @@ def sentence(explained, part=""):
 
 
 def _shared(results):
-    """Let a scalar or a stage that nothing explains take the explanation of its equation."""
+    """Give wrong answers without an explanation the one that was found for their equation."""
     said = {r.equation: r.explanation for r in reversed(results) if r.findings and r.explanation}
     return [
         r._replace(explanation=said.get(r.equation, "")) if r.findings and not r.explanation else r

@@ -34,8 +34,8 @@ class Result(NamedTuple):
     id: str
     equation: str
     level: str
-    # pass; fail; acceptable: it differs, and another answer is defensible here; unasked: not in
-    # this precision; or the kind of a PortError
+    # pass; fail; acceptable (it differs, but another answer is defensible in this case); unasked
+    # (the case is not checked in this precision); or the kind of a PortError
     verdict: str
     required: bool
     findings: tuple  # of Finding
@@ -99,7 +99,7 @@ def _difference(name, mine, right, scale, tolerance):
 
 
 def _wrong_type(mine, right):
-    """Return the type that was expected, or "" if the port's type will do."""
+    """Return the expected type, or "" if the type of the port's array is accepted."""
     if right.dtype.kind == "f":
         return "" if mine.dtype.str[1:] in PRECISIONS else "float64 or float32"
     if right.dtype.kind == "b":
@@ -109,7 +109,7 @@ def _wrong_type(mine, right):
 
 
 def _said(name, index, got, want):
-    """Return the message about one element, with as many digits as tell both numbers apart."""
+    """Return the message about one element, with enough digits to tell both numbers apart."""
     place = f"{name}{list(index) if index else ''}"
     if not isinstance(want, np.floating):
         return f"{place}: got {int(got)}, expected {int(want)}"
@@ -121,7 +121,8 @@ def deviations(mine, right, scale, precision_of):
     """Return |got - want| of every element, plain and in units of eps S.
 
     Both are infinite where one side is NaN or the two are unequal infinities. A deviation up to the
-    smallest normal number is free: smaller numbers have few digits, and much hardware makes them 0.
+    smallest normal number is always allowed, because smaller numbers have few digits and much
+    hardware replaces them by 0.
     """
     with np.errstate(all="ignore"):
         absolute = np.abs(mine.astype(float) - right)

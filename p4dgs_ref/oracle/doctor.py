@@ -4,7 +4,7 @@ A known mistake is one way in which ports go wrong. `tests/golden/mistakes` defi
 of behaviour and computes what a port with that mistake answers to the published cases. The folder
 `mistakes_v1` holds these answers: `mistakes.json` lists the mistakes, and one compressed
 safetensors file a subject holds every tensor that a mistake gets wrong, as
-`<mistake>/<case>/<tensor>`. Every other tensor is right in spite of the mistake.
+`<mistake>/<case>/<tensor>`. Tensors that are not in the file are right in spite of the mistake.
 """
 
 import gzip
@@ -19,7 +19,7 @@ from . import safetensors
 from .compare import differences, expected, precision
 
 FOLDER = Path(__file__).with_name("mistakes_v1")
-LENIENCE = 4  # the port computes the same mistake in another way: its bounds are this much wider
+LENIENCE = 4  # factor on the bounds: a port may compute the same mistake in another way
 HUGE = np.finfo(np.float32).max
 ROLES = {"outputs": "out.", "gradients": "in_bar."}
 
@@ -30,7 +30,7 @@ class Mistake(NamedTuple):
     id: str
     subject: str  # whose cases show it
     equation: str  # to blame
-    description: str  # what the port does instead, said to its author
+    description: str  # of what the port does wrong, addressed to its author
     answers: dict  # {case name: {"out.x": array}}
 
 
@@ -53,7 +53,7 @@ def diagnose(subject, answers):
 
     A port that was written by hand often has a mistake in one direction only. Where nothing
     explains all answers, the outputs or the gradients are explained by themselves, and the second
-    value says which: "outputs" or "gradients".
+    value is "outputs" or "gradients".
     """
     found = explain(subject, answers)
     if found:
@@ -119,11 +119,11 @@ def _agrees(mistake, case, got, wrong):
 
 
 def _without_nan(a):
-    """Replace NaN by a very large number, so that NaN agrees with NaN: mistakes may produce it."""
+    """Replace NaN by a very large number: mistakes may produce NaN, which must then agree."""
     return np.where(np.isnan(a), HUGE, a) if a.dtype.kind == "f" else a
 
 
 def _largest(scale, values):
-    """Return one S for the whole array: a mistake sums other terms than those S was measured on."""
+    """Return one S for the whole array, because a mistake may sum other terms than S describes."""
     size = np.abs(values)[np.isfinite(values) & (np.abs(values) < HUGE)]
     return np.full(values.shape, max(size.max(initial=0), scale.max(initial=0)))

@@ -1,4 +1,4 @@
-"""Where answers come from: a folder that a port wrote, or a Python function.
+"""Two sources of answers: a folder that a port wrote, and a Python function.
 
 A port that runs as a process is in `adapter.py`.
 """
@@ -46,7 +46,7 @@ class FolderPort:
             return found
         answers = {name.partition("/")[2]: a for name, a in arrays.items()}
         if case.tolerance("float32") is None and precision(answers) == "float32":
-            raise PortError("unasked", f"{file}: float32, which this case does not ask for")
+            raise PortError("unasked", f"{file}: this case is checked in float64 only")
         raise PortError("missing", f"{file}: no tensor named {case.name}/...")
 
     def load(self, subject):
@@ -71,7 +71,10 @@ class FolderPort:
         """Do nothing; an adapter ends its process here."""
 
     def strangers(self):
-        """Return the files of no subject, and `file: tensor` for the tensors of no case asked."""
+        """Return the files of unknown subjects and the tensors that belong to no checked case.
+
+        A tensor is named `file: tensor`.
+        """
         files = sorted(f for f in self.folder.iterdir() if f.suffix in (".safetensors", ".npz"))
         found = [f.name for f in files if f.stem not in subjects()]
         for key, (arrays, file) in self.loaded.items():
@@ -94,7 +97,7 @@ class FunctionPort:
             cotangents = case.cotangents()
             if self.vjp is not None and cotangents:
                 got.update(self._arrays(self.vjp(inputs, cotangents), "in_bar.", case))
-        except Exception as error:  # a port may fail in any way; the failure is its verdict
+        except Exception as error:  # any failure of a port is its verdict
             raise PortError("error", f"{type(error).__name__}: {error}") from None
         return got
 

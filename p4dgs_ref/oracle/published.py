@@ -44,7 +44,7 @@ class Golden(NamedTuple):
         return {name + "_bar": a for name, a in unflatten(self.tensors, "out_bar.").items()}
 
     def tolerance(self, precision):
-        """Return the record {eps_S, reason} of a precision, or None where it is not asked for."""
+        """Return the record {eps_S, reason} of a precision, or None if the case has none."""
         return self.record["tolerance"][precision]
 
 
@@ -82,8 +82,8 @@ def equations():
 
 
 def names():
-    """Return all names that `oracle check --only` accepts: subjects, equations and the codec."""
-    return sorted({*subjects(), *equations(), "codec"})
+    """Return all names that `oracle check --only` accepts: every subject, and the codec."""
+    return sorted([*subjects(), "codec"])
 
 
 def cases(key):
@@ -130,7 +130,7 @@ def read(subject, folder=FOLDER):
 def flatten(values, prefix=""):
     """Return {"weights": [W0, W1], "x": x} as {"weights.0": W0, "weights.1": W1, "x": x}.
 
-    What is no array and no list of arrays is left out.
+    Values that are neither arrays nor lists of arrays are left out.
     """
     flat = {}
     for name, value in values.items():
@@ -155,5 +155,5 @@ def unflatten(tensors, prefix):
 
 
 def _tuples(value):
-    """JSON has lists where the settings have tuples."""
+    """Return a setting with tuples in place of JSON's lists."""
     return tuple(map(_tuples, value)) if isinstance(value, list) else value

@@ -23,10 +23,10 @@ def text(report):
     ]
     verdicts = [r.verdict for r in report.results]
     if "unasked" in verdicts:
-        lines.append(f"{verdicts.count('unasked')} cases are not asked in this precision")
+        lines.append(f"{verdicts.count('unasked')} cases are not checked in this precision")
     if "acceptable" in verdicts:
         count = verdicts.count("acceptable")
-        lines.append(f"{count} cases differ where another answer is acceptable")
+        lines.append(f"{count} cases differ, but allow other answers")
     if report.strangers:
         names = ", ".join(report.strangers[:SHOWN])
         lines.append(f"{len(report.strangers)} tensors belong to no case: {names}")

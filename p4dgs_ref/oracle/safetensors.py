@@ -1,4 +1,4 @@
-"""The safetensors format: the length of a header, the header in JSON, the numbers.
+"""Reads and writes safetensors files: the length of a header, the header in JSON, the numbers.
 
 bytes 0 to 7     length n of the header, unsigned, little-endian
 n bytes          JSON {name: {"dtype": "F64", "shape": [5, 3], "data_offsets": [from, to]}},
@@ -32,7 +32,7 @@ LONGEST_HEADER = 100_000_000  # the limit of the format
 
 
 class TensorError(ValueError):
-    """A file does not hold what it should; one line names the file, the field and what is wrong."""
+    """A file is invalid. The message is one line with the file, the field and what was expected."""
 
 
 def dump(arrays, metadata=None):

@@ -7,7 +7,6 @@ for a stream that was not refused. Integers may have any integer type, and masks
 BOOL; q, x_a and attributes are F64, and the numbers of the networks F32.
 """
 
-import hashlib
 import json
 
 import numpy as np
@@ -18,8 +17,8 @@ from ..codec.file import quantised_of
 from .compare import Finding, Result
 from .ports import FolderPort, PortError
 
-# The arrays in the order in which a decoder finds them, and what is to blame where an array is the
-# first that is wrong.
+# The arrays in the order in which a decoder finds them, each with the equation (or the codec) to
+# blame if this array is the first wrong one.
 BLAMED = {
     "positions": "codec",
     "x_a": "codec",
@@ -86,7 +85,7 @@ class StreamFolder(FolderPort):
     """The answers that a port wrote into its folder `codec`."""
 
     def decode(self, name, _):
-        """Return what the port found in a stream: (arrays, None), or (None, its refusal).
+        """Return the arrays that the port found in a stream and None, or None and its refusal.
 
         Raises PortError.
         """
@@ -104,22 +103,16 @@ class StreamFolder(FolderPort):
             raise PortError(error.kind, f"{error}, or why it is refused in {file}") from None
 
     def _reasons(self):
-        """Return the port's reasons and the file that holds them."""
+        """Return the port's reasons and the file that holds them; without a file, no reasons."""
         file = self.folder / "codec" / "refusals.json"
-        if "refusals" not in self.loaded:
-            try:
-                self.loaded["refusals"] = json.loads(file.read_text(encoding="utf-8"))
-            except FileNotFoundError:
-                self.loaded["refusals"] = {}
-            except (OSError, ValueError, RecursionError):
-                self.loaded["refusals"] = None
-        if not isinstance(self.loaded["refusals"], dict):
-            raise PortError(
-                "damaged",
-                f"{file}: expected a JSON object {{name of a stream: the reason of its refusal, "
-                f"or null}}",
-            )
-        return self.loaded["refusals"], file
+        try:
+            reasons = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+        except (OSError, ValueError, RecursionError):
+            reasons = None
+        if not isinstance(reasons, dict):
+            expected = "a JSON object {name of a stream: the reason of its refusal, or null}"
+            raise PortError("damaged", f"{file}: expected {expected}")
+        return reasons, file
 
 
 def compare(row, arrays):
@@ -133,41 +126,33 @@ def compare(row, arrays):
             said = f"expected {wanted[name]['type']} {tuple(wanted[name]['shape'])}"
             findings.append(Finding(name, "missing", said))
     extra = [name for name in arrays if name not in wanted]
-    findings += [Finding(name, "extra", "not expected of this stream") for name in extra]
+    findings += [Finding(name, "extra", "not expected for this stream") for name in extra]
     return [finding for finding in findings if finding]
 
 
 def _difference(row, entry, mine):
-    """Return None if the array's bytes have the checksum of the stream's, else a Finding."""
-    name, kind, shape = entry["name"], entry["type"], tuple(entry["shape"])
-    if mine.shape != shape:
-        return Finding(name, "shape", f"{mine.shape}, expected {shape}")
-    dtype = np.dtype("u1" if kind == "bit" else published.TYPES[kind])
-    if dtype.kind == "f":
-        if mine.dtype.newbyteorder("<") != dtype:
-            return Finding(name, "dtype", f"{mine.dtype}, expected {dtype}")
-    elif mine.dtype.kind not in "iub":
+    """Return None if the array has the numbers of the stream's, bit for bit, else a Finding."""
+    name, want = entry["name"], stored(row, entry)
+    is_float = want.dtype.kind == "f"
+    if mine.shape != want.shape:
+        return Finding(name, "shape", f"{mine.shape}, expected {want.shape}")
+    if is_float and mine.dtype.newbyteorder("<") != want.dtype:
+        return Finding(name, "dtype", f"{mine.dtype}, expected {want.dtype}")
+    if not is_float and mine.dtype.kind not in "iub":
         return Finding(name, "dtype", f"{mine.dtype}, expected integers")
-    narrow = mine.astype(dtype)
-    fits = dtype.kind == "f" or np.array_equal(narrow, mine)
-    if kind == "bit":
-        fits = fits and narrow.max(initial=0) <= 1
-        data = np.packbits(narrow, bitorder="little").tobytes()
-    else:
-        data = narrow.tobytes()
-    if fits and hashlib.sha256(data).hexdigest() == entry["sha256"]:
+    wrong = _bits(mine, want.dtype) != _bits(want, want.dtype) if is_float else mine != want
+    if not wrong.any():
         return None
-    want = stored(row, entry)
-    if dtype.kind == "f":
-        bits = f"u{dtype.itemsize}"
-        wrong = narrow.view(bits) != want.view(bits)
-    else:
-        wrong = mine != want
     index = tuple(int(i) for i in np.argwhere(wrong)[0])
     got, right = mine[index].item(), want[index].item()
     said = f"{name}{list(index)}: got {got!r}, expected {right!r} "
-    said += f"({int(wrong.sum())} of {wrong.size} numbers off; all bits count)"
+    said += f"({int(wrong.sum())} of {wrong.size} numbers off; all bits must agree)"
     return Finding(name, "value", said, index, float(got), float(right))
+
+
+def _bits(a, dtype):
+    """Return the bits of floats as integers, which tell -0 from 0 and compare NaN."""
+    return a.astype(dtype).view(f"u{dtype.itemsize}")
 
 
 def stored(row, entry):

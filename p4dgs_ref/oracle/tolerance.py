@@ -11,8 +11,8 @@ and y is right within c eps S, with the eps of the port's precision.
 
 The second term of S is measured. All inputs, for gradients the cotangents too, are changed by
 +-delta of themselves with random signs, PROBES times; the root mean square of the change of y,
-divided by delta, estimates the term. For a sum it is the size of the summands; for anything else it
-says how the rounding of the inputs shows. `tests/golden/measured.py` measures c.
+divided by delta, estimates the term. For a sum it is the size of the summands; for other functions
+it is the effect of rounding the inputs. `tests/golden/measured.py` measures c.
 
 The functions below take `answer(inputs, cotangents)`, which returns outputs and gradients as flat
 tensors {"out.x": array, "in_bar.x_a": array}.
@@ -49,9 +49,9 @@ def answer_of(eq):
 
 
 def cotangents_of(eq, outputs, seed, given={}):
-    """Return a cotangent for every float output: the one given, else normal numbers.
+    """Return a cotangent for every float output: the given one, otherwise normal random numbers.
 
-    The seed is a text.
+    The seed is a string.
     """
     rng = np.random.default_rng(zlib.crc32(seed.encode()))
     drawn = {}
@@ -83,7 +83,7 @@ def _floats_changed(values, change):
 def scales(answer, inputs, cotangents, flat, seed):
     """Return S of every float tensor in `flat`, the answer: an array like it, () for an image.
 
-    The seed is a text.
+    The seed is a string.
     """
     rng = np.random.default_rng(zlib.crc32(seed.encode()))
     wide = _spread(answer, inputs, cotangents, flat, DELTA, rng)
@@ -92,7 +92,7 @@ def scales(answer, inputs, cotangents, flat, seed):
 
 
 def _spread(answer, inputs, cotangents, flat, delta, rng):
-    """Return the root mean square change of every number per delta, all inputs being changed."""
+    """Return the root mean square change of every number, divided by delta."""
 
     def move(a):
         signs = rng.choice([-1.0, 1.0], np.shape(a))
@@ -105,7 +105,7 @@ def _spread(answer, inputs, cotangents, flat, delta, rng):
             moved_cotangents = _floats_changed(cotangents, move)
             try:
                 moved = answer(moved_inputs, moved_cotangents)
-            except ValueError:  # at a threshold another number of Gaussians is kept
+            except ValueError:  # at a threshold the number of kept Gaussians may change
                 continue
             for name in squares:
                 step = np.abs(moved[name] - flat[name]) / delta
@@ -115,8 +115,8 @@ def _spread(answer, inputs, cotangents, flat, delta, rng):
 
 def _scale(name, values, wide, narrow):
     size = np.where(np.isfinite(values), np.abs(values), 0)
-    # Across a tie or a kink a sixteenth of the change makes the same jump, which is sixteen times
-    # the quotient. Only |y| counts there.
+    # At a tie or a kink, y jumps by the same amount for a delta that is sixteen times smaller, so
+    # the quotient grows by sixteen. There the second term is left out and S is |y|.
     size = np.maximum(size, np.where(narrow > 4 * wide, 0, wide))
     largest = size.max(initial=0)
     if name.split(".")[1] in IMAGES:
