@@ -18,7 +18,7 @@ def moves(effects):
 
 
 def view_width(effects, which):
-    """The columns of distance and direction in the input of a network that `which` lets see them.
+    """How many inputs of an anchor network are distance and direction: 4, or 0 without the effect.
 
     `which` is "view_color" for psi_c, "view_geometry" for the other anchor networks.
     """

@@ -91,7 +91,7 @@ class Anchors(NamedTuple):
     x_a: np.ndarray  # [A, 3]  positions
     f_a: np.ndarray  # [A, d]  features
     s_a: np.ndarray  # [A, 3]  scales
-    l_a: np.ndarray  # [A, 3]  reach of the offsets
+    l_a: np.ndarray  # [A, 3]  offset scaling
     O_a: np.ndarray  # [A, k, 3]  offsets
     mask: np.ndarray  # [A, k]  bool
 
@@ -300,8 +300,8 @@ def without_silent_units(model):
     Without view effects the only input of these networks is the list of features, so a ReLU that
     is 0 for each of them changes no picture. The four networks share their widths, so from each as
     many units are removed as the one with the fewest silent units can lose. With view effects the
-    input is not known, and the model is returned as it is. Call it with the features and weights of
-    the file, after `quantise`: others might wake a unit.
+    input is not known, and the model is returned as it is. Features and weights must be the rounded
+    ones of the file, because a unit that is 0 with these can be positive with others.
     """
     if {"view_color", "view_geometry"} & set(model.design.effects) or not model.design.hidden:
         return model

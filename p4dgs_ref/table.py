@@ -1,4 +1,4 @@
-"""The table of equations: the paper's in the order in which it prints them, then what they rest on.
+"""The table of equations: the paper's in its order, then their building blocks.
 
     from p4dgs_ref import EQUATIONS
     outputs, pullback = EQUATIONS["offsets"].vjp(x_a=x_a, O_a=O_a, l_a=l_a)
@@ -234,7 +234,7 @@ _ROWS = (
     Equation(
         "mlp",
         "",
-        "y = W_n relu(... relu(x W_0 + b_0) ...) + b_n",
+        "y = relu(... relu(x W_0 + b_0) ...) W_n + b_n",
         "p4dgs_ref.equations.mlp",
         ("y",),
         ("x", "weights", "biases"),

@@ -40,7 +40,7 @@ def whole(low, high=math.inf):
 
 
 def real(low, high):
-    """A reader of a number with a fraction."""
+    """A reader of a real number."""
     return number(float, low, high, f"a number in {low:g} ... {high:g}")
 
 
@@ -232,7 +232,7 @@ COMMANDS = {
             option(
                 "--only",
                 metavar="ID",
-                help="only this case, or those of a row of the catalogue, like H-R1",
+                help="only this case, or all cases of a group, like H-R1",
             ),
             QUIET,
             output("folder of the map (default report)", default="report"),

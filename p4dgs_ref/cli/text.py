@@ -103,7 +103,7 @@ def setting(value):
 
 
 def presets(chosen, paper, differences, every_field):
-    """The presets beside the paper's two: all fields, or those that differ; a star marks these."""
+    """The presets beside the paper's two: all fields, or those that differ, with a star."""
     blocks = []
     for preset in chosen:
         changed = {field for field, *_ in differences(preset)}

@@ -170,7 +170,7 @@ def context_of(h, psi_q, psi_p, design):
     q_units = np.clip(share + 128 >> 8, STEP_FLOOR, STEP_MAX)
 
     fraction, p = np.frexp(np.array(design.Q_0))
-    D = np.floor(fraction * 2.0**24).astype(np.int64) * q_units  # [A, 4], 28 to 41 bits
+    D = np.floor(fraction * 2.0**24).astype(np.int64) * q_units  # [A, 4], 29 to 40 bits
     n = bit_length(D) - 24
     R = 2**47 // (D >> n)
     log2_q = log2(D) + ((p - 39) << 16)

@@ -33,7 +33,7 @@ in the order f, s, l, O:
     attribute of an anchor       trained as   base step   step   bits     section
     f_a  its feature             f_a          Q_f         q_f    bits_f   features
     s_a  its scale               log_s        Q_s         q_s    bits_s   scales
-    l_a  scale of its offsets    log_l        Q_l         q_l    bits_l   offset_scales
+    l_a  its offset scaling      log_l        Q_l         q_l    bits_l   offset_scales
     O_a  its children's offsets  O_a          Q_O         q_O    bits_O   offsets
 
 The scales are trained as logarithms and coded as linear values. The header's Q_0 is the list of the
@@ -156,7 +156,7 @@ def quantised_of(sections):
         (columns, read_symbols(sections[name], name, ctx, columns, kept))
         for name, columns in attribute_columns(design)
     ]
-    # Not earlier: there is no room for this array beside those of the coder.
+    # Allocated after decoding, because the memory limit leaves no room beside the coder's arrays.
     symbols = np.zeros(kept.shape, np.int64)
     for columns, values in found:
         symbols[:, columns][kept[:, columns]] = values

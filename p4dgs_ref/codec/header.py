@@ -108,7 +108,7 @@ def integer(most):
 
     def read(name, value):
         expect(
-            type(value) is int and 1 <= value <= most,  # type: a bool is no number here
+            type(value) is int and 1 <= value <= most,  # type: a bool is not an integer here
             f"field {name!r}: expected a whole number from 1 to {most}",
         )
         return value

@@ -12,7 +12,7 @@ from .context import CodingContext, coding_context
 from .header import read_header, write_header
 
 LARGEST = 1e30  # coordinate of a box, so that extents are finite in float32
-BOX = f"lo <= hi, finite, within +-{LARGEST:g}"  # what the box of a file is
+BOX = f"lo <= hi, finite, within +-{LARGEST:g}"  # what the box of a file must be
 
 
 class EncodeError(ValueError):
@@ -143,7 +143,7 @@ def valid_box(lo, hi):
 
 
 def as_decoded(model):
-    """The design as a decoder will read it, which also proves that it can."""
+    """The design as a decoder will read it. Raises EncodeError for one that it would refuse."""
     try:
         return read_header(write_header(model))[0]
     except BitstreamError as error:

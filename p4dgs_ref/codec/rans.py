@@ -174,7 +174,7 @@ def close_lanes(states):
 
 
 def push_rows_plainly(states, starts, freqs):
-    """Step 3, to be read: the states after all rows, and the words in the decoder's order."""
+    """Step 3 in readable form: the states after all rows, and the words in the decoder's order."""
     words = []
     for row in reversed(range(len(starts))):
         for lane in reversed(range(len(states))):
@@ -187,7 +187,7 @@ def push_rows_plainly(states, starts, freqs):
 
 
 def push_rows_fast(states, starts, freqs):
-    """The same over all lanes at once; int64 holds x < 2^63 and freq 2^39 < 2^63."""
+    """The same as `push_rows_plainly`, over all lanes at once; x and freq 2^39 fit into int64."""
     x = np.array(states, np.int64)
     limits, rest = freqs << 39, (1 << PRECISION) - freqs
     before, full = np.empty_like(starts), np.empty(starts.shape, bool)
@@ -284,7 +284,7 @@ def end_lanes(states, words):
 
 
 def pop_tail(x, words, tables, keys, entries):
-    """Step 1 of the decoder: fills `entries`; the state of lane 0, and the words left."""
+    """Step 1 of the decoder: fills `entries`, returns the state of lane 0 and the words left."""
     edges = keys.tolist()
     first = keys.searchsorted(np.arange((int(keys[-1]) >> PRECISION) + 1) << PRECISION)
     for a in range(0, len(tables), PIECE):
@@ -306,7 +306,7 @@ def pop_tail(x, words, tables, keys, entries):
 
 
 def pop_rows_plainly(states, words, tables, keys, entries):
-    """Step 3 of the decoder, to be read: fills `entries`; the states, and the words left."""
+    """Step 3 of the decoder in readable form: fills `entries`, returns states and words left."""
     edges, stack = keys.tolist(), words[::-1].tolist()
     for row in range(len(tables)):
         for lane, x in enumerate(states):
@@ -320,7 +320,7 @@ def pop_rows_plainly(states, words, tables, keys, entries):
 
 
 def pop_rows_fast(states, words, tables, keys, entries):
-    """The same over all lanes at once."""
+    """The same as `pop_rows_plainly`, over all lanes at once."""
     x, freqs, count = np.array(states, np.int64), np.diff(keys), 0
     for row in range(len(tables)):
         target = tables[row].astype(np.int64) << PRECISION | x & SLOT

@@ -10,11 +10,11 @@ import numpy as np
 
 
 def forward(
-    bits_f,  # [A, d]     bits of the feature
-    bits_s,  # [A, 3]     bits of the scale
-    bits_l,  # [A, 3]     bits of the reach l_a
+    bits_f,  # [A, d]  bits of the feature
+    bits_s,  # [A, 3]  bits of the scale
+    bits_l,  # [A, 3]  bits of the offset scaling l_a
     bits_O,  # [A, k, 3]  bits of the offsets
-    mask,  # [A, k]  bool: offsets that are coded; the others cost nothing (Q15)
+    mask,  # [A, k]  bool: children whose offsets are coded; the others cost nothing (Q15)
 ):
     """Return R_anchor [] in bits and what `backward` needs.
 

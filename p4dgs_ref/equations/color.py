@@ -1,6 +1,6 @@
 """Eq. (3) by analogy: the colours of every anchor's k Gaussians.
 
-    c_i = sigmoid(psi_c(f_a, delta_vc, d_vc)_i)        i = 0 ... k-1
+    color_i = sigmoid(psi_c(f_a, delta_vc, d_vc)_i)        i = 0 ... k-1
 
 P-4DGS, section 3.2: "the color c and rotation r attributes are predicted analogously". The sigmoid
 is the activation of its parent, Scaffold-GS (Q4).

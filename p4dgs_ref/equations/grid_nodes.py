@@ -62,7 +62,7 @@ def nodes(x_a, lo, hi, axes, res, table):
 
 
 def entries(base, step, res, table):
-    """Return the entries [A, 2**D] of the nodes base [A, D] + step [2**D, D], see above."""
+    """Return the entries [A, 2**D] of the nodes base [A, D] + step [2**D, D], as defined above."""
     # On the upper face the fraction is 0: the corner beyond it weighs nothing and is folded back.
     corner = np.minimum(base[:, None, :] + step, res - 1)
     D = base.shape[1]

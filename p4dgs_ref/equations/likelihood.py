@@ -4,9 +4,10 @@
     bits = -log2(p)
 
 P-4DGS, section 3.3 (context entropy coding). `literal` is this formula. It is infinite from 9
-sigma on (6 in float32), and a difference of two nearly equal numbers wherever the bin is narrow or
-far from the mean. `forward` gives the same bits to 1e-12: it measures from the mean outwards, where
-both tails are small numbers with all their digits, and computes log p in one of four ways:
+sigma above the mean on (6 in float32), because both Phi round to 1. It loses digits wherever the
+bin is narrow or far from the mean, because it subtracts two nearly equal numbers. `forward` returns
+the true bits to 1e-12: it measures from the mean outwards, where both tails are small numbers with
+all their digits, and computes log p in one of four ways:
 
     where is the bin            log p                                         function
     around the mean             log(1 - left tail - right tail)               `around_the_mean`
@@ -115,7 +116,7 @@ def beside_the_mean(low, high, z, w):
 
 
 def far_from_the_mean(low, high, z, w):
-    """The tails underflow; erfcx(v) = exp(v**2) erfc(v) does not: the common factor comes out."""
+    """The tails underflow; erfcx(v) = exp(v**2) erfc(v) does not: p = exp(-low**2 / 2) * g."""
     g = 0.5 * (erfcx(low / np.sqrt(2)) - np.exp(-z * w) * erfcx(high / np.sqrt(2)))
     return np.log(g) - 0.5 * low**2, PHI_0 / g
 

@@ -1,6 +1,6 @@
 """The functions of the paper whose textbook form loses digits, written so that they do not.
 
-Every equation uses them by name, so that its own file can show the paper's formula.
+The equations call them by name, so that the file of an equation can show the paper's formula.
 """
 
 import numpy as np

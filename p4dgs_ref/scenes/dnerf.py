@@ -96,7 +96,7 @@ def find_scene(path):
 
 
 def read_json(file, expected="a D-NeRF folder with transforms_train.json and transforms_test.json"):
-    """The JSON object in a file; `expected` is said to the user where the file is missing."""
+    """The JSON object in a file; `expected` ends the message about a missing file."""
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:

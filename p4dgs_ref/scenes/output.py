@@ -73,7 +73,7 @@ def filled(path):
                 raise OutputError(f"{place}: expected a file or nothing, found a folder")
             if any(above.exists() and not above.is_dir() for above in place.parents):
                 raise OutputError(f"{place.parent}: expected a folder or nothing, found a file")
-        for file in sorted(files, key=lambda file: file.stat().st_mtime_ns):  # as written
+        for file in sorted(files, key=lambda file: file.stat().st_mtime_ns):  # oldest first
             places[file].parent.mkdir(parents=True, exist_ok=True)
             os.replace(file, places[file])
 

@@ -59,8 +59,8 @@ class Scene:
     """Views to train on and views to evaluate on, all of one size.
 
     A scene needs at least one training view; `test` and `val` may be empty. `effects` may be any
-    list of names; the scene keeps those of MODEL_EFFECTS, in that order. A scene that does not list
-    the effect `background` stands before black. A SceneError names what cannot be used.
+    list of names; the scene keeps those of MODEL_EFFECTS, in that order. Without the effect
+    `background` the background is black. Raises SceneError, which names what cannot be used.
     """
 
     name: str
@@ -165,7 +165,7 @@ def background_color(background, effects, where):
 
 
 def as_array(values):
-    """The values as a float64 array, an empty one where they are no array of numbers."""
+    """The values as a float64 array, an empty one where they are not numbers."""
     try:
         return np.asarray(values, dtype=float)
     except (TypeError, ValueError, OverflowError):
@@ -227,7 +227,7 @@ def check_rotation(R, where):
 
 
 def check_view(view, first, where):
-    """Refuse a view whose image, alpha, camera or time does not fit, or whose size is another."""
+    """Refuse a view that is inconsistent or out of range, or of another size than the first."""
     image, camera = view.image, view.camera
     require(
         image.ndim == 3 and image.shape[2] == 3,

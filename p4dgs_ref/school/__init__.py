@@ -1,9 +1,11 @@
 """Classroom mode: equations for students to write, a grader with held-back inputs, and the key.
 
-from p4dgs_ref import school
-school.classroom("course")  # writes course/student, course/key and course/README.md
-print(school.text(school.grade("course")))  # the points of every equation
-eq = school.load("course/student/offsets.py")  # the equation in a student's file
+A teacher's session in Python:
+
+    from p4dgs_ref import school
+    school.classroom("course")  # writes course/student, course/key and course/README.md
+    print(school.text(school.grade("course")))  # the points of every equation
+    eq = school.load("course/student/offsets.py")  # the equation in a student's file
 """
 
 from .grading import grade

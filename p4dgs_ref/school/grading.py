@@ -47,7 +47,7 @@ class Grade(NamedTuple):
 
     @property
     def of(self):
-        return round(sum(part.of for part in self.parts), 6)  # thirds and sixths, an integer in all
+        return round(sum(part.of for part in self.parts), 6)  # fractions whose sum is an integer
 
     @property
     def earned(self):

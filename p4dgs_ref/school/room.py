@@ -27,7 +27,7 @@ def classroom(folder, only=None, backward_only=False, seed=None):
     folder is a classroom already, equations are added, and the files of the students stay.
 
     Returns {"output", "equations": keys written, "functions": how many have to be written, "kept":
-    keys left as they were}. Raises ClassroomError or output.OutputError.
+    keys left as they were}. Raises ClassroomError or OutputError.
     """
     folder = Path(folder)
     record = record_in(folder)

@@ -7,11 +7,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Camera:
-    """It maps x_world to x_cam = R @ x_world + T = (X, Y, Z) and to the pixel u = f_x X/Z + c_x,
-    v = f_y Y/Z + c_y.
+    """A camera: x_cam = R @ x_world + T = (X, Y, Z), u = f_x X/Z + c_x, v = f_y Y/Z + c_y.
 
-    The image's centre is ((width - 1) / 2, (height - 1) / 2). Files are checked where they are
-    loaded.
+    The image's centre is at u = (width - 1) / 2, v = (height - 1) / 2. Nothing is checked here; a
+    scene checks its cameras.
     """
 
     R: np.ndarray  # [3, 3] world to camera

@@ -41,7 +41,7 @@ def forward(
     background,  # [3]  colour behind everything
     height,  # []  of the image (pixels)
     width,  # []
-    settings,  # a Settings; a stop by tile is not followed, the loop knows no tiles
+    settings,  # a Settings; a stop by tile is ignored, because the loop has no tiles
 ):
     """Return image [height, width, 3], transmittance [height, width] and what `backward` needs."""
     image, T = np.zeros((height, width, 3)), np.ones((height, width))

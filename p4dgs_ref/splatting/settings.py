@@ -1,4 +1,4 @@
-"""The renderer's constants, with three points between accuracy and time: exact, paper, fast."""
+"""The renderer's constants, and three named settings of accuracy and time: exact, paper, fast."""
 
 from typing import NamedTuple
 
@@ -20,9 +20,8 @@ class Settings(NamedTuple):
     stop_by_pixel: bool = False
     clamp_passes_gradient: bool = False  # the kernel's backward ignores the clamp of alpha
     near: float = 0.2  # Gaussians at this depth or nearer are culled
-    blur: float = (
-        0.3  # added to both variances, in square pixels: no splat is narrower than a pixel
-    )
+    # Added to both variances, in square pixels, so that no splat is much narrower than a pixel.
+    blur: float = 0.3
     tan_clamp: float = 1.3  # clamp of x/z in the Jacobian, times half the image's width over f_x
     alpha_max: float = 0.99  # so that no single splat is opaque
 
@@ -38,7 +37,7 @@ PAPER = Settings(
     stop_by_pixel=True,
     clamp_passes_gradient=True,
 )
-# Half of the 1e-4 that Q21 names: the error of a pixel then stays below 1e-4, for 5 % more pairs.
+# A cut of 5e-5 keeps the error of a pixel below 1e-4, for 5 % more pairs than a cut of 1e-4.
 FAST = Settings("fast", "ellipse", "float32", cut=5e-5, stop=1e-4)
 
 SETTINGS = {settings.name: settings for settings in (EXACT, PAPER, FAST)}

@@ -41,7 +41,7 @@ def bin_splats(mean2d, cov2d, conic, alpha, depth, visible, width, height, setti
             f"{count.sum()} pairs of Gaussians and tiles: expected {MOST_PAIRS} at most; Gaussian "
             f"{order[widest]} alone touches {count[widest]} of {columns * rows} tiles"
         )
-    rank = np.repeat(np.arange(len(order)), count)  # place in depth order: it sorts and points back
+    rank = np.repeat(np.arange(len(order)), count)  # place in depth order: a sort key
     step = np.arange(len(rank)) - np.repeat(np.cumsum(count) - count, count)
     tile_y, tile_x = np.divmod(step, extent[rank, 0])
     tile_x, tile_y = tile_x + first[rank, 0], tile_y + first[rank, 1]
@@ -79,7 +79,7 @@ def pixel_bounds(mean, cov, alpha, width, height, settings):
 
 
 def largest_form(alpha, settings):
-    """alpha exp(-form / 2) reaches the cut where the quadratic form is at most this [M]."""
+    """The largest value of the quadratic form at which alpha exp(-form / 2) reaches the cut [M]."""
     return 2 * np.log(alpha / settings.cut)
 
 

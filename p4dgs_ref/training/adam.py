@@ -8,8 +8,8 @@ BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-15  # as in all methods that P-4DGS bui
 class Adam:
     """Adam (Kingma and Ba 2015); each array counts its steps from the first one it takes part in.
 
-    `first` and `second` hold the moments as Parameters with the layout of the optimised ones, so
-    that rows can be added and removed together.
+    `first` and `second` hold the moments as Parameters with the layout of the optimised parameters,
+    so that rows can be added and removed together.
     """
 
     def __init__(self, parameters):

@@ -47,7 +47,8 @@ def check(where, arrays):
 def intercepted(wrap):
     """Within this context, `wrap(key, name, function)` replaces every forward and backward.
 
-    They are those of the table of equations and of the fast renderer, "compositing, fast".
+    These are the functions of the 26 equations and of the fast renderer, which has the key
+    "compositing, fast".
     """
     modules = {key: import_module(equation.module) for key, equation in EQUATIONS.items()}
     modules["compositing, fast"] = fast

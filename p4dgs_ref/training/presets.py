@@ -67,7 +67,7 @@ class Preset(NamedTuple):
     grow_from: int = 1500
     grow_every: int = 100  # iterations of a window
     grow_until: int = 15_000
-    collect_from: int = 500
+    collect_from: int = 500  # first iteration that counts in the statistics of density control
     gradient_threshold: float = 2e-4
     grow_init: int = 16  # the coarsest voxel for growing, in multiples of epsilon
     grow_hierarchy: int = 4
@@ -197,7 +197,7 @@ POSITIVE = ("a positive number", lambda value: 0 < value < INFINITY)
 NOT_NEGATIVE = ("a finite number of at least 0", lambda value: 0 <= value < INFINITY)
 RATE = ("first,last, two positive rates or 0,0", is_rate)
 STEP = between(2.0**-40, 2.0**40)
-# What each field must be, in words and as a test; numbers that are not listed, NOT_NEGATIVE. Most
+# What each field must be, in words and as a test; NOT_NEGATIVE where nothing else is said. Most
 # limits are those of a file (codec/header.py).
 REQUIREMENTS = {
     **dict.fromkeys(Preset._fields, NOT_NEGATIVE),
@@ -287,7 +287,7 @@ def read_value(value, like):
     if isinstance(value, str):
         words = {"true": True, "false": False, "1": True, "0": False}
         return words[value.lower()] if kind is bool else kind(value)
-    # True is no number here, and a number with a fraction is no integer
+    # True is not a number here, and a number with a fraction is not an integer
     if isinstance(value, bool) is not (kind is bool) or kind is str or kind(value) != value:
         raise TypeError
     return kind(value)

@@ -48,7 +48,7 @@ class Progress:
         ms, decibel, loss = np.mean(self.window, axis=0)
         left = 1e-3 * ms * (total - done)
         rate = f"{losses.L_rate:.2f}" if losses.L_rate else "-"
-        # The most important comes first: a narrow terminal shows as much as fits.
+        # The most important numbers come first, because a narrow terminal cuts the line.
         self.write(
             f"{done:{len(str(total))}d}/{total}  {left:.0f} s left  stage {stage}  "
             f"loss {loss:.4f}  PSNR {decibel:.2f} dB  {rate} bits/parameter  {anchors} anchors  "

@@ -57,7 +57,7 @@ def tagged(arrays, tag):
 
 
 class Trainer:
-    """Fits one scene: `step()` is one iteration, `model()` what has been learnt so far."""
+    """Fits one scene: `step()` does one iteration, `model()` returns the model so far."""
 
     def __init__(self, scene, preset, seed=0, settings=FAST, points=None):
         self.scene, self.preset, self.seed, self.settings = scene, preset, seed, settings
@@ -96,14 +96,14 @@ class Trainer:
         return exponential(self.iteration, first, last, end, start)
 
     def next_view(self):
-        """A random view among those that were not visited since all were."""
+        """A random view; no view comes again before all others have been visited."""
         if not len(self.order):
             self.order = self.rng.permutation(len(self.scene.train))
         index, self.order = self.order[-1], self.order[:-1]
         return self.scene.train[index]
 
     def fixed(self):
-        """What the objective of the next iteration takes as given."""
+        """The inputs of the next iteration that are not parameters."""
         preset, stage = self.preset, self.stage
         return objective.Fixed(
             mask=self.mask,

@@ -146,7 +146,10 @@ SHAPES = {
 }
 
 # Where the published manifest says something else than the table of equations does now.
-FORMULAS = {"anchor_rate": "R_anchor = sum of the bits of f, O, l, s over all anchors"}
+FORMULAS = {
+    "anchor_rate": "R_anchor = sum of the bits of f, O, l, s over all anchors",
+    "mlp": "y = W_n relu(... relu(x W_0 + b_0) ...) + b_n",
+}
 GRADIENTS = {"anchor_rate": ("bits_f", "bits_O", "bits_l", "bits_s")}
 
 CONSTANTS = {

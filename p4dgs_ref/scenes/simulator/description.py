@@ -1,4 +1,4 @@
-"""Reads and checks scene.json, the description that the simulator draws. The tables below are it.
+"""Reads and checks scene.json, the description that the simulator draws. SCENE lists all fields.
 
 Lengths are in scene units, z is up, angles are in degrees, colours are three numbers in [0, 1]. A
 field that is not in the tables is refused, because a misspelt one would otherwise be ignored.

@@ -1,6 +1,6 @@
 """Where the bodies of the simulator are at a time t in [0, 1], in closed form.
 
-Limbs are carried by their parents.
+A body with a parent moves with its parent.
 """
 
 from typing import NamedTuple

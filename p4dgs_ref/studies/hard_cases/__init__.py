@@ -1,1 +1,1 @@
-"""Hard cases: inputs on which a formula that is right gives wrong numbers, and what ours gives."""
+"""Hard cases: inputs for which a correct formula returns wrong numbers, and what ours returns."""

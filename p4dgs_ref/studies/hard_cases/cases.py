@@ -17,7 +17,7 @@ FILE = Path(__file__).with_name("cases.json")
 class HardCase(NamedTuple):
     """One hard case: a call of an equation."""
 
-    id: str  # "H-R1.6sigma": row H-R1 of the catalogue, then which of its inputs
+    id: str  # "H-R1.6sigma": the group H-R1, then which of its inputs
     equation: str
     says: str  # what is hard, and what the column "literal" shows
     inputs: dict

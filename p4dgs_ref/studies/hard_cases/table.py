@@ -7,9 +7,9 @@ DTYPES = ("float64", "float32")
 
 
 def rows(only=None, report=lambda row: None):
-    """Run all cases in both precisions, or the case `only`, or the cases of the row `only`.
+    """Run all cases in both precisions, or only the case or the group of cases `only`.
 
-    Returns a list of dictionaries for JSON with id, equation, says, dtype, literal, ours, true,
+    Return a list of dictionaries for JSON with id, equation, says, dtype, literal, ours, true,
     error, grad_error, bound, grad_bound and verdict. Infinities and NaN are text; the error of a
     gradient is None where there is no gradient.
     """
