@@ -41,14 +41,14 @@ class Axes(NamedTuple):
 TIME = Axes("ms", "error", "time (ms, median of alternating repeats)", "error")
 
 
-def lines(ax, rows, axes, knob="knob", label=True, order=()):
+def lines(ax, rows, axes, knob="knob", label=True, order=(), **changes):
     """Draw one line per method through its rows (dictionaries), with the knob beside each point.
 
     A value that the axis cannot show stays out of the line: NaN and infinity are a red cross above
-    the panel's values, an error of zero is an empty marker below them. `order` fixes the colours.
+    the panel's values, an error of zero is an empty marker below them. `order` fixes the colours,
+    `changes` replace properties of the lines.
     """
-    drawn = [row for row in rows if can_be_drawn(row[axes.y], axes.y_scale)]
-    values = [row[axes.y] for row in drawn]
+    values = [row[axes.y] for row in rows if can_be_drawn(row[axes.y], axes.y_scale)]
     low, high = (min(values), max(values)) if values else (1e-16, 1.0)
     methods = list(dict.fromkeys([*order, *(row["method"] for row in rows)]))
     for i, method in enumerate(methods):
@@ -57,7 +57,7 @@ def lines(ax, rows, axes, knob="knob", label=True, order=()):
             continue
         shown = [row for row in own if can_be_drawn(row[axes.y], axes.y_scale)]
         style = dict(color=COLORS[i % len(COLORS)], marker=MARKERS[i % len(MARKERS)])
-        ax.plot(
+        (line,) = ax.plot(
             [row[axes.x] for row in shown],
             [row[axes.y] for row in shown],
             # Without a knob nothing lies between the points.
@@ -67,15 +67,21 @@ def lines(ax, rows, axes, knob="knob", label=True, order=()):
             linewidth=1.6,
             **style,
         )
+        line.set(**changes)
         for row in own:
             if not np.isfinite(row[axes.y]):
                 mark(ax, row[axes.x], 3 * high, color="red", marker="x")
             elif row not in shown:
                 mark(ax, row[axes.x], low / 3, **style)
             elif label and row[knob] != "":
-                at_point = dict(textcoords="offset points", xytext=(5, 4), fontsize=9)
-                point = row[axes.x], row[axes.y]
-                ax.annotate(f"{row[knob]}", point, color=style["color"], **at_point)
+                ax.annotate(
+                    f"{row[knob]}",
+                    (row[axes.x], row[axes.y]),
+                    xytext=(5, 4),
+                    textcoords="offset points",
+                    color=style["color"],
+                    fontsize=9,
+                )
     ax.set(xscale=axes.x_scale, yscale=axes.y_scale, xlabel=axes.x_label, ylabel=axes.y_label)
     ax.grid(True, which="major", color="#dddddd", linewidth=0.7)
     ax.set_axisbelow(True)
@@ -99,9 +105,27 @@ def figure(columns=1, size=SIZE, rows=1, **options):
     return fig, list(axes.ravel())
 
 
-def legend(ax, **options):
+def draw_panels(
+    contents, size, rows=1, margins=(None, None), sharex=False, sharey=False, **options
+):
+    """A figure with one panel of lines for each (heading, rows, axes); returns what `figure` does.
+
+    Panels that share an axis are labelled on the outer ones alone. `options` are those of `lines`.
+    """
+    fig, panels = figure(len(contents) // rows, size, rows, sharex=sharex, sharey=sharey)
+    for ax, (heading, shown, axes) in zip(panels, contents):
+        place = ax.get_subplotspec()
+        x_label = axes.x_label if place.is_last_row() or not sharex else ""
+        y_label = axes.y_label if place.is_first_col() or not sharey else ""
+        lines(ax, shown, axes._replace(x_label=x_label, y_label=y_label), **options)
+        ax.set_title(heading)
+        ax.margins(*margins)
+    return fig, panels
+
+
+def legend(ax):
     """A legend inside a panel."""
-    ax.legend(**{"fontsize": 10, "framealpha": 0.85, "edgecolor": "none", **options})
+    ax.legend(fontsize=10, framealpha=0.85, edgecolor="none")
 
 
 def legend_below(fig, ax, columns, count=None, **options):

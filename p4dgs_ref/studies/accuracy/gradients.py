@@ -9,7 +9,7 @@ from .diagram import (
     Axes,
     Finding,
     at,
-    figure,
+    draw_panels,
     finish,
     legend_below,
     lines,
@@ -189,32 +189,28 @@ def run(folder, quick, progress):
 
 
 def draw_curves(path, rows):
-    fig, panels = figure(len(SUBJECTS), (8, 5.8), sharey=True)
+    axes = Axes("step", "error", "step h", "relative L2 error")
+    double = select(rows, dtype="float64")
+    contents = [(key, select(double, equation=key), axes) for key in SUBJECTS]
+    fig, panels = draw_panels(contents, (8, 5.8), sharey=True, label=False, markersize=4)
+    dashed = dict(linestyle="--", marker="", alpha=0.8)
     for ax, key in zip(panels, SUBJECTS):
-        axes = Axes("step", "error", "step h", "relative L2 error" if ax is panels[0] else "")
-        for dtype in ("float64", "float32"):
-            drawn = len(ax.lines)
-            lines(ax, select(rows, equation=key, dtype=dtype), axes, label=False)
-            for line in ax.lines[drawn:]:
-                line.set_markersize(4)
-                if dtype == "float32":
-                    line.set(linestyle="--", marker="", alpha=0.8)
+        own = select(rows, equation=key, dtype="float32")
+        lines(ax, own, axes._replace(y_label=ax.get_ylabel()), label=False, **dashed)
         ax.axhline(TOLERANCE, color="gray", linestyle=":")
-        ax.set_title(key)
     legend_below(fig, panels[0], 4, count=len(METHODS))
     title = f"solid float64, dashed float32, dotted the tests' tolerance {TOLERANCE:g}"
     finish(fig, path, f"{title}\nreference: {REFERENCE}")
 
 
 def draw_cost(path, costs):
-    fig, panels = figure(len(SUBJECTS), (8, 5.4), sharey=True)
-    for ax, key in zip(panels, SUBJECTS):
-        axes = Axes("ms", "error", "time (ms)", "relative L2 error" if ax is panels[0] else "")
-        own = select(costs, equation=key)
-        shown = [{**row, "evaluations": f"{row['evaluations']}×"} for row in own]
-        lines(ax, shown, axes, knob="evaluations", order=METHODS)
-        ax.set_title(f"{key}, {own[0]['inputs']} inputs")
-        ax.margins(x=0.35)
+    axes = Axes("ms", "error", "time (ms)", "relative L2 error")
+    shown = [{**row, "knob": f"{row['evaluations']}×"} for row in costs]
+    contents = []
+    for key in SUBJECTS:
+        own = select(shown, equation=key)
+        contents.append((f"{key}, {own[0]['inputs']} inputs", own, axes))
+    fig, panels = draw_panels(contents, (8, 5.4), margins=(0.35, None), sharey=True, order=METHODS)
     legend_below(fig, panels[0], 3)
     finish(
         fig,

@@ -7,7 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
-from .diagram import COLORS, Axes, Finding, at, figure, finish, legend_below, lines, number, table
+from .diagram import (
+    COLORS,
+    Axes,
+    Finding,
+    at,
+    draw_panels,
+    figure,
+    finish,
+    legend_below,
+    number,
+    select,
+    table,
+)
 from .formulas import FORMULAS, TABLES, truth
 from .formulas import table as table_formula
 from .heatmap import draw_heatmap
@@ -180,12 +192,11 @@ def run(folder, quick, progress):
 
 
 def draw_times(path, rows):
-    fig, panels = figure(2, (8, 5.6))
     axes = Axes("ns", "bits_error", "time (ns per value)", "largest relative error of the bits")
-    for ax, reach in zip(panels, REACHES):
-        lines(ax, [row for row in rows if row["reach"] == reach], axes)
-        ax.set_title(f"distances up to {reach} σ")
-        ax.margins(x=0.25)
+    contents = [
+        (f"distances up to {reach} σ", select(rows, reach=reach), axes) for reach in REACHES
+    ]
+    fig, panels = draw_panels(contents, (8, 5.6), margins=(0.25, None))
     legend_below(fig, panels[0], 3)
     title = f"Eq. (11), bins of 0.01 to 10 σ; {REFERENCE}\nred cross: somewhere {FAILED}"
     finish(fig, path, title)

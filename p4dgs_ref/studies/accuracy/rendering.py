@@ -10,11 +10,10 @@ from .diagram import (
     TIME,
     Finding,
     at,
-    figure,
+    draw_panels,
     finish,
     legend,
     legend_below,
-    lines,
     number,
     select,
     table,
@@ -192,32 +191,33 @@ def run(folder, quick, progress):
 
 
 def draw_gradients(path, rows, title):
-    fig, panels = figure(2, (8, 7.5), rows=2, sharex=True)
-    for ax, (name, label) in zip(panels, GRADIENTS.items()):
-        axes = TIME._replace(y=f"{name}_error", x_label="", y_label="relative L2 error")
-        lines(ax, rows, axes, label=False)
-        ax.set_title(f"gradient of {label}")
-    for ax in panels[2:]:
-        ax.set_xlabel("time (ms)")
+    axes = TIME._replace(x_label="time (ms)", y_label="relative L2 error")
+    contents = [
+        (f"gradient of {label}", rows, axes._replace(y=f"{name}_error"))
+        for name, label in GRADIENTS.items()
+    ]
+    fig, panels = draw_panels(contents, (8, 7.5), rows=2, sharex=True, label=False)
     legend_below(fig, panels[0], 2)
     finish(fig, path, title)
 
 
 def draw_tiles(path, rows):
     """Error over time of the ellipse footprint in float32, one line per stop."""
-    fig, panels = figure(len(SCENES), (8, 5))
-    ellipses = select(rows, footprint="ellipse", dtype="float32", cut="5e-5")
-    for ax, name in zip(panels, SCENES):
-        own = []
-        for row in select(ellipses, scene=name):
-            method = "no stop" if row["stop"] == "0" else f"stop at T < {row['stop']}"
-            own.append({**row, "method": method, "knob": row["tile"]})
-        lines(ax, own, IMAGE_ERROR._replace(x_label="time (ms)"))
-        ax.set_title(name)
-        ax.margins(0.15)
+    names = {"0": "no stop", **{stop: f"stop at T < {stop}" for stop in STOPS if stop != "0"}}
+    ellipses = [
+        {**row, "method": names[row["stop"]], "knob": row["tile"]}
+        for row in select(rows, footprint="ellipse", dtype="float32", cut="5e-5")
+    ]
+    axes = IMAGE_ERROR._replace(x_label="time (ms)")
+    contents = [(name, select(ellipses, scene=name), axes) for name in SCENES]
+    fig, panels = draw_panels(contents, (8, 5), margins=(0.15, 0.15))
     legend(panels[0])
-    title = "tile side (labelled) and stop: ellipse cut at 5e-5, float32"
-    finish(fig, path, f"{title}\nreference: exact twin in float64")
+    finish(
+        fig,
+        path,
+        "tile side (labelled) and stop: ellipse cut at 5e-5, float32\n"
+        "reference: exact twin in float64",
+    )
 
 
 def read(rows):

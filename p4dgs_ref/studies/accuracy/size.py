@@ -15,7 +15,7 @@ from ...splatting import fast
 from ...training.presets import PAPER_SYNTHETIC
 from ...training.trainer import Trainer
 from ..bench import Clock, memory_of, part_by_part
-from .diagram import Axes, Finding, figure, finish, legend_below, lines, select, table
+from .diagram import Axes, Finding, draw_panels, finish, legend_below, select, table
 from .fits import multiply_adds
 from .rendering import evaluated_pairs
 from .timing import alternate, exponents, replaced
@@ -222,19 +222,19 @@ def run(folder, quick, progress):
 
 def draw_parts(path, rows, middle, side, what, label):
     """Two panels: over anchors at one size of the picture, over pixels at one number of anchors."""
-    fig, panels = figure(2, (8, 6.2), sharey=True)
-    shown = []
-    for part, (_, b, c) in fits(rows, what).items():
-        method = f"{part} ({one_decimal(b)}, {one_decimal(c)})"
-        shown += [{**row, "method": method} for row in select(rows, part=part)]
-    order = list(dict.fromkeys(row["method"] for row in shown))
-    for ax, x, own, unit in (
-        (panels[0], "anchors", select(shown, side=side), f"anchors, {side}×{side} pixels"),
-        (panels[1], "pixels", select(shown, anchors=middle), f"pixels, {middle} anchors"),
-    ):
-        own = sorted(own, key=lambda row: row[x])
-        axes = Axes(x, what, unit, label if ax is panels[0] else "")
-        lines(ax, own, axes, label=False, order=order)
+    names = {
+        part: f"{part} ({one_decimal(b)}, {one_decimal(c)})"
+        for part, (_, b, c) in fits(rows, what).items()
+    }
+    by_size = sorted(rows, key=lambda row: (row["anchors"], row["pixels"]))
+    shown = [{**row, "method": names[row["part"]]} for row in by_size]
+    over_anchors = Axes("anchors", what, f"anchors, {side}×{side} pixels", label)
+    over_pixels = Axes("pixels", what, f"pixels, {middle} anchors", label)
+    contents = [
+        ("", select(shown, side=side), over_anchors),
+        ("", select(shown, anchors=middle), over_pixels),
+    ]
+    fig, panels = draw_panels(contents, (8, 6.2), sharey=True, label=False, order=names.values())
     title = "fitted exponents in brackets: of anchors, of pixels"
     legend_below(fig, panels[0], 2, title=title, title_fontsize=10)
     finish(fig, path, "the paper's architecture with fewer anchors, a step of stage 4")
@@ -246,10 +246,11 @@ def one_decimal(exponent):
 
 
 def draw_frames(path, rows):
-    fig, panels = figure(2, (8, 5))
-    for ax, what, label in zip(panels, ("ms", "mb"), ("time (ms)", "memory (MB)")):
-        lines(ax, rows, Axes("frames", what, "frames", label))
-        ax.set_title(f"exponent {frame_exponent(rows, what):.2f}")
+    contents = [
+        (f"exponent {frame_exponent(rows, what):.2f}", rows, Axes("frames", what, "frames", label))
+        for what, label in (("ms", "time (ms)"), ("mb", "memory (MB)"))
+    ]
+    fig, _ = draw_panels(contents, (8, 5))
     finish(fig, path, "one pass over all frames, 64×64 pixels, 100 anchors")
 
 
