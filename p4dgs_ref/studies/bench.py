@@ -1,6 +1,5 @@
 """Times of the hot places on this machine: renderer, parts of a training step, entropy coder."""
 
-import time
 import tracemalloc
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -33,7 +32,9 @@ from ..training import objective
 from ..training.adam import Adam
 from ..training.presets import TINY
 from ..training.trainer import Trainer
+from .evaluate import timed
 from .inspect import float_context
+from .precision import cast
 from .random_inputs import cov2d_of, random_splats
 
 # The modules whose forward and backward make up each part of a training step.
@@ -76,25 +77,17 @@ def replaced(owner, **members):
             setattr(owner, name, member)
 
 
-class Clock:
-    """Milliseconds that a part takes in all its calls of one step."""
+def part_by_part(trainer, measured):
+    """One step that measures every call of every part: {part: [amount of each call]}.
 
-    begin = staticmethod(time.perf_counter)
+    `measured(function, *args, **kwargs)` returns the result of the function and an amount.
+    """
+    amounts = {part: [] for part in PARTS}
 
-    @staticmethod
-    def end(total, start):
-        return total + 1e3 * (time.perf_counter() - start)
-
-
-def part_by_part(trainer, gauge):
-    """One step with every function of every part wrapped by a gauge: {part: value}."""
-    values = dict.fromkeys(PARTS, 0.0)
-
-    def gauged(part, function):
+    def watched(part, function):
         def run(*args, **kwargs):
-            start = gauge.begin()
-            result = function(*args, **kwargs)
-            values[part] = gauge.end(values[part], start)
+            result, amount = measured(function, *args, **kwargs)
+            amounts[part].append(amount)
             return result
 
         return run
@@ -102,22 +95,29 @@ def part_by_part(trainer, gauge):
     with ExitStack() as stack:
         for part, places in PARTS.items():
             for owner, name in places:
-                wrapped = gauged(part, getattr(owner, name))
+                wrapped = watched(part, getattr(owner, name))
                 stack.enter_context(replaced(owner, **{name: wrapped}))
-        start = time.perf_counter()
-        trainer.step()
-        whole = 1e3 * (time.perf_counter() - start)
-    return {**values, "whole step": whole}
+        _, whole = measured(trainer.step)
+    return {**amounts, "whole step": [whole]}
 
 
-def alternate(functions, repeats):
-    """Median milliseconds of each function, {name: ms}; called in turn, so that noise hits all."""
+def step_times(trainer):
+    """Milliseconds of every part in all its calls of one step, and of the whole step."""
+    seconds = part_by_part(trainer, timed)
+    return {part: 1e3 * sum(calls) for part, calls in seconds.items()}
+
+
+def alternate(functions, repeats, calls=None):
+    """Median milliseconds of each function, {name: ms}; called in turn, so that noise hits all.
+
+    `calls` says how many calls of each function are timed together; without it, one.
+    """
     times = {name: [] for name in functions}
     for _ in range(repeats):
         for name, function in functions.items():
-            start = time.perf_counter()
-            function()
-            times[name].append(1e3 * (time.perf_counter() - start))
+            count = calls[name] if calls else 1
+            _, seconds = timed(lambda: [function() for _ in range(count)])
+            times[name].append(1e3 * seconds / count)
     return {name: float(np.median(values)) for name, values in times.items()}
 
 
@@ -130,48 +130,57 @@ def memory_of(function):
     return peak / 1e6
 
 
+def splat_scene(n, size, background=(1.0, 1.0, 1.0), **spread):
+    """Inputs of both renderers: splats, their covariances, the frame, a white-noise cotangent."""
+    splats = random_splats(np.random.default_rng(0), n, size, size, **spread)
+    frame = dict(background=np.array(background), height=size, width=size)
+    image_bar = np.random.default_rng(1).normal(size=(size, size, 3))
+    return splats, cov2d_of(splats["conic"]), frame, image_bar
+
+
+def run_fast(scene, settings):
+    """The fast renderer, forward and backward: image, gradients, and what forward saved."""
+    splats, cov2d, frame, image_bar = scene
+    (image, _), saved = fast.forward(**splats, cov2d=cov2d, **frame, settings=settings)
+    return image, fast.backward(saved, image_bar), saved
+
+
+def run_exact(scene, dtype="float64"):
+    """The exact twin in one precision, forward and backward: image and gradients."""
+    splats, _, frame, image_bar = scene
+    (image, _), saved = compositing.forward(**cast({**splats, **frame}, dtype))
+    return image, compositing.backward(saved, image_bar.astype(dtype))
+
+
+def relative_error(found, truth):
+    """The distance of an array from the truth, relative to the length of the truth."""
+    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
+
+
 def bench_renderer(n, size, repeats=9):
     """The fast renderer against the exact twin: times, errors, counted pairs, peak memory."""
-    splats = random_splats(np.random.default_rng(0), n, size, size)
-    frame = dict(background=np.ones(3), height=size, width=size)
-    image_bar = np.random.default_rng(1).normal(size=(size, size, 3))
-    cov2d = cov2d_of(splats["conic"])
-
-    def run_fast():
-        (image, _), saved = fast.forward(**splats, cov2d=cov2d, **frame, settings=FAST)
-        return image, fast.backward(saved, image_bar), saved
-
-    def run_exact():
-        (image, _), saved = compositing.forward(**splats, **frame)
-        return image, compositing.backward(saved, image_bar)
-
-    image, gradients, (_, lists, *_) = run_fast()
-    exact, exact_gradients = run_exact()
-    errors = {
-        name: float(
-            np.linalg.norm(a - exact_gradients[name]) / np.linalg.norm(exact_gradients[name])
-        )
-        for name, a in gradients.items()
-    }
-    fast_ms, exact_ms = [], []
-    for i in range(repeats):  # alternating; three times are enough for the median of the slow one
-        fast_ms.append(alternate({"fast": run_fast}, 3)["fast"])
-        if i % max(repeats // 3, 1) == 0:
-            exact_ms.append(alternate({"exact": run_exact}, 1)["exact"])
-    ms, exact_median = float(np.median(fast_ms)), float(np.median(exact_ms))
+    scene = splat_scene(n, size)
+    image, gradients, (_, lists, *_) = run_fast(scene, FAST)
+    exact, exact_gradients = run_exact(scene)
+    errors = {name: relative_error(a, exact_gradients[name]) for name, a in gradients.items()}
+    # Three times are enough for the median of the slow twin.
+    runs = {"exact": lambda: run_exact(scene)}
+    runs |= {i: lambda: run_fast(scene, FAST) for i in range(repeats)}
+    ms = alternate(runs, 3)
+    fast_ms = float(np.median([ms[i] for i in range(repeats)]))
     return {
         "gaussians": n,
         "size": size,
-        "fast_ms": ms,
-        "exact_ms": exact_median,
-        "ratio": exact_median / ms,
+        "fast_ms": fast_ms,
+        "exact_ms": ms["exact"],
+        "ratio": ms["exact"] / fast_ms,
         "image_error_max": float(np.abs(image - exact).max()),
         "gradient_error_max": max(errors.values()),
         "gradient_errors": errors,
         "pairs": len(lists.row),
         "pixel_pairs": len(lists.row) * FAST.tile**2,
         "exact_pixel_pairs": n * size * size,
-        "memory_mb": memory_of(run_fast),
+        "memory_mb": memory_of(lambda: run_fast(scene, FAST)),
     }
 
 
@@ -182,7 +191,7 @@ def step_parts(scene, preset, warm, repeats):
         trainer.step()
     trainer.iteration = max(trainer.iteration, preset.stage_ends[2])
     trainer.step()
-    steps = [part_by_part(trainer, Clock) for _ in range(repeats)]
+    steps = [step_times(trainer) for _ in range(repeats)]
     ms = {part: float(np.mean([step[part] for step in steps])) for part in steps[0]}
     whole = ms.pop("whole step")
     return {**ms, "everything else": whole - sum(ms.values()), "whole step": whole}

@@ -13,10 +13,10 @@ FLOATS_PER_GAUSSIAN = 59
 FLOATS_WITHOUT_SH_REST = 14
 
 
-def timed(function, *args):
+def timed(function, *args, **kwargs):
     """The result of a function and the seconds it took."""
     start = time.perf_counter()
-    return function(*args), time.perf_counter() - start
+    return function(*args, **kwargs), time.perf_counter() - start
 
 
 def squared_error(image, truth, where=None):

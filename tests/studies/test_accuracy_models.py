@@ -263,7 +263,7 @@ def test_parts_are_gauged_counted_and_left_as_they_were():
     found = {}
     for A in (20, 60):
         trainer = size.at_stage_4(scene_, A)
-        times, memory = bench.part_by_part(trainer, bench.Clock), size.part_memory(trainer)
+        times, memory = bench.step_times(trainer), size.part_memory(trainer)
         assert all(0 < times[part] <= times["whole step"] for part in bench.PARTS)
         assert all(0 < memory[part] <= memory["whole step"] for part in bench.PARTS)
         found[A] = size.counted(trainer)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from ...table import EQUATIONS
+from ..bench import relative_error
 from ..precision import cast
 from ..random_inputs import random_anchor_network, random_splats
 from .diagram import (
@@ -115,7 +116,7 @@ def sweep(key, quick):
         for exponent in np.arange(1, deepest + 0.1, 1.0 if quick else 0.5):
             x, h = loss.x.astype(dtype), 10.0**-exponent
             loss.evaluations = 0
-            found = quotients(loss, x, h, method)
+            error = relative_error(quotients(loss, x, h, method), truth)
             rows.append(
                 {
                     "equation": key,
@@ -124,7 +125,7 @@ def sweep(key, quick):
                     "step": h,
                     "inputs": len(x),
                     "evaluations": loss.evaluations,
-                    "error": float(np.linalg.norm(found - truth) / np.linalg.norm(truth)),
+                    "error": error,
                 }
             )
     return rows

@@ -1,11 +1,11 @@
 """Study 1, rendering: what footprint, precision, stop and tile size cost and save."""
 
+from itertools import product
+
 import numpy as np
 
-from ...splatting import compositing, fast
 from ...splatting.settings import SETTINGS, Settings
-from ..precision import cast
-from ..random_inputs import cov2d_of, random_splats
+from .. import bench
 from .diagram import (
     TIME,
     Finding,
@@ -34,27 +34,21 @@ IMAGE_ERROR = TIME._replace(y_label="largest error of the image (of 1)")
 
 
 def splat_scene(name, n, size):
-    """Inputs of both renderers: splats, their covariances, the frame, a white-noise cotangent."""
-    splats = random_splats(np.random.default_rng(0), n, size, size, **SCENES[name])
-    frame = dict(background=np.array([0.9, 0.5, 0.2]), height=size, width=size)
-    image_bar = np.random.default_rng(1).normal(size=(size, size, 3))
-    return splats, cov2d_of(splats["conic"]), frame, image_bar
+    """Inputs of both renderers."""
+    return bench.splat_scene(n, size, (0.9, 0.5, 0.2), **SCENES[name])
 
 
 def exact(scene, dtype="float64"):
     """The exact twin in one precision: image, gradients, Gaussian-pixel pairs."""
-    splats, _, frame, image_bar = scene
-    (image, transmittance), saved = compositing.forward(**cast({**splats, **frame}, dtype))
-    pairs = int(splats["visible"].sum()) * transmittance.size
-    return image, compositing.backward(saved, image_bar.astype(dtype)), pairs
+    image, gradients = bench.run_exact(scene, dtype)
+    height, width, _ = image.shape
+    return image, gradients, int(scene[0]["visible"].sum()) * height * width
 
 
 def tiled(scene, settings):
     """The fast renderer: image, gradients, Gaussian-pixel pairs evaluated, with the padding."""
-    splats, cov2d, frame, image_bar = scene
-    (image, _), saved = fast.forward(**splats, cov2d=cov2d, **frame, settings=settings)
-    pairs = evaluated_pairs(saved)
-    return image, fast.backward(saved, image_bar), pairs
+    image, gradients, saved = bench.run_fast(scene, settings)
+    return image, gradients, evaluated_pairs(saved)
 
 
 def evaluated_pairs(saved):
@@ -67,11 +61,9 @@ def errors(found, truth):
     """Largest and root mean square error of the image, relative L2 error of every gradient."""
     image, gradients, pairs = found
     gap = image.astype(float) - truth[0]
-    relative = {}
-    for name in GRADIENTS:
-        true = truth[1][name]
-        distance = np.linalg.norm(gradients[name] - true)
-        relative[f"{name}_error"] = float(distance / np.linalg.norm(true))
+    relative = {
+        f"{name}_error": bench.relative_error(gradients[name], truth[1][name]) for name in GRADIENTS
+    }
     return {
         "pairs": pairs,
         "error": float(np.abs(gap).max()),
@@ -83,18 +75,16 @@ def errors(found, truth):
 
 def grid(quick):
     """Every combination of the settings: [(the columns that distinguish it, Settings)]."""
-    cuts = {key: CUTS[key] for key in (("1/255", "5e-5", "1e-6") if quick else CUTS)}
-    footprints = [("all", "", 0.0), ("box", "", 0.0)]
-    footprints += [("ellipse", key, value) for key, value in cuts.items()]
-    stops = list(STOPS.items())[: 2 if quick else 3]
+    cuts = ("1/255", "5e-5", "1e-6") if quick else CUTS
+    footprints = [("all", ""), ("box", ""), *(("ellipse", cut) for cut in cuts)]
+    tiles, stops = ((8, 16), ("0", "1e-4")) if quick else (TILES, STOPS)
     combinations = []
-    for dtype in ("float32", "float64"):
-        for tile in (8, 16) if quick else TILES:
-            for stop, level in stops:
-                for footprint, cut, value in footprints:
-                    what = dict(footprint=footprint, cut=cut, dtype=dtype, tile=tile, stop=stop)
-                    settings = Settings("study", footprint, dtype, tile=tile, cut=value, stop=level)
-                    combinations.append((what, settings))
+    for dtype, tile, stop, (footprint, cut) in product(
+        ("float32", "float64"), tiles, stops, footprints
+    ):
+        what = dict(footprint=footprint, cut=cut, dtype=dtype, tile=tile, stop=stop)
+        levels = dict(cut=CUTS.get(cut, 0.0), stop=STOPS[stop])
+        combinations.append((what, Settings("study", footprint, dtype, tile=tile, **levels)))
     return combinations
 
 
@@ -123,34 +113,25 @@ def summary_rows(repeats=7):
     """Error and time of the three named settings on the study's first scene."""
     rows = measure("small splats", *SUMMARY_SIZE, [], repeats)
     columns = ["ms", "pairs", "error", "rms_error", *(f"{name}_error" for name in GRADIENTS)]
-    found = []
-    for name in SETTINGS:
-        row = at(rows, footprint=name)
-        found.append({"settings": name, **{key: row[key] for key in columns}})
-    return found
+    named = {name: at(rows, footprint=name) for name in SETTINGS}
+    return [{"settings": name, **{key: named[name][key] for key in columns}} for name in named]
 
 
 def method_rows(rows, tile=8, stop="1e-4"):
     """The rows of the diagram: a method is footprint and precision, the knob the ellipse's cut."""
     labels = {"ellipse": "ellipse, cut labelled", "all": "all pairs", "box": "3σ box"}
+    single = {"dense": "exact twin, float32", "paper": "setting `paper`", "fast": "setting `fast`"}
     chosen = []
     for row in rows:
         where = row["footprint"]
-        if where in labels:
-            side = 16 if where == "box" else tile
-            if (row["tile"], row["stop"]) == (side, stop):
-                method = f"{labels[where]}, {row['dtype']}"
-                chosen.append({**row, "method": method, "knob": row["cut"]})
-        elif where == "dense":
-            chosen.append({**row, "method": "exact twin, float32", "knob": ""})
-        elif where in ("paper", "fast"):
-            chosen.append({**row, "method": f"setting `{where}`", "knob": ""})
+        side = 16 if where == "box" else tile
+        if where in labels and (row["tile"], row["stop"]) == (side, stop):
+            chosen.append({**row, "method": f"{labels[where]}, {row['dtype']}", "knob": row["cut"]})
+        elif where in single:
+            chosen.append({**row, "method": single[where], "knob": ""})
     first = ["ellipse, cut labelled, float32", "ellipse, cut labelled, float64", "3σ box, float32"]
-
-    def place(row):
-        return first.index(row["method"]) if row["method"] in first else len(first)
-
-    return sorted(chosen, key=place)
+    order = {method: place for place, method in enumerate(first)}
+    return sorted(chosen, key=lambda row: order.get(row["method"], len(first)))
 
 
 def run(folder, quick, progress):

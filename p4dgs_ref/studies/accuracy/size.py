@@ -14,7 +14,7 @@ from ...scenes.scene import Scene
 from ...splatting import fast
 from ...training.presets import PAPER_SYNTHETIC
 from ...training.trainer import Trainer
-from ..bench import Clock, memory_of, part_by_part
+from ..bench import memory_of, part_by_part, step_times
 from .diagram import Axes, Finding, draw_panels, finish, legend_below, select, table
 from .fits import multiply_adds
 from .rendering import evaluated_pairs
@@ -61,17 +61,12 @@ def at_stage_4(scene, anchors):
     return trainer
 
 
-class Scale:
-    """Megabytes that a part holds at the worst moment of any of its calls."""
-
-    @staticmethod
-    def begin():
-        tracemalloc.reset_peak()
-        return tracemalloc.get_traced_memory()[0]
-
-    @staticmethod
-    def end(most, before):
-        return max(most, (tracemalloc.get_traced_memory()[1] - before) / 1e6)
+def weighed(function, *args, **kwargs):
+    """The result of a function and the megabytes it holds at its worst moment."""
+    tracemalloc.reset_peak()
+    before, _ = tracemalloc.get_traced_memory()
+    result = function(*args, **kwargs)
+    return result, (tracemalloc.get_traced_memory()[1] - before) / 1e6
 
 
 def part_memory(trainer):
@@ -79,9 +74,10 @@ def part_memory(trainer):
     whole = memory_of(trainer.step)
     tracemalloc.start()
     try:
-        return {**part_by_part(trainer, Scale), "whole step": whole}
+        parts = part_by_part(trainer, weighed)
     finally:
         tracemalloc.stop()
+    return {**{part: max(calls) for part, calls in parts.items()}, "whole step": whole}
 
 
 def counted(trainer):
@@ -114,7 +110,7 @@ def measure(points, rounds, progress):
         for i in range(rounds):
             progress(f"size: times, round {i + 1} of {rounds}")
             for point, trainer in trainers.items():
-                times[point].append(part_by_part(trainer, Clock))
+                times[point].append(step_times(trainer))
         progress("size: memory")
         for (anchors, side), trainer in trainers.items():
             about = {"anchors": anchors, "side": side, "pixels": side**2}

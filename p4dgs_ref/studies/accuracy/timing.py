@@ -3,13 +3,13 @@
 import os
 import platform
 import sys
-import time
 
 import numpy as np
 import scipy
 
 from ..bench import alternate as take_turns
 from ..bench import replaced
+from ..evaluate import timed
 
 LEAST_MS = 2.0  # a shorter function is called several times per turn, for the sake of the clock
 ROUND_MS = 300.0  # shorter rounds are repeated more often: other programs disturb them more
@@ -25,22 +25,11 @@ def alternate(functions, repeats):
     calls, spent = {}, 0.0
     for name, function in functions.items():
         function()
-        start = time.perf_counter()
-        function()
-        ms = 1e3 * (time.perf_counter() - start)
+        ms = 1e3 * timed(function)[1]
         calls[name] = max(1, int(LEAST_MS / max(ms, 1e-3)))
         spent += max(ms, LEAST_MS)
-
-    def several(name):
-        def run():
-            for _ in range(calls[name]):
-                functions[name]()
-
-        return run
-
     turns = repeats * min(5, max(1, round(ROUND_MS / spent)))
-    total = take_turns({name: several(name) for name in functions}, turns)
-    return {name: ms / calls[name] for name, ms in total.items()}
+    return take_turns(functions, turns, calls)
 
 
 class Counting:
