@@ -10,12 +10,13 @@ from scipy.special import ndtr, ndtri
 
 from ...codec import rans
 from ...codec.context import coding_context
-from ...codec.fixed_point import exponent
+from ...codec.fixed_point import bit_length, exponent
 from ...codec.gaussian_table import MU_BITS, PRECISION, SIGMA_BITS, Model, gaussian_model
 from ...codec.streams import (
     decode_gaussian,
     decode_symbols,
     encode_gaussian,
+    find_entries,
     ideal_bits_gaussian,
     pack_fields,
 )
@@ -94,18 +95,13 @@ def encode(symbols, model):
 
     Escapes are appended in gamma code, as the codec writes them.
     """
-    place, blocks = symbols - model.lowest, model.blocks[model.table]
-    outside = (place < 0) | (place >= blocks)
-    out = np.flatnonzero(outside)
-    beyond = place[out] - blocks[out]
-    gamma = np.where(beyond < 0, -2 * place[out], 2 * beyond + 1)
-    entries = model.first[model.table] + np.where(outside, blocks, place)
-    b = np.frexp(gamma.astype(float))[1] - 1
+    entries, gamma = find_entries(symbols, model)
+    b = bit_length(gamma) - 1
     values = np.stack([1 << b, gamma - (1 << b)], 1).ravel()
     widths = np.stack([b + 1, b], 1).ravel()
-    bits = PRECISION - np.log2(np.diff(model.keys)[entries])
     data = rans.encode(entries, model.keys) + pack_fields(values, widths)
-    return data, float(bits.sum()) + (2 * b + 1).sum(), len(out)
+    bits = PRECISION - np.log2(np.diff(model.keys)[entries])
+    return data, float(bits.sum()) + (2 * b + 1).sum(), len(gamma)
 
 
 def coded_row(method, knob, data, symbols, bits, model, ideal, escapes):
@@ -151,10 +147,9 @@ def code(n, repeats, progress):
             encode(symbols, model_of(mu, sigma, **w))[0], model_of(mu, sigma, **w)
         )
     units = in_units(mu, sigma)
-    data = encode_gaussian(symbols, *units)
+    coded = encode_gaussian(symbols, *units), symbols, bits, gaussian_model(*units)
     ideal = float(ideal_bits_gaussian(symbols, *units).sum())
-    codec = gaussian_model(*units)
-    rows.append(coded_row("the codec", "", data, symbols, bits, codec, ideal, 0))
+    rows.append(coded_row("the codec", "", *coded, ideal, 0))
     runs["the codec", ""] = lambda: decode_gaussian(encode_gaussian(symbols, *units), *units)
     progress("coder: times")
     ms = alternate(runs, repeats)
@@ -178,23 +173,31 @@ def context_rows(anchors):
         networks = {**q.model.networks, "psi_p": (rounded, biases)}
         ctx = coding_context(design, networks, q.model.grids, q.positions)
         arrays = (a.ravel() for a in (q.symbols, ctx.mu_units, ctx.sigma_units))
-        lost = 100 * (ideal_bits_gaussian(*arrays).sum() / bits.sum() - 1)
-        about = {"method": "weights of ψ_p", "knob": width, "symbols": q.symbols.size}
-        rows.append({**about, "model_percent": lost})
+        rows.append(
+            {
+                "method": "weights of ψ_p",
+                "knob": width,
+                "symbols": q.symbols.size,
+                "model_percent": 100 * (ideal_bits_gaussian(*arrays).sum() / bits.sum() - 1),
+            }
+        )
     return rows
 
 
 def run(folder, quick, progress):
-    n, repeats = (3000, 3) if quick else (20_000, 3)
+    n, repeats = 3000 if quick else 20_000, 3
     progress("coder: codes and decodes")
     rows = code(n, repeats, progress)
     context = context_rows(60 if quick else 300)
-    shown = [row for row in rows if row["method"] in (WIDE_WINDOW, FITTED_WINDOW, "the codec")]
-    time_label = "time (ns per symbol, encode and decode)"
     work_precision(
         folder / "coder.png",
-        shown,
-        Axes("ns_per_symbol", "percent", time_label, "size above the entropy (%)"),
+        [row for row in rows if row["method"] in (WIDE_WINDOW, FITTED_WINDOW, "the codec")],
+        Axes(
+            "ns_per_symbol",
+            "percent",
+            "time (ns per symbol, encode and decode)",
+            "size above the entropy (%)",
+        ),
         f"bits of the frequencies (labelled), {n:,} symbols, bytes written and read back\n"
         "reference: entropy under the true Gaussians",
     )
@@ -218,20 +221,25 @@ def run(folder, quick, progress):
 
 def draw_widths(path, rows, context):
     fig, (ax,) = figure()
-    shown = [row for row in rows if row["method"] in ("mean", "log2 deviation")] + context
+    of_codec = {
+        "mean": MU_BITS,
+        "log2 deviation": SIGMA_BITS,
+        "weights of ψ_p": WEIGHT_WIDTHS[-1],
+    }
+    shown = [row for row in [*rows, *context] if row["method"] in of_codec]
     x_label = "fractional bits of mean and deviation; bits of a weight"
     axes = Axes("knob", "model_percent", x_label, "entropy lost by the model (%)", "linear")
     lines(ax, shown, axes, label=False)
-    circle = dict(markersize=16, fillstyle="none", color="black")
-    for method, width in (
-        ("mean", MU_BITS),
-        ("log2 deviation", SIGMA_BITS),
-        ("weights of ψ_p", WEIGHT_WIDTHS[-1]),
-    ):
-        ax.plot(width, at(shown, method=method, knob=width)["model_percent"], "o", **circle)
+    for method, width in of_codec.items():
+        lost = at(shown, method=method, knob=width)["model_percent"]
+        ax.plot(width, lost, "o", markersize=16, fillstyle="none", color="black")
     legend(ax)
-    title = "bits of the integer context (circled: those of the codec)"
-    finish(fig, path, f"{title}\nreference: the same entropy with float64 parameters")
+    finish(
+        fig,
+        path,
+        "bits of the integer context (circled: those of the codec)\n"
+        "reference: the same entropy with float64 parameters",
+    )
 
 
 def read(rows, context):

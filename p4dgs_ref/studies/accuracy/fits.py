@@ -9,7 +9,7 @@ from ...codec.file import decode, encode
 from ...model import ANCHOR_NETWORKS, CONTEXT_NETWORKS
 from ...training.presets import TINY
 from ...training.trainer import Trainer
-from ..evaluate import evaluate
+from ..evaluate import evaluate, timed
 from ..inspect import components
 
 ATTRIBUTES = ("features", "scales", "offset_scales", "offsets")  # sections of the file
@@ -71,17 +71,14 @@ def sampled(A, share):
 
 def judge(model, scene):
     """The model's file, decoded again, on the test views: bytes, bytes by kind, decibels."""
-    start = time.perf_counter()
-    data = encode(model)
-    seconds = time.perf_counter() - start
+    data, seconds = timed(encode, model)
     metrics, sizes = evaluate(decode(data), scene)[0], components(data)
-    networks = [size for name, size in sizes.items() if name.endswith(("mlp", "mlps"))]
     return {
         "psnr_db": metrics["psnr_db"],
         "bytes": len(data),
         "attribute_bytes": sum(sizes[name] for name in ATTRIBUTES),
         "grid_bytes": sizes["hash_grid"],
-        "network_bytes": sum(networks),
+        "network_bytes": sum(n for name, n in sizes.items() if name.endswith(("mlp", "mlps"))),
         "anchors": metrics["anchors"],
         "encode_ms": 1e3 * seconds,
     }

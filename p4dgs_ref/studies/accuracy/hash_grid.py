@@ -6,6 +6,7 @@ are measured in this file, against one mean and one deviation per channel with t
 """
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -70,8 +71,10 @@ class ContextFit:
         rate_bar = hash_rate.backward(saved_rate, np.float64(1 / count))["grids"]
         gradients = self.p.zeros()
         gradients.fill("psi_p", networks["psi_p"])
-        for i, (through_context, through_rate) in enumerate(zip(grids_bar, rate_bar)):
-            gradients[f"grid.{i}"][...] = through_context + through_rate
+        for whole, through_context, through_rate in zip(
+            gradients.listed("grid"), grids_bar, rate_bar
+        ):
+            whole[...] = through_context + through_rate
         self.adam.step(self.p, gradients, lambda name: LEARNING_RATE)
         return float(bits[self.kept].sum()), float(R_hash)
 
@@ -118,33 +121,31 @@ def without_context(model, q):
 def measure(quick, progress):
     """Rows of every grid, the file without context, and how often times were repeated."""
     iterations, steps = (120, 40) if quick else (950, 400)
-    levels = {n: LEVELS[n] for n in ((1, 4) if quick else LEVELS)}
-    sizes = (64, 512) if quick else (32, 128, 512, 2048)
+    levels, sizes = ((1, 4), (64, 512)) if quick else (LEVELS, (32, 128, 512, 2048))
     progress("hash grid: the model whose attributes are kept")
     model = fixed(train(load_scene("bouncing"), reduced(iterations)).model)
     q = quantise(model)
     alone, rows, runs = without_context(model, q), [], {}
-    for count, grid in levels.items():
-        for size in sizes:
-            progress(f"hash grid: {count} levels, {size} entries")
-            fit = ContextFit(model, q, grid, size)
-            for _ in range(steps):
-                fit.step()
-            in_file = written(model, fit.design, fit.networks, fit.p.listed("grid"))
-            rows.append(
-                {
-                    "method": f"{count} level{'s' * (count > 1)}",
-                    "knob": size,
-                    "levels": count,
-                    "entries": sum(T * F for T, F in fit.design.levels()),
-                    **in_file,
-                    "saved_bytes": alone["attribute_bytes"] - in_file["attribute_bytes"],
-                    "multiply_adds": multiply_adds(fit.design, ("psi_p",), len(fit.values)),
-                    "reads": fit.located.nnz,
-                    "symbols": int(fit.kept.sum()),
-                }
-            )
-            runs[count, size] = fit.step
+    for count, size in product(levels, sizes):
+        progress(f"hash grid: {count} levels, {size} entries")
+        fit = ContextFit(model, q, LEVELS[count], size)
+        for _ in range(steps):
+            fit.step()
+        in_file = written(model, fit.design, fit.networks, fit.p.listed("grid"))
+        rows.append(
+            {
+                "method": f"{count} level{'s' * (count > 1)}",
+                "knob": size,
+                "levels": count,
+                "entries": sum(T * F for T, F in fit.design.levels()),
+                **in_file,
+                "saved_bytes": alone["attribute_bytes"] - in_file["attribute_bytes"],
+                "multiply_adds": multiply_adds(fit.design, ("psi_p",), len(fit.values)),
+                "reads": fit.located.nnz,
+                "symbols": int(fit.kept.sum()),
+            }
+        )
+        runs[count, size] = fit.step
     repeats = 3 if quick else 7
     ms = alternate(runs, repeats)
     return [{**row, "ms": ms[row["levels"], row["knob"]]} for row in rows], alone, repeats
@@ -157,8 +158,13 @@ def run(folder, quick, progress):
         f"bytes saved of {alone['attribute_bytes']:,}, entries of a level's table labelled\n"
         f"reference: {reference}"
     )
-    axes = Axes("grid_bytes", "saved_bytes", "hash grid in the file (bytes)", "", y_scale="linear")
-    axes = axes._replace(y_label="bytes that the context saves")
+    axes = Axes(
+        "grid_bytes",
+        "saved_bytes",
+        "hash grid in the file (bytes)",
+        "bytes that the context saves",
+        y_scale="linear",
+    )
     fig, (ax,) = figure()
     lines(ax, rows, axes)
     sizes = [row["grid_bytes"] for row in rows]

@@ -3,6 +3,8 @@
 import json
 import math
 import sys
+from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -88,14 +90,14 @@ def plane_tables(folder, z_axis, w_axis, maps):
     """Write the numbers of the two heat maps and of the curves."""
     row, column = cuts(z_axis, w_axis)
     bits_rows, gradient_rows, curve_rows = [], [], []
-    for (name, dtype), (bits, gradient) in maps.items():
-        for i, z in enumerate(z_axis):
-            for j, w in enumerate(w_axis):
-                point = {"formula": name, "dtype": dtype, "distance": z, "bin_width": w}
-                bits_rows.append({**point, "bits_error": bits[i, j]})
-                gradient_rows.append({**point, "gradient_error": gradient[i, j]})
-                if i == row or j == column:
-                    curve_rows.append(bits_rows[-1])
+    for ((name, dtype), (bits, gradient)), (i, z), (j, w) in product(
+        maps.items(), enumerate(z_axis), enumerate(w_axis)
+    ):
+        point = {"formula": name, "dtype": dtype, "distance": z, "bin_width": w}
+        bits_rows.append({**point, "bits_error": bits[i, j]})
+        gradient_rows.append({**point, "gradient_error": gradient[i, j]})
+        if i == row or j == column:
+            curve_rows.append(bits_rows[-1])
     return [
         table(folder, "likelihood_bits", bits_rows),
         table(folder, "likelihood_gradient", gradient_rows),
@@ -105,14 +107,15 @@ def plane_tables(folder, z_axis, w_axis, maps):
 
 def timed_methods():
     """[(method, knob, formula, dtype)] of the diagram of times."""
-    timed = [
-        (name, dtype, formula, dtype)
-        for name, formula in FORMULAS.items()
-        if not name.startswith("table")
-        for dtype in DTYPES
+    return [
+        *(
+            (name, dtype, formula, dtype)
+            for name, formula in FORMULAS.items()
+            if not name.startswith("table")
+            for dtype in DTYPES
+        ),
+        *(("table, float64", f"{n}/σ", table_formula(n), "float64") for n in TABLES),
     ]
-    tables = [("table, float64", f"{n}/σ", table_formula(n), "float64") for n in TABLES]
-    return timed + tables
 
 
 def timed_rows(n, repeats):
@@ -121,26 +124,25 @@ def timed_rows(n, repeats):
     w = np.exp(rng.uniform(np.log(0.01), np.log(10), n)).astype(np.float32).astype(float)
     for reach in REACHES:
         z = rng.uniform(0, reach, n).astype(np.float32).astype(float)
-        given = [inputs(z, w, dtype) for *_, dtype in methods]
         runs = {
-            i: lambda i=i, formula=formula: formula(**given[i])
-            for i, (_, _, formula, _) in enumerate(methods)
+            (name, knob): partial(formula, **inputs(z, w, dtype))
+            for name, knob, formula, dtype in methods
         }
         with np.errstate(all="ignore"):
             ms = alternate(runs, repeats)
             work = {
-                i: special_calls(sys.modules[methods[i][2].__module__], run)
-                for i, run in runs.items()
+                key: special_calls(sys.modules[run.func.__module__], run)
+                for key, run in runs.items()
             }
-        for i, (name, knob, formula, dtype) in enumerate(methods):
+        for name, knob, formula, dtype in methods:
             bits, gradient = errors(formula, z, w, dtype)
             rows.append(
                 {
                     "method": name,
                     "knob": knob,
                     "reach": reach,
-                    "ns": 1e6 * ms[i] / n,
-                    "special_per_value": work[i] / n,
+                    "ns": 1e6 * ms[name, knob] / n,
+                    "special_per_value": work[name, knob] / n,
                     "bits_error": worst(bits),
                     "gradient_error": worst(gradient),
                     "failed_share": float(np.mean(~np.isfinite(bits))),
@@ -165,8 +167,8 @@ def run(folder, quick, progress):
     }
     bits_error, slope_error = check_truth(quick)
     progress("likelihood: times")
-    repeats = 3 if quick else 9
-    rows = timed_rows(2000 if quick else 20_000, repeats)
+    n, repeats = (2000, 3) if quick else (20_000, 9)
+    rows = timed_rows(n, repeats)
     draw_times(folder / "likelihood.png", rows)
     draw_map(folder / "likelihood_bits.png", z_axis, w_axis, maps, "bits")
     draw_map(folder / "likelihood_gradient.png", z_axis, w_axis, maps, "gradient")
@@ -214,8 +216,9 @@ def draw_map(path, z_axis, w_axis, maps, what):
         ax.set_xticks([1e-12, 1e-6, 1, 1e6])
     fig.supxlabel("bin width q/σ")
     fig.supylabel("distance |x − μ|/σ")
-    bar = dict(location="right", shrink=0.8, extend="both", label="log10 of the error")
-    fig.colorbar(shown, ax=panels, **bar)
+    fig.colorbar(
+        shown, ax=panels, location="right", shrink=0.8, extend="both", label="log10 of the error"
+    )
     scale = "relative above 1e-6 bits" if what == "bits" else "relative to the larger slope"
     finish(fig, path, f"float64, error of the {what} ({scale})\nred: {FAILED}; {REFERENCE}")
 

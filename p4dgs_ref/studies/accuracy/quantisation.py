@@ -23,10 +23,8 @@ def fix_steps(trainer):
 
 def fixed(model):
     """A trained model with every step at Q_0."""
-    weights, biases = model.networks["psi_q"]
-    weights = [*weights[:-1], np.zeros_like(weights[-1])]
-    biases = [*biases[:-1], np.zeros_like(biases[-1])]
-    return replace(model, networks={**model.networks, "psi_q": (weights, biases)})
+    psi_q = tuple([*a[:-1], np.zeros_like(a[-1])] for a in model.networks["psi_q"])
+    return replace(model, networks={**model.networks, "psi_q": psi_q})
 
 
 def scaled(model, scale):
@@ -46,8 +44,8 @@ def measure(iterations, trained_scales, scales, progress):
     scene, rows = load_scene("bouncing"), []
 
     def add(method, scale, fit, model):
-        work = {"train_seconds": fit.seconds, **fit.work}
-        rows.append({"method": method, "knob": scale, **judge(model, scene), **work})
+        found = {**judge(model, scene), "train_seconds": fit.seconds, **fit.work}
+        rows.append({"method": method, "knob": scale, **found})
 
     for adaptive in (True, False):
         kind = "adaptive" if adaptive else "fixed"
@@ -56,14 +54,11 @@ def measure(iterations, trained_scales, scales, progress):
             preset = preset_at(scale, adaptive, iterations)
             fit = train(scene, preset, prepare=None if adaptive else fix_steps)
             add(f"{kind}, trained with it", scale, fit, fit.model)
-            if scale != 1:
-                continue
-            for other in scales:
+            again = scales if scale == 1 else ()
+            for other in again:
                 add(f"{kind}, rounded to it later", other, fit, scaled(fit.model, other))
-            if adaptive:
-                for other in scales:
-                    model = fixed(scaled(fit.model, other))
-                    add("trained adaptive, made fixed", other, fit, model)
+            for other in again if adaptive else ():
+                add("trained adaptive, made fixed", other, fit, fixed(scaled(fit.model, other)))
     return rows
 
 

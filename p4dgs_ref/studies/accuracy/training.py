@@ -4,6 +4,8 @@ They are the iterations, the anchors, the width of the deformation network, the 
 that is rated, and the seed.
 """
 
+from contextlib import nullcontext
+
 import numpy as np
 
 from ...equations import anchor_rate, hash_rate, likelihood, rate_loss
@@ -44,12 +46,10 @@ class SampledRate:
         """`full`, the objective's own backward, on the rows; then scaled and put among zeros."""
         parts, rows, A = saved
         *per_anchor, grids = full(parts, L_rate_bar, design)
-        spread = []
-        for values in per_anchor:
-            whole = np.zeros((A, values.shape[1]), values.dtype)
-            whole[rows] = values * values.dtype.type(A / len(rows))
-            spread.append(whole)
-        return *spread, grids
+        whole = [np.zeros((A, values.shape[1]), values.dtype) for values in per_anchor]
+        for zeros, values in zip(whole, per_anchor):
+            zeros[rows] = values * values.dtype.type(A / len(rows))
+        return *whole, grids
 
 
 def rated(share, seed=0):
@@ -82,11 +82,8 @@ def measure(quick, progress):
     base, runs = plan(quick)
     for method, knob, preset, share, seed in runs:
         progress(f"training: {method} {knob}")
-        if share < 1:
-            with rated(share):
-                fit = train(scene, preset, seed, rated_share=share)
-        else:
-            fit = train(scene, preset, seed)
+        with rated(share) if share < 1 else nullcontext():
+            fit = train(scene, preset, seed, rated_share=share)
         rows.append(
             {
                 "method": method,
