@@ -5,7 +5,6 @@ alone is switched. All builds train side by side, one step of each in turn, so t
 disturbs the machine disturbs all of them.
 """
 
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from ..scenes.scene import MODEL_EFFECTS
 from ..training.presets import choose
 from ..training.trainer import Trainer
 from .effect_work import counted, effect_bytes
-from .evaluate import evaluate
+from .evaluate import evaluate, timed
 from .report import BLUE, ORANGE, pyplot, save_figure, write_csv
 from .suggest import suggest
 
@@ -38,7 +37,7 @@ def switched(scene, effect):
     return replace(scene, effects=set(scene.effects) ^ {effect})
 
 
-def train_together(scenes, preset, seed, progress=None):
+def train_together(scenes, preset, seed, progress=lambda line: None):
     """Train builds of one scene side by side.
 
     From {name: Scene} to {name: {model, data, ms, work}}. ms is the median of
@@ -53,26 +52,25 @@ def train_together(scenes, preset, seed, progress=None):
                     with counted() as found:
                         trainer.step()
                     work[name].append(found)
-                    continue
-                stage, start = trainer.stage, time.perf_counter()
-                trainer.step()
-                if stage >= 3:
-                    ms[name].append(1e3 * (time.perf_counter() - start))
-            if progress and (i + 1) % max(preset.iterations // 20, 1) == 0:
+                else:
+                    stage, (_, seconds) = trainer.stage, timed(trainer.step)
+                    if stage >= 3:
+                        ms[name].append(1e3 * seconds)
+            if (i + 1) % max(preset.iterations // 20, 1) == 0:
                 progress(f"{i + 1} of {preset.iterations} steps of {len(scenes)} builds")
-    built = {}
-    for name, trainer in trainers.items():
-        data = encode(trainer.model())
-        built[name] = {
+    files = {name: encode(trainer.model()) for name, trainer in trainers.items()}
+    return {
+        name: {
             "model": decode(data),
             "data": data,
             "ms": float(np.median(ms[name])),
             "work": work[name],
         }
-    return built
+        for name, data in files.items()
+    }
 
 
-def ledger(scene, preset="tiny", seed=0, share=0.5, progress=None, **changes):
+def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, **changes):
     """What every effect costs and is worth, one row per effect in the order of the closed list.
 
     `changes` are fields of the preset; `share` is that of its iterations, 1 for all. A row has the
@@ -87,8 +85,7 @@ def ledger(scene, preset="tiny", seed=0, share=0.5, progress=None, **changes):
             f"scene {scene.name}: split 'test': no views; expected at least one to measure on"
         )
     preset = shortened(choose(preset, changes), share)
-    if progress:
-        progress("looking at the pictures")
+    progress("looking at the pictures")
     evidence = {row["effect"]: row["evidence"] for row in suggest(scene)}
     builds = {AS_LISTED: scene, **{effect: switched(scene, effect) for effect in MODEL_EFFECTS}}
     built = train_together(builds, preset, seed, progress)
@@ -113,29 +110,31 @@ def ledger(scene, preset="tiny", seed=0, share=0.5, progress=None, **changes):
 
 def costs(on, off, effect):
     """Time, bytes and work of an effect in the build that has it and in the one that has not."""
-    found = {"ms_on": on["ms"], "ms_off": off["ms"]}
-    for state, build in (("on", on), ("off", off)):
-        found[f"bytes_{state}"] = round(effect_bytes(build["data"])[effect])
-    for state, build in (("on", on), ("off", off)):
-        found[f"work_{state}"] = round(np.mean([work.of(effect) for work in build["work"]]))
-    return found
+    bytes_on, bytes_off = (round(effect_bytes(build["data"])[effect]) for build in (on, off))
+    work_on, work_off = (
+        round(np.mean([work.of(effect) for work in build["work"]])) for build in (on, off)
+    )
+    return {
+        "ms_on": on["ms"],
+        "ms_off": off["ms"],
+        "bytes_on": bytes_on,
+        "bytes_off": bytes_off,
+        "work_on": work_on,
+        "work_off": work_off,
+    }
 
 
 def describe(rows):
     """The ledger as text: a line of numbers per effect, then the evidence for each."""
-    heading = "effect|listed|ms on|ms off|bytes on|off|work on|off|lost off|gained on"
-    table = [heading.split("|")]
+    table = ["effect|listed|ms on|ms off|bytes on|off|work on|off|lost off|gained on".split("|")]
     for row in rows:
         times = [f"{row[name]:.2f}" for name in ("ms_on", "ms_off")]
         counts = [f"{row[name]:,}" for name in ("bytes_on", "bytes_off", "work_on", "work_off")]
         psnr = [signed(row[f"psnr_{name}"]) for name in ("lost_when_off", "gained_when_forced")]
         table.append([row["effect"], "yes" if row["called_for"] else "no", *times, *counts, *psnr])
     widths = [max(map(len, column)) for column in zip(*table)]
-    lines = []
-    for line in table:
-        cells = [f"{cell:<{w}}" for cell, w in zip(line[:2], widths)]
-        cells += [f"{cell:>{w}}" for cell, w in zip(line[2:], widths[2:])]
-        lines.append("  ".join(cells))
+    forms = [f"{side}{width}" for side, width in zip("<<>>>>>>>>", widths)]
+    lines = ["  ".join(map(format, line, forms)) for line in table]
     units = "ms of a whole step; work in multiply-adds per step; PSNR in dB on the test views"
     evidence = [f"{row['effect']}: {row['evidence']}" for row in rows]
     return "\n".join([*lines, "", units, "", *evidence])

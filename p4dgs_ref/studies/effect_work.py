@@ -99,9 +99,9 @@ def effect_bytes(data):
     model = decode(data)
     design, sizes = model.design, Counter()
     for net in ANCHOR_NETWORKS:
-        W = model.networks[net][0][0]
+        inputs, units = model.networks[net][0][0].shape
         effect = "view_color" if net == "psi_c" else "view_geometry"
-        sizes[effect] += 2 * (len(W) - design.d) * W.shape[1]
+        sizes[effect] += 2 * (inputs - design.d) * units
     if "psi_d" in model.networks:
         numbers = [W.size + b.size for W, b in zip(*model.networks["psi_d"])]
         heads = {effect: n for effect, n in zip(fx.MOTION, numbers[-3:]) if n}

@@ -66,26 +66,25 @@ def write_csv(path, rows, columns=None):
 
 def draw_comparison(path, scene, rows, images, count=4):
     """Truth, decoded image and absolute error of a few test views spread over time."""
-    plt, views = pyplot(), scene.test
+    views = scene.test
     order = np.argsort([view.time for view in views], kind="stable")
     chosen = order[np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int)]
-    figure, axes = plt.subplots(
+    figure, axes = pyplot().subplots(
         3, len(chosen), figsize=(2.6 * len(chosen) + 0.5, 9.2), squeeze=False, layout="constrained"
     )
     for column, i in enumerate(chosen):
         image = np.clip(images[i], 0, 1)
         error = np.abs(image - views[i].image).mean(axis=2)
-        axes[0, column].set_title(f"t = {views[i].time:.2f}")
-        axes[0, column].imshow(views[i].image, vmin=0, vmax=1)
-        axes[1, column].set_title(f"PSNR {rows[i]['psnr_db']:.1f} dB")
-        axes[1, column].imshow(image)
-        axes[2, column].set_title(f"mean {error.mean():.3f}")
-        shown = axes[2, column].imshow(error, cmap="magma", vmin=0, vmax=LARGEST_ERROR)
-    for ax, label in zip(axes[:, 0], ("truth", "decoded", "absolute error")):
-        ax.set_ylabel(label, fontsize=15)
-    for ax in axes.ravel():
-        ax.set(xticks=[], yticks=[])
-        ax.spines[:].set_visible(False)
+        panels = (
+            ("truth", f"t = {views[i].time:.2f}", views[i].image, 1),
+            ("decoded", f"PSNR {rows[i]['psnr_db']:.1f} dB", image, 1),
+            ("absolute error", f"mean {error.mean():.3f}", error, LARGEST_ERROR),
+        )
+        for ax, (label, title, picture, end) in zip(axes[:, column], panels):
+            shown = ax.imshow(picture, cmap="magma", vmin=0, vmax=end)
+            ax.set(xticks=[], yticks=[], title=title)
+            ax.set_ylabel(label if column == 0 else "", fontsize=15)
+            ax.spines[:].set_visible(False)
     figure.colorbar(
         shown,
         ax=axes,
@@ -116,11 +115,10 @@ def write_motion(path, model, camera, frames=24, zoom=4):
 
 def draw_size(path, components, explicit):
     """Bytes by component; the title compares the file with the same Gaussians as float32."""
-    plt = pyplot()
     names = sorted(components, key=components.get)
     values = [components[name] for name in names]
     total = sum(values)
-    figure, ax = plt.subplots(figsize=(8.5, 5))
+    figure, ax = pyplot().subplots(figsize=(8.5, 5))
     bars = ax.barh([LABELS[name] for name in names], values, color=BLUE)
     ax.bar_label(bars, [f" {v:,} ({100 * v / total:.1f} %)" for v in values])
     ax.set(xlabel="bytes in the file", xlim=(0, 1.35 * max(values)))
@@ -140,7 +138,6 @@ def draw_ledger(path, rows):
     There are two panels, because the last three are a hundredth of the sections: all bytes, and the
     bytes beyond the entropy.
     """
-    plt = pyplot()
     rows = sorted(rows, key=lambda row: row["bytes"])
     names = [LABELS.get(row["name"], row["name"]) for row in rows]
     parts = {
@@ -149,7 +146,9 @@ def draw_ledger(path, rows):
         "+ coder": [row["payload_bytes"] - row["integer_bytes"] for row in rows],
         "+ headers": [row["header_bytes"] for row in rows],
     }
-    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 5.5), sharey=True, layout="constrained")
+    figure, (left, right) = pyplot().subplots(
+        1, 2, figsize=(12, 5.5), sharey=True, layout="constrained"
+    )
     for ax, skip in ((left, 0), (right, 1)):
         start = np.zeros(len(rows))
         for color, (label, values) in list(zip(STACK, parts.items()))[skip:]:
@@ -185,9 +184,10 @@ def draw_heat(path, image, bits, limits):
 
 def draw_training(path, history, stage_ends):
     """PSNR of the training views and bits per coded number over the iterations and four stages."""
-    plt = pyplot()
-    table = {name: np.array([row[i] for row in history], float) for i, name in enumerate(COLUMNS)}
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(8.5, 6), sharex=True, layout="constrained")
+    table = dict(zip(COLUMNS, np.array(history, float).T))
+    figure, (top, bottom) = pyplot().subplots(
+        2, 1, figsize=(8.5, 6), sharex=True, layout="constrained"
+    )
     at, values = table["iteration"], table["psnr_db"]
     top.plot(at, values, ".", color=LIGHT_BLUE, markersize=4, label="the iteration's view")
     width = max(1, min(10, len(values) // 4))
@@ -199,13 +199,12 @@ def draw_training(path, history, stage_ends):
     top.legend(loc="lower right", frameon=False)
     rated = table["stage"] == 4
     bottom.plot(at[rated], table["bits_per_parameter"][rated], color=RED)
+    stages = ", ".join(f"{i} {name}" for i, name in enumerate(STAGE_NAMES, 1))
     bottom.set(
         ylabel="bits per coded number",
         ylim=(0, None),
         xlim=(0, stage_ends[-1]),
-        xlabel="iteration (stages: "
-        + ", ".join(f"{i} {name}" for i, name in enumerate(STAGE_NAMES, 1))
-        + ")",
+        xlabel=f"iteration (stages: {stages})",
     )
     for number, (start, end) in enumerate(zip((0, *stage_ends[:3]), stage_ends), 1):
         if end > start:

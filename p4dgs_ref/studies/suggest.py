@@ -8,6 +8,8 @@ surface decide about a dependence on the viewer. Where pictures cannot tell, an 
 model with an effect too many is larger, a model with an effect too few is wrong.
 """
 
+from itertools import product
+
 import numpy as np
 from scipy.ndimage import binary_dilation
 
@@ -115,11 +117,10 @@ def depth_map(hull, step, camera):
     height, width = camera.height, camera.width
     depth = np.full((height + 2, width + 2), np.inf)
     reach = int(np.ceil(step * max(camera.f_x, camera.f_y) / np.median(z) / 2)) if len(z) else 1
-    for dv in range(-reach, reach + 1):
-        for du in range(-reach, reach + 1):
-            v = np.clip(row[inside] + 1 + dv, 0, height + 1)
-            u = np.clip(column[inside] + 1 + du, 0, width + 1)
-            np.minimum.at(depth, (v, u), z[inside])
+    for dv, du in product(range(-reach, reach + 1), repeat=2):
+        v = np.clip(row[inside] + 1 + dv, 0, height + 1)
+        u = np.clip(column[inside] + 1 + du, 0, width + 1)
+        np.minimum.at(depth, (v, u), z[inside])
     return depth[1:-1, 1:-1]
 
 
@@ -162,8 +163,8 @@ def motion(times, bare, change):
             "camera at a time cannot tell translation, rotation and scaling apart"
         )
     if change is None or change > COLOR_CHANGE:
-        shown = f"colours of one point differ by {change:.3f}" if change is not None else ""
-        shown = shown or f"no point is seen by {WITNESSES} views"
+        unseen = f"no point is seen by {WITNESSES} views"
+        shown = unseen if change is None else f"colours of one point differ by {change:.3f}"
         return True, f"{KEPT}silhouettes agree over time, but {shown}, as with motion inside them"
     return False, (
         f"one still shape fits all silhouettes ({100 * bare:.2f} % of the foreground left over), "

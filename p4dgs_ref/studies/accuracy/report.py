@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 
 from ...splatting.settings import SETTINGS
+from ..evaluate import timed
 from . import coder, gradients, hash_grid, likelihood, quantisation, rendering, size, training
 from .diagram import number
 from .timing import machine
@@ -30,18 +31,15 @@ def run(names, folder, quick=False, progress=lambda line: None):
     Returns {"machine", "quick", "seconds", "studies": [...]}, plain values for JSON. Raises
     ValueError for an unknown name.
     """
-    names = list(STUDIES) if names is None else list(names)
-    folder, start = Path(folder), time.perf_counter()
+    names = STUDIES if names is None else list(names)
+    folder, start, findings = Path(folder), time.perf_counter(), []
     for name in names:
         if name not in STUDIES:
             raise ValueError(f"study {name!r}: expected one of {', '.join(STUDIES)}")
-    findings = []
-    for name in STUDIES:
-        if name in names:
-            begun = time.perf_counter()
-            found = STUDIES[name](folder, quick, progress)
-            complete_tables(found, folder)
-            findings.append({**found._asdict(), "seconds": time.perf_counter() - begun})
+    for name in sorted(set(names), key=list(STUDIES).index):
+        found, seconds = timed(STUDIES[name], folder, quick, progress)
+        complete_tables(found, folder)
+        findings.append({**found._asdict(), "seconds": seconds})
     result = {
         "machine": machine(),
         "quick": quick,
