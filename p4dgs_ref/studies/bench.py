@@ -308,11 +308,13 @@ def describe(result):
     lines += [f"  {part:16} {ms:6.2f} ms" for part, ms in result["step_ms"].items()]
     lines.append("entropy coder, every symbol with its own Gaussian")
     for r in result["coder"]:
-        over = r["over_entropy_percent"]
-        lines.append(f"  {r['symbols']:,} symbols, {over:+.3f} % more than the entropy")
-        for what in ("encode", "decode"):
-            plain = f"readable twin {r[f'{what}_plainly_ms']:6.1f} ms"
-            lines.append(f"    {speed(what, r)}; {plain}")
+        lines.append(
+            f"  {r['symbols']:,} symbols, {r['over_entropy_percent']:+.3f} % more than the entropy"
+        )
+        lines += [
+            f"    {speed(what, r)}; readable twin {r[f'{what}_plainly_ms']:6.1f} ms"
+            for what in ("encode", "decode")
+        ]
     r = result["sections"]
     lines.append(
         f"all attribute sections of a model, with the integer context: {r['symbols']:,} symbols, "

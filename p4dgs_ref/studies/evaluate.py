@@ -57,13 +57,13 @@ def evaluate(model, scene, settings=FAST, split="test"):
     if not views:
         raise ValueError(f"scene {scene.name}: split '{split}' has no views to evaluate on")
     model.render(views[0].camera, views[0].time, settings)  # warm up
-    rows, images, seconds, counts = [], [], [], []
-    for view in views:
-        image, spent = timed(model.render, view.camera, view.time, settings)
-        seconds.append(spent)
-        counts.append(len(model.gaussians(view.time, view.camera).alpha))
-        rows.append({"name": view.name, "time": view.time, **score(image, view)})
-        images.append(image)
+    rendered = [timed(model.render, view.camera, view.time, settings) for view in views]
+    images, seconds = map(list, zip(*rendered))
+    counts = [len(model.gaussians(view.time, view.camera).alpha) for view in views]
+    rows = [
+        {"name": view.name, "time": view.time, **score(image, view)}
+        for view, image in zip(views, images)
+    ]
 
     def mean(key):
         values = [row[key] for row in rows if row[key] is not None]

@@ -6,18 +6,17 @@ from ..splatting import render
 from ..splatting.settings import FAST
 
 
-def heat_colors(bits, limits, name):
-    """Colours (A, 3) of matplotlib's map `name`; values outside the limits take the end colours."""
+def heat_image(model, bits, camera, t, limits, name):
+    """The model at time t over white, (H, W, 3), coloured by the bits (A,) of the anchors.
+
+    The colours are those of matplotlib's map `name`; bits outside the limits take its end colours.
+    """
     from matplotlib import colormaps
 
     low, high = limits
-    return colormaps[name]((bits - low) / max(high - low, 1e-9))[:, :3]
-
-
-def heat_image(model, bits, camera, t, limits, name):
-    """The model at time t over white, (H, W, 3), coloured by the bits (A,) of the anchors."""
+    colors = colormaps[name]((bits - low) / max(high - low, 1e-9))[:, :3]
     g = model.gaussians(t, camera)
-    color = heat_colors(bits, limits, name)[g.index // model.design.k]
+    color = colors[g.index // model.design.k]
     occlusion = "occlusion" in model.design.effects
     (image, *_), _ = render.forward(
         g.x, g.s, g.r, g.alpha, color, camera, np.ones(3), FAST, occlusion

@@ -131,8 +131,15 @@ def legend(ax):
 def legend_below(fig, ax, columns, count=None, **options):
     """A legend below the panels, of the first `count` lines of one of them."""
     handles, labels = ax.get_legend_handles_labels()
-    options = {"loc": "outside lower center", "fontsize": 10, "frameon": False, **options}
-    fig.legend(handles[:count], labels[:count], ncols=columns, **options)
+    fig.legend(
+        handles[:count],
+        labels[:count],
+        ncols=columns,
+        loc="outside lower center",
+        fontsize=10,
+        frameon=False,
+        **options,
+    )
 
 
 def readable_ticks(axis):

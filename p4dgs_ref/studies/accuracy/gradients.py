@@ -106,9 +106,11 @@ def sweep(key, quick):
     """Rows of one equation: the error of every method at every step."""
     loss, rows = Loss(key), []
     truth = loss.backward(loss.x)
-    methods = [name for name in METHODS if name != "complex step"]
     runs = [
-        (method, dtype, DEEPEST[dtype]) for method in methods for dtype in ("float64", "float32")
+        (method, dtype, DEEPEST[dtype])
+        for method in METHODS
+        for dtype in ("float64", "float32")
+        if method != "complex step"
     ]
     if key in COMPLEX_SAFE:
         runs.append(("complex step", "float64", DEEPEST["complex step"]))

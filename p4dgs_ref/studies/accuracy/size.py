@@ -172,12 +172,12 @@ def at_goal(fit):
 
 def hours(rows):
     """Hours of the paper's schedule at its size, by part, over the part's iterations."""
-    ends, found = (0, *PAPER_SYNTHETIC.stage_ends), {}
-    for part, fit in fits(rows, "ms").items():
-        iterations = ends[4] - ends[FIRST_STAGE.get(part, 1) - 1]
-        found[part] = at_goal(fit) * iterations / 3.6e6
-    del found["whole step"]
-    return found
+    ends = (0, *PAPER_SYNTHETIC.stage_ends)
+    return {
+        part: at_goal(fit) * (ends[4] - ends[FIRST_STAGE.get(part, 1) - 1]) / 3.6e6
+        for part, fit in fits(rows, "ms").items()
+        if part != "whole step"
+    }
 
 
 def run(folder, quick, progress):

@@ -64,16 +64,16 @@ def rated(share, seed=0):
 
 def plan(quick):
     """The preset of the common point, and [(method, knob, preset, share, seed)] of all runs."""
-    middle = 120 if quick else 950
-    base, seeds = reduced(middle), range(2 if quick else 3)
+    base, seeds = (reduced(120), range(2)) if quick else (reduced(950), range(3))
     iterations = (60, 240) if quick else (240, 475, 1900, 3800)
     anchors, widths = ((100,), (32,)) if quick else ((50, 100, 400), (16, 32, 128, 192))
-    runs = [("seeds", seed, base, 1.0, seed) for seed in seeds]
-    runs += [("iterations", n, reduced(n), 1.0, 0) for n in iterations]
-    runs += [("anchors", A, base._replace(anchors=A), 1.0, 0) for A in anchors]
-    runs += [("deformation width", W, base._replace(deformation=(W, W)), 1.0, 0) for W in widths]
-    runs += [("anchors rated", share, base, share, 0) for share in SHARES[1:]]
-    return base, runs
+    return base, [
+        *(("seeds", seed, base, 1.0, seed) for seed in seeds),
+        *(("iterations", n, reduced(n), 1.0, 0) for n in iterations),
+        *(("anchors", A, base._replace(anchors=A), 1.0, 0) for A in anchors),
+        *(("deformation width", W, base._replace(deformation=(W, W)), 1.0, 0) for W in widths),
+        *(("anchors rated", share, base, share, 0) for share in SHARES[1:]),
+    ]
 
 
 def measure(quick, progress):
@@ -133,10 +133,8 @@ def run(folder, quick, progress):
 
 def label(row):
     """The text beside a point."""
-    if row["method"] == "seeds":
-        return ""
-    share = row["method"] == "anchors rated"
-    return f"{100 * row['knob']:g} %" if share else f"{row['knob']:g}"
+    texts = {"seeds": "", "anchors rated": f"{100 * row['knob']:g} %"}
+    return texts.get(row["method"], f"{row['knob']:g}")
 
 
 def read(rows):
