@@ -103,8 +103,7 @@ def part_by_part(trainer, measured):
 
 def step_times(trainer):
     """Milliseconds of every part in all its calls of one step, and of the whole step."""
-    seconds = part_by_part(trainer, timed)
-    return {part: 1e3 * sum(calls) for part, calls in seconds.items()}
+    return {part: 1e3 * sum(calls) for part, calls in part_by_part(trainer, timed).items()}
 
 
 def alternate(functions, repeats, calls=None):

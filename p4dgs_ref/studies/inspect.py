@@ -59,8 +59,7 @@ def ledger(data):
     for name, flags in (("masks", model.anchors.mask), ("hash_grid", signs)):
         ones, f = np.count_nonzero(flags), int.from_bytes(sections[name][:4], "little") / 2**24
         coded = -(xlogy(ones, f) + xlogy(flags.size - ones, 1 - f)) / np.log(2)
-        header = stream_header(sections[name], 4)
-        found[name] = header, flags.size, entropy_bits(flags), coded
+        found[name] = stream_header(sections[name], 4), flags.size, entropy_bits(flags), coded
     for name, columns in attribute_columns(model.design):
         kept = q.kept[:, columns]
         estimate, coded = (bits[:, columns][kept].sum() for bits in (floats, integers))

@@ -227,8 +227,13 @@ def draw_widths(path, rows, context):
         "weights of ψ_p": WEIGHT_WIDTHS[-1],
     }
     shown = [row for row in [*rows, *context] if row["method"] in of_codec]
-    x_label = "fractional bits of mean and deviation; bits of a weight"
-    axes = Axes("knob", "model_percent", x_label, "entropy lost by the model (%)", "linear")
+    axes = Axes(
+        "knob",
+        "model_percent",
+        "fractional bits of mean and deviation; bits of a weight",
+        "entropy lost by the model (%)",
+        "linear",
+    )
     lines(ax, shown, axes, label=False)
     for method, width in of_codec.items():
         lost = at(shown, method=method, knob=width)["model_percent"]

@@ -48,8 +48,8 @@ def symmetric(f_noisy, mu, sigma, q):
     low, high = edges(f_noisy, mu, sigma, q)
     p = ndtr(-low) - ndtr(-high)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = density(low) / p, density(high) / p
-        return in_bits(f_noisy, mu, sigma, q, np.log(p), *slopes_of(f_noisy - mu, *ratios))
+        slopes = slopes_of(f_noisy - mu, density(low) / p, density(high) / p)
+        return in_bits(f_noisy, mu, sigma, q, np.log(p), *slopes)
 
 
 def log_domain(f_noisy, mu, sigma, q):
@@ -131,8 +131,8 @@ def in_bits(x, mu, sigma, q, log_p, slope_z, slope_w):
     with np.errstate(invalid="ignore"):  # inf - inf where the bits are infinite
         sigma_slope = -(z * slope_z + w * slope_w)  # sigma divides both z and w
     bits = log_p * (-1 / math.log(2)) + 0.0  # adding 0 turns -0 into 0
-    found = per_unit * slope_z, per_unit * sigma_slope, per_unit * slope_w
-    saved = tuple(a.astype(x.dtype, copy=False) for a in found)
+    slopes = per_unit * slope_z, per_unit * sigma_slope, per_unit * slope_w
+    saved = tuple(slope.astype(x.dtype, copy=False) for slope in slopes)
     return bits.astype(x.dtype, copy=False), saved
 
 

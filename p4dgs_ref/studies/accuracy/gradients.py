@@ -1,5 +1,7 @@
 """Study 7, gradients: difference quotients and the complex step against the manual backward."""
 
+from functools import partial
+
 import numpy as np
 
 from ...table import EQUATIONS
@@ -43,8 +45,13 @@ def inputs_of(key):
     if key == "opacity":
         return random_anchor_network(np.random.default_rng(3))
     if key == "compositing":
-        frame = dict(background=np.array([0.9, 0.5, 0.2]), height=5, width=6, occlusion=True)
-        return {**random_splats(np.random.default_rng(33), 7, 5, 6), **frame}
+        return dict(
+            **random_splats(np.random.default_rng(33), 7, 5, 6),
+            background=np.array([0.9, 0.5, 0.2]),
+            height=5,
+            width=6,
+            occlusion=True,
+        )
     rng, shape = np.random.default_rng(16), (5, 4)
     sigma = rng.lognormal(size=shape)
     mu, q = rng.normal(size=shape), sigma * rng.uniform(0.2, 3, size=shape)
@@ -143,20 +150,19 @@ def cost_rows(rows, repeats):
 
     The error of the manual backward is its distance to the method with the smallest error.
     """
-    found, runs = [], {}
-    for key in SUBJECTS:
-        loss = Loss(key)
-        for method in dict.fromkeys(row["method"] for row in select(rows, equation=key)):
-            row = best(rows, equation=key, method=method, dtype="float64")
-            found.append(row)
-            runs[key, method] = lambda loss=loss, row=row: quotients(
-                loss, loss.x, row["step"], row["method"]
-            )
-    for key in SUBJECTS:
-        loss = Loss(key)
-        manual = {"method": "manual backward", "step": 0.0, "evaluations": 1}
-        found.append({**best(found, equation=key), **manual})
-        runs[key, "manual backward"] = lambda loss=loss: loss.backward(loss.x)
+    pairs = dict.fromkeys((row["equation"], row["method"]) for row in rows)
+    found = [best(rows, equation=key, method=name, dtype="float64") for key, name in pairs]
+    losses, runs = {key: Loss(key) for key in SUBJECTS}, {}
+    for row in found:
+        loss = losses[row["equation"]]
+        runs[row["equation"], row["method"]] = partial(
+            quotients, loss, loss.x, row["step"], row["method"]
+        )
+    manual = {"method": "manual backward", "step": 0.0, "evaluations": 1}
+    found += [{**best(found, equation=key), **manual} for key in SUBJECTS]
+    runs |= {
+        (key, manual["method"]): partial(loss.backward, loss.x) for key, loss in losses.items()
+    }
     ms = alternate(runs, repeats)
     return [{**row, "ms": ms[row["equation"], row["method"]]} for row in found]
 

@@ -66,8 +66,9 @@ class ContextFit:
         bits, saved_bits = likelihood.forward(self.values, ctx.mu, ctx.sigma, self.steps)
         (R_hash, _, _), saved_rate = hash_rate.forward(grids)
         bars = likelihood.backward(saved_bits, self.kept / count)
-        q_bar = np.zeros_like(ctx.q)
-        grids_bar, networks = context_backward(saved, q_bar, bars["mu"], bars["sigma"])
+        grids_bar, networks = context_backward(
+            saved, np.zeros_like(ctx.q), bars["mu"], bars["sigma"]
+        )
         rate_bar = hash_rate.backward(saved_rate, np.float64(1 / count))["grids"]
         gradients = self.p.zeros()
         gradients.fill("psi_p", networks["psi_p"])

@@ -77,8 +77,9 @@ def check_truth(quick):
 def plane(quick):
     """Distances and widths of the plane: two axes of numbers that float32 can hold."""
     n = 25 if quick else 73
-    ranges = (-2, 3), (-12, 6)
-    return tuple(np.logspace(*limits, n).astype(np.float32).astype(float) for limits in ranges)
+    return tuple(
+        np.logspace(*limits, n).astype(np.float32).astype(float) for limits in ((-2, 3), (-12, 6))
+    )
 
 
 def cuts(z_axis, w_axis):

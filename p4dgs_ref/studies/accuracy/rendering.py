@@ -1,5 +1,6 @@
 """Study 1, rendering: what footprint, precision, stop and tile size cost and save."""
 
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -92,15 +93,15 @@ def measure(name, n, size, combinations, repeats):
     """Rows of the combinations, both exact twins and the three named settings, timed in turn."""
     scene = splat_scene(name, n, size)
     runs = {
-        ("combination", *what.values()): (what, lambda s=settings: tiled(scene, s))
+        ("combination", *what.values()): (what, partial(tiled, scene, settings))
         for what, settings in combinations
     }
     blank = dict(footprint="dense", cut="", dtype="float32", tile="", stop="0")
     runs["dense"] = blank, lambda: exact(scene, "float32")
     for setting, s in SETTINGS.items():
         what = {**blank, "footprint": setting, "dtype": s.dtype, "stop": f"{s.stop:g}"}
-        is_exact = s.footprint == "all"
-        runs[setting] = what, lambda s=s, e=is_exact: exact(scene) if e else tiled(scene, s)
+        run = partial(exact, scene) if s.footprint == "all" else partial(tiled, scene, s)
+        runs[setting] = what, run
     ms = alternate({key: run for key, (_, run) in runs.items()}, repeats)
     truth = exact(scene)
     return [

@@ -62,9 +62,8 @@ def complete_tables(found, folder):
 def page(result):
     """The page as Markdown: the machine, then one section per study."""
     about = "; ".join(f"{name} {value}" for name, value in result["machine"].items())
-    sizes = "The full sizes were used."
-    if result["quick"]:
-        sizes = "The quick sizes were used: few points, hardly trained models, rough times."
+    quick = "The quick sizes were used: few points, hardly trained models, rough times."
+    sizes = quick if result["quick"] else "The full sizes were used."
     parts = [
         "# What accuracy costs in time",
         "",

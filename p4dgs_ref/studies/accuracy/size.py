@@ -231,8 +231,13 @@ def draw_parts(path, rows, middle, side, what, label):
         ("", select(shown, anchors=middle), over_pixels),
     ]
     fig, panels = draw_panels(contents, (8, 6.2), sharey=True, label=False, order=names.values())
-    title = "fitted exponents in brackets: of anchors, of pixels"
-    legend_below(fig, panels[0], 2, title=title, title_fontsize=10)
+    legend_below(
+        fig,
+        panels[0],
+        2,
+        title="fitted exponents in brackets: of anchors, of pixels",
+        title_fontsize=10,
+    )
     finish(fig, path, "the paper's architecture with fewer anchors, a step of stage 4")
 
 

@@ -55,8 +55,9 @@ def special_calls(module, function):
     Unlike the time, this work is the same on every machine.
     """
     counting = Counting()
-    names = [name for name in SPECIAL if hasattr(module, name)]
-    counted = {name: counting.counted(getattr(module, name)) for name in names}
+    counted = {
+        name: counting.counted(getattr(module, name)) for name in SPECIAL if hasattr(module, name)
+    }
     with replaced(module, np=counting, **counted):
         function()
     return counting.elements

@@ -164,5 +164,5 @@ def read(rows):
 
 def difference(row, other):
     """The difference of two results in decibels and bytes."""
-    psnr = row["psnr_db"] - other["psnr_db"]
-    return f"{psnr:+.2f} dB and {row['bytes'] - other['bytes']:+,} bytes"
+    psnr, size = (row[key] - other[key] for key in ("psnr_db", "bytes"))
+    return f"{psnr:+.2f} dB and {size:+,} bytes"
