@@ -38,17 +38,6 @@ def random_anchor_network(rng, A=5, d=2, k=4, outputs=1, hidden=(7, 6)):
     )
 
 
-def without_view(inputs):
-    """The same anchor network in a scene without view effects: no view columns, no view weights."""
-    d = inputs["f_a"].shape[1]
-    return {
-        **inputs,
-        "delta_vc": inputs["delta_vc"][:, :0],
-        "d_vc": inputs["d_vc"][:, :0],
-        "weights": [inputs["weights"][0][:d], *inputs["weights"][1:]],
-    }
-
-
 def random_splats(rng, n, height, width, sigma=(1.5, 4.0), alpha=(0.05, 0.9)):
     """Inputs of compositing: n splats of the given size in pixels, spread over an image."""
     angle, radii = rng.uniform(0, np.pi, n), rng.uniform(*sigma, size=(2, n))

@@ -251,23 +251,22 @@ def read(rows, context):
     """What the numbers say."""
     fitted, wide = select(rows, method=FITTED_WINDOW), select(rows, method=WIDE_WINDOW)
     mean, deviation = select(rows, method="mean"), select(rows, method="log2 deviation")
-    codec, most = at(rows, method="the codec"), fitted[-1]["percent"]
-    enough = next(row for row in fitted if row["percent"] < 2 * most)
-    least = context[-1]["model_percent"]
-    light = next(row for row in context if row["model_percent"] < 0.1 + least)
+    codec, most, least = at(rows, method="the codec"), fitted[-1], context[-1]
+    enough = next(row for row in fitted if row["percent"] < 2 * most["percent"])
+    light = next(row for row in context if row["model_percent"] < 0.1 + least["model_percent"])
     of_codec = at(deviation, knob=SIGMA_BITS)["model_percent"]
     return (
         f"With {fitted[0]['knob']} bits and a window fitted to them, the file is "
-        f"{fitted[0]['percent']:.2f} % larger than the entropy, with {fitted[-1]['knob']} bits "
-        f"{most:.3f} %; {enough['knob']} bits are the fewest within twice that. The codec's window "
-        f"of 12 σ needs at least {wide[0]['knob']} bits and costs {wide[0]['percent']:.2f} % "
-        f"there. The codec itself is {codec['percent']:.3f} % above the entropy, of which the "
-        f"model is {codec['model_percent']:.3f} %, with {codec['table_entries']:,} table entries; "
-        f"means of {mean[-1]['knob']} bits without its coarser grid for wide Gaussians take "
-        f"{mean[-1]['table_entries']:,} entries and "
+        f"{fitted[0]['percent']:.2f} % larger than the entropy, with {most['knob']} bits "
+        f"{most['percent']:.3f} %; {enough['knob']} bits are the fewest within twice that. The "
+        f"codec's window of 12 σ needs at least {wide[0]['knob']} bits and costs "
+        f"{wide[0]['percent']:.2f} % there. The codec itself is {codec['percent']:.3f} % above the "
+        f"entropy, of which the model is {codec['model_percent']:.3f} %, with "
+        f"{codec['table_entries']:,} table entries; means of {mean[-1]['knob']} bits without "
+        f"its coarser grid for wide Gaussians take {mean[-1]['table_entries']:,} entries and "
         f"{mean[-1]['ns_per_symbol'] / codec['ns_per_symbol']:.2g} times its time. Deviations "
         f"rounded to a power of two (0 bits) lose {deviation[0]['model_percent']:.2f} %, the "
         f"codec's {SIGMA_BITS} bits {of_codec:.3f} %; means rounded to a step lose "
         f"{number(mean[0]['model_percent'])} %. Weights of {light['knob']} bits are within 0.1 % "
-        f"of the codec's {context[-1]['knob']}."
+        f"of the codec's {least['knob']}."
     )

@@ -41,7 +41,7 @@ class Axes(NamedTuple):
 TIME = Axes("ms", "error", "time (ms, median of alternating repeats)", "error")
 
 
-def lines(ax, rows, axes, knob="knob", label=True, order=(), **changes):
+def lines(ax, rows, axes, label=True, order=(), **changes):
     """Draw one line per method through its rows (dictionaries), with the knob beside each point.
 
     A value that the axis cannot show stays out of the line: NaN and infinity are a red cross above
@@ -61,7 +61,7 @@ def lines(ax, rows, axes, knob="knob", label=True, order=(), **changes):
             [row[axes.x] for row in shown],
             [row[axes.y] for row in shown],
             # Without a knob nothing lies between the points.
-            "-" if any(row.get(knob) != "" for row in own) else "",
+            "-" if any(row.get("knob") != "" for row in own) else "",
             label=method,
             markersize=6 if len(shown) > 1 else 10,
             linewidth=1.6,
@@ -73,9 +73,9 @@ def lines(ax, rows, axes, knob="knob", label=True, order=(), **changes):
                 mark(ax, row[axes.x], 3 * high, color="red", marker="x")
             elif row not in shown:
                 mark(ax, row[axes.x], low / 3, **style)
-            elif label and row[knob] != "":
+            elif label and row["knob"] != "":
                 ax.annotate(
-                    f"{row[knob]}",
+                    f"{row['knob']}",
                     (row[axes.x], row[axes.y]),
                     xytext=(5, 4),
                     textcoords="offset points",

@@ -173,8 +173,12 @@ def run(folder, quick, progress):
     ax.plot(bound, bound, ":", color="gray", label="pays for the grid")
     legend(ax)
     finish(fig, folder / "hash_grid.png", title)
-    over_time = axes._replace(x="ms", x_label="one iteration of the context (ms)")
-    work_precision(folder / "hash_grid_time.png", rows, over_time, title)
+    work_precision(
+        folder / "hash_grid_time.png",
+        rows,
+        axes._replace(x="ms", x_label="one iteration of the context (ms)"),
+        title,
+    )
     return Finding(
         "hash_grid",
         "Hash grid",

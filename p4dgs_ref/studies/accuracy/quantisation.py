@@ -63,8 +63,7 @@ def measure(iterations, trained_scales, scales, progress):
 
 
 def run(folder, quick, progress):
-    iterations = 120 if quick else 950
-    trained = (1.0, 4.0) if quick else (0.25, 0.5, 1.0, 2.0, 4.0)
+    iterations, trained = (120, (1.0, 4.0)) if quick else (950, (0.25, 0.5, 1.0, 2.0, 4.0))
     rows = measure(iterations, trained, (0.25, 0.5, 1.0, 2.0, 4.0, 8.0), progress)
     shown = [
         {**row, "knob": f"{row['knob']:g}", "coded": row["attribute_bytes"] + row["grid_bytes"]}

@@ -189,9 +189,11 @@ def run(folder, quick, progress):
     rows = measure(points, rounds, progress)
     frames = frame_rows((3, 6, 12) if quick else (4, 8, 16, 32), 3, progress)
     by_part = [{"part": part, "hours": value} for part, value in hours(rows).items()]
-    draw_parts(folder / "size.png", rows, middle, side, "ms", "time of a step (ms)")
-    label = "memory at its worst moment (MB)"
-    draw_parts(folder / "size_memory.png", rows, middle, side, "mb", label)
+    for name, what, label in (
+        ("size.png", "ms", "time of a step (ms)"),
+        ("size_memory.png", "mb", "memory at its worst moment (MB)"),
+    ):
+        draw_parts(folder / name, rows, middle, side, what, label)
     draw_frames(folder / "size_frames.png", frames)
     return Finding(
         "size",

@@ -51,6 +51,17 @@ class Case(NamedTuple):
     tolerance: float = 1e-12
 
 
+def without_view(inputs):
+    """The same anchor network in a scene without view effects: no view columns, no view weights."""
+    d = inputs["f_a"].shape[1]
+    return {
+        **inputs,
+        "delta_vc": inputs["delta_vc"][:, :0],
+        "d_vc": inputs["d_vc"][:, :0],
+        "weights": [inputs["weights"][0][:d], *inputs["weights"][1:]],
+    }
+
+
 def cases_of(key):
     """The cases of the equation with that key."""
     return list(import_module(f"{__name__}.{key}").cases())

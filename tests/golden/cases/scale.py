@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from p4dgs_ref.studies.random_inputs import random_anchor_network, without_view
+from p4dgs_ref.studies.random_inputs import random_anchor_network
 
-from . import Case
+from . import Case, without_view
 
 
 def cases():
