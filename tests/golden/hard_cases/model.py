@@ -23,7 +23,7 @@ def view_entries():
     yield hard(
         "H-P1.beside",
         "view",
-        "an anchor 1e-23 from the camera: squares of differences leave float32",
+        "an anchor 1e-23 from the camera: squares of differences leave the range of float32",
         dict(x_a=np.array([[3e-23, -4e-23, 1.2e-22], [1e-9, 2e-9, 2e-9]]), x_c=np.zeros(3)),
         ("delta_vc", (0, 0)),
         "plain_distance",
@@ -164,7 +164,7 @@ def image_entries():
     yield hard(
         "H-P7.nearly_equal",
         "render_loss",
-        "images 1e-4 apart: 1 - SSIM loses what is left in float32",
+        "images 1e-4 apart: 1 - SSIM has no digits left in float32",
         dict(image=truth + 1e-4 * rng.choice([-1, 1], truth.shape), truth=truth, lambda_ssim=0.25),
         ("D_SSIM", ()),
         "one_minus_ssim",

@@ -20,7 +20,7 @@ def rate_entries():
         yield hard(
             f"H-R1.{z}sigma",
             "likelihood",
-            f"a bin {z} sigma from mu, on either side: both CDFs round to 0 or 1",
+            f"a bin {z} sigma from mu, on either side: a difference of CDFs close to 0 or 1",
             _bins([z, -z, z, -z], [1, 1, NARROW, NARROW]),
             ("bits", (0, 0)),
             "printed_bits",
@@ -99,7 +99,7 @@ def floor_entries():
         yield hard(
             f"H-R6.{name}",
             "hash_rate",
-            f"a hash grid with {name} entries: 0 log 0, 0/0",
+            f"signs of the entries of a hash grid: {name}; 0 log 0, 0/0",
             dict(grids=grids),
             ("R_hash", ()),
             "printed_entropy",

@@ -96,7 +96,7 @@ def shape_entries():
         yield hard(
             f"H-G4.scale{name}",
             "projection",
-            f"a scale of {name}: only the blur is left, or nothing that a conic can hold",
+            f"a scale of {name}: the splat is the blur alone, or overflows and is culled",
             dict(x=np.zeros((1, 3)), Sigma=np.where(Sigma < 3e38, Sigma, 3e38)[None], **NEAR),
             ("conic", (0, 0)),
             "conic_by_determinant",
