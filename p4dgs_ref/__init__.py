@@ -12,9 +12,11 @@ after importing this package and before NumPy loads.
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # type checkers know the name; importing it from typing takes 10 ms
 if TYPE_CHECKING:
+    from typing import Any
+
     from . import oracle
     from .codec.container import BitstreamError
     from .codec.file import decode, encode
@@ -74,7 +76,7 @@ _HOME = {
 }
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     """Import a name of `__all__` on first use and keep it."""
     if name == "oracle":
         return import_module(f"{__name__}.oracle")
