@@ -26,6 +26,7 @@ from .scene import (
     background_color,
     check_rotation,
     check_time,
+    is_number,
     model_effects,
     over_background,
     require,
@@ -48,9 +49,8 @@ def load_scene(
     one line that names the file, the field and what was expected.
     """
     folder = find_scene(path)
-    integer = isinstance(downscale, (int, np.integer)) and not isinstance(downscale, bool)
     require(
-        integer and downscale >= 1,
+        is_number(downscale, int, np.integer) and downscale >= 1,
         "downscale",
         f"{downscale!r}; expected an integer of at least 1",
     )
@@ -122,11 +122,11 @@ def read_split(folder, file, color, downscale):
         place = f"{where}[{i}].file_path"
         image = read_image(folder, name, place)
         height, width = image.shape[:2]
-        expected = f"expected sides divisible by downscale {downscale}"
         require(
             height % downscale == 0 and width % downscale == 0,
             place,
-            f"{name} has {size_of(image)} pixels; {expected}",
+            f"{name} has {size_of(image)} pixels; "
+            f"expected sides divisible by downscale {downscale}",
         )
         # before the averaging, so that every colour is weighted by its alpha
         pixels, alpha = over_background(image, color)
@@ -153,7 +153,7 @@ def read_focal(data, file):
         if value is None:
             return None
         require(
-            isinstance(value, (int, float)) and not isinstance(value, bool) and low < value < high,
+            is_number(value, int, float) and low < value < high,
             f"{file}: {name}",
             f"{value!r}; expected {expected}",
         )

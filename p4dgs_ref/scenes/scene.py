@@ -124,9 +124,13 @@ class Scene:
             pixels, alpha = over_background(as_float(image, f"{name}: images[{i}]"), color)
             time = check_time(time, f"{name}: times[{i}]")
             views.append(View(f"images[{i}]", pixels, alpha, camera, time))
-        trained_on = tuple(view for i, view in enumerate(views) if i not in test)
-        held_out = tuple(views[i] for i in sorted(set(test)))
-        return cls(name, trained_on, held_out, effects=listed, background=color)
+        return cls(
+            name,
+            train=tuple(view for i, view in enumerate(views) if i not in test),
+            test=tuple(view for i, view in enumerate(views) if i in test),
+            effects=listed,
+            background=color,
+        )
 
 
 def check_effects(names, where):
@@ -205,9 +209,17 @@ def over_background(image, color):
 
 def check_time(time, where):
     """The time as a Python float in [0, 1]."""
-    number = isinstance(time, (int, float, np.integer, np.floating)) and not isinstance(time, bool)
-    require(number and 0 <= time <= 1, where, f"{time!r}; expected a number in [0, 1]")
+    require(
+        is_number(time, int, float, np.integer, np.floating) and 0 <= time <= 1,
+        where,
+        f"{time!r}; expected a number in [0, 1]",
+    )
     return float(time)
+
+
+def is_number(value, *kinds):
+    """Whether a value is of one of the kinds; true and false are not numbers."""
+    return isinstance(value, kinds) and not isinstance(value, bool)
 
 
 def check_rotation(R, where):

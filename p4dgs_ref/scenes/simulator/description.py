@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from ..dnerf import read_json
-from ..scene import SIMULATOR_EFFECTS, check_effects, require
+from ..scene import SIMULATOR_EFFECTS, check_effects, is_number, require
 
 REQUIRED = object()
 
@@ -25,12 +25,11 @@ def below(where, name):
 
 def number(low=-1e6, high=1e6, integer=False):
     """A reader of one number from low to high."""
-    kind = "an integer" if integer else "a number"
+    kind, types = ("an integer", [int]) if integer else ("a number", [int, float])
 
     def read(value, where):
-        is_number = isinstance(value, int if integer else (int, float))
         require(
-            is_number and not isinstance(value, bool) and low <= value <= high,
+            is_number(value, *types) and low <= value <= high,
             where,
             f"{value!r}; expected {kind} in [{low:g}, {high:g}]",
         )
@@ -253,9 +252,8 @@ def describe(source):
             f"{place}.parent",
             f"{body.parent!r}; expected a body listed before",
         )
-        shape = body.shape
         require(
-            shape.kind != "capsule" or not np.array_equal(shape.start, shape.end),
+            body.shape.kind != "capsule" or not np.array_equal(body.shape.start, body.shape.end),
             f"{place}.shape.end",
             "the same as start; expected another point",
         )

@@ -75,9 +75,8 @@ def capsule_hit(shape, o, d):
     with np.errstate(invalid="ignore"):  # infinity times 0 where a ray along the axis misses
         along = m_along + side * d_along
     side = np.where((along >= 0) & (along <= length), side, np.inf)
-    start_cap = ball_hit(o, d, shape.start, shape.radius)
-    end_cap = ball_hit(o, d, shape.end, shape.radius)
-    return np.minimum(side, np.minimum(start_cap, end_cap))
+    caps = [ball_hit(o, d, end, shape.radius) for end in (shape.start, shape.end)]
+    return np.min([side, *caps], axis=0)
 
 
 def capsule_normal(shape, p):
@@ -89,8 +88,7 @@ def capsule_normal(shape, p):
 
 def checker(texture, p):
     """0 or 1, alternating from cell to cell; the origin of the body is a corner of cells."""
-    cells = np.floor(p[:, texture.axes] / texture.cell).sum(axis=1)
-    return cells % 2
+    return np.floor(p[:, texture.axes] / texture.cell).sum(axis=1) % 2
 
 
 def stripes(texture, p):

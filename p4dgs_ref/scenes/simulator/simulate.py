@@ -44,8 +44,9 @@ def simulate(
             (folder / split).mkdir()
             for i, (camera, t) in enumerate(posed):
                 pixels = np.rint(trace(description, camera, t) * 255).astype(np.uint8)
-                picture = folder / split / f"r_{i:03d}.png"
-                iio.imwrite(picture, pixels, extension=".png", optimize=True)
+                iio.imwrite(
+                    folder / split / f"r_{i:03d}.png", pixels, extension=".png", optimize=True
+                )
                 done += 1
                 if progress:
                     progress(done, total)
@@ -78,7 +79,6 @@ def place_cameras(description, split):
 def camera_at(description, azimuth, elevation):
     """A camera on the sphere about the target that looks at the target, with z up."""
     paths, lens = description.cameras, description.lens
-    width, height = map(int, description.resolution)
     outward = np.array(
         [
             math.cos(elevation) * math.cos(azimuth),
@@ -91,8 +91,7 @@ def camera_at(description, azimuth, elevation):
         paths.target,
         lens.fl_x,
         lens.fl_y,
-        width,
-        height,
+        *map(int, description.resolution),
         lens.cx - 0.5,
         lens.cy - 0.5,
     )
@@ -119,6 +118,6 @@ def transforms(split, posed):
         c2w[:3, :3] = camera.R.T * OPENGL_TO_OPENCV
         c2w[:3, 3] = camera.center
         name = f"./{split}/r_{i:03d}"
-        frames.append({"file_path": name, "time": t, "transform_matrix": c2w.tolist()})
-    lines = ",\n  ".join(map(json.dumps, frames))
-    return json.dumps(head)[:-1] + ',\n "frames": [\n  ' + lines + "]}\n"
+        frame = {"file_path": name, "time": t, "transform_matrix": c2w.tolist()}
+        frames.append(json.dumps(frame))
+    return json.dumps(head)[:-1] + ',\n "frames": [\n  ' + ",\n  ".join(frames) + "]}\n"
