@@ -85,12 +85,10 @@ def grade(folder, seed=None, student=None, timeout=5.0, progress=lambda text: No
     if not files.is_dir():
         raise ClassroomError(f"{files}: expected a folder with the files of a student")
     seed = record["seed"] if seed is None else seed
-    grades = []
-    for key in published.equations():
-        if key in record["equations"]:
-            progress(f"grading {key}")
-            asked = record["equations"][key]
-            grades.append(grade_of(key, files / f"{key}.py", asked, seed, timeout))
+    asked_of, grades = record["equations"], []
+    for key in sorted(asked_of, key=published.equations().index):
+        progress(f"grading {key}")
+        grades.append(grade_of(key, files / f"{key}.py", asked_of[key], seed, timeout))
     return Report(seed, tuple(grades))
 
 
@@ -99,16 +97,16 @@ def parts_of(key, asked):
     gradients = EQUATIONS[key].gradients if "backward" in asked else ()
     forward = "forward" in asked
     share = 1 if forward and gradients else 2  # one of the two takes all points
-    parts = []
+    parts = [
+        Part(f"gradient of {name}", share * GRADIENTS / len(gradients), f"in_bar.{name}.", True)
+        for name in gradients
+    ]
     if forward:
-        parts.append(Part("forward", share * FORWARD, "out.", True))
+        parts.insert(0, Part("forward", share * FORWARD, "out.", True))
         parts.append(Part("hard cases: outputs", share * HARD / 2, "out.", False))
-    for name in gradients:
-        of_one = share * GRADIENTS / len(gradients)
-        parts.append(Part(f"gradient of {name}", of_one, f"in_bar.{name}.", True))
     if gradients:
         parts.append(Part("hard cases: gradients", share * HARD / 2, "in_bar.", False))
-    return sorted(parts, key=lambda part: not part.ordinary)
+    return parts
 
 
 def grade_of(key, path, asked, seed, timeout):
@@ -124,18 +122,18 @@ def grade_of(key, path, asked, seed, timeout):
     try:
         flags = tuple(suspicions(source, key))
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        first = f"{path.name}: {type(error).__name__}: {error}"
-        return nothing._replace(first=first, note="cannot be read")
+        return nothing._replace(
+            first=f"{path.name}: {type(error).__name__}: {error}", note="cannot be read"
+        )
     first = explanation = ""
     deadline = time.monotonic() + SECONDS
     with Student(path, timeout) as port:
         for case in held_back.cases(key, seed):
-            wrong, _ = judged(case, port, deadline)
+            wrong = judged(case, port, deadline)
             for i, part in enumerate(parts):
                 if counts(part, case):
                     said = first_of(wrong, part.prefix)
-                    right = part.right + (not said)
-                    parts[i] = part._replace(right=right, asked=part.asked + 1)
+                    parts[i] = part._replace(right=part.right + (not said), asked=part.asked + 1)
                     if said and not first:
                         first = f"{case.id}: {said}"
         if first:
@@ -155,26 +153,27 @@ def first_of(wrong, prefix):
 
 
 def judged(case, port, deadline):
-    """Return ({tensor: what is wrong with it}, {tensor: array}) of the answer to one case."""
+    """Return {tensor: what is wrong with it} of the answer to one case."""
     try:
         if time.monotonic() >= deadline:
             raise PortError("unasked", f"not asked, because {SECONDS} s are over")
         got = port.run(case)
     except PortError as error:
         said = str(error) if error.kind == "unasked" else f"{error.kind}: {error}"
-        return dict.fromkeys(expected(case.tensors), said), {}
+        return dict.fromkeys(expected(case.tensors), said)
     wrong = differences(case, got)
     if first_of(wrong, "out."):  # a wrong forward is not punished twice
         again = differences(case, {**got, **port.follow})
-        for name in list(wrong):
-            if name.startswith("in_bar.") and name not in again:
-                del wrong[name]
-                got[name] = port.follow[name]
+        wrong = {
+            name: said
+            for name, said in wrong.items()
+            if name in again or not name.startswith("in_bar.")
+        }
     for name in wrong:
         part = "forward" if name.startswith("out.") else "backward"
         if name not in got and part in port.said:
             wrong[name] = f"{part}: {port.said[part]}"
-    return wrong, got
+    return wrong
 
 
 def differences(case, got):

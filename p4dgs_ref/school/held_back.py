@@ -44,10 +44,8 @@ def cases(key, seed):
     """
     found = []
     for case in sorted(published.cases(key), key=lambda case: not is_ordinary(case)):
-        names = [case.name]
-        if is_ordinary(case):
-            names = [f"{case.name}#{draw + 1}" for draw in range(DRAWS)]
-        found += [drawn(case, f"{key}/{name}", seed) for name in names]
+        draws = [f"#{i + 1}" for i in range(DRAWS)] if is_ordinary(case) else [""]
+        found += [drawn(case, f"{key}/{case.name}{draw}", seed) for draw in draws]
     return found
 
 
@@ -83,9 +81,8 @@ def permuted(shapes, inputs, rng):
     for name, a in inputs.items():
         letters = shapes.get(name, "*").split("->")[0].split()
         if isinstance(a, np.ndarray) and len(letters) == a.ndim:
-            for axis, letter in enumerate(letters):
+            for axis, (letter, n) in enumerate(zip(letters, a.shape)):
                 if letter.isalpha():
-                    n = a.shape[axis]
                     order = orders.setdefault((letter, n), rng.permutation(n))
                     made[name] = np.take(made[name], order, axis=axis)
     return made

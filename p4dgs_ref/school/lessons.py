@@ -37,8 +37,7 @@ def pyplot():
         matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    plt.rcParams.update(STYLE)
-    plt.rcParams["axes.prop_cycle"] = plt.cycler(color=COLORS)
+    plt.rcParams.update({**STYLE, "axes.prop_cycle": plt.cycler(color=COLORS)})
     return plt
 
 
@@ -86,8 +85,7 @@ def moved(values, directions, h):
     Entries of a dictionary that have no direction stay as they are.
     """
     if isinstance(values, dict):
-        changed = {name: moved(values[name], d, h) for name, d in directions.items()}
-        return {**values, **changed}
+        return values | {name: moved(values[name], d, h) for name, d in directions.items()}
     if isinstance(values, list):
         return [moved(value, d, h) for value, d in zip(values, directions)]
     return values + h * directions

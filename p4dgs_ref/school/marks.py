@@ -32,9 +32,11 @@ def text(report):
 
 def missed(grade):
     """Return the note of a grade, or the parts that miss points: `gradient of l_a 0 of 3`."""
-    parts = [part for part in grade.parts if part.right < part.asked]
-    said = ", ".join(f"{part.name} {part.right} of {part.asked}" for part in parts)
-    return grade.note or said
+    return grade.note or ", ".join(
+        f"{part.name} {part.right} of {part.asked}"
+        for part in grade.parts
+        if part.right < part.asked
+    )
 
 
 def rows(report):

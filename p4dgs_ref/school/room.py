@@ -166,13 +166,14 @@ by its share of right answers.
 
 def readme(record):
     """Return the text of DIR/README.md."""
-    whole = FORWARD + GRADIENTS + HARD
-    text = README.format(WHOLE=whole, FORWARD=FORWARD, GRADIENTS=GRADIENTS, HARD=HARD)
-    for key in published.equations():
-        if key in record["equations"]:
-            functions = functions_of(key, record["equations"][key])
-            to_write = ", ".join(f"`{name}`" for name in functions)
-            tutorial = f"tutorials/{tutorial_of(key).name}.py"
-            number = EQUATIONS[key].number
-            text += f"| {number} | `student/{key}.py` | `{tutorial}` | {to_write} |\n"
+    text = README.format(
+        WHOLE=FORWARD + GRADIENTS + HARD, FORWARD=FORWARD, GRADIENTS=GRADIENTS, HARD=HARD
+    )
+    asked_of = record["equations"]
+    for key in sorted(asked_of, key=published.equations().index):
+        to_write = ", ".join(f"`{name}`" for name in functions_of(key, asked_of[key]))
+        text += (
+            f"| {EQUATIONS[key].number} | `student/{key}.py` "
+            f"| `tutorials/{tutorial_of(key).name}.py` | {to_write} |\n"
+        )
     return text
