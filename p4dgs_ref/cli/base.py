@@ -9,7 +9,7 @@ import os
 import shutil
 import sys
 import time
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 
 
 class UsageError(ValueError):
@@ -47,7 +47,7 @@ def log(arguments):
     return None if arguments.quiet else sys.stderr
 
 
-class Line:
+class Line(AbstractContextManager):
     """A progress line on stderr for the duration of a `with`; called with the text to show.
 
     A terminal shows one line that changes and disappears at the end. Other streams get a line every
@@ -65,14 +65,10 @@ class Line:
         now = time.monotonic()
         if self.stream and (self.live or now - self.last > self.EVERY):
             width = shutil.get_terminal_size().columns - 1
-            self.stream.write(f"\r{text[:width]}\x1b[K" if self.live else text + "\n")
-            self.stream.flush()
+            line = f"\r{text[:width]}\x1b[K" if self.live else text + "\n"
+            print(line, end="", file=self.stream, flush=True)
             self.last, self.open = now, self.live
-
-    def __enter__(self):
-        return self
 
     def __exit__(self, *error):
         if self.open:
-            self.stream.write("\r\x1b[K")
-            self.stream.flush()
+            print("\r\x1b[K", end="", file=self.stream, flush=True)

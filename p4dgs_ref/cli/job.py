@@ -10,35 +10,31 @@ from . import text
 from .base import Line, UsageError, log, report_folder, require_known, show
 
 
-def read_scene(arguments, name=None):
-    """The scene that the command line names."""
+def read_scene(arguments, split="train", purpose="train"):
+    """The scene that the command line names, with views of the split for a purpose."""
     from ..scenes import load_scene
 
-    return load_scene(
-        name or arguments.scene, background=arguments.background, downscale=arguments.downscale
-    )
+    scene = load_scene(arguments.scene, arguments.background, arguments.downscale)
+    if not getattr(scene, split):
+        raise UsageError(
+            f"{scene.source}: split '{split}': no views; expected at least one to {purpose}"
+        )
+    return scene
 
 
 def read_test_scene(arguments):
     """The scene, which must have views to measure on."""
-    scene = read_scene(arguments)
-    if not scene.test:
-        raise UsageError(
-            f"{scene.source}: split 'test': no views; expected at least one to measure on"
-        )
-    return scene
+    return read_scene(arguments, "test", "measure on")
 
 
 def read_preset(arguments):
     """The preset with its --set changes, checked before any work begins."""
     from ..training.presets import choose
 
-    changes = {}
     for item in arguments.changes:
-        key, equals, value = item.partition("=")
-        if not equals:
+        if "=" not in item:
             raise UsageError(f"--set {item}: expected KEY=VALUE")
-        changes[key] = value
+    changes = dict(item.split("=", 1) for item in arguments.changes)
     try:
         return choose(arguments.preset, changes)
     except ValueError as error:
@@ -106,8 +102,11 @@ def simulate(arguments):
     with Line(arguments) as line:
         draw(arguments.scene, folder, lambda done, total: line(f"{done}/{total} pictures"))
     seconds = time.perf_counter() - start
-    done = {"output": str(Path(folder)), "seconds": seconds}
-    show(arguments, done, f"{folder}: drawn in {seconds:.1f} s")
+    show(
+        arguments,
+        {"output": str(Path(folder)), "seconds": seconds},
+        f"{folder}: drawn in {seconds:.1f} s",
+    )
 
 
 def train(arguments):
@@ -182,23 +181,22 @@ def decode(arguments):
         "lo": model.box[0],
         "hi": model.box[1],
         "background": model.background,
+        **{f"grid.{i}": grid for i, grid in enumerate(model.grids)},
     }
-    arrays.update({f"grid.{i}": grid for i, grid in enumerate(model.grids)})
     for name, (weights, biases) in model.networks.items():
         arrays.update({f"{name}.W{i}": W for i, W in enumerate(weights)})
         arrays.update({f"{name}.b{i}": b for i, b in enumerate(biases)})
     with report_folder(arguments.output) as beside:
         np.savez(beside / "model.npz", **arrays)
         (beside / "model.json").write_text(json.dumps(model.design._asdict(), indent=1) + "\n")
-    done = {
-        "output": arguments.output,
-        "anchors": len(model.anchors.mask),
-        "arrays": len(arrays),
-        "seconds": seconds,
-    }
     show(
         arguments,
-        done,
+        {
+            "output": arguments.output,
+            "anchors": len(model.anchors.mask),
+            "arrays": len(arrays),
+            "seconds": seconds,
+        },
         f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json; {seconds:.3f} s",
     )
 
@@ -254,12 +252,7 @@ def views_to_render(arguments, model):
     for name in CAMERA:
         if getattr(arguments, name) is not None:
             raise UsageError(f"--{name}: not allowed with --scene, which has its own cameras")
-    scene = read_scene(arguments)
-    views = getattr(scene, arguments.split)
-    if not views:
-        raise UsageError(
-            f"{scene.source}: split '{arguments.split}': no views; expected at least one to render"
-        )
+    views = getattr(read_scene(arguments, arguments.split, "render"), arguments.split)
     return [(view.name.replace("/", "_"), view.camera, view.time) for view in views]
 
 
@@ -283,15 +276,11 @@ def render(arguments):
             iio.imwrite(beside / f"{name}.png", (images[-1] * 255).round().astype(np.uint8))
         if not arguments.scene and len(images) > 1:
             write_gif(beside / "motion.gif", images)
-    done = {
-        "output": arguments.output,
-        "images": len(images),
-        "ms_per_image": 1e3 * float(np.median(seconds)),
-    }
+    ms = 1e3 * float(np.median(seconds))
     show(
         arguments,
-        done,
-        f"{arguments.output}: {len(images)} images, {done['ms_per_image']:.1f} ms each",
+        {"output": arguments.output, "images": len(images), "ms_per_image": ms},
+        f"{arguments.output}: {len(images)} images, {ms:.1f} ms each",
     )
 
 
@@ -299,22 +288,21 @@ def evaluate(arguments):
     """Score a file on the test views of a scene."""
     from ..codec.file import encode as encode_model
     from ..codec.quantise import EncodeError
-    from ..studies.evaluate import compression, json_safe, timed
-    from ..studies.evaluate import evaluate as measure
+    from ..studies import evaluate as study
     from ..studies.report import write_comparison
 
     data, model, seconds = read_file(arguments.file)
     scene = read_test_scene(arguments)
     with checked(arguments):
-        metrics, rows, images = measure(model, scene)
+        metrics, rows, images = study.evaluate(model, scene)
     try:
-        encoding = timed(encode_model, model)[1]
+        encoding = study.timed(encode_model, model)[1]
     except (OverflowError, EncodeError):  # a file can hold numbers that our encoder refuses
         encoding = None
     metrics = {
         "scene": scene.name,
         **metrics,
-        **compression(model, data, metrics["gaussians"]),
+        **study.compression(model, data, metrics["gaussians"]),
         "encode_seconds": encoding,
         "decode_seconds": seconds,
     }
@@ -323,7 +311,7 @@ def evaluate(arguments):
             write_comparison(beside, scene, rows, images)
     show(
         arguments,
-        {**json_safe(metrics), "views": [json_safe(row) for row in rows]},
+        {**study.json_safe(metrics), "views": [study.json_safe(row) for row in rows]},
         text.evaluation(metrics, rows),
     )
 
@@ -390,8 +378,7 @@ def presets(arguments):
 
 def bench(arguments):
     """Time the renderer, a training step and the coder."""
-    from ..studies.bench import bench as measure
-    from ..studies.bench import describe
+    from ..studies import bench as study
 
-    result = measure(arguments.quick)
-    show(arguments, result, describe(result))
+    result = study.bench(arguments.quick)
+    show(arguments, result, study.describe(result))

@@ -1,5 +1,6 @@
 """The commands of the golden oracle: list, export and find the vectors, check a port with them."""
 
+from contextlib import closing
 from pathlib import Path
 
 from .base import Line, UsageError, require_known, show
@@ -59,11 +60,8 @@ def oracle_check(arguments):
         if folder
         else Adapter(command, arguments.timeout or 10.0, arguments.dtype or "float64")
     )
-    with Line(arguments) as line:
-        try:
-            report = check_port(port, arguments.level, arguments.only, progress=line)
-        finally:
-            port.close()
+    with Line(arguments) as line, closing(port):
+        report = check_port(port, arguments.level, arguments.only, progress=line)
     if not report.results:
         asked = f"--level {' '.join(arguments.level)} --only {' '.join(arguments.only)}"
         raise UsageError(f"{asked}: no such case; `p4dgs-ref oracle list` lists them")

@@ -1,6 +1,6 @@
 """The commands of the classroom: write a copy for students, grade it."""
 
-from .base import Line, report_folder, show
+from .base import Line, show
 
 
 def classroom(arguments):
@@ -19,12 +19,12 @@ def classroom(arguments):
 
 def grade(arguments):
     """Judge what students wrote."""
-    from ..school import as_json, text, write
-    from ..school import grade as judge
+    from .. import school
 
     with Line(arguments) as line:
-        report = judge(arguments.folder, arguments.seed, arguments.student, arguments.timeout, line)
-    with report_folder(arguments.output) as beside:
-        if beside:
-            write(report, beside)
-    show(arguments, as_json(report), text(report))
+        report = school.grade(
+            arguments.folder, arguments.seed, arguments.student, arguments.timeout, line
+        )
+    if arguments.output:
+        school.write(report, arguments.output)
+    show(arguments, school.as_json(report), school.text(report))

@@ -113,11 +113,11 @@ def presets(chosen, paper, differences, every_field):
         for field in preset._fields[1:]:
             if every_field or field in changed:
                 star = "* " if field in changed else "  "
-                values = [setting(getattr(p, field)) for p in (preset, *paper)]
-                table.append([star + field, *values])
+                table.append(
+                    [star + field, *(setting(getattr(p, field)) for p in (preset, *paper))]
+                )
         widths = [max(map(len, column)) for column in zip(*table)]
         for row in table if len(table) > 1 else []:
-            cells = (cell.ljust(width) for cell, width in zip(row, widths))
-            lines.append("  ".join(cells).rstrip())
+            lines.append("  ".join(map(str.ljust, row, widths)).rstrip())
         blocks.append("\n".join(lines))
     return "\n\n".join(blocks)
