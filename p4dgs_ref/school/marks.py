@@ -19,15 +19,14 @@ def text(report):
     width = max(map(len, names))
     lines = []
     for heading, grade in zip(names, report.grades):
-        points = f"{heading:<{width}}  {grade.points:5.2f} of {grade.of:2.0f}"
-        lines.append(f"{points}  {missed(grade)}".rstrip())
+        points = f"{grade.points:5.2f} of {grade.of:2.0f}"
+        lines.append(f"{heading:<{width}}  {points}  {missed(grade)}".rstrip())
         lines += [f"    points withheld ({grade.earned:.2f}): {flag}" for flag in grade.flags]
         said = {"first": grade.first, "explained by": grade.explanation}
         lines += [f"    {name}: {what}" for name, what in said.items() if what]
     percent = 100 * report.points / report.of if report.of else 0
-    total = f"{'sum':<{width}}  {report.points:5.2f} of {report.of:.0f}"
-    lines.append(f"{total}  ({percent:.1f} %, seed {report.seed})")
-    return "\n".join(lines)
+    total = f"{report.points:5.2f} of {report.of:.0f}  ({percent:.1f} %, seed {report.seed})"
+    return "\n".join([*lines, f"{'sum':<{width}}  {total}"])
 
 
 def missed(grade):

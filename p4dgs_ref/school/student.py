@@ -112,8 +112,12 @@ def answer(path, request):
         _, reference_saved = reference.forward(**case.inputs())
         about = {} if outputs else said
         follow = tried(lambda: backward(reference_saved), about, "backward") or {}
-    fields = {"out": outputs, "in_bar": gradients, "follow": follow}
-    return {**{name: numbers(named) for name, named in fields.items()}, "said": said}
+    return {
+        "out": numbers(outputs),
+        "in_bar": numbers(gradients),
+        "follow": numbers(follow),
+        "said": said,
+    }
 
 
 def tried(call, said, part):

@@ -175,17 +175,21 @@ MOTION = one_of(
         "pulse": {"amount": (number(-0.99, 0.99), REQUIRED), **WAVE},
     }
 )
-TURN = fields({"axis": (AXIS, REQUIRED), "degrees": (NUMBER, REQUIRED)})
-SPECULAR = fields({"strength": (SHARE, REQUIRED), "exponent": (number(1, 1000), REQUIRED)})
 BODY = fields(
     {
         "name": (text, REQUIRED),
         "shape": (SHAPE, REQUIRED),
         "color": (COLOR, REQUIRED),
         "texture": (TEXTURE, None),
-        "specular": (SPECULAR, None),
+        "specular": (
+            fields({"strength": (SHARE, REQUIRED), "exponent": (number(1, 1000), REQUIRED)}),
+            None,
+        ),
         "position": (POINT, ORIGIN),
-        "turn": (TURN, SimpleNamespace(axis=(0, 0, 1), degrees=0)),
+        "turn": (
+            fields({"axis": (AXIS, REQUIRED), "degrees": (NUMBER, REQUIRED)}),
+            SimpleNamespace(axis=(0, 0, 1), degrees=0),
+        ),
         "parent": (text, None),
         "motion": (list_of(MOTION), ()),
         "faces_camera": (flag, False),
@@ -205,22 +209,24 @@ VIEWS = {
     "target": (POINT, ORIGIN),
 }
 CAMERAS = one_of({"scattered": VIEWS, "orbit": {**VIEWS, "turns": (NUMBER, REQUIRED)}})
-# In pixels. The principal point counts from the corner of the image, as in the transforms files.
-LENS = fields(
-    {
-        "fl_x": (POSITIVE, REQUIRED),
-        "fl_y": (POSITIVE, REQUIRED),
-        "cx": (NUMBER, REQUIRED),
-        "cy": (NUMBER, REQUIRED),
-    }
-)
 SCENE = fields(
     {
         "title": (text, REQUIRED),
         "license": (text, None),
         "effects": (check_effects, SIMULATOR_EFFECTS),
         "resolution": (vector(2, 1, 4096, integer=True), REQUIRED),
-        "lens": (LENS, REQUIRED),
+        "lens": (
+            # In pixels. The principal point counts from the corner, as in the transforms files.
+            fields(
+                {
+                    "fl_x": (POSITIVE, REQUIRED),
+                    "fl_y": (POSITIVE, REQUIRED),
+                    "cx": (NUMBER, REQUIRED),
+                    "cy": (NUMBER, REQUIRED),
+                }
+            ),
+            REQUIRED,
+        ),
         "cameras": (CAMERAS, REQUIRED),
         "light": (LIGHT, REQUIRED),
         "bodies": (list_of(BODY), REQUIRED),
