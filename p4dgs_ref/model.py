@@ -286,10 +286,9 @@ class Model:
 
     def render(self, camera: Camera, t: float, settings: Settings = FAST) -> np.ndarray:
         """The image [H, W, 3] at time t in [0, 1]. Clip it to [0, 1] before saving it."""
-        g = self.gaussians(t, camera)
-        occlusion = "occlusion" in self.design.effects
+        *gaussians, _ = self.gaussians(t, camera)
         (image, *_), _ = render.forward(
-            g.x, g.s, g.r, g.alpha, g.color, camera, self.background, settings, occlusion
+            *gaussians, camera, self.background, settings, "occlusion" in self.design.effects
         )
         return image
 

@@ -14,6 +14,7 @@ import numpy as np
 import p4dgs_ref as p4
 from p4dgs_ref import effects as fx
 from p4dgs_ref import oracle
+from p4dgs_ref.codec import published
 from p4dgs_ref.equations import color, deformation, deformed, positional_encoding
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.school import lessons
@@ -21,7 +22,7 @@ from p4dgs_ref.splatting import compositing
 from p4dgs_ref.studies.effect_ledger import describe, ledger
 from p4dgs_ref.studies.effect_work import counted
 from p4dgs_ref.studies.inspect import components
-from p4dgs_ref.studies.random_inputs import random_field, sample_model
+from p4dgs_ref.studies.random_inputs import random_field
 from p4dgs_ref.studies.suggest import suggest
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, choose
@@ -120,13 +121,13 @@ assert work["static"].of("translation") == 0
 assert work["bouncing"].of("translation") > 0
 
 # %% [markdown]
-# **Off is neutral.** We take a model with all effects and set its three heads to zero, and
-# compare it with the same model without any motion. Positions and scales agree to the last bit.
-# Quaternions agree up to the last digits, because one of the two was divided by its length, 1,
-# once more.
+# **Off is neutral.** We take a published file of a model with all effects, set its three heads to
+# zero, and compare it with the same model without any motion. Positions and scales agree to the
+# last bit. Quaternions agree up to the last digits, because one of the two was divided by its
+# length, 1, once more.
 
 # %%
-full = sample_model(5, 24)
+full = p4.decode((published.FOLDER / "full.p4dgs").read_bytes())
 assert set(fx.MOTION) <= set(full.design.effects)
 weights, biases = full.networks["psi_d"]
 

@@ -13,6 +13,7 @@ import numpy as np
 
 import p4dgs_ref as p4
 from p4dgs_ref import oracle
+from p4dgs_ref.codec import published
 from p4dgs_ref.equations import deformation
 from p4dgs_ref.model import predict, predict_backward
 from p4dgs_ref.scenes.dnerf import packaged_folder
@@ -23,7 +24,6 @@ from p4dgs_ref.school import lessons
 from p4dgs_ref.studies.accuracy import fits
 from p4dgs_ref.studies.evaluate import decibel, evaluate, squared_error
 from p4dgs_ref.studies.inspect import components
-from p4dgs_ref.studies.random_inputs import sample_model
 
 plt = lessons.pyplot()
 
@@ -295,13 +295,13 @@ lessons.show(figure, "26_video_codec_analogy_pictures")
 # same anchors.)
 # $$L = \sum_t L_t(\theta) \;\Longrightarrow\; \bar\theta = \sum_t \bar\theta^{(t)},
 #   \qquad\text{for a feature}\quad \bar f_a = \sum_t \bar f_a^{(t)}.$$
-# We check this with a small model. Random cotangents of the Gaussians at three times give three
-# backward passes; the sum of their gradients is compared with a finite difference of the summed
-# loss.
+# We check this with a small published file. Random cotangents of the Gaussians at three times give
+# three backward passes; the sum of their gradients is compared with a finite difference of the
+# summed loss.
 
 # %%
 rng = np.random.default_rng(26)
-small = sample_model(3, 9)
+small = p4.decode((published.FOLDER / "full.p4dgs").read_bytes())
 x_c = np.array([0.0, -3, 1])
 OUTPUTS = ("x", "s", "r", "alpha", "color")
 

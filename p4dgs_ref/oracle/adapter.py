@@ -34,9 +34,9 @@ import time
 
 import numpy as np
 
+from ..studies.precision import cast
 from .ports import PortError
 from .safetensors import DTYPES, NAMES
-from .tolerance import cast
 
 VERSION = 1
 LONGEST = 2**26  # bytes of an answer

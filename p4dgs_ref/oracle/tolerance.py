@@ -22,6 +22,7 @@ import zlib
 
 import numpy as np
 
+from ..studies.precision import change_floats
 from .compare import IMAGES
 from .published import flatten
 
@@ -62,24 +63,6 @@ def cotangents_of(eq, outputs, seed, given={}):
     return drawn
 
 
-def cast(values, dtype):
-    """Return inputs or cotangents with every float array in another precision."""
-
-    return _floats_changed(values, lambda a: np.asarray(a, dtype))
-
-
-def _floats_changed(values, change):
-    """Apply `change` to every float array of a dictionary of arrays, lists and settings."""
-
-    def visit(value):
-        if isinstance(value, list):
-            return [visit(b) for b in value]
-        is_array = isinstance(value, (np.ndarray, np.generic))
-        return change(value) if is_array and value.dtype.kind == "f" else value
-
-    return {name: visit(value) for name, value in values.items()}
-
-
 def scales(answer, inputs, cotangents, flat, seed):
     """Return S of every float tensor in `flat`, the answer: an array like it, () for an image.
 
@@ -101,8 +84,8 @@ def _spread(answer, inputs, cotangents, flat, delta, rng):
     squares = {name: np.zeros(a.shape) for name, a in flat.items() if a.dtype.kind == "f"}
     with np.errstate(all="ignore"):
         for _ in range(PROBES):
-            moved_inputs = _floats_changed(inputs, move)
-            moved_cotangents = _floats_changed(cotangents, move)
+            moved_inputs = change_floats(inputs, move)
+            moved_cotangents = change_floats(cotangents, move)
             try:
                 moved = answer(moved_inputs, moved_cotangents)
             except ValueError:  # at a threshold the number of kept Gaussians may change

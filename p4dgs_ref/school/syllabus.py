@@ -9,10 +9,6 @@ class Tutorial(NamedTuple):
     name: str
     keys: tuple = ()  # of the equations that it explains
 
-    @property
-    def number(self):
-        return self.name[:2]
-
 
 TUTORIALS = (
     Tutorial("01_offsets", ("offsets",)),

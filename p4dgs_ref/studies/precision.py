@@ -3,13 +3,18 @@
 import numpy as np
 
 
+def change_floats(values, change):
+    """Apply `change` to every float array of {name: array, list of arrays or setting}."""
+
+    def visit(value):
+        if isinstance(value, list):
+            return [visit(b) for b in value]
+        is_array = isinstance(value, (np.ndarray, np.generic))
+        return change(value) if is_array and value.dtype.kind == "f" else value
+
+    return {name: visit(value) for name, value in values.items()}
+
+
 def cast(values, dtype):
-    """{name: array or list of arrays}: float arrays in `dtype`, everything else as it is."""
-    return {name: _cast(a, dtype) for name, a in values.items()}
-
-
-def _cast(a, dtype):
-    if isinstance(a, list):
-        return [_cast(b, dtype) for b in a]
-    is_float = isinstance(a, (np.ndarray, np.generic)) and a.dtype.kind == "f"
-    return np.asarray(a, dtype) if is_float else a
+    """The same values with every float array in another precision."""
+    return change_floats(values, lambda a: np.asarray(a, dtype))

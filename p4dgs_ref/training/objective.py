@@ -99,14 +99,11 @@ def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
     x_c = view.camera.center.astype(values.dtype)
     t = view.time if fixed.moving else None
     g, saved_predict = predict(design, networks, anchors, x_c, t)
-    occlusion = "occlusion" in design.effects
-    gaussians = g.x, g.s, g.r, g.alpha, g.color
     (image, _, visible), saved_render = render.forward(
-        *gaussians, view.camera, fixed.background, fixed.settings, occlusion
+        *g[:5], view.camera, fixed.background, fixed.settings, "occlusion" in design.effects
     )
-    truth = view.image.astype(image.dtype)
     (L_render, L1, D_SSIM), saved_loss = render_loss.forward(
-        image, truth, fixed.lambda_ssim, truth_moments
+        image, view.image.astype(image.dtype), fixed.lambda_ssim, truth_moments
     )
     bits, L_rate, saved_rate = 0.0, 0.0, None
     if ctx is not None:
@@ -114,22 +111,25 @@ def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
     L_total, saved_total = total_loss.forward(
         np.float64(L_render), np.float64(L_rate), fixed.lambda_rate
     )
-    L_total = float(L_total) + volume(g.s, fixed.lambda_volume)
-    losses = [L_total, *(float(loss) for loss in (L_render, L1, D_SSIM, L_rate, bits))]
+    L_volume, volume_s_bar = volume(g.s, fixed.lambda_volume)
+    losses = [
+        float(L_total) + L_volume,
+        *(float(loss) for loss in (L_render, L1, D_SSIM, L_rate, bits)),
+    ]
     saved_parts = saved_noise, saved_context, saved_predict, saved_render, saved_loss, saved_rate
-    saved = p, design, fixed, values, g.s, saved_parts, saved_total
+    saved = p, design, fixed, values, volume_s_bar, saved_parts, saved_total
     return Losses(*losses), Seen(saved_predict.alpha, g.index, visible, image), saved
 
 
 def backward(saved):
     """Gradients of L_total as Parameters of the same layout, and of the splats' mean2d [N, 2]."""
-    p, design, fixed, values, s, saved_parts, saved_total = saved
+    p, design, fixed, values, volume_s_bar, saved_parts, saved_total = saved
     saved_noise, saved_context, saved_predict, saved_render, saved_loss, saved_rate = saved_parts
     gradients = p.zeros()
     losses_bar = total_loss.backward(saved_total, 1.0)
     image_bar = render_loss.backward(saved_loss, losses_bar["L_render"])["image"]
     bars = render.backward(saved_render, image_bar)
-    bars["s"] = bars["s"] + volume_backward(s, fixed.lambda_volume)
+    bars["s"] = bars["s"] + volume_s_bar
     gaussians_bar = [
         bars[name].astype(p.vector.dtype) for name in ("x", "s", "r", "alpha", "color")
     ]
@@ -162,12 +162,10 @@ def backward(saved):
 
 def noise_forward(values, u, steps, design):
     """Add noise to each group with its own step (Eq. 7): [A, n] and what `noise_backward` needs."""
-    noisy, saved = [], []
-    for i, (f, u_f) in enumerate(zip(groups(values, design), groups(u, design))):
-        f_noisy, saved_f = noise.forward(f, u_f, steps[:, i : i + 1])
-        noisy.append(f_noisy)
-        saved.append(saved_f)
-    return np.concatenate(noisy, axis=1), saved
+    pairs = zip(groups(values, design), groups(u, design))
+    parts = [noise.forward(f, u_f, steps[:, i : i + 1]) for i, (f, u_f) in enumerate(pairs)]
+    noisy = [f_noisy for f_noisy, _ in parts]
+    return np.concatenate(noisy, axis=1), [saved for _, saved in parts]
 
 
 def noise_backward(saved, noisy_bar, design):
@@ -204,15 +202,12 @@ def rate_backward(saved, L_rate_bar, design):
 
 
 def volume(s, weight):
-    """Scaffold-GS's volume term: weight times the mean product of the three scales (Q25)."""
+    """Scaffold-GS's volume term, weight times the mean product of the three scales (Q25).
+
+    Return it and its gradient by s [N, 3]; both are 0 without a weight.
+    """
     if not weight or not len(s):  # 0 times an overflow would be NaN
-        return 0.0
-    return weight * float(np.prod(s, axis=1).mean())
-
-
-def volume_backward(s, weight):
-    """Gradient of s [N, 3], 0 where there is no volume term."""
-    if not weight or not len(s):
-        return 0.0
-    s = s.astype(float)
-    return weight / len(s) * s[:, [1, 2, 0]] * s[:, [2, 0, 1]]
+        return 0.0, 0.0
+    wide = s.astype(float)
+    s_bar = weight / len(s) * wide[:, [1, 2, 0]] * wide[:, [2, 0, 1]]
+    return weight * float(np.prod(s, axis=1).mean()), s_bar

@@ -24,9 +24,9 @@ from p4dgs_ref.codec.gaussian_table import SIGMA_MAX, SIGMA_MIN, gaussian_model
 from p4dgs_ref.codec.header import MOST_NUMBERS, declared_numbers
 from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.codec.streams import decode_symbols, encode_bits, encode_gaussian
-from p4dgs_ref.studies.random_inputs import sample_model
 from tests.golden import fuzz
 from tests.golden.damage import Mutation, assemble, mutation
+from tests.golden.sample_model import sample_model
 
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS_3D = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)

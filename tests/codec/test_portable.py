@@ -32,8 +32,8 @@ from p4dgs_ref.codec.streams import ideal_bits_gaussian
 from p4dgs_ref.equations import hash_grid, likelihood, mlp, prior, step
 from p4dgs_ref.model import split
 from p4dgs_ref.studies.inspect import float_context, ledger
-from p4dgs_ref.studies.random_inputs import sample_model
 from tests.codec.models import DECODE_AND_PRINT, MAKE, changed, digest, random_model
+from tests.golden.sample_model import sample_model
 
 ROOT = Path(__file__).resolve().parents[2]
 SEVERAL = dict(

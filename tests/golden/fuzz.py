@@ -24,8 +24,8 @@ from p4dgs_ref.codec.file import encode, quantised_of, sections_of
 from p4dgs_ref.codec.header import declared_numbers, read_header
 from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.codec.streams import encode_gaussian
-from p4dgs_ref.studies.random_inputs import sample_model
 from tests.golden.damage import mutation
+from tests.golden.sample_model import sample_model
 
 PATIENCE = 5.0  # seconds: more is too long for a small file
 HANGS = 60.0  # seconds after which the program stops with a traceback

@@ -22,8 +22,8 @@ import scipy.sparse
 from p4dgs_ref.equations import grid_nodes, likelihood
 from p4dgs_ref.oracle import doctor, published
 from p4dgs_ref.oracle.compare import compare, precision
-from p4dgs_ref.oracle.tolerance import cast
 from p4dgs_ref.splatting import compositing
+from p4dgs_ref.studies.precision import cast
 from p4dgs_ref.table import EQUATIONS
 from tests.golden.equivalent import EQUIVALENT
 from tests.golden.mistakes import MISTAKES

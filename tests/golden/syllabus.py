@@ -61,7 +61,7 @@ def prerequisites(text):
     """
     named = []
     for first, last in re.findall(r"`(\d\d)\w*`(?: to `(\d\d)\w*`)?", text):
-        named += [t.number for t in TUTORIALS if first <= t.number <= (last or first)]
+        named += [t.name[:2] for t in TUTORIALS if first <= t.name[:2] <= (last or first)]
     return tuple(dict.fromkeys(named))
 
 
@@ -133,7 +133,7 @@ def order_table(seconds, folder=FOLDER):
     ]
     for tutorial in TUTORIALS:
         own = facts(tutorial, folder)
-        measured = f"{seconds[tutorial.number]:.1f}" if tutorial.number in seconds else ""
+        measured = f"{seconds[tutorial.name[:2]]:.1f}" if tutorial.name[:2] in seconds else ""
         lines.append(
             f"| [{tutorial.name}]({tutorial.name}.py) | {own.title} | {listed(own.after)} | "
             f"{len(own.exercises)} | {measured} | {own.reading} |"
@@ -144,7 +144,7 @@ def order_table(seconds, folder=FOLDER):
 def listed(numbers):
     """ "07, 10", or "01 to 15" if no tutorial between the first and the last is missing."""
     if len(numbers) > 2:
-        between = [t.number for t in TUTORIALS if numbers[0] <= t.number <= numbers[-1]]
+        between = [t.name[:2] for t in TUTORIALS if numbers[0] <= t.name[:2] <= numbers[-1]]
         if list(numbers) == between:
             return f"{numbers[0]} to {numbers[-1]}"
     return ", ".join(numbers)
@@ -152,13 +152,13 @@ def listed(numbers):
 
 def graph(folder=FOLDER):
     """The prerequisites as a Mermaid graph, without arrows that follow from two others."""
-    before = {tutorial.number: set(facts(tutorial, folder).after) for tutorial in TUTORIALS}
+    before = {tutorial.name[:2]: set(facts(tutorial, folder).after) for tutorial in TUTORIALS}
     reach = {}
     for number, direct in before.items():  # a prerequisite has a lower number
         reach[number] = direct.union(*(reach[n] for n in direct))
     lines = ["```mermaid", "graph LR"]
     for tutorial in TUTORIALS:
-        number = tutorial.number
+        number = tutorial.name[:2]
         lines.append(f'    t{number}["{number} {tutorial.name[3:].replace("_", " ")}"]')
         for n in sorted(before[number]):
             if not any(n in reach[other] for other in before[number]):
@@ -218,7 +218,7 @@ def run(tutorial, out, folder=FOLDER):
 
 def main(chosen):
     """Run what is chosen (everything if nothing is), renew its pictures, and write the index."""
-    known = {"demo", "accuracy", "index", *(tutorial.number for tutorial in TUTORIALS)}
+    known = {"demo", "accuracy", "index", *(tutorial.name[:2] for tutorial in TUTORIALS)}
     unknown = sorted(set(chosen) - known)
     if unknown:
         sys.exit(
@@ -227,11 +227,11 @@ def main(chosen):
     seconds = measured_before()
     with tempfile.TemporaryDirectory() as out:
         for tutorial in TUTORIALS:
-            if not chosen or tutorial.number in chosen:
-                seconds[tutorial.number], done = run(tutorial, out)
+            if not chosen or tutorial.name[:2] in chosen:
+                seconds[tutorial.name[:2]], done = run(tutorial, out)
                 if done.returncode:
                     sys.exit(f"{tutorial.name}.py: {done.stderr.strip().splitlines()[-1]}")
-                print(f"{tutorial.name}: {seconds[tutorial.number]:.1f} s", flush=True)
+                print(f"{tutorial.name}: {seconds[tutorial.name[:2]]:.1f} s", flush=True)
         if not chosen or "demo" in chosen:
             gallery.draw_demo(out)
         if not chosen or "accuracy" in chosen:

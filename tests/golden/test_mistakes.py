@@ -10,7 +10,7 @@ import pytest
 
 from p4dgs_ref.oracle import doctor, published, safetensors
 from p4dgs_ref.oracle.compare import expected
-from p4dgs_ref.oracle.tolerance import cast
+from p4dgs_ref.studies.precision import cast
 from p4dgs_ref.table import EQUATIONS
 from tests.golden.mistakes import MISTAKES, NotApplicable
 from tests.golden.mistakes.__main__ import answers, files

@@ -14,7 +14,7 @@ import pytest
 
 from p4dgs_ref.oracle import checker, published, report, safetensors
 from p4dgs_ref.oracle.export import export
-from p4dgs_ref.oracle.tolerance import cast
+from p4dgs_ref.studies.precision import cast
 from p4dgs_ref.table import EQUATIONS
 from tests.golden.cases import FLAGS
 from tests.golden.subjects import subjects

@@ -1,7 +1,7 @@
 """The table of hard cases: literal formula, ours, true value, errors, verdict."""
 
 from .cases import hard_cases
-from .judge import measure
+from .judge import measure, number
 
 DTYPES = ("float64", "float32")
 
@@ -29,12 +29,8 @@ def judged(measured):
     good = measured.error <= measured.bound
     if measured.grad_error is not None:
         good = good and measured.grad_error <= measured.grad_bound
-    errors = {name: _finite(getattr(measured, name)) for name in ("error", "grad_error")}
+    errors = {name: number(getattr(measured, name)) for name in ("error", "grad_error")}
     return {**measured._asdict(), **errors, "verdict": "ok" if good else "fails"}
-
-
-def _finite(error):
-    return error if error is None or abs(error) < float("inf") else str(error)
 
 
 def describe(rows):
