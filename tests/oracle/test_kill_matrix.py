@@ -48,7 +48,7 @@ def test_the_readme_says_what_the_file_says():
     readme = " ".join(readme.split())
     found = committed()["mutations"]
     assert f"the answers that {len(MISTAKES)} common mistakes lead to" in readme
-    assert f"each of some {round(found['total'], -1):,} one-token mutations" in readme
+    assert f"with some {round(found['total'], -1):,} one-token mutations" in readme
     assert f"mutations, {100 * found['killed'] / found['total']:.1f} % are noticed" in readme
 
 
