@@ -15,13 +15,14 @@ import numpy as np
 
 import p4dgs_ref as p4
 from p4dgs_ref import oracle
-from p4dgs_ref.codec import container, inspect, published
+from p4dgs_ref.codec import container, published
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.codec.streams import ideal_bits_gaussian
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.oracle import streams
 from p4dgs_ref.school import lessons
+from p4dgs_ref.studies import inspect
 
 plt = lessons.pyplot()
 data = (published.FOLDER / "one_anchor.p4dgs").read_bytes()  # one anchor with one child

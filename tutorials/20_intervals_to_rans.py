@@ -17,12 +17,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from p4dgs_ref import oracle
-from p4dgs_ref.codec import container, inspect, rans
+from p4dgs_ref.codec import container, rans
 from p4dgs_ref.codec import streams as sections
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.oracle import streams
 from p4dgs_ref.school import lessons
+from p4dgs_ref.studies import inspect
 
 plt = lessons.pyplot()
 data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors

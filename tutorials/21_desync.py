@@ -15,12 +15,13 @@ import numpy as np
 from scipy.special import ndtr
 
 from p4dgs_ref import BitstreamError, look_at, oracle
-from p4dgs_ref.codec import container, context, fixed_point, inspect, published
+from p4dgs_ref.codec import container, context, fixed_point, published
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
 from p4dgs_ref.codec.quantise import dequantise
 from p4dgs_ref.equations import hash_grid, prior
 from p4dgs_ref.oracle import streams
 from p4dgs_ref.school import lessons
+from p4dgs_ref.studies import inspect
 
 plt = lessons.pyplot()
 data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors

@@ -13,10 +13,11 @@ import numpy as np
 from scipy.special import ndtr
 
 from p4dgs_ref import look_at, oracle
-from p4dgs_ref.codec import container, inspect
+from p4dgs_ref.codec import container
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
 from p4dgs_ref.equations import anchor_rate, hash_rate, likelihood, noise, rate_loss
 from p4dgs_ref.school import lessons
+from p4dgs_ref.studies import inspect
 from p4dgs_ref.studies.accuracy import formulas
 
 plt = lessons.pyplot()
