@@ -18,11 +18,15 @@ def forward(
 ):
     """Return the image [H, W, 3], the transmittance [H, W], visible [N] and what `backward` needs.
 
-    Projection is computed in float64, compositing in `settings.dtype`.
+    Projection is computed in float64, compositing in `settings.dtype`. Raises ValueError for an
+    opacity that is negative or NaN: lists of tiles would leave it out, the exact twin would not.
     """
     splats, *saved_projection = project(x, s, r, camera, settings)
     mean2d, cov2d, conic, depth, visible = splats
     alpha, color, background = (np.asarray(a, float) for a in (alpha, color, background))
+    bad = np.flatnonzero(~(alpha >= 0))
+    if len(bad):
+        raise ValueError(f"alpha[{bad[0]}] is {alpha[bad[0]]}: expected at least 0")
     looks = (alpha, color, depth, visible, background, camera.height, camera.width)
     if settings.footprint == "all":
         compositor = compositing

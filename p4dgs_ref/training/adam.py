@@ -19,7 +19,9 @@ class Adam:
     def step(self, parameters, gradients, rate_of):
         """Move `parameters` in place.
 
-        `rate_of(name)` is the learning rate of an array, 0 for one that does not take part.
+        `rate_of(name)` is the learning rate of an array, 0 for one that does not take part. A
+        gradient whose square would overflow (above 9e18 in float32, 6e153 in float64) counts as the
+        largest whose square does not.
         """
         rates = {name: rate_of(name) for name in self.steps}
         for name, rate in rates.items():
@@ -30,7 +32,10 @@ class Adam:
             n = self.steps[name]
             return rates[name] * np.sqrt(1 - BETA_2**n) / (1 - BETA_1**n) if n else 0.0
 
-        g, m, v = gradients.vector, self.first.vector, self.second.vector
+        m, v = self.first.vector, self.second.vector
+        # Beyond this the square of a gradient would overflow, and v would become inf - inf.
+        largest = np.sqrt(np.finfo(v.dtype).max) / 2
+        g = np.clip(gradients.vector, -largest, largest)
         m += (1 - BETA_1) * (g - m)
         v += (1 - BETA_2) * (g * g - v)
         change = np.sqrt(v)

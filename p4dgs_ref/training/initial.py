@@ -48,6 +48,12 @@ def initial_parameters(preset, design, rng, points=None):
     """
     if points is None:
         points = rng.uniform(-preset.extent, preset.extent, (preset.anchors, 3))
+    points = np.asarray(points, float)
+    if points.ndim != 2 or points.shape[1] != 3 or not len(points) or not np.isfinite(points).all():
+        raise ValueError(
+            f"points: expected finite numbers of shape [A, 3], A at least 1, got an array of "
+            f"shape {list(points.shape)}"
+        )
     x_a = np.unique(np.round(points / preset.voxel), axis=0) * preset.voxel  # nodes of the lattice
     A = len(x_a)
     log_reach = np.repeat(np.log(neighbour_distance(x_a))[:, None], 3, axis=1)

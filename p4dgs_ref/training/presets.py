@@ -222,7 +222,7 @@ REQUIREMENTS = {
     "Q_s": STEP,
     "Q_l": STEP,
     "Q_O": STEP,
-    "tau_alpha": between(-1, 1),
+    "tau_alpha": between(0, 1),  # a file may hold less, but negative opacities are not rendered
     "lambda_ssim": between(0, 1),
     "stage_ends": ("four rising iterations", is_rising),
     "grow": ("scaffold, reseed or off", lambda value: value in ("scaffold", "reseed", "off")),

@@ -136,7 +136,8 @@ class Trainer:
         watched = (losses.L_total, gradients.vector, seen.alpha)
         if not all(np.isfinite(values).all() for values in watched):
             raise NotFinite(self.iteration, find_first(*inputs))
-        self.adam.step(p, gradients, self.rate_of)
+        rates = {stem: self.rate_of(stem) for stem in LEARNING_RATES}
+        self.adam.step(p, gradients, lambda name: rates[name.split(".")[0]])
         if not np.isfinite(p.vector).all():
             bad = first_bad(p.arrays)
             raise NotFinite(self.iteration, f"after Adam's step, parameter {bad}")

@@ -213,6 +213,23 @@ def test_render_gradient_against_finite_differences(settings):
         assert error <= 1e-7 * np.abs(bars[name] * direction).sum(), name
 
 
+@pytest.mark.parametrize("settings", [EXACT, PAPER, FAST])
+@pytest.mark.parametrize("wrong", [np.nan, -0.3])
+def test_opacities_that_are_nan_or_negative_are_refused(settings, wrong):
+    """Lists of tiles would leave such a Gaussian out in silence, and the exact twin would not."""
+    with pytest.raises(ValueError, match=r"alpha\[1\] is (nan|-0.3): expected at least 0"):
+        render.forward(
+            x=np.zeros((2, 3)),
+            s=np.full((2, 3), 0.1),
+            r=np.array([[1.0, 0, 0, 0]] * 2),
+            alpha=np.array([0.7, wrong]),
+            color=np.ones((2, 3)),
+            camera=look_at((0, -2, 0), (0, 0, 0), 50, 50, 21, 21),
+            background=np.zeros(3),
+            settings=settings,
+        )
+
+
 def test_one_gaussian_in_closed_form():
     """A sphere on the axis has alpha exp(-r^2 / (2 (f^2 s^2 / z^2 + 0.3))) at r pixels."""
     camera = look_at((0, -2, 0), (0, 0, 0), 50, 50, 21, 21)

@@ -91,6 +91,7 @@ def test_differences_name_every_changed_field_with_the_papers_value():
         ({"lr_f": "inf,1"}, "lr_f"),
         ({"k": 2.5}, "'k'"),
         ({"grid_3d": "", "grid_2d": ""}, "grid_3d"),
+        ({"tau_alpha": -1}, "tau_alpha"),
     ],
 )
 def test_bad_changes_name_the_field(changes, word):
@@ -151,6 +152,30 @@ def test_adam_stays_bounded_after_long_silence():
     )
 
 
+@pytest.mark.parametrize("dtype, huge", [("f4", 1e20), ("f4", 1e38), ("f4", 3e38), ("f8", 1e200)])
+def test_adam_survives_gradients_whose_square_overflows(dtype, huge):
+    """The first step is the rate, as for every first gradient, and later ones go on from there."""
+    p = Parameters({"a": np.zeros(2)}, dtype)
+    adam, g = Adam(p), p.zeros()
+    for sign in (1, -1, 1):
+        g.vector[:] = sign * huge, sign
+        adam.step(p, g, lambda name: 0.01)
+        assert np.isfinite(adam.second.vector).all()
+        assert np.allclose(p.vector, p.vector[1], rtol=1e-5) and abs(p["a"][0]) < 0.02
+    g.vector[:] = np.nan, 1
+    adam.step(p, g, lambda name: 0.01)
+    assert np.isnan(p.vector).tolist() == [True, False]  # a NaN is not clipped to a number
+
+
+def test_rates_are_computed_once_a_step(scene, monkeypatch):
+    """Not once for every array: a network has many, and they share the rate of their name."""
+    trainer, asked = Trainer(scene, SMOKE), []
+    rate_of = trainer.rate_of
+    monkeypatch.setattr(trainer, "rate_of", lambda name: asked.append(name) or rate_of(name))
+    trainer.step()
+    assert len(asked) == len(set(asked)) and {name.split(".")[0] for name in asked} == set(asked)
+
+
 def test_learning_rate_is_geometric():
     def rate(step):
         return exponential(step, 0.01, 1e-4, 1000)
@@ -187,6 +212,21 @@ def test_anchors_start_on_the_lattice_with_their_neighbours_distance(scene):
     squared = np.sort(((x[:, None] - x) ** 2).sum(axis=2), axis=1)[:, 1:4].mean(axis=1)
     assert np.allclose(np.exp(p["log_s"]), np.sqrt(squared)[:, None], rtol=1e-4)
     assert not p["O_a"].any() and neighbour_distance(np.zeros((1, 3))).shape == (1,)
+
+
+@pytest.mark.parametrize(
+    "points", [np.zeros((0, 3)), [], np.zeros((4, 2)), np.zeros(3), np.full((2, 3), np.nan)]
+)
+def test_bad_points_are_refused_in_one_line(scene, points):
+    with pytest.raises(ValueError, match=r"^points: expected .* shape \[A, 3\].*") as refused:
+        Trainer(scene, SMOKE, points=points)
+    assert "\n" not in str(refused.value)
+
+
+def test_one_point_trains_through_all_stages(scene):
+    preset = choose("smoke", {"stage_ends": "1,2,3,5", "mask_from": 9})
+    model = Trainer(scene, preset, points=[[0.1, 0.2, 0.3]]).run()
+    assert model.anchors.x_a.shape == (1, 3) and np.isfinite(model.anchors.x_a).all()
 
 
 def test_what_each_stage_moves(scene):
