@@ -359,7 +359,7 @@ def equations(arguments):
 
 def presets(arguments):
     """Print the presets beside the paper's values."""
-    from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, PRESETS, differences
+    from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, PRESETS, SOURCES, differences
 
     names = [arguments.preset] if arguments.preset else list(PRESETS)
     require_known("preset", names, PRESETS)
@@ -369,11 +369,13 @@ def presets(arguments):
             "differs": [
                 dict(zip(("field", "paper", "here"), row)) for row in differences(PRESETS[name])
             ],
+            "sources_of_paper_presets": SOURCES,
         }
         for name in names
     }
     chosen, paper = [PRESETS[name] for name in names], (PAPER_SYNTHETIC, PAPER_REAL)
-    show(arguments, value, text.presets(chosen, paper, differences, bool(arguments.preset)))
+    every_field = bool(arguments.preset)
+    show(arguments, value, text.presets(chosen, paper, differences, SOURCES, every_field))
 
 
 def bench(arguments):

@@ -102,20 +102,25 @@ def setting(value):
     return ",".join(parts if len(parts) < 6 else [*parts[:2], "...", parts[-1]])
 
 
-def presets(chosen, paper, differences, every_field):
-    """The presets beside the paper's two: all fields, or those that differ, with a star."""
+def presets(chosen, paper, differences, sources, every_field):
+    """The presets beside the paper's two: all fields, or those that differ, with a star.
+
+    The last column says where the values of the paper's presets come from.
+    """
     blocks = []
     for preset in chosen:
         changed = {field for field, *_ in differences(preset)}
-        count = f"{len(changed)} fields differ from {paper[0].name}"
-        lines = [f"{preset.name}: {count if changed else 'the values of the paper'}"]
-        table = [["  field", preset.name, *(p.name for p in paper)]]
+        count = f"{len(changed)} fields differ from {paper[0].name}; *: ours"
+        if preset in paper:
+            count = "the paper's values, and where it gives none those of the source"
+        lines = [f"{preset.name}: {count}"]
+        columns = [preset] * (preset not in paper) + list(paper)
+        table = [["  field", *(p.name for p in columns), "source of the paper presets"]]
         for field in preset._fields[1:]:
             if every_field or field in changed:
-                star = "* " if field in changed else "  "
-                table.append(
-                    [star + field, *(setting(getattr(p, field)) for p in (preset, *paper))]
-                )
+                star = "* " if field in changed and preset not in paper else "  "
+                values = [setting(getattr(p, field)) for p in columns]
+                table.append([star + field, *values, sources[field]])
         widths = [max(map(len, column)) for column in zip(*table)]
         for row in table if len(table) > 1 else []:
             lines.append("  ".join(map(str.ljust, row, widths)).rstrip())

@@ -34,6 +34,28 @@ class Statistics:
         self.gradient.reshape(-1)[rows] += length[seen.visible]
         self.seen.reshape(-1)[rows] += 1
 
+    def clear_judged(self, preset):
+        """Start anew, in place, for what enough views have judged; the rest goes on summing.
+
+        This is Scaffold-GS's rule (Q16): gradients are cleared by child, opacities by anchor.
+        """
+        children, anchors = often_seen(self, preset), often_visited(self, preset)
+        for sums, judged in (
+            (self.gradient, children),
+            (self.seen, children),
+            (self.opacity, anchors),
+            (self.visits, anchors),
+        ):
+            sums[judged] = 0
+
+    def with_rows(self, keep, count):
+        """The statistics of the anchors that are kept, and of `count` new ones after them."""
+        rows = (
+            np.concatenate([sums[keep], np.zeros((count, *sums.shape[1:]))])
+            for sums in (self.visits, self.opacity, self.gradient, self.seen)
+        )
+        return Statistics(*rows)
+
 
 def centers(p):
     """The centres [A, k, 3] of all children, Eq. (1)."""
@@ -51,7 +73,7 @@ def grow(p, statistics, preset, rng):
     """
     x = centers(p).reshape(-1, 3)
     gradient = (statistics.gradient / np.maximum(statistics.seen, 1)).ravel()  # per view
-    eligible = statistics.seen.ravel() > preset.grow_every * preset.success * 0.5
+    eligible = often_seen(statistics, preset).ravel()
     parents = np.repeat(p["f_a"], p["O_a"].shape[1], axis=0)
     taken, features, sizes = [p["x_a"][:0]], [p["f_a"][:0]], [np.zeros(0)]
     for level in range(preset.grow_depth):
@@ -78,6 +100,11 @@ def among(cells, present):
     """Which rows of `cells` occur among those of `present`."""
     occupied = {tuple(row) for row in present.tolist()}
     return np.array([tuple(row) in occupied for row in cells.tolist()], bool)
+
+
+def often_seen(statistics, preset):
+    """The children [A, k] that were rendered often enough for a decision."""
+    return statistics.seen > preset.grow_every * preset.success * 0.5
 
 
 def often_visited(statistics, preset):

@@ -1,7 +1,8 @@
 """Every constant of training by name: the two settings of the paper and two small ones.
 
-A value of `paper_synthetic` comes from the paper or, where the paper is silent, from the methods it
-builds on (README, Choices). `differences(preset)` lists what a small preset changes.
+A value of `paper_synthetic` and `paper_real` comes from the paper or, where the paper gives none,
+from the methods that it builds on or from us: `SOURCES` says from which. `differences(preset)`
+lists what a preset changes.
 """
 
 from collections.abc import Mapping
@@ -66,7 +67,7 @@ class Preset(NamedTuple):
     grow: str = "scaffold"  # "scaffold", "reseed" or "off"
     grow_from: int = 1500
     grow_every: int = 100  # iterations of a window
-    grow_until: int = 15_000
+    grow_until: int = 15_000  # the first iteration without growing
     collect_from: int = 500  # first iteration that counts in the statistics of density control
     gradient_threshold: float = 2e-4
     grow_init: int = 16  # the coarsest voxel for growing, in multiples of epsilon
@@ -85,6 +86,35 @@ class Preset(NamedTuple):
         """The stage, 1 to 4, of an iteration counted from 0."""
         return 1 + sum(iteration >= end for end in self.stage_ends[:3])
 
+
+# Where the values of the two paper presets come from, with the number of the choice in the README.
+# A rate has two values, the first and the last.
+SOURCES = {
+    **dict.fromkeys(("anchors", "extent"), "Scaffold-GS (Q28)"),
+    **dict.fromkeys(("voxel", "d", "k", "hidden", "context", "grow_init", "stage_ends"), "paper"),
+    **dict.fromkeys(("Q_f", "Q_s", "Q_l", "Q_O"), "paper"),
+    "deformation": "paper (Q1)",
+    **dict.fromkeys(("L_x", "L_t"), "D3DGS (Q2)"),
+    **dict.fromkeys(("grid_3d", "grid_2d", "table_3d", "table_2d", "F"), "HAC (Q11)"),
+    "tau_alpha": "Scaffold-GS (Q4)",
+    "feature_std": "Scaffold-GS (Q28)",
+    **dict.fromkeys(("opacity_bias", "upright", "deformation_gain"), "off, as the parents (Q28)"),
+    "lambda_rate": "HAC (Q12)",
+    "lambda_ssim": "3DGS (Q13)",
+    "lambda_volume": "off, as the paper (Q25)",
+    "decay_from": "ours (Q17)",
+    "lr_x": "Scaffold-GS (Q14)",
+    **dict.fromkeys(("lr_f", "lr_s", "lr_l", "lr_O"), "paper; last: Scaffold-GS (Q17)"),
+    **dict.fromkeys(("lr_alpha", "lr_c"), "paper; last: Scaffold-GS (Q17)"),
+    **dict.fromkeys(("lr_r", "lr_psi_s"), "paper; last: Scaffold-GS (Q17)"),
+    "lr_d": "paper; last: D3DGS (Q17)",
+    **dict.fromkeys(("lr_grid", "lr_p", "lr_q"), "paper; last: HAC (Q17)"),
+    **dict.fromkeys(("grow", "grow_from", "grow_every", "grow_until"), "Scaffold-GS (Q16)"),
+    **dict.fromkeys(("collect_from", "gradient_threshold"), "Scaffold-GS (Q16)"),
+    **dict.fromkeys(("grow_hierarchy", "grow_depth"), "Scaffold-GS (Q16)"),
+    **dict.fromkeys(("success", "min_opacity"), "Scaffold-GS (Q15, Q16)"),
+    "mask_from": "ours (Q15)",
+}
 
 PAPER_SYNTHETIC = Preset()
 PAPER_REAL = Preset(
@@ -138,7 +168,7 @@ TINY = Preset(
     grow="reseed",
     grow_from=100,
     grow_every=100,
-    grow_until=1400,
+    grow_until=1500,
     collect_from=0,
     mask_from=1800,
 )

@@ -159,26 +159,32 @@ class Trainer:
         self.located = hash_grid.locate(x_a, *self.box, self.design.grid, tables)
 
     def adjust(self):
-        """Grow, re-seed, prune and mask as the preset says, then start a new window."""
+        """Grow, re-seed, prune and mask as the preset says.
+
+        Then a new window starts, with Scaffold-GS's rule only for what has been judged.
+        """
         preset, statistics, now = self.preset, self.statistics, self.iteration
         if now >= preset.mask_from:
             self.mask &= ~density.faint_children(statistics, preset)
         dead = density.dead_anchors(statistics, self.mask, preset)
-        growing = preset.grow_from < now <= preset.grow_until
+        growing = preset.grow_from < now < preset.grow_until
         p, adam = self.parameters, self.adam
         if preset.grow == "reseed" and growing:
             density.reseed(p, adam.first, adam.second, dead, statistics, self.rng)
             self.mask[dead] = True
-        elif preset.grow == "reseed" and now > preset.grow_until:
+        elif preset.grow == "reseed" and now >= preset.grow_until:
             self.keep_rows(~dead)  # too late to learn something new: they only cost bytes
         elif preset.grow == "scaffold" and growing:
             self.keep_rows(~dead, density.grow(p, statistics, preset, self.rng))
             log_s = self.parameters["log_s"]
             log_s[...] = np.minimum(log_s, density.LARGEST_LOG_SCALE)
-        self.statistics = density.Statistics.empty(*self.mask.shape)
+        if preset.grow != "scaffold":
+            self.statistics = density.Statistics.empty(*self.mask.shape)
+        elif growing or now >= preset.mask_from:
+            self.statistics.clear_judged(preset)
 
     def keep_rows(self, keep, added=None):
-        """Drop anchors and append new ones, with their masks and moments, and start a new window.
+        """Drop anchors and append new ones, with their masks, moments and statistics.
 
         The last anchor is never dropped.
         """
@@ -194,7 +200,7 @@ class Trainer:
             for moments in (self.adam.first, self.adam.second)
         )
         self.mask = np.concatenate([self.mask[keep], np.ones((count, self.design.k), bool)])
-        self.statistics = density.Statistics.empty(*self.mask.shape)
+        self.statistics = self.statistics.with_rows(keep, count)
         if self.box:
             self.freeze_positions()
 

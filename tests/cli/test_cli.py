@@ -248,12 +248,29 @@ def test_tables(run):
     assert all(f"`{row['key']}`" in run("equations") for row in listed[:3])
     differs = run("presets tiny --json")["tiny"]["differs"]
     assert {"field": "anchors", "paper": 10000, "here": 200} in differs
-    assert ["*", "anchors", "200", "10000", "10000"] in [
-        line.split() for line in run("presets").splitlines()
-    ]
-    assert ["voxel", "0.001", "0.001", "0.01"] in [
-        line.split() for line in run("presets tiny").splitlines()
-    ]
+    star = ["*", "anchors", "200", "10000", "10000", "Scaffold-GS", "(Q28)"]
+    assert star in [line.split() for line in run("presets").splitlines()]
+    same = ["voxel", "0.001", "0.001", "0.01", "paper"]
+    assert same in [line.split() for line in run("presets tiny").splitlines()]
+
+
+def test_the_paper_presets_say_where_each_value_comes_from(run):
+    """The paper gives fewer than half of the fields; nothing else may pass as the paper's."""
+    fields = run("presets paper_synthetic --json")["paper_synthetic"]
+    sources = fields["sources_of_paper_presets"]
+    assert set(sources) == set(fields["fields"]) - {"name"}
+    assert {source.split()[0].strip(";,") for source in sources.values()} == {
+        "paper",
+        "Scaffold-GS",
+        "HAC",
+        "D3DGS",
+        "3DGS",
+        "ours",
+        "off",
+    }
+    shown = run("presets paper_synthetic")
+    assert sum(line.endswith("  paper") for line in shown.splitlines()) == 11
+    assert "lambda_rate" in shown and sources["lambda_rate"] == "HAC (Q12)"
 
 
 def test_bench(run):

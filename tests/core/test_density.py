@@ -79,6 +79,34 @@ def test_pruning_and_masking_by_opacity(scene):
     )
 
 
+def test_scaffold_clears_only_what_it_has_judged(scene):
+    """Children seen more than 40 times and anchors visited more than 80 times start anew."""
+    preset = PAPER_SYNTHETIC._replace(k=4, d=3, extent=0.5, grid_3d=(4,), grid_2d=(4,))
+    trainer, statistics = prepared(scene, preset)
+    statistics.gradient[:] = 1e-9
+    statistics.seen[2, 1], statistics.visits[3] = 40, 80
+    trainer.iteration = 1500  # growing begins after this iteration
+    trainer.adjust()
+    assert statistics.seen.sum() == 47 * 100 + 40 and statistics.visits.sum() == 11 * 100 + 80
+    trainer.iteration = 1600
+    trainer.adjust()
+    after = trainer.statistics
+    assert after.seen[2, 1] == 40 and after.gradient[2, 1] == 1e-9 and after.seen.sum() == 40
+    assert after.visits[3] == 80 and after.opacity[3].tolist() == [50] * 4
+    assert after.visits.sum() == 80 and after.opacity.sum() == 200
+
+
+def test_growing_ends_before_grow_until(scene, monkeypatch):
+    """Scaffold-GS compares strictly at both ends: 1,600 to 14,900."""
+    preset = PAPER_SYNTHETIC._replace(k=4, d=3, extent=0.5, grid_3d=(4,), grid_2d=(4,))
+    trainer, grown = prepared(scene, preset)[0], []
+    added = {name: trainer.parameters[name][:0] for name in density.ROWS}
+    monkeypatch.setattr(density, "grow", lambda *_: grown.append(trainer.iteration) or added)
+    for trainer.iteration in range(1400, 15_200, 100):
+        trainer.adjust()
+    assert grown == list(range(1600, 15_000, 100))
+
+
 def test_rows_stay_together_when_anchors_come_and_go(scene):
     trainer, _ = prepared(scene, TINY)
     for _ in range(3):
@@ -139,7 +167,7 @@ def test_training_survives_growing_in_every_stage(scene, grow):
         grow=grow,
         grow_from=4,
         grow_every=5,
-        grow_until=45,
+        grow_until=46,
         mask_from=10,
         voxel=0.02,
         gradient_threshold=1e-7,
