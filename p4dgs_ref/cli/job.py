@@ -61,13 +61,15 @@ def read_file(path):
         raise UsageError(f"{path}: {error}") from None
 
 
-def estimate(scene, preset, arguments):
+def estimate(scene, preset, arguments, points=None):
     """Time the first steps of a long training; more than an hour needs --yes."""
     from ..training.trainer import Trainer
 
-    if preset.anchors <= 1000 and preset.iterations <= 10_000:
+    anchors = preset.anchors if points is None else len(points)
+    if anchors <= 1000 and preset.iterations <= 10_000:
         return
-    trainer, steps, start = Trainer(scene, preset, arguments.seed), 0, time.perf_counter()
+    trainer = Trainer(scene, preset, arguments.seed, points=points)
+    steps, start = 0, time.perf_counter()
     while steps < min(3, preset.iterations) and time.perf_counter() - start < 60:
         trainer.step()
         steps += 1
@@ -112,6 +114,7 @@ def simulate(arguments):
 def train(arguments):
     """Fit a scene into a run folder."""
     from ..scenes.output import made
+    from ..scenes.points import read_points
     from ..studies.report import write_training
     from ..training.checkpoint import CHECKPOINT
     from ..training.fit import fit
@@ -120,14 +123,18 @@ def train(arguments):
     checkpoint = Path(arguments.output) / CHECKPOINT
     if checkpoint.exists() and not arguments.resume:
         raise UsageError(f"{checkpoint}: exists; --resume goes on from it, another -o starts anew")
+    if arguments.resume and arguments.points:
+        raise UsageError("--points: not allowed with --resume; the checkpoint holds the anchors")
+    points = read_points(arguments.points) if arguments.points else None
     if not arguments.resume:
-        estimate(scene, preset, arguments)
+        estimate(scene, preset, arguments, points)
     start = time.perf_counter()
     with made(arguments.output) as folder:
         trainer = fit(
             scene,
             preset,
             arguments.seed,
+            points=points,
             folder=folder,
             resume=arguments.resume,
             stream=log(arguments),

@@ -136,6 +136,7 @@ COMMANDS = {
         (
             *SCENE,
             *TRAINING,
+            option("--points", help="start from the points of a .npy or .ply file"),
             output("run folder", required=True),
             switch("--resume", "go on from the checkpoint in the run folder"),
             option(
