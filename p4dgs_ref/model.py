@@ -15,6 +15,7 @@ from . import effects as fx
 from .equations import (
     color,
     deformation,
+    deformation_d3dgs,
     deformed,
     hash_grid,
     masking,
@@ -53,6 +54,9 @@ class Design(NamedTuple):
     Q_0: tuple  # base steps of f, s, l, O
     tau_alpha: float
     effects: tuple
+    # D3DGS's reading of psi_d (Q1), a preset option; both are absent from a header that has neither
+    time_net: tuple = ()  # hidden widths of psi_t, then the width of its output
+    skip: bool = False  # whether psi_d's layer after the middle takes its inputs once more
 
     @property
     def widths(self):
@@ -79,9 +83,17 @@ class Design(NamedTuple):
         }
         layers = {name: list(zip(w[:-1], w[1:])) for name, w in widths.items()}
         if fx.moves(self.effects):
-            trunk = (3 * (1 + 2 * self.L_x) + 1 + 2 * self.L_t, *self.deformation)
-            heads = [(trunk[-1], head) for head in fx.heads(self.effects)]
-            layers["psi_d"] = [*zip(trunk[:-1], trunk[1:]), *heads]
+            time = (1 + 2 * self.L_t, *self.time_net)
+            inputs = 3 * (1 + 2 * self.L_x) + time[-1]
+            trunk = [*zip((inputs, *self.deformation), self.deformation)]
+            if self.skip:
+                after = len(trunk) // 2 + 1
+                rows, columns = trunk[after]
+                trunk[after] = inputs + rows, columns
+            last = self.deformation[-1] if self.deformation else inputs
+            layers["psi_d"] = trunk + [(last, head) for head in fx.heads(self.effects)]
+            if self.time_net:
+                layers["psi_t"] = [*zip(time[:-1], time[1:])]
         return layers
 
 
@@ -118,7 +130,8 @@ class SavedPrediction(NamedTuple):
     scale: tuple
     offsets: tuple
     masking: tuple
-    deformation: tuple | None = None  # None where nothing moves or time has not started
+    # The module of psi_d and what it saved; None where nothing moves or time has not started.
+    deformation: tuple | None = None
     deformed: tuple | None = None
 
 
@@ -176,11 +189,14 @@ def predict(design, networks, anchors, x_c, t=None):
         saved_masking,
     )
     if t is not None and "psi_d" in networks:
-        deltas, saved_deformation = deformation.forward(
-            x, t, *networks["psi_d"], design.L_x, design.L_t
+        psi_d, psi_t = deformation, ()
+        if design.time_net or design.skip:
+            psi_d, psi_t = deformation_d3dgs, networks.get("psi_t", ([], []))
+        deltas, saved_deformation = psi_d.forward(
+            x, t, *networks["psi_d"], *psi_t, design.L_x, design.L_t
         )
         (x, s, r), saved_deformed = deformed.forward(x, s, r, *deltas)
-        saved = saved._replace(deformation=saved_deformation, deformed=saved_deformed)
+        saved = saved._replace(deformation=(psi_d, saved_deformation), deformed=saved_deformed)
     return Gaussians(x, s, r, alpha_kept, c, index), saved
 
 
@@ -194,9 +210,16 @@ def predict_backward(saved, x_bar, s_bar, r_bar, alpha_bar, color_bar):
     if saved.deformed is not None:
         at_t = deformed.backward(saved.deformed, x_bar, s_bar, r_bar)
         x_bar, s_bar, r_bar = at_t["x"], at_t["s"], at_t["r"]
-        networks["psi_d"] = deformation.backward(
-            saved.deformation, at_t["delta_x"], at_t["delta_s"], at_t["delta_r"], needs_x=False
+        psi_d, saved_psi_d = saved.deformation
+        gradients = psi_d.backward(
+            saved_psi_d, at_t["delta_x"], at_t["delta_s"], at_t["delta_r"], needs_x=False
         )
+        networks["psi_d"] = gradients
+        if gradients.get("time_weights"):
+            networks["psi_t"] = {
+                "weights": gradients["time_weights"],
+                "biases": gradients["time_biases"],
+            }
     children = masking.backward(saved.masking, alpha_bar, x_bar, color_bar, s_bar, r_bar)
     placed = offsets.backward(saved.offsets, children["x"])
     networks["psi_s"] = scale.backward(saved.scale, children["s"])

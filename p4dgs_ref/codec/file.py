@@ -14,7 +14,7 @@ two kinds of streams in `streams.py`. A is the number of anchors.
     7   masks            bits       k bits per anchor: 1 where the child is kept
     8   hash_grid        bits       level by level, T nodes of F entries, one bit each: 1 for an
                                     entry of +1, 0 for -1
-    9   deformation_mlp  float16    psi_d; absent where nothing moves
+    9   deformation_mlp  float16    psi_d, psi_t; absent where nothing moves
     10  anchor_mlps      float16    psi_alpha, psi_c, psi_r, psi_s
     11  context_mlps     float16    psi_p, psi_q
 
@@ -57,6 +57,10 @@ hidden widths in the header to its outputs:
     psi_d               inputs: 3 (1 + 2 L_x) + 1 + 2 L_t; hidden widths: `deformation`; then up to
                         three last layers side by side, each with its own W and b: 3, 3 and 4
                         outputs for translation, scaling and rotation, where the header lists them
+    psi_t               only where the header has `time_net`: inputs 1 + 2 L_t, then its widths; its
+                        outputs are inputs of psi_d instead of 1 + 2 L_t
+                        With `skip`, the layer of psi_d after the middle one has the inputs of psi_d
+                        before its others; of n widths it is number n // 2 + 1, counted from 0.
 
 Values. A position is lo + n ((hi - lo) / 65535), n being its uint16, and an attribute is its symbol
 times q, the step of its anchor and group. Each operation on doubles is rounded by itself (no fused
@@ -80,7 +84,7 @@ from .streams import decode_bits, decode_symbols, encode_bits, encode_gaussian
 NETWORK_SECTIONS = {
     "anchor_mlps": ANCHOR_NETWORKS,
     "context_mlps": CONTEXT_NETWORKS,
-    "deformation_mlp": ("psi_d",),
+    "deformation_mlp": ("psi_d", "psi_t"),
 }
 ATTRIBUTE_SECTIONS = ("features", "scales", "offset_scales", "offsets")  # groups f, s, l, O
 

@@ -14,13 +14,16 @@
     F             entries per node of the hash grid: 1 to 64
     Q_0           list of the four base steps of f, s, l, O: 2^-100 to 2^100
     tau_alpha     opacity below which a Gaussian is not drawn: -1 to 1
+    time_net      optional: list of 1 to 8 widths, 1 to 2^14 each: the hidden layers of psi_t and
+                  its output. Without this field there is no psi_t
+    skip          optional, true: psi_d has a skip; `deformation` then has at least 3 widths
     effects       list of the effects of the scene, none twice, in any order: some of "translation",
                   "rotation", "scaling", "view_color", "view_geometry", "occlusion", "background"
 
-Every field is present once, in any order, and there is no other field. background, Q_0 and
-tau_alpha hold numbers that are read as the nearest double, as JSON.parse and strtod do. All other
-numbers are integers, written without point and exponent; a reader that cannot tell 4 from 4.0 may
-accept both.
+Only the optional fields may be missing, no field occurs twice, and there is no other. They stand in
+any order. background, Q_0 and tau_alpha hold numbers that are read as the nearest double, as
+JSON.parse and strtod do. All other numbers are integers, written without point and exponent; a
+reader that cannot tell 4 from 4.0 may accept both.
 
 A level with D axes stores T = min(R^D, its number in `table`) nodes with F entries each.
 
@@ -50,6 +53,9 @@ def write_header(model):
         "background": [float(c) for c in model.background],
         **model.design._asdict(),
     }
+    for name in OPTIONAL:
+        if not fields[name]:
+            del fields[name]
     return json.dumps(fields, separators=(",", ":")).encode("ascii")
 
 
@@ -65,11 +71,16 @@ def read_header(data):
         pairs = []
     expect(isinstance(pairs, tuple), "expected a JSON object")
     fields = dict(pairs)
+    known = {**FIELDS, **OPTIONAL}
     expect(
-        len(pairs) == len(FIELDS) and set(fields) == set(FIELDS),
-        f"expected exactly the fields {', '.join(FIELDS)}, once each",
+        len(pairs) == len(fields) and set(FIELDS) <= set(fields) <= set(known),
+        f"expected the fields {', '.join(FIELDS)}, and perhaps {', '.join(OPTIONAL)}, once each",
     )
-    values = {name: read(name, fields[name]) for name, read in FIELDS.items()}
+    values = {name: read(name, fields[name]) for name, read in known.items() if name in fields}
+    expect(
+        len(values["deformation"]) >= 3 or "skip" not in values,
+        "field 'skip': expected at least 3 widths in the field 'deformation'",
+    )
     expect(
         len(set(values["effects"])) == len(values["effects"]),
         "field 'effects': expected no effect twice",
@@ -158,6 +169,12 @@ def effect(name, value):
     return value
 
 
+def true(name, value):
+    """Reads a field that is true or absent."""
+    expect(value is True, f"field {name!r}: expected true")
+    return value
+
+
 WIDTHS = list_of(integer(2**14), 0, 8)  # of hidden layers
 FIELDS = {
     "anchors": integer(2**22),
@@ -176,3 +193,4 @@ FIELDS = {
     "tau_alpha": number(-1.0, 1.0),
     "effects": list_of(effect, 0, len(MODEL_EFFECTS)),
 }
+OPTIONAL = {"time_net": list_of(integer(2**14), 1, 8), "skip": true}

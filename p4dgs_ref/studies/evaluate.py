@@ -80,7 +80,8 @@ def evaluate(model, scene, settings=FAST, split="test"):
 
 def explicit_bytes(model, gaussians, floats=FLOATS_PER_GAUSSIAN):
     """Bytes of the same Gaussians and of the deformation network as plain float32."""
-    weights = sum(a.size for arrays in model.networks.get("psi_d", ()) for a in arrays)
+    moving = [model.networks.get(name, ()) for name in ("psi_d", "psi_t")]
+    weights = sum(a.size for network in moving for arrays in network for a in arrays)
     return 4 * (gaussians * floats + weights)
 
 

@@ -26,6 +26,8 @@ def design_of(preset, effects):
         Q_0=(preset.Q_f, preset.Q_s, preset.Q_l, preset.Q_O),
         tau_alpha=preset.tau_alpha,
         effects=tuple(effects),
+        time_net=preset.time_net,
+        skip=preset.skip,
     )
 
 

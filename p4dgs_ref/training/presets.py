@@ -25,6 +25,8 @@ class Preset(NamedTuple):
     k: int = 10
     hidden: tuple[int, ...] = (32, 32)  # two layers of 2d
     deformation: tuple[int, ...] = (192, 192)
+    time_net: tuple[int, ...] = ()  # D3DGS has 256,30 (Q1)
+    skip: bool = False  # the inputs of psi_d once more after its middle layer, as in D3DGS (Q1)
     L_x: int = 10
     L_t: int = 6
     context: tuple[int, ...] = (32, 32)  # two layers of 2d
@@ -93,7 +95,7 @@ SOURCES = {
     **dict.fromkeys(("anchors", "extent"), "Scaffold-GS (Q28)"),
     **dict.fromkeys(("voxel", "d", "k", "hidden", "context", "grow_init", "stage_ends"), "paper"),
     **dict.fromkeys(("Q_f", "Q_s", "Q_l", "Q_O"), "paper"),
-    "deformation": "paper (Q1)",
+    **dict.fromkeys(("deformation", "time_net", "skip"), "paper (Q1)"),
     **dict.fromkeys(("L_x", "L_t"), "D3DGS (Q2)"),
     **dict.fromkeys(("grid_3d", "grid_2d", "table_3d", "table_2d", "F"), "HAC (Q11)"),
     "tau_alpha": "Scaffold-GS (Q4)",
@@ -243,6 +245,8 @@ REQUIREMENTS = {
     "L_t": between(1, 64),
     "hidden": layers(8),
     "deformation": layers(8),
+    "time_net": layers(8),
+    "skip": ("true or false", lambda value: True),
     "context": layers(8),
     "grid_3d": layers(16),
     "grid_2d": layers(16),
@@ -304,6 +308,8 @@ def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Pr
         raise ValueError(
             "field 'grid_3d': expected a level here or in grid_2d; the context has no other input"
         )
+    if chosen.skip and len(chosen.deformation) < 3:
+        raise ValueError("field 'skip': expected at least three layers in the field deformation")
     return chosen
 
 
@@ -312,7 +318,7 @@ def read_value(value, like):
     if isinstance(like, tuple):
         if isinstance(value, str):
             value = [part for part in value.split(",") if part.strip()]
-        return tuple(read_value(part, like[0]) for part in value)
+        return tuple(read_value(part, like[0] if like else 0) for part in value)
     kind = type(like)
     if isinstance(value, str):
         words = {"true": True, "false": False, "1": True, "0": False}

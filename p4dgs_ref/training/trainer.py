@@ -24,12 +24,13 @@ LEARNING_RATES = {
     "psi_r": "lr_r",
     "psi_s": "lr_psi_s",
     "psi_d": "lr_d",
+    "psi_t": "lr_d",
     "psi_p": "lr_p",
     "psi_q": "lr_q",
     "grid": "lr_grid",
 }
 # The stage in which an array first takes part; all others take part in all stages.
-FIRST_STAGE = {"psi_d": 3, "psi_p": 4, "psi_q": 4, "grid": 4}
+FIRST_STAGE = {"psi_d": 3, "psi_t": 3, "psi_p": 4, "psi_q": 4, "grid": 4}
 
 
 def assemble(p, design, mask, box, background):

@@ -70,6 +70,7 @@ MANY = dict(
     table_2d=300,
 )
 LEAST = dict(k=1, hidden=(), context=(), grid_3d=(), grid_2d=(5,))
+AS_D3DGS = dict(deformation=(7, 6, 5, 4), time_net=(8, 3), skip=True)
 TURNING = dict(deformation=(), grid_3d=(3, 4), grid_2d=())
 
 MAKE = {
@@ -80,6 +81,7 @@ MAKE = {
     "no_effects": lambda: random_model(4, (), **LEAST),
     "turning": lambda: random_model(5, ("rotation", "view_geometry"), **TURNING),
     "flat": lambda: random_model(6, points=points_in_a_plane(6), grid_3d=(1, 6)),
+    "as_d3dgs": lambda: random_model(8, **AS_D3DGS),
     "one_anchor": lambda: random_model(7, anchors=1, d=1, k=1),
 }
 

@@ -21,7 +21,7 @@ NOT_OURS = {"all_masked_but_one", "one_anchor", "lattice", "escapes", "base_step
 NETWORKS_OF_SECTION = {
     "anchor_mlps": ("psi_alpha", "psi_c", "psi_r", "psi_s"),
     "context_mlps": ("psi_p", "psi_q"),
-    "deformation_mlp": ("psi_d",),
+    "deformation_mlp": ("psi_d", "psi_t"),
 }
 KINDS = {
     "length": r"total length|at least 18 bytes|add up to|expected \d+ bytes",

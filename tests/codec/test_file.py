@@ -35,7 +35,7 @@ CAMERAS = [look_at(eye, (0, 0, 0), 30.0, 28.0, 40, 24) for eye in EYES]
 NETWORKS_OF_SECTION = {
     "anchor_mlps": ("psi_alpha", "psi_c", "psi_r", "psi_s"),
     "context_mlps": ("psi_p", "psi_q"),
-    "deformation_mlp": ("psi_d",),
+    "deformation_mlp": ("psi_d", "psi_t"),
 }
 
 

@@ -152,7 +152,20 @@ NONSENSE = {
 def test_nonsense_in_the_header_names_the_field(sections, name):
     for value in NONSENSE[name]:
         refused(with_header(sections, **{name: value}), "header", f"field {name!r}")
-    refused(with_header(sections, **{name: ...}), "header", "expected exactly the fields")
+    refused(with_header(sections, **{name: ...}), "header", "expected the fields")
+
+
+@pytest.mark.parametrize(
+    "name, values",
+    [
+        ("time_net", [*NO_WIDTHS, []]),
+        ("skip", [None, False, 1, "true", [True]]),
+        ("skip", [True]),  # psi_d of these sections has one hidden layer
+    ],
+)
+def test_nonsense_in_an_optional_field(sections, name, values):
+    for value in values:
+        refused(with_header(sections, **{name: value}), "header", f"field {name!r}")
 
 
 def test_headers_that_are_not_such_an_object(sections):

@@ -21,10 +21,14 @@ from tests.golden.cases.hash_rate import surrogate
 WIDTH, HEIGHT = 16, 12
 
 
-def setting(effects=MODEL_EFFECTS, stage=4, seed=0, **fixed):
-    """A small model in float64 with every network awake, one view of it, and noise."""
+def setting(effects=MODEL_EFFECTS, stage=4, seed=0, changes=(), **fixed):
+    """A small model in float64 with every network awake, one view of it, and noise.
+
+    `changes` are fields of the preset, `fixed` of objective.Fixed.
+    """
     rng = np.random.default_rng(seed)
     preset = SMOKE._replace(anchors=9, deformation_gain=1.0, feature_std=0.7, extent=0.6)
+    preset = preset._replace(**dict(changes))
     design = design_of(preset, effects)
     p = Parameters(initial_parameters(preset, design, rng).arrays, np.float64)
     for name in p.arrays:
@@ -169,6 +173,12 @@ def test_every_array_with_effects_off(effects, moves, monkeypatch):
     p, design, fixed, view, u = setting(effects, seed=1)
     names = check(p, design, fixed, view, u, monkeypatch)
     assert any(name.startswith("psi_d") for name in names) == moves
+
+
+def test_every_array_with_the_time_net_and_skip_of_d3dgs(monkeypatch):
+    options = dict(deformation=(9, 8, 7), time_net=(6, 4), skip=True)
+    names = check(*setting(changes=options), monkeypatch)
+    assert {"psi_d.W2", "psi_t.W0", "psi_t.b1"} <= set(names)
 
 
 def test_exact_settings_give_the_same_gradient():

@@ -97,14 +97,18 @@ def read_networks(sections, h, widths):
     """The numbers of every section {name: numbers}, and (widths, numbers) of psi_p and psi_q."""
     geometry = h["d"] + 4 * ("view_geometry" in h["effects"])
     color = h["d"] + 4 * ("view_color" in h["effects"])
-    encoded = 3 * (1 + 2 * h["L_x"]) + 1 + 2 * h["L_t"]
+    time = [1 + 2 * h["L_t"], *h.get("time_net", [])]
+    encoded = 3 * (1 + 2 * h["L_x"]) + time[-1]
     heads = sum(HEADS.get(effect, 0) for effect in h["effects"])
     features = len(h["grid"]) * h["F"]
     outputs = ((geometry, 1), (color, 3), (geometry, 4), (geometry, 3))  # per child
     anchor_mlps = [(inputs, *h["hidden"], n * h["k"]) for inputs, n in outputs]
     context_mlps = [(features, *h["context"], n) for n in (2 * sum(widths), 4)]
     # Three heads side by side have as many numbers as one with all their outputs.
-    deformation_mlp = [(encoded, *h["deformation"], heads)] if heads else []
+    deformation_mlp = [(encoded, *h["deformation"], heads), time] if heads else []
+    if heads and h.get("skip"):
+        # `encoded` more rows of one layer, and no bias: the numbers of a layer with one input less.
+        deformation_mlp.append((encoded - 1, h["deformation"][len(h["deformation"]) // 2 + 1]))
     numbers = {}
     for name, networks in (
         ("anchor_mlps", anchor_mlps),

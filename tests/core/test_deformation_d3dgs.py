@@ -1,0 +1,125 @@
+"""psi_d with D3DGS's time net and skip: against a loop over rows, its gradient, its size."""
+
+import numpy as np
+import pytest
+
+import p4dgs_ref as p4
+from p4dgs_ref.equations import deformation, deformation_d3dgs
+from p4dgs_ref.scenes import MODEL_EFFECTS
+from p4dgs_ref.studies.random_inputs import random_network
+from p4dgs_ref.table import Equation
+from p4dgs_ref.training.initial import design_of
+from p4dgs_ref.training.presets import PAPER_SYNTHETIC, choose
+from tests.core.adjoint import check_adjoint
+from tests.golden.cases import Case
+
+L_X, L_T = 2, 3
+HIDDEN = (9, 8, 6, 5)
+EQUATION = Equation(
+    "deformation_d3dgs",
+    "5",
+    "(delta_x, delta_s, delta_r) = psi_d(concat(E(x), psi_t(E(t))))",
+    "p4dgs_ref.equations.deformation_d3dgs",
+    ("delta_x", "delta_s", "delta_r"),
+    ("weights", "biases", "time_weights", "time_biases"),
+)
+
+
+def inputs(time_net, skip, seed=0):
+    """Random inputs for five Gaussians; layers as `Design.layers` gives them."""
+    rng = np.random.default_rng(seed)
+    preset = PAPER_SYNTHETIC._replace(
+        deformation=HIDDEN, L_x=L_X, L_t=L_T, time_net=time_net, skip=skip
+    )
+    layers = design_of(preset, MODEL_EFFECTS).layers()
+    drawn = {}
+    for name in ("psi_d", "psi_t"):
+        pairs = [random_network(rng, *pair) for pair in layers.get(name, [])]
+        drawn[name] = [W for (W,), _ in pairs], [b for _, (b,) in pairs]
+    return dict(
+        x=rng.normal(size=(5, 3)),
+        t=0.37,
+        weights=drawn["psi_d"][0],
+        biases=drawn["psi_d"][1],
+        time_weights=drawn["psi_t"][0],
+        time_biases=drawn["psi_t"][1],
+        L_x=L_X,
+        L_t=L_T,
+    )
+
+
+VARIANTS = pytest.mark.parametrize("time_net", [(), (7, 4)])
+SKIPS = pytest.mark.parametrize("skip", [False, True])
+
+
+def encode(values, L):
+    """E of one row, number by number."""
+    row = list(values)
+    for j in range(L):
+        row += [np.sin(2**j * v) for v in values] + [np.cos(2**j * v) for v in values]
+    return np.array(row)
+
+
+@VARIANTS
+@SKIPS
+def test_against_a_loop_over_rows(time_net, skip):
+    """As D3DGS's code does it: after the middle layer the inputs are put before the hidden row."""
+    case = inputs(time_net, skip)
+    deltas, _ = deformation_d3dgs.forward(**case)
+    time = encode([case["t"]], L_T)
+    for i, (W, b) in enumerate(zip(case["time_weights"], case["time_biases"])):
+        time = (np.maximum(time, 0) if i else time) @ W + b
+    for row, x in enumerate(case["x"]):
+        start = hidden = np.concatenate([encode(x, L_X), time])
+        for i, (W, b) in enumerate(zip(case["weights"][:-3], case["biases"][:-3])):
+            hidden = np.maximum(hidden @ W + b, 0)
+            if skip and i == len(HIDDEN) // 2:
+                hidden = np.concatenate([start, hidden])
+        for delta, W, b in zip(deltas, case["weights"][-3:], case["biases"][-3:]):
+            assert np.allclose(delta[row], hidden @ W + b, rtol=1e-12, atol=1e-13)
+
+
+@VARIANTS
+@SKIPS
+def test_gradients(time_net, skip):
+    """The gradient of every array; x by itself, because E(x) is far from linear."""
+    case = Case("ordinary", inputs(time_net, skip))
+    check_adjoint(EQUATION, case, EQUATION)
+    check_adjoint(EQUATION._replace(gradients=("x",)), case, EQUATION)
+
+
+def test_without_both_it_is_eq_5():
+    case = inputs((), False)
+    ours, saved = deformation_d3dgs.forward(**case)
+    cut = {name: case[name] for name in ("x", "t", "weights", "biases", "L_x", "L_t")}
+    theirs, saved_5 = deformation.forward(**cut)
+    bars = [np.random.default_rng(1).normal(size=a.shape) for a in ours]
+    gradients = deformation_d3dgs.backward(saved, *bars)
+    for name, wanted in deformation.backward(saved_5, *bars).items():
+        pairs = [(gradients[name], wanted)] if name == "x" else zip(gradients[name], wanted)
+        assert all(np.allclose(a, b, rtol=1e-10, atol=1e-12) for a, b in pairs), name
+    assert all(np.allclose(a, b, rtol=1e-12, atol=1e-13) for a, b in zip(ours, theirs))
+    lean = deformation_d3dgs.backward(saved, *bars, needs_x=False)
+    assert "x" not in lean and np.array_equal(lean["weights"][0], gradients["weights"][0])
+
+
+def test_training_and_file_carry_both():
+    """Three layers as in the README: the arrays of a short training come back from the bytes."""
+    scene = p4.load_scene("bouncing", downscale=4)
+    options = dict(deformation=(12, 11, 10), time_net=(9, 7), skip=True)
+    model = p4.train(scene, "smoke", **options)
+    start = p4.train(scene, "smoke", stage_ends=(10, 15, 15, 16), **options)
+    for name in ("psi_d", "psi_t"):
+        for before, after in zip(start.networks[name][0], model.networks[name][0]):
+            assert not after.size or np.abs(after - before).max() > 0, name
+    decoded = p4.decode(p4.encode(model))
+    assert (decoded.design.time_net, decoded.design.skip) == ((9, 7), True)
+    for name in ("psi_d", "psi_t"):
+        for stored, trained in zip(decoded.networks[name][0], model.networks[name][0]):
+            assert np.array_equal(stored, trained.astype(np.float16))
+
+
+def test_a_skip_needs_three_layers():
+    with pytest.raises(ValueError, match="'skip'.*three layers"):
+        choose("tiny", {"skip": "true"})
+    assert choose("tiny", {"skip": "true", "deformation": "8,8,8", "time_net": "9,4"}).skip
