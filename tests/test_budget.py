@@ -217,4 +217,4 @@ def test_requirements_are_the_named_packages():
     setup.read(ROOT / "setup.cfg")
     required = setup["options"]["install_requires"].split()
     assert {re.split(r"\W", requirement)[0] for requirement in required} == PACKAGES
-    assert setup["options.extras_require"]["test"].split() == ["pytest>=7"]
+    assert setup["options.extras_require"]["test"].split() == ["pytest>=7.0.0"]

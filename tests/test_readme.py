@@ -1,5 +1,6 @@
 """The README is true: its programs print what it shows, and its figures, names and links hold."""
 
+import configparser
 import json
 import math
 import os
@@ -145,8 +146,14 @@ def test_check_fails_where_a_test_fails_and_leaves_nothing(tmp_path, tests, slow
         [ROOT / ".ci" / "run"], env=environment, stdin=subprocess.DEVNULL, capture_output=True
     )
     assert done.returncode == code, done.stderr
-    calls = ["pip install .[test]", "python -m pytest", "python -m pytest -m slow"]
-    assert log.read_text().splitlines() == calls[: 2 if tests else 3]
+    declared = configparser.ConfigParser()
+    declared.read(ROOT / "setup.cfg")
+    floors = declared["options"]["install_requires"].split()
+    floors += declared["options.extras_require"]["test"].split()
+    lowest = " ".join(floor.replace(">=", "==") for floor in floors)
+    calls = ["pip install .[test]", "python -m pytest", f"pip install .[test] {lowest}"]
+    calls += ["python -m pytest", "python -m pytest -m slow"]
+    assert log.read_text().splitlines() == calls[: 2 if tests else 5]
     assert not list(temporary.iterdir())
 
 

@@ -1,0 +1,47 @@
+"""The source distribution holds what the repository holds, and runs its own tests."""
+
+import shutil
+import subprocess
+import sys
+import tarfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+NOT_SOURCES = shutil.ignore_patterns(
+    ".git",
+    ".venv",
+    "venv",
+    "build",
+    "dist",
+    "*.egg-info",
+    "__pycache__",
+    ".*_cache",
+    "report",
+    "runs",
+)
+
+
+def files(folder):
+    """The files under a folder, without what a build or a test run leaves there."""
+    left = ("__pycache__", ".egg-info", ".pytest_cache", "PKG-INFO", "tutorials/out")
+    paths = (str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file())
+    return {path for path in paths if not any(name in path for name in left)}
+
+
+@pytest.mark.slow
+def test_source_distribution_is_whole(tmp_path):
+    pytest.importorskip("setuptools", reason="the build backend is not installed")
+    source = tmp_path / "source"
+    shutil.copytree(ROOT, source, ignore=NOT_SOURCES)
+    call = [sys.executable, "-c", "import setuptools; setuptools.setup()", "-q", "sdist"]
+    subprocess.run([*call, "-d", str(tmp_path)], cwd=source, check=True, capture_output=True)
+    with tarfile.open(next(tmp_path.glob("*.tar.gz"))) as archive:
+        archive.extractall(tmp_path / "unpacked")
+    unpacked = next((tmp_path / "unpacked").iterdir())
+    assert files(unpacked) == files(source)
+    names = ["tests/core/test_numerics.py", "tests/school/test_lessons.py"]
+    run = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *names]
+    result = subprocess.run(run, cwd=unpacked, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout
