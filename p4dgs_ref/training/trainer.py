@@ -33,6 +33,14 @@ LEARNING_RATES = {
 FIRST_STAGE = {"psi_d": 3, "psi_t": 3, "psi_p": 4, "psi_q": 4, "grid": 4}
 
 
+MOST_MOMENTS = 2**28  # bytes of moments for SSIM that are kept: 682 views of 64x64, 4 of 800x800
+
+
+def held_bytes(moments):
+    """The bytes that the moments of a view hold; an array that is a view holds its whole base."""
+    return sum((a if a.base is None else a.base).nbytes for a in moments)
+
+
 def assemble(p, design, mask, box, background):
     """The model of some parameters, linear and in float64; without a box, the exact one."""
     f, s, l, O = split(objective.linear_values(p).astype(float), design)
@@ -69,7 +77,7 @@ class Trainer:
         self.located = None  # where the positions are in the hash grid, from stage 4 on
         self.order = np.zeros(0, np.int64)  # the views still to be visited, last first
         self.history = []  # rows of training.csv
-        self.moments = {}  # moments of the truth for SSIM, which are the same in every visit
+        self.moments = {}  # by view, as long as they fit into MOST_MOMENTS bytes
         self.adopt(initial_parameters(preset, self.design, self.rng, points))
         self.adam = Adam(self.parameters)
         self.mask = np.ones((len(self.parameters["x_a"]), self.design.k), bool)
@@ -103,6 +111,18 @@ class Trainer:
         index, self.order = self.order[-1], self.order[:-1]
         return self.scene.train[index]
 
+    def moments_of(self, view):
+        """The moments of the truth for SSIM, which are the same at every visit.
+
+        They are computed anew where those of other views have filled MOST_MOMENTS.
+        """
+        if id(view) in self.moments:
+            return self.moments[id(view)]
+        moments = ssim.moments(view.image)
+        if sum(map(held_bytes, [*self.moments.values(), moments])) <= MOST_MOMENTS:
+            self.moments[id(view)] = moments
+        return moments
+
     def fixed(self):
         """The inputs of the next iteration that are not parameters."""
         preset, stage = self.preset, self.stage
@@ -127,9 +147,7 @@ class Trainer:
             self.freeze_positions()
         view, p = self.next_view(), self.parameters
         u = self.rng.random((len(self.mask), sum(self.design.widths)), np.float32) - np.float32(0.5)
-        if id(view) not in self.moments:
-            self.moments[id(view)] = ssim.moments(view.image)
-        moments = self.moments[id(view)]
+        moments = self.moments_of(view)
         inputs = (p, self.design, self.networks, self.grids, self.fixed(), view, u, moments)
         losses, seen, saved = objective.forward(*inputs)
         gradients, mean2d_bar = objective.backward(saved)

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from p4dgs_ref.equations import ssim
 from p4dgs_ref.model import LATTICE, snap
 from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.training import trainer as trainer_module
 from p4dgs_ref.training.adam import Adam, exponential
 from p4dgs_ref.training.finite import NotFinite
 from p4dgs_ref.training.initial import initial_parameters, neighbour_distance
@@ -348,3 +350,23 @@ def test_an_equation_inside_another_is_named_with_it(scene, monkeypatch):
         pytest.raises(NotFinite, match="equation 'deformation', its 'mlp', forward: y"),
     ):
         trainer.step()
+
+
+# --- memory ---
+def test_moments_of_the_pictures_stay_within_their_budget(scene, monkeypatch):
+    """What is kept for SSIM is bounded, and training ends with the same bytes without it."""
+    ends, most = [], []
+    of_one_view = trainer_module.held_bytes(ssim.moments(scene.train[0].image))
+    for budget in (trainer_module.MOST_MOMENTS, 5 * of_one_view, 0):
+        monkeypatch.setattr(trainer_module, "MOST_MOMENTS", budget)
+        trainer = Trainer(scene, SMOKE, seed=1)
+        trainer.run()
+        ends.append(trainer.parameters.vector.tobytes())
+        most.append(len(trainer.moments))
+    assert ends[0] == ends[1] == ends[2] and most == [45, 5, 0]
+
+
+def test_held_bytes_count_whole_arrays():
+    """An array that is a view keeps all of its base in memory."""
+    truth = np.zeros((20, 30, 3))
+    assert trainer_module.held_bytes(ssim.moments(truth)) == 4 * truth.nbytes
