@@ -11,7 +11,7 @@ def oracle_list(arguments):
     from ..oracle.published import read_manifest
     from ..oracle.report import listing
 
-    manifest = read_manifest()
+    manifest = read_manifest(version=arguments.vectors)
     show(arguments, {name: manifest[name] for name in ("subjects", "streams")}, listing(manifest))
 
 
@@ -26,7 +26,7 @@ def oracle_export(arguments):
     """Write the vectors into a folder."""
     from ..oracle.export import export
 
-    done = export(arguments.folder)
+    done = export(arguments.folder, arguments.vectors)
     show(
         arguments,
         done,
@@ -61,7 +61,9 @@ def oracle_check(arguments):
         else Adapter(command, arguments.timeout or 10.0, arguments.dtype or "float64")
     )
     with Line(arguments) as line, closing(port):
-        report = check_port(port, arguments.level, arguments.only, progress=line)
+        report = check_port(
+            port, arguments.level, arguments.only, progress=line, version=arguments.vectors
+        )
     if not report.results:
         asked = f"--level {' '.join(arguments.level)} --only {' '.join(arguments.only)}"
         raise UsageError(f"{asked}: no such case; `p4dgs-ref oracle list` lists them")

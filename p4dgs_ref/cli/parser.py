@@ -298,14 +298,21 @@ COMMANDS = {
         ),
     ),
 }
+VECTORS = option(
+    "--vectors",
+    choices=("1.0", "1.1"),
+    default="1.1",
+    help="version of the vectors (default 1.1): cases that joined later are left out",
+)
 ORACLE = {
-    "list": (oracle.oracle_list, "list all cases and what each of them tests", ()),
+    "list": (oracle.oracle_list, "list all cases and what each of them tests", (VECTORS,)),
     "path": (oracle.oracle_path, "print the folder in which the vectors are installed", ()),
     "export": (
         oracle.oracle_export,
         "write the vectors into a folder",
         (
             option("folder", type=place, help="folder to write to"),
+            VECTORS,
             QUIET,
         ),
     ),
@@ -324,12 +331,13 @@ ORACLE = {
                 "--timeout",
                 type=real(0.01, 86400),
                 metavar="SECONDS",
-                help="time limit of each answer of the adapter (default 10)",
+                help="time limit of each answer of the adapter, compilation included (default 10)",
             ),
             option(
                 "--dtype",
                 choices=("float64", "float32"),
-                help="precision of the numbers sent to the adapter (default float64)",
+                help="precision of the numbers sent to the adapter (default float64); half is not "
+                "judged",
             ),
             option(
                 "--level",
@@ -339,6 +347,7 @@ ORACLE = {
                 help="check only this level; may be repeated",
             ),
             several("--only", "NAME", "check only this equation or subject; may be repeated"),
+            VECTORS,
             QUIET,
         ),
     ),

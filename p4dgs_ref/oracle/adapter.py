@@ -16,7 +16,8 @@ nothing else. A port may log to stderr; its end is quoted when something goes wr
 
 ARRAY is {"dtype": "F64", "shape": [5, 3], "data": BASE64}: the numbers row by row, little-endian,
 with safetensors' names of types. Lists are flat: weights.0, weights.1. Floats have the dtype of the
-first line. At the end stdin is closed, and a port that still runs a second later is killed.
+first line. The time limit of an answer covers compilation; `--timeout` raises it. At the end stdin
+is closed, and a port that still runs a second later is killed.
 Processes and their groups are those of POSIX.
 """
 
@@ -207,7 +208,10 @@ class Child:
                     raise PortError("nonsense", said)
                 left = deadline - time.monotonic()
                 if left <= 0:
-                    raise PortError("hung", f"no answer within {seconds:g} s")
+                    said = (
+                        f"no answer within {seconds:g} s, compilation included; --timeout raises it"
+                    )
+                    raise PortError("hung", said)
                 events = ready.select(min(left, 0.1))
                 # A child of a dead process may still hold its stdout.
                 if not events and self.process.poll() is not None:

@@ -53,13 +53,21 @@ def check(forward, key, vjp=None):
     return Report(check_subject(published.cases(key), FunctionPort(forward, vjp), roles))
 
 
-def check_port(port, levels=(), only=(), folder=FOLDER, progress=lambda text: None):
+def check_port(
+    port,
+    levels=(),
+    only=(),
+    folder=FOLDER,
+    progress=lambda text: None,
+    version=published.VERSIONS[-1],
+):
     """Return a Report on a port, in the order in which data flows.
 
-    `levels` and `only` (subjects or equations) choose cases; empty, they choose all.
+    `levels` and `only` (subjects or equations) choose cases; empty, they choose all. `version` is
+    that of the vectors: cases that joined later are left out.
     """
     only = {only} if isinstance(only, str) else set(only)
-    manifest = published.read_manifest(folder)
+    manifest = published.read_manifest(folder, version)
     results = []
     for level in LEVELS:
         if levels and level not in levels:
@@ -68,7 +76,7 @@ def check_port(port, levels=(), only=(), folder=FOLDER, progress=lambda text: No
             from . import streams  # loads the codec
 
             progress("codec")
-            results += streams.check(port)
+            results += streams.check(port, {row["name"] for row in manifest["streams"]})
         for subject in manifest["subjects"]:
             chosen = not only or {subject["key"], subject["equation"]} & only
             if subject["level"] == level and chosen:

@@ -8,11 +8,11 @@ from ..codec import published as codec
 from ..codec.container import BitstreamError
 from ..scenes.output import OutputError, filled
 from . import safetensors, streams
-from .published import FOLDER, read_manifest
+from .published import FOLDER, VERSIONS, read_manifest
 
 
-def export(folder):
-    """Copy the published vectors into a folder; return {output, files, bytes, cases}.
+def export(folder, version=VERSIONS[-1]):
+    """Copy a version of the published vectors into a folder; return {output, files, bytes, cases}.
 
     The folder `codec` beside them holds what a right port answers to the streams, so that
     `oracle check` passes the whole folder. Raises OutputError where the folder holds other things,
@@ -23,11 +23,15 @@ def export(folder):
         raise OutputError(
             f"{folder}: expected an empty folder, or an earlier export with its manifest.json"
         )
-    manifest = read_manifest()
+    manifest = read_manifest(version=version)
     with filled(folder) as beside:
         for file in sorted(FOLDER.iterdir()):
-            if file.is_file():
+            later = file.suffix == ".safetensors" and file.name not in manifest["files"]
+            if file.is_file() and not later:
                 shutil.copyfile(file, beside / file.name)
+        if version != VERSIONS[-1]:
+            text = json.dumps(manifest, separators=(",", ":"))
+            (beside / "manifest.json").write_text(text, encoding="utf-8")
         copy_streams(beside)
         write_expected(beside)
         sizes = [file.stat().st_size for file in beside.rglob("*") if file.is_file()]

@@ -14,6 +14,7 @@ import numpy as np
 from . import safetensors
 
 FOLDER = Path(__file__).with_name("v1")
+VERSIONS = "1.0", "1.1"
 LEVELS = {
     "L0": "scalars",
     "L1": "one equation",
@@ -53,8 +54,8 @@ def path():
     return FOLDER
 
 
-def read_manifest(folder=FOLDER):
-    """Return the manifest of a folder of vectors.
+def read_manifest(folder=FOLDER, version=VERSIONS[-1]):
+    """Return the manifest of a folder of vectors, with the cases that a version of them has.
 
     Raises TensorError where there is no valid one.
     """
@@ -67,7 +68,21 @@ def read_manifest(folder=FOLDER):
         ) from None
     if manifest.get("format") != 1:
         raise safetensors.TensorError(f"{file}: format: expected 1, got {manifest.get('format')!r}")
-    return manifest
+    return manifest if version == VERSIONS[-1] else limited(manifest, version)
+
+
+def limited(manifest, version):
+    """Return a manifest without what joined after a version, as it was then."""
+
+    def joined(rows):
+        return [row for row in rows if row.get("since", VERSIONS[0]) <= version]
+
+    subjects = [{**s, "cases": joined(s["cases"])} for s in manifest["subjects"]]
+    subjects = [subject for subject in subjects if subject["cases"]]
+    files = {s["file"]: manifest["files"][s["file"]] for s in subjects}
+    streams = joined(manifest["streams"])
+    parts = {"version": f"v{version}", "files": files, "subjects": subjects, "streams": streams}
+    return {**manifest, **parts}
 
 
 @cache
@@ -142,15 +157,19 @@ def flatten(values, prefix=""):
 
 
 def unflatten(tensors, prefix):
-    """Undo `flatten`. The arrays are copied, because a port may write into its inputs."""
+    """Undo `flatten`. The arrays are copied, because a port may write into its inputs.
+
+    Floats become float64, also where they are stored as float32 to save space.
+    """
     values = {}
     for name, a in tensors.items():
         if name.startswith(prefix):
             first, _, index = name.removeprefix(prefix).partition(".")
+            own = a.astype(float if a.dtype.kind == "f" else a.dtype)
             if index:
-                values.setdefault(first, []).append(a.copy())
+                values.setdefault(first, []).append(own)
             else:
-                values[first] = a.copy()
+                values[first] = own
     return values
 
 

@@ -80,7 +80,8 @@ def load(data, source="safetensors"):
     body, arrays = memoryview(data)[8 + n :], {}
     for name, h in header.items():
         known = isinstance(h, dict) and isinstance(h.get("dtype"), str) and h["dtype"] in DTYPES
-        need(known, f"{name}.dtype", f"one of {', '.join(DTYPES)}")
+        said = f"one of {', '.join(DTYPES)}; bfloat16 is not judged, the vectors' page says why"
+        need(known, f"{name}.dtype", said)
         shape, offsets = h.get("shape"), h.get("data_offsets")
         need(_naturals(shape), f"{name}.shape", "a list of integers, none of them negative")
         two = _naturals(offsets) and len(offsets) == 2

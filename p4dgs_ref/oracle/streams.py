@@ -53,12 +53,14 @@ def decoded(data):
     return arrays
 
 
-def check(port):
-    """Return the results of all streams, from a port that decodes or from a folder of answers."""
+def check(port, names=None):
+    """Return the results of all streams, or of those named, from a port or a folder of answers."""
     decode = port.decode if hasattr(port, "decode") else StreamFolder(port.folder).decode
-    rows = read_rows()
-    good = [judge(row, True, decode) for row in rows["good"]]
-    return good + [judge(row, False, decode) for row in rows["bad"]]
+    rows, results = read_rows(), []
+    for kind in ("good", "bad"):
+        asked = [row for row in rows[kind] if names is None or row["name"] in names]
+        results += [judge(row, kind == "good", decode) for row in asked]
+    return results
 
 
 def judge(row, good, decode):

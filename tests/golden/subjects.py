@@ -61,6 +61,9 @@ class Subject(NamedTuple):
     # Where a gradient is straight-through: surrogate(**base)(**inputs) returns the outputs of a
     # function whose derivative at `base` is that gradient.
     surrogate: Callable | None = None
+    single: bool = False  # all inputs and cotangents are float32 numbers, and stored as such
+    steady: tuple = ()  # inputs that decide something, and are not changed to measure S
+    twins: tuple = ()  # like `answer`: other right evaluations, whose errors are allowed too
 
     def __call__(self, **inputs):
         """Return {output: array}."""
@@ -101,7 +104,7 @@ def equation(key):
 @cache
 def subjects():
     """Return {key: Subject}."""
-    from tests.golden import pipeline, scalars, scalars_coding, stages, stages_coding
+    from tests.golden import kernel, pipeline, scalars, scalars_coding, stages, stages_coding
 
     found = [
         *scalars.SUBJECTS,
@@ -109,6 +112,7 @@ def subjects():
         *(equation(key) for key in FLOW),
         *stages.SUBJECTS,
         *stages_coding.SUBJECTS,
+        *kernel.SUBJECTS,
         *pipeline.SUBJECTS,
     ]
     by_key = {subject.key: subject for subject in found}

@@ -6,10 +6,12 @@ into a folder and puts the codec's streams beside them, as `p4dgs-ref oracle exp
 the published ones.
 """
 
+import csv
 import hashlib
 import json
 import shutil
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +22,14 @@ from p4dgs_ref.oracle import published, safetensors, streams, tolerance
 from p4dgs_ref.oracle.export import copy_streams, write_expected
 from p4dgs_ref.oracle.published import FOLDER, flatten, read_manifest
 from p4dgs_ref.scenes.output import filled
+from p4dgs_ref.studies.precision import cast
 from tests.golden import independent, measured
 from tests.golden.cases import FLAGS
 from tests.golden.subjects import subjects
 
 # Everything else in the folder of the vectors is made here.
 WRITTEN = ("README.md", "LICENSE", "example_adapter.py", "model.p4dgs")
+IDS = Path(__file__).parent / "data" / "oracle_ids.csv"  # every case, its hash, since when
 # Cases in which another answer is defensible: they are reported, but not required.
 ACCEPTABLE = {
     "frames/paper_settings": (
@@ -39,14 +43,17 @@ def vector(subject, case):
     id = f"{subject.key}/{case.name}"
     cotangents = tolerance.cotangents_of(subject, subject(**case.inputs), id, case.cotangents)
     flat = subject.answer(case.inputs, cotangents)
-    scale = tolerance.scales(subject.answer, case.inputs, cotangents, flat, case.name)
+    scale = tolerance.scales(steady(subject, case), case.inputs, cotangents, flat, case.name)
     better, provenance, by_reference = independent.values(subject, case, cotangents, flat)
-    error = measured.float32_error(subject.answer, case.inputs, cotangents, flat, scale)
+    error = max(
+        measured.float32_error(answer, case.inputs, cotangents, flat, scale)
+        for answer in (subject.answer, *subject.twins)
+    )
     flat.update(better)
     bars = {name.removesuffix("_bar"): a for name, a in cotangents.items()}
+    given = {**flatten(case.inputs, "in."), **flatten(bars, "out_bar.")}
     tensors = {
-        **flatten(case.inputs, "in."),
-        **flatten(bars, "out_bar."),
+        **(narrowed(given) if subject.single else given),
         **flat,
         **{f"scale.{name}": a for name, a in scale.items()},
     }
@@ -54,12 +61,41 @@ def vector(subject, case):
     record["result"] = "acceptable" if id in ACCEPTABLE else "valid"
     if id in ACCEPTABLE:
         record["why"] = ACCEPTABLE[id]
+    record |= joining(id)
     record["provenance"] = provenance
     if by_reference:
         record["reference"] = by_reference
     record["settings"] = settings(case.inputs)
     record["tolerance"] = measured.tolerances(error, flat)
     return record, {name: np.ascontiguousarray(a).reshape(a.shape) for name, a in tensors.items()}
+
+
+def steady(subject, case):
+    """Return `subject.answer` in which the inputs `subject.steady` are always those of the case."""
+    kept = {name: case.inputs[name] for name in subject.steady}
+    return lambda inputs, cotangents: subject.answer({**inputs, **kept}, cotangents)
+
+
+def narrowed(tensors):
+    """Return tensors with floats as float32, which must hold them."""
+    found = cast(tensors, np.float32)
+    for name, a in tensors.items():
+        if not np.array_equal(a, found[name]):
+            raise ValueError(f"{name}: expected numbers that float32 holds")
+    return found
+
+
+@cache
+def joined():
+    """Return {id of a published case: the version of the vectors that it joined}."""
+    rows = csv.DictReader(IDS.read_text(encoding="utf-8").splitlines())
+    return {row["id"]: row["since"] for row in rows}
+
+
+def joining(id):
+    """Return the field of a record that says since when it is there; none for version 1.0."""
+    since = joined().get(id, published.VERSIONS[-1])
+    return {} if since == published.VERSIONS[0] else {"since": since}
 
 
 def settings(inputs):
@@ -123,7 +159,7 @@ def build(progress=lambda text: None, keep=False):
         rows.append(row)
     manifest = {
         "format": 1,
-        "version": "v1",
+        "version": f"v{published.VERSIONS[-1]}",
         "license": "CC0-1.0",
         "generator": {
             "p4dgs_ref": __version__,
@@ -141,11 +177,13 @@ def stream_records():
     """Return the conformance streams as the manifest lists them."""
 
     def record(row, result):
+        id = f"codec/{row['name']}"
         return {
-            "id": f"codec/{row['name']}",
+            "id": id,
             "name": row["name"],
             "says": row["says"],
             "result": result,
+            **joining(id),
             "file": f"streams/{row['file']}",
             "bytes": row["bytes"],
             "sha256": row["sha256"],
@@ -209,6 +247,34 @@ def _sum(data):
     return {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
 
 
+def digest(case):
+    """Return the hash of all tensors of a published case but the scales, which are measured."""
+    found = hashlib.sha256()
+    for name, a in sorted(case.tensors.items()):
+        if not name.startswith("scale."):
+            found.update(name.encode() + a.tobytes())
+    return found.hexdigest()[:16]
+
+
+def listed():
+    """Return {id: hash} of all published cases and streams."""
+    manifest = read_manifest()
+    cases = [case for subject in manifest["subjects"] for case in published.read(subject)]
+    return {
+        **{case.id: digest(case) for case in cases},
+        **{stream["id"]: stream["sha256"][:16] for stream in manifest["streams"]},
+    }
+
+
+def write_ids():
+    """Add the new cases and streams of the published vectors to the list of all."""
+    with IDS.open("a", encoding="utf-8", newline="") as file:
+        for id, sha256 in listed().items():
+            if id not in joined():
+                row = id, sha256, published.VERSIONS[-1]
+                csv.writer(file, lineterminator="\n").writerow(row)
+
+
 def regenerate(folder, progress):
     """Compute all vectors into a folder that `oracle check` passes, as `oracle export` does."""
     with filled(folder) as place:
@@ -224,3 +290,4 @@ if __name__ == "__main__":
         regenerate(sys.argv[1], print)
     else:
         write(FOLDER, print, keep=True)
+        write_ids()

@@ -349,6 +349,7 @@ def test_printed_commands_run(tmp_path, monkeypatch, capsys):
         {"L0", "L1"},
         {"step", "step_floor", "prior", "sigma_clamp"},
         {"step"},
+        {s["key"] for s in read_manifest(version="1.0")["subjects"] if s["level"] == "L2"},
         {"offsets"},
     ]
 

@@ -1,0 +1,537 @@
+"""Vectors of level L2 for the rule of the published kernel (Kerbl et al. 2023), Q21's `paper`.
+
+`lists` and `composite` are written from the rule, tile by tile, and share no code with the
+renderers of the package, which tests compare with them. Every operation has the precision of its
+inputs. A `Rule` says what the kernel does; known mistakes are other rules.
+
+    radius   ceil(3 sqrt(largest eigenvalue of cov2d)); the difference of the eigenvalues' square
+             roots is taken from max(0.1, (a - c)^2 / 4 + b^2)
+    tiles    from trunc((mean - radius) / 16) to trunc((mean + radius + 15) / 16), exclusive, both
+             clamped to the image's tiles, on both axes
+    key      tile number in the upper 32 bits, the bits of the depth as float32 in the lower ones;
+             the sort is stable, so that equal keys stay in the order of their rows
+    pixel    front to back: A = min(0.99, alpha exp(power)); skipped where A < 1/255; where
+             T (1 - A) < 1e-4 the pixel ends before this splat is drawn
+    last     place of the pixel's last drawn splat in the list of its tile, from 1; 0 without one
+    backward the clamp passes the gradient, and what was skipped or cut has none
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from p4dgs_ref import model
+from p4dgs_ref.oracle.published import flatten
+from p4dgs_ref.splatting import covariance, fast, projection, render
+from p4dgs_ref.splatting.settings import PAPER
+from p4dgs_ref.studies.precision import cast
+from tests.golden.cases import Case
+from tests.golden.flat import CAMERA_SHAPES, camera_of, described
+from tests.golden.pipeline import FRONT, golden_model
+from tests.golden.subjects import Subject, no_pullback
+
+TILE, MASK, STOP, ALPHA_MAX = 16, 1 / 255, 1e-4, 0.99
+CONSTANTS = {"tile": TILE, "mask": MASK, "stop": STOP, "alpha_max": ALPHA_MAX}
+SPLATS = ("mean2d", "conic", "alpha", "color")
+
+
+class Rule(NamedTuple):
+    """What the kernel does. The defaults are right."""
+
+    ties_reversed: bool = False  # equal depths: the last row first
+    sorted: bool = True
+    ellipse: bool = False  # a tile lists what reaches 1/255 in it, instead of what its square meets
+    rounded_up: bool = True  # the radius
+    half_sigma: float = 3.0  # deviations in a radius
+    inclusive: bool = False  # the rectangle's end is one tile further
+    by_columns: bool = False  # tiles are numbered column by column
+    masked: bool = True
+    stops: bool = True
+    draws_before_it_stops: bool = False  # the splat that passes the stop is still drawn
+    clamp_passes: bool = True
+    counts_drawn: bool = False  # `last` counts the drawn splats instead of the list's entries
+
+
+RIGHT = Rule()
+
+
+class Lists(NamedTuple):
+    """The outputs of `tile_lists`."""
+
+    radius: np.ndarray  # [N]  pixels; 0 where no tile is met
+    rect: np.ndarray  # [N, 4]  first tile x, y, and the tile after the last, x, y
+    tile: np.ndarray  # [K]
+    row: np.ndarray  # [K]
+    key: np.ndarray  # [K]
+    ranges: np.ndarray  # [G, 2]  start and end of every tile's list
+
+
+def lists(mean2d, cov2d, depth, visible, height, width, rule=RIGHT, reach=None):
+    """Return the Lists of some splats. `reach` is the ellipse of a Rule with that mistake."""
+    columns, rows = -(-width // TILE), -(-height // TILE)
+    a, b, c = cov2d.T
+    middle = (a + c) / 2
+    spread = np.sqrt(np.maximum(0.1, middle**2 - (a * c - b * b)).astype(a.dtype))
+    radius = a.dtype.type(rule.half_sigma) * np.sqrt(middle + spread)
+    radius = np.ceil(radius) if rule.rounded_up else np.round(radius)
+    low = np.trunc((mean2d - radius[:, None]) / TILE).astype(int)
+    high = np.trunc((mean2d + radius[:, None] + (TILE - 1)) / TILE).astype(int) + rule.inclusive
+    first, beyond = np.clip(low, 0, (columns, rows)), np.clip(high, 0, (columns, rows))
+    beyond[~visible] = first[~visible]
+    empty = (beyond <= first).any(axis=1)
+    rect = np.where(empty[:, None], 0, np.concatenate([first, beyond], axis=1))
+    pairs = []
+    bits = depth.astype(np.float32).view(np.uint32).astype(np.int64)
+    for i, (x_0, y_0, x_1, y_1) in enumerate(rect.tolist()):
+        for y in range(y_0, y_1):
+            for x in range(x_0, x_1):
+                if reach is None or reach(i, x, y):
+                    number = x * rows + y if rule.by_columns else y * columns + x
+                    pairs.append((number, int(bits[i]) if rule.sorted else 0, i))
+    pairs.sort(key=lambda pair: (pair[0], pair[1], -pair[2] if rule.ties_reversed else pair[2]))
+    tile, _, row = np.array(pairs, np.int64).reshape(-1, 3).T
+    edges = np.searchsorted(tile, np.arange(columns * rows + 1))
+    return Lists(
+        np.where(empty, 0, radius).astype(np.int32),
+        rect.astype(np.int32),
+        tile.astype(np.int32),
+        row.astype(np.int32),
+        tile << 32 | bits[row],
+        np.stack([edges[:-1], edges[1:]], axis=1).astype(np.int32),
+    )
+
+
+def reaches(mean2d, conic, alpha):
+    """The exact test by which other kernels list: some pixel of the tile is not masked."""
+
+    def reach(i, x, y):
+        v, u = np.mgrid[y * TILE : (y + 1) * TILE, x * TILE : (x + 1) * TILE] - mean2d[
+            i, ::-1
+        ].reshape(2, 1, 1)
+        a, b, c = conic[i]
+        return (alpha[i] * np.exp(-0.5 * (a * u * u + c * v * v) - b * u * v) >= MASK).any()
+
+    return reach
+
+
+class Tile(NamedTuple):
+    """What one tile saves for `backward`: M splats at P pixels."""
+
+    rows: np.ndarray  # [M]
+    pixels: tuple  # slices of the image
+    e_x: np.ndarray  # [1, P] minus [M, 1]
+    e_y: np.ndarray
+    falloff: np.ndarray  # [M, P]
+    raw: np.ndarray  # [M, P]  opacities before clamp, mask and stop
+    A: np.ndarray  # [M, P]  0 where nothing is drawn
+    before: np.ndarray  # [M, P]  T in front of each splat
+
+
+def composite(
+    mean2d,
+    cov2d,
+    conic,
+    alpha,
+    color,
+    depth,
+    visible,
+    background,
+    height,
+    width,
+    rule=RIGHT,
+    frozen=None,
+):
+    """Return image, transmittance and last, and the tiles.
+
+    `frozen` are the tiles of other inputs, whose lists and decisions are taken over; where their
+    alpha was clamped, it now moves with its exponent.
+    """
+    dtype = mean2d.dtype
+    image, T_all = np.empty((height, width, 3), dtype), np.empty((height, width), dtype)
+    last, tiles = np.zeros((height, width), np.int32), []
+    if frozen is None:
+        reach = reaches(mean2d, conic, alpha) if rule.ellipse else None
+        found = lists(mean2d, cov2d, depth, visible, height, width, rule, reach)
+        places = [found.row[start:end] for start, end in found.ranges]
+    else:
+        places = [tile.rows for tile in frozen]
+    for number, rows in enumerate(places):
+        y, x = divmod(number, -(-width // TILE))
+        area = slice(y * TILE, (y + 1) * TILE), slice(x * TILE, (x + 1) * TILE)
+        v, u = (grid[area].ravel().astype(dtype) for grid in np.indices((height, width)))
+        e_x, e_y = u - mean2d[rows, :1], v - mean2d[rows, 1:]
+        a, b, c = conic[rows].T[:, :, None]
+        falloff = np.exp(np.minimum(-0.5 * (a * e_x**2 + c * e_y**2) - b * e_x * e_y, 0))
+        raw = alpha[rows, None] * falloff
+        A = np.minimum(raw, dtype.type(ALPHA_MAX))
+        if rule.masked:
+            A = np.where(A < dtype.type(MASK), 0, A).astype(dtype)
+        if frozen is not None:
+            base = frozen[number]
+            A = np.where(base.raw > ALPHA_MAX, ALPHA_MAX + raw - base.raw, raw) * (base.A > 0)
+        T, open_ = np.ones(len(u), dtype), np.ones(len(u), bool)
+        before = np.empty_like(A)
+        for i, layer in enumerate(A):
+            passes = open_ & (T * (1 - layer) < STOP) & rule.stops & (frozen is None)
+            if not rule.draws_before_it_stops:
+                open_ &= ~passes
+            layer[~open_] = 0
+            before[i] = T
+            T = T * (1 - layer)
+            open_ &= ~passes
+        weights = A * before
+        shape = last[area].shape
+        image[area] = (weights.T @ color[rows] + T[:, None] * background).reshape(*shape, 3)
+        T_all[area] = T.reshape(shape)
+        drawn = (A > 0) * np.arange(1, len(rows) + 1)[:, None]
+        if rule.counts_drawn:
+            drawn = np.cumsum(A > 0, axis=0)
+        last[area] = drawn.max(axis=0, initial=0).reshape(shape)
+        tiles.append(Tile(rows, area, e_x, e_y, falloff, raw, A, before))
+    return (image, T_all, last), tiles
+
+
+def gradients(tiles, T, inputs, image_bar, transmittance_bar, rule=RIGHT):
+    """Return the gradients of mean2d, conic, alpha, color and background."""
+    found = {name: np.zeros_like(inputs[name]) for name in SPLATS}
+    background, dtype = inputs["background"], inputs["mean2d"].dtype
+    for tile in tiles:
+        rows, g = tile.rows, image_bar[tile.pixels].reshape(-1, 3)
+        h = transmittance_bar[tile.pixels].ravel()
+        a, b, c = inputs["conic"][rows].T[:, :, None]
+        np.add.at(found["color"], rows, (tile.A * tile.before) @ g)
+        V, behind = inputs["color"][rows] @ g.T, g @ background + h
+        for i in reversed(range(len(rows))):
+            V[i] -= behind
+            behind = behind + tile.A[i] * V[i]
+        V *= tile.before * tile.falloff * (tile.A > 0)
+        if not rule.clamp_passes:
+            V *= tile.raw <= dtype.type(ALPHA_MAX)
+        np.add.at(found["alpha"], rows, V.sum(axis=1))
+        V *= inputs["alpha"][rows, None]  # from here on the gradient of the exponent
+        e_x, e_y = tile.e_x, tile.e_y
+        along = (V * (a * e_x + b * e_y)).sum(axis=1), (V * (b * e_x + c * e_y)).sum(axis=1)
+        np.add.at(found["mean2d"], rows, np.stack(along, axis=1))
+        form = -(V * e_x**2) / 2, -(V * e_x * e_y), -(V * e_y**2) / 2
+        np.add.at(found["conic"], rows, np.stack([part.sum(axis=1) for part in form], axis=1))
+    return {**found, "background": (T[:, :, None] * image_bar).sum(axis=(0, 1))}
+
+
+# --- the subjects -------------------------------------------------------------------------------
+def lists_vjp(mean2d, cov2d, depth, visible, height, width, rule=RIGHT):
+    """Splats -> which tiles each of them meets, and the sorted lists of all tiles."""
+    return lists(mean2d, cov2d, depth, visible, height, width, rule)._asdict(), no_pullback
+
+
+def kernel_vjp(rule=RIGHT, **inputs):
+    """Splats -> image, by the rule of the published kernel."""
+    (image, T, last), tiles = composite(**inputs, rule=rule)
+
+    def pullback(image_bar, transmittance_bar):
+        return gradients(tiles, T, inputs, image_bar, transmittance_bar, rule)
+
+    return {"image": image, "transmittance": T, "last": last}, pullback
+
+
+def by_monomials(inputs, cotangents):
+    """The answer of the package's `fast`, a right renderer that loses digits by its polynomials."""
+    (image, T, last), _ = composite(**inputs)
+    wide = cast(inputs, np.float64)
+    settings = PAPER._replace(dtype=image.dtype.name)
+    (image, T), saved = fast.forward(**wide, settings=settings)
+    bars = fast.backward(saved, cotangents["image_bar"])
+    outputs = {"image": image, "transmittance": T, "last": last}
+    return {**flatten(outputs, "out."), **flatten(bars, "in_bar.")}
+
+
+def kernel_surrogate(**base):
+    """The kernel with the lists and decisions of `base`."""
+    frozen = composite(**base)[1]
+
+    def smooth(**moved):
+        image, T, _ = composite(**moved, frozen=frozen)[0]
+        return {"image": image, "transmittance": T}
+
+    return smooth
+
+
+def splats_of(x, s, r, camera):
+    """Return the splats of some Gaussians as inputs of `composite`, and what backward needs."""
+    splats, *saved = render.project(x, s, r, camera, PAPER)
+    *floats, visible = splats
+    named = dict(zip(("mean2d", "cov2d", "conic", "depth"), (a.astype(x.dtype) for a in floats)))
+    return dict(named, visible=visible, height=camera.height, width=camera.width), saved
+
+
+def stage_vjp(x, s, r, alpha, color, W, T, focal, center, size, background, rule=RIGHT):
+    """Gaussians at t -> image, by the rule of the published kernel."""
+    splats, (saved_covariance, saved_projection) = splats_of(
+        x, s, r, camera_of(W, T, focal, center, size)
+    )
+    looks = dict(alpha=alpha, color=color, background=background)
+    outputs, kernel_pullback = kernel_vjp(rule, **splats, **looks)
+    of_lists = {name: splats[name] for name in LISTED}
+
+    def pullback(image_bar, transmittance_bar):
+        bars = kernel_pullback(image_bar, transmittance_bar)
+        places = projection.backward(
+            saved_projection, mean2d_bar=bars.pop("mean2d"), conic_bar=bars.pop("conic")
+        )
+        bars |= {"x": places["x"], **covariance.backward(saved_covariance, places["Sigma"])}
+        return {name: bar.astype(x.dtype, copy=False) for name, bar in bars.items()}
+
+    return {"radius": lists(**of_lists, rule=rule).radius, **outputs}, pullback
+
+
+def of_kernel(x, s, r, alpha, color, W, T, focal, center, size, background):
+    """Return the inputs of the kernel that the stage computes."""
+    splats, _ = splats_of(x, s, r, camera_of(W, T, focal, center, size))
+    return dict(splats, alpha=alpha, color=color, background=background)
+
+
+def stage_surrogate(**base):
+    """The stage with the lists and decisions of `base`."""
+    smooth = kernel_surrogate(**of_kernel(**base))
+    return lambda **moved: smooth(**of_kernel(**moved))
+
+
+# --- the cases ----------------------------------------------------------------------------------
+# How far every decision stays from its threshold, so that float32 decides alike.
+PLACE_MARGIN, MASK_MARGIN, STOP_MARGIN = 2e-3, 2e-4, 3e-3
+
+
+def single(a):
+    """Return an array rounded to float32, as float64."""
+    return np.float32(a).astype(float)
+
+
+def unsettled(inputs):
+    """Return the rows whose splats decide something within a margin."""
+    a, b, c = inputs["cov2d"].T
+    middle = (a + c) / 2
+    radius = 3 * np.sqrt(middle + np.sqrt(np.maximum(0.1, middle**2 - (a * c - b * b))))
+    edges = [(inputs["mean2d"] + sign * np.ceil(radius)[:, None]) % TILE for sign in (-1, 1)]
+    near = [np.abs(radius - np.round(radius)) < PLACE_MARGIN]
+    for edge in edges:  # the quotients of both ends jump at whole tiles, and at 1 mod 16
+        near += [(np.abs((edge - at + 8) % TILE - 8) < PLACE_MARGIN).any(axis=1) for at in (0, 1)]
+    close = np.logical_or.reduce(near) & inputs["visible"]
+    (_, _, _), tiles = composite(**inputs)
+    for tile in tiles:
+        clamped = np.minimum(tile.raw, ALPHA_MAX)
+        faint = np.abs(clamped / MASK - 1) < MASK_MARGIN
+        would = tile.before * (1 - clamped) / STOP
+        drawn = clamped >= MASK
+        stops = (np.abs(would - 1) < STOP_MARGIN) & drawn
+        past = np.cumsum((would < 1) & drawn, axis=0) > (would < 1)  # the pixel had ended before
+        close[tile.rows[((faint | stops) & ~past).any(axis=1)]] = True
+    return np.flatnonzero(close)
+
+
+def settled(rng, inputs):
+    """Return the inputs with other splats where something was unsettled."""
+    for _ in range(1000):
+        rows = unsettled(inputs)
+        if not len(rows):
+            return inputs
+        inputs["alpha"][rows] = single(inputs["alpha"][rows] * rng.uniform(0.97, 1, len(rows)))
+        moved = inputs["mean2d"][rows] + rng.uniform(-0.02, 0.02, (len(rows), 2))
+        inputs["mean2d"][rows] = single(moved)
+        wider = rng.uniform(1, 1.01, (len(rows), 1))
+        inputs["cov2d"][rows] = single(inputs["cov2d"][rows] * wider)
+        inputs["conic"][rows] = single(inputs["conic"][rows] / wider)
+    raise ValueError("no settled splats found")
+
+
+def splats(rng, N, height, width, sigma, alpha, depth):
+    """Return random splats whose numbers are all float32; some lie off the image."""
+    angle, (long, short) = rng.uniform(0, np.pi, N), np.exp(rng.uniform(*np.log(sigma), (2, N)))
+    cos, sin = np.cos(angle), np.sin(angle)
+    off_diagonal = (long**2 - short**2) * cos * sin
+    cov2d = single(
+        np.stack(
+            [
+                (long * cos) ** 2 + (short * sin) ** 2 + 0.3,
+                off_diagonal,
+                (long * sin) ** 2 + (short * cos) ** 2 + 0.3,
+            ],
+            axis=1,
+        )
+    )
+    a, b, c = cov2d.T
+    inputs = dict(
+        mean2d=single(rng.uniform((-6, -6), (width + 6, height + 6), (N, 2))),
+        cov2d=cov2d,
+        conic=single(np.stack([c, -b, a], axis=1) / (a * c - b * b)[:, None]),
+        alpha=single(rng.uniform(*alpha, N).clip(max=1)),
+        color=single(rng.random((N, 3))),
+        depth=single(depth),
+        visible=rng.random(N) < 0.95,
+        background=single([0.85, 0.15, 0.4]),
+        height=height,
+        width=width,
+    )
+    return settled(rng, inputs)
+
+
+def in_layers(rng, N, layers):
+    """Return depths of which many are equal, and some differ in float32's last bit alone."""
+    depth = np.float32(1 + rng.integers(0, layers, N) / 8)
+    return np.where(rng.random(N) < 0.2, np.nextafter(depth, np.float32(99)), depth)
+
+
+def small_splats():
+    """Yield (name, splats, flags) of the small cases."""
+    rng = np.random.default_rng(251)
+    depth = rng.uniform(0.5, 4, 61)
+    yield "ordinary", splats(rng, 61, 28, 40, (0.6, 4.5), (0.02, 0.9), depth), ("ordinary",)
+    rng = np.random.default_rng(252)
+    tied = splats(rng, 45, 19, 22, (1, 4), (0.05, 0.7), in_layers(rng, 45, 3))
+    yield "equal_depths", tied, ("order",)
+    rng = np.random.default_rng(253)
+    wall = splats(rng, 44, 21, 18, (2, 9), (0.7, 1.4), rng.uniform(1, 2, 44))
+    yield "opaque", wall, ("opaque", "clamped")
+
+
+@cache
+def many_splats():
+    """Return 2,000 splats, most of which share their depth with others."""
+    rng = np.random.default_rng(254)
+    return splats(rng, 2000, 40, 48, (0.4, 1.7), (0.05, 1), in_layers(rng, 2000, 64))
+
+
+LISTED = ("mean2d", "cov2d", "depth", "visible", "height", "width")
+
+
+def lists_cases():
+    for name, inputs, flags in small_splats():
+        if name != "opaque":
+            yield Case(name, {key: inputs[key] for key in LISTED}, flags)
+    yield Case("sorting", {key: many_splats()[key] for key in LISTED}, ("order",))
+
+
+def image_bars(rng, inputs):
+    """Return the cotangents: the kernel's backward takes none of the transmittance."""
+    shape = inputs["height"], inputs["width"]
+    bar = single(rng.standard_normal((*shape, 3)))
+    return {"image_bar": bar, "transmittance_bar": np.zeros(shape)}
+
+
+def kernel_cases():
+    for seed, (name, inputs, flags) in enumerate(small_splats()):
+        yield Case(
+            name, inputs, flags, cotangents=image_bars(np.random.default_rng(261 + seed), inputs)
+        )
+
+
+def many_cases():
+    inputs = many_splats()
+    bars = image_bars(np.random.default_rng(264), inputs)
+    yield Case("sorting", inputs, ("order",), cotangents=bars)
+
+
+def stage_cases():
+    """The Gaussians of the golden model at t = 0.35, before the camera of `frames`."""
+    m = golden_model()
+    g, _ = model.predict(m.design, m.networks, m.anchors, FRONT.center, 0.35)
+    named = {name: single(a) for name, a in g._asdict().items() if name != "index"}
+    camera = {n: single(a) if a.dtype.kind == "f" else a for n, a in described(FRONT).items()}
+    inputs = dict(**named, **camera, background=single(m.background))
+    while len(rows := unsettled(of_kernel(**inputs))):
+        inputs |= {name: np.delete(inputs[name], rows, axis=0) for name in named}
+    bars = image_bars(np.random.default_rng(265), {"height": FRONT.height, "width": FRONT.width})
+    yield Case("front_035", inputs, cotangents=bars)
+
+
+SPLAT_SHAPES = {
+    "mean2d": "N 2",
+    "cov2d": "N 3",
+    "conic": "N 3",
+    "alpha": "N",
+    "color": "N 3",
+    "depth": "N",
+    "visible": "N",
+    "background": "3",
+    "height": "",
+    "width": "",
+}
+IMAGE_SHAPES = {"image": "H W 3", "transmittance": "H W", "last": "H W"}
+SUBJECTS = (
+    Subject(
+        "tile_lists",
+        "L2",
+        "compositing",
+        "",
+        "splats -> the kernel's tiles, sorted keys and lists",
+        {
+            **{name: SPLAT_SHAPES[name] for name in LISTED},
+            "radius": "N",
+            "rect": "N 4",
+            "tile": "K",
+            "row": "K",
+            "key": "K",
+            "ranges": "G 2",
+        },
+        (),
+        lists_vjp,
+        lists_cases,
+        {"tile": TILE},
+        single=True,
+    ),
+    Subject(
+        "kernel",
+        "L2",
+        "compositing",
+        "",
+        "splats -> image, by the rule of the published kernel",
+        {**SPLAT_SHAPES, **IMAGE_SHAPES},
+        (*SPLATS, "background"),
+        kernel_vjp,
+        kernel_cases,
+        CONSTANTS,
+        kernel_surrogate,
+        True,
+        ("depth",),
+        (by_monomials,),
+    ),
+    Subject(
+        "kernel_many",
+        "L2",
+        "compositing",
+        "",
+        "2,000 splats -> image, by the rule of the published kernel",
+        {**SPLAT_SHAPES, **IMAGE_SHAPES},
+        (*SPLATS, "background"),
+        kernel_vjp,
+        many_cases,
+        CONSTANTS,
+        kernel_surrogate,
+        True,
+        ("depth",),
+        (by_monomials,),
+    ),
+    Subject(
+        "kernel_stage",
+        "L2",
+        "compositing",
+        "",
+        "Gaussians at t -> image, by the rule of the published kernel",
+        {
+            "x": "N 3",
+            "s": "N 3",
+            "r": "N 4",
+            "alpha": "N",
+            "color": "N 3",
+            **CAMERA_SHAPES,
+            "background": "3",
+            "radius": "N",
+            **IMAGE_SHAPES,
+        },
+        ("x", "s", "r", "alpha", "color", "background"),
+        stage_vjp,
+        stage_cases,
+        CONSTANTS,
+        stage_surrogate,
+        True,
+    ),
+)

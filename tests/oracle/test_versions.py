@@ -1,0 +1,93 @@
+"""The versions of the vectors: what joined, what an earlier version still is, and what is said."""
+
+import json
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.__main__ import main
+from p4dgs_ref.oracle import checker, published, safetensors
+from p4dgs_ref.oracle.compare import expected
+from p4dgs_ref.oracle.export import export
+from p4dgs_ref.oracle.ports import FolderPort
+from tests.golden.vectors import damaged
+
+FIRST, LAST = published.VERSIONS[0], published.VERSIONS[-1]
+
+
+def ids(version):
+    """The ids of all cases of a version."""
+    subjects = published.read_manifest(version=version)["subjects"]
+    return {case["id"] for subject in subjects for case in subject["cases"]}
+
+
+@pytest.fixture(scope="module")
+def answers(tmp_path_factory):
+    """A folder that a port of version 1.0 wrote, with all equations right."""
+    folder = tmp_path_factory.mktemp("answers")
+    for subject in published.read_manifest(version=FIRST)["subjects"]:
+        arrays = {}
+        for case in published.read(subject):
+            if case.id in ids(FIRST):
+                arrays |= {f"{case.name}/{n}": a for n, a in expected(case.tensors).items()}
+        data, _ = safetensors.dump(arrays)
+        (folder / f"{subject['key']}.safetensors").write_bytes(data)
+    return folder
+
+
+def checked(folder, version):
+    levels = ("L0", "L1", "L2", "L4")  # no streams
+    return checker.check_port(FolderPort(folder), levels, version=version)
+
+
+def test_answers_to_the_first_version_still_check(answers):
+    report = checked(answers, FIRST)
+    assert report.ok and {r.id for r in report.results} == ids(FIRST) and not report.strangers
+
+
+def test_what_joined_since_is_missing_from_them(answers):
+    report = checked(answers, LAST)
+    levels = [s for s in published.read_manifest()["subjects"] if s["level"] != "L3"]
+    asked = {case["id"] for subject in levels for case in subject["cases"]}
+    assert {r.id for r in report.results} == asked
+    missing = {r.id for r in report.results if r.verdict == "missing"}
+    assert missing == asked - ids(FIRST) and not report.ok
+    assert all(r.verdict == "pass" for r in report.results if r.id not in missing)
+
+
+def test_the_first_version_is_exported_as_it_was(tmp_path):
+    done = export(tmp_path / "v1", FIRST)
+    manifest = published.read_manifest(tmp_path / "v1")
+    assert manifest["version"] == "v1.0" and not damaged(tmp_path / "v1")
+    assert done["cases"] == len(ids(FIRST)) + len(manifest["streams"])
+    assert "since" not in json.dumps(manifest)
+    names = {file.name for file in (tmp_path / "v1").glob("*.safetensors")}
+    assert names == set(manifest["files"]) and "kernel.safetensors" not in names
+    for subject in manifest["subjects"]:
+        assert published.read(subject, tmp_path / "v1")
+
+
+def test_commands_know_both_versions(capsys):
+    counts = {}
+    for version in published.VERSIONS:
+        assert main(["oracle", "list", "--vectors", version]) == 0
+        counts[version] = len(capsys.readouterr().out.splitlines())
+    assert counts[FIRST] < counts[LAST]
+    with pytest.raises(SystemExit) as exit:
+        main(["oracle", "list", "--vectors", "2.0"])
+    assert exit.value.code == 2
+
+
+def test_half_precision_is_told_why_it_is_not_judged(tmp_path):
+    case = published.cases("offsets")[0]
+    arrays = {f"{case.name}/{n}": a.astype(np.float16) for n, a in expected(case.tensors).items()}
+    data, _ = safetensors.dump(arrays)
+    file = tmp_path / "offsets.safetensors"
+    file.write_bytes(data)
+    result = checker.check_port(FolderPort(tmp_path), only="offsets").results[0]
+    assert result.verdict == "fail" and "half precision is not judged" in result.findings[0].message
+    file.write_bytes(data.replace(b'"F16"', b'"BF1"').replace(b"BF1", b"B16"))
+    result = checker.check_port(FolderPort(tmp_path), only="offsets").results[0]
+    assert result.verdict == "damaged" and "bfloat16 is not judged" in result.explanation
+    page = (published.FOLDER / "README.md").read_text(encoding="utf-8")
+    assert "Half and bfloat16 are not judged" in page and "compiling just in time" in page
