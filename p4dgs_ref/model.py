@@ -324,6 +324,9 @@ def without_silent_units(model):
     many units are removed as the one with the fewest silent units can lose. With view effects the
     input is not known, and the model is returned as it is. Features and weights must be the rounded
     ones of the file, because a unit that is 0 with these can be positive with others.
+
+    A sum of fewer terms can have another last bit, which decides about a unit whose terms cancel.
+    Units are therefore removed until none is silent, so that a decoded model encodes to its file.
     """
     if {"view_color", "view_geometry"} & set(model.design.effects) or not model.design.hidden:
         return model
@@ -338,10 +341,12 @@ def without_silent_units(model):
         weights, biases = model.networks[name]
         rows, columns = [slice(None), *kept], [*kept, slice(None)]
         networks[name] = (
-            [W[before][:, after] for W, before, after in zip(weights, rows, columns)],
+            # In row order, as a decoder has them: the order may decide about the last bit, too.
+            [np.array(W[i][:, j], order="C") for W, i, j in zip(weights, rows, columns)],
             [b[after] for b, after in zip(biases, columns)],
         )
-    return replace(model, design=model.design._replace(hidden=widths), networks=networks)
+    smaller = replace(model, design=model.design._replace(hidden=widths), networks=networks)
+    return model if widths == tuple(model.design.hidden) else without_silent_units(smaller)
 
 
 def active_units(model, name):

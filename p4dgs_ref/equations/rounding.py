@@ -7,7 +7,7 @@ P-4DGS, section 3.3 (adaptive quantisation). Ties round to even and the grid is 
 
 import numpy as np
 
-LIMIT = 2.0**31  # symbols stay below this in magnitude
+LIMIT = 2.0**31  # of the magnitude of a symbol
 
 
 def forward(
@@ -17,16 +17,16 @@ def forward(
     """Return the symbols [A, n] int64, f_hat [A, n] and what `backward` needs.
 
     The symbols are what the entropy coder sees; a decoder multiplies them by q and never rounds.
-    A symbol has no sign of zero: f = -0 gives f_hat = 0. Raises OverflowError where f / q is not
-    below 2**31 in magnitude.
+    A symbol has no sign of zero: f = -0 gives f_hat = 0. Raises OverflowError where f / q is
+    more than 2**31 in magnitude, or NaN.
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         # A quotient in float32 could itself be rounded onto a tie.
         ratio = np.rint(np.divide(f, q, dtype=np.float64))
-    wrong = np.argwhere(~(np.abs(ratio) < LIMIT))
+    wrong = np.argwhere(~(np.abs(ratio) <= LIMIT))
     if len(wrong):
         a, i = (int(j) for j in wrong[0])
-        raise OverflowError(f"f[{a}, {i}] = {f[a, i]} at step {q[a, 0]}: expected |f/q| below 2^31")
+        raise OverflowError(f"f[{a}, {i}] = {f[a, i]} at step {q[a, 0]}: expected |f/q| up to 2^31")
     symbols = ratio.astype(np.int64)
     f_hat = (symbols * q.astype(np.float64)).astype(f.dtype)
     return (symbols, f_hat), ()

@@ -10,16 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import p4dgs_ref as p4
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.codec.container import read_container, write_container
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, decode, encode, quantised_of
 from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.codec.streams import decode_bits
 from p4dgs_ref.equations import likelihood
-from p4dgs_ref.model import Anchors, join
+from p4dgs_ref.model import ANCHOR_NETWORKS, Anchors, join
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.studies.inspect import components, ledger
+from p4dgs_ref.training.presets import SMOKE, TINY
 from tests.codec.models import (
     DECODE_AND_PRINT,
     MAKE,
@@ -28,6 +30,7 @@ from tests.codec.models import (
     digest,
     exact_context,
 )
+from tests.golden.sample_model import sample_model
 
 ROOT = Path(__file__).resolve().parents[2]
 EYES = ((1.5, -2.5, 1.0), (-0.4, 2.8, 0.6))
@@ -88,6 +91,42 @@ def test_encoding_again_gives_the_same_bytes(made):
     assert encode(model) == data
     assert encode(decoded) == data  # symbols times q, divided by q, round to the symbols
     assert write_container(read_container(data)) == data
+
+
+@pytest.mark.parametrize(
+    "scene, preset",
+    [
+        ("static", SMOKE),
+        ("orientation", SMOKE._replace(hidden=(24, 40), d=8)),
+        ("glossy", TINY._replace(stage_ends=(4, 6, 12, 20), mask_from=12, anchors=60)),
+    ],
+)
+def test_files_of_trainings_encode_to_themselves(scene, preset):
+    """The demo's scene with the preset smoke is among the models of the test above."""
+    data = encode(p4.train(p4.load_scene(scene), preset=preset, seed=3))
+    assert encode(decode(data)) == data
+
+
+def cancelling_model(seed, half):
+    """A model whose second hidden layer cancels all its inputs, which come in equal pairs.
+
+    Whether a unit of it is positive or 0 depends on the last bits of a sum. Some units of the first
+    layer are silent, and without them the sum has another order.
+    """
+    model = sample_model(seed, 6, d=4, effects=(), hidden=(2 * half, 2 * half))
+    silent = np.random.default_rng(seed).random(half) < 0.4
+    for name in ANCHOR_NETWORKS:
+        (first, second, _), (b_first, b_second, _) = model.networks[name]
+        first[:, :half][:, silent], b_first[:half][silent] = 0, -1
+        first[:, half:], b_first[half:] = first[:, :half], b_first[:half]
+        second[half:], b_second[...] = -second[:half], 0
+    return model
+
+
+def test_units_that_hang_on_the_last_bit_are_removed_until_none_is_silent():
+    for seed in range(20):
+        data = encode(cancelling_model(seed, half=3 + seed % 13))
+        assert encode(decode(data)) == data, seed
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])

@@ -79,7 +79,7 @@ def large_symbols(dtype):
     q, want = 0.25, np.array([15_001, -20_000, 32_767, 32_768, -40_000, 2**24, -(2**30)])
     back, *_ = _coded(_rounded(want * q, q, dtype))
     wrong = np.count_nonzero(back != want)
-    for value in (2.0**31 * q, -(2.0**40) * q, np.inf, np.nan):
+    for value in (2.0**32 * q, -(2.0**40) * q, np.inf, np.nan):
         pair = [0.0, value]
         wrong += not refuses(lambda: _rounded(pair, q, dtype), OverflowError, "f[0, 1]")
     return exact(int(want[4].astype(np.int16)), int(back[4]), int(want[4]), wrong)
