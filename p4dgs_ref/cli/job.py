@@ -43,21 +43,16 @@ def read_preset(arguments):
 
 def read_file(path):
     """The bytes of a file, its model, and the seconds that decoding took."""
-    from ..codec.container import MAGIC, BitstreamError
+    from ..codec import container
     from ..codec.file import decode as decode_model
 
-    if Path(path).is_dir():
-        raise UsageError(f"{path}: Is a directory; expected a .p4dgs file")
-    data = Path(path).read_bytes()
-    if not data.startswith(MAGIC[:4]):
-        raise UsageError(
-            f"{path}: not a P-4DGS file; expected it to begin with {MAGIC[:4].hex(' ')} "
-            "(hexadecimal)"
-        )
-    start = time.perf_counter()
+    if Path(path).exists() and not Path(path).is_file():  # a pipe would block, a device never end
+        raise UsageError(f"{path}: expected a regular file, found a directory, device or pipe")
     try:
+        data = container.read_file(path)
+        start = time.perf_counter()
         return data, decode_model(data), time.perf_counter() - start
-    except BitstreamError as error:
+    except container.BitstreamError as error:
         raise UsageError(f"{path}: {error}") from None
 
 

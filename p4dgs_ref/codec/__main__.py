@@ -19,6 +19,7 @@ PARTS = (
     "gaussian_table",
     "streams",
     "rans",
+    "published",
 )
 TABLES = {
     "phi": "round(2^24 Phi(z)) at z = -6, -6 + 1/64, ... 6, Phi the normal distribution function",

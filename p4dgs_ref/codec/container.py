@@ -8,7 +8,7 @@ polynomial 0xEDB88320 (reflected), initial value and final XOR 0xFFFFFFFF.
                        text mode or with 7 bits would change
     8           1      version, 1
     9           1      S, the number of sections, 0 to 11
-    10          4      total length of the file in bytes
+    10          4      total length of the file in bytes, at most 2^29
     14          9 S    section table, one row per section: id (1 byte), length in bytes (4 bytes),
                        CRC-32 of the section's bytes (4 bytes)
     14 + 9 S    4      CRC-32 of all bytes before this field
@@ -21,11 +21,15 @@ The section ids are
 
 The rows of the table, and therefore the sections, stand in strictly ascending order of id, so no
 section occurs twice. The total length equals 18 + 9 S plus the lengths of all sections, and it is
-the size of the file: every byte belongs to something.
+the size of the file: every byte belongs to something. The numbers that a header may promise never
+need more than 2^29 bytes.
 
 A reader checks, in this order: the size (at least 18 bytes), magic, version, S, total length, the
 checksum of the table, the ids and their order, the sum of the lengths, and the checksum of every
-section. The next part of this page says which sections a model needs.
+section. All but the last need the size of the file and its first 117 bytes only. The next part of
+this page says which sections a model needs, and the last part before the tables (`published.py`)
+names the kinds of errors and describes the expected numbers, the `.bin` files, of the streams on
+which a decoder can be tried.
 
 Worked numbers. The file whose only section is "masks" (id 7) with the bytes 01 02 03 has
 18 + 9 + 3 = 30 bytes:
@@ -36,6 +40,7 @@ Worked numbers. The file whose only section is "masks" (id 7) with the bytes 01 
     01 02 03                                        the section
 """
 
+import os
 import struct
 import zlib
 
@@ -54,10 +59,11 @@ SECTIONS = (  # an id is a position in this tuple, counted from 1
     "anchor_mlps",
     "context_mlps",
 )
-MAX_LENGTH = 2**32 - 1
+MAX_LENGTH = 2**29
 FIXED = struct.Struct("<8sBBI")  # magic, version, S, total length
 ROW = struct.Struct("<BII")  # id, length, CRC-32
 CRC = struct.Struct("<I")
+LONGEST_FRAME = FIXED.size + ROW.size * len(SECTIONS) + CRC.size
 
 
 class BitstreamError(ValueError):
@@ -78,7 +84,7 @@ def require(holds, section, offset, message):
 def write_container(sections):
     """The file with these sections, {name: bytes} in any order.
 
-    Raises ValueError for an unknown section and for a file of 2^32 bytes or more.
+    Raises ValueError for an unknown section and for a file of more than 2^29 bytes.
     """
     unknown = sorted(set(sections) - set(SECTIONS))
     if unknown:
@@ -92,6 +98,17 @@ def write_container(sections):
     return b"".join([head, CRC.pack(zlib.crc32(head)), *(body for _, body in rows)])
 
 
+def read_file(path):
+    """The bytes of a file, which are read only after its frame was checked.
+
+    Raises BitstreamError for a wrong frame, and OSError.
+    """
+    with open(path, "rb") as file:
+        size, start = os.fstat(file.fileno()).st_size, file.read(LONGEST_FRAME)
+        read_table(start, size)
+        return start + file.read(size - len(start))
+
+
 def read_container(data):
     """The sections of a file, {name: bytes} in the order of the file, after checking every byte.
 
@@ -103,7 +120,7 @@ def read_container(data):
 def open_container(data):
     """Like `read_container`, but without copying: {name: memoryview}."""
     sections = {}
-    for name, start, length, crc in read_table(data):
+    for name, start, length, crc in read_table(data, len(data)):
         body = memoryview(data)[start : start + length]
         found = zlib.crc32(body)
         require(found == crc, name, 0, f"checksum {found:08x}, the section table says {crc:08x}")
@@ -116,7 +133,7 @@ def layout(data):
 
     Checks the container header and the section table, but not the checksums of the sections.
     """
-    rows = read_table(data)
+    rows = read_table(data, len(data))
     return [
         ("container_header", FIXED.size),
         ("section_table", ROW.size * len(rows) + CRC.size),
@@ -124,12 +141,25 @@ def layout(data):
     ]
 
 
-def read_table(data):
-    """The checked rows of the section table: (name, offset in the file, length, CRC-32)."""
+def read_table(data, size):
+    """The checked rows of the section table: (name, offset in the file, length, CRC-32).
+
+    `data` are the first LONGEST_FRAME bytes or more of a file of `size` bytes.
+    """
     least = FIXED.size + CRC.size
-    require(len(data) >= least, "container", len(data), f"expected at least {least} bytes")
+    require(
+        min(len(data), size) >= least,
+        "container",
+        len(data),
+        f"not a P-4DGS file: expected at least {least} bytes",
+    )
     magic, version, count, total = FIXED.unpack_from(data)
-    require(magic == MAGIC, "container", 0, "not a P-4DGS file (wrong magic number)")
+    require(
+        magic == MAGIC,
+        "container",
+        0,
+        f"not a P-4DGS file: wrong magic number, expected {MAGIC.hex(' ')}",
+    )
     require(version == VERSION, "container", 8, f"version {version}, expected {VERSION}")
     require(
         count <= len(SECTIONS),
@@ -138,10 +168,16 @@ def read_table(data):
         f"{count} sections, expected at most {len(SECTIONS)}",
     )
     require(
-        total == len(data),
+        total == size,
         "container",
         10,
-        f"total length {total}, but the file has {len(data)} bytes",
+        f"total length {total}, but the file has {size} bytes",
+    )
+    require(
+        total <= MAX_LENGTH,
+        "container",
+        10,
+        f"total length {total}, expected at most {MAX_LENGTH}",
     )
     end = FIXED.size + ROW.size * count
     require(

@@ -25,23 +25,24 @@ read the Gaussian sections in any order, but masks before offsets.
 Every section is present, also an empty one (offsets where no child is kept), with one exception:
 deformation_mlp is present if and only if the header lists translation, rotation or scaling. A
 section of plain or float16 numbers has exactly their length. The box has lo <= hi and coordinates
-of at most 1e30 (the double) in magnitude, and every weight is finite.
+of at most 1e30 (the double) in magnitude, and every weight is finite. The float32 next to 1e30 is
+larger, so the largest coordinate is the float32 below it, 9.999999394896025e29.
 
 Names. Every quantity has the same name everywhere, and the four groups of attributes always stand
 in the order f, s, l, O:
 
-    attribute of an anchor       trained as   base step   step   bits     section
-    f_a  its feature             f_a          Q_f         q_f    bits_f   features
-    s_a  its scale               log_s        Q_s         q_s    bits_s   scales
-    l_a  its offset scaling      log_l        Q_l         q_l    bits_l   offset_scales
-    O_a  its children's offsets  O_a          Q_O         q_O    bits_O   offsets
+    attribute of an anchor       base step   step   section
+    f_a  its feature             Q_f         q_f    features
+    s_a  its scale               Q_s         q_s    scales
+    l_a  its offset scaling      Q_l         q_l    offset_scales
+    O_a  its children's offsets  Q_O         q_O    offsets
 
-The scales are trained as logarithms and coded as linear values. The header's Q_0 is the list of the
-four base steps. Of every coded attribute, `symbol` is the integer in the file and q the step of its
-group. Its mean mu and deviation sigma reach the coder as the integers mu_units and sigma_units, and
-q itself is q_units times Q_0 2^-15. h is the hash feature from which psi_q predicts q, and psi_p
-predicts mu and sigma. The anchors' positions x_a are in the section positions, the mask of their
-children in masks, and the signs of the hash grid's entries in hash_grid.
+The scales are coded as linear values. The header's Q_0 is the list of the four base steps. Of every
+coded attribute, `symbol` is the integer in the file and q the step of its group. Its mean mu and
+deviation sigma reach the coder as the integers mu_units and sigma_units, and q itself is q_units
+times Q_0 2^-15. h is the hash feature from which psi_q predicts q, and psi_p predicts mu and sigma.
+The anchors' positions x_a are in the section positions, the mask of their children in masks, and
+the signs of the hash grid's entries in hash_grid.
 
 Networks. A layer of I inputs and J outputs computes y = x W + b. It is stored as the I J numbers
 W[i][j], j fastest, then the J numbers b[j]. The layers of a network lead from its inputs over the
@@ -66,6 +67,12 @@ Values. A position is lo + n ((hi - lo) / 65535), n being its uint16, and an att
 times q, the step of its anchor and group. Each operation on doubles is rounded by itself (no fused
 multiply-add). The offsets of masked children are 0.
 
+Encoding again. Encoding a decoded model gives the same bytes if this encoder wrote the file.
+Another valid file may give others, because this encoder writes the header without spaces, drops
+anchors without children (one always stays), stores 0 where the box has no extent, drops hidden
+units that are 0 for every anchor in scenes without view effects, and chooses the number of lanes,
+the length of the tail and the probability of a bit.
+
 Worked numbers. lo = -1.5, hi = 1.5 and n = 20000 give -1.5 + 20000 * (3 / 65535) =
 -0.5844586861982147. With d = 4, k = 2, hidden = [8] and both view effects, anchor_mlps holds
 (9 8 + 9 2) + (9 8 + 9 6) + (9 8 + 9 8) + (9 8 + 9 6) = 486 numbers, which are 972 bytes.
@@ -77,8 +84,8 @@ from ..model import ANCHOR_NETWORKS, CONTEXT_NETWORKS, Anchors, Model, unsnap
 from .container import SECTIONS, BitstreamError, open_container, require, write_container
 from .context import coding_context
 from .gaussian_table import gaussian_model
-from .header import read_header, write_header
-from .quantise import BOX, Quantised, coded, dequantise, quantise, valid_box
+from .header import check_work, read_header, write_header
+from .quantise import BOX, EncodeError, Quantised, coded, dequantise, quantise, valid_box
 from .streams import decode_bits, decode_symbols, encode_bits, encode_gaussian
 
 NETWORK_SECTIONS = {
@@ -132,7 +139,13 @@ def encode(model: Model) -> bytes:
 
     Raises EncodeError or OverflowError for a number that the format cannot hold.
     """
-    return write_container(sections_of(quantise(model)))
+    quantised = quantise(model)
+    sections = sections_of(quantised)
+    try:
+        check_work(quantised.model.design, len(quantised.positions), size_of(sections))
+    except BitstreamError as error:
+        raise EncodeError(f"design: {error.message}") from None
+    return write_container(sections)
 
 
 def decode(data: bytes) -> Model:
@@ -150,6 +163,7 @@ def quantised_of(sections):
     """
     require("header" in sections, "header", 0, "section is missing")
     design, A, background = read_header(sections["header"])
+    check_work(design, A, size_of(sections))
     check_presence(sections, design.layers())
     box, positions = read_positions(sections["positions"], A)
     networks, grids = read_networks(sections, design), read_grids(sections["hash_grid"], design)
@@ -168,6 +182,11 @@ def quantised_of(sections):
     anchors = Anchors(x_a, *dequantise(symbols, ctx, design), mask)
     model = Model(design, anchors, networks, grids, box, background)
     return Quantised(model, positions, symbols, kept, ctx)
+
+
+def size_of(sections):
+    """The number of bytes of all sections together."""
+    return sum(map(len, sections.values()))
 
 
 def check_presence(sections, layers):

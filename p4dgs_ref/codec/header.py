@@ -32,13 +32,20 @@ the entries of the grid, and the weights and biases of all networks. There are a
 of the grid and at most 2^25 numbers in all. A decoder needs at most 64 MiB plus four times 8 bytes
 for each of these numbers, beside the file itself. The header has at most 2^14 bytes, because a JSON
 parser needs many times the memory of its text.
+
+Time is bounded by n, the number of bytes of all sections together. The header promises at most
+2^22 + 2^4 n numbers. The coding context of one anchor needs a multiplication for every weight of
+psi_p and psi_q, without biases, and reads 2^D nodes of F entries in every level of D axes. A node
+counts as 64 (F + 8) multiplications, because memory is slower than arithmetic. All anchors together
+need at most 2^34 + 2^15 n multiplications. The files of all presets stay within both limits,
+whatever the number of their anchors. A decoder checks all limits before it reads other sections.
 """
 
 import json
 
 import numpy as np
 
-from ..model import Design
+from ..model import CONTEXT_NETWORKS, Design
 from ..scenes.scene import MODEL_EFFECTS
 from .container import require
 
@@ -107,6 +114,23 @@ def declared_numbers(design, anchors):
         "grid": sum(T * F for T, F in design.levels()),
         "networks": sum((rows + 1) * columns for rows, columns in layers),
     }
+
+
+def check_work(design, anchors, size):
+    """Refuse a header that promises more work than `size` bytes of sections may cause."""
+    numbers, most = sum(declared_numbers(design, anchors).values()), 2**22 + 2**4 * size
+    expect(
+        numbers <= most,
+        f"{numbers} numbers declared, expected at most {most} in sections of {size} bytes",
+    )
+    layers = design.layers()
+    weights = sum(rows * columns for name in CONTEXT_NETWORKS for rows, columns in layers[name])
+    nodes = sum(2 ** len(axes) for axes, _ in design.grid)
+    work, most = anchors * (weights + nodes * 64 * (design.F + 8)), 2**34 + 2**15 * size
+    expect(
+        work <= most,
+        f"{work} multiplications declared, expected at most {most} for sections of {size} bytes",
+    )
 
 
 def expect(holds, message):

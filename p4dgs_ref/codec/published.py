@@ -1,6 +1,7 @@
 """The conformance streams: small files for other decoders, their contents, and files to refuse.
 
-The folder `streams_v1` holds them. `manifest.json` is an object with two lists of objects:
+The folder `p4dgs_ref/codec/streams_v1` holds them. `manifest.json` is an object with two lists of
+objects:
 
     good   name, says (what the stream tests), file, bytes, sha256, header (the decoded JSON),
            sections {name: bytes}, expected (a file), and arrays: a list of

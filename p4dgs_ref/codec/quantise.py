@@ -57,7 +57,7 @@ def quantise(model):
     and masked numbers may have any value; all others must be finite.
 
     Raises EncodeError, which names the array, and OverflowError, which names the element, where
-    |f / q| is 2^31 or more.
+    |f / q| is more than 2^31.
     """
     check_shapes(model)
     alive = model.anchors.mask.any(axis=1)
@@ -139,7 +139,8 @@ def round_box(box):
 
 def valid_box(lo, hi):
     """Whether a file may hold this box; False for NaN."""
-    return (np.abs([lo, hi]) <= LARGEST).all() and (lo <= hi).all()
+    # The float32 next to 1e30 is larger than 1e30, hence < and not <=.
+    return (np.abs([lo, hi]) < np.float32(LARGEST)).all() and (lo <= hi).all()
 
 
 def as_decoded(model):

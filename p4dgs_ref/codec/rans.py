@@ -45,7 +45,8 @@ The decoder reverses these steps, with push and pop exchanged. In their order it
     3. pops symbol 0, 1, ... n-m-1, each from its lane;
     2. ends lane L-1, then L-2, ... 1, whose state must now be from 2^31 to 2^32 - 1: pushes its
        31 low bits into lane 0;
-    1. pops the tail from lane 0, whose state must end at 2^31.
+    1. pops the tail from lane 0, whose state must end at 2^31. The tail must have taken every word
+       that step 2 put on the stack.
 
 With several lanes the tail is never empty.
 
@@ -213,7 +214,7 @@ def decode(data, tables, keys, at=0, section="stream", pop_rows=None):
     # A symbol takes one word at most, and a lane to be opened three: the message has no more words.
     count = min((len(data) - start) // 4, len(tables) + 3 * lanes)
     words = np.frombuffer(data, "<u4", count, start)
-    end = start + 4 * count
+    end, unread = start + 4 * count, count
     try:
         if lanes > 1:
             states, words = open_lanes(x, lanes, words)
@@ -225,12 +226,14 @@ def decode(data, tables, keys, at=0, section="stream", pop_rows=None):
                 end - 4 * len(words),
                 "a lane does not end where lanes start",
             )
+            unread = len(words)
             x, words = end_lanes(states, words)
         x, words = pop_tail(x, words, tables[left:], keys, entries[left:])
     except IndexError:  # of an empty stack
         raise BitstreamError(section, len(data), "the data end before the last symbol") from None
     end -= 4 * len(words)
     require(x == LOWEST, section, end, f"lane 0 ends in state {x}, not in {LOWEST}")
+    require(len(words) <= unread, section, end, "the tail leaves a word that a lane gave back")
     return entries, end
 
 

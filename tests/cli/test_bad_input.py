@@ -309,7 +309,7 @@ LINES = [
         for file, words in (
             ("text", ("not a P-4DGS file",)),
             ("nowhere.p4dgs", ("No such file",)),
-            ("scene", ("Is a directory",)),
+            ("scene", ("regular file", "directory")),
             ("cut.p4dgs", ("container", "length")),
         )
     ),

@@ -10,10 +10,15 @@ import pytest
 from p4dgs_ref.codec.container import SECTIONS, BitstreamError, read_container, write_container
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, decode, encode
 from p4dgs_ref.codec.gaussian_table import MU_LIMIT
+from p4dgs_ref.codec.header import MOST_NUMBERS, check_work, declared_numbers, read_header
 from p4dgs_ref.codec.quantise import EncodeError, quantise
 from p4dgs_ref.codec.streams import encode_bits
+from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.studies.inspect import ledger
+from p4dgs_ref.training.initial import design_of
+from p4dgs_ref.training.presets import PRESETS
 from tests.codec.models import MAKE, changed, random_model
+from tests.golden.sample_model import sample_model
 
 # An overflow or a NaN on the way is a failure, too.
 pytestmark = pytest.mark.filterwarnings("error")
@@ -346,7 +351,11 @@ def test_huge_symbols_name_the_array(model, name, group):
     assert np.abs(quantise(large).symbols).max() == 2**31 - 1
     assert getattr(decode(encode(large)).anchors, name).max() == step * (2.0**31 - 1)
     array[anchor] = step * -(2.0**31)
-    with pytest.raises(OverflowError, match=rf"anchors {name}, .*: expected \|f/q\| below 2\^31"):
+    largest = encode(changed(model, **{name: array}))
+    assert getattr(decode(largest).anchors, name).min() == step * -(2.0**31)
+    assert encode(decode(largest)) == largest
+    array[anchor] = step * -(2.0**31 + 1)
+    with pytest.raises(OverflowError, match=rf"anchors {name}, .*: expected \|f/q\| up to 2\^31"):
         encode(changed(model, **{name: array}))
 
 
@@ -398,3 +407,44 @@ def test_a_model_without_anchors_is_not_written(model):
     none = type(model.anchors)(*(array[:0] for array in model.anchors))
     with pytest.raises(EncodeError, match="anchors mask: expected booleans of one anchor or more"):
         encode(dataclasses.replace(model, anchors=none))
+
+
+# --- Time ---
+
+
+def test_work_is_bounded_by_the_bytes_of_the_file(sections):
+    """The largest grids cost milliseconds for every anchor, whose position has six bytes."""
+    size = sum(map(len, sections.values()))
+    costly = {"grid": [["xyz", 2]] * 64, "F": 64}
+    for anchors, message in ((9000, "multiplications declared"), (4000, "expected")):
+        where = "header" if anchors == 9000 else "positions"
+        refused(with_header(sections, anchors=anchors, **costly), where, message)
+    many = with_header(sections, grid=[["xyz", 200]], F=1, table=[2**23, 8])
+    refused({**many, "hash_grid": bytes(4)}, "header", "8002409 numbers declared")
+    design = read_header(sections["header"])[0]._replace(grid=(("xyz", 2),) * 64, F=64)
+    layers = [layer for name in ("psi_p", "psi_q") for layer in design.layers()[name]]
+    of_one = sum(rows * columns for rows, columns in layers) + 64 * 8 * 64 * (64 + 8)
+    most = (2**34 + 2**15 * size) // of_one
+    check_work(design, most, size)
+    with pytest.raises(BitstreamError, match="multiplications declared"):
+        check_work(design, most + 1, size)
+    check_work(design, most + 1, size + of_one // 2**15 + 1)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_files_of_all_presets_are_within_the_bounds_of_work(name):
+    """Even if every stream is empty, so that an anchor has the six bytes of its position alone."""
+    design = design_of(PRESETS[name], MODEL_EFFECTS)
+    fixed, per_anchor = declared_numbers(design, 0), declared_numbers(design, 1)["anchors"]
+    most = (MOST_NUMBERS - sum(fixed.values())) // per_anchor
+    for anchors in (1, 1000, 20_000, 100_000, most):
+        check_work(design, anchors, 6 * anchors + 2 * fixed["networks"])
+
+
+def test_models_that_no_decoder_may_read_are_not_written():
+    fields = dict(grid=(("xyz", 170),), F=1, table=(2**23, 16), context=())
+    model = sample_model(1, 1, **fields)
+    uniform = dataclasses.replace(model, grids=[np.ones_like(grid) for grid in model.grids])
+    assert decode(encode(model)).design == model.design
+    with pytest.raises(EncodeError, match="design: 49.* numbers declared, expected at most"):
+        encode(uniform)

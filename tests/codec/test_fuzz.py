@@ -279,7 +279,8 @@ def test_hostile_headers_cost_no_memory(least):
     full = {"hash_grid": encode_bits(np.ones(1, bool)), "masks": encode_bits(np.ones(1, bool))}
     large = dict(F=64, grid=[["xyz", 63]], table=[2**24, 2**24])
     for fields, where in (
-        (dict(anchors=2**21), "positions"),
+        (dict(anchors=2**18), "positions"),
+        (dict(anchors=2**21), "header"),
         (dict(anchors=2**22), "header"),
         (dict(d=4096), "anchor_mlps"),
         (dict(k=256), "anchor_mlps"),
@@ -287,7 +288,8 @@ def test_hostile_headers_cost_no_memory(least):
         (dict(context=[5000] * 2), "header"),
         (dict(large, grid=[["xyz", 2**16]] * 64), "header"),
         (dict(hidden=[5000]), "anchor_mlps"),
-        (large, "context_mlps"),
+        (dict(large, grid=[["xyz", 39]]), "context_mlps"),
+        (large, "header"),
         (dict(large, grid=[["xyz", 63]] * 2), "header"),
     ):
         body = json.dumps({**header, **fields}).encode()

@@ -9,7 +9,8 @@ import numpy as np
 from p4dgs_ref.codec import rans
 from p4dgs_ref.codec.container import MAGIC, SECTIONS
 from p4dgs_ref.codec.file import sections_of
-from p4dgs_ref.codec.streams import encode_gaussian
+from p4dgs_ref.codec.gaussian_table import gaussian_model
+from p4dgs_ref.codec.streams import encode_gaussian, find_entries
 from tests.golden.conformance_good import Parts
 
 ROW, HEAD = 9, 14  # bytes of a row of the section table, and of what stands before it
@@ -65,6 +66,7 @@ def forgeries():
         *_headers(sections),
         *_contents(sections),
         *_streams(sections, quantised),
+        _word_given_back(),
     ]
 
 
@@ -171,9 +173,9 @@ def _headers(sections):
     """Defects of the header's content."""
     header = json.loads(sections["header"])
 
-    def changed(deformation_mlp=sections["deformation_mlp"], **fields):
+    def changed(bodies=None, **fields):
         body = json.dumps({**header, **fields}, separators=(",", ":")).encode("ascii")
-        return framed(rows_of({**sections, "header": body, "deformation_mlp": deformation_mlp}))
+        return framed(rows_of({**sections, "header": body, **(bodies or {})}))
 
     fewer = {key: value for key, value in header.items() if key != "F"}
     return [
@@ -189,6 +191,22 @@ def _headers(sections):
             "absurd_grid",
             "18522000 entries of the grid, 2^24 at most",
             changed(grid=[["xyz", 210]], table=[2**24, 64]),
+            "header",
+            0,
+            "header",
+        ),
+        (
+            "absurd_numbers",
+            "16000000 entries of the grid, all -1: too many for a file of this size",
+            changed({"hash_grid": bytes(4)}, grid=[["xyz", 200]], table=[2**23, 64]),
+            "header",
+            0,
+            "header",
+        ),
+        (
+            "absurd_work",
+            "64 levels of 64 entries a node, for more anchors than the time of a decoder allows",
+            changed(anchors=9000, grid=[["xyz", 2]] * 64, F=64),
             "header",
             0,
             "header",
@@ -228,7 +246,7 @@ def _headers(sections):
         (
             "static_with_deformation",
             "no effect that moves, yet a section `deformation_mlp`, of no bytes",
-            changed(effects=[], deformation_mlp=b""),
+            changed({"deformation_mlp": b""}, effects=[]),
             "deformation_mlp",
             0,
             "unexpected",
@@ -263,6 +281,14 @@ def _contents(sections):
             "lo and hi exchanged",
             "positions",
             hi + lo + sections["positions"][24:],
+            0,
+            "number",
+        ),
+        (
+            "box_too_far",
+            "a coordinate that is the float32 next to 1e30, which is larger than 1e30",
+            "positions",
+            spliced(sections["positions"], 12, struct.pack("<f", 1e30)),
             0,
             "number",
         ),
@@ -395,3 +421,38 @@ def _streams(sections, quantised):
         (name, says, framed(rows_of({**sections, section: body})), section, offset, "stream")
         for name, says, section, body, offset in bodies
     ]
+
+
+def _word_given_back():
+    """A message of two lanes whose tail leaves the word that lane 0 got back from lane 1.
+
+    A decoder that counts this word with those that it has not read steps four bytes back, into the
+    message, and finds there the 32 raw bits that the symbols need.
+    """
+    parts = Parts(25, anchors=8, d=4, hidden=(), context=(), deformation=(), effects=())
+    # sigma / q = 33 for f: one raw bit for each of 32 symbols.
+    parts.prior(weights=0.0, mu=0.0, raw=2.8125)
+    parts.steps(0.0, 0.0, 0.0, 0.0)
+    quantised = parts.quantised()
+    ctx = quantised.context
+    symbols, *units = (a[:, :4].ravel() for a in (quantised.symbols, ctx.mu_units, ctx.sigma_units))
+    model = gaussian_model(*units)
+    entries, _ = find_entries(symbols, model)
+    starts, freqs = model.keys[entries] & rans.SLOT, np.diff(model.keys)[entries]
+    x, stack, tail = rans.LOWEST, [0x89ABCDEF], 2  # a word before the first symbol
+    for start, freq in zip(starts[: -tail - 1 : -1].tolist(), freqs[: -tail - 1 : -1].tolist()):
+        x = (x // freq << rans.PRECISION) + x % freq + start
+    states = rans.start_lanes(x, 2, stack)
+    rows = [values[:-tail].reshape(-1, 2) for values in (starts, freqs)]
+    states, row_words = rans.push_rows_plainly(states, *rows)
+    x, top = rans.close_lanes(states)
+    words = np.concatenate([np.array(part, "<u4") for part in (top[::-1], row_words, stack)])
+    features = b"\x81" + tail.to_bytes(4, "little") + x.to_bytes(8, "little") + words.tobytes()
+    return (
+        "word_given_back",
+        "the tail leaves a word that a lane gave back: the message would end before its last word",
+        framed(rows_of({**sections_of(quantised), "features": features})),
+        "features",
+        None,
+        "stream",
+    )

@@ -19,7 +19,13 @@ from functools import cache
 
 import numpy as np
 
-from p4dgs_ref.codec.container import SECTIONS, BitstreamError, open_container, write_container
+from p4dgs_ref.codec.container import (
+    SECTIONS,
+    BitstreamError,
+    open_container,
+    read_file,
+    write_container,
+)
 from p4dgs_ref.codec.file import encode, quantised_of, sections_of
 from p4dgs_ref.codec.header import declared_numbers, read_header
 from p4dgs_ref.codec.quantise import quantise
@@ -154,8 +160,7 @@ def main(arguments=None):
     files = None
     if options.file:
         try:
-            with open(options.file, "rb") as stream:
-                files = (stream.read(),)
+            files = (read_file(options.file),)
             quantised_of(open_container(files[0]))
         except (OSError, BitstreamError) as error:
             parser.error(f"{options.file}: expected a good file: {error}")

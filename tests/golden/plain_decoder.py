@@ -79,16 +79,25 @@ def read_container(data):
     return sections
 
 
-def read_header(body):
-    """The fields, the nodes T of each level, and the widths of the groups f, s, l, O."""
+def read_header(body, size):
+    """The fields, the nodes T of each level, and the widths of the groups f, s, l, O.
+
+    `size` is the number of bytes of all sections.
+    """
     try:
         h = json.loads(body.decode("ascii"))
         T = [min(R ** len(axes), h["table"][len(axes) == 2]) for axes, R in h["grid"]]
         entries = h["F"] * sum(T)
         numbers = h["anchors"] * (9 + h["d"] + 4 * h["k"]) + entries  # without the weights
-        need(0 < entries <= 2**24 and 0 < numbers <= 2**25, "header", "sizes")
+        most = min(2**25, 2**22 + 16 * size)
+        need(0 < entries <= 2**24 and 0 < numbers <= most, "header", "sizes")
         need(len(h["Q_0"]) == 4 and {*h["effects"]} <= EFFECTS, "header", "steps or effects")
-        return h, T, [h["d"], 3, 3, 3 * h["k"]]
+        widths = [h["d"], 3, 3, 3 * h["k"]]
+        nets = [(len(T) * h["F"], *h["context"], n) for n in (2 * sum(widths), 4)]
+        work = sum(I * J for net in nets for I, J in zip(net, net[1:]))
+        work += sum(2 ** len(axes) * 64 * (h["F"] + 8) for axes, _ in h["grid"])
+        need(h["anchors"] * work <= 2**34 + 2**15 * size, "header", "work")
+        return h, T, widths
     except (LookupError, TypeError, ValueError, RecursionError) as error:
         raise ValueError("header", "a field that is missing, unknown or out of range") from error
 
@@ -232,6 +241,7 @@ def read_message(data, at, tables, section):
         states.append((2**n + v << 31) + pop_bits(31))
     for i, (cum, size) in enumerate(tables):
         if i == rows:  # between rows and tail the other lanes end
+            unread = len(words)
             for state in states[:0:-1]:
                 need(state >> 31 == 1, section, "end of a lane")
                 if states[0] >= 2**32:
@@ -244,6 +254,7 @@ def read_message(data, at, tables, section):
         entries.append(entry)
         refill(lane, x * (cum(entry + 1) - cum(entry)) + slot - cum(entry))
     need(states[0] == 2**31, section, "end of lane 0")
+    need(len(words) <= unread, section, "a word that a lane gave back is left")
     return entries, start + 4 * (count - len(words))
 
 
@@ -308,7 +319,7 @@ def read_gaussian(data, pairs, section):
 def decode(data):
     """Every array of a file, {name: flat list}, row by row."""
     sections = read_container(data)
-    h, T, widths = read_header(sections["header"])
+    h, T, widths = read_header(sections["header"], sum(map(len, sections.values())))
     numbers, psi_p, psi_q = read_networks(sections, h, widths)
     A, k, n, F = h["anchors"], h["k"], sum(widths), h["F"]
     body = sections["positions"]
