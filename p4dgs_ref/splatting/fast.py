@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from .tiles import bin_splats
+from .tiles import PAIR_BYTES, bin_splats, require_memory
 
 RANKS = 32  # depth ranks that are evaluated together; 16 to 32 cost about the same
 NOTHING = (-1e4, 0, 0, 0, 0, 0)  # coefficients of alpha = 0: exp(-1e4) is zero in every dtype
@@ -64,7 +64,7 @@ def forward(
     T = np.ones((len(count), side * side), dtype)
     image = np.zeros((len(count), side * side, 3), dtype)
     stopped = np.zeros(T.shape, bool)
-    chunks, tiles = [], np.flatnonzero(count)
+    chunks, tiles, needed = [], np.flatnonzero(count), PAIR_BYTES * len(lists.row)
     for rank in range(0, int(count.max(initial=0)), RANKS):
         tiles = tiles[count[tiles] > rank]
         if settings.stop and occlusion and rank:
@@ -73,6 +73,9 @@ def forward(
             break
         ranks = np.arange(rank, min(rank + RANKS, count[tiles].max()))[:, None]
         pairs = np.where(ranks < count[tiles], start[tiles] + ranks, len(lists.row))
+        # A and weights are kept for the backward pass, which needs at most as much again.
+        needed += 4 * pairs.size * side**2 * dtype.itemsize
+        require_memory(needed, f"{len(lists.row)} pairs of Gaussians and tiles")
         A, slope = alphas(coefficients[pairs.ravel()], settings, clamps)
         A = weights = A.reshape(*pairs.shape, -1)
         if occlusion:

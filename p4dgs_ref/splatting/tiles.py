@@ -1,12 +1,14 @@
 """Which Gaussians touch which tile of the image: lists in order of depth for the fast renderer."""
 
+import os
 from typing import NamedTuple
 
 import numpy as np
 
 from .compositing import depth_order
 
-MOST_PAIRS = 2**25  # of Gaussians and tiles; a pair takes about 200 bytes
+PAIR_BYTES = 250  # of a pair of a Gaussian and a tile while the lists are made, as measured
+ASSUMED_MEMORY = 2**33  # bytes, where the system does not say how many it has
 
 
 class Lists(NamedTuple):
@@ -23,7 +25,7 @@ def bin_splats(mean2d, cov2d, conic, alpha, depth, visible, width, height, setti
 
     "ellipse" lists a pair exactly where alpha reaches `settings.cut` at some point of the tile,
     "box" every tile that meets the square of side 2 ceil(3 sigma), "all" every tile. Raises
-    ValueError for more than MOST_PAIRS pairs.
+    ValueError where the lists would take more than half of the memory.
     """
     side = settings.tile
     columns, rows = -(-width // side), -(-height // side)
@@ -35,12 +37,7 @@ def bin_splats(mean2d, cov2d, conic, alpha, depth, visible, width, height, setti
     beyond = np.clip(high // side + 1, 0, (columns, rows)).astype(np.int64)
     extent = np.maximum(beyond - first, 0) * (low <= high).all(axis=1, keepdims=True)
     count = extent[:, 0] * extent[:, 1]
-    if count.sum() > MOST_PAIRS:
-        widest = int(np.argmax(count))
-        raise ValueError(
-            f"{count.sum()} pairs of Gaussians and tiles: expected {MOST_PAIRS} at most; Gaussian "
-            f"{order[widest]} alone touches {count[widest]} of {columns * rows} tiles"
-        )
+    require_memory(PAIR_BYTES * int(count.sum()), f"{count.sum()} pairs of Gaussians and tiles")
     rank = np.repeat(np.arange(len(order)), count)  # place in depth order: a sort key
     step = np.arange(len(rank)) - np.repeat(np.cumsum(count) - count, count)
     tile_y, tile_x = np.divmod(step, extent[rank, 0])
@@ -52,6 +49,18 @@ def bin_splats(mean2d, cov2d, conic, alpha, depth, visible, width, height, setti
     bits = max(1, len(order).bit_length())  # one sort of packed keys: tile first, then depth
     key = np.sort((tile_y * columns + tile_x) << bits | rank)
     return Lists(key >> bits, order[key & ((1 << bits) - 1)], columns, rows)
+
+
+def require_memory(needed, what):
+    """Raise ValueError where rendering would need more bytes than half of the machine's memory."""
+    try:
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):  # this system has no such numbers
+        memory = ASSUMED_MEMORY
+    if needed > memory // 2:
+        raise ValueError(
+            f"{what}: {needed} bytes; expected at most {memory // 2}, half of this machine's memory"
+        )
 
 
 def listable(alpha, visible, settings):
