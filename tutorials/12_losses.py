@@ -290,8 +290,8 @@ assert close(with_zeros[inside], without[inside], 1e-9)
 print(f"SSIM with zeros {with_zeros.mean():.3f}, with a cut window {without.mean():.3f}")
 assert with_zeros.mean() - without.mean() > 0.05
 report = oracle.check(mean_of_renormalised, "ssim")
-print("the checker:", report.first.explanation)
-assert "ssim-renormalised" in report.first.explanation
+print("the checker's hint:", report.first.hint)
+assert "ssim-renormalised" in report.first.hint
 
 # %% [markdown]
 # ## What a codec does with it

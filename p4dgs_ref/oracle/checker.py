@@ -91,12 +91,12 @@ def check_subject(cases, port, roles=("out.", "in_bar.")):
     for case in cases:
         result, got = judge(case, port, roles)
         results.append(result)
-        if got is not None:
+        if got is not None and result.verdict != "acceptable":
             answers.append((case, got, [f.tensor for f in result.findings]))
     if not any(r.findings for r in results):
         return results
-    said = sentence(*doctor.diagnose(cases[0].subject, answers))
-    return [r._replace(explanation=said) if r.findings else r for r in results]
+    diagnoses = doctor.diagnose(cases[0].subject, answers)
+    return [explained(r, diagnoses) for r in results]
 
 
 def judge(case, port, roles=("out.", "in_bar.")):
@@ -126,24 +126,27 @@ def printable(text):
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
-def sentence(explained, part=""):
-    """Return the doctor's findings as one sentence, "" if there are none."""
-    if not explained:
-        return ""
-    found = [f"{mistake.description} [{mistake.id}]" for mistake, _, _ in explained]
-    _, agreed, failed = explained[0]
-    limits = []
-    if agreed != failed:
-        limits.append(f"{agreed} of {failed} cases")
-    if part:
-        limits.append(f"the {part} alone")
-    return " or ".join(found) + (f" (explains {', '.join(limits)})" if limits else "")
+def explained(result, diagnoses):
+    """Return a result with what the diagnoses say of its case: an explanation or a hint."""
+    rows = [row for row in diagnoses if result.id in row.cases]
+    said = " or ".join(map(str, rows))
+    if rows and rows[0].certain:
+        return result._replace(explanation=said)
+    return result._replace(hint=said)
 
 
 def _shared(results):
-    """Give wrong answers without an explanation the one that was found for their equation."""
-    said = {r.equation: r.explanation for r in reversed(results) if r.findings and r.explanation}
-    return [
-        r._replace(explanation=said.get(r.equation, "")) if r.findings and not r.explanation else r
-        for r in results
-    ]
+    """Give wrong answers of which nothing is known the explanation of their equation.
+
+    It comes from the cases of another subject; where the doctor was silent about a case of the same
+    subject, that case contradicts it.
+    """
+    sources = {r.equation: r for r in reversed(results) if r.findings and r.explanation}
+    shared = []
+    for r in results:
+        source = sources.get(r.equation)
+        silent = r.findings and not r.explanation and not r.hint
+        if silent and source and r.id.split("/")[0] != source.id.split("/")[0]:
+            r = r._replace(explanation=f"{source.explanation} (seen in {source.id})")
+        shared.append(r)
+    return shared

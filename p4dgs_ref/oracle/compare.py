@@ -40,6 +40,7 @@ class Result(NamedTuple):
     required: bool
     findings: tuple  # of Finding
     explanation: str
+    hint: str = ""  # a known mistake that agrees with most of the wrong answers, not with all
 
     @property
     def wrong(self):

@@ -5,6 +5,10 @@ of behaviour and computes what a port with that mistake answers to the published
 `mistakes_v1` holds these answers: `mistakes.json` lists the mistakes, and one compressed
 safetensors file a subject holds every tensor that a mistake gets wrong, as
 `<mistake>/<case>/<tensor>`. Tensors that are not in the file are right in spite of the mistake.
+
+A mistake explains wrong answers if it agrees with all of them and shows in no tensor that the port
+gets right. One that agrees with most of the failing cases is a hint. Weaker evidence is not
+mentioned, because a wrong diagnosis costs more time than none.
 """
 
 import gzip
@@ -16,22 +20,46 @@ from typing import NamedTuple
 import numpy as np
 
 from . import safetensors
-from .compare import differences, expected, precision
+from .compare import PRECISIONS, deviations, precision
 
 FOLDER = Path(__file__).with_name("mistakes_v1")
 LENIENCE = 4  # factor on the bounds: a port may compute the same mistake in another way
+CLOSER = (
+    16  # a wrong answer must be so many times closer to the mistake's answer than that is wrong
+)
 HUGE = np.finfo(np.float32).max
-ROLES = {"outputs": "out.", "gradients": "in_bar."}
+ROLES = {"outputs": "out", "gradients": "in_bar"}
+# Mistakes that need no stored answers: the right values times a factor.
+FACTORS = {0: "is zero", -1: "has the wrong sign", 2: "is doubled", 0.5: "is halved"}
 
 
 class Mistake(NamedTuple):
     """A known mistake and its wrong answers."""
 
-    id: str
+    id: str  # "" for a factor
     subject: str  # whose cases show it
     equation: str  # to blame
     description: str  # of what the port does wrong, addressed to its author
     answers: dict  # {case name: {"out.x": array}}
+
+
+class Diagnosis(NamedTuple):
+    """A mistake with which a port's wrong answers agree."""
+
+    mistake: Mistake
+    cases: tuple  # ids of the failing cases that agree
+    failed: int  # number of failing cases
+    part: str = ""  # "outputs" or "gradients" where only those were compared
+    certain: bool = True  # whether all wrong answers are explained; otherwise it is a hint
+
+    def __str__(self):
+        said = self.mistake.description
+        if self.mistake.id:
+            said += f" [{self.mistake.id}]"
+        if not self.certain:
+            whose = f"the {self.part} of " if self.part else ""
+            return f"{said} (agrees with {whose}{len(self.cases)} of {self.failed} failing cases)"
+        return f"{said} (explains the {self.part} alone)" if self.part else said
 
 
 @cache
@@ -49,81 +77,153 @@ def known(subject):
 
 
 def diagnose(subject, answers):
-    """Return (`explain` of the answers, "").
-
-    A port that was written by hand often has a mistake in one direction only. Where nothing
-    explains all answers, the outputs or the gradients are explained by themselves, and the second
-    value is "outputs" or "gradients".
-    """
-    found = explain(subject, answers)
-    if found:
-        return found, ""
-    for part, role in ROLES.items():
-        of_role = []
-        for case, got, wrong in answers:
-            tensors = {name: a for name, a in got.items() if name.startswith(role)}
-            of_role.append((case, tensors, [name for name in wrong if name.startswith(role)]))
-        if any(wrong for *_, wrong in of_role):
-            found = explain(subject, of_role)
-            if found:
-                return found, part
-    return [], ""
-
-
-def explain(subject, answers):
-    """Return the mistakes with which a port's answers agree best.
+    """Return the Diagnoses of a port's wrong answers, the most certain first.
 
     `answers` lists (published case, {name: array}, names of the wrong tensors) of one subject, the
-    right answers too. Returns [(mistake, number of cases explained, number of failing cases)].
+    right answers too. Several mistakes may explain the same answers; then all are returned. A port
+    that was written by hand often has a mistake in one direction only. Where no mistake explains
+    all answers, the outputs and the gradients are explained by themselves.
+    """
+    # A tensor that is missing or extra neither agrees with a mistake nor contradicts it.
+    answers = [
+        (case, got, [name for name in wrong if name in got and name in case.tensors])
+        for case, got, wrong in answers
+    ]
+    mistakes = known(subject) + _scaled(answers)
+    whole, parts = explain(mistakes, answers), []
+    for part, role in ROLES.items():
+        of_role = _of(answers, role)
+        if _failing(of_role):
+            parts.append(explain(mistakes, of_role, part))
+    explained = _best(whole)
+    if not explained and all(map(_best, parts)):
+        return [row for rows in parts for row in _best(rows)]
+    if explained and len(parts) == 1:  # the same mistake made in one direction fits as well
+        named = {row.mistake.id for row in explained} | {""}
+        explained += [row for row in _best(parts[0]) if row.mistake.id not in named]
+    if explained:
+        return explained
+    hints = [row for row in whole if 2 * len(row.cases) > row.failed]
+    hints.sort(key=lambda row: len(row.cases), reverse=True)
+    hints += [row for rows in parts for row in _best(rows)]
+    return [row._replace(certain=False) for row in hints]
+
+
+def explain(mistakes, answers, part=""):
+    """Return a Diagnosis of every mistake that agrees with a failing case and with all others."""
+    failing, found = _failing(answers), []
+    for mistake in mistakes:
+        agree = [case.id for case, got, wrong in failing if _agrees(mistake, case, got, wrong)]
+        right = (row for row in answers if not row[2])
+        if agree and all(_agrees(mistake, *row) for row in right):
+            found.append(Diagnosis(mistake, tuple(agree), len(failing), part))
+    return found
+
+
+def _failing(answers):
+    return [row for row in answers if row[2]]
+
+
+def _best(rows):
+    """Return the diagnoses with which all failing cases agree; named mistakes before factors."""
+    complete = [row for row in rows if len(row.cases) == row.failed]
+    return [row for row in complete if row.mistake.id] or complete
+
+
+def _of(answers, prefix):
+    """Return the answers of one role or quantity: "out", "in_bar.weights"."""
+    found = []
+    for case, got, wrong in answers:
+        names = {name for name in got if (name + ".").startswith(prefix + ".")}
+        found.append((case, {n: got[n] for n in names}, [n for n in wrong if n in names]))
+    return found
+
+
+def _scaled(answers):
+    """Return the mistake of giving quantities multiplied by a factor, if the answers suggest one.
+
+    Every wrong output or gradient has the factor with which most cases agree.
     """
     found = []
-    for mistake in known(subject):
-        explained = failed = 0
-        consistent = True
-        for case, got, wrong in answers:
-            agrees = _agrees(mistake, case, got, wrong)
-            if wrong:
-                failed += 1
-                explained += agrees
-            elif not agrees:  # the mistake would have shown in a case that the port gets right
-                consistent = False
-        if explained:
-            found.append(((explained, consistent), mistake, failed))
-    best = max((rank for rank, *_ in found), default=None)
-    return [(mistake, rank[0], failed) for rank, mistake, failed in found if rank == best]
+    names = (name for *_, wrong in answers for name in wrong)
+    for quantity in dict.fromkeys(".".join(name.split(".")[:2]) for name in names):
+        of_quantity = _of(answers, quantity)
+        tried = [_times(factor, quantity, of_quantity) for factor in FACTORS]
+        rows = explain(tried, of_quantity)
+        if rows:
+            found.append(max(rows, key=lambda row: len(row.cases)).mistake)
+    if not found:
+        return []
+    said = " and ".join(mistake.description for mistake in found)
+    together = {case.name: {} for case, *_ in answers}
+    for mistake in found:
+        for name, tensors in mistake.answers.items():
+            together[name].update(tensors)
+    return [found[0]._replace(description=said, answers=together)]
+
+
+def _times(factor, quantity, answers):
+    """Return the mistake of multiplying an output or a gradient by a factor."""
+    role, name = quantity.split(".")
+    whose = "the output" if role == "out" else "the gradient of"
+    scaled = {}
+    for case, got, _ in answers:
+        floats = (n for n in got if n in case.tensors and case.tensors[n].dtype.kind == "f")
+        with np.errstate(all="ignore"):
+            scaled[case.name] = {n: factor * case.tensors[n] for n in floats}
+    return Mistake("", case.subject, case.equation, f"{whose} {name} {FACTORS[factor]}", scaled)
 
 
 def _agrees(mistake, case, got, wrong):
-    """Whether a port with this mistake would have answered like this.
+    """Whether a port with this mistake would have answered a case like this."""
+    stored = mistake.answers.get(case.name, {})
+    if not stored.keys() >= set(wrong):
+        return False
+    bound = case.tolerance(precision(got))["eps_S"]
+    for name in stored.keys() & got.keys():
+        mine, right = np.asarray(got[name]), case.tensors[name]
+        scale = case.tensors.get("scale." + name)
+        if name in wrong and not _is_mistake(mine, stored[name], right, scale, bound):
+            return False
+        if name not in wrong and _shows(mine, stored[name], right, scale, LENIENCE * bound):
+            return False
+    return True
 
-    In a case that the port gets wrong, the mistake must show as well.
-    """
-    right = {name: a for name, a in expected(case.tensors).items() if name in got}
-    shown = {n: a for n, a in mistake.answers.get(case.name, {}).items() if n in right}
-    if not shown:
-        return not wrong
-    would = {**right, **shown}
-    if any(a.shape != np.shape(got[name]) for name, a in would.items()):
+
+def _shows(mine, would, right, scale, bound):
+    """Whether a port with this mistake would have failed in a tensor, in the type of `mine`."""
+    if would.shape != right.shape or right.dtype.kind != "f":
+        return not np.array_equal(would, right)
+    with np.errstate(over="ignore"):
+        would = would.astype(mine.dtype)
+    return bool((deviations(would, right, scale, mine.dtype)[1] > bound).any())
+
+
+def _is_mistake(mine, would, right, scale, bound):
+    """Whether a wrong tensor is the mistake's, and not the right one with fewer digits."""
+    if mine.shape != would.shape or right.dtype.kind != "f":
+        return np.array_equal(mine, would) and not np.array_equal(would, right)
+    if mine.dtype.str[1:] not in PRECISIONS or not _shows(mine, would, right, scale, bound):
         return False
-    bound = case.tolerance(precision(got))
-    scales = {name: a for name, a in case.tensors.items() if name.startswith("scale.")}
-    if wrong and not any(differences({**right, **scales}, would, bound)):
-        return False
-    for name, a in would.items():
-        if a.dtype.kind == "f":
-            scales["scale." + name] = _largest(scales["scale." + name], a)
-    wider = {name: LENIENCE * c if name.endswith("eps_S") else c for name, c in bound.items()}
-    mine = {name: _without_nan(np.asarray(got[name])) for name in would}
-    theirs = {name: _without_nan(a) for name, a in would.items()}
-    return not any(differences({**theirs, **scales}, mine, wider))
+    if would.shape != right.shape:
+        right, scale = np.full(would.shape, np.nan), np.zeros(would.shape)
+    with np.errstate(over="ignore"):
+        mine, would = _without_nan(mine), _without_nan(would.astype(mine.dtype))
+    size = np.maximum(scale, np.abs(would)).astype(float)
+    residual, scaled = deviations(mine, would, size, mine.dtype)
+    # A mistake may sum other terms than S describes: then the largest S of the array counts, as
+    # long as the mistake changes the number by much more.
+    largest = size[size < HUGE].max(initial=0)
+    effect, _ = deviations(would, right, scale, mine.dtype)
+    _, coarse = deviations(mine, would, np.full(size.shape, largest), mine.dtype)
+    allowed = LENIENCE * bound
+    with np.errstate(over="ignore"):
+        near = (scaled <= allowed) | (coarse <= allowed) & (CLOSER * residual <= effect)
+    error, units = deviations(mine, right, scale, mine.dtype)
+    worst = units == units.max(initial=0)
+    return bool(near.all() and (CLOSER * residual[worst] <= error[worst]).all())
 
 
 def _without_nan(a):
     """Replace NaN by a very large number: mistakes may produce NaN, which must then agree."""
-    return np.where(np.isnan(a), HUGE, a) if a.dtype.kind == "f" else a
-
-
-def _largest(scale, values):
-    """Return one S for the whole array, because a mistake may sum other terms than S describes."""
-    size = np.abs(values)[np.isfinite(values) & (np.abs(values) < HUGE)]
-    return np.full(values.shape, max(size.max(initial=0), scale.max(initial=0)))
+    return np.where(np.isnan(a), a.dtype.type(HUGE), a)

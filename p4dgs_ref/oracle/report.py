@@ -1,6 +1,7 @@
 """A checker's report: as text for a person, as JSON for continuous integration."""
 
 import json
+from collections import Counter
 
 from .published import subjects
 
@@ -41,13 +42,20 @@ def text(report):
 
 def _case(result):
     lines = [f"  {result.id}: {result.verdict}"]
-    if result.explanation:
-        reason = "explained by" if result.findings else "because"
-        lines.append(f"    {reason}: {result.explanation}")
+    head, said = _reason(result)
+    if said:
+        lines.append(f"    {head}: {said}")
     for finding in result.findings:
         head = "" if finding.kind == "value" else f"{finding.tensor}: {finding.kind}: "
         lines.append(f"    {head}{finding.message}")
     return lines
+
+
+def _reason(result):
+    """Return why a case fails, as far as is known, and how that is introduced."""
+    if result.hint:
+        return "hint", result.hint
+    return "explained by" if result.findings else "because", result.explanation
 
 
 def _others(results, known):
@@ -64,11 +72,10 @@ def _others(results, known):
         verdicts = [r.verdict for r in rows if r.verdict != "fail"]
         counts = [f"{verdicts.count(v)} {v}" for v in sorted(set(verdicts))]
         lines.append(f"  {key}: " + "; ".join([said] * bool(names) + counts))
-        reasons = list(dict.fromkeys((bool(r.findings), r.explanation) for r in rows))
-        reasons = [(found, said) for found, said in reasons if said]
-        for found, said in reasons[:REASONS]:
-            head = "explained by" if found else "because"
-            lines.append(f"    {head}: {'the same' if said == known else said}")
+        reasons = Counter(_reason(r) for r in rows if r.explanation or r.hint)
+        for (head, said), count in list(reasons.items())[:REASONS]:
+            where = f" ({count} of these)" if count < len(rows) else ""
+            lines.append(f"    {head}{where}: {'the same' if said == known else said}")
         if len(reasons) > REASONS:
             lines.append(f"    and {len(reasons) - REASONS} more reasons")
     return lines
@@ -85,6 +92,7 @@ def as_json(report):
             "required": r.required,
             "worst": _worst(r.findings),
             "explanation": r.explanation or None,
+            "hint": r.hint or None,
         }
         for r in report.results
     ]

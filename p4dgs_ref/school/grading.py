@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..oracle import doctor, published
-from ..oracle.checker import judge, sentence
+from ..oracle import published
+from ..oracle.checker import check_subject
 from ..oracle.compare import compare, expected
 from ..oracle.ports import PortError
 from ..table import EQUATIONS
@@ -42,6 +42,7 @@ class Grade(NamedTuple):
     parts: tuple  # of Part
     first: str = ""  # the first wrong answer with its worst element
     explanation: str = ""  # the known mistake that explains the wrong answers
+    hint: str = ""  # a known mistake that agrees with most of them
     flags: tuple = ()  # attempts to ask the reference; with any of them there are no points
     note: str = ""  # "not begun", "cannot be read" ...
 
@@ -125,7 +126,7 @@ def grade_of(key, path, asked, seed, timeout):
         return nothing._replace(
             first=f"{path.name}: {type(error).__name__}: {error}", note="cannot be read"
         )
-    first = explanation = ""
+    first = explanation = hint = ""
     deadline = time.monotonic() + SECONDS
     with Student(path, timeout) as port:
         for case in held_back.cases(key, seed):
@@ -137,8 +138,8 @@ def grade_of(key, path, asked, seed, timeout):
                     if said and not first:
                         first = f"{case.id}: {said}"
         if first:
-            explanation = explained(key, port)
-    return Grade(key, tuple(parts), first, explanation, flags)
+            explanation, hint = explained(key, port)
+    return Grade(key, tuple(parts), first, explanation, hint, flags)
 
 
 def counts(part, case):
@@ -190,15 +191,10 @@ def differences(case, got):
 
 
 def explained(key, port):
-    """Return the known mistakes that explain the answers to the published cases, "" if none does.
+    """Return what the doctor says of the answers to the published cases: explanation and hint.
 
     The held-back cases cannot be used for this, because the wrong answers to them are not known.
     """
-    answers = []
-    for case in published.cases(key):
-        result, got = judge(case, port)
-        if got is not None:
-            answers.append((case, got, [finding.tensor for finding in result.findings]))
-    found, part = doctor.diagnose(key, answers)
-    # A mistake that explains only a few cases would mislead.
-    return sentence([row for row in found if 2 * row[1] >= row[2]], part)
+    wrong = [r for r in check_subject(published.cases(key), port) if r.findings]
+    explanation = next((r.explanation for r in wrong if r.explanation), "")
+    return explanation, next((r.hint for r in wrong if r.hint), "")

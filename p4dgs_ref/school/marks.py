@@ -10,7 +10,18 @@ from ..scenes.output import filled
 from ..table import EQUATIONS
 from .syllabus import tutorial_of
 
-COLUMNS = ("number", "key", "points", "of", "tutorial", "first", "explanation", "flags", "note")
+COLUMNS = (
+    "number",
+    "key",
+    "points",
+    "of",
+    "tutorial",
+    "first",
+    "explanation",
+    "hint",
+    "flags",
+    "note",
+)
 
 
 def text(report):
@@ -22,7 +33,7 @@ def text(report):
         points = f"{grade.points:5.2f} of {grade.of:2.0f}"
         lines.append(f"{heading:<{width}}  {points}  {missed(grade)}".rstrip())
         lines += [f"    points withheld ({grade.earned:.2f}): {flag}" for flag in grade.flags]
-        said = {"first": grade.first, "explained by": grade.explanation}
+        said = {"first": grade.first, "explained by": grade.explanation, "hint": grade.hint}
         lines += [f"    {name}: {what}" for name, what in said.items() if what]
     percent = 100 * report.points / report.of if report.of else 0
     total = f"{report.points:5.2f} of {report.of:.0f}  ({percent:.1f} %, seed {report.seed})"
@@ -49,6 +60,7 @@ def rows(report):
             "tutorial": tutorial_of(grade.key).name,
             "first": grade.first,
             "explanation": grade.explanation,
+            "hint": grade.hint,
             "flags": list(grade.flags),
             "note": grade.note,
             "parts": [

@@ -190,7 +190,8 @@ def of_mistake(judge, mistake):
     with laboratory(), in_place(mistake):
         first = judge.first_failure(mistake.equation, places, thorough=False)
         answers = judge.answers(mistake.subject)
-    said = {found.id for found, _, _ in doctor.explain(mistake.subject, answers)}
+    diagnoses = doctor.diagnose(mistake.subject, answers)
+    said = {row.mistake.id for row in diagnoses if row.certain}
     named = first is not None and first.equation == mistake.equation
     return first is not None, named, mistake.id in said
 
