@@ -365,7 +365,7 @@ for row in inspect.ledger(golden):
 # **19.2** Where is anchor $17$ of `golden`? Use `struct`.
 #
 # **19.3** Write `my_container(data)`, which returns `{name: bytes}` or raises `ValueError`. It is
-# tried on all published streams, both valid and damaged: 23 must be read, and among the damaged
+# tried on all published streams, both valid and damaged: 24 must be read, and among the damaged
 # ones 13 have a bad frame and must be refused.
 
 # %%
@@ -399,7 +399,7 @@ def grade_container(mine):
     return [read, refusals]
 
 
-assert grade_container(container.read_container) == [23, 13]
+assert grade_container(container.read_container) == [24, 13]
 try:
     answer_3 = grade_container(my_container)
 except NotImplementedError:
@@ -407,7 +407,7 @@ except NotImplementedError:
 anchor_17 = lessons.golden("frames/front_000")["in.x_a"][17]
 lessons.number("19.1", answer_1, 24 + 6 * 400)
 lessons.number("19.2", answer_2, anchor_17, digits=15)
-lessons.number("19.3", answer_3, [23, 13])
+lessons.number("19.3", answer_3, [24, 13])
 
 # %% [markdown]
 # ## Check your port

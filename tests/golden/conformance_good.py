@@ -301,6 +301,12 @@ def ties():
     return parts
 
 
+def time_net():
+    """psi_d as in D3DGS: psi_t reads the time, and a layer of psi_d reads its inputs once more."""
+    least = dict(d=1, k=1, hidden=(), context=(), grid=(("xy", 2),), F=1)
+    return Parts(26, anchors=1, deformation=(3, 4, 2), time_net=(4, 2), skip=True, **least)
+
+
 def full():
     """Every effect, section and axis; several layers and levels, dense and hashed."""
     return Parts(
@@ -360,5 +366,6 @@ SAYS = {
     coarse_units: "outputs in units coarser than what is made of them, ties of biases",
     deviations: "raw sigma at the edges of its rounding",
     ties: "weights half-way between two fixed-point integers: to even",
+    time_net: "psi_d with a time net and a skip, the optional fields of the header",
     full: "every effect, every section",
 }
