@@ -104,7 +104,15 @@ def equation(key):
 @cache
 def subjects():
     """Return {key: Subject}."""
-    from tests.golden import kernel, pipeline, scalars, scalars_coding, stages, stages_coding
+    from tests.golden import (
+        encoding,
+        kernel,
+        pipeline,
+        scalars,
+        scalars_coding,
+        stages,
+        stages_coding,
+    )
 
     found = [
         *scalars.SUBJECTS,
@@ -113,6 +121,7 @@ def subjects():
         *stages.SUBJECTS,
         *stages_coding.SUBJECTS,
         *kernel.SUBJECTS,
+        *encoding.SUBJECTS,
         *pipeline.SUBJECTS,
     ]
     by_key = {subject.key: subject for subject in found}
