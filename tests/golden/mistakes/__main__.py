@@ -1,4 +1,8 @@
-"""`python -m tests.golden.mistakes` writes the wrong answers that the doctor knows."""
+"""`python -m tests.golden.mistakes` writes the wrong answers that the doctor knows.
+
+Answers that are already written keep their bytes. To compute those of a mistake anew, delete the
+file of its subject first.
+"""
 
 import gzip
 import json
@@ -44,16 +48,29 @@ def files():
         tensors.setdefault(mistake.subject, {}).update(wrong_tensors(mistake))
     found = {"mistakes.json": (json.dumps(rows, indent=1) + "\n").encode()}
     for subject, arrays in tensors.items():
-        data = safetensors.dump(arrays)[0]
-        found[f"{subject}.safetensors.gz"] = gzip.compress(data, mtime=0)
+        found[f"{subject}.safetensors.gz"] = packed(arrays)
     return found
+
+
+def packed(arrays):
+    return gzip.compress(safetensors.dump(arrays)[0], mtime=0)
+
+
+def kept(name, data):
+    """Return a file's bytes in which the answers that are already there keep theirs."""
+    file = FOLDER / name
+    if file.suffix != ".gz" or not file.exists():
+        return data
+    new, old = (safetensors.load(gzip.decompress(d)) for d in (data, file.read_bytes()))
+    return packed({tensor: old.get(tensor, a) for tensor, a in new.items()})
 
 
 def main():
     FOLDER.mkdir(exist_ok=True)
+    made = {name: kept(name, data) for name, data in files().items()}
     for file in FOLDER.iterdir():
         file.unlink()
-    for name, data in files().items():
+    for name, data in made.items():
         (FOLDER / name).write_bytes(data)
     size = sum(file.stat().st_size for file in FOLDER.iterdir())
     print(f"{FOLDER}: {len(MISTAKES)} mistakes, {size:,} bytes")

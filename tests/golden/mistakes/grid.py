@@ -42,8 +42,15 @@ def xor(corner, table):
     return (np.bitwise_xor.reduce(wrapped(corner), axis=2) % np.uint32(table)).astype(np.int64)
 
 
-def reading(position=on_nodes, row=dense_or(xor), sign=lambda p: np.where(p >= 0, 1, -1)):
-    """`run` of a port with another position(u, res), row(corner, res, table) or sign(parameter)."""
+def binary(parameter):
+    return np.where(parameter >= 0, 1, -1)
+
+
+def reading(position=on_nodes, row=dense_or(xor), sign=binary, zeros_outside=False):
+    """`run` of a port with another position(u, res), row(corner, res, table) or sign(parameter).
+
+    Corners outside the grid are those on its border or, if `zeros_outside`, count as zero.
+    """
 
     def run(given, cotangents):
         x_a, grids = given["x_a"], given["grids"]
@@ -58,9 +65,10 @@ def reading(position=on_nodes, row=dense_or(xor), sign=lambda p: np.where(p >= 0
             weight = np.where(corners, (place - base)[:, None], 1 - (place - base)[:, None]).prod(
                 axis=2
             )
-            rows = row(
-                np.clip(base.astype(np.int64)[:, None] + corners, 0, res - 1), res, len(grid)
-            )
+            nodes = base.astype(np.int64)[:, None] + corners
+            if zeros_outside:
+                weight = weight * ((nodes >= 0) & (nodes < res)).all(axis=2)
+            rows = row(np.clip(nodes, 0, res - 1), res, len(grid))
             levels.append(np.einsum("nc,ncf->nf", weight, sign(grid).astype(grid.dtype)[rows]))
             entries_bar = np.zeros_like(grid)
             np.add.at(entries_bar, rows, weight[:, :, None] * bar[:, None, i * F : (i + 1) * F])
@@ -73,6 +81,16 @@ def reading(position=on_nodes, row=dense_or(xor), sign=lambda p: np.where(p >= 0
 def cells(u, res):
     """Nodes at the centres of res cells."""
     return np.clip(u * res - 0.5, 0, res - 1)
+
+
+def half_cell_up(u, res):
+    """Half a cell above the node, as in instant-ngp."""
+    return u * (res - 1) + 0.5
+
+
+def half_cell_inside(u, res):
+    """From half a cell inside the lower face to half a cell inside the upper one, as in HAC."""
+    return u * (res - 2) + 0.5
 
 
 def mirrored(u, res):
@@ -126,6 +144,19 @@ def planes_exchanged(tree, given):
         raise NotApplicable("no planes xz and yz")
     order = levels_of(given)
     return {"h": tree["h"][:, order[[*range(len(names) - 2), -1, -2]].ravel()]}
+
+
+def exchanged_axes(given):
+    """Every level of xz reads at y and z, and every level of yz at x and z."""
+    other = {"xz": "yz", "yz": "xz"}
+    return {**given, "resolutions": [(other.get(a, a), res) for a, res in given["resolutions"]]}
+
+
+def exchanged_places(given):
+    """The same where a port assigns the planes by their place in a whole set."""
+    if [axes for axes, _ in given["resolutions"]][-3:] != ["xy", "xz", "yz"]:
+        raise NotApplicable("no whole set of planes")
+    return exchanged_axes(given)
 
 
 def feature_major(out, given):
@@ -270,6 +301,36 @@ HASH_GRID = [
         "hash-grid-strictly-inside",
         "the straight-through gradient is 0 at a parameter of exactly +-1",
         inputs_bar=strictly,
+    ),
+    known(
+        "hash_grid",
+        "hash-grid-planes-by-place",
+        "the grids of the planes are read in the order xy, yz, xz instead of xy, xz, yz",
+        inputs=exchanged_places,
+    ),
+    known(
+        "hash_grid",
+        "hash-grid-planes-by-name",
+        "the axes of the planes xz and yz are exchanged",
+        inputs=exchanged_axes,
+    ),
+    surgery(
+        "hash_grid",
+        "hash-grid-cells-zeros",
+        "nodes stand at the centres of res cells, u res - 1/2, with zeros around the grid",
+        reading(lambda u, res: u * res - 0.5, zeros_outside=True),
+    ),
+    surgery(
+        "hash_grid",
+        "hash-grid-half-cell-up",
+        "positions are half a cell too far, u (res - 1) + 1/2, as in instant-ngp",
+        reading(half_cell_up),
+    ),
+    surgery(
+        "hash_grid",
+        "hash-grid-half-cell-inside",
+        "positions begin and end half a cell inside the grid, u (res - 2) + 1/2, as in HAC",
+        reading(half_cell_inside),
     ),
 ]
 

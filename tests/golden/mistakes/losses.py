@@ -134,8 +134,20 @@ RATE_LOSS = [
 
 
 # --- Eq. (16) -----------------------------------------------------------------------------------
-def blended(of_L1=rest, of_D=itself, D=itself, D_slope=one, power=1, sign=np.sign, mean=True):
-    """L = of_L1(lambda) L1 + of_D(lambda) D(D_SSIM), L1 the mean or sum of |difference|^power."""
+def blended(
+    of_L1=rest,
+    of_D=itself,
+    D=itself,
+    D_slope=one,
+    power=1,
+    sign=np.sign,
+    mean=True,
+    root=False,
+):
+    """L = of_L1(lambda) L1 + of_D(lambda) D(D_SSIM).
+
+    L1 is the mean or the sum of |difference|^power, or the root of that.
+    """
 
     def run(given, cotangents):
         _, pullback = EQUATIONS["ssim"].vjp(image=given["image"], truth=given["truth"])
@@ -146,6 +158,9 @@ def blended(of_L1=rest, of_D=itself, D=itself, D_slope=one, power=1, sign=np.sig
         L1_bar = bars["L1"] + of_L1(lam) * bars["L_render"]
         D_bar = (bars["D_SSIM"] + of_D(lam) * bars["L_render"]) * D_slope(right)
         slope = sign(difference) if power == 1 else 2 * difference
+        if root:
+            L1_bar = L1_bar / (2 * np.sqrt(L1))
+            L1 = np.sqrt(L1)
         image_bar = L1_bar / n * slope + pullback(ssim_bar=-float(D_bar))["image"]
         return {"L_render": of_L1(lam) * L1 + of_D(lam) * D_SSIM, "L1": L1, "D_SSIM": D_SSIM}, {
             "image": image_bar
@@ -156,6 +171,15 @@ def blended(of_L1=rest, of_D=itself, D=itself, D_slope=one, power=1, sign=np.sig
 
 def half(D):
     return D / 2
+
+
+def squares_in_the_sum(given, cotangents):
+    """L_render has the mean square; the output L1 remains."""
+    of_sum = {name: bar * (name != "L1_bar") for name, bar in cotangents.items()}
+    of_L1 = {name: bar * (name == "L1_bar") for name, bar in cotangents.items()}
+    out, bars = blended(power=2)(given, of_sum)
+    plain, plain_bars = blended()(given, of_L1)
+    return {**out, "L1": plain["L1"]}, {"image": bars["image"] + plain_bars["image"]}
 
 
 RENDER_LOSS = [
@@ -200,6 +224,30 @@ RENDER_LOSS = [
         "render-loss-sign-of-zero",
         "where image and truth are equal, L1 has slope 1 instead of 0",
         blended(sign=lambda d: np.where(d >= 0, 1, -1).astype(d.dtype)),
+    ),
+    surgery(
+        "render_loss",
+        "render-loss-half-weight",
+        "L_render has lambda_ssim (1 - SSIM) / 2",
+        blended(of_D=half),
+    ),
+    surgery(
+        "render_loss",
+        "render-loss-squares-in-the-sum",
+        "L_render has the mean square in place of L1",
+        squares_in_the_sum,
+    ),
+    surgery(
+        "render_loss",
+        "render-loss-root-mean-square",
+        "the root of the mean square for the mean absolute difference",
+        blended(power=2, root=True),
+    ),
+    surgery(
+        "render_loss",
+        "render-loss-negative-sign-of-zero",
+        "where image and truth are equal, L1 has slope -1 instead of 0",
+        blended(sign=lambda d: np.where(d > 0, 1, -1).astype(d.dtype)),
     ),
 ]
 

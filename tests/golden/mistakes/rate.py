@@ -455,6 +455,36 @@ def gradient_behind_mask(given, cotangents):
     return out, {**bars, "bits_O": np.full_like(bars["bits_O"], cotangents["R_anchor_bar"])}
 
 
+def divided_by(count):
+    """The bits and their gradients divided by count(inputs)."""
+    return dict(
+        outputs=lambda out, given: {"R_anchor": out["R_anchor"] / np.float64(count(given))},
+        outputs_bar=lambda bars, out, given: {
+            "R_anchor": bars["R_anchor"] / np.float64(count(given))
+        },
+    )
+
+
+def entries(given):
+    return sum(bits.size for name, bits in given.items() if name.startswith("bits_"))
+
+
+def coded_entries(given):
+    return entries(given) - 3 * np.sum(~given["mask"])
+
+
+def means_of_groups(given, cotangents):
+    """The mean of each of f, s, l, O over its entries, masked ones included; then their sum."""
+    bits = {name: a for name, a in given.items() if name.startswith("bits_")}
+    kept = np.broadcast_to(given["mask"][:, :, None], bits["bits_O"].shape)
+    bits["bits_O"] = np.where(kept, bits["bits_O"], 0)
+    bar = cotangents["R_anchor_bar"]
+    bars = {name: np.full_like(a, bar / np.float64(a.size)) for name, a in bits.items()}
+    bars["bits_O"] = bars["bits_O"] * kept
+    total = sum(a.sum() / np.float64(a.size) for a in bits.values())
+    return {"R_anchor": np.asarray(total)}, bars
+
+
 ANCHOR_RATE = [
     known(
         "anchor_rate",
@@ -506,6 +536,24 @@ ANCHOR_RATE = [
         "an anchor whose children are all masked costs nothing at all",
         inputs=lambda given: of_living(given, given["mask"]),
         inputs_bar=lambda bars, given: of_living(bars, given["mask"]),
+    ),
+    known(
+        "anchor_rate",
+        "anchor-rate-mean-of-entries",
+        "the bits are the mean over all entries instead of the sum",
+        **divided_by(entries),
+    ),
+    known(
+        "anchor_rate",
+        "anchor-rate-mean-of-coded",
+        "the bits are the mean over the entries that are coded instead of the sum",
+        **divided_by(coded_entries),
+    ),
+    surgery(
+        "anchor_rate",
+        "anchor-rate-means-of-groups",
+        "the bits of f, s, l and O are means over their entries instead of sums",
+        means_of_groups,
     ),
 ]
 
