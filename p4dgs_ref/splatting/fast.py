@@ -1,15 +1,16 @@
-"""Fast compositing: lists by tile, one exp for all tiles, two array operations for each depth rank.
+"""Fast compositing: lists by tile, exp of many tiles, two array operations for each depth rank.
 
 Inside a tile the logarithm of a splat's alpha is a polynomial of the pixel's offset (u, v) from the
 tile's middle,
 
     log alpha = k_0 + k_1 u + k_2 v + k_3 u**2 + k_4 u v + k_5 v**2,
 
-and the six monomials are the same for every tile. A chunk of the lists is therefore one product
-with a constant matrix and one exp. A loop over depth ranks (first splat of every tile, second
-splat of every tile, ...) then composites all tiles at once. In the backward pass the transposed
-product returns the six moments of the gradient, from which the gradients of mean, conic and
-opacity follow in closed form. The cost follows the listed pairs, not N H W.
+and the six monomials are the same for every tile. The alphas of several splats in many tiles are
+therefore one product with a constant matrix and one exp. A loop over depth ranks (first splat of
+every tile, second splat of every tile, ...) then composites these tiles at once. In the backward
+pass the transposed product returns the six moments of the gradient, from which the gradients of
+mean, conic and opacity follow in closed form. The cost follows the listed pairs, not N H W. Tiles
+are taken in groups, and without gradients the memory follows a group, not the image.
 
 The lists by tile are those of Kerbl et al. 2023 (3DGS), the arrangement by ranks is this project's.
 `settings` says which pairs are listed and when a tile stops (Q21).
@@ -26,17 +27,19 @@ from scipy.sparse import csr_array
 from .tiles import PAIR_BYTES, bin_splats, require_memory
 
 RANKS = 32  # depth ranks that are evaluated together; 16 to 32 cost about the same
-NOTHING = (-1e4, 0, 0, 0, 0, 0)  # coefficients of alpha = 0: exp(-1e4) is zero in every dtype
+GROUP = 2**14  # pixels of the tiles that are evaluated together
+CACHED = 2**16  # alphas that are composited as soon as they are computed, while in the cache
+NOTHING = -1e4  # logarithm of an opacity of 0: its exp is zero in every dtype
 
 
 class Chunk(NamedTuple):
-    """Up to RANKS successive splats of all tiles that still let light through."""
+    """Up to RANKS successive splats of those tiles of a group that still let light through."""
 
     tiles: np.ndarray  # [G]
     pairs: np.ndarray  # [K, G] row of the pair; M, the padding, where a tile's list has ended
     A: np.ndarray  # [K, G, P] alphas
     weights: np.ndarray  # [K, G, P] alpha T
-    slope: np.ndarray | None  # [K G, P] of log alpha through its clamp; None if none is clamped
+    slope: np.ndarray | None  # [K, G, P] of log alpha through its clamp; None if none is clamped
 
 
 def forward(
@@ -52,40 +55,54 @@ def forward(
     width,
     settings,
     occlusion=True,
+    keep=True,  # False: no gradients are wanted
 ):
-    """Return image [height, width, 3], transmittance [height, width] and what `backward` needs."""
+    """Return image [height, width, 3], transmittance [height, width] and what `backward` needs.
+
+    With `keep=False` the last is None, and a chunk is forgotten as soon as it is composited.
+    """
     dtype, side = np.dtype(settings.dtype), settings.tile
     lists = bin_splats(mean2d, cov2d, conic, alpha, depth, visible, width, height, settings)
     count = np.bincount(lists.tile, minlength=lists.columns * lists.rows)
     start = np.cumsum(count) - count
-    coefficients, local = polynomials(mean2d, conic, alpha, lists, side, dtype)
-    paint = np.concatenate([color[lists.row], np.zeros((1, 3))]).astype(dtype)
-    clamps = len(local) and local[:, 2].max() > settings.alpha_max
+    splats = columns_of(mean2d, conic, alpha)
+    row_of = np.append(lists.row, len(alpha))  # the splat of every pair; the last is the padding
+    middles = middles_of(lists, side)
+    paint = np.concatenate([color, np.zeros((1, 3))]).astype(dtype)
+    clamps = alpha.max(initial=0) > settings.alpha_max
     T = np.ones((len(count), side * side), dtype)
     image = np.zeros((len(count), side * side, 3), dtype)
     stopped = np.zeros(T.shape, bool)
-    chunks, tiles, needed = [], np.flatnonzero(count), PAIR_BYTES * len(lists.row)
-    for rank in range(0, int(count.max(initial=0)), RANKS):
-        tiles = tiles[count[tiles] > rank]
-        if settings.stop and occlusion and rank:
-            tiles = tiles[T[tiles].max(axis=1) >= settings.stop]
-        if not len(tiles):
-            break
-        ranks = np.arange(rank, min(rank + RANKS, count[tiles].max()))[:, None]
-        pairs = np.where(ranks < count[tiles], start[tiles] + ranks, len(lists.row))
-        # A and weights are kept for the backward pass, which needs at most as much again.
-        needed += 4 * pairs.size * side**2 * dtype.itemsize
-        require_memory(needed, f"{len(lists.row)} pairs of Gaussians and tiles")
-        A, slope = alphas(coefficients[pairs.ravel()], settings, clamps)
-        A = weights = A.reshape(*pairs.shape, -1)
-        if occlusion:
-            weights, T[tiles] = front_to_back(A, T[tiles], settings, stopped, tiles)
-        image[tiles] += weights.transpose(1, 2, 0) @ paint[pairs].transpose(1, 0, 2)
-        chunks.append(Chunk(tiles, pairs, A, weights, slope))
+    # The lists, what is computed of a chunk in passing, and below every chunk that is kept.
+    needed = PAIR_BYTES * len(lists.row) + 4 * RANKS * GROUP * dtype.itemsize
+    chunks = []
+    for tiles in groups_of_tiles(count, side):
+        for rank in range(0, int(count[tiles[0]]), RANKS):
+            tiles = tiles[count[tiles] > rank]
+            if settings.stop and occlusion and rank:
+                tiles = tiles[T[tiles].max(axis=1) >= settings.stop]
+            if not len(tiles):
+                break
+            ranks = np.arange(rank, min(rank + RANKS, count[tiles].max()))[:, None]
+            pairs = np.where(ranks < count[tiles], start[tiles] + ranks, len(lists.row))
+            if keep:  # A, weights and the slope of the clamp
+                needed += (2 + clamps) * pairs.size * side**2 * dtype.itemsize
+                require_memory(needed, f"{len(lists.row)} pairs of Gaussians and tiles")
+            rows = row_of[pairs]
+            coefficients = polynomials(splats, rows, middles[:, tiles], dtype)
+            light, dark = T[tiles], stopped[tiles]
+            A, weights, slope = composite(
+                coefficients, light, dark, settings, occlusion, clamps, keep
+            )
+            T[tiles], stopped[tiles] = light, dark
+            image[tiles] += weights.transpose(1, 2, 0) @ paint.take(rows, axis=0).transpose(1, 0, 2)
+            if keep:
+                chunks.append(Chunk(tiles, pairs, A, weights, slope))
     if background.any():  # black adds nothing
-        image = image + T[:, :, None] * background.astype(dtype)
-    saved = (chunks, lists, local, T, paint, conic, background, occlusion, settings)
-    return tuple(to_image(a, lists, side)[:height, :width] for a in (image, T)), saved
+        image += T[:, :, None] * background.astype(dtype)
+    saved = (chunks, T, background, occlusion, lists, row_of, splats, middles, paint, settings)
+    pictures = tuple(to_image(a, lists, side)[:height, :width] for a in (image, T))
+    return pictures, saved if keep else None
 
 
 def backward(saved, image_bar):
@@ -93,36 +110,35 @@ def backward(saved, image_bar):
 
     Pairs that are not listed, or lie behind an opaque tile, contribute nothing.
     """
-    chunks, lists, local, T, paint, conic, background, occlusion, settings = saved
+    chunks, T, background, occlusion, lists, row_of, splats, middles, paint, settings = saved
     g = to_tiles(np.asarray(image_bar, settings.dtype), lists, settings.tile)
     behind = np.zeros(g.shape[:2], g.dtype)
     if occlusion and background.any():
         behind = g @ background.astype(settings.dtype)
     basis = monomials(settings.tile, settings.dtype).T
-    moments = np.zeros((len(paint), 6), settings.dtype)  # the last row collects the padding
-    paint_bar = np.zeros((len(paint), 3), settings.dtype)
+    per_pair = np.zeros((len(row_of), 9))  # the last row collects the padding
     for tiles, pairs, A, weights, slope in reversed(chunks):
-        g_tiles, rows = g[tiles], pairs.ravel()
-        painted = weights.transpose(1, 0, 2) @ g_tiles
-        paint_bar[rows] = painted.transpose(1, 0, 2).reshape(-1, 3)
+        g_tiles, rows = g[tiles], row_of[pairs]
+        paint_bar = weights.transpose(1, 0, 2) @ g_tiles
         V = np.empty_like(A)  # what a pixel gains per unit of a splat's weight
-        colors = paint[pairs].transpose(1, 0, 2)
+        colors = paint.take(rows, axis=0).transpose(1, 0, 2)
         np.matmul(colors, g_tiles.transpose(0, 2, 1), out=V.transpose(1, 0, 2))
         if occlusion:
-            seen = behind[tiles]  # the value seen through rank j; nothing is divided by 1 - alpha
-            for j in reversed(range(len(A))):
-                V[j] -= seen
-                seen += A[j] * V[j]
+            seen = behind[tiles]  # the value seen through a rank; nothing is divided by 1 - alpha
+            blocked = np.empty_like(seen)
+            for a, v in zip(A[::-1], V[::-1]):
+                v -= seen
+                seen += np.multiply(a, v, out=blocked)
             behind[tiles] = seen
         V *= weights  # gradient of log alpha
         if slope is not None:
-            V *= slope.reshape(V.shape)
-        moments[rows] = V.reshape(-1, V.shape[2]) @ basis
-    per_pair = [*from_moments(moments[:-1], local, conic[lists.row]), *paint_bar[:-1].T]
-    per_pair = np.stack(per_pair, axis=1, dtype=float)
-    M = len(lists.row)
-    members = csr_array((np.ones(M), lists.row, np.arange(M + 1)), shape=(M, len(conic)))
-    total = members.T @ per_pair  # all pairs of a Gaussian
+            V *= slope
+        moments = V.reshape(-1, V.shape[2]) @ basis
+        per_pair[pairs, :6] = from_moments(moments, splats, rows, middles[:, tiles])
+        per_pair[pairs, 6:] = paint_bar.transpose(1, 0, 2)
+    M, N = len(lists.row), len(paint) - 1
+    members = csr_array((np.ones(M), lists.row, np.arange(M + 1)), shape=(M, N))
+    total = members.T @ per_pair[:-1]  # all pairs of a Gaussian
     return {
         "mean2d": total[:, :2],
         "conic": total[:, 2:5],
@@ -132,24 +148,48 @@ def backward(saved, image_bar):
     }
 
 
-def polynomials(mean2d, conic, alpha, lists, side, dtype):
-    """The six coefficients of every pair [M + 1, 6], the last row padding, and what backward needs.
+def groups_of_tiles(count, side):
+    """The tiles with splats, in groups, longest lists first, so that equal lists stand together."""
+    tiles = np.argsort(-count, kind="stable")[: np.count_nonzero(count)]
+    size = max(1, GROUP // side**2)
+    return [tiles[first : first + size] for first in range(0, len(tiles), size)]
 
-    The latter is [M, 3]: the offset e_x, e_y of the tile's middle from the splat's mean, and
-    opacity.
+
+def middles_of(lists, side):
+    """The coordinates x and y [2, tiles] of every tile's middle."""
+    tile = np.arange(lists.columns * lists.rows)
+    return np.stack([tile % lists.columns, tile // lists.columns]) * side + (side - 1) / 2
+
+
+def columns_of(mean2d, conic, alpha):
+    """x, y, minus the conic (a, b, c), log alpha and alpha of every splat [7, N + 1].
+
+    The last column is padding. Alphas of 0, whose logarithm would be NaN in the product, are 1 in
+    the last row, because backward divides by it.
     """
-    tile_xy = np.stack([lists.tile % lists.columns, lists.tile // lists.columns], axis=1)
-    e_x, e_y = (tile_xy * side + (side - 1) / 2 - mean2d[lists.row]).T
-    a, b, c = conic[lists.row].T
-    opacity = alpha[lists.row]
-    g_x, g_y = a * e_x + b * e_y, b * e_x + c * e_y
-    some = opacity > 0  # log 0 is -inf and would be NaN in the product
-    constant = np.log(np.where(some, opacity, 1)) - (e_x * g_x + e_y * g_y) / 2
-    coefficients = np.empty((len(e_x) + 1, 6), dtype)
-    coefficients[:-1] = np.stack([constant, -g_x, -g_y, -a / 2, -b, -c / 2], axis=1)
-    coefficients[:-1][~some] = NOTHING
-    coefficients[-1] = NOTHING
-    return coefficients, np.stack([e_x, e_y, opacity], axis=1)
+    some = alpha > 0
+    opacity = np.where(some, alpha, 1)
+    columns = np.zeros((7, len(alpha) + 1))
+    columns[:, :-1] = (
+        *mean2d.T,
+        *(-conic.T * some),
+        np.where(some, np.log(opacity), NOTHING),
+        opacity,
+    )
+    columns[5:, -1] = NOTHING, 1
+    return columns
+
+
+def polynomials(splats, rows, middles, dtype):
+    """The coefficients [6, K, G] of splats `rows` [K, G] in tiles with these middles [2, G]."""
+    x, y, a, b, c, log_alpha = (column[rows] for column in splats[:6])
+    e_x, e_y = middles[0] - x, middles[1] - y
+    k_1, k_2 = a * e_x + b * e_y, b * e_x + c * e_y
+    k_0 = log_alpha + (e_x * k_1 + e_y * k_2) / 2
+    coefficients = np.empty((6, *x.shape), dtype)
+    for row, values in zip(coefficients, (k_0, k_1, k_2, a / 2, b, c / 2)):
+        row[...] = values
+    return coefficients
 
 
 @lru_cache(maxsize=8)
@@ -160,58 +200,81 @@ def monomials(side, dtype):
     return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v]).astype(dtype)
 
 
-def alphas(coefficients, settings, clamps):
-    """Alphas [K G, P] of a chunk and, if any can be clamped, the slope of the clamp.
+def composite(coefficients, T, stopped, settings, occlusion, clamps, keep):
+    """Alphas, weights and slope [K, G, P] of a chunk; T and stopped [G, P] are moved behind it.
+
+    A few ranks are evaluated and composited at a time, so that they are still in the cache. The
+    weights take the place of A where no gradients are wanted.
+    """
+    A = np.empty((coefficients.shape[1], *T.shape), T.dtype)
+    weights = np.empty_like(A) if keep and occlusion else A
+    slope = None
+    if keep and clamps:
+        slope = np.empty_like(A, T.dtype if settings.clamp_passes_gradient else bool)
+    ranks = max(1, CACHED // T.size)
+    for first in range(0, len(A), ranks):
+        some = slice(first, first + ranks)
+        alphas(coefficients[:, some], settings, A[some])
+        if slope is not None:
+            slope[some] = slope_of_clamp(A[some], settings)
+        if clamps:
+            np.minimum(A[some], settings.alpha_max, out=A[some])
+        if settings.mask:
+            A[some][A[some] < settings.mask] = 0
+        if occlusion:
+            front_to_back(A[some], weights[some], T, stopped, settings)
+    return A, weights, slope
+
+
+def alphas(coefficients, settings, out):
+    """Write the exp of the polynomials, alphas before their clamp, to `out` [K, G, P]."""
+    _, K, G = coefficients.shape
+    basis = monomials(settings.tile, settings.dtype)
+    np.matmul(coefficients.reshape(6, K * G).T, basis, out=out.reshape(K * G, -1))
+    np.exp(out, out=out)
+
+
+def slope_of_clamp(A, settings):
+    """The slope of log alpha through its clamp.
 
     The published kernel differentiates as if there were no clamp. Above it, the slope of log alpha
     is then alpha / alpha_max.
     """
-    A = coefficients @ monomials(settings.tile, settings.dtype)
-    np.exp(A, out=A)
-    slope = None
-    if clamps:
-        slope = A <= settings.alpha_max
-        if settings.clamp_passes_gradient:
-            slope = np.maximum(A / settings.alpha_max, 1)
-        np.minimum(A, settings.alpha_max, out=A)
-    if settings.mask:
-        A[A < settings.mask] = 0
-    return A, slope
+    if settings.clamp_passes_gradient:
+        return np.maximum(A / settings.alpha_max, 1)
+    return A <= settings.alpha_max
 
 
-def front_to_back(A, T, settings, stopped, tiles):
-    """Weights alpha T [K, G, P] of a chunk and the transmittance behind it [G, P].
+def front_to_back(A, weights, T, stopped, settings):
+    """Write alpha T to `weights` [K, G, P], which may be A, and take it from T [G, P].
 
     With `stop_by_pixel`, the splat that would pass the stop and all splats behind it are cut from
     A, and `stopped` remembers the pixels.
     """
-    weights = np.empty_like(A)
-    now = stopped[tiles]
-    for j in range(len(A)):
-        np.multiply(T, A[j], out=weights[j])
+    for alpha, weight in zip(A, weights):
+        np.multiply(T, alpha, out=weight)
         if settings.stop_by_pixel:
-            now |= T - weights[j] < settings.stop
-            A[j][now] = 0
-            weights[j][now] = 0
-        T = np.subtract(T, weights[j])
-    stopped[tiles] = now
-    return weights, T
+            stopped |= T - weight < settings.stop
+            alpha[stopped] = 0
+            weight[stopped] = 0
+        np.subtract(T, weight, out=T)
 
 
-def from_moments(moments, local, conic):
-    """Gradients of mean2d (2), conic (3) and alpha of every pair, from its six moments."""
-    m_0, m_u, m_v, m_uu, m_uv, m_vv = moments.T.astype(float)
-    e_x, e_y, opacity = local.T
-    a, b, c = conic.T
+def from_moments(moments, splats, rows, middles):
+    """Gradients [K, G, 6] of mean2d (2), conic (3) and alpha of every pair, from six moments."""
+    m_0, m_u, m_v, m_uu, m_uv, m_vv = moments.T.astype(float).reshape(6, *rows.shape)
+    x, y, a, b, c, _, opacity = (column[rows] for column in splats)
+    e_x, e_y = middles[0] - x, middles[1] - y
     m_x, m_y = m_u + e_x * m_0, m_v + e_y * m_0  # about the splat's mean, not the tile's middle
-    return (
-        a * m_x + b * m_y,
-        b * m_x + c * m_y,
+    gradients = (
+        -(a * m_x + b * m_y),
+        -(b * m_x + c * m_y),
         -0.5 * (m_uu + e_x * (m_u + m_x)),
         -(m_uv + e_x * m_v + e_y * m_x),
         -0.5 * (m_vv + e_y * (m_v + m_y)),
-        m_0 / np.where(opacity == 0, 1, opacity),
+        m_0 / opacity,
     )
+    return np.stack(gradients, axis=2)
 
 
 def to_image(tiles, lists, side):

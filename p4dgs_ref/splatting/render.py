@@ -15,6 +15,7 @@ def forward(
     background,  # [3]  colour behind everything
     settings,  # a Settings; its footprint "all" takes `compositing`, every other one `fast` (Q21)
     occlusion=True,
+    keep=True,  # False: no gradients are wanted; then nothing is kept for `backward`
 ):
     """Return the image [H, W, 3], the transmittance [H, W], visible [N] and what `backward` needs.
 
@@ -33,7 +34,7 @@ def forward(
         out, saved = compositing.forward(mean2d, conic, *looks, occlusion, settings.alpha_max)
     else:
         compositor = fast
-        out, saved = fast.forward(mean2d, cov2d, conic, *looks, settings, occlusion)
+        out, saved = fast.forward(mean2d, cov2d, conic, *looks, settings, occlusion, keep)
     return (*out, visible), (*saved_projection, compositor, saved)
 
 

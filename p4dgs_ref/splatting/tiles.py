@@ -9,6 +9,7 @@ from .compositing import depth_order
 
 PAIR_BYTES = 250  # of a pair of a Gaussian and a tile while the lists are made, as measured
 ASSUMED_MEMORY = 2**33  # bytes, where the system does not say how many it has
+PIECE = 2**13  # pairs that are tested together: what the test needs stays in the cache
 
 
 class Lists(NamedTuple):
@@ -38,16 +39,22 @@ def bin_splats(mean2d, cov2d, conic, alpha, depth, visible, width, height, setti
     extent = np.maximum(beyond - first, 0) * (low <= high).all(axis=1, keepdims=True)
     count = extent[:, 0] * extent[:, 1]
     require_memory(PAIR_BYTES * int(count.sum()), f"{count.sum()} pairs of Gaussians and tiles")
-    rank = np.repeat(np.arange(len(order)), count)  # place in depth order: a sort key
-    step = np.arange(len(rank)) - np.repeat(np.cumsum(count) - count, count)
-    tile_y, tile_x = np.divmod(step, extent[rank, 0])
-    tile_x, tile_y = tile_x + first[rank, 0], tile_y + first[rank, 1]
-    if settings.footprint == "ellipse":
-        form = nearest_form(mean[rank], conic[rank], tile_x * side, tile_y * side, side - 1)
-        touches = form <= largest_form(alpha, settings)[rank]
-        rank, tile_x, tile_y = rank[touches], tile_x[touches], tile_y[touches]
+    row, tile_y = runs(first[:, 1], extent[:, 1])  # every row of tiles of every Gaussian
+    at, tile_x = runs(first[row, 0], extent[row, 0])
+    rank, tile_y = row[at], tile_y[at]  # place in depth order: a sort key
     bits = max(1, len(order).bit_length())  # one sort of packed keys: tile first, then depth
-    key = np.sort((tile_y * columns + tile_x) << bits | rank)
+    key = (tile_y * columns + tile_x) << bits | rank
+    if settings.footprint == "ellipse":
+        largest, touches = largest_form(alpha, settings), np.empty(len(rank), bool)
+        for start in range(0, len(rank), PIECE):
+            piece = slice(start, start + PIECE)
+            row, x_0, y_0 = rank[piece], tile_x[piece] * side, tile_y[piece] * side
+            touches[piece] = (
+                nearest_form(mean.take(row, axis=0), conic.take(row, axis=0), x_0, y_0, side - 1)
+                <= largest[row]
+            )
+        key = key[touches]
+    key.sort()
     return Lists(key >> bits, order[key & ((1 << bits) - 1)], columns, rows)
 
 
@@ -90,6 +97,12 @@ def pixel_bounds(mean, cov, alpha, width, height, settings):
 def largest_form(alpha, settings):
     """The largest value of the quadratic form at which alpha exp(-form / 2) reaches the cut [M]."""
     return 2 * np.log(alpha / settings.cut)
+
+
+def runs(first, count):
+    """The numbers first_i, first_i + 1, ... (count_i of them) for every i: each one's i, and it."""
+    which = np.repeat(np.arange(len(count)), count)
+    return which, np.arange(len(which)) + np.repeat(first - (np.cumsum(count) - count), count)
 
 
 def nearest_form(mean, conic, x_0, y_0, side):

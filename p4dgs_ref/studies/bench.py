@@ -159,7 +159,7 @@ def relative_error(found, truth):
 def bench_renderer(n, size, repeats=9):
     """The fast renderer against the exact twin: times, errors, counted pairs, peak memory."""
     scene = splat_scene(n, size)
-    image, gradients, (_, lists, *_) = run_fast(scene, FAST)
+    image, gradients, (_, _, _, _, lists, *_) = run_fast(scene, FAST)
     exact, exact_gradients = run_exact(scene)
     errors = {name: relative_error(a, exact_gradients[name]) for name, a in gradients.items()}
     # Three times are enough for the median of the slow twin.

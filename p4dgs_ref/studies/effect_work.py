@@ -49,7 +49,7 @@ class Work:
             r_t, _, widths = saved
             self.own.update({effect: len(r_t) * n for effect, n in zip(fx.MOTION, widths)})
         elif key == "compositing, fast":
-            chunks, _, _, T, _, _, background, occlusion, _ = saved
+            chunks, T, background, occlusion, *_ = saved
             pairs = sum(chunk.A.size for chunk in chunks)
             self.own["occlusion"] += 2 * pairs * bool(occlusion)  # weight and transmittance
             self.own["background"] += 3 * T.size * bool(background.any())

@@ -7,10 +7,13 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting import compositing, fast, loop, render, tiles
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
 from p4dgs_ref.studies.random_inputs import random_splats
+from p4dgs_ref.training.presets import SMOKE
+from p4dgs_ref.training.trainer import Trainer
 
 # (height, width): one pixel, less than a tile, not a multiple of a tile, square.
 SIZES = [(1, 1), (5, 3), (29, 43), (64, 64)]
@@ -181,6 +184,47 @@ def test_without_occlusion_splats_add_up(settings):
     tolerance = 1e-12 if settings is EXACT else 5e-3  # no splat hides the ones that were cut
     assert largest(image, wanted) < tolerance
     assert all(relative(bars[name], wanted_bars[name]) < tolerance for name in bars)
+
+
+@pytest.mark.parametrize("occlusion", [True, False])
+@pytest.mark.parametrize("settings", [EXACT, PAPER, FAST])
+def test_without_gradients_the_picture_is_the_same(settings, occlusion):
+    inputs = splats(300, 90, 120, seed=13, alpha=(0.4, 1.0))
+    (image, T), saved = fast.forward(**inputs, settings=settings, occlusion=occlusion)
+    (alone, alone_T), nothing = fast.forward(
+        **inputs, settings=settings, occlusion=occlusion, keep=False
+    )
+    assert np.array_equal(alone, image) and np.array_equal(alone_T, T)
+    assert saved[0] and nothing is None
+
+
+def test_without_gradients_memory_does_not_follow_the_alphas():
+    """Bytes alive at the worst moment: with gradients all alphas and weights, without one chunk."""
+    inputs, peaks = splats(6000, 256, 256, seed=14), {}
+    for keep in (True, False):
+        tracemalloc.start()
+        _, saved = fast.forward(**inputs, settings=FAST, keep=keep)
+        peaks[keep] = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        if keep:
+            sizes = [chunk.A.nbytes for chunk in saved[0]]
+    assert max(sizes) <= 4 * fast.RANKS * fast.GROUP and len(sizes) >= 8
+    assert peaks[True] > 2 * sum(sizes), peaks
+    assert peaks[False] < 0.5 * sum(sizes), peaks
+
+
+def test_a_model_is_rendered_without_gradients(monkeypatch):
+    kept, forward = [], render.forward
+
+    def watched(*args, **kwargs):
+        result = forward(*args, **kwargs)
+        kept.append(result[1][-1])
+        return result
+
+    monkeypatch.setattr(render, "forward", watched)
+    model = Trainer(load_scene("static", downscale=4), SMOKE).model()
+    model.render(look_at((0, -3, 0), (0, 0, 0), 20, 20, 17, 11), 0.5)
+    assert kept == [None]
 
 
 @pytest.mark.parametrize("settings", [EXACT, FAST._replace(cut=1e-14, stop=0, dtype="float64")])
