@@ -73,8 +73,8 @@ def forward(
     T = np.ones((len(count), side * side), dtype)
     image = np.zeros((len(count), side * side, 3), dtype)
     stopped = np.zeros(T.shape, bool)
-    # The lists, what is computed of a chunk in passing, and below every chunk that is kept.
-    needed = PAIR_BYTES * len(lists.row) + 4 * RANKS * GROUP * dtype.itemsize
+    # The lists, a few chunks for what is computed in passing, and below every chunk that is kept.
+    needed = PAIR_BYTES * len(lists.row) + 8 * RANKS * GROUP * dtype.itemsize
     chunks = []
     for tiles in groups_of_tiles(count, side):
         for rank in range(0, int(count[tiles[0]]), RANKS):
