@@ -16,7 +16,8 @@ from p4dgs_ref.codec import streams
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.school import lessons
-from p4dgs_ref.studies.accuracy import diagram, formulas, rendering, timing
+from p4dgs_ref.studies import clock
+from p4dgs_ref.studies.accuracy import diagram, formulas, rendering
 from p4dgs_ref.studies.accuracy import likelihood as study
 
 plt = lessons.pyplot()
@@ -214,26 +215,27 @@ names = (
     "setting `fast`",
 )
 shown = [row for row in rendering.method_rows(drawn) if row["method"] in names]
-diagram.lines(left, shown, diagram.TIME, order=names)
+diagram.lines(left, shown, diagram.TIME)
 left.axhline(half_step, color="0.4", ls="--")
 edge = 0.98 * left.get_xlim()[1]
 left.text(edge, half_step * 1.15, "half a step of an 8-bit picture", ha="right", fontsize=11)
 left.set(
     title="Rendering: down is better, left is faster",
     ylabel="largest error of the picture (of 1)",
-    xlabel="time (ms, forward and backward)",
+    xlabel="processor time (ms, forward and backward)",
 )
 near = []
 for row in priced:
     if row["reach"] == 3 and row["knob"] != "float32":
         near.append({**row, "knob": row["knob"].replace("float64", "")})
-axes = diagram.Axes("ns", "bits_error", "time (ns a value)", "largest relative error of the bits")
+axes = diagram.Axes("ns", "bits_error", "processor time (ns a value)", "largest relative error")
 diagram.lines(right, near, axes)
 right.set(title="Eq. (11) to 3 σ in float64: what the last digits cost")
 right.margins(x=0.2)
 for panel in (left, right):
     diagram.readable_ticks(panel.xaxis)
     panel.legend(fontsize=11, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.13))
+diagram.place_labels(figure)
 lessons.show(figure, "23_accuracy_versus_time")
 
 # %% [markdown]
@@ -246,7 +248,9 @@ lessons.show(figure, "23_accuracy_versus_time")
 # How far can a measured time be trusted? Measure one function under two names. The two times
 # differ because other programs run on the same machine, so methods whose times differ by less
 # must be regarded as equal. The project measures methods in turn, so that a disturbance affects
-# all of them, and takes medians.
+# all of them. It takes the processor's clock, which stands still while other programs run, and
+# prints the median with both quartiles. Where these are as far apart as two medians, it says that
+# it cannot tell which method is faster.
 
 # %%
 x = np.linspace(-3, 3, 2000)[None]
@@ -257,10 +261,10 @@ def call():
     likelihood.forward(x, zeros, ones, 0.1 * ones)
 
 
-twice = timing.alternate({"once": call, "again": call}, 5)
-factor = max(twice.values()) / min(twice.values())
-print(f"the same function twice: {twice['once']:.4f} and {twice['again']:.4f} ms", end=", ")
-print(f"factor {factor:.3f}")
+twice = clock.alternate({"once": call, "again": call}, 5)
+rows = {name: times.columns() for name, times in twice.items()}
+print(f"the same function twice: {clock.stated(rows['once'])}, {clock.stated(rows['again'])}")
+print(clock.compare("once", rows["once"], "again", rows["again"]))
 
 # %% [markdown]
 # ## Backward by hand

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import os
 import shlex
 import sys
 from pathlib import Path
@@ -83,6 +84,14 @@ def output(help, **settings):
 
 JSON = switch("--json", "print JSON instead of text")
 QUIET = switch("--quiet", "no progress line")
+JOBS = option(
+    "--jobs",
+    type=whole(1),
+    default=os.cpu_count() or 1,
+    metavar="N",
+    help="processes for independent trainings (default: one for every core); times are never "
+    "taken beside them, and the results do not depend on it",
+)
 CHECK_FINITE = switch(
     "--check-finite",
     "stop at the first equation that makes a NaN or an infinity (training always does)",
@@ -219,6 +228,7 @@ COMMANDS = {
             several("--only", "NAME", "only this study; may be repeated"),
             switch("--quick", "small sizes, about a minute instead of ten"),
             switch("--summary", "only error and time of the settings exact, paper and fast"),
+            JOBS,
             QUIET,
             output(
                 "folder of accuracy.md and its figures (default report/accuracy)",

@@ -16,7 +16,7 @@ def accuracy(arguments):
         return show(arguments, {"settings": rows}, lines)
     require_known("--only", arguments.only, STUDIES)
     with Line(arguments) as line, report_folder(arguments.output) as beside:
-        result = run(arguments.only or None, beside, arguments.quick, line)
+        result = run(arguments.only or None, beside, arguments.quick, line, arguments.jobs)
     show(arguments, result, describe(result, arguments.output))
 
 

@@ -1,4 +1,4 @@
-"""Times of the hot places on this machine: renderer, parts of a training step, entropy coder."""
+"""Processor times of the hot places on this machine: renderer, training step, entropy coder."""
 
 import tracemalloc
 from contextlib import ExitStack, contextmanager
@@ -32,7 +32,7 @@ from ..training import objective
 from ..training.adam import Adam
 from ..training.presets import TINY
 from ..training.trainer import Trainer
-from .evaluate import timed
+from .clock import alternate, clocked, clocks, disturbance
 from .inspect import float_context
 from .precision import cast
 from .random_inputs import cov2d_of, random_splats
@@ -102,22 +102,13 @@ def part_by_part(trainer, measured):
 
 
 def step_times(trainer):
-    """Milliseconds of every part in all its calls of one step, and of the whole step."""
-    return {part: 1e3 * sum(calls) for part, calls in part_by_part(trainer, timed).items()}
+    """Seconds [2] of both clocks for every part in all its calls of one step, and for the step."""
+    return {part: sum(calls, np.zeros(2)) for part, calls in part_by_part(trainer, clocked).items()}
 
 
-def alternate(functions, repeats, calls=None):
-    """Median milliseconds of each function, {name: ms}; called in turn, so that noise hits all.
-
-    `calls` says how many calls of each function are timed together; without it, one.
-    """
-    times = {name: [] for name in functions}
-    for _ in range(repeats):
-        for name, function in functions.items():
-            count = calls[name] if calls else 1
-            _, seconds = timed(lambda: [function() for _ in range(count)])
-            times[name].append(1e3 * seconds / count)
-    return {name: float(np.median(values)) for name, values in times.items()}
+def medians(functions, repeats):
+    """Median milliseconds of processor time of each function, {name: ms}; called in turn."""
+    return {name: times.median for name, times in alternate(functions, repeats).items()}
 
 
 def memory_of(function):
@@ -165,7 +156,7 @@ def bench_renderer(n, size, repeats=9):
     # Three times are enough for the median of the slow twin.
     runs = {"exact": lambda: run_exact(scene)}
     runs |= {i: lambda: run_fast(scene, FAST) for i in range(repeats)}
-    ms = alternate(runs, 3)
+    ms = medians(runs, 3)
     fast_ms = float(np.median([ms[i] for i in range(repeats)]))
     return {
         "gaussians": n,
@@ -191,7 +182,7 @@ def step_parts(scene, preset, warm, repeats):
     trainer.iteration = max(trainer.iteration, preset.stage_ends[2])
     trainer.step()
     steps = [step_times(trainer) for _ in range(repeats)]
-    ms = {part: float(np.mean([step[part] for step in steps])) for part in steps[0]}
+    ms = {part: float(np.mean([1e3 * step[part][0] for step in steps])) for part in steps[0]}
     whole = ms.pop("whole step")
     return {**ms, "everything else": whole - sum(ms.values()), "whole step": whole}
 
@@ -242,7 +233,7 @@ def bench_coder(n):
         "encode_plainly": lambda: encode_gaussian(symbols, *units, push_rows=push_rows_plainly),
         "decode_plainly": lambda: decode_gaussian(data, *units, pop_rows=pop_rows_plainly),
     }
-    ms = alternate(runs, 5)
+    ms = medians(runs, 5)
     return {
         "symbols": n,
         **{f"{name}_ms": value for name, value in ms.items()},
@@ -271,7 +262,7 @@ def bench_sections(symbols):
             decode_gaussian(data, *units) for data, (_, *units) in zip(streams, computed())
         ],
     }
-    ms = alternate(runs, 5)
+    ms = medians(runs, 5)
     return {
         "symbols": q.symbols.size,
         "bits_per_symbol": 8 * sum(map(len, streams)) / q.symbols.size,
@@ -284,12 +275,15 @@ def bench(quick=False):
     """Everything that the command `bench` prints."""
     sizes = [(300, 64)] if quick else [(1000, 64), (5000, 128)]
     warm, repeats = (320, 15) if quick else (TINY.stage_ends[1] + 300, 60)
-    return {
+    start = clocks()
+    found = {
         "renderer": [bench_renderer(n, size, 3 if quick else 9) for n, size in sizes],
         "step_ms": step_parts(load_scene("bouncing"), TINY, warm, repeats),
         "coder": [bench_coder(n) for n in ([2000] if quick else [20_000, 200_000])],
         "sections": bench_sections(2000 if quick else 200_000),
     }
+    processor, wall = clocks() - start
+    return {**found, "stretch": wall / processor}
 
 
 def describe(result):
@@ -320,7 +314,7 @@ def describe(result):
         f"{r['bits_per_symbol']:.1f} bits each"
     )
     lines += [f"    {speed(what, r)}" for what in ("encode", "decode")]
-    return "\n".join(lines)
+    return "\n".join([*lines, disturbance(result["stretch"])]).rstrip()
 
 
 def speed(what, row):

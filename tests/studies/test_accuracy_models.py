@@ -14,6 +14,7 @@ from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting import fast
 from p4dgs_ref.studies import bench
 from p4dgs_ref.studies.accuracy import (
+    diagram,
     fits,
     gradients,
     hash_grid,
@@ -24,6 +25,7 @@ from p4dgs_ref.studies.accuracy import (
 )
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.trainer import Trainer
+from tests.studies import drawn
 
 
 @pytest.fixture(scope="module")
@@ -211,41 +213,6 @@ def test_the_tolerance_in_the_figure_is_that_of_the_tests():
 
 
 # --- cost against size ---------------------------------------------------------------------------
-def test_fitted_growth_and_its_hours():
-    law = {
-        "loss": (1e-4, 0.0, 1.0),
-        "rate": (2e-3, 1.0, 0.0),
-        "compositing": (1e-6, 0.5, 1.0),
-        "whole step": (1, 0.5, 0.5),
-    }
-    rows = [
-        {"part": part, "anchors": A, "pixels": P, "ms": c * A**a * P**b, "mb": 1.0}
-        for part, (c, a, b) in law.items()
-        for A, P in ((10, 100), (20, 100), (40, 100), (20, 300), (20, 900))
-    ]
-    assert np.allclose(size.fits(rows, "ms")["compositing"], [math.log(1e-6), 0.5, 1.0])
-    found = size.hours(rows)
-    assert set(found) == {"loss", "rate", "compositing"}
-    assert np.isclose(found["loss"], 1e-4 * 800**2 * 40_000 / 3.6e6)
-    assert np.isclose(found["rate"], 2e-3 * 21_000 * 30_000 / 3.6e6)  # stage 4 begins at 10,000
-
-
-def test_compositing_is_extrapolated_from_counted_pairs_too():
-    rows = [
-        {
-            "part": "compositing",
-            "anchors": A,
-            "pixels": P,
-            "pairs": 7 * A**0.25 * P**0.75,
-            "ms": 2e-5 * 7 * A**0.25 * P**0.75,
-        }
-        for A, P in ((10, 100), (20, 100), (40, 100), (20, 300), (20, 900))
-    ]
-    hours, growth = size.hours_by_work(rows)
-    assert np.allclose(growth, [0.25, 0.75])
-    assert np.isclose(hours, 2e-5 * 7 * 21_000**0.25 * 800**1.5 * 40_000 / 3.6e6)
-
-
 def test_a_blown_up_view_shows_the_same_scene(scene):
     small, large = scene.train[0], size.blown_up(scene, 3, 2).train[0]
     assert large.image.shape == (96, 96, 3) and np.array_equal(large.image[1::3, 1::3], small.image)
@@ -264,19 +231,32 @@ def test_parts_are_gauged_counted_and_left_as_they_were():
     for A in (20, 60):
         trainer = size.at_stage_4(scene_, A)
         times, memory = bench.step_times(trainer), size.part_memory(trainer)
-        assert all(0 < times[part] <= times["whole step"] for part in bench.PARTS)
+        assert all(0 < times[part][0] <= times["whole step"][0] for part in bench.PARTS)
         assert all(0 < memory[part] <= memory["whole step"] for part in bench.PARTS)
-        found[A] = size.counted(trainer)
-        assert found[A]["gaussians"] == size.LIVE * A
+        found[A] = size.counted(trainer, 256)
+        assert found[A]["projection"] == size.LIVE * A and found[A]["loss"] == 256
     assert (
-        found[60]["multiply_adds"] == 3 * found[20]["multiply_adds"]
-        and found[60]["pairs"] > found[20]["pairs"]
+        found[60]["deformation"] == 3 * found[20]["deformation"]
+        and found[60]["compositing"] > found[20]["compositing"]
     )
     assert all(getattr(owner, name) is function for (owner, name), function in rows_before.items())
     assert fast.forward is rows_before[fast, "forward"]
 
 
 # --- the page ------------------------------------------------------------------------------------
+@pytest.fixture
+def overlapping(monkeypatch):
+    """The texts that overlap in any figure of a study, [(file, text, text)]."""
+    found, save = [], diagram.save_figure
+
+    def watched(figure, path):
+        found.extend((path.name, *pair) for pair in drawn.overlaps(figure))
+        save(figure, path)
+
+    monkeypatch.setattr(diagram, "save_figure", watched)
+    return found
+
+
 def check_page(folder, result):
     page = (folder / report.PAGE).read_text(encoding="utf-8")
     for name in ("CPU", "cores", "NumPy", "SciPy", "BLAS threads"):
@@ -302,13 +282,14 @@ def check_page(folder, result):
     json.dumps(result)
 
 
-def test_chosen_studies_make_a_page(tmp_path):
+def test_chosen_studies_make_a_page(tmp_path, overlapping):
     said = []
     result = report.run(["gradients", "coder"], tmp_path, True, said.append)
     assert [study["name"] for study in result["studies"]] == ["coder", "gradients"]
     check_page(tmp_path, result)
     assert any("coder" in line for line in said) and "quick" in (tmp_path / report.PAGE).read_text()
     assert report.describe(result, tmp_path).endswith("s in all")
+    assert overlapping == []
 
 
 def test_an_unknown_study_is_refused_before_any_work(tmp_path):
@@ -320,9 +301,10 @@ def test_an_unknown_study_is_refused_before_any_work(tmp_path):
 
 
 @pytest.mark.slow
-def test_all_studies_quickly(tmp_path):
+def test_all_studies_quickly(tmp_path, overlapping):
     result = report.run(None, tmp_path, True)
     assert [study["name"] for study in result["studies"]] == list(report.STUDIES) and len(
         report.STUDIES
     ) == 8
     check_page(tmp_path, result)
+    assert overlapping == []

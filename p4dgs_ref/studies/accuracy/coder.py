@@ -22,6 +22,7 @@ from ...codec.streams import (
 )
 from ...equations import likelihood
 from ..bench import in_units, quantised_tiny, random_message
+from ..clock import alternate, compare, stretch_of
 from ..inspect import float_context
 from .diagram import (
     Axes,
@@ -29,14 +30,13 @@ from .diagram import (
     at,
     figure,
     finish,
-    legend,
+    legend_below,
     lines,
     number,
     select,
     table,
     work_precision,
 )
-from .timing import alternate
 
 PRECISIONS = (8, 10, 12, 14, 16, 18, 20, 22, 24)
 WIDE = 12.0  # sigmas, the codec's window
@@ -152,8 +152,8 @@ def code(n, repeats, progress):
     rows.append(coded_row("the codec", "", *coded, ideal, 0))
     runs["the codec", ""] = lambda: decode_gaussian(encode_gaussian(symbols, *units), *units)
     progress("coder: times")
-    ms = alternate(runs, repeats)
-    return [{**row, "ns_per_symbol": 1e6 * ms[row["method"], row["knob"]] / n} for row in rows]
+    times = alternate(runs, repeats)
+    return [{**row, **times[row["method"], row["knob"]].columns("ns", 1e6 / n)} for row in rows]
 
 
 def context_rows(anchors):
@@ -184,7 +184,7 @@ def context_rows(anchors):
     return rows
 
 
-def run(folder, quick, progress):
+def run(folder, quick, progress, jobs=1):
     n, repeats = 3000 if quick else 20_000, 3
     progress("coder: codes and decodes")
     rows = code(n, repeats, progress)
@@ -193,9 +193,9 @@ def run(folder, quick, progress):
         folder / "coder.png",
         [row for row in rows if row["method"] in (WIDE_WINDOW, FITTED_WINDOW, "the codec")],
         Axes(
-            "ns_per_symbol",
+            "ns",
             "percent",
-            "time (ns per symbol, encode and decode)",
+            "processor time (ns per symbol, encode and decode)",
             "size above the entropy (%)",
         ),
         f"bits of the frequencies (labelled), {n:,} symbols, bytes written and read back\n"
@@ -215,7 +215,8 @@ def run(folder, quick, progress):
         ],
         [table(folder, "coder", rows), table(folder, "coder_context", context)],
         read(rows, context),
-        f"median of {repeats} alternating repeats, tables, encoding and decoding",
+        f"median and quartiles of {repeats} alternating repeats, tables, encoding and decoding",
+        stretch_of(rows),
     )
 
 
@@ -238,7 +239,7 @@ def draw_widths(path, rows, context):
     for method, width in of_codec.items():
         lost = at(shown, method=method, knob=width)["model_percent"]
         ax.plot(width, lost, "o", markersize=16, fillstyle="none", color="black")
-    legend(ax)
+    legend_below(fig, ax, 3)
     finish(
         fig,
         path,
@@ -255,6 +256,8 @@ def read(rows, context):
     enough = next(row for row in fitted if row["percent"] < 2 * most["percent"])
     light = next(row for row in context if row["model_percent"] < 0.1 + least["model_percent"])
     of_codec = at(deviation, knob=SIGMA_BITS)["model_percent"]
+    fine = f"the same with means of {mean[-1]['knob']} bits everywhere"
+    times = compare("a symbol of the codec", codec, fine, mean[-1], "ns")
     return (
         f"With {fitted[0]['knob']} bits and a window fitted to them, the file is "
         f"{fitted[0]['percent']:.2f} % larger than the entropy, with {most['knob']} bits "
@@ -263,8 +266,8 @@ def read(rows, context):
         f"{wide[0]['percent']:.2f} % there. The codec itself is {codec['percent']:.3f} % above the "
         f"entropy, of which the model is {codec['model_percent']:.3f} %, with "
         f"{codec['table_entries']:,} table entries; means of {mean[-1]['knob']} bits without "
-        f"its coarser grid for wide Gaussians take {mean[-1]['table_entries']:,} entries and "
-        f"{mean[-1]['ns_per_symbol'] / codec['ns_per_symbol']:.2g} times its time. Deviations "
+        f"its coarser grid for wide Gaussians take {mean[-1]['table_entries']:,} entries. "
+        f"{times} Deviations "
         f"rounded to a power of two (0 bits) lose {deviation[0]['model_percent']:.2f} %, the "
         f"codec's {SIGMA_BITS} bits {of_codec:.3f} %; means rounded to a step lose "
         f"{number(mean[0]['model_percent'])} %. Weights of {light['knob']} bits are within 0.1 % "

@@ -10,9 +10,74 @@ import numpy as np
 from ..report import BLUE, LIGHT_BLUE, RED, pyplot, save_figure, write_csv
 
 # Okabe and Ito's palette, for colour-blind readers. The markers differ as well, for grey prints.
-COLORS = (BLUE, RED, "#009E73", "#CC79A7", "#E69F00", LIGHT_BLUE, "#000000", "#8C6D31")
+COLORS = (BLUE, RED, "#009E73", "#CC79A7", "#E69F00", LIGHT_BLUE, "#000000", "#8C6D31", "#808080")
 MARKERS = "osD^vPXph"
-SIZE, DPI = (8, 5), 120
+# Every method that a diagram shows, in families that are drawn together. The place in its family
+# gives a method its colour and marker, so that it has the same in all diagrams.
+FAMILIES = (
+    (
+        "ellipse, cut labelled, float32",
+        "ellipse, cut labelled, float64",
+        "3σ box, float32",
+        "3σ box, float64",
+        "all pairs, float32",
+        "all pairs, float64",
+        "exact twin, float32",
+        "setting `paper`",
+        "setting `fast`",
+    ),
+    ("no stop", "stop at T < 1e-4", "stop at T < 1e-2"),
+    (
+        "literal",
+        "HAC, floor 1e-6",
+        "tail-symmetric",
+        "log domain",
+        "table, 256 per sigma",
+        "stable",
+    ),
+    ("frequencies, 12σ window", "frequencies, fitted window", "the codec"),
+    ("mean", "log2 deviation", "weights of ψ_p"),
+    (
+        "adaptive, trained with it",
+        "adaptive, rounded to it later",
+        "trained adaptive, made fixed",
+        "fixed, trained with it",
+        "fixed, rounded to it later",
+    ),
+    ("seeds", "iterations", "anchors", "deformation width", "anchors rated"),
+    ("1 level", "2 levels", "4 levels", "8 levels"),
+    ("forward", "central", "fourth order", "complex step", "manual backward"),
+    (
+        "prediction",
+        "deformation",
+        "projection",
+        "compositing",
+        "loss",
+        "rate",
+        "whole step",
+        "optimiser",
+    ),
+)
+STYLES = {
+    method: dict(color=color, marker=marker)
+    for family in FAMILIES
+    for method, color, marker in zip(family, COLORS, MARKERS)
+}
+STYLES["table, float64"] = STYLES["table, 256 per sigma"]  # the same formula at several sizes
+# Where a label may stand beside its point, in points, and which of its sides is towards it.
+PLACES = (
+    (6, 4, "left"),
+    (6, -12, "left"),
+    (-6, 4, "right"),
+    (-6, -12, "right"),
+    (0, 9, "center"),
+    (0, -17, "center"),
+    (12, 12, "left"),
+    (-12, 12, "right"),
+    (12, -20, "left"),
+    (-12, -20, "right"),
+)
+SIZE, DPI = (8, 5.6), 120
 
 
 class Finding(NamedTuple):
@@ -25,6 +90,7 @@ class Finding(NamedTuple):
     tables: list  # files
     reading: str  # sentences made of the measured numbers
     repeats: str  # how times were taken
+    stretch: float = 1.0  # the worst ratio of the wall clock to the processor's
 
 
 class Axes(NamedTuple):
@@ -38,25 +104,22 @@ class Axes(NamedTuple):
     y_scale: str = "log"
 
 
-TIME = Axes("ms", "error", "time (ms, median of alternating repeats)", "error")
+TIME = Axes("ms", "error", "processor time (ms, median and quartiles)", "error")
 
 
-def lines(ax, rows, axes, label=True, order=(), **changes):
+def lines(ax, rows, axes, label=True, **changes):
     """Draw one line per method through its rows (dictionaries), with the knob beside each point.
 
-    A value that the axis cannot show stays out of the line: NaN and infinity are a red cross above
-    the panel's values, an error of zero is an empty marker below them. `order` fixes the colours,
-    `changes` replace properties of the lines.
+    A row with the columns x_low and x_high, or y_low and y_high, gets a bar from quartile to
+    quartile. A value that the axis cannot show stays out of the line: NaN and infinity are a red
+    cross above the panel's values, an error of zero is an empty marker below them. `changes`
+    replace properties of the lines.
     """
     values = [row[axes.y] for row in rows if can_be_drawn(row[axes.y], axes.y_scale)]
     low, high = (min(values), max(values)) if values else (1e-16, 1.0)
-    methods = list(dict.fromkeys([*order, *(row["method"] for row in rows)]))
-    for i, method in enumerate(methods):
-        own = select(rows, method=method)
-        if not own:
-            continue
+    for method in dict.fromkeys(row["method"] for row in rows):
+        own, style = select(rows, method=method), STYLES[method]
         shown = [row for row in own if can_be_drawn(row[axes.y], axes.y_scale)]
-        style = dict(color=COLORS[i % len(COLORS)], marker=MARKERS[i % len(MARKERS)])
         (line,) = ax.plot(
             [row[axes.x] for row in shown],
             [row[axes.y] for row in shown],
@@ -73,18 +136,28 @@ def lines(ax, rows, axes, label=True, order=(), **changes):
                 mark(ax, row[axes.x], 3 * high, color="red", marker="x")
             elif row not in shown:
                 mark(ax, row[axes.x], low / 3, **style)
-            elif label and row["knob"] != "":
-                ax.annotate(
-                    f"{row['knob']}",
-                    (row[axes.x], row[axes.y]),
-                    xytext=(5, 4),
-                    textcoords="offset points",
-                    color=style["color"],
-                    fontsize=9,
-                )
+            else:
+                draw_quartiles(ax, row, axes, style["color"])
+                if label and row["knob"] != "":
+                    ax.annotate(
+                        f"{row['knob']}",
+                        (row[axes.x], row[axes.y]),
+                        xytext=PLACES[0][:2],
+                        textcoords="offset points",
+                        color=style["color"],
+                        fontsize=9,
+                    )
     ax.set(xscale=axes.x_scale, yscale=axes.y_scale, xlabel=axes.x_label, ylabel=axes.y_label)
     ax.grid(True, which="major", color="#dddddd", linewidth=0.7)
     ax.set_axisbelow(True)
+
+
+def draw_quartiles(ax, row, axes, color):
+    """The bars from the first to the third quartile of what a row measured."""
+    x, y = row[axes.x], row[axes.y]
+    for draw, name, other in ((ax.hlines, axes.x, y), (ax.vlines, axes.y, x)):
+        if f"{name}_low" in row:
+            draw(other, row[f"{name}_low"], row[f"{name}_high"], color=color, linewidth=1)
 
 
 def can_be_drawn(value, scale):
@@ -123,11 +196,6 @@ def draw_panels(
     return fig, panels
 
 
-def legend(ax):
-    """A legend inside a panel."""
-    ax.legend(fontsize=10, framealpha=0.85, edgecolor="none")
-
-
 def legend_below(fig, ax, columns, count=None, **options):
     """A legend below the panels, of the first `count` lines of one of them."""
     handles, labels = ax.get_legend_handles_labels()
@@ -154,6 +222,37 @@ def readable_ticks(axis):
         axis.set_major_formatter(ticker.FuncFormatter(lambda value, _: f"{value:g}"))
 
 
+def place_labels(fig):
+    """Move the labels of points to where they cover neither points nor each other.
+
+    A label for which there is no such place is left out; the CSV has its number.
+    """
+    fig.draw_without_rendering()
+    for ax in fig.axes:
+        labels = [text for text in ax.texts if hasattr(text, "xyann")]
+        taken = [point for line in ax.lines if labels for point in marker_boxes(ax, line)]
+        for text in labels:
+            text.set_in_layout(False)  # the panels keep their sizes
+            for x, y, side in PLACES:
+                text.set(horizontalalignment=side)
+                text.xyann = x, y
+                box = text.get_window_extent()
+                inside = ax.bbox.count_contains(box.corners()) == 4
+                if inside and not box.count_overlaps(taken):
+                    taken.append(box)
+                    break
+            else:
+                text.set_visible(False)
+
+
+def marker_boxes(ax, line, half=4):
+    """A box of `half` pixels to each side around every marker of a line."""
+    from matplotlib.transforms import Bbox
+
+    points = ax.transData.transform(np.column_stack(line.get_data()))
+    return [Bbox([point - half, point + half]) for point in points[np.isfinite(points).all(axis=1)]]
+
+
 def finish(fig, path, title):
     """Set the title, which names the reference, and write the PNG."""
     for ax in fig.axes:
@@ -162,14 +261,15 @@ def finish(fig, path, title):
                 readable_ticks(axis)
     fig.suptitle(title, fontsize=13)
     fig.set_dpi(DPI)
+    place_labels(fig)
     save_figure(fig, path)
 
 
-def work_precision(path, rows, axes=TIME, title="", **options):
+def work_precision(path, rows, axes=TIME, title="", columns=2, **options):
     """A diagram of one panel."""
     fig, (ax,) = figure()
     lines(ax, rows, axes, **options)
-    legend(ax)
+    legend_below(fig, ax, columns)
     finish(fig, path, title)
 
 

@@ -1,6 +1,5 @@
 """Short trainings for the studies: `tiny` with shorter stages, with its work counted."""
 
-import time
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +8,7 @@ from ...codec.file import decode, encode
 from ...model import ANCHOR_NETWORKS, CONTEXT_NETWORKS
 from ...training.presets import TINY
 from ...training.trainer import Trainer
-from ..evaluate import evaluate, timed
+from ..evaluate import evaluate
 from ..inspect import components
 
 ATTRIBUTES = ("features", "scales", "offset_scales", "offsets")  # sections of the file
@@ -18,7 +17,7 @@ TEST_VIEWS = "the test views of `bouncing`, rendered from the decoded file"
 
 class Fit(NamedTuple):
     model: object
-    seconds: float  # of processor time
+    state: tuple  # of the trainer, for `step_at`
     work: dict  # counted over all iterations: multiply_adds, rated_symbols
 
 
@@ -58,10 +57,23 @@ def train(scene, preset, seed=0, prepare=None, rated_share=1.0):
             work["multiply_adds"] += multiply_adds(design, CONTEXT_NETWORKS, A)
             work["rated_symbols"] += sampled(A, rated_share) * sum(design.widths)
 
-    start = time.process_time()  # a training runs once, so other programs must not count
     with np.errstate(all="ignore"):  # the trainer itself looks for overflows
         model = trainer.run(count)
-    return Fit(model, time.process_time() - start, work)
+    return Fit(model, trainer.state(), work)
+
+
+def step_at(scene, preset, state, stage):
+    """A function that does a step of a trained model as in that stage, to be timed."""
+    trainer = Trainer(scene, preset._replace(grow_every=10**9))  # the anchors stay as they are
+    trainer.restore(*state)
+    if stage < 4:
+        trainer.box = trainer.located = None
+
+    def step():
+        trainer.iteration = (0, *preset.stage_ends)[stage - 1]
+        trainer.step()
+
+    return step
 
 
 def sampled(A, share):
@@ -71,7 +83,7 @@ def sampled(A, share):
 
 def judge(model, scene):
     """The model's file, decoded again, on the test views: bytes, bytes by kind, decibels."""
-    data, seconds = timed(encode, model)
+    data = encode(model)
     metrics, sizes = evaluate(decode(data), scene)[0], components(data)
     return {
         "psnr_db": metrics["psnr_db"],
@@ -80,5 +92,4 @@ def judge(model, scene):
         "grid_bytes": sizes["hash_grid"],
         "network_bytes": sum(n for name, n in sizes.items() if name.endswith(("mlp", "mlps"))),
         "anchors": metrics["anchors"],
-        "encode_ms": 1e3 * seconds,
     }

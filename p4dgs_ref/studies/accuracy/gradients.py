@@ -6,6 +6,7 @@ import numpy as np
 
 from ...table import EQUATIONS
 from ..bench import relative_error
+from ..clock import alternate, compare, stretch_of
 from ..precision import cast
 from ..random_inputs import random_anchor_network, random_splats
 from .diagram import (
@@ -20,7 +21,6 @@ from .diagram import (
     select,
     table,
 )
-from .timing import alternate
 
 # The inputs that are differentiated: those whose widest step stays inside the equation's domain.
 SUBJECTS = {
@@ -163,11 +163,11 @@ def cost_rows(rows, repeats):
     runs |= {
         (key, manual["method"]): partial(loss.backward, loss.x) for key, loss in losses.items()
     }
-    ms = alternate(runs, repeats)
-    return [{**row, "ms": ms[row["equation"], row["method"]]} for row in found]
+    times = alternate(runs, repeats)
+    return [{**row, **times[row["equation"], row["method"]].columns()} for row in found]
 
 
-def run(folder, quick, progress):
+def run(folder, quick, progress, jobs=1):
     rows = []
     for key in SUBJECTS:
         progress(f"gradients: {key}")
@@ -193,7 +193,8 @@ def run(folder, quick, progress):
         ],
         [table(folder, "gradients", rows), table(folder, "gradients_cost", costs)],
         read(rows, costs),
-        f"median of {repeats} alternating repeats of a whole gradient",
+        f"median and quartiles of {repeats} alternating repeats of a whole gradient",
+        stretch_of(costs),
     )
 
 
@@ -213,13 +214,13 @@ def draw_curves(path, rows):
 
 
 def draw_cost(path, costs):
-    axes = Axes("ms", "error", "time (ms)", "relative L2 error")
+    axes = Axes("ms", "error", "processor time (ms)", "relative L2 error")
     shown = [{**row, "knob": f"{row['evaluations']}×"} for row in costs]
     contents = []
     for key in SUBJECTS:
         own = select(shown, equation=key)
         contents.append((f"{key}, {own[0]['inputs']} inputs", own, axes))
-    fig, panels = draw_panels(contents, (8, 5.4), margins=(0.35, None), sharey=True, order=METHODS)
+    fig, panels = draw_panels(contents, (8, 5.4), margins=(0.35, None), sharey=True)
     legend_below(fig, panels[0], 3)
     finish(
         fig,
@@ -237,6 +238,7 @@ def read(rows, costs):
         for method in ("manual backward", "forward", "central", "fourth order", "complex step")
     )
     single = best(rows, equation=key, method="central", dtype="float32")
+    times = compare("the fourth-order formula", fourth, "the manual backward", by_hand)
     worst = max(row["error"] for row in select(costs, method="fourth order"))
     return (
         f"For {key} with {by_hand['inputs']} inputs, the error of the best forward difference is "
@@ -244,9 +246,8 @@ def read(rows, costs):
         f"{number(central['error'])} (h = {central['step']:.0e}), of the fourth-order one "
         f"{number(fourth['error'])} (h = {fourth['step']:.0e}) and of the complex step "
         f"{number(exact['error'])}; in float32 the best central difference has "
-        f"{number(single['error'])}. A whole gradient by the fourth-order formula takes "
-        f"{fourth['evaluations']} evaluations and {fourth['ms']:.3g} ms, by forward and backward "
-        f"{by_hand['ms']:.3g} ms. The tests' tolerance of {TOLERANCE:g} is "
-        f"{number(TOLERANCE / worst)} times the worst of the fourth-order formula's best errors "
-        f"over the {len(SUBJECTS)} equations."
+        f"{number(single['error'])}. A whole gradient by the fourth-order formula needs "
+        f"{fourth['evaluations']} evaluations. {times} The tests' tolerance of "
+        f"{TOLERANCE:g} is {number(TOLERANCE / worst)} times the worst of the "
+        f"fourth-order formula's best errors over the {len(SUBJECTS)} equations."
     )

@@ -18,11 +18,11 @@ from ...model import context, context_backward, join
 from ...scenes import load_scene
 from ...training.adam import Adam
 from ...training.parameters import Parameters, random_layers
+from ..clock import alternate, compare, stretch_of
 from ..inspect import components
-from .diagram import Axes, Finding, figure, finish, legend, lines, table, work_precision
+from .diagram import Axes, Finding, figure, finish, legend_below, lines, table, work_precision
 from .fits import ATTRIBUTES, multiply_adds, reduced, train
 from .quantisation import fixed
-from .timing import alternate
 
 PLANES = ("xy", "xz", "yz")
 LEVELS = {
@@ -148,11 +148,12 @@ def measure(quick, progress):
         )
         runs[count, size] = fit.step
     repeats = 3 if quick else 7
-    ms = alternate(runs, repeats)
-    return [{**row, "ms": ms[row["levels"], row["knob"]]} for row in rows], alone, repeats
+    times = alternate(runs, repeats)
+    rows = [{**row, **times[row["levels"], row["knob"]].columns()} for row in rows]
+    return rows, alone, repeats
 
 
-def run(folder, quick, progress):
+def run(folder, quick, progress, jobs=1):
     rows, alone, repeats = measure(quick, progress)
     reference = "one Gaussian per channel, the same symbols and coder"
     title = (
@@ -171,7 +172,7 @@ def run(folder, quick, progress):
     sizes = [row["grid_bytes"] for row in rows]
     bound = np.geomspace(min(sizes), max(sizes), 50)
     ax.plot(bound, bound, ":", color="gray", label="pays for the grid")
-    legend(ax)
+    legend_below(fig, ax, 3)
     finish(fig, folder / "hash_grid.png", title)
     work_precision(
         folder / "hash_grid_time.png",
@@ -189,7 +190,8 @@ def run(folder, quick, progress):
         ],
         [table(folder, "hash_grid", rows)],
         read(rows, alone),
-        f"median of {repeats} alternating repeats of one iteration of the context",
+        f"median and quartiles of {repeats} alternating repeats of one iteration of the context",
+        stretch_of(rows),
     )
 
 
@@ -199,14 +201,14 @@ def read(rows, alone):
     gain, best = max(net, key=lambda pair: pair[0])
     loss, worst = min(net, key=lambda pair: pair[0])
     most = max(rows, key=lambda row: row["saved_bytes"])
-    quick, slow = (choose(rows, key=lambda row: row["ms"]) for choose in (min, max))
+    few, many = (choose(rows, key=lambda row: row["reads"]) for choose in (min, max))
+    names = [f"an iteration with {row['reads']:,} reads of the grid" for row in (many, few)]
+    times = compare(names[0], many, names[1], few)
     return (
         f"One Gaussian per channel needs {alone['attribute_bytes']:,} bytes for "
         f"{rows[0]['symbols']:,} symbols. The context that saves most, {most['method']} of "
         f"{most['knob']} entries, saves {most['saved_bytes']:,} bytes, and its grid takes "
         f"{most['grid_bytes']:,}. Less the grid, {best['method']} of {best['knob']} entries is the "
         f"best with {gain:+,} bytes and {worst['method']} of {worst['knob']} entries the worst "
-        f"with {loss:+,}; the context MLPs take another {best['mlp_bytes']:,} bytes. An iteration "
-        f"takes {quick['ms']:.3g} ms with {quick['method']} and {quick['reads']:,} reads of the "
-        f"grid, {slow['ms']:.3g} ms with {slow['method']} and {slow['reads']:,}."
+        f"with {loss:+,}; the context MLPs take another {best['mlp_bytes']:,} bytes. {times}"
     )

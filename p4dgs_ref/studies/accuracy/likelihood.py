@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..clock import alternate, compare, stretch_of
 from .diagram import (
-    COLORS,
+    STYLES,
     Axes,
     Finding,
     at,
@@ -25,7 +26,7 @@ from .diagram import (
 from .formulas import FORMULAS, TABLES, truth
 from .formulas import table as table_formula
 from .heatmap import draw_heatmap
-from .timing import alternate, special_calls
+from .timing import special_calls
 
 # Bits and slopes at points of the planes, from 60-digit arithmetic: {"quick": rows, "full": rows}.
 # `python -m tests.golden.likelihood_points` writes them in a checkout.
@@ -130,7 +131,7 @@ def timed_rows(n, repeats):
             for name, knob, formula, dtype in methods
         }
         with np.errstate(all="ignore"):
-            ms = alternate(runs, repeats)
+            times = alternate(runs, repeats)
             work = {
                 key: special_calls(sys.modules[run.func.__module__], run)
                 for key, run in runs.items()
@@ -142,7 +143,7 @@ def timed_rows(n, repeats):
                     "method": name,
                     "knob": knob,
                     "reach": reach,
-                    "ns": 1e6 * ms[name, knob] / n,
+                    **times[name, knob].columns("ns", 1e6 / n),
                     "special_per_value": work[name, knob] / n,
                     "bits_error": worst(bits),
                     "gradient_error": worst(gradient),
@@ -157,7 +158,7 @@ def worst(values):
     return float(values.max()) if np.isfinite(values).all() else math.inf
 
 
-def run(folder, quick, progress):
+def run(folder, quick, progress, jobs=1):
     z_axis, w_axis = plane(quick)
     z, w = (a.ravel() for a in np.meshgrid(z_axis, w_axis, indexing="ij"))
     progress("likelihood: the plane")
@@ -190,12 +191,15 @@ def run(folder, quick, progress):
         [(f"{name}.png", caption) for name, caption in captions.items()],
         [table(folder, "likelihood", rows), *plane_tables(folder, z_axis, w_axis, maps)],
         read(rows, maps),
-        f"median of {repeats} alternating repeats, forward with its slopes",
+        f"median and quartiles of {repeats} alternating repeats, forward with its slopes",
+        stretch_of(rows),
     )
 
 
 def draw_times(path, rows):
-    axes = Axes("ns", "bits_error", "time (ns per value)", "largest relative error of the bits")
+    axes = Axes(
+        "ns", "bits_error", "processor time (ns per value)", "largest relative error of the bits"
+    )
     contents = [
         (f"distances up to {reach} σ", select(rows, reach=reach), axes) for reach in REACHES
     ]
@@ -229,7 +233,7 @@ def draw_curves(path, z_axis, w_axis, maps):
     fig, panels = figure(2, (8, 5.8), sharey=True)
     row, column = cuts(z_axis, w_axis)
     for (name, dtype), (bits, _) in maps.items():
-        color = COLORS[list(FORMULAS).index(name)]
+        color = STYLES[name]["color"]
         style, label = ("-", name) if dtype == "float64" else ("--", None)
         for ax, axis, values in zip(panels, (z_axis, w_axis), (bits[:, column], bits[row])):
             finite = np.isfinite(values)
@@ -261,12 +265,12 @@ def read(rows, maps):
         )
 
     bits, gradient = maps["stable", "float64"]
+    times = compare("`stable`", stable, "the literal formula", literal, "ns")
     return (
-        f"For values within {near} σ, `stable` takes {stable['ns']:.3g} ns per value, "
-        f"{stable['ns'] / literal['ns']:.2g} times as long as the literal formula with "
-        f"{literal['ns']:.3g} ns, and computes {stable['special_per_value']:.3g} special "
-        f"functions per value instead of {literal['special_per_value']:.3g}. Over the whole plane "
-        f"the literal formula is not finite {shares('literal')}; HAC's floor is not finite "
+        f"{times} These are times of one value within {near} σ; for it `stable` computes "
+        f"{stable['special_per_value']:.3g} special functions and the literal formula "
+        f"{literal['special_per_value']:.3g}. Over the whole plane the literal formula is not "
+        f"finite {shares('literal')}; HAC's floor is not finite "
         f"{shares('HAC, floor 1e-6')}; the tail-symmetric formula {shares('tail-symmetric')}; the "
         f"log domain {shares('log domain')}. The largest error of `stable` over the plane is "
         f"{number(bits.max())} in the bits and {number(gradient.max())} in the gradient; with "

@@ -44,8 +44,7 @@ def measure(iterations, trained_scales, scales, progress):
     scene, rows = load_scene("bouncing"), []
 
     def add(method, scale, fit, model):
-        found = {**judge(model, scene), "train_seconds": fit.seconds, **fit.work}
-        rows.append({"method": method, "knob": scale, **found})
+        rows.append({"method": method, "knob": scale, **judge(model, scene), **fit.work})
 
     for adaptive in (True, False):
         kind = "adaptive" if adaptive else "fixed"
@@ -62,7 +61,7 @@ def measure(iterations, trained_scales, scales, progress):
     return rows
 
 
-def run(folder, quick, progress):
+def run(folder, quick, progress, jobs=1):
     iterations, trained = (120, (1.0, 4.0)) if quick else (950, (0.25, 0.5, 1.0, 2.0, 4.0))
     rows = measure(iterations, trained, (0.25, 0.5, 1.0, 2.0, 4.0, 8.0), progress)
     shown = [

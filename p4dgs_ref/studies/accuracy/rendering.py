@@ -7,20 +7,19 @@ import numpy as np
 
 from ...splatting.settings import SETTINGS, Settings
 from .. import bench
+from ..clock import alternate, compare, stated, stretch_of
 from .diagram import (
     TIME,
     Finding,
     at,
     draw_panels,
     finish,
-    legend,
     legend_below,
     number,
     select,
     table,
     work_precision,
 )
-from .timing import alternate
 
 GRADIENTS = {"mean2d": "centres", "conic": "conics", "alpha": "opacities", "color": "colours"}
 CUTS = {"1e-2": 1e-2, "1/255": 1 / 255, "1e-3": 1e-3, "5e-5": 5e-5, "1e-6": 1e-6, "1e-9": 1e-9}
@@ -102,10 +101,10 @@ def measure(name, n, size, combinations, repeats):
         what = {**blank, "footprint": setting, "dtype": s.dtype, "stop": f"{s.stop:g}"}
         run = partial(exact, scene) if s.footprint == "all" else partial(tiled, scene, s)
         runs[setting] = what, run
-    ms = alternate({key: run for key, (_, run) in runs.items()}, repeats)
+    times = alternate({key: run for key, (_, run) in runs.items()}, repeats)
     truth = exact(scene)
     return [
-        {"scene": name, **what, "ms": ms[key], **errors(run(), truth)}
+        {"scene": name, **what, **times[key].columns(), **errors(run(), truth)}
         for key, (what, run) in runs.items()
     ]
 
@@ -113,7 +112,8 @@ def measure(name, n, size, combinations, repeats):
 def summary_rows(repeats=7):
     """Error and time of the three named settings on the study's first scene."""
     rows = measure("small splats", *SUMMARY_SIZE, [], repeats)
-    columns = ["ms", "pairs", "error", "rms_error", *(f"{name}_error" for name in GRADIENTS)]
+    columns = ["ms", "ms_low", "ms_high", "stretch", "pairs", "error", "rms_error"]
+    columns += [f"{name}_error" for name in GRADIENTS]
     named = {name: at(rows, footprint=name) for name in SETTINGS}
     return [{"settings": name, **{key: named[name][key] for key in columns}} for name in named]
 
@@ -135,7 +135,7 @@ def method_rows(rows, tile=8, stop="1e-4"):
     return sorted(chosen, key=lambda row: order.get(row["method"], len(first)))
 
 
-def run(folder, quick, progress):
+def run(folder, quick, progress, jobs=1):
     n, size, repeats = (300, 48, 3) if quick else (*SUMMARY_SIZE, 5)
     rows = []
     for name in SCENES:
@@ -168,12 +168,13 @@ def run(folder, quick, progress):
         ],
         [table(folder, "rendering", rows)],
         read(rows),
-        f"median of {repeats} alternating repeats, forward and backward",
+        f"median and quartiles of {repeats} alternating repeats, forward and backward",
+        stretch_of(rows),
     )
 
 
 def draw_gradients(path, rows, title):
-    axes = TIME._replace(x_label="time (ms)", y_label="relative L2 error")
+    axes = TIME._replace(x_label="processor time (ms)", y_label="relative L2 error")
     contents = [
         (f"gradient of {label}", rows, axes._replace(y=f"{name}_error"))
         for name, label in GRADIENTS.items()
@@ -190,10 +191,10 @@ def draw_tiles(path, rows):
         {**row, "method": names[row["stop"]], "knob": row["tile"]}
         for row in select(rows, footprint="ellipse", dtype="float32", cut="5e-5")
     ]
-    axes = IMAGE_ERROR._replace(x_label="time (ms)")
+    axes = IMAGE_ERROR._replace(x_label="processor time (ms)")
     contents = [(name, select(ellipses, scene=name), axes) for name in SCENES]
     fig, panels = draw_panels(contents, (8, 5), margins=(0.15, 0.15))
-    legend(panels[0])
+    legend_below(fig, panels[0], 3)
     finish(
         fig,
         path,
@@ -212,15 +213,19 @@ def read(rows):
     without, early = (
         min(select(ellipses, stop=stop), key=lambda row: row["ms"]) for stop in ("0", "1e-4")
     )
+    faster = compare("`fast`", fast_, "`paper`", paper)
+    stop = compare(
+        f"on large opaque splats the best tile without a stop ({without['tile']} pixels)",
+        without,
+        f"the best one with the stop ({early['tile']} pixels)",
+        early,
+    )
     return (
-        f"`fast` takes {fast_['ms']:.3g} ms, `paper` {paper['ms']:.3g} ms, the exact twin "
-        f"{exact_['ms']:.3g} ms; they evaluate {fast_['pairs']:,}, {paper['pairs']:,} and "
-        f"{exact_['pairs']:,} Gaussian–pixel pairs. The largest error of the image is "
-        f"{number(fast_['error'])} for `fast` and {number(paper['error'])} for `paper`; the worst "
-        f"gradient is off by {number(fast_['gradient_error'])} and "
+        f"{faster} The exact twin takes {stated(exact_)}. They evaluate {fast_['pairs']:,}, "
+        f"{paper['pairs']:,} and {exact_['pairs']:,} Gaussian–pixel pairs. The largest error of "
+        f"the image is {number(fast_['error'])} for `fast` and {number(paper['error'])} for "
+        f"`paper`; the worst gradient is off by {number(fast_['gradient_error'])} and "
         f"{number(paper['gradient_error'])}. float32 without any cut costs {number(rounding)} in "
         f"the image, so the cut of `fast` weighs {number(fast_['error'] / rounding)} times as much "
-        "as its precision. On large opaque splats the stop changes the shortest time from "
-        f"{without['ms']:.3g} ms (tiles of {without['tile']}) to {early['ms']:.3g} ms (tiles of "
-        f"{early['tile']})."
+        f"as its precision. {stop}"
     )

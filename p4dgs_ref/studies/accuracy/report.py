@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 
 from ...splatting.settings import SETTINGS
+from ..clock import disturbance, stretch_of
 from ..evaluate import timed
 from . import coder, gradients, hash_grid, likelihood, quantisation, rendering, size, training
 from .diagram import number
@@ -24,12 +25,13 @@ STUDIES = {
 PAGE = "accuracy.md"
 
 
-def run(names, folder, quick=False, progress=lambda line: None):
+def run(names, folder, quick=False, progress=lambda line: None, jobs=1):
     """Run studies and write a PNG and a CSV per diagram, and one page, into an existing folder.
 
     `names` are keys of STUDIES, or None for all. `quick` takes about a minute instead of ten.
-    Returns {"machine", "quick", "seconds", "studies": [...]}, plain values for JSON. Raises
-    ValueError for an unknown name.
+    Independent trainings run in `jobs` processes; times are taken in this one, with nothing
+    beside it. Returns {"machine", "quick", "seconds", "studies": [...]}, plain values for JSON.
+    Raises ValueError for an unknown name.
     """
     names = STUDIES if names is None else list(names)
     folder, start, findings = Path(folder), time.perf_counter(), []
@@ -37,7 +39,7 @@ def run(names, folder, quick=False, progress=lambda line: None):
         if name not in STUDIES:
             raise ValueError(f"study {name!r}: expected one of {', '.join(STUDIES)}")
     for name in sorted(set(names), key=list(STUDIES).index):
-        found, seconds = timed(STUDIES[name], folder, quick, progress)
+        found, seconds = timed(STUDIES[name], folder, quick, progress, jobs)
         complete_tables(found, folder)
         findings.append({**found._asdict(), "seconds": seconds})
     result = {
@@ -69,9 +71,10 @@ def page(result):
         "",
         f"Measured on: {about}.",
         "",
-        f"{sizes} The run took {result['seconds']:.0f} seconds. Times are those of one process. "
-        "The CSV beside each figure holds its numbers and the counted work. Times depend on the "
-        "machine; counted work and errors hardly do.",
+        f"{sizes} The run took {result['seconds']:.0f} seconds. Times are processor times of one "
+        "process, taken in turns; the numbers in brackets are their quartiles. The CSV beside each "
+        "figure holds its numbers and the counted work. Times depend on the machine; counted work "
+        "and errors hardly do.",
         "",
     ]
     for study in result["studies"]:
@@ -79,7 +82,7 @@ def page(result):
         parts += [f"![{caption}]({file})\n\n*{caption}*\n" for file, caption in study["figures"]]
         tables = ", ".join(f"[{file}]({file})" for file in study["tables"])
         about = f"Reference: {study['reference']}. Time: {study['repeats']}. Numbers: {tables}."
-        parts += [about, ""]
+        parts += [f"{about} {disturbance(study['stretch'])}".rstrip(), ""]
     return "\n".join(parts)
 
 
@@ -90,24 +93,27 @@ def summary(repeats=7):
     n, side = rendering.SUMMARY_SIZE
     gradients_of = ", ".join(rendering.GRADIENTS.values())
     lines = [
-        f"{n} splats, {side}×{side} pixels, forward and backward, median of at least {repeats} "
-        "alternating repeats; errors against the exact twin in float64",
-        f"{'':{width}}  {'ms':>7}  {'pairs':>10}  {'image, max':>10}  {'image, rms':>10}  "
-        f"gradients, relative L2: {gradients_of}",
+        f"{n} splats, {side}×{side} pixels, forward and backward, processor time: median and "
+        f"quartiles of at least {repeats} alternating repeats; errors against the exact twin in "
+        "float64",
+        f"{'':{width}}  {'ms':>7}  {'quartiles':>15}  {'pairs':>10}  {'image, max':>10}  "
+        f"{'image, rms':>10}  gradients, relative L2: {gradients_of}",
     ]
     for row in rows:
         errors = "  ".join(f"{number(row[f'{name}_error']):>8}" for name in rendering.GRADIENTS)
         lines.append(
-            f"{row['settings']:{width}}  {row['ms']:7.2f}  {row['pairs']:10,}  "
+            f"{row['settings']:{width}}  {row['ms']:7.2f}  {row['ms_low']:6.2f} … "
+            f"{row['ms_high']:6.2f}  {row['pairs']:10,}  "
             f"{number(row['error']):>10}  {number(row['rms_error']):>10}  {errors}"
         )
-    return rows, "\n".join(lines)
+    return rows, "\n".join([*lines, disturbance(stretch_of(rows))]).rstrip()
 
 
 def describe(result, folder):
     """The text that the command prints: the reading of every study, and where the page is."""
     readings = [
-        f"{study['title']} ({study['seconds']:.0f} s)\n  {study['reading']}"
+        f"{study['title']} ({study['seconds']:.0f} s)\n  {study['reading']} "
+        f"{disturbance(study['stretch'])}".rstrip()
         for study in result["studies"]
     ]
     return "\n\n".join([*readings, f"{Path(folder) / PAGE}: {result['seconds']:.0f} s in all"])

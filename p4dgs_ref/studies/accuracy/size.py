@@ -1,29 +1,46 @@
 """Study 8, cost against size: time and memory of every part of a step over anchors and pixels.
 
 The architecture is the paper's (its preset `paper_synthetic`) with fewer anchors, at the start of
-stage 4. Fitted powers carry the costs on to the paper's size.
+stage 4. Arithmetic carries the costs on to the paper's size: the work of every part is counted
+there, and takes the time per unit of the largest size that was measured.
 """
 
 import tracemalloc
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
+from scipy.optimize import nnls
 
+from ...model import ANCHOR_NETWORKS, CONTEXT_NETWORKS
 from ...scenes import load_scene
 from ...scenes.scene import Scene
 from ...splatting import fast
 from ...training.presets import PAPER_SYNTHETIC
 from ...training.trainer import Trainer
-from ..bench import memory_of, part_by_part, step_times
-from .diagram import Axes, Finding, draw_panels, finish, legend_below, select, table
+from ..bench import memory_of, part_by_part, replaced, step_times
+from ..clock import stretch_of, times_of
+from .diagram import Axes, Finding, draw_panels, finish, legend_below, number, select, table
 from .fits import multiply_adds
 from .rendering import evaluated_pairs
-from .timing import alternate, exponents, replaced
 
 GOAL_ANCHORS, GOAL_SIDE = 21_000, 800  # the paper's synthetic scenes
 SMALL = 32  # pixels along a side of the scene that others are blown up from
 LIVE = 4  # rendered children of an anchor: the paper speaks of three to four of its ten
 FIRST_STAGE = {"deformation": 3, "rate": 4}  # of the parts that begin late
+UNITS = {  # what the work of every part is counted in
+    "prediction": "multiply-adds",
+    "deformation": "multiply-adds",
+    "projection": "Gaussians",
+    "compositing": "pairs",
+    "loss": "pixels",
+    "rate": "multiply-adds",
+    "optimiser": "parameters",
+}
+WINDOWS, WINDOW_SIDE = (
+    4,
+    40,
+)  # the picture at the goal is sampled by 4 x 4 windows of 40 x 40 pixels
 
 
 def blown_up(scene, factor, frames=None):
@@ -45,8 +62,8 @@ def blown_up(scene, factor, frames=None):
     return Scene(scene.name, views, effects=scene.effects, background=scene.background)
 
 
-def at_stage_4(scene, anchors):
-    """A trainer after its first step of stage 4, LIVE children per anchor, opacities 0.1 to 0.9.
+def prepared(scene, anchors):
+    """A trainer at the start of stage 4, LIVE children per anchor, opacities 0.1 to 0.9.
 
     Untrained networks would give all anchors the same opacities of random signs, so that the number
     of Gaussians would be a matter of chance.
@@ -57,6 +74,12 @@ def at_stage_4(scene, anchors):
     opacities = np.resize(np.linspace(0.1, 0.9, LIVE), trainer.design.k)
     weights[-1][...], biases[-1][...] = 0, np.arctanh(opacities)
     trainer.iteration = trainer.preset.stage_ends[2]
+    return trainer
+
+
+def at_stage_4(scene, anchors):
+    """A prepared trainer after its first step."""
+    trainer = prepared(scene, anchors)
     trainer.step()
     return trainer
 
@@ -80,8 +103,8 @@ def part_memory(trainer):
     return {**{part: max(calls) for part, calls in parts.items()}, "whole step": whole}
 
 
-def counted(trainer):
-    """Work of one step: Gaussians, pairs, multiply-adds of the deformation network."""
+def counted(trainer, pixels):
+    """Work of one step: {part: amount} in the units of every part, and its Gaussians."""
     found, forward = {}, fast.forward
 
     def run(mean2d, *args, **kwargs):
@@ -91,7 +114,48 @@ def counted(trainer):
 
     with replaced(fast, forward=run):
         trainer.step()
-    return {**found, "multiply_adds": multiply_adds(trainer.design, ("psi_d",), found["gaussians"])}
+    return work_of(trainer, pixels=pixels, **found)
+
+
+def work_of(trainer, gaussians, pairs, pixels):
+    """{part: amount of work} of one step."""
+    A, design = len(trainer.mask), trainer.design
+    return {
+        "prediction": multiply_adds(design, ANCHOR_NETWORKS, A),
+        "deformation": multiply_adds(design, ("psi_d",), gaussians),
+        "projection": gaussians,
+        "compositing": pairs,
+        "loss": pixels,
+        "rate": multiply_adds(design, CONTEXT_NETWORKS, A),
+        "optimiser": trainer.parameters.vector.size,
+    }
+
+
+def work_at_goal():
+    """The work of one step at the size of the paper's synthetic scenes, without doing it.
+
+    The pairs are counted in some windows of the picture and scaled up to all of it.
+    """
+    small = load_scene("bouncing", downscale=64 // SMALL)
+    trainer = prepared(blown_up(small, GOAL_SIDE // SMALL, 1), GOAL_ANCHORS)
+    view, found, forward = trainer.scene.train[0], {}, fast.forward
+    corners = np.linspace(0, GOAL_SIDE - WINDOW_SIDE, WINDOWS).round()
+
+    def run(mean2d, cov2d, conic, alpha, color, depth, visible, background, height, width, *rest):
+        splats, pairs = (alpha, color, depth, visible, background), 0
+        for corner in product(corners, corners):
+            moved = mean2d - np.array(corner)
+            output, saved = forward(
+                moved, cov2d, conic, *splats, WINDOW_SIDE, WINDOW_SIDE, *rest[:2]
+            )
+            pairs += evaluated_pairs(saved)
+        share = (WINDOWS * WINDOW_SIDE) ** 2 / (height * width)
+        found.update(gaussians=len(mean2d), pairs=round(pairs / share))
+        return output, saved
+
+    with replaced(fast, forward=run):
+        trainer.model().render(view.camera, view.time)
+    return work_of(trainer, pixels=GOAL_SIDE**2, **found)
 
 
 def measure(points, rounds, progress):
@@ -114,87 +178,58 @@ def measure(points, rounds, progress):
         progress("size: memory")
         for (anchors, side), trainer in trainers.items():
             about = {"anchors": anchors, "side": side, "pixels": side**2}
-            memory, work = part_memory(trainer), counted(trainer)
+            memory, work = part_memory(trainer), counted(trainer, side**2)
             for part, mb in memory.items():
-                ms = float(np.median([measured[part] for measured in times[anchors, side]]))
-                rows.append({"part": part, **about, "ms": ms, "mb": mb, **work})
+                taken = times_of([measured[part] for measured in times[anchors, side]])
+                amount = {"work": work.get(part, ""), "unit": UNITS.get(part, "")}
+                pairs = {"pairs": work["compositing"]}
+                rows.append({"part": part, **about, **taken.columns(), "mb": mb, **amount, **pairs})
     return rows
 
 
-def frame_rows(counts, repeats, progress):
-    """One pass of stage 4 over all frames: milliseconds, megabytes, bytes of the pictures."""
-    small = load_scene("bouncing", downscale=64 // SMALL)
-    progress("size: frames")
-    trainers = {frames: at_stage_4(blown_up(small, 2, frames), 100) for frames in counts}
-    passes = {
-        frames: lambda trainer=trainer: [trainer.step() for _ in trainer.scene.train]
-        for frames, trainer in trainers.items()
-    }
-    ms, rows = alternate(passes, repeats), []
-    for frames, trainer in trainers.items():
-        trainer.moments.clear()  # so that the memory of the pass includes them
-        rows.append(
-            {
-                "method": "one pass over the frames",
-                "knob": frames,
-                "frames": frames,
-                "ms": ms[frames],
-                "mb": memory_of(passes[frames]),
-                "picture_mb": sum(v.image.nbytes for v in trainer.scene.train) / 1e6,
-            }
-        )
-    return rows
+# --- the size of the paper's scenes --------------------------------------------------------------
+def hours(rows, goal):
+    """Rows of every part: its time per unit of work, and the hours of the paper's schedule.
+
+    The time per unit is that of the largest size. What a part does once in a step, whatever the
+    size, is counted as if it grew with the size, so the hours are rather too many.
+    """
+    ends, found = (0, *PAPER_SYNTHETIC.stage_ends), []
+    for part, unit in UNITS.items():
+        largest = max(select(rows, part=part), key=lambda row: row["work"])
+        steps = ends[4] - ends[FIRST_STAGE.get(part, 1) - 1]
+        total = goal[part] * steps / 3.6e6
+        row = {"part": part, "unit": unit, "work": goal[part], "steps": steps}
+        for end in ("", "_low", "_high"):
+            rate = largest[f"ms{end}"] / largest["work"]
+            row |= {f"ns_per_unit{end}": 1e6 * rate, f"hours{end}": rate * total}
+        found.append(row)
+    return found
 
 
-# --- growth --------------------------------------------------------------------------------------
-def growth(rows, what):
-    """[a, b, c] of what = e^a anchors^b pixels^c."""
-    positive = [row for row in rows if row[what] > 0]
-    sizes = [(row["anchors"], row["pixels"]) for row in positive]
-    return exponents(sizes, [row[what] for row in positive])
+def gigabytes(rows, goal):
+    """Memory of a step at the goal: a sum of non-negative multiples of the counted sizes."""
+    whole = select(rows, part="whole step")
+    sizes = [(1, row["anchors"], row["pixels"], row["pairs"]) for row in whole]
+    per_unit, _ = nnls(np.array(sizes, float), np.array([row["mb"] for row in whole]))
+    return per_unit @ [1, GOAL_ANCHORS, GOAL_SIDE**2, goal["compositing"]] / 1e3
 
 
-def fits(rows, what):
-    """{part: [a, b, c]} of every part."""
-    parts = dict.fromkeys(row["part"] for row in rows)
-    return {part: growth(select(rows, part=part), what) for part in parts}
-
-
-def frame_exponent(rows, what):
-    """The power of the number of frames with which a pass grows."""
-    return exponents([(row["frames"],) for row in rows], [row[what] for row in rows])[1]
-
-
-def at_goal(fit):
-    """A fit at the size of the paper's synthetic scenes."""
-    return float(np.exp(fit @ [1, np.log(GOAL_ANCHORS), np.log(GOAL_SIDE**2)]))
-
-
-def hours(rows):
-    """Hours of the paper's schedule at its size, by part, over the part's iterations."""
-    ends = (0, *PAPER_SYNTHETIC.stage_ends)
-    return {
-        part: at_goal(fit) * (ends[4] - ends[FIRST_STAGE.get(part, 1) - 1]) / 3.6e6
-        for part, fit in fits(rows, "ms").items()
-        if part != "whole step"
-    }
-
-
-def run(folder, quick, progress):
-    middle, side = (100, 64) if quick else (1000, 64)
-    anchors = (50, 200) if quick else (250, 500, 2000, 4000)
+def run(folder, quick, progress, jobs=1):
+    middle, side = (500, 64) if quick else (1000, 64)
+    anchors = (125, 2000) if quick else (250, 500, 2000, 4000)
     sides = (32, 128) if quick else (32, 128, 256)
     points = [(middle, side), *((A, side) for A in anchors), *((middle, s) for s in sides)]
     rounds = 3 if quick else 5
     rows = measure(points, rounds, progress)
-    frames = frame_rows((3, 6, 12) if quick else (4, 8, 16, 32), 3, progress)
-    by_part = [{"part": part, "hours": value} for part, value in hours(rows).items()]
+    progress("size: counting the work at the paper's size")
+    goal = work_at_goal()
+    by_part = hours(rows, goal)
     for name, what, label in (
-        ("size.png", "ms", "time of a step (ms)"),
+        ("size.png", "ms", "processor time of a step (ms)"),
         ("size_memory.png", "mb", "memory at its worst moment (MB)"),
     ):
         draw_parts(folder / name, rows, middle, side, what, label)
-    draw_frames(folder / "size_frames.png", frames)
     return Finding(
         "size",
         "Cost against size",
@@ -202,95 +237,61 @@ def run(folder, quick, progress):
         [
             (
                 "size.png",
-                "Time of every part of a training step over anchors and pixels, exponents in the "
-                "legend.",
+                "Processor time of every part of a training step over anchors and pixels.",
             ),
             ("size_memory.png", "Memory of every part of a training step."),
-            ("size_frames.png", "A pass over all frames."),
         ],
         [
             table(folder, "size", rows),
-            table(folder, "size_frames", frames),
             table(folder, "size_hours", by_part),
         ],
-        read(rows, frames),
-        f"median over {rounds} rounds through all sizes, one step each",
+        read(rows, by_part, gigabytes(rows, goal)),
+        f"median and quartiles over {rounds} rounds through all sizes, one step each",
+        stretch_of(rows),
     )
 
 
 def draw_parts(path, rows, middle, side, what, label):
     """Two panels: over anchors at one size of the picture, over pixels at one number of anchors."""
-    names = {
-        part: f"{part} ({one_decimal(b)}, {one_decimal(c)})"
-        for part, (_, b, c) in fits(rows, what).items()
-    }
     by_size = sorted(rows, key=lambda row: (row["anchors"], row["pixels"]))
-    shown = [{**row, "method": names[row["part"]]} for row in by_size]
+    shown = [{**row, "method": row["part"]} for row in by_size]
     over_anchors = Axes("anchors", what, f"anchors, {side}×{side} pixels", label)
     over_pixels = Axes("pixels", what, f"pixels, {middle} anchors", label)
     contents = [
         ("", select(shown, side=side), over_anchors),
         ("", select(shown, anchors=middle), over_pixels),
     ]
-    fig, panels = draw_panels(contents, (8, 6.2), sharey=True, label=False, order=names.values())
-    legend_below(
-        fig,
-        panels[0],
-        2,
-        title="fitted exponents in brackets: of anchors, of pixels",
-        title_fontsize=10,
-    )
+    fig, panels = draw_panels(contents, (8, 6.2), sharey=True, label=False)
+    legend_below(fig, panels[0], 4)
     finish(fig, path, "the paper's architecture with fewer anchors, a step of stage 4")
 
 
-def one_decimal(exponent):
-    """An exponent for a legend, zero without a sign."""
-    return f"{round(exponent, 1) + 0.0:.1f}"
-
-
-def draw_frames(path, rows):
-    contents = [
-        (f"exponent {frame_exponent(rows, what):.2f}", rows, Axes("frames", what, "frames", label))
-        for what, label in (("ms", "time (ms)"), ("mb", "memory (MB)"))
-    ]
-    fig, _ = draw_panels(contents, (8, 5))
-    finish(fig, path, "one pass over all frames, 64×64 pixels, 100 anchors")
-
-
-def hours_by_work(rows):
-    """Hours of compositing from its counted pairs alone, and how the pairs grow.
-
-    The fitted number of pairs is multiplied by the time of a pair at the largest measured size.
-    """
-    own = select(rows, part="compositing")
-    fit = growth(own, "pairs")
-    largest = max(own, key=lambda row: row["pairs"])
-    per_pair = largest["ms"] / largest["pairs"]
-    return at_goal(fit) * per_pair * PAPER_SYNTHETIC.iterations / 3.6e6, fit[1:]
-
-
-def read(rows, frames):
+def read(rows, by_part, memory):
     """What the numbers say."""
-    fit, per_part = fits(rows, "ms"), hours(rows)
-    gigabytes = at_goal(fits(rows, "mb")["whole step"]) / 1e3
-    order = sorted(per_part, key=per_part.get, reverse=True)
-    largest = [f"{part} {amount(per_part[part])}" for part in order[:3]]
-    by_pairs, (pairs_A, pairs_P) = hours_by_work(rows)
-    grown = [
-        f"{part} {fit[part][1]:.2f} and {fit[part][2]:.2f}"
-        for part in ("deformation", "compositing", "loss")
+    total, low, high = (sum(row[f"hours{end}"] for row in by_part) for end in ("", "_low", "_high"))
+    order = sorted(by_part, key=lambda row: -row["hours"])
+    rates = [
+        f"{row['part']} {number(row['ns_per_unit'])} ns for each of "
+        f"{number(row['work'])} {row['unit']}"
+        for row in order[:3]
     ]
+    largest = [f"{row['part']} {amount(row['hours'])}" for row in order[:3]]
+    answer = (
+        f"training takes about {amount(total)} hours of one core ({amount(low)} to {amount(high)} "
+        f"between the quartiles; {', '.join(largest)})"
+    )
+    if high - low > total:
+        answer = (
+            f"we cannot tell how long training takes: between {amount(low)} and {amount(high)} "
+            "hours of one core"
+        )
     return (
-        f"The time of a step grows with these powers of anchors and pixels: {', '.join(grown)}; "
-        f"the counted Gaussian–pixel pairs with {pairs_A:.2f} and {pairs_P:.2f}. A pass over the "
-        f"frames grows with the power {frame_exponent(frames, 'ms'):.2f} of their number. "
-        f"Extrapolated to the paper's synthetic scenes ({GOAL_SIDE}×{GOAL_SIDE} pixels, "
-        f"{GOAL_ANCHORS:,} anchors, {PAPER_SYNTHETIC.iterations:,} iterations), training takes "
-        f"{amount(sum(per_part.values()))} hours on one core ({', '.join(largest)}) and "
-        f"{gigabytes:.1f} GB: a plan for a port, not a promise. Extrapolated from its counted "
-        f"pairs alone, compositing would take {amount(by_pairs)} hours. The measurements reach "
-        f"{max(row['anchors'] for row in rows):,} anchors and {max(row['side'] for row in rows)} "
-        "pixels a side; the distance between the two estimates says how far to trust them."
+        f"One step at the size of the paper's synthetic scenes ({GOAL_SIDE}×{GOAL_SIDE} pixels, "
+        f"{GOAL_ANCHORS:,} anchors) has counted work, and its time follows from the times per unit "
+        f"at the largest sizes measured, {max(row['anchors'] for row in rows):,} anchors and "
+        f"{max(row['side'] for row in rows)} pixels a side: {'; '.join(rates)}. In "
+        f"{PAPER_SYNTHETIC.iterations:,} iterations {answer}. That is a plan for a port, not a "
+        f"promise. A step needs about {memory:.1f} GB."
     )
 
 

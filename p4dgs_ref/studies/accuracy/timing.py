@@ -1,4 +1,4 @@
-"""How times, work and growth are measured."""
+"""How work is counted, and the machine that times depend on."""
 
 import os
 import platform
@@ -7,29 +7,9 @@ import sys
 import numpy as np
 import scipy
 
-from ..bench import alternate as take_turns
 from ..bench import replaced
-from ..evaluate import timed
 
-LEAST_MS = 2.0  # a shorter function is called several times per turn, for the sake of the clock
-ROUND_MS = 300.0  # shorter rounds are repeated more often: other programs disturb them more
 SPECIAL = ("exp", "expm1", "log", "log1p", "ndtr", "log_ndtr", "erfcx")
-
-
-def alternate(functions, repeats):
-    """Median milliseconds of one call of each function, {name: ms}.
-
-    The functions are called in turn, after one call to warm up. `repeats` is the smallest number
-    of turns; short rounds take up to five times as many.
-    """
-    calls, spent = {}, 0.0
-    for name, function in functions.items():
-        function()
-        ms = 1e3 * timed(function)[1]
-        calls[name] = max(1, int(LEAST_MS / max(ms, 1e-3)))
-        spent += max(ms, LEAST_MS)
-    turns = repeats * min(5, max(1, round(ROUND_MS / spent)))
-    return take_turns(functions, turns, calls)
 
 
 class Counting:
@@ -61,16 +41,6 @@ def special_calls(module, function):
     with replaced(module, np=counting, **counted):
         function()
     return counting.elements
-
-
-def exponents(sizes, values):
-    """[a, b_0, b_1, ...] of value = e^a size_0^b_0 size_1^b_1 ..., fitted to logarithms.
-
-    `sizes` is (n, D), `values` is (n,), all positive.
-    """
-    logs = np.log(np.asarray(sizes, float))
-    columns = np.column_stack([np.ones(len(logs)), logs])
-    return np.linalg.lstsq(columns, np.log(values), rcond=None)[0]
 
 
 def processor():

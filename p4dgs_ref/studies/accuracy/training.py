@@ -5,6 +5,8 @@ that is rated, and the seed.
 """
 
 from contextlib import nullcontext
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,9 +14,12 @@ from ...equations import anchor_rate, hash_rate, likelihood, rate_loss
 from ...model import Context, split
 from ...scenes import load_scene
 from ...training import objective
+from ...training.presets import Preset
+from ..bench import replaced
+from ..clock import Times, alternate, can_tell, stated, stretch_of
+from ..jobs import in_processes
 from .diagram import Axes, Finding, at, select, table, work_precision
-from .fits import TEST_VIEWS, judge, reduced, sampled, train
-from .timing import replaced
+from .fits import TEST_VIEWS, judge, reduced, sampled, step_at, train
 
 SHARES = (1.0, 0.25, 0.05)  # of the anchors that an iteration rates; HAC rates 5 %
 
@@ -54,6 +59,8 @@ class SampledRate:
 
 def rated(share, seed=0):
     """A `with` block in which training rates only a share of the anchors in each iteration."""
+    if share == 1:
+        return nullcontext()
     rate, full = SampledRate(share, seed), objective.rate_backward
     return replaced(
         objective,
@@ -62,40 +69,82 @@ def rated(share, seed=0):
     )
 
 
+class Run(NamedTuple):
+    """One training: which knob has which value, and all that follows from it."""
+
+    method: str
+    knob: object
+    preset: Preset
+    share: float = 1.0
+    seed: int = 0
+
+
 def plan(quick):
-    """The preset of the common point, and [(method, knob, preset, share, seed)] of all runs."""
+    """The preset of the common point, and all runs."""
     base, seeds = (reduced(120), range(2)) if quick else (reduced(950), range(3))
     iterations = (60, 240) if quick else (240, 475, 1900, 3800)
     anchors, widths = ((100,), (32,)) if quick else ((50, 100, 400), (16, 32, 128, 192))
     return base, [
-        *(("seeds", seed, base, 1.0, seed) for seed in seeds),
-        *(("iterations", n, reduced(n), 1.0, 0) for n in iterations),
-        *(("anchors", A, base._replace(anchors=A), 1.0, 0) for A in anchors),
-        *(("deformation width", W, base._replace(deformation=(W, W)), 1.0, 0) for W in widths),
-        *(("anchors rated", share, base, share, 0) for share in SHARES[1:]),
+        *(Run("seeds", seed, base, seed=seed) for seed in seeds),
+        *(Run("iterations", n, reduced(n)) for n in iterations),
+        *(Run("anchors", A, base._replace(anchors=A)) for A in anchors),
+        *(Run("deformation width", W, base._replace(deformation=(W, W))) for W in widths),
+        *(Run("anchors rated", share, base, share) for share in SHARES[1:]),
     ]
 
 
-def measure(quick, progress):
+def train_one(run):
+    """The row of a run without its time, and the trainer's last state."""
+    scene = load_scene("bouncing")
+    with rated(run.share):
+        fit = train(scene, run.preset, run.seed, rated_share=run.share)
+    row = {
+        "method": run.method,
+        "knob": run.knob,
+        "iterations": run.preset.iterations,
+        "seed": run.seed,
+        "share": run.share,
+        **judge(fit.model, scene),
+        **fit.work,
+    }
+    return row, fit.state
+
+
+def seconds(runs, states):
+    """Columns of the processor seconds of every run.
+
+    Steps of all trained models, in every stage, are timed in turn; a stage takes as many of them as
+    it has iterations.
+    """
+    scene, steps = load_scene("bouncing"), {}
+    for i, (run, state) in enumerate(zip(runs, states)):
+        for stage in range(1, 5):
+            step = step_at(scene, run.preset, state, stage)
+            steps[i, stage] = partial(rated_step, run.share, step)
+    with np.errstate(all="ignore"):
+        times, found = alternate(steps, 5), []
+    for i, run in enumerate(runs):
+        lengths = np.diff([0, *run.preset.stage_ends]) / 1e3
+        total = lengths @ [times[i, stage][:3] for stage in range(1, 5)]
+        stretch = float(np.median([times[i, stage].stretch for stage in range(1, 5)]))
+        found.append(Times(*map(float, total), stretch).columns("seconds"))
+    return found
+
+
+def rated_step(share, step):
+    with rated(share):
+        step()
+
+
+def measure(quick, progress, jobs):
     """Rows of every run, with the common point in every line, and that point's iterations."""
-    scene, rows = load_scene("bouncing"), []
-    base, runs = plan(quick)
-    for method, knob, preset, share, seed in runs:
-        progress(f"training: {method} {knob}")
-        with rated(share) if share < 1 else nullcontext():
-            fit = train(scene, preset, seed, rated_share=share)
-        rows.append(
-            {
-                "method": method,
-                "knob": knob,
-                "iterations": preset.iterations,
-                "seed": seed,
-                "share": share,
-                "seconds": fit.seconds,
-                **judge(fit.model, scene),
-                **fit.work,
-            }
-        )
+    (base, runs), rows, states = plan(quick), [], []
+    for row, state in in_processes(train_one, runs, jobs):
+        rows.append(row)
+        states.append(state)
+        progress(f"training: {len(rows)} of {len(runs)} trainings")
+    progress("training: times of steps")
+    rows = [{**row, **times} for row, times in zip(rows, seconds(runs, states))]
     common = {
         "iterations": base.iterations,
         "anchors": base.anchors,
@@ -107,16 +156,16 @@ def measure(quick, progress):
     return sorted(rows, key=lambda row: (row["method"], row["knob"])), base.iterations
 
 
-def run(folder, quick, progress):
-    rows, middle = measure(quick, progress)
+def run(folder, quick, progress, jobs=1):
+    rows, middle = measure(quick, progress, jobs)
     title = f"`tiny` on `bouncing`, all lines meet at {middle} iterations\nreference: {TEST_VIEWS}"
     shown = [{**row, "knob": label(row)} for row in rows]
     for name, x, x_label in (
-        ("training", "seconds", "training (processor seconds)"),
+        ("training", "seconds", "training (processor seconds, median and quartiles)"),
         ("training_bytes", "bytes", "file (bytes)"),
     ):
         axes = Axes(x, "psnr_db", x_label, "PSNR of the test views (dB)", y_scale="linear")
-        work_precision(folder / f"{name}.png", shown, axes, title)
+        work_precision(folder / f"{name}.png", shown, axes, title, 3)
     return Finding(
         "training",
         "Training",
@@ -127,7 +176,8 @@ def run(folder, quick, progress):
         ],
         [table(folder, "training", rows)],
         read(rows),
-        "processor seconds of one training each, without the coder and the test views",
+        "processor seconds from steps of all trained models in all stages, timed in turn",
+        stretch_of(rows),
     )
 
 
@@ -149,17 +199,24 @@ def read(rows):
         low, *_, high = select(rows, method=method)
         changes.append(
             f"from {low['knob']} to {high['knob']} {unit}: {difference(high, low)}, "
-            f"{high['seconds'] / low['seconds']:.2g} times the seconds"
+            f"{instead(high, low)}"
         )
     few, *_, every = select(rows, method="anchors rated")
     return (
         f"{len(seeds)} seeds of the common point differ by up to {max(seeds) - min(seeds):.2f} dB, "
         f"which is the scale for the other changes: {'; '.join(changes)}. Rating "
         f"{100 * few['share']:g} % of the anchors instead of all evaluates Eq. (11) "
-        f"{few['rated_symbols']:,} instead of {every['rated_symbols']:,} times, takes "
-        f"{few['seconds']:.3g} s instead of {every['seconds']:.3g} s and changes the result by "
-        f"{difference(few, every)}."
+        f"{few['rated_symbols']:,} instead of {every['rated_symbols']:,} times and changes "
+        f"the result by {difference(few, every)}, {instead(few, every)}."
     )
+
+
+def instead(row, other):
+    """The times of two trainings in words."""
+    times = stated(row, "seconds"), stated(other, "seconds")
+    if can_tell(row, other, "seconds"):
+        return f"{times[0]} instead of {times[1]}"
+    return f"and we cannot tell whether it takes longer: {times[0]} and {times[1]}"
 
 
 def difference(row, other):

@@ -1,0 +1,111 @@
+"""Processor times taken in turns, their spread, and what may be said about them.
+
+The processor's clock of a process stands still while other programs run. They still share caches
+and frequency with it, so a time is given with its quartiles, and where the wall clock runs clearly
+ahead of the processor's, the measurement was disturbed.
+"""
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+LEAST_MS = 2.0  # a shorter function is called several times per turn, for the sake of the clock
+ROUND_MS = 300.0  # shorter rounds are repeated more often: other programs disturb them more
+DISTURBED = 1.1  # the wall clock's seconds over the processor's
+
+
+def clocks():
+    """Seconds of the processor and of the wall clock [2]."""
+    return np.array([time.process_time(), time.perf_counter()])
+
+
+def clocked(function, *args, **kwargs):
+    """The result of a function, and the seconds [2] that it took on both clocks."""
+    start = clocks()
+    result = function(*args, **kwargs)
+    return result, clocks() - start
+
+
+class Times(NamedTuple):
+    """Milliseconds of processor time over several turns, and the wall clock's ratio to them."""
+
+    median: float
+    low: float  # the first quartile
+    high: float  # the third quartile
+    stretch: float  # wall clock over processor
+
+    def columns(self, unit="ms", factor=1.0):
+        """The columns of a table: {unit, unit_low, unit_high, stretch}."""
+        median, low, high = (factor * ms for ms in self[:3])
+        return {unit: median, f"{unit}_low": low, f"{unit}_high": high, "stretch": self.stretch}
+
+
+def times_of(turns):
+    """The Times of turns [n, 2], in seconds of both clocks."""
+    processor, wall = 1e3 * np.array(turns).T
+    low, median, high = np.percentile(processor, (25, 50, 75))
+    return Times(float(median), float(low), float(high), float(wall.sum() / processor.sum()))
+
+
+def alternate(functions, repeats):
+    """The Times of one call of each function, {name: Times}.
+
+    The functions are called in turn, so that a disturbance meets all of them, after one call to
+    warm up. `repeats` is the smallest number of turns; short rounds take up to five times as many.
+    """
+    calls, spent = {}, 0.0
+    for name, function in functions.items():
+        function()
+        ms = 1e3 * clocked(function)[1][0]
+        calls[name] = max(1, int(LEAST_MS / max(ms, 1e-3)))
+        spent += max(ms, LEAST_MS)
+    turns = {name: [] for name in functions}
+    for _ in range(repeats * min(5, max(1, round(ROUND_MS / spent)))):
+        for name, function in functions.items():
+            _, seconds = clocked(lambda: [function() for _ in range(calls[name])])
+            turns[name].append(seconds / calls[name])
+    return {name: times_of(seconds) for name, seconds in turns.items()}
+
+
+# --- sentences -----------------------------------------------------------------------------------
+def stated(row, unit="ms"):
+    """A time of a row with its quartiles: `5.9 ms (5.7 to 6.2)`."""
+    return f"{row[unit]:.3g} {unit} ({row[f'{unit}_low']:.3g} to {row[f'{unit}_high']:.3g})"
+
+
+def how_long(ratio):
+    """A ratio of two times in words."""
+    if 0.95 < ratio < 1.05:
+        return "as long"
+    return f"{ratio:.2g} times as long" if ratio > 1 else f"{100 * ratio:.0f} % of the time"
+
+
+def can_tell(row, other, unit="ms"):
+    """Whether two times differ by more than the wider of their ranges between quartiles."""
+    spread = max(r[f"{unit}_high"] - r[f"{unit}_low"] for r in (row, other))
+    return abs(row[unit] - other[unit]) > spread
+
+
+def compare(name, row, other_name, other, unit="ms"):
+    """A sentence about two measured times, which says so where they cannot be told apart."""
+    taken = f"{name} takes {stated(row, unit)} and {other_name} {stated(other, unit)}"
+    if not can_tell(row, other, unit):
+        return f"We cannot tell: {taken}, and the spread is as large as the difference."
+    return f"{taken[0].upper()}{taken[1:]}; that is {how_long(row[unit] / other[unit])}."
+
+
+def stretch_of(rows):
+    """The ratio of the wall clock to the processor's in the middle of some measurements."""
+    return float(np.median([row["stretch"] for row in rows]))
+
+
+def disturbance(stretch):
+    """A sentence where other programs disturbed the measurement, else nothing."""
+    if stretch <= DISTURBED:
+        return ""
+    return (
+        f"Disturbed: the wall clock ran {stretch:.2g} times as fast as the processor's, so "
+        "other programs took turns with the measurement. Processor times leave out their turns, "
+        "but not what they do to caches and frequency."
+    )

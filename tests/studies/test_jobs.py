@@ -1,0 +1,54 @@
+"""Trainings in two processes: the same results as in one, and no process is left behind."""
+
+import multiprocessing
+import os
+import time
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.studies.accuracy import training
+from p4dgs_ref.studies.accuracy.fits import reduced
+from p4dgs_ref.studies.jobs import in_processes
+
+SHORT = reduced(12, anchors=20)
+
+
+def place(seconds):
+    """A task that takes some time and says where it ran."""
+    time.sleep(seconds)
+    return seconds, os.getpid()
+
+
+def refuse(task):
+    raise LookupError(f"task {task}")
+
+
+def test_two_processes_train_what_one_trains():
+    runs = [training.Run("seeds", seed, SHORT, seed=seed) for seed in range(2)]
+    runs.append(training.Run("anchors rated", 0.5, SHORT, 0.5))
+    alone, together = (list(in_processes(training.train_one, runs, jobs)) for jobs in (1, 2))
+    assert [row for row, _ in alone] == [row for row, _ in together]
+    assert alone[0][0]["psnr_db"] != alone[1][0]["psnr_db"]
+    for (_, one), (_, other) in zip(alone, together, strict=True):
+        assert one[1] == other[1] and list(one[0]) == list(other[0])
+        assert all(np.array_equal(one[0][name], other[0][name]) for name in one[0])
+
+
+def test_results_keep_the_order_of_their_tasks():
+    found = list(in_processes(place, [0.3, 0.0, 0.1], 2))
+    assert [seconds for seconds, _ in found] == [0.3, 0.0, 0.1]
+    assert os.getpid() not in {process for _, process in found}
+    assert {process for _, process in in_processes(place, [0.0, 0.0], 1)} == {os.getpid()}
+
+
+def test_no_process_is_left_behind():
+    before = set(multiprocessing.active_children())
+    results, start = in_processes(place, [0.0, 300.0, 300.0], 2), time.monotonic()
+    assert next(results)[0] == 0.0
+    assert set(multiprocessing.active_children()) - before
+    results.close()  # as Ctrl-C does
+    with pytest.raises(LookupError, match="task 7"):
+        list(in_processes(refuse, [7, 8], 2))
+    assert set(multiprocessing.active_children()) <= before
+    assert time.monotonic() - start < 150
