@@ -126,7 +126,8 @@ def gaussian_model(mu_units, sigma_units):
     sigma_units, place = (pairs >> MU_BITS) + SIGMA_MIN, pairs & (1 << MU_BITS) - 1
     _, _, low, reach = shape_of(sigma_units)
     keys, first = build_keys(sigma_units, place)
-    table_of_pair = np.cumsum(used, dtype=np.int32) - 1
+    table_of_pair = np.empty(len(used), np.int32)
+    table_of_pair[pairs] = np.arange(len(pairs))
     for a in range(0, len(pair), CHUNK):  # in place: from here on a pair is the number of its table
         pair[a : a + CHUNK] = table_of_pair[pair[a : a + CHUNK]]
     return Model(keys, first, 2 * reach + 1, low, pair, lowest)
@@ -167,14 +168,15 @@ def keys_of(sigma_units, place):
     entries = 2 * reach + 2
     table = np.repeat(np.arange(len(entries)), entries)
     j = np.arange(len(table)) - (np.cumsum(entries) - entries)[table]
-    lowest = (place + HALF >> MU_BITS + low) - reach
-    # |K 2^(10+low) - 512 - mu'| <= 195 * 2^25 < 2^33, times exp2 <= 2^16: below 2^49
-    distance = (j + lowest[table] << (MU_BITS + low)[table]) - (HALF + place)[table]
-    scale = exp2[sigma_units & (1 << SIGMA_BITS) - 1]
-    z = distance * scale[table] >> (EXP2_BITS + MU_BITS - Z_BITS + e)[table]
+    unit, scale = MU_BITS + low, exp2[sigma_units & (1 << SIGMA_BITS) - 1]
+    lowest = (place + HALF >> unit) - reach
+    # |K 2^(10+low) - 512 - mu'| <= 195 * 2^25 < 2^33, times exp2 <= 2^16: below 2^49. It is linear
+    # in j, so everything but j is computed once for a table.
+    below_first, step = ((lowest << unit) - (HALF + place)) * scale, scale << unit
+    z = below_first[table] + j * step[table] >> (EXP2_BITS + MU_BITS - Z_BITS + e)[table]
     z = np.clip(z, -Z_LIMIT, Z_LIMIT - 1) + Z_LIMIT
     i, r = z >> Z_BITS - PHI_BITS, z & (1 << Z_BITS - PHI_BITS) - 1
-    C = phi[i] + ((phi[i + 1] - phi[i]) * r >> Z_BITS - PHI_BITS)
+    C = phi[i] + (np.diff(phi)[i] * r >> Z_BITS - PHI_BITS)
     # entries = n + 1, and the product stays below 2^48
     cum = (C * ((1 << PRECISION) - entries)[table] >> PRECISION) + j
     return (table << PRECISION) + cum

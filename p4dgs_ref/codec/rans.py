@@ -70,6 +70,7 @@ probabilities 3/4 and 1/4. The message 0 1 0 is pushed from its last symbol on: 
 """
 
 from bisect import bisect_right
+from itertools import chain
 
 import numpy as np
 
@@ -77,7 +78,7 @@ from .container import BitstreamError, require
 from .fixed_point import bit_length
 
 PRECISION, WORD, LOWEST = 24, 32, 1 << 31
-SLOT, LOW_WORD = (1 << PRECISION) - 1, (1 << WORD) - 1
+CERTAIN, SLOT, LOW_WORD = 1 << PRECISION, (1 << PRECISION) - 1, (1 << WORD) - 1
 MAX_LANES, MIN_LANES, BITS_PER_LANE = 1024, 32, 5000
 PIECE = 8192  # numbers converted to Python integers at a time
 
@@ -118,17 +119,19 @@ def choose_lanes(freqs):
 
 def push_tail(starts, freqs, lanes):
     """Step 1 in lane 0: its state, the stack, and how many symbols are left for the rows."""
-    x, words, left = LOWEST, [], len(starts)
-    for start, freq in zip(backwards(starts), backwards(freqs)):
+    x, words = LOWEST, []
+    left_and_symbols = zip(range(len(starts), 0, -1), backwards(starts), backwards(freqs))
+    for left, start, freq in left_and_symbols:
         # Starting a lane takes 31 bits, so as many words as lanes suffice.
         if lanes > 1 and left % lanes == 0 and len(words) >= lanes:
             break
         if x >= freq << 39:
             words.append(x & LOW_WORD)
             x >>= WORD
-        high, low = divmod(x, freq)
-        x = (high << PRECISION) + low + start
-        left -= 1
+        # x + floor(x / freq) (2^24 - freq) = floor(x / freq) 2^24 + x mod freq
+        x += x // freq * (CERTAIN - freq) + start
+    else:
+        left = 0
     if lanes > 1 and (left % lanes or len(words) < lanes):
         raise ValueError(f"{len(starts)} symbols are too short a message for {lanes} lanes")
     return x, words, left
@@ -136,8 +139,8 @@ def push_tail(starts, freqs, lanes):
 
 def backwards(values):
     """The Python integers of an array from its end, converted piece by piece to save memory."""
-    for end in range(len(values), 0, -PIECE):
-        yield from reversed(values[max(end - PIECE, 0) : end].tolist())
+    ends = range(len(values), 0, -PIECE)
+    return chain.from_iterable(values[max(end - PIECE, 0) : end].tolist()[::-1] for end in ends)
 
 
 def push_bits(x, b, v, words):
@@ -288,7 +291,8 @@ def end_lanes(states, words):
 
 def pop_tail(x, words, tables, keys, entries):
     """Step 1 of the decoder: fills `entries`, returns the state of lane 0 and the words left."""
-    edges = keys.tolist()
+    # Lists are faster to read than arrays, but take time to make.
+    edges = keys.tolist() if len(keys) < 4 * len(tables) else memoryview(keys)
     first = keys.searchsorted(np.arange((int(keys[-1]) >> PRECISION) + 1) << PRECISION)
     for a in range(0, len(tables), PIECE):
         stack, found = words[:PIECE][::-1].tolist(), []  # a symbol takes one word at most
