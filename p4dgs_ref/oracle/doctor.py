@@ -28,6 +28,7 @@ CLOSER = (
     16  # a wrong answer must be so many times closer to the mistake's answer than that is wrong
 )
 HUGE = np.finfo(np.float32).max
+MOST = 0.6  # of the failing cases agree with a hint
 ROLES = {"outputs": "out", "gradients": "in_bar"}
 # Mistakes that need no stored answers: the right values times a factor.
 FACTORS = {0: "is zero", -1: "has the wrong sign", 2: "is doubled", 0.5: "is halved"}
@@ -103,9 +104,10 @@ def diagnose(subject, answers):
         explained += [row for row in _best(parts[0]) if row.mistake.id not in named]
     if explained:
         return explained
-    hints = [row for row in whole if 2 * len(row.cases) > row.failed]
+    hints = [row for row in whole if len(row.cases) >= MOST * row.failed]
     hints.sort(key=lambda row: len(row.cases), reverse=True)
-    hints += [row for rows in parts for row in _best(rows)]
+    named = {row.mistake.id for row in hints}
+    hints += [row for rows in parts for row in _best(rows) if row.mistake.id not in named]
     return [row._replace(certain=False) for row in hints]
 
 
