@@ -106,7 +106,10 @@ def attribute_columns(design):
 
 
 def sections_of(quantised):
-    """The sections {name: bytes} of a quantised model."""
+    """The sections {name: bytes} of a quantised model.
+
+    Raises EncodeError for a model that decoders refuse because it would cost them too much time.
+    """
     model, ctx = quantised.model, quantised.context
     box = np.concatenate(model.box).astype("<f4").tobytes()
     signs = np.concatenate([grid.ravel() for grid in model.grids])
@@ -124,6 +127,10 @@ def sections_of(quantised):
         numbers = network_numbers(model.networks, members)
         if numbers.size:
             sections[name] = numbers.astype("<f2").tobytes()
+    try:
+        check_work(model.design, len(model.anchors.mask), size_of(sections))
+    except BitstreamError as error:
+        raise EncodeError(f"design: {error.message}") from None
     return sections
 
 
@@ -139,13 +146,7 @@ def encode(model: Model) -> bytes:
 
     Raises EncodeError or OverflowError for a number that the format cannot hold.
     """
-    quantised = quantise(model)
-    sections = sections_of(quantised)
-    try:
-        check_work(quantised.model.design, len(quantised.positions), size_of(sections))
-    except BitstreamError as error:
-        raise EncodeError(f"design: {error.message}") from None
-    return write_container(sections)
+    return write_container(sections_of(quantise(model)))
 
 
 def decode(data: bytes) -> Model:

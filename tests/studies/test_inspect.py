@@ -1,6 +1,7 @@
 """The size ledger, the heat picture, and the format page."""
 
 import dataclasses
+import json
 import re
 import subprocess
 import sys
@@ -9,11 +10,12 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.codec import container, file
+from p4dgs_ref.codec import container, file, published
 from p4dgs_ref.codec.__main__ import page
 from p4dgs_ref.codec.container import SECTIONS, layout, read_container
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.fixed_point import table
+from p4dgs_ref.equations import grid_nodes
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.studies.heat import heat_image
@@ -116,6 +118,24 @@ def test_the_format_page_lists_sections_in_the_order_of_the_file():
     assert rows == [(str(number), name) for number, name in enumerate(SECTIONS, 1)]
     ids = re.findall(r"\b(\d+) (" + "|".join(SECTIONS) + r")\b", container.__doc__)
     assert ids == rows
+
+
+def test_the_format_page_has_what_a_decoder_needs_and_leaves_out_the_rest():
+    words = " ".join(page().split())
+    # the vocabulary of errors, and where the expected numbers stand
+    assert published.__doc__.strip() in page()
+    for row in json.loads((published.FOLDER / "manifest.json").read_text())["bad"]:
+        assert row["kind"] in words.split("`kind` is one of")[1].split("Types are")[0]
+    for sentence in (
+        "The tail must have taken every word that step 2 put on the stack.",
+        "The header promises at most 2^22 + 2^4 n numbers.",
+        "All anchors together need at most 2^34 + 2^15 n multiplications.",
+        "the largest coordinate is the float32 below it, 9.999999394896025e29",
+        "Encoding a decoded model gives the same bytes if this encoder wrote the file.",
+    ):
+        assert sentence in words
+    assert float(np.nextafter(np.float32(1e30), np.float32(0))) == 9.999999394896025e29
+    assert grid_nodes.__doc__.strip() not in page() and "grid_nodes" not in words
 
 
 def test_python_m_codec_prints_the_page():
