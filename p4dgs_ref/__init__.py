@@ -1,14 +1,15 @@
 """P-4DGS in NumPy: the paper equation by equation, trained, compressed to bytes, decoded, rendered.
 
     import p4dgs_ref as p4
+    p4.prepare()
     scene = p4.load_scene("bouncing")
     model = p4.train(scene, preset="tiny", seed=0)
     data = p4.encode(model)
     view = scene.test[0]
     image = p4.decode(data).render(view.camera, view.time)
 
-Each name is imported when it is first used. A program can therefore set the number of BLAS threads
-after importing this package and before NumPy loads.
+Each name is imported when it is first used. A program can therefore call `prepare` after importing
+this package and before NumPy loads.
 """
 
 from importlib import import_module
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from . import oracle
+    from .__main__ import prepare
     from .codec.container import BitstreamError
     from .codec.file import decode, encode
     from .model import Model
@@ -51,6 +53,7 @@ __all__ = [
     "look_at",
     "main_job",
     "oracle",
+    "prepare",
     "simulate",
     "train",
 ]
@@ -71,6 +74,7 @@ _HOME = {
     "load_scene": "scenes.dnerf",
     "look_at": "splatting.camera",
     "main_job": "studies.main_job",
+    "prepare": "__main__",
     "simulate": "scenes.simulator.simulate",
     "train": "training.fit",
 }

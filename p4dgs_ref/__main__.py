@@ -8,7 +8,7 @@ import time
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # the names of glibc in malloc.h
 
 
-def prepare():
+def prepare() -> None:
     """Set the number of BLAS threads and tune the allocator, before NumPy is imported.
 
     The matrix products here are thin: a second BLAS thread gains nothing and costs waiting. glibc

@@ -5,6 +5,7 @@ import math
 import os
 import shlex
 import sys
+import warnings
 from pathlib import Path
 
 from .. import __version__
@@ -423,6 +424,11 @@ def how_to_resume(argv, arguments):
     return f"; the last checkpoint is kept, go on with: {shlex.join(['p4dgs-ref', *again])}"
 
 
+def show_warning(message, *place):
+    """Print a warning as one line; the place in the code means nothing to a user."""
+    print(f"p4dgs-ref: warning: {message}", file=sys.stderr)
+
+
 def run(argv, start):
     """Parse and run a command; returns the exit code.
 
@@ -439,7 +445,9 @@ def run(argv, start):
         return code
 
     try:
-        return arguments.function(arguments) or 0
+        with warnings.catch_warnings():
+            warnings.showwarning = show_warning
+            return arguments.function(arguments) or 0
     except KeyboardInterrupt:
         return fail(130, f"stopped{how_to_resume(argv, arguments)}")
     except user_errors() as error:

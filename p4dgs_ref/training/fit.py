@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..model import Model
 from ..scenes.scene import Scene
 from ..splatting.settings import FAST, Settings
-from . import checkpoint
+from . import advice, checkpoint
 from .initial import design_of
 from .parameters import Parameters
 from .presets import Preset, choose
@@ -44,7 +44,8 @@ def train(
 
     Raises ValueError for an unknown preset, field or value, RunError for a checkpoint that does not
     fit, and NotFinite with the first equation, array and index that is NaN or infinite. Ctrl-C
-    raises KeyboardInterrupt after the current iteration, a second one at once.
+    raises KeyboardInterrupt after the current iteration, a second one at once. Warns of a scene
+    with few training views, and of a result that is hardly better than a picture of one colour.
     """
     return fit(
         scene, preset, seed, settings, points, folder, resume, stream, save_every, **changes
@@ -67,6 +68,7 @@ def fit(
     chosen = choose(preset, changes)
     if not (isinstance(seed, int) and seed >= 0):
         raise ValueError(f"seed {seed!r}: expected an integer of at least 0")
+    advice.warn_of_few_views(scene)
     # Non-finite values are found and named; NumPy's warnings would say the same less clearly.
     with np.errstate(all="ignore"):
         trainer, progress = Trainer(scene, chosen, seed, settings, points), Progress(stream)
@@ -84,6 +86,7 @@ def fit(
             finally:
                 progress.close()
             keep(trainer)
+        advice.warn_of_failure(trainer)
     return trainer
 
 

@@ -49,6 +49,8 @@ class Preset(NamedTuple):
     # stages and loss
     stage_ends: tuple[int, ...] = (3000, 5000, 10_000, 40_000)
     lambda_ssim: float = 0.2
+    sparse_share: float = 0.0  # of pixels unlike the background; a scene with less is sparse (Q13)
+    sparse_ssim: float = 0.2  # lambda_ssim of a sparse scene in stages 1 and 2
     lambda_volume: float = 0.0  # 0.01 in Scaffold-GS; not in the paper (Q25)
     # learning rates: first and last, geometric over all iterations from `decay_from` on
     decay_from: int = 0
@@ -103,6 +105,7 @@ SOURCES = {
     **dict.fromkeys(("opacity_bias", "upright", "deformation_gain"), "off, as the parents (Q28)"),
     "lambda_rate": "HAC (Q12)",
     "lambda_ssim": "3DGS (Q13)",
+    **dict.fromkeys(("sparse_share", "sparse_ssim"), "off, as the paper (Q13)"),
     "lambda_volume": "off, as the paper (Q25)",
     "decay_from": "ours (Q17)",
     "lr_x": "Scaffold-GS (Q14)",
@@ -152,6 +155,8 @@ TINY = Preset(
     Q_l=0.01,
     Q_O=0.1,
     stage_ends=(200, 300, 1800, 3800),
+    sparse_share=0.1,
+    sparse_ssim=0.6,
     decay_from=300,
     lr_x=(0.002, 2e-4),
     lr_f=(0.015, 1.5e-3),
@@ -258,6 +263,7 @@ REQUIREMENTS = {
     "Q_O": STEP,
     "tau_alpha": between(0, 1),  # a file may hold less, but negative opacities are not rendered
     "lambda_ssim": between(0, 1),
+    "sparse_ssim": between(0, 1),
     "stage_ends": ("four rising iterations", is_rising),
     "grow": ("scaffold, reseed or off", lambda value: value in ("scaffold", "reseed", "off")),
     "grow_every": POSITIVE,

@@ -1,6 +1,7 @@
 """The four stages of training: one view an iteration, Adam, density control, a state to save."""
 
 import time
+from functools import cached_property
 
 import numpy as np
 
@@ -34,6 +35,14 @@ FIRST_STAGE = {"psi_d": 3, "psi_t": 3, "psi_p": 4, "psi_q": 4, "grid": 4}
 
 
 MOST_MOMENTS = 2**28  # bytes of moments for SSIM that are kept: 682 views of 64x64, 4 of 800x800
+
+
+UNLIKE = 0.1  # difference of a channel from which on a pixel is unlike the background
+
+
+def covered_share(image):
+    """The share of the pixels of an image [H, W, 3] that are unlike its median colour."""
+    return np.mean(np.abs(image - np.median(image, axis=(0, 1))).max(axis=2) > UNLIKE)
 
 
 def held_bytes(moments):
@@ -89,6 +98,17 @@ class Trainer:
         self.networks = {name: parameters.network(name) for name in self.design.layers()}
         self.grids = parameters.listed("grid")
 
+    @cached_property
+    def sparse(self):
+        """Whether so few pixels are unlike the background that L1 alone would miss them (Q13).
+
+        In stages 1 and 2 nothing moves, and L1 pulls every pixel to its median over time. Where a
+        thin body moves, that is the background: colours and scales saturate on the way to it, and
+        their gradients vanish for good. SSIM does not have this minimum.
+        """
+        shares = [covered_share(view.image) for view in self.scene.train]
+        return np.mean(shares) < self.preset.sparse_share
+
     @property
     def stage(self):
         """The stage, 1 to 4, of the next iteration."""
@@ -133,7 +153,7 @@ class Trainer:
             noisy=stage >= 2,
             moving=stage >= 3,
             lambda_rate=preset.lambda_rate,
-            lambda_ssim=preset.lambda_ssim,
+            lambda_ssim=preset.sparse_ssim if stage <= 2 and self.sparse else preset.lambda_ssim,
             lambda_volume=preset.lambda_volume,
             settings=self.settings,
         )

@@ -1,5 +1,9 @@
 """Training: presets, Adam, learning rates, stages, positions, and where a NaN came from."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -370,3 +374,15 @@ def test_held_bytes_count_whole_arrays():
     """An array that is a view keeps all of its base in memory."""
     truth = np.zeros((20, 30, 3))
     assert trainer_module.held_bytes(ssim.moments(truth)) == 4 * truth.nbytes
+
+
+def test_prepare_comes_before_numpy():
+    """From Python it sets one BLAS thread, and leaves a number that the user has set."""
+    program = (
+        "import os, sys, p4dgs_ref as p4; p4.prepare(); assert 'numpy' not in sys.modules; "
+        "print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    others = {name: a for name, a in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    for environment, threads in ((others, "1"), ({**others, "OPENBLAS_NUM_THREADS": "3"}, "3")):
+        command = [sys.executable, "-c", program]
+        assert subprocess.check_output(command, env=environment, text=True).strip() == threads

@@ -1,0 +1,100 @@
+"""Warnings about trainings that cannot learn or did not, and how sparse scenes are trained."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import p4dgs_ref as p4
+from p4dgs_ref.cli import parser as cli
+from p4dgs_ref.cli import text
+from p4dgs_ref.training import advice
+from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
+from p4dgs_ref.training.trainer import Trainer, covered_share
+
+
+def scene(count, thick=2, color=(0.2, 0.3, 0.4)):
+    """Views of a vertical bar of some pixels on white."""
+    image = np.ones((12, 16, 3))
+    image[:, 7 : 7 + thick] = color
+    angles = np.linspace(0, 3, count)
+    cameras = [
+        p4.look_at((3 * np.cos(a), 3 * np.sin(a), 1), (0, 0, 0), 20, 20, 16, 12) for a in angles
+    ]
+    return p4.Scene.from_arrays([image] * count, cameras, list(np.linspace(0, 1, count)))
+
+
+def messages(function, *args, **kwargs):
+    """The texts of the warnings that a call gives."""
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        function(*args, **kwargs)
+    return [str(warning.message) for warning in seen]
+
+
+def test_few_views_are_warned_of_in_one_line():
+    few, enough = scene(advice.FEW_VIEWS - 1), scene(advice.FEW_VIEWS)
+    told = messages(advice.warn_of_few_views, few)
+    assert len(told) == 1 and f"{advice.FEW_VIEWS - 1} training views" in told[0]
+    assert "\n" not in told[0] and not messages(advice.warn_of_few_views, enough)
+
+
+class Flat:
+    """A model that draws pictures of one colour, or the truth as a share of it says."""
+
+    def __init__(self, scene, share):
+        self.scene, self.share, self.settings = scene, share, None
+        image = scene.train[0].image
+        self.image = image * share + image.mean(axis=(0, 1)) * (1 - share)
+
+    def model(self):
+        return self
+
+    def render(self, camera, t, settings):
+        return self.image
+
+
+@pytest.mark.parametrize("share, is_warned", [(0, True), (0.1, True), (0.12, False), (1, False)])
+def test_a_result_within_1_db_of_one_colour_is_warned_of(share, is_warned):
+    """With this share of the truth, the error shrinks by the factor (1 - share)**2."""
+    told = messages(advice.warn_of_failure, Flat(scene(4), share))
+    assert len(told) == is_warned and not any("\n" in line for line in told)
+    if is_warned:
+        flat = -10 * np.log10(np.mean((scene(4).train[0].image - Flat(scene(4), 0).image) ** 2))
+        assert f"one colour {flat:.2f} dB" in told[0] and "try " in told[0]
+
+
+def test_a_scene_of_one_colour_is_not_warned_of():
+    assert not messages(advice.warn_of_failure, Flat(scene(3, thick=0), 0))
+
+
+def test_training_warns_before_and_after():
+    told = messages(p4.train, scene(5), "smoke", stage_ends=(1, 2, 3, 4))
+    assert len(told) == 2 and "training views" in told[0] and "one colour" in told[1]
+
+
+def test_the_command_line_prints_a_warning_as_one_line(capsys, monkeypatch):
+    monkeypatch.setattr(text, "presets", lambda *args: warnings.warn("the views are few"))
+    assert cli.run(["presets"], 0.0) == 0
+    assert capsys.readouterr().err == "p4dgs-ref: warning: the views are few\n"
+
+
+# --- sparse scenes ---
+def test_covered_share_is_that_of_the_smaller_part():
+    image = np.zeros((10, 10, 3))
+    image[:, :3] = (0, 0.2, 0)
+    image[0, 9] = (0.05, 0.05, 0.05)
+    assert covered_share(image) == 0.3
+
+
+def test_a_sparse_scene_starts_with_more_ssim():
+    """One of sixteen columns is less than a tenth, two are more; from stage 3 on all are equal."""
+    weights = {}
+    for thick in (1, 2):
+        for preset in (TINY, PAPER_SYNTHETIC._replace(anchors=50)):
+            trainer = Trainer(scene(3, thick), preset)
+            weights[thick, preset.name] = []
+            for trainer.iteration in (0, *preset.stage_ends[:3]):
+                weights[thick, preset.name].append(trainer.fixed().lambda_ssim)
+    assert weights[1, "tiny"] == [0.6, 0.6, 0.2, 0.2]
+    assert weights[2, "tiny"] == weights[1, "paper_synthetic"] == [0.2] * 4
