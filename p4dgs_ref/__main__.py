@@ -1,6 +1,5 @@
 """`python -m p4dgs_ref` and `p4dgs-ref`: settings that precede NumPy, then the command line."""
 
-import ctypes
 import os
 import sys
 import time
@@ -18,20 +17,29 @@ def prepare() -> None:
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     try:
+        import ctypes
+
         mallopt = ctypes.CDLL(None).mallopt
         mallopt(M_MMAP_THRESHOLD, 1 << 30)
         mallopt(M_TRIM_THRESHOLD, 2**31 - 1)
-    except (OSError, AttributeError):
+    except (ImportError, OSError, AttributeError):
         pass  # another C library: the page faults cost time, nothing else changes
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command line and return the exit code."""
+    """Run the command line and return the exit code; SIGTERM is treated as Ctrl-C."""
     start = time.perf_counter()
-    prepare()
-    from .cli.parser import run
+    try:
+        from .signals import handled, interrupt
 
-    return run(sys.argv[1:] if argv is None else argv, start)
+        with handled(interrupt):
+            prepare()
+            from .cli.parser import run
+
+            return run(sys.argv[1:] if argv is None else argv, start)
+    except KeyboardInterrupt:  # before or after what `run` takes care of
+        print("p4dgs-ref: stopped", file=sys.stderr)
+        return 130
 
 
 if __name__ == "__main__":

@@ -35,6 +35,7 @@ from .splatting.settings import FAST, Settings
 ANCHOR_NETWORKS = ("psi_alpha", "psi_c", "psi_r", "psi_s")
 CONTEXT_NETWORKS = ("psi_p", "psi_q")
 LATTICE = 2**16 - 1  # positions have 16 bits per axis over the bounding box (Q14)
+MOST_NUMBERS = 2**25  # of a model: a file may not declare more
 GROUPS = ("f", "s", "l", "O")  # attribute groups in coding order, one step q each (Q6)
 
 
@@ -95,6 +96,16 @@ class Design(NamedTuple):
             if self.time_net:
                 layers["psi_t"] = [*zip(time[:-1], time[1:])]
         return layers
+
+
+def declared_numbers(design, anchors):
+    """How many numbers a model has: {"anchors": ..., "grid": ..., "networks": ...}."""
+    layers = [layer for network in design.layers().values() for layer in network]
+    return {
+        "anchors": anchors * (3 + sum(design.widths) + design.k),
+        "grid": sum(T * F for T, F in design.levels()),
+        "networks": sum((rows + 1) * columns for rows, columns in layers),
+    }
 
 
 class Anchors(NamedTuple):

@@ -21,6 +21,7 @@ WIDTH = 100
 
 # A room imports itself and the rooms before it.
 ORDER = (
+    "signals",
     "equations",
     "splatting",
     "table",

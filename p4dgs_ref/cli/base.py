@@ -11,6 +11,8 @@ import sys
 import time
 from contextlib import AbstractContextManager, nullcontext
 
+LONGEST = 2000  # characters of a message
+
 
 class UsageError(ValueError):
     """A mistake on the command line: one line naming the option or file and what was expected."""
@@ -23,13 +25,26 @@ def require_known(option, names, known):
             raise UsageError(f"{option} {name}: expected one of {', '.join(known)}")
 
 
+def visible(text, kept=""):
+    """The text with every character that a terminal would obey or cannot show as its escape."""
+    return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in str(text))
+
+
+def say(message):
+    """Print a message on stderr as one line; the middle of a very long one is left out."""
+    line = visible(message)
+    if len(line) > LONGEST:
+        line = f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
+    print(f"p4dgs-ref: {line}", file=sys.stderr)
+
+
 def show(arguments, value, text):
     """Print the value as JSON with --json, otherwise the text.
 
     A reader that stops early, such as `head`, does not change the exit code.
     """
     try:
-        print(json.dumps(value, indent=1) if arguments.json else text)
+        print(json.dumps(value, indent=1) if arguments.json else visible(text, "\n"))
         sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -64,7 +79,7 @@ class Line(AbstractContextManager):
     def __call__(self, text):
         now = time.monotonic()
         if self.stream and (self.live or now - self.last > self.EVERY):
-            width = shutil.get_terminal_size().columns - 1
+            width, text = shutil.get_terminal_size().columns - 1, visible(text)
             line = f"\r{text[:width]}\x1b[K" if self.live else text + "\n"
             print(line, end="", file=self.stream, flush=True)
             self.last, self.open = now, self.live

@@ -1,13 +1,12 @@
 """The commands of the main job: fit, compress, decode, render, measure."""
 
 import json
-import sys
 import time
 from contextlib import nullcontext
 from pathlib import Path
 
 from . import text
-from .base import Line, UsageError, log, report_folder, require_known, show
+from .base import Line, UsageError, log, report_folder, require_known, say, show
 
 
 def read_scene(arguments, split="train", purpose="train"):
@@ -69,10 +68,9 @@ def estimate(scene, preset, arguments, points=None):
         trainer.step()
         steps += 1
     minutes = (time.perf_counter() - start) / steps * preset.iterations / 60
-    print(
+    say(
         f"preset {preset.name}: about {minutes:.0f} minutes for {preset.iterations} iterations, "
-        f"judging by the first {steps} (later stages cost more)",
-        file=sys.stderr,
+        f"judging by the first {steps} (later stages cost more)"
     )
     if minutes > 60 and not arguments.yes:
         raise UsageError("this would take more than an hour; add --yes to start it all the same")

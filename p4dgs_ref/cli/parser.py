@@ -10,14 +10,15 @@ from pathlib import Path
 
 from .. import __version__
 from . import job, oracle, school, study
-from .base import UsageError
+from .base import UsageError, say
 
 
 class Parser(argparse.ArgumentParser):
     """argparse with its errors in one line."""
 
     def error(self, message):
-        self.exit(2, f"p4dgs-ref: {message}; `{self.prog} --help` explains\n")
+        say(f"{message}; `{self.prog} --help` explains")
+        sys.exit(2)
 
 
 def number(kind, low, high, expected):
@@ -415,7 +416,7 @@ def user_errors():
 
 
 def how_to_resume(argv, arguments):
-    """The end of the message after Ctrl-C: the command that goes on, if there is a checkpoint."""
+    """The end of the message of a stopped command: how to go on, if there is a checkpoint."""
     from ..training.checkpoint import CHECKPOINT
 
     if arguments.command != "train" or not (Path(arguments.output) / CHECKPOINT).is_file():
@@ -441,7 +442,7 @@ def run(argv, start):
     arguments.start = start
 
     def fail(code, message):
-        print(f"p4dgs-ref: {message}", file=sys.stderr)
+        say(message)
         return code
 
     try:

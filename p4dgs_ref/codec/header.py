@@ -45,11 +45,11 @@ import json
 
 import numpy as np
 
-from ..model import CONTEXT_NETWORKS, Design
+from ..model import CONTEXT_NETWORKS, MOST_NUMBERS, Design, declared_numbers
 from ..scenes.scene import MODEL_EFFECTS
 from .container import require
 
-MOST_BYTES, MOST_ENTRIES, MOST_NUMBERS = 2**14, 2**24, 2**25
+MOST_BYTES, MOST_ENTRIES = 2**14, 2**24
 AXES = ("xyz", "xy", "xz", "yz")
 
 
@@ -104,16 +104,6 @@ def read_header(data):
         f"{sum(parts.values())} numbers declared {parts}, expected at most {MOST_NUMBERS}",
     )
     return design, anchors, background
-
-
-def declared_numbers(design, anchors):
-    """How many numbers a header promises: {"anchors": ..., "grid": ..., "networks": ...}."""
-    layers = [layer for network in design.layers().values() for layer in network]
-    return {
-        "anchors": anchors * (3 + sum(design.widths) + design.k),
-        "grid": sum(T * F for T, F in design.levels()),
-        "networks": sum((rows + 1) * columns for rows, columns in layers),
-    }
 
 
 def check_work(design, anchors, size):

@@ -73,7 +73,7 @@ def load(data, source="safetensors"):
     )
     try:
         header = json.loads(data[8 : 8 + n])
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
+    except (ValueError, RecursionError):
         header = None
     need(isinstance(header, dict), "header", "a JSON object")
     header.pop("__metadata__", None)

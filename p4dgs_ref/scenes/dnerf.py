@@ -9,6 +9,7 @@ camera-to-world matrix change their sign.
 import json
 import math
 import os
+import warnings
 from importlib import resources
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from numpy.typing import ArrayLike
 
 from ..splatting.camera import Camera
 from .scene import (
+    FARTHEST,
+    LARGEST_LENS,
     Scene,
     SceneError,
     View,
@@ -35,6 +38,7 @@ from .scene import (
 
 # Signs of the columns of a camera-to-world matrix: right stays, up becomes down, back forward.
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])
+LARGEST_JSON = 2**27  # bytes; a view takes about 500
 
 
 def load_scene(
@@ -55,14 +59,14 @@ def load_scene(
         f"{downscale!r}; expected an integer of at least 1",
     )
     description = folder / "scene.json"
-    listed = read_json(description).get("effects") if description.is_file() else None
+    listed = read_json(description).get("effects") if os.path.lexists(description) else None
     effects = model_effects(listed, f"{description}: effects")
     color = background_color(background, effects, folder)
     files = {split: folder / f"transforms_{split}.json" for split in ("train", "test", "val")}
     splits = {
         split: read_split(folder, file, color, int(downscale))
         for split, file in files.items()
-        if split != "val" or file.is_file()
+        if split != "val" or os.path.lexists(file)
     }
     return Scene(folder.resolve().name, effects=effects, background=color, source=folder, **splits)
 
@@ -97,6 +101,11 @@ def find_scene(path):
 
 def read_json(file, expected="a D-NeRF folder with transforms_train.json and transforms_test.json"):
     """The JSON object in a file; `expected` ends the message about a missing file."""
+    require(
+        not file.exists() or file.is_file() and file.stat().st_size <= LARGEST_JSON,
+        file,
+        f"a directory, a device or larger than {LARGEST_JSON} bytes; expected a JSON file",
+    )
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -160,8 +169,9 @@ def read_focal(data, file):
         return float(value)
 
     angle = number("camera_angle_x", 0, math.pi, "an angle in radians between 0 and pi")
-    fl_x, fl_y = (number(name, 0, 1e9, "a positive number of pixels") for name in ("fl_x", "fl_y"))
-    cx, cy = (number(name, -1e9, 1e9, "a finite number of pixels") for name in ("cx", "cy"))
+    most, expected = LARGEST_LENS, "number of pixels"
+    fl_x, fl_y = (number(name, 0, most, f"a positive {expected}") for name in ("fl_x", "fl_y"))
+    cx, cy = (number(name, -most, most, f"a finite {expected}") for name in ("cx", "cy"))
     require(
         angle is not None or fl_x is not None,
         f"{file}: camera_angle_x",
@@ -179,9 +189,9 @@ def read_frame(frame, where):
     )
     name = frame.get("file_path")
     require(
-        isinstance(name, str) and name,
+        isinstance(name, str) and name and name.isprintable(),
         f"{where}.file_path",
-        f"{name!r}; expected the name of a picture",
+        f"{name!r}; expected the name of a picture, without control characters",
     )
     time = check_time(frame.get("time"), f"{where}.time")
     c2w, place = as_array(frame.get("transform_matrix")), f"{where}.transform_matrix"
@@ -191,9 +201,10 @@ def read_frame(frame, where):
         "missing or of another shape; expected 4 rows of 4 numbers",
     )
     require(
-        np.all(np.isfinite(c2w)) and np.abs(c2w[3] - (0, 0, 0, 1)).max() <= 1e-6,
+        np.all(np.abs(c2w) <= FARTHEST) and np.abs(c2w[3] - (0, 0, 0, 1)).max() <= 1e-6,
         place,
-        "not finite, or the last row is not 0 0 0 1; expected a rigid camera-to-world matrix",
+        f"not finite or beyond {FARTHEST:g}, or the last row is not 0 0 0 1; expected a rigid "
+        "camera-to-world matrix",
     )
     check_rotation(c2w[:3, :3], place)
     R = (c2w[:3, :3] * OPENGL_TO_OPENCV).T
@@ -224,8 +235,13 @@ def read_image(folder, name, where):
     if not os.path.isfile(file):  # unlike Path.is_file, also False for an impossible name
         file = folder / f"{name}.png"
     require(os.path.isfile(file), where, f"no picture {name!r}; expected {file}")
+    inside = file.resolve().is_relative_to(folder.resolve())
+    require(inside, where, f"{name!r} is outside; expected a picture in the folder {folder}")
     try:
-        image = iio.imread(file)
+        with warnings.catch_warnings(), iio.imopen(file, "r", plugin="pillow") as picture:
+            warnings.simplefilter("ignore")  # of a picture so large that it could be an attack
+            clear = "transparency" in picture.metadata()  # a palette or a colour with an alpha
+            image = picture.read(mode="RGBA" if clear else None)
     except Exception:  # a broken file can fail in any layer of the decoder
         raise SceneError(
             where, f"{file} cannot be read; expected a PNG of RGB or RGBA pixels"

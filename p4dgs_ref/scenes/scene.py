@@ -3,7 +3,6 @@
 Everything is checked when a scene is made, so that training and evaluation can rely on it.
 """
 
-import math
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,6 +27,9 @@ SIMULATOR_EFFECTS = (*MODEL_EFFECTS, "texture", "diffuse", "specular")
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 # Files print six or seven digits. A scaled or mirrored matrix is further from a rotation than this.
 ROTATION_TOLERANCE = 1e-3
+FARTHEST = 1e6  # scene units from the origin to a camera, along any axis
+LARGEST_LENS = 1e9  # pixels of a focal length or principal point
+NUMPY_NUMBERS = (np.integer, np.floating)
 
 
 class SceneError(ValueError):
@@ -148,6 +150,7 @@ def check_effects(names, where):
             where,
             f"unknown effect {name!r}; expected some of {', '.join(SIMULATOR_EFFECTS)}",
         )
+    require(len(set(names)) == len(names), where, f"{names!r}; expected no effect twice")
     return tuple(effect for effect in SIMULATOR_EFFECTS if effect in names)
 
 
@@ -169,10 +172,12 @@ def background_color(background, effects, where):
 
 
 def as_array(values):
-    """The values as a float64 array, an empty one where they are not numbers."""
+    """The values as a float64 array, an empty one where some of them are not numbers."""
     try:
-        return np.asarray(values, dtype=float)
-    except (TypeError, ValueError, OverflowError):
+        entries = np.asarray(values, dtype=object)
+        numbers = all(is_number(entry, int, float, *NUMPY_NUMBERS) for entry in entries.flat)
+        return entries.astype(float) if numbers else np.empty(0)
+    except (ValueError, OverflowError):
         return np.empty(0)
 
 
@@ -210,7 +215,7 @@ def over_background(image, color):
 def check_time(time, where):
     """The time as a Python float in [0, 1]."""
     require(
-        is_number(time, int, float, np.integer, np.floating) and 0 <= time <= 1,
+        is_number(time, int, float, *NUMPY_NUMBERS) and 0 <= time <= 1,
         where,
         f"{time!r}; expected a number in [0, 1]",
     )
@@ -224,7 +229,8 @@ def is_number(value, *kinds):
 
 def check_rotation(R, where):
     """Refuse a 3 x 3 matrix that is not a rotation: not orthonormal, or a mirror."""
-    require(np.all(np.isfinite(R)), where, "not finite; expected finite numbers")
+    most = 1 + ROTATION_TOLERANCE  # checked first, because products of huge entries overflow
+    require(np.all(np.abs(R) <= most), where, "an entry beyond 1, or NaN; expected a rotation")
     error = np.abs(R @ R.T - np.eye(3)).max()
     require(
         error <= ROTATION_TOLERANCE,
@@ -267,25 +273,26 @@ def check_view(view, first, where):
         f"{where}: alpha",
         f"another shape than the image; expected {image.shape[:2]}",
     )
+    R, T = as_array(camera.R), as_array(camera.T)
     require(
-        np.shape(camera.R) == (3, 3) and np.shape(camera.T) == (3,),
+        R.shape == (3, 3) and T.shape == (3,),
         f"{where}: camera",
-        f"R {np.shape(camera.R)}, T {np.shape(camera.T)}; expected (3, 3), (3,)",
+        f"R {R.shape}, T {T.shape}; expected numbers of shapes (3, 3), (3,)",
     )
-    check_rotation(camera.R, f"{where}: camera.R")
+    check_rotation(R, f"{where}: camera.R")
     require(
-        np.all(np.isfinite(camera.T)),
+        np.all(np.abs(T) <= FARTHEST),
         f"{where}: camera.T",
-        "not finite; expected finite numbers",
+        f"NaN or beyond {FARTHEST:g}; expected a camera in the scene",
     )
     require(
-        0 < camera.f_x < math.inf and 0 < camera.f_y < math.inf,
+        0 < camera.f_x <= LARGEST_LENS and 0 < camera.f_y <= LARGEST_LENS,
         f"{where}: camera",
-        f"focal lengths {camera.f_x}, {camera.f_y}; expected positive numbers",
+        f"focal lengths {camera.f_x}, {camera.f_y}; expected positive numbers of pixels",
     )
     require(
-        math.isfinite(camera.c_x) and math.isfinite(camera.c_y),
+        abs(camera.c_x) <= LARGEST_LENS and abs(camera.c_y) <= LARGEST_LENS,
         f"{where}: camera",
-        f"principal point {camera.c_x}, {camera.c_y}; expected finite numbers",
+        f"principal point {camera.c_x}, {camera.c_y}; expected numbers of pixels",
     )
     check_time(view.time, f"{where}: time")

@@ -9,6 +9,7 @@ import numpy as np
 from ..oracle import published
 from ..oracle.checker import judge
 from ..oracle.ports import FunctionPort
+from ..scenes.output import write_atomically
 
 # The colours of Okabe and Ito, which colour-blind readers can tell apart.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -61,7 +62,7 @@ def out():
 def show(figure, name):
     """Save a figure as out/NAME.png, and show it in a notebook or at an interactive prompt."""
     place = out() / f"{name}.png"
-    figure.savefig(place, bbox_inches="tight")
+    write_atomically(place, lambda file: figure.savefig(file, bbox_inches="tight"))
     print(f"figure: {place.parent.name}/{place.name}")
     if interactive():
         figure.show()

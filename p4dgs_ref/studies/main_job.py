@@ -27,7 +27,7 @@ def main_job(scene, preset="tiny", seed=0, folder="report", start=None, stream=N
     with filled(folder) as beside:
         trainer, train_seconds = timed(lambda: fit(scene, preset, seed, stream=stream, **changes))
         data, encode_seconds = timed(encode, trainer.model())
-        path = beside / f"{scene.name}.p4dgs"
+        path = beside / f"{scene.name.replace('/', '_')}.p4dgs"
         path.write_bytes(data)
         model, decode_seconds = timed(decode, path.read_bytes())
         metrics, rows, images = evaluate(model, scene)

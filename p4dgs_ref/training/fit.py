@@ -1,8 +1,6 @@
 """Training from Python in one call."""
 
-import signal
-import threading
-from contextlib import contextmanager
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -10,7 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..model import Model
+from ..scenes.output import locked, remove_leftovers
 from ..scenes.scene import Scene
+from ..signals import deferred
 from ..splatting.settings import FAST, Settings
 from . import advice, checkpoint
 from .initial import design_of
@@ -43,9 +43,10 @@ def train(
     goes to `stream`.
 
     Raises ValueError for an unknown preset, field or value, RunError for a checkpoint that does not
-    fit, and NotFinite with the first equation, array and index that is NaN or infinite. Ctrl-C
-    raises KeyboardInterrupt after the current iteration, a second one at once. Warns of a scene
-    with few training views, and of a result that is hardly better than a picture of one colour.
+    fit, OutputError for a folder in which another training runs, and NotFinite with the first
+    equation, array and index that is NaN or infinite. Ctrl-C or SIGTERM raise KeyboardInterrupt
+    after the current iteration, a second one at once. Warns of a scene with few training views, and
+    of a result that is hardly better than a picture of one colour.
     """
     return fit(
         scene, preset, seed, settings, points, folder, resume, stream, save_every, **changes
@@ -72,8 +73,8 @@ def fit(
     # Non-finite values are found and named; NumPy's warnings would say the same less clearly.
     with np.errstate(all="ignore"):
         trainer, progress = Trainer(scene, chosen, seed, settings, points), Progress(stream)
-        keep = keeper(trainer, folder, resume)
-        with stopping_between_steps() as asked:
+        with nullcontext() if folder is None else locked(folder), deferred() as asked:
+            keep = keeper(trainer, folder, resume)
 
             def after_step(trainer, *seen):
                 progress(trainer, *seen)
@@ -97,37 +98,12 @@ def keeper(trainer, folder, resume):
     """
     if folder is None:
         return lambda trainer: None
+    remove_leftovers(folder)
     common = checkpoint.identity(trainer)
     if resume:
         checkpoint.resume(trainer, folder, common)
     checkpoint.save(trainer, folder, common)
     return lambda trainer: checkpoint.save(trainer, folder, common)
-
-
-@contextmanager
-def stopping_between_steps():
-    """Within this context the first Ctrl-C only fills the yielded list.
-
-    Half an iteration must never be saved. A second Ctrl-C raises at once, and the last checkpoint
-    stays. Nothing is changed in other threads, or where another handler is set.
-    """
-    asked = []
-
-    def ask(number, frame):
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        asked.append(number)
-
-    in_main_thread = threading.current_thread() is threading.main_thread()
-    ours = in_main_thread and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if ours:
-        signal.signal(signal.SIGINT, ask)
-    try:
-        yield asked
-    finally:
-        if ours:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-    if asked:  # pressed after the last step: the work is complete, but stop here
-        raise KeyboardInterrupt
 
 
 def load_model(folder: str | Path) -> tuple[Model, dict]:

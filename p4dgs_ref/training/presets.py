@@ -8,6 +8,10 @@ lists what a preset changes.
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from ..model import MOST_NUMBERS, declared_numbers
+from ..scenes.scene import MODEL_EFFECTS
+from .initial import design_of
+
 # The paper gives no hash grid; these are the resolutions of HAC.
 HAC_3D = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
 HAC_2D = (130, 258, 514, 1026)
@@ -204,6 +208,7 @@ PRESETS: dict[str, Preset] = {
 
 
 INFINITY = float("inf")
+LARGEST = 1e18  # of a field: an integer of a hundred digits could not become a float
 
 
 def between(least, most):
@@ -227,11 +232,11 @@ def is_rate(value):
 
 def is_rising(ends):
     """Whether there are four ends of stages, in order and not all zero."""
-    return len(ends) == 4 and sorted((0, *ends)) == [0, *ends] and ends[-1] >= 1
+    return len(ends) == 4 and sorted((0, *ends)) == [0, *ends] and 1 <= ends[-1] <= LARGEST
 
 
-POSITIVE = ("a positive number", lambda value: 0 < value < INFINITY)
-NOT_NEGATIVE = ("a finite number of at least 0", lambda value: 0 <= value < INFINITY)
+POSITIVE = (f"a positive number up to {LARGEST:g}", lambda value: 0 < value <= LARGEST)
+NOT_NEGATIVE = between(0, LARGEST)
 RATE = ("first,last, two positive rates or 0,0", is_rate)
 STEP = between(2.0**-40, 2.0**40)
 # What each field must be, in words and as a test; NOT_NEGATIVE where nothing else is said. Most
@@ -269,6 +274,7 @@ REQUIREMENTS = {
     "grow_every": POSITIVE,
     "grow_init": POSITIVE,
     "grow_hierarchy": POSITIVE,
+    "grow_depth": between(0, 16),  # the threshold of a level is a power of the hierarchy
 }
 
 
@@ -316,6 +322,12 @@ def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Pr
         )
     if chosen.skip and len(chosen.deformation) < 3:
         raise ValueError("field 'skip': expected at least three layers in the field deformation")
+    parts = declared_numbers(design_of(chosen, MODEL_EFFECTS), chosen.anchors)
+    if sum(parts.values()) > MOST_NUMBERS:
+        raise ValueError(
+            f"fields 'anchors', 'grid_3d', 'hidden' and others: expected at most {MOST_NUMBERS} "
+            f"numbers in a model, as many as a file may hold, got {parts}"
+        )
     return chosen
 
 

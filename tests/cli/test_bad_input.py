@@ -113,6 +113,8 @@ def refused(line, words, place, capsys):
         err.startswith("p4dgs-ref: ")
         and err.count("\n") == 1
         and err.endswith("\n")
+        and err[:-1].isprintable()
+        and len(err) < 2100
         and "Traceback" not in err
     ), err
     assert [word for word in words if word not in err] == [], err
@@ -207,6 +209,33 @@ SCENES = [
         ),
         ("scene.json: effects", "teleport", "translation"),
     ),
+    (
+        "an effect twice",
+        lambda place: (place / "scene/scene.json").write_text(
+            '{"effects": ["rotation", "rotation"]}'
+        ),
+        ("scene.json: effects", "twice"),
+    ),
+    (
+        "an integer of 4,000 digits",
+        edit_frame("train", time=10**4000),
+        ("train.json: frames[1].time", "[0, 1]"),
+    ),
+    (
+        "an integer of 5,000 digits",
+        rewrite("transforms_train.json", lambda text: text.replace("0.7", "9" * 5000)),
+        ("transforms_train.json",),
+    ),
+    (
+        "a name of two lines in red",
+        edit_frame("train", file_path="./train/a\nb\x1b[31m\x9b\u202e\r"),
+        ("train.json: frames[1].file_path", "\\x1b[31m\\x9b\\u202e", "control characters"),
+    ),
+    (
+        "an effect in red",
+        lambda place: (place / "scene/scene.json").write_text('{"effects": ["\\u001b[31m"]}'),
+        ("scene.json: effects", "\\x1b[31m"),
+    ),
 ]
 
 
@@ -242,13 +271,37 @@ LINES = [
     ("demo --set anchor=3", ("'anchor'", "presets")),
     ("demo --set anchors=many", ("'anchors'", "many")),
     ("demo --set anchors=-3", ("'anchors'", "positive")),
+    ("demo --set anchors=10000000", ("'anchors'", "at most 33554432 numbers")),
+    ("train scene -o new --preset smoke --set anchors=10000000000000", ("'anchors'", "at most")),
+    (f"demo --set anchors={'9' * 4000}", ("'anchors'", "positive number up to 1e+18")),
+    (f"demo --set anchors={'9' * 5000}", ("'anchors'", "like 10000")),
+    (f"demo --set grow_every={10**400}", ("'grow_every'", "up to 1e+18")),
+    (f"demo --set stage_ends=1,2,3,{10**400}", ("'stage_ends'",)),
+    (f"demo --seed {'9' * 5000}", ("--seed", "whole number")),
+    ("demo --set hidden=16384,16384,16384", ("'hidden'", "at most 33554432 numbers")),
+    (
+        "demo --set F=64 --set grid_3d=300 --set table_3d=16777216",
+        ("'grid_3d'", "at most 33554432 numbers"),
+    ),
+    ("demo --set grow_depth=99999999", ("'grow_depth'", "0 to 16")),
+    ("demo --set 'k=\x1b[31m'", ("'k'",)),
+    ("demo scene --background nan,0,0", ("background", "[0, 1]")),
+    ("demo scene --background 1e999,0,0", ("background", "[0, 1]")),
+    ("train 'a\nb' -o new", ("a b: no such folder",)),
+    ("train 'a\x1b[31mb' -o new", ("a\\x1b[31mb", "no such folder")),
+    ("encode 'a\nb\x1b[31m' -o new/x.p4dgs", ("a\\nb\\x1b[31m/checkpoint.npz",)),
+    ("demo '--a\nb\x1b[31m'", ("unrecognized", "a\\nb\\x1b[31m")),
+    ("decode 'a\nb' -o new", ("a\\nb: No such file",)),
+    ("decode good.p4dgs -o 'text/a\nb'", ("text/a\\nb: expected a folder",)),
+    ("oracle check 'a\nb'", ("a\\nb: expected a folder",)),
+    ("grade 'a\nb'", ("a\\nb: expected a classroom",)),
     ("demo --set voxel=nan", ("'voxel'", "positive")),
     ("demo --set stage_ends=9,5,3,1", ("'stage_ends'",)),
     ("demo --set upright=perhaps", ("'upright'", "perhaps")),
     ("demo --set grow=wild", ("'grow'", "wild")),
     ("demo --set name=x", ("'name'",)),
     ("demo --set lr_x=1", ("'lr_x'", "first,last")),
-    ("demo --set lambda_rate=nan", ("'lambda_rate'", "finite")),
+    ("demo --set lambda_rate=nan", ("'lambda_rate'", "number from 0")),
     ("demo --set lr_c=0.1,-1", ("'lr_c'", "rates")),
     ("demo scene --downscale 3", ("transforms_train.json", "downscale 3", "12x8")),
     ("demo scene --downscale 0", ("--downscale", "'0'")),
@@ -385,15 +438,88 @@ def test_learning_rate_that_explodes(place, capsys):
     )
 
 
-def test_out_of_memory(place, capsys):
+def test_out_of_memory(place, capsys, monkeypatch):
+    def full(*arguments):
+        raise MemoryError("8 TiB for an array")
+
+    monkeypatch.setattr("p4dgs_ref.training.fit.Trainer", full)
     before = tree(place)
-    code, err = run("demo scene -o new --preset smoke --quiet --set anchors=10000000000000", capsys)
-    assert (
-        code == 1
-        and err.startswith("p4dgs-ref: out of memory: ")
-        and err.count("\n") == 1
-        and tree(place) == before
-    )
+    code, err = run("demo scene -o new --preset smoke --quiet", capsys)
+    assert (code, err) == (1, "p4dgs-ref: out of memory: 8 TiB for an array\n")
+    assert tree(place) == before
+
+
+def odd_places(place):
+    """A pipe, a device, a folder and links to them in the place of every file that is written."""
+    names = ("x.p4dgs", "motion.gif", "size.csv", "comparison.png", "model.json", "run.json")
+    for kind in ("pipe", "device", "folder", "link"):
+        (place / kind).mkdir()
+        for name in names:
+            if kind == "pipe":
+                os.mkfifo(place / kind / name)
+            elif kind == "folder":
+                (place / kind / name).mkdir()
+            elif kind == "link":
+                (place / kind / name).symlink_to(f"../pipe/{name}")
+            elif hasattr(os, "geteuid") and os.geteuid() == 0:
+                os.mknod(place / kind / name, 0o20600, os.makedev(1, 3))  # ours, like /dev/null
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder", "link"])
+def test_outputs_that_are_no_files(place, capsys, kind):
+    try:
+        odd_places(place)
+    except PermissionError:
+        pytest.skip("only root may make a device node")
+    if not any((place / kind).iterdir()):
+        pytest.skip("only root may make a device node")
+    lines = {
+        "encode run -o {}/x.p4dgs": "x.p4dgs",
+        "render good.p4dgs -o {} --frames 2 --size 4": "motion.gif",
+        "inspect good.p4dgs -o {}": "size.csv",
+        "evaluate good.p4dgs scene -o {}": "comparison.png",
+        "decode good.p4dgs -o {}": "model.json",
+    }
+    nodes = {path: os.lstat(path) for path in place.rglob("*")}
+    for line, name in lines.items():
+        code, err = run(line.format(kind), capsys)
+        assert code == 2 and err.count("\n") == 1, err
+        assert f"{kind}/{name}: expected a regular file or nothing, found" in err
+    shutil.copy(place / "run" / "checkpoint.npz", place / kind)
+    nodes[place / kind] = os.lstat(place / kind)
+    nodes[place / kind / "checkpoint.npz"] = os.lstat(place / kind / "checkpoint.npz")
+    code, err = run(f"train scene -o {kind} --preset smoke --resume --quiet", capsys)
+    assert code == 2 and f"{kind}/run.json: expected a regular file" in err
+    after = {path: os.lstat(path) for path in place.rglob("*")}
+    assert set(after) == set(nodes)
+    for path, node in nodes.items():
+        assert (after[path].st_mode, after[path].st_rdev) == (node.st_mode, node.st_rdev), path
+
+
+def test_a_checkpoint_that_is_a_pipe(place, capsys):
+    (place / "new").mkdir()
+    os.mkfifo(place / "new" / "checkpoint.npz")
+    for line in ("encode new -o x", "train scene -o new --preset smoke --resume --quiet"):
+        code, err = run(line, capsys)
+        assert code == 2 and err.count("\n") == 1
+        assert "new/checkpoint.npz: expected a regular file or nothing, found a device, pipe" in err
+
+
+def test_names_reach_the_terminal_without_their_control_characters(place, capsys):
+    (place / "scene").rename(place / "s\x1b[2J")
+    (place / "good.p4dgs").rename(place / "g\x1b[2J")
+    for line in (
+        "demo 's\x1b[2J' -o 'r\x1b[2J' --preset smoke",
+        "train 's\x1b[2J' -o 'r\x1b[2J' --preset smoke",
+        "evaluate 'g\x1b[2J' 's\x1b[2J' -o 'r\x1b[2J'",
+        "encode run -o 'r\x1b[2J/x\x1b[2J'",
+        "render 'g\x1b[2J' -o 'r\x1b[2J' --frames 1 --size 4",
+        "render 'g\x1b[2J' -o 'r\x1b[2J' --frames 1 --size 4 --json",
+    ):
+        assert cli.run(shlex.split(line), time.perf_counter()) == 0
+        out, err = capsys.readouterr()
+        assert out and (out + err).replace("\n", "").isprintable(), line
+        assert line.startswith("evaluate") or "r\\x1b[2J" in out or "r\\u001b[2J" in out
 
 
 def test_nan_in_an_equation_is_named(place, monkeypatch):

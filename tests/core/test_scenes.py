@@ -2,7 +2,10 @@
 
 import json
 import math
+import os
 import shutil
+import struct
+import zlib
 from dataclasses import replace
 
 import imageio.v3 as iio
@@ -210,9 +213,79 @@ MISTAKES = [
         ("frames[1].transform_matrix", "+1"),
     ),
     (
-        "huge entry",
+        "huge integers",
         change_matrix([[10**400] * 4] * 4),
         ("frames[1].transform_matrix", "4 rows of 4"),
+    ),
+    (
+        "huge entry",
+        change_matrix(with_entry(0, 0, 1e200)),
+        ("frames[1].transform_matrix", "beyond"),
+    ),
+    (
+        "large entry",
+        change_matrix(with_entry(0, 0, 1e5)),
+        ("frames[1].transform_matrix", "rotation"),
+    ),
+    (
+        "singular",
+        change_matrix((pose() * [1, 1, 0, 1]).tolist()),
+        ("frames[1].transform_matrix", "rotation"),
+    ),
+    (
+        "sheared",
+        change_matrix((pose() @ np.eye(4)[[0, 0, 2, 3]]).tolist()),
+        ("frames[1].transform_matrix", "rotation"),
+    ),
+    (
+        "matrix of texts",
+        change_matrix([[str(entry) for entry in row] for row in pose().tolist()]),
+        ("frames[1].transform_matrix", "4 rows of 4 numbers"),
+    ),
+    (
+        "matrix with true",
+        change_matrix([[True, *row[1:]] for row in pose().tolist()]),
+        ("frames[1].transform_matrix", "4 rows of 4 numbers"),
+    ),
+    (
+        "a camera at 1e308",
+        change_matrix(with_entry(2, 3, 1e308)),
+        ("frames[1].transform_matrix", "beyond 1e+06"),
+    ),
+    (
+        "a camera at 2e6",
+        change_matrix(with_entry(2, 3, -2e6)),
+        ("frames[1].transform_matrix", "beyond 1e+06"),
+    ),
+    (
+        "a picture above the folder",
+        lambda d: d["frames"][1].update(file_path="../secret"),
+        ("frames[1].file_path", "outside", "picture in the folder"),
+    ),
+    (
+        "a picture above the folder, by a way through it",
+        lambda d: d["frames"][1].update(file_path="./train/../../secret.png"),
+        ("frames[1].file_path", "outside"),
+    ),
+    (
+        "a picture through a link",
+        lambda d: d["frames"][1].update(file_path="link"),
+        ("frames[1].file_path", "outside"),
+    ),
+    (
+        "a picture through a linked folder",
+        lambda d: d["frames"][1].update(file_path="linked/secret"),
+        ("frames[1].file_path", "outside"),
+    ),
+    (
+        "a picture that is a pipe",
+        lambda d: d["frames"][1].update(file_path="pipe"),
+        ("frames[1].file_path", "no picture"),
+    ),
+    (
+        "a name with a zero byte",
+        lambda d: d["frames"][1].update(file_path="train/r_001\0"),
+        ("frames[1].file_path", "control characters"),
     ),
     (
         "a name no file bears",
@@ -238,9 +311,88 @@ def refuse(words, call):
 
 
 @pytest.mark.parametrize("change, words", [pytest.param(*row[1:], id=row[0]) for row in MISTAKES])
+@pytest.mark.filterwarnings("error")  # a warning of NumPy would be a further line
 def test_mistakes_in_a_transforms_file(folder, change, words):
+    shutil.copy(folder / "train" / "r_000.png", folder.parent / "secret.png")
+    (folder / "link.png").symlink_to(folder.parent / "secret.png")
+    (folder / "linked").symlink_to(folder.parent)
+    os.mkfifo(folder / "pipe.png")
     edit(folder, change)
     refuse(("transforms_train.json", *words), lambda: load_scene(folder))
+
+
+def test_pictures_inside_the_folder_by_any_way(folder):
+    """An absolute path, a detour and a link are fine as long as they stay inside."""
+    (folder / "link.png").symlink_to("train/r_000.png")
+    ways = (str(folder / "train/r_000.png"), "test/../train/r_000", "link", "./train/r_000.png")
+    want = load_scene(folder).train[0].image
+    for way in ways:
+        edit(folder, lambda data, way=way: data["frames"][1].update(file_path=way))
+        np.testing.assert_array_equal(load_scene(folder).train[1].image, want)
+    (folder.parent / "another name").symlink_to(folder.name)  # the folder itself may be a link
+    assert len(load_scene(folder.parent / "another name").train) == 3
+
+
+def test_an_integer_of_5000_digits(folder):
+    file = folder / "transforms_train.json"
+    file.write_text(file.read_text().replace('"time": 0.5', f'"time": {"9" * 5000}'))
+    refuse(("transforms_train.json",), lambda: load_scene(folder))
+
+
+@pytest.mark.parametrize("name", ["transforms_train.json", "transforms_val.json", "scene.json"])
+def test_a_json_that_is_no_file(folder, name):
+    (folder / name).unlink(missing_ok=True)
+    os.mkfifo(folder / name)
+    refuse((name, "directory, a device"), lambda: load_scene(folder))
+    (folder / name).unlink()
+    (folder / name).mkdir()
+    refuse((name, "directory, a device"), lambda: load_scene(folder))
+    (folder / name).rmdir()
+    with open(folder / name, "wb") as file:
+        file.truncate(3 << 30)  # 3 GB that take no place on the disk
+    refuse((name, "larger than"), lambda: load_scene(folder))
+
+
+def palette_png(path, rng, alphas):
+    """A PNG with a palette of 16 colours, of which the first have the given alphas, byte by byte.
+
+    Returns its pixels as RGBA in [0, 1].
+    """
+    palette = rng.integers(0, 256, (16, 3), dtype=np.uint8)
+    index = rng.integers(0, 16, (HEIGHT, WIDTH), dtype=np.uint8)
+    rows = b"".join(b"\0" + row.tobytes() for row in index)
+
+    def chunk(kind, data):
+        crc = zlib.crc32(kind + data)
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", crc)
+
+    head = struct.pack(">IIBBBBB", WIDTH, HEIGHT, 8, 3, 0, 0, 0)
+    clear = chunk(b"tRNS", bytes(alphas)) if alphas else b""
+    body = chunk(b"IHDR", head) + chunk(b"PLTE", palette.tobytes()) + clear
+    body += chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + body)
+    alpha = np.array([*alphas, *[255] * 16][:16], np.uint8)
+    return np.dstack([palette[index], alpha[index]]) / 255
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("alphas", [[], [0], [0, 128, 255, 7]], ids=["opaque", "one", "several"])
+def test_palette_pngs(folder, alphas):
+    want = palette_png(folder / "train" / "r_001.png", np.random.default_rng(1), alphas)
+    view = load_scene(folder, background="black").train[1]
+    np.testing.assert_allclose(view.image, want[..., :3] * want[..., 3:], atol=1e-6)
+    assert (view.alpha is None) is not bool(alphas)
+    if alphas:
+        np.testing.assert_allclose(view.alpha, want[..., 3], atol=1e-6)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("side", [10_000, 100_000, 2**31 - 1])
+def test_a_png_that_promises_many_pixels(folder, side):
+    head = b"IHDR" + struct.pack(">IIBBBBB", side, side, 8, 6, 0, 0, 0)
+    chunk = struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
+    (folder / "train" / "r_001.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
+    refuse(("frames[1].file_path", "r_001.png", "PNG"), lambda: load_scene(folder))
 
 
 def test_mistakes_in_the_folder(folder, tmp_path):
@@ -256,6 +408,10 @@ def test_mistakes_in_the_folder(folder, tmp_path):
     refuse(("scene.json", "effects", "wind", *MODEL_EFFECTS), lambda: load_scene(folder))
     (folder / "scene.json").write_text('{"effects": "rotation"}')
     refuse(("scene.json", "effects", "list"), lambda: load_scene(folder))
+    (folder / "scene.json").write_text('{"effects": ["rotation", "occlusion", "rotation"]}')
+    refuse(("scene.json", "effects", "twice"), lambda: load_scene(folder))
+    (folder / "scene.json").write_text('{"effects": [["rotation"]]}')
+    refuse(("scene.json", "effects", "unknown"), lambda: load_scene(folder))
     (folder / "scene.json").unlink()
     iio.imwrite(folder / "test" / "r_001.png", np.zeros((HEIGHT, 6, 4), np.uint8))
     refuse(("test/r_001", "6x8", "12x8"), lambda: load_scene(folder))
@@ -366,6 +522,7 @@ def test_mistakes_in_arrays():
     refuse_arrays("test[1]", "5", "0..4", test=[0, 5])
     refuse_arrays("train", "at least one", test=range(5))
     refuse_arrays("effects", "wind", effects=["wind"])
+    refuse_arrays("effects", "twice", effects=["rotation", "rotation"])
     refuse_arrays("images[0]", "[0, 1]", images=images * 255)
     refuse_arrays("images[0]", "finite", images=images * np.nan)
     refuse_arrays("images[0]", "(H, W, 3)", images=images[..., 0])
@@ -376,6 +533,13 @@ def test_mistakes_in_arrays():
         (dict(R=2 * cameras[0].R), "rotation"),
         (dict(T=np.full(3, np.inf)), "camera.T"),
         (dict(R=np.eye(4)), "(3, 3)"),
+        (dict(R=np.full((3, 3), 1e200)), "rotation"),
+        (dict(R=np.zeros((3, 3))), "rotation"),
+        (dict(R=np.eye(3).astype(str)), "(3, 3)"),
+        (dict(T=np.array([0, 0, 1e308])), "camera.T"),
+        (dict(T=np.array([0, 0, np.nan])), "camera.T"),
+        (dict(f_y=1e300), "positive"),
+        (dict(c_x=-1e300), "principal"),
         (dict(f_x=-1.0), "positive"),
         (dict(c_y=math.nan), "principal"),
     ):

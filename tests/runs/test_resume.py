@@ -158,7 +158,10 @@ def test_killed_in_the_middle_of_a_checkpoint(scene, whole, tmp_path, monkeypatc
     assert [path.name for path in tmp_path.iterdir()] == [CHECKPOINT] and load(tmp_path)[1][
         "iteration"
     ] == 19
-    (tmp_path / f".{CHECKPOINT}.123.part").write_bytes(b"what a killed process leaves")
+    left = tmp_path / ".part-0a_b1c2d"  # what a killed process leaves
+    left.mkdir()
+    (left / CHECKPOINT).write_bytes(b"half of a checkp")
+    os.utime(left, (0, 0))
     assert [*go_on(scene, settings, tmp_path)] == want
     assert [path.name for path in tmp_path.iterdir()] == [CHECKPOINT]
 

@@ -1,0 +1,62 @@
+"""Ctrl-C and SIGTERM: both ask the program to stop where nothing is lost."""
+
+import signal
+import threading
+from contextlib import contextmanager
+
+NUMBERS = (signal.SIGINT, signal.SIGTERM)
+AGAIN = 0.02  # seconds after which a signal that came too early is sent again
+
+
+def interrupt(number, frame):
+    """Raise KeyboardInterrupt; the handler of the command line.
+
+    Inside an import the exception could be swallowed, or turned into an ImportError. A signal that
+    comes there is sent again until the import is over.
+    """
+    while frame:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            threading.Timer(AGAIN, signal.raise_signal, [number]).start()
+            return
+        frame = frame.f_back
+    raise KeyboardInterrupt
+
+
+ENDING = (signal.SIG_DFL, signal.default_int_handler, interrupt)
+
+
+@contextmanager
+def handled(handler):
+    """Within this context, `handler` receives the signals that would otherwise end the program.
+
+    Nothing is changed in other threads, or where a signal is ignored or has a handler already.
+    """
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    before = {number: signal.getsignal(number) for number in NUMBERS if in_main_thread}
+    ours = {number: old for number, old in before.items() if old in ENDING}
+    for number in ours:
+        signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        for number, old in ours.items():
+            signal.signal(number, old)
+
+
+@contextmanager
+def deferred():
+    """Within this context the first signal only fills the yielded list, a second one raises.
+
+    At the end KeyboardInterrupt is raised if there was one.
+    """
+    asked = []
+
+    def ask(number, frame):
+        if asked:
+            raise KeyboardInterrupt
+        asked.append(number)
+
+    with handled(ask):
+        yield asked
+    if asked:
+        raise KeyboardInterrupt

@@ -1,0 +1,207 @@
+"""Ctrl-C and SIGTERM: one line, exit code 130, no half-written file, whenever they come."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+import p4dgs_ref as p4
+from p4dgs_ref.signals import deferred, handled, interrupt
+
+ROOT = Path(p4.__file__).resolve().parents[1]
+SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["INT", "TERM"])
+# Before the import of a module, say so and wait, as a slow disk would.
+SLOW = """
+import sys, time
+class Slow:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            print("ready", flush=True)
+            time.sleep({seconds})
+sys.meta_path.insert(0, Slow())
+"""
+CONSOLE_SCRIPT = "from p4dgs_ref.__main__ import main; sys.exit(main({argv!r}))"
+MODULE = (
+    "import runpy; sys.argv = ['x', *{argv!r}]; runpy.run_module('p4dgs_ref', None, '__main__')"
+)
+
+
+def start(code, cwd):
+    """Run a program to which Ctrl-C can be sent, also where the tests themselves ignore it."""
+    return subprocess.Popen(
+        [sys.executable, "-c", code],
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+
+
+def quick(names, slow_names):
+    """Parameters of which some are run with the slow tests only."""
+    return [*names, *(pytest.param(name, marks=pytest.mark.slow) for name in slow_names)]
+
+
+def stop(process, number):
+    """Send the signal and return what was printed to stderr; the exit code must be 130."""
+    process.send_signal(number)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    return err
+
+
+@SIGNALS
+@pytest.mark.parametrize("way", [CONSOLE_SCRIPT, MODULE], ids=["console script", "python -m"])
+@pytest.mark.parametrize(
+    "module", quick(["numpy"], ["argparse", "scipy", "p4dgs_ref.scenes.dnerf"])
+)
+def test_during_an_import(tmp_path, number, way, module):
+    argv = ["train", "bouncing", "-o", "run", "--preset", "smoke", "--quiet"]
+    code = SLOW.format(module=module, seconds=0.3) + way.format(argv=argv)
+    process = start(code, tmp_path)
+    assert process.stdout.readline() == "ready\n"
+    assert stop(process, number) == "p4dgs-ref: stopped\n" and not list(tmp_path.iterdir())
+
+
+LINES = {
+    "demo": ["demo", "bouncing", "-o", "out"],
+    "accuracy": ["accuracy", "-o", "out"],
+    "effects": ["effects", "bouncing", "-o", "out"],
+    "stability": ["stability", "-o", "out"],
+    "bench": ["bench"],
+    "simulate": ["simulate", str(ROOT / "tiny_scenes/bouncing/scene.json"), "-o", "out"],
+}
+
+
+def is_writing(cwd):
+    return any(cwd.glob("out/.part-*"))
+
+
+@SIGNALS
+@pytest.mark.parametrize("command", quick(["demo"], [name for name in LINES if name != "demo"]))
+def test_long_commands_stop_cleanly(tmp_path, number, command):
+    process = start(f"import sys; {CONSOLE_SCRIPT.format(argv=LINES[command])}", tmp_path)
+    deadline = time.monotonic() + 30
+    while not (is_writing(tmp_path) or command == "bench") and time.monotonic() < deadline:
+        time.sleep(0.02)
+    time.sleep(0.5)
+    err = stop(process, number)
+    assert err.endswith("p4dgs-ref: stopped\n") and "Traceback" not in err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("file") / "x.p4dgs"
+    path.write_bytes(p4.encode(p4.train(p4.load_scene("bouncing", downscale=8), "smoke")))
+    return path
+
+
+@SIGNALS
+def test_rendering_stops_cleanly(tmp_path, file, number):
+    argv = ["render", str(file), "-o", "out", "--frames", "10000", "--size", "64"]
+    process = start(f"import sys; {CONSOLE_SCRIPT.format(argv=argv)}", tmp_path)
+    while not any(tmp_path.glob("out/.part-*/t_002.png")):
+        assert process.poll() is None
+        time.sleep(0.02)
+    assert stop(process, number) == "p4dgs-ref: stopped\n" and not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+@SIGNALS
+def test_evaluation_stops_cleanly(tmp_path, file, number):
+    argv = ["evaluate", str(file), "bouncing", "-o", "out"]
+    slow = SLOW.format(module="matplotlib", seconds=0.3)  # when everything has been measured
+    process = start(slow + CONSOLE_SCRIPT.format(argv=argv), tmp_path)
+    assert process.stdout.readline() == "ready\n"
+    assert stop(process, number) == "p4dgs-ref: stopped\n" and not list(tmp_path.iterdir())
+
+
+@SIGNALS
+def test_training_keeps_a_checkpoint_and_says_how_to_go_on(tmp_path, number):
+    argv = ["train", "bouncing", "-o", "run", "--downscale", "4", "--quiet"]
+    process = start(f"import sys; {CONSOLE_SCRIPT.format(argv=argv)}", tmp_path)
+    while not (tmp_path / "run/checkpoint.npz").exists():
+        assert process.poll() is None
+        time.sleep(0.02)
+    time.sleep(0.3)
+    err = stop(process, number)
+    assert err.startswith("p4dgs-ref: stopped; the last checkpoint is kept, go on with: p4dgs-ref")
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["checkpoint.npz"]
+
+
+def test_a_second_training_is_refused_while_the_first_one_lives(tmp_path):
+    argv = ["train", "bouncing", "-o", "run", "--downscale", "4", "--quiet"]
+    first = start(f"import sys; {CONSOLE_SCRIPT.format(argv=argv)}", tmp_path)
+    while not (tmp_path / "run/checkpoint.npz").exists():
+        assert first.poll() is None
+        time.sleep(0.02)
+    again = [*argv, "--resume", "--set", "stage_ends=1,1,1,1"]
+    second = start(f"import sys; {CONSOLE_SCRIPT.format(argv=again)}", tmp_path)
+    out, err = second.communicate(timeout=60)
+    assert (second.returncode, out, err.count("\n")) == (2, "", 1), err
+    assert err.startswith("p4dgs-ref: run: another process is writing to it")
+    first.kill()
+    first.communicate()
+    third = start(f"import sys; {CONSOLE_SCRIPT.format(argv=again)}", tmp_path)
+    _, err = third.communicate(timeout=60)  # the lock is gone; the checkpoint is of other stages
+    assert third.returncode == 2 and "field 'preset.stage_ends'" in err
+
+
+@pytest.mark.slow
+@SIGNALS
+def test_at_twenty_moments_of_the_start(tmp_path, number):
+    argv = ["demo", "bouncing", "-o", "out", "--quiet"]
+    # SIGTERM ends Python, without a word, until the handlers are in place before the first import.
+    first = {signal.SIGINT: "p4dgs_ref.signals", signal.SIGTERM: "p4dgs_ref.cli"}[number]
+    code = SLOW.format(module=first, seconds=0) + CONSOLE_SCRIPT.format(argv=argv)
+    for i in range(20):
+        process = start(code, tmp_path)
+        assert process.stdout.readline() == "ready\n"
+        time.sleep(0.002 + 0.016 * i)
+        assert stop(process, number) == "p4dgs-ref: stopped\n" and not list(tmp_path.iterdir())
+
+
+def test_handlers_are_put_back_and_others_are_left_alone():
+    def own(*arguments):
+        pass
+
+    before = {number: signal.signal(number, signal.SIG_DFL) for number in (2, 15)}
+    try:
+        signal.signal(signal.SIGTERM, own)
+        with handled(interrupt):
+            assert signal.getsignal(signal.SIGINT) is interrupt
+            assert signal.getsignal(signal.SIGTERM) is own
+            with pytest.raises(KeyboardInterrupt), deferred() as asked:
+                signal.raise_signal(signal.SIGINT)
+                assert asked == [signal.SIGINT]
+                with pytest.raises(KeyboardInterrupt):
+                    signal.raise_signal(signal.SIGINT)
+            assert signal.getsignal(signal.SIGINT) is interrupt
+        assert signal.getsignal(signal.SIGINT) == signal.SIG_DFL
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        with handled(interrupt):
+            assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def test_other_threads_change_no_handler():
+    seen = []
+
+    def work():
+        with handled(interrupt):
+            seen.append(signal.getsignal(signal.SIGTERM))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [signal.getsignal(signal.SIGTERM)]

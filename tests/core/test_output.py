@@ -1,0 +1,262 @@
+"""Outputs: whole files or none, nothing replaced that is no regular file, locks, leftovers."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import p4dgs_ref as p4
+from p4dgs_ref.scenes import output
+from p4dgs_ref.scenes.output import (
+    OutputError,
+    filled,
+    locked,
+    new_file,
+    remove_leftovers,
+    write_atomically,
+)
+
+ROOT = Path(p4.__file__).resolve().parents[1]
+
+
+def fifo(path):
+    os.mkfifo(path)
+
+
+def unix_socket(path):
+    here = os.open(path.parent, os.O_RDONLY)  # the name of a socket has at most 108 bytes
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(f"/proc/self/fd/{here}/{path.name}" if sys.platform == "linux" else str(path))
+    os.close(here)
+
+
+def device(path):
+    try:
+        os.mknod(path, 0o20600, os.makedev(1, 3))  # a node of our own, like /dev/null
+    except (OSError, AttributeError):
+        pytest.skip("only root may make a device node")
+
+
+def folder(path):
+    path.mkdir()
+
+
+def looping_link(path):
+    path.symlink_to(path.name)
+
+
+KINDS = [fifo, unix_socket, device, folder, looping_link]
+
+
+def write_file(path):
+    with new_file(path):
+        write_atomically(path, lambda file: file.write(b"new"))
+
+
+def write_folder(path):
+    with filled(path.parent) as beside:
+        (beside / "a first file").write_bytes(b"new")
+        (beside / path.name).write_bytes(b"new")
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("link", [False, True], ids=["itself", "through a link"])
+@pytest.mark.parametrize("write", [write_file, write_folder])
+def test_only_a_regular_file_is_replaced(tmp_path, kind, link, write):
+    (tmp_path / "there").mkdir()
+    (tmp_path / "out").mkdir()
+    place = tmp_path / "there" / "x"
+    kind(place)
+    named = tmp_path / "out" / "x" if link else place
+    if link:
+        named.symlink_to(place)
+    before, names = os.lstat(place), sorted(tmp_path.rglob("*"))
+    with pytest.raises(OutputError, match=r"x: expected a regular file or nothing, found ") as said:
+        write(named)
+    assert "\n" not in str(said.value)
+    after = os.lstat(place)
+    assert (after.st_mode, after.st_ino, after.st_rdev) == (
+        before.st_mode,
+        before.st_ino,
+        before.st_rdev,
+    )
+    assert sorted(tmp_path.rglob("*")) == names
+
+
+@pytest.mark.parametrize("write", [write_file, write_folder])
+@pytest.mark.parametrize("exists", [True, False])
+def test_a_link_is_written_through(tmp_path, write, exists):
+    for name in ("there", "out"):
+        (tmp_path / name).mkdir()
+    target, named = tmp_path / "there" / "target", tmp_path / "out" / "x"
+    if exists:
+        target.write_bytes(b"old")
+        held = open(target, "rb")
+    (tmp_path / "out" / "second").symlink_to("../there/target")
+    named.symlink_to("second")  # a link to a link
+    write(named)
+    assert named.is_symlink() and os.readlink(named) == "second"
+    assert (tmp_path / "out" / "second").is_symlink()
+    assert target.read_bytes() == b"new" and not target.is_symlink()
+    if exists:
+        assert held.read() == b"old"  # replaced, not overwritten
+        held.close()
+    assert [path.name for path in target.parent.iterdir()] == ["target"]
+
+
+def test_a_link_into_another_file_system(tmp_path):
+    other = Path("/dev/shm")
+    if not other.is_dir() or other.stat().st_dev == tmp_path.stat().st_dev:
+        pytest.skip("there is no second file system to write to")
+    target = other / f"p4dgs_ref test {os.getpid()}"
+    target.write_bytes(b"old")
+    try:
+        (tmp_path / "x").symlink_to(target)
+        write_folder(tmp_path / "x")
+        assert target.read_bytes() == b"new" and (tmp_path / "x").is_symlink()
+    finally:
+        target.unlink()
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path):
+    place = tmp_path / "x"
+    place.write_bytes(b"old")
+
+    def half(file):
+        file.write(b"ne")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_atomically(place, half)
+    assert place.read_bytes() == b"old" and [p.name for p in tmp_path.iterdir()] == ["x"]
+
+
+def test_new_files_have_the_usual_permissions(tmp_path):
+    (tmp_path / "usual").write_bytes(b"")
+    write_file(tmp_path / "x")
+    write_folder(tmp_path / "y")
+    modes = {path.name: path.stat().st_mode for path in tmp_path.iterdir()}
+    assert len(set(modes.values())) == 1, modes
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_does_not_part_the_files_of_a_report(tmp_path, monkeypatch, number):
+    replace, calls = os.replace, []
+
+    def interrupted(*names):
+        calls.append(names)
+        if len(calls) == 1:
+            signal.raise_signal(number)
+        replace(*names)
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    before = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt):
+        write_folder(tmp_path / "x")
+    assert signal.getsignal(number) is before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a first file", "x"]
+
+
+HOLDER = """
+import sys, time
+from p4dgs_ref.scenes.output import filled
+with filled(sys.argv[1]) as part:
+    (part / "half").write_bytes(b"half")
+    print(part.name, flush=True)
+    time.sleep(100)
+"""
+
+
+def start_holder(place):
+    """A process that is writing into a folder, and the name of its hidden folder."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(place)], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    )
+    return process, process.stdout.readline().strip()
+
+
+def age(folder):
+    for left in folder.glob(".part-*"):
+        os.utime(left, (0, 0))
+
+
+def test_leftovers_of_the_killed_are_removed_and_those_of_the_living_are_kept(tmp_path):
+    process, name = start_holder(tmp_path)
+    try:
+        age(tmp_path)
+        remove_leftovers(tmp_path)
+        assert (tmp_path / name / "half").exists()
+    finally:
+        process.kill()
+        process.communicate()
+    remove_leftovers(tmp_path)
+    assert not (tmp_path / name).exists()
+    process, name = start_holder(tmp_path)
+    process.kill()
+    process.communicate()
+    age(tmp_path)
+    write_folder(tmp_path / "x")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a first file", "x"]
+
+
+def test_what_only_looks_like_a_leftover_stays(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "precious").write_bytes(b"")
+    (tmp_path / ".part-link0000").symlink_to("elsewhere")
+    (tmp_path / ".part-file0000").write_bytes(b"")
+    (tmp_path / ".part-of my work").mkdir()
+    os.mkfifo(tmp_path / ".part-fifo0000")
+    (tmp_path / ".part-new00000").mkdir()  # perhaps its process has not locked it yet
+    names = sorted(tmp_path.rglob("*"))
+    age(tmp_path)
+    os.utime(tmp_path / ".part-new00000", (time.time(), time.time()))
+    remove_leftovers(tmp_path)
+    assert sorted(tmp_path.rglob("*")) == names
+
+
+def test_a_folder_is_locked_once(tmp_path):
+    with locked(tmp_path) as held:
+        assert held
+        with pytest.raises(OutputError, match="another process"), locked(tmp_path):
+            pass
+    with locked(tmp_path) as held:
+        assert held
+
+
+def refuse_locks(*arguments):
+    raise OSError(95, "Operation not supported")
+
+
+@pytest.mark.parametrize("without", ["fcntl", "locks"])
+def test_without_locks_everything_is_written_and_nothing_is_removed(tmp_path, monkeypatch, without):
+    if without == "fcntl":
+        monkeypatch.setattr(output, "fcntl", None)
+    else:
+        monkeypatch.setattr(output.fcntl, "flock", refuse_locks)
+    left = tmp_path / ".part-01234567"
+    left.mkdir()
+    age(tmp_path)
+    write_folder(tmp_path / "x")
+    scene = p4.load_scene("bouncing", downscale=16)
+    p4.train(scene, "smoke", folder=tmp_path, stage_ends=(1, 1, 1, 1))
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == [left.name, "a first file", "checkpoint.npz", "x"]
+
+
+def test_two_trainings_in_one_folder(tmp_path):
+    scene = p4.load_scene("bouncing", downscale=16)
+    short = dict(preset="smoke", folder=tmp_path, stage_ends=(1, 2, 3, 4))
+    with locked(tmp_path):
+        for resume in (False, True):
+            with pytest.raises(OutputError, match="another process is writing to it"):
+                p4.train(scene, **short, resume=resume)
+        assert not list(tmp_path.iterdir())
+    first = p4.train(scene, **short)
+    again = p4.train(scene, **short, resume=True)
+    np.testing.assert_array_equal(first.anchors.f_a, again.anchors.f_a)
