@@ -115,14 +115,14 @@ class Trainer:
         return self.preset.stage(self.iteration)
 
     def rate_of(self, name):
-        """The current learning rate of an array; 0 where the stage does not use it."""
-        stem = name.split(".")[0]
-        frozen = stem == "x_a" and self.stage == 4
-        if frozen or self.stage < FIRST_STAGE.get(stem, 1):
+        """The current learning rate of a name of LEARNING_RATES; 0 where the stage has none."""
+        frozen = name == "x_a" and self.stage == 4
+        if frozen or self.stage < FIRST_STAGE.get(name, 1):
             return 0.0
-        first, last = getattr(self.preset, LEARNING_RATES[stem])
-        end, start = self.preset.iterations, self.preset.decay_from
-        return exponential(self.iteration, first, last, end, start)
+        first, last = getattr(self.preset, LEARNING_RATES[name])
+        return exponential(
+            self.iteration, first, last, self.preset.iterations, self.preset.decay_from
+        )
 
     def next_view(self):
         """A random view; no view comes again before all others have been visited."""
