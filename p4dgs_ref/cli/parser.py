@@ -427,7 +427,7 @@ def how_to_resume(argv, arguments):
 
 def show_warning(message, *place):
     """Print a warning as one line; the place in the code means nothing to a user."""
-    print(f"p4dgs-ref: warning: {message}", file=sys.stderr)
+    say(f"warning: {message}")
 
 
 def run(argv, start):

@@ -74,9 +74,9 @@ def test_training_warns_before_and_after():
 
 
 def test_the_command_line_prints_a_warning_as_one_line(capsys, monkeypatch):
-    monkeypatch.setattr(text, "presets", lambda *args: warnings.warn("the views are few"))
+    monkeypatch.setattr(text, "presets", lambda *args: warnings.warn("views:\x1b\nfew"))
     assert cli.run(["presets"], 0.0) == 0
-    assert capsys.readouterr().err == "p4dgs-ref: warning: the views are few\n"
+    assert capsys.readouterr().err == "p4dgs-ref: warning: views:\\x1b\\nfew\n"
 
 
 # --- sparse scenes ---
