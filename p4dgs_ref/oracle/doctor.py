@@ -24,9 +24,7 @@ from .compare import PRECISIONS, deviations, precision
 
 FOLDER = Path(__file__).with_name("mistakes_v1")
 LENIENCE = 4  # factor on the bounds: a port may compute the same mistake in another way
-CLOSER = (
-    16  # a wrong answer must be so many times closer to the mistake's answer than that is wrong
-)
+CLOSER = 64  # times nearer to the mistake's answer than to the right one
 HUGE = np.finfo(np.float32).max
 MOST = 0.6  # of the failing cases agree with a hint
 ROLES = {"outputs": "out", "gradients": "in_bar"}
