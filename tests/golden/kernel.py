@@ -492,7 +492,7 @@ SUBJECTS = (
         kernel_surrogate,
         True,
         ("depth",),
-        (by_monomials,),
+        twins=(by_monomials,),
     ),
     Subject(
         "kernel_many",
@@ -508,7 +508,7 @@ SUBJECTS = (
         kernel_surrogate,
         True,
         ("depth",),
-        (by_monomials,),
+        twins=(by_monomials,),
     ),
     Subject(
         "kernel_stage",

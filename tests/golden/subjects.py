@@ -63,6 +63,7 @@ class Subject(NamedTuple):
     surrogate: Callable | None = None
     single: bool = False  # all inputs and cotangents are float32 numbers, and stored as such
     steady: tuple = ()  # inputs that decide something, and are not changed to measure S
+    even: tuple = ()  # tensors in which all numbers have the S of the largest
     twins: tuple = ()  # like `answer`: other right evaluations, whose errors are allowed too
 
     def __call__(self, **inputs):
@@ -108,6 +109,7 @@ def subjects():
         encoding,
         kernel,
         pipeline,
+        replay,
         scalars,
         scalars_coding,
         stages,
@@ -123,6 +125,7 @@ def subjects():
         *kernel.SUBJECTS,
         *encoding.SUBJECTS,
         *pipeline.SUBJECTS,
+        *replay.SUBJECTS,
     ]
     by_key = {subject.key: subject for subject in found}
     if len(by_key) < len(found) or set(FLOW) != set(EQUATIONS):

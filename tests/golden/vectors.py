@@ -45,6 +45,7 @@ def vector(subject, case):
     flat = subject.answer(case.inputs, cotangents)
     scale = tolerance.scales(steady(subject, case), case.inputs, cotangents, flat, case.name)
     better, provenance, by_reference = independent.values(subject, case, cotangents, flat)
+    scale |= {name: np.full_like(scale[name], scale[name].max()) for name in subject.even}
     error = max(
         measured.float32_error(answer, case.inputs, cotangents, flat, scale)
         for answer in (subject.answer, *subject.twins)

@@ -31,6 +31,7 @@ FLAGS = {
     "opaque": "opaque layers: division by one minus alpha",
     "normalise": "a quaternion that is zero or not of unit length: missing or unsafe normalisation",
     "negative": "a negative value where most are positive: a lost sign",
+    "replay": "steps from a given state: moments, masks or sums that are not carried along",
     "off": "an effect the scene does not list: a zero-width input or head that must cost nothing",
 }
 

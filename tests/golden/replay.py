@@ -1,0 +1,370 @@
+"""Vectors of level L4 for a port of the training: steps to replay, compared array by array.
+
+A case is a state, the views and noise of some steps, and the state after them. `python -m
+tests.golden.vectors` computes new cases, and `replay` is the package's own Trainer, so that a
+change of the training shows here. A network is one vector, as in a file: layer by layer, W row by
+row, then b. The levels of the grid follow each other in one vector too.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+
+from p4dgs_ref.model import Anchors, Model, bounding_box
+from p4dgs_ref.scenes.scene import MODEL_EFFECTS, View
+from p4dgs_ref.splatting.camera import look_at
+from p4dgs_ref.splatting.settings import EXACT
+from p4dgs_ref.training.adam import Adam
+from p4dgs_ref.training.density import Statistics
+from p4dgs_ref.training.initial import design_of
+from p4dgs_ref.training.parameters import Parameters
+from p4dgs_ref.training.presets import Preset
+from p4dgs_ref.training.trainer import LEARNING_RATES, Trainer
+from tests.golden.cases import Case
+from tests.golden.flat import CAMERA_SHAPES, camera_of, described
+from tests.golden.kernel import single
+from tests.golden.pipeline import LOSSES, draw
+from tests.golden.subjects import Subject, no_pullback
+
+# The parameters: anchors, networks, grid. There is no psi_t.
+ARRAYS = tuple(name for name in LEARNING_RATES if name != "psi_t")
+ROLES = {"": "parameters", "m_": "first", "v_": "second"}
+SUMS = ("visits", "opacity", "gradient", "seen")
+GIVEN = ("W", "T", "focal", "center", "size", "times", "truth", "background")  # the views
+# Every field of the preset that the steps read, all of them explicit.
+PRESET = Preset(
+    name="replay",
+    anchors=7,
+    voxel=0.05,
+    d=4,
+    k=2,
+    hidden=(6, 6),
+    deformation=(7, 7),
+    time_net=(),
+    skip=False,
+    L_x=2,
+    L_t=1,
+    context=(5, 5),
+    grid_3d=(3,),
+    grid_2d=(4,),
+    table_3d=19,
+    table_2d=13,
+    F=1,
+    tau_alpha=0.0,
+    Q_f=0.25,
+    Q_s=0.01,
+    Q_l=0.01,
+    Q_O=0.1,
+    lambda_rate=0.01,
+    stage_ends=(0, 0, 6, 10),
+    lambda_ssim=0.2,
+    lambda_volume=0.0,
+    decay_from=2,
+    lr_x=(0.002, 0.0005),
+    lr_f=(0.01, 0.002),
+    lr_s=(0.01, 0.004),
+    lr_l=(0.01, 0.004),
+    lr_O=(0.02, 0.001),
+    lr_alpha=(0.002, 0.0005),
+    lr_c=(0.008, 0.001),
+    lr_r=(0.004, 0.004),
+    lr_psi_s=(0.004, 0.004),
+    lr_d=(0.002, 0.0001),
+    lr_grid=(0.02, 0.01),
+    lr_p=(0.005, 0.001),
+    lr_q=(0.005, 0.001),
+    grow="scaffold",
+    grow_from=0,
+    grow_every=4,
+    grow_until=5,
+    collect_from=0,
+    gradient_threshold=0.002,
+    grow_init=16,
+    grow_hierarchy=4,
+    grow_depth=3,
+    success=0.8,
+    min_opacity=0.03,
+    mask_from=8,
+)
+# Fields that only the start of a training or the name of a preset concerns.
+UNUSED = (
+    *("name", "anchors", "extent", "feature_std", "opacity_bias", "upright"),
+    "deformation_gain",
+)
+SETTINGS = {name: value for name, value in PRESET._asdict().items() if name not in UNUSED}
+
+
+class GivenNumbers:
+    """Stands for the Generator of a Trainer: noise of the steps, then the draws of growing."""
+
+    def __init__(self, noise, draws):
+        self.noise, self.draws = list(noise), list(draws)
+
+    def random(self, shape, *_):
+        """Return the next numbers in [0, 1)."""
+        return self.noise.pop(0) + 0.5 if isinstance(shape, tuple) else self.draws.pop(0)
+
+
+class Replayed(Trainer):
+    """A Trainer that computes with the float32 corners of the box in its own precision."""
+
+    def freeze_positions(self):
+        corners = self.box or bounding_box(self.parameters["x_a"])
+        self.box = tuple(corner.astype(self.parameters.vector.dtype) for corner in corners)
+        super().freeze_positions()
+
+
+def joined(parameters, stem):
+    """Return the arrays of a Parameters that belong to an array of the vectors, as one."""
+    if stem in parameters.arrays:
+        return parameters[stem].copy()
+    parts = [a.ravel() for name, a in parameters.arrays.items() if name.split(".")[0] == stem]
+    return np.concatenate(parts)
+
+
+def parted(arrays, design):
+    """Undo `joined`: the Parameters of {array: values}."""
+    found = {}
+    for stem, values in arrays.items():
+        if stem == "grid":
+            shapes = {f"grid.{i}": shape for i, shape in enumerate(design.levels())}
+        elif stem in design.layers():
+            shapes = {}
+            for i, (rows, columns) in enumerate(design.layers()[stem]):
+                shapes |= {f"{stem}.W{i}": (rows, columns), f"{stem}.b{i}": (columns,)}
+        else:
+            found[stem] = values
+            continue
+        ends = np.cumsum([np.prod(shape) for shape in shapes.values()])
+        parts = np.split(values, ends[:-1])
+        found |= {name: a.reshape(shape) for (name, shape), a in zip(shapes.items(), parts)}
+    return Parameters(found, arrays["x_a"].dtype)
+
+
+def views_of(W, T, focal, center, size, times, truth):
+    """Return the training views."""
+    cameras = [camera_of(*pose, size) for pose in zip(W, T, focal, center)]
+    named = zip(truth, cameras, np.asarray(times).tolist())
+    return tuple(View("", image, None, camera, time) for image, camera, time in named)
+
+
+def trainer_of(state, views, background, iteration, effects, settings):
+    """Return a Trainer in a given state: arrays, moments, steps, mask, sums and box."""
+    preset = Preset(**settings)
+    scene = SimpleNamespace(train=views, effects=effects, background=background)
+    trainer = Replayed(scene, preset, settings=EXACT)
+    p, m, v = (
+        parted({name: state[tag + name] for name in ARRAYS}, trainer.design) for tag in ROLES
+    )
+    trainer.adopt(p)
+    trainer.adam = Adam(p)
+    trainer.adam.first, trainer.adam.second = m, v
+    steps = dict(zip(ARRAYS, state["steps"].tolist()))
+    trainer.adam.steps = {name: steps[name.split(".")[0]] for name in p.arrays}
+    trainer.mask = state["mask"].copy()
+    trainer.statistics = Statistics(*(np.array(state[name], float) for name in SUMS))
+    trainer.iteration = iteration
+    if len(state["box"]):
+        trainer.box = tuple(state["box"])
+        trainer.freeze_positions()
+    return trainer
+
+
+def state_of(trainer):
+    """Return the state of a Trainer by the names of the vectors."""
+    adam, dtype = trainer.adam, trainer.parameters.vector.dtype
+    held = {"": trainer.parameters, "m_": adam.first, "v_": adam.second}
+    state = {tag + name: joined(p, name) for tag, p in held.items() for name in ARRAYS}
+    counts = {name.split(".")[0]: n for name, n in adam.steps.items()}
+    state["steps"] = np.array([counts[name] for name in ARRAYS])
+    state["mask"] = trainer.mask.copy()
+    for name in SUMS:
+        state[name] = getattr(trainer.statistics, name).astype(dtype)
+    state["box"] = np.array(trainer.box or np.zeros((0, 3)), dtype).reshape(-1, 3)
+    return state
+
+
+def replay(u, views, iteration, effects, draws=(), **inputs):
+    """Steps of training from a state: the state after them, and the losses before each of them.
+
+    Growing, masking and the change of the stage happen within the steps where the settings say so.
+    `rates` are the learning rates of every step.
+    """
+    scene = {name: inputs.pop(name) for name in GIVEN}
+    background = scene.pop("background")
+    settings = {name: inputs.pop(name) for name in SETTINGS}
+    trainer = trainer_of(inputs, views_of(**scene), background, iteration, effects, settings)
+    trainer.rng = GivenNumbers(u, draws)
+    trainer.order = views[::-1]
+    rows, rates = [], []
+    for _ in views:
+        rates.append([trainer.rate_of(name) for name in ARRAYS])
+        rows.append(trainer.step()[0])
+    dtype = inputs["x_a"].dtype
+    losses = {name: np.array([getattr(row, name) for row in rows], dtype) for name in LOSSES}
+    outputs = {**losses, "rates": np.array(rates, dtype), **state_of(trainer)}
+    return outputs, no_pullback
+
+
+# --- cases --------------------------------------------------------------------------------------
+WARM = 12  # steps before the first case, so that no moment is zero
+V, HEIGHT, WIDTH = 5, 11, 13
+
+
+@cache
+def scene_inputs(seed=481):
+    """Return the views, drawn from another model: {name: array}."""
+    rng = np.random.default_rng(seed)
+    design = design_of(PRESET, MODEL_EFFECTS)
+    teacher = draw(rng, design, 6)
+    teacher["psi_c.W2"][...] *= 4  # strong colours
+    f, O = teacher["f_a"], teacher["O_a"]
+    s, l = np.exp(teacher["log_s"]), np.exp(teacher["log_l"])
+    background = single([0.9, 0.75, 0.3])
+    anchors = Anchors(teacher["x_a"], f, s, l, O, np.ones((6, PRESET.k), bool))
+    networks = {name: teacher.network(name) for name in design.layers()}
+    seen = Model(design, anchors, networks, [], None, background)
+    cameras, times = [], single(np.linspace(0.1, 0.9, V))
+    for i, angle in enumerate(np.linspace(0, 5, V)):
+        place = 2.6 * np.array([np.cos(angle), np.sin(angle), 0.3 + 0.1 * i])
+        cameras.append(look_at(place, (0.05, 0, 0), 14.0, 12.5, WIDTH, HEIGHT, c_x=6.4, c_y=4.8))
+    truth = np.stack([seen.render(camera, t, EXACT) for camera, t in zip(cameras, times)])
+    posed = [described(camera) for camera in cameras]
+    found = {n: single(np.stack([c[n] for c in posed])) for n in ("W", "T", "focal", "center")}
+    return dict(
+        **found,
+        size=posed[0]["size"],
+        times=times,
+        truth=single(truth),
+        background=background,
+    )
+
+
+def noise(rng, shape):
+    """Return noise in [-1/2, 1/2), as the Trainer draws it."""
+    return rng.random(shape, np.float32).astype(float) - 0.5
+
+
+@cache
+def starting_state(seed=483):
+    """Return the state after some steps without density control, rounded to float32."""
+    rng = np.random.default_rng(seed)
+    p = draw(rng, design_of(PRESET, MODEL_EFFECTS), PRESET.anchors)
+    A, k = PRESET.anchors, PRESET.k
+    state = {name: joined(p, name) for name in ARRAYS}
+    state |= {tag + name: 0 * state[name] for tag in ("m_", "v_") for name in ARRAYS}
+    state |= dict(
+        steps=np.zeros(len(ARRAYS), int), mask=np.ones((A, k), bool), box=np.zeros((0, 3))
+    )
+    state |= {name: np.zeros((A, k)) for name in SUMS} | {"visits": np.zeros(A)}
+    still = SETTINGS | {"grow": "off", "mask_from": 99, "stage_ends": (0, 0, WARM, WARM)}
+    out = replay(
+        **state,
+        **scene_inputs(),
+        **still,
+        u=[noise(rng, (A, PRESET.d + 6 + 3 * k)) for _ in range(WARM)],
+        views=rng.integers(0, V, WARM),
+        iteration=0,
+        effects=MODEL_EFFECTS,
+    )[0]
+    return rounded(out) | {name: state[name] for name in ("mask", *SUMS)}
+
+
+def state_names():
+    """Return the names of all that a state consists of."""
+    named = [tag + name for tag in ROLES for name in ARRAYS]
+    return [*named, "steps", "mask", *SUMS, "box"]
+
+
+def rounded(outputs):
+    """Return the state among the outputs of `replay`, in float32's numbers."""
+    state = {name: outputs[name] for name in state_names()}
+    return {name: single(a) if a.dtype.kind == "f" else a for name, a in state.items()}
+
+
+def steps_from(state, first, last, rng):
+    """Return the inputs of the steps from `first` to `last` - 1, with noise for every step."""
+    A, k = state["mask"].shape
+    n = PRESET.d + 6 + 3 * k
+    inputs = dict(
+        **state,
+        **scene_inputs(),
+        **SETTINGS,
+        views=rng.integers(0, V, last - first),
+        iteration=first,
+        effects=MODEL_EFFECTS,
+    )
+    before = max(0, min(last, PRESET.grow_every) - first)  # steps before anchors are added
+    u = [noise(rng, (A, n)) for _ in range(before)]
+    if first < PRESET.grow_every <= last:
+        inputs["draws"] = [single(rng.random(A * k)) for _ in range(PRESET.grow_depth)]
+        grown = replay(**{**inputs, "views": inputs["views"][:before]}, u=u)[0]
+        A = len(grown["x_a"])
+    u += [noise(rng, (A, n)) for _ in range(last - first - before)]
+    return dict(inputs, u=u)
+
+
+@cache
+def all_inputs():
+    """Return {name of a case: its inputs}."""
+    start = starting_state()
+    found = {"growing": steps_from(start, 0, 4, np.random.default_rng(486))}
+    state = rounded(replay(**found["growing"])[0])
+    found["stage_switch"] = steps_from(state, 4, 10, np.random.default_rng(484))
+    found["ten_steps"] = steps_from(start, 0, 10, np.random.default_rng(500))
+    return found
+
+
+def replay_cases():
+    for name, inputs in all_inputs().items():
+        yield Case(name, inputs, ("replay",) if name == "growing" else ("replay", "masked"))
+
+
+def shapes():
+    """Return the axes of all inputs and outputs; A anchors become B."""
+    anchors = {"x_a": "3", "f_a": "d", "log_s": "3", "log_l": "3", "O_a": "k 3"}
+    found = {}
+    for tag in ROLES:
+        for name, letter in zip(ARRAYS, "_____abcdefgh"):
+            own = anchors.get(name)
+            found[tag + name] = f"A {own} -> B {own}" if own else f"P{letter}"
+    found |= {name: "A k -> B k" for name in ("mask", *SUMS)} | {"visits": "A -> B"}
+    cameras = {name: f"V {axes}" for name, axes in CAMERA_SHAPES.items() if name != "size"}
+    return {
+        **found,
+        **cameras,
+        "size": "2",
+        "times": "V",
+        "truth": "V H W 3",
+        "background": "3",
+        "box": "X 3 -> Y 3",
+        "steps": "M",
+        "views": "S",
+        "u": "*A n",
+        "draws": "*C",
+        "iteration": "",
+        "effects": "",
+        **dict.fromkeys(SETTINGS, ""),
+        **dict.fromkeys(LOSSES, "S"),
+        "rates": "S M",
+    }
+
+
+SUBJECTS = (
+    Subject(
+        "training",
+        "L4",
+        "total_loss",
+        "1 to 9, 11 to 17",
+        "state, views, noise -> state after some steps, array by array",
+        shapes(),
+        (),
+        replay,
+        replay_cases,
+        {"arrays": list(ARRAYS), "beta_1": 0.9, "beta_2": 0.999, "epsilon": 1e-15},
+        single=True,
+        # On a lattice whose corners are float32 numbers: a small coordinate has no more digits.
+        even=("out.x_a",),
+    ),
+)

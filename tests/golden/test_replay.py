@@ -1,0 +1,254 @@
+"""The vectors of the training: replayed in plain loops, and gradients by finite differences."""
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.equations import hash_grid
+from p4dgs_ref.oracle import checker, published
+from p4dgs_ref.oracle.compare import compare
+from p4dgs_ref.scenes.scene import MODEL_EFFECTS
+from p4dgs_ref.splatting.settings import EXACT
+from p4dgs_ref.studies.precision import cast
+from p4dgs_ref.training import objective
+from p4dgs_ref.training.initial import design_of
+from p4dgs_ref.training.presets import Preset
+from tests.golden import replay
+from tests.golden.subjects import subjects
+
+CASES = published.cases("training")
+DESIGN = design_of(replay.PRESET, MODEL_EFFECTS)
+ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")
+FROM_STAGE_4 = ("psi_p", "psi_q", "grid")
+
+
+# --- the same steps in plain loops --------------------------------------------------------------
+def rate(i, name, n):
+    """The learning rate of an array in iteration n (Q17)."""
+    stage = 1 + sum(n >= end for end in i["stage_ends"][:3])
+    if (name == "x_a" and stage == 4) or (name in FROM_STAGE_4 and stage < 4):
+        return 0.0
+    first, last = i[replay.LEARNING_RATES[name]]
+    share = min(max((n - i["decay_from"]) / (i["stage_ends"][-1] - i["decay_from"]), 0), 1)
+    return first ** (1 - share) * last**share
+
+
+def lattice(x, lo, hi):
+    """Positions on the lattice of 16 bits over a box."""
+    step = (hi - lo) / 65535
+    return lo + np.round((x - lo) / step) * step
+
+
+def gradients_of(i, state, view, u, box, n):
+    """Losses, gradients by array, opacities, and what the splats' centres receive."""
+    stage = 1 + sum(n >= end for end in i["stage_ends"][:3])
+    p = replay.parted({name: state[name] for name in replay.ARRAYS}, DESIGN)
+    tables = [T for T, _ in DESIGN.levels()]
+    located = hash_grid.locate(p["x_a"], *box, DESIGN.grid, tables) if box is not None else None
+    fixed = objective.Fixed(
+        state["mask"],
+        located,
+        i["background"],
+        stage >= 2,
+        stage >= 3,
+        i["lambda_rate"],
+        i["lambda_ssim"],
+        i["lambda_volume"],
+        EXACT,
+    )
+    networks = {name: p.network(name) for name in DESIGN.layers()}
+    found = objective.forward(p, DESIGN, networks, p.listed("grid"), fixed, view, u)
+    losses, seen, saved = found
+    bars, mean2d_bar = objective.backward(saved)
+    return losses, {name: replay.joined(bars, name) for name in replay.ARRAYS}, seen, mean2d_bar
+
+
+def adam(state, bars, counts, rates):
+    """One step of Adam, number by number."""
+    for name, g in bars.items():
+        counts[name] += rates[name] > 0
+        m, v = state["m_" + name], state["v_" + name]
+        m[...] = 0.9 * m + 0.1 * g
+        v[...] = 0.999 * v + 0.001 * g**2
+        if rates[name]:
+            unbiased = np.sqrt(1 - 0.999 ** counts[name]) / (1 - 0.9 ** counts[name])
+            state[name] -= rates[name] * unbiased * m / (np.sqrt(v) + 1e-15)
+
+
+def grown_anchors(i, state, draws):
+    """The new anchors [(place, feature, size)] of Scaffold-GS's rule, child by child (Q16)."""
+    A, k = state["mask"].shape
+    taken = [tuple(x) for x in state["x_a"]]
+    found = []
+    for level in range(i["grow_depth"]):
+        size = i["voxel"] * max(i["grow_init"] // i["grow_hierarchy"] ** level, 1)
+        threshold = i["gradient_threshold"] * (i["grow_hierarchy"] // 2) ** level
+        cells = {}
+        for a in range(A):
+            for c in range(k):
+                views = state["seen"][a, c]
+                strong = state["gradient"][a, c] / max(views, 1) >= threshold
+                lucky = draws[level][a * k + c] > 0.5 ** (level + 1)
+                if views > i["grow_every"] * i["success"] / 2 and strong and lucky:
+                    x = state["x_a"][a] + state["O_a"][a, c] * np.exp(state["log_l"][a])
+                    cells.setdefault(tuple(np.round(x / size)), []).append(state["f_a"][a])
+        if level and not found:
+            continue
+        occupied = {tuple(np.round(np.array(x) / size)) for x in taken}
+        new = [(cell, parents) for cell, parents in sorted(cells.items()) if cell not in occupied]
+        for cell, parents in new:
+            found.append((np.array(cell) * size, np.max(parents, axis=0), np.log(size)))
+        taken += [tuple(np.array(cell) * size) for cell, _ in new]
+    return found
+
+
+def adjust(i, state, n, draws):
+    """Masking, then growing and pruning, as the settings say for the end of iteration n."""
+    visited = state["visits"] > i["grow_every"] * i["success"]
+    if n >= i["mask_from"]:
+        faint = state["opacity"] < i["min_opacity"] * state["visits"][:, None]
+        state["mask"] &= ~(visited[:, None] & faint)
+    total = (state["opacity"] * state["mask"]).sum(axis=1)
+    dead = visited & (total < i["min_opacity"] * state["visits"])
+    growing = i["grow_from"] < n < i["grow_until"]
+    if growing:
+        added = grown_anchors(i, state, draws)
+        keep = ~dead
+        for name in (*ROWS, *(tag + name for tag in ("m_", "v_") for name in ROWS)):
+            old = state[name][keep]
+            new = np.zeros((len(added), *old.shape[1:]))
+            for row, (x, f, size) in zip(new, added):
+                if name in ROWS[:4]:
+                    row[...] = {"x_a": x, "f_a": f}.get(name, size)
+            state[name] = np.concatenate([old, new])
+        state["log_s"] = np.minimum(state["log_s"], 0.05)
+        for name in ("mask", *replay.SUMS):
+            old = state[name][keep]
+            new = np.full((len(added), *old.shape[1:]), name == "mask", old.dtype)
+            state[name] = np.concatenate([old, new])
+    if growing or n >= i["mask_from"]:
+        children = state["seen"] > i["grow_every"] * i["success"] / 2
+        anchors = state["visits"] > i["grow_every"] * i["success"]
+        for name, judged in zip(
+            ("gradient", "seen", "opacity", "visits"), [children, children] + [anchors] * 2
+        ):
+            state[name][judged] = 0
+
+
+def plainly(i):
+    """The outputs of a case."""
+    state = {name: i[name].copy() for name in replay.state_names()}
+    counts = dict(zip(replay.ARRAYS, state.pop("steps").tolist()))
+    box = tuple(state["box"]) if len(state["box"]) else None
+    views = replay.views_of(*(i[name] for name in replay.GIVEN[:-1]))
+    rows, rates = [], []
+    for step, (number, u) in enumerate(zip(i["views"], i["u"])):
+        n = i["iteration"] + step
+        if n >= i["stage_ends"][2] and box is None:
+            x = state["x_a"].astype(np.float32).astype(float)
+            box = x.min(axis=0), x.max(axis=0)
+            state["x_a"] = lattice(state["x_a"], *box)
+        view = views[number]
+        losses, bars, seen, mean2d_bar = gradients_of(i, state, view, u, box, n)
+        now = {name: rate(i, name, n) for name in replay.ARRAYS}
+        adam(state, bars, counts, now)
+        state["visits"] += 1
+        state["opacity"] += np.where(seen.alpha > 0, seen.alpha, 0)
+        k = i["k"]
+        for row, visible, (g_x, g_y) in zip(seen.index, seen.visible, mean2d_bar):
+            if visible:
+                size = g_x * view.camera.width / 2, g_y * view.camera.height / 2
+                state["gradient"][row // k, row % k] += np.hypot(*size)
+                state["seen"][row // k, row % k] += 1
+        if (n + 1) % i["grow_every"] == 0:
+            adjust(i, state, n + 1, i.get("draws"))
+        rows.append(losses)
+        rates.append([now[name] for name in replay.ARRAYS])
+    found = {f"out.{name}": a for name, a in state.items()}
+    found["out.steps"] = np.array([counts[name] for name in replay.ARRAYS])
+    found["out.box"] = np.array(box or np.zeros((0, 3))).reshape(-1, 3)
+    found["out.rates"] = np.array(rates)
+    return found | {f"out.{n}": np.array([getattr(r, n) for r in rows]) for n in replay.LOSSES}
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_plain_loops_end_in_the_same_state(case):
+    assert compare(case.tensors, plainly(case.inputs()), case.tolerance("float64")) == []
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_our_own_training_passes(dtype):
+    class Port:
+        def run(self, case):
+            return subjects()["training"].answer(cast(case.inputs(), dtype), {})
+
+    results = checker.check_subject(CASES, Port())
+    assert all(r.verdict == "pass" for r in results), results
+
+
+# --- gradients ----------------------------------------------------------------------------------
+# Not log_l and O_a: they move x, and no gradient flows back from E(x) (Q10).
+SMOOTH = ("f_a", "log_s", "psi_alpha", "psi_c", "psi_r", "psi_s", "psi_d")
+
+
+def test_the_first_gradient_is_that_of_finite_differences():
+    """The gradient is read from Adam's first moment, g = (m - 0.9 m before) / 0.1."""
+    i = CASES[0].inputs()
+    one = {**i, "views": i["views"][:1], "u": i["u"][:1]}
+    out = replay.replay(**one)[0]
+    rng, checked = np.random.default_rng(0), 0
+    for name in SMOOTH:
+        g = (out[f"m_{name}"] - 0.9 * i[f"m_{name}"]) / 0.1
+        for at in rng.choice(np.flatnonzero(g), 4, replace=False):
+            losses = []
+            for h in (1e-6, -1e-6):
+                moved = i[name].copy()
+                moved.flat[at] += h
+                losses.append(replay.replay(**{**one, name: moved})[0]["L_total"][0])
+            slope, own = (losses[0] - losses[1]) / 2e-6, g.flat[at]
+            assert slope == pytest.approx(own, rel=1e-4, abs=1e-6 * np.abs(g).max()), (name, at)
+            checked += 1
+    assert checked == 4 * len(SMOOTH)
+
+
+# --- what happens in the cases ------------------------------------------------------------------
+def test_the_cases_show_what_they_are_for():
+    growing, switch, ten = (case.tensors for case in CASES)
+    for t in (growing, ten):
+        assert len(t["in.x_a"]) != len(t["out.x_a"]) and len(t["in.box"]) == 0
+        new = ~t["out.m_f_a"].any(axis=1)
+        assert case_is_grown(t) and (new.sum() >= 3 or t is ten)
+    assert len(switch["out.box"]) == len(ten["out.box"]) == 2
+    for t in (switch, ten):
+        assert 0.4 < t["out.mask"].mean() < 1 and t["in.mask"].all()
+        assert (t["out.L_rate"] > 0).any() and (t["out.L_rate"] == 0).any()
+        assert t["out.visits"].any() and t["out.m_grid"].any() and not t["in.m_grid"].any()
+    assert len(ten["in.views"]) == 10 and len(set(ten["in.views"].tolist())) > 2
+    assert all(t["in.m_f_a"].any() and t["in.v_psi_d"].any() for t in (growing, switch, ten))
+
+
+def case_is_grown(t):
+    """Whether some anchors of the start are gone, and others joined."""
+    start, end = ({tuple(np.round(row, 1)) for row in t[f"{role}.f_a"]} for role in ("in", "out"))
+    return bool(start - end) and len(t["out.x_a"]) > len(t["in.x_a"])
+
+
+def test_every_field_of_the_preset_is_a_setting():
+    for case in CASES:
+        settings = case.inputs()
+        assert {*replay.SETTINGS} <= {*settings}
+        assert {*Preset._fields} - {*replay.SETTINGS} == {*replay.UNUSED}
+
+
+def test_the_steps_do_not_amplify_rounding():
+    """Inputs moved by 1e-15 of themselves move outputs by less than 1e-11."""
+    i = CASES[2].inputs()
+    right, rng, largest = replay.replay(**i)[0], np.random.default_rng(1), 0.0
+    moved = {}
+    for name, a in i.items():
+        if name in replay.ARRAYS or name[:2] in ("m_", "v_"):
+            a = a * (1 + 1e-15 * rng.choice([-1.0, 1.0], a.shape))
+        moved[name] = a
+    for name, a in replay.replay(**moved)[0].items():
+        if a.dtype.kind == "f" and a.size and right[name].any():
+            largest = max(largest, np.abs(a - right[name]).max() / np.abs(right[name]).max())
+    assert 0 < largest < 1e-11
