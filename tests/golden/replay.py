@@ -60,6 +60,7 @@ PRESET = Preset(
     stage_ends=(0, 0, 6, 10),
     lambda_ssim=0.2,
     lambda_volume=0.0,
+    sparse_share=0.0,
     decay_from=2,
     lr_x=(0.002, 0.0005),
     lr_f=(0.01, 0.002),
@@ -87,10 +88,10 @@ PRESET = Preset(
     min_opacity=0.03,
     mask_from=8,
 )
-# Fields that only the start of a training or the name of a preset concerns.
+# Fields that only the name of a preset or the start of a training concerns, or that are off.
 UNUSED = (
     *("name", "anchors", "extent", "feature_std", "opacity_bias", "upright"),
-    "deformation_gain",
+    *("deformation_gain", "sparse_share", "sparse_ssim"),
 )
 SETTINGS = {name: value for name, value in PRESET._asdict().items() if name not in UNUSED}
 
@@ -151,7 +152,7 @@ def views_of(W, T, focal, center, size, times, truth):
 
 def trainer_of(state, views, background, iteration, effects, settings):
     """Return a Trainer in a given state: arrays, moments, steps, mask, sums and box."""
-    preset = Preset(**settings)
+    preset = PRESET._replace(**settings)
     scene = SimpleNamespace(train=views, effects=effects, background=background)
     trainer = Replayed(scene, preset, settings=EXACT)
     p, m, v = (
