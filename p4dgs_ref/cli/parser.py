@@ -262,6 +262,7 @@ COMMANDS = {
             switch("--full", "all iterations of the preset tiny instead of half"),
             switch("--quick", "the preset smoke: seconds, too few steps to judge PSNR"),
             option("--seed", type=whole(0), default=0, help="seed of the trainings (default 0)"),
+            JOBS,
         ),
     ),
     "classroom": (

@@ -61,7 +61,7 @@ def effects(arguments):
     scene = read_test_scene(arguments)
     preset, share = ("smoke", 1) if arguments.quick else ("tiny", 1 if arguments.full else 0.5)
     with Line(arguments) as line, report_folder(arguments.output) as beside:
-        rows = ledger(scene, preset, arguments.seed, share, line)
+        rows = ledger(scene, preset, arguments.seed, share, line, arguments.jobs)
         if beside:
             draw_ledger(beside / "effects.png", rows)
     text = describe(rows)

@@ -71,7 +71,9 @@ def alternate(functions, repeats):
 # --- sentences -----------------------------------------------------------------------------------
 def stated(row, unit="ms"):
     """A time of a row with its quartiles: `5.9 ms (5.7 to 6.2)`."""
-    return f"{row[unit]:.3g} {unit} ({row[f'{unit}_low']:.3g} to {row[f'{unit}_high']:.3g})"
+    times = (row[unit], row[f"{unit}_low"], row[f"{unit}_high"])
+    median, low, high = (f"{a:,.0f}" if a >= 1000 else f"{a:.3g}" for a in times)
+    return f"{median} {unit} ({low} to {high})"
 
 
 def how_long(ratio):

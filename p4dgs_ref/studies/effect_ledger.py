@@ -1,10 +1,11 @@
 """The ledger of effects: what each effect of the closed list costs a scene, and what it is worth.
 
 One build has the scene's own list. For every effect there is another build in which that effect
-alone is switched. All builds train side by side, one step of each in turn, so that whatever
-disturbs the machine disturbs all of them.
+alone is switched. Their steps are timed in turn, so that whatever disturbs the machine disturbs all
+of them.
 """
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,14 +15,18 @@ from ..codec.file import decode, encode
 from ..scenes.scene import MODEL_EFFECTS
 from ..training.presets import choose
 from ..training.trainer import Trainer
+from .accuracy.fits import step_at
+from .clock import alternate
 from .effect_work import counted, effect_bytes
-from .evaluate import evaluate, timed
+from .evaluate import evaluate
+from .jobs import in_processes
 from .report import BLUE, ORANGE, pyplot, save_figure, write_csv
 from .suggest import suggest
 
 # The iterations of a preset that are shortened together with its stages.
 SCHEDULE = ("decay_from", "grow_from", "grow_until", "collect_from", "mask_from")
-COUNTED = 4  # last steps, whose work is counted; counting takes time, so they are not timed
+COUNTED = 4  # last steps, whose work is counted
+TURNS = 15  # of the steps that are timed
 AS_LISTED = "as listed"
 
 
@@ -37,40 +42,36 @@ def switched(scene, effect):
     return replace(scene, effects=set(scene.effects) ^ {effect})
 
 
-def train_together(scenes, preset, seed, progress=lambda line: None):
-    """Train builds of one scene side by side.
-
-    From {name: Scene} to {name: {model, data, ms, work}}. ms is the median of
-    the timed steps from stage 3 on, when every effect takes part.
-    """
-    trainers = {name: Trainer(scene, preset, seed) for name, scene in scenes.items()}
-    ms, work = ({name: [] for name in scenes} for _ in range(2))
+def train_alone(task):
+    """Train one build: its file, and the Work of its last steps."""
+    scene, preset, seed = task
+    trainer, work = Trainer(scene, preset, seed), []
     with np.errstate(all="ignore"):  # an overflow stops training with its own message
         for i in range(preset.iterations):
-            for name, trainer in trainers.items():
-                if i >= preset.iterations - COUNTED:
-                    with counted() as found:
-                        trainer.step()
-                    work[name].append(found)
-                else:
-                    stage, (_, seconds) = trainer.stage, timed(trainer.step)
-                    if stage >= 3:
-                        ms[name].append(1e3 * seconds)
-            if (i + 1) % max(preset.iterations // 20, 1) == 0:
-                progress(f"{i + 1} of {preset.iterations} steps of {len(scenes)} builds")
-    files = {name: encode(trainer.model()) for name, trainer in trainers.items()}
-    return {
-        name: {
-            "model": decode(data),
-            "data": data,
-            "ms": float(np.median(ms[name])),
-            "work": work[name],
-        }
-        for name, data in files.items()
-    }
+            with counted() if i >= preset.iterations - COUNTED else nullcontext() as found:
+                trainer.step()
+            work.append(found)
+    return encode(trainer.model()), work[-COUNTED:]
 
 
-def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, **changes):
+def train_all(scenes, preset, seed, progress=lambda line: None, jobs=1):
+    """Train builds of one scene, in `jobs` processes.
+
+    From {name: Scene} to {name: {model, data, ms, work}}. ms is that of a step of stage 4, when
+    every effect takes part; steps of all builds are timed in turn, in this process.
+    """
+    built, tasks = {}, [(scene, preset, seed) for scene in scenes.values()]
+    for name, (data, work) in zip(scenes, in_processes(train_alone, tasks, jobs)):
+        built[name] = {"model": decode(data), "data": data, "work": work}
+        progress(f"{len(built)} of {len(scenes)} builds trained")
+    progress("times of steps")
+    with np.errstate(all="ignore"):
+        steps = {name: step_at(scene, preset, 4) for name, scene in scenes.items()}
+        times = alternate(steps, TURNS)
+    return {name: {**build, "ms": times[name].median} for name, build in built.items()}
+
+
+def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, jobs=1, **changes):
     """What every effect costs and is worth, one row per effect in the order of the closed list.
 
     `changes` are fields of the preset; `share` is that of its iterations, 1 for all. A row has the
@@ -88,7 +89,7 @@ def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, 
     progress("looking at the pictures")
     evidence = {row["effect"]: row["evidence"] for row in suggest(scene)}
     builds = {AS_LISTED: scene, **{effect: switched(scene, effect) for effect in MODEL_EFFECTS}}
-    built = train_together(builds, preset, seed, progress)
+    built = train_all(builds, preset, seed, progress, jobs)
     psnr = {name: evaluate(build["model"], scene)[0]["psnr_db"] for name, build in built.items()}
     rows = []
     for effect in MODEL_EFFECTS:

@@ -6,7 +6,7 @@ import numpy as np
 
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.studies.effect_ledger import shortened, train_together
+from p4dgs_ref.studies.effect_ledger import shortened, train_all
 from p4dgs_ref.studies.evaluate import evaluate
 from p4dgs_ref.training.presets import PRESETS
 
@@ -21,7 +21,7 @@ def static_pair(seeds, preset="tiny", share=1):
     scene, preset, rows = load_scene("static"), shortened(PRESETS[preset], share), []
     builds = {LISTED: scene, ALL: replace(scene, effects=MODEL_EFFECTS)}
     for seed in seeds:
-        for name, build in train_together(builds, preset, seed).items():
+        for name, build in train_all(builds, preset, seed).items():
             work = [sum(map(work.of, MODEL_EFFECTS)) for work in build["work"]]
             rows.append(
                 {

@@ -8,11 +8,12 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
+from p4dgs_ref.codec.file import encode
 from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.model import Context
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting import fast
-from p4dgs_ref.studies import bench
+from p4dgs_ref.studies import bench, clock
 from p4dgs_ref.studies.accuracy import (
     diagram,
     fits,
@@ -21,8 +22,10 @@ from p4dgs_ref.studies.accuracy import (
     quantisation,
     report,
     size,
+    storage,
     training,
 )
+from p4dgs_ref.studies.inspect import components
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.trainer import Trainer
 from tests.studies import drawn
@@ -157,6 +160,94 @@ def test_the_prior_without_context_has_the_moments_of_the_coded_values():
     assert np.allclose(mu, [2, 5]) and np.allclose(
         np.exp(raw), [1, 0.2 * hash_grid.LEAST_DEVIATION]
     )
+
+
+def test_the_net_bytes_count_grid_and_networks_and_say_from_where_on_they_pay(model):
+    held = quantisation.fixed(model)
+    q = quantise(held)
+    _, row = hash_grid.learnt(held, q, *hash_grid.COMMON, 5)
+    plain = 4 * sum(held.design.widths)  # one mean and deviation per channel in float16
+    assert row["mlp_bytes"] == components(encode(held))["context_mlps"] > 1000
+    assert row["cost_bytes"] == row["grid_bytes"] + row["mlp_bytes"] - plain
+    assert row["net_bytes"] == row["alone_bytes"] - row["attribute_bytes"] - row["cost_bytes"] < 0
+    assert row["anchors"] == len(q.kept)
+
+    def measured(*saved):
+        return [
+            {"anchors": A, "saved_bytes": A * s, "cost_bytes": 4000, "net_bytes": A * s - 4000}
+            for A, s in zip((100, 1000, 2000), saved)
+        ]
+
+    assert hash_grid.pays_from(measured(2, 3, 5)) == pytest.approx(1000 + 1000 * 1000 / 7000)
+    assert hash_grid.pays_from(measured(2, 1, 1)) == pytest.approx(4000)
+    assert hash_grid.says(measured(2, 1, 1)).endswith("about 4,000 anchors on, extrapolated")
+
+
+# --- storage of weights and positions ------------------------------------------------------------
+def test_rounded_weights_are_on_a_grid_that_float16_holds():
+    array = np.random.default_rng(5).normal(size=(40, 7))
+    for bits in storage.WEIGHT_BITS[1:]:
+        symbols, step = storage.rounded(array, bits)
+        assert np.abs(symbols).max() < 2 ** (bits - 1) and np.log2(step) % 1 == 0
+        assert np.abs(symbols * step - array).max() <= step / 2 + step * (np.abs(array).max() > 4)
+        assert np.array_equal((symbols * step).astype(np.float16), symbols * step)
+    assert not storage.rounded(np.zeros((0, 3)), 8)[0].size
+    assert storage.coded_bytes(np.zeros((0, 3), np.int64)) == 0
+
+
+def test_fewer_bits_take_fewer_bytes_and_move_weights_and_positions_more(model):
+    sizes, gaps = [], []
+    for bits in storage.WEIGHT_BITS:
+        changed, plain, coded = storage.weights_at(model, bits)
+        count = sum(a.size for pair in model.networks.values() for arrays in pair for a in arrays)
+        assert plain - count * bits / 8 == 2 * sum(
+            len(arrays) for pair in model.networks.values() for arrays in pair
+        )
+        old, new = (m.networks["psi_c"][0][0] for m in (model, changed))
+        sizes.append(coded)
+        gaps.append(np.abs(old - new).max())
+        assert coded < plain + 200
+    assert sizes == sorted(sizes, reverse=True) and gaps == sorted(gaps) and gaps[-1] > 0.01
+    lo, hi = model.box
+    for bits in storage.POSITION_BITS:
+        changed, size_ = storage.positions_at(model, bits)
+        assert size_ == 3 * bits * len(model.anchors.x_a) / 8
+        gap = np.abs(changed.anchors.x_a - model.anchors.x_a).max(axis=0)
+        assert np.all(gap <= (hi - lo) / (2**bits - 1) / 1.99) and (bits == 16 or gap.max() > 0)
+
+
+# --- more knobs of a training --------------------------------------------------------------------
+def test_a_training_in_double_precision_is_one(scene):
+    preset = fits.reduced(20, anchors=20)
+    trainer = Trainer(scene, preset)
+    training.in_float64(trainer)
+    losses, seen, _ = trainer.step()
+    assert trainer.parameters.vector.dtype == seen.image.dtype == float
+    assert trainer.adam.first.vector.dtype == float
+    single = Trainer(scene, preset).step()[0].L_total
+    assert losses.L_total != single and losses.L_total == pytest.approx(single, rel=1e-4)
+
+
+def test_the_loss_estimates_nearly_the_bytes_of_the_file(scene, model):
+    row = fits.judge(model, scene)
+    assert row["coded_bytes"] == row["attribute_bytes"] + row["grid_bytes"]
+    assert 0 < row["coded_bytes"] - row["estimated_bytes"] < 0.03 * row["coded_bytes"] + 60
+
+
+def test_every_stage_of_every_run_is_timed(monkeypatch):
+    runs = [run for run in training.plan(True)[1] if run.method in ("precision", "anchors rated")]
+    monkeypatch.setattr(training, "alternate", lambda steps, repeats: dict.fromkeys(steps, ONE))
+    for step in (training.rated_step(load_scene("bouncing"), runs[0], stage) for stage in (1, 4)):
+        step()
+        step()
+    for columns in training.seconds(runs):
+        assert columns["seconds"] == pytest.approx(0.120 * 2)  # 120 iterations of 2 ms
+        assert columns["seconds_low"] == pytest.approx(0.120)
+        assert columns["seconds_high"] == pytest.approx(0.120 * 4)
+        assert columns["stretch"] == pytest.approx(1.5)
+
+
+ONE = clock.Times(2.0, 1.0, 4.0, 1.5)
 
 
 # --- gradients -----------------------------------------------------------------------------------
@@ -305,6 +396,6 @@ def test_all_studies_quickly(tmp_path, overlapping):
     result = report.run(None, tmp_path, True)
     assert [study["name"] for study in result["studies"]] == list(report.STUDIES) and len(
         report.STUDIES
-    ) == 8
+    ) == 9
     check_page(tmp_path, result)
     assert overlapping == []

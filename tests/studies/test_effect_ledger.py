@@ -35,8 +35,9 @@ def trained(name, *forced):
 
 def test_ledger(tmp_path):
     scene, told = load_scene("bouncing"), []
-    rows = effect_ledger.ledger(scene, "smoke", share=1, progress=told.append)
-    assert [row["effect"] for row in rows] == list(MODEL_EFFECTS) and len(told) > 10
+    rows = effect_ledger.ledger(scene, "smoke", share=1, progress=told.append, jobs=2)
+    assert [row["effect"] for row in rows] == list(MODEL_EFFECTS)
+    assert len(told) == 3 + len(MODEL_EFFECTS)
     assert json.loads(json.dumps(rows)) == rows
     for row in rows:
         listed = row["effect"] in scene.effects
@@ -55,6 +56,17 @@ def test_ledger(tmp_path):
     assert (tmp_path / "ledger.png").stat().st_size > 10_000
     with pytest.raises(ValueError, match="'test'"):
         effect_ledger.ledger(replace(scene, test=()), "smoke")
+
+
+def test_two_processes_train_the_builds_that_one_trains():
+    scene = load_scene("bouncing", downscale=4)
+    builds = {"listed": scene, "without": effect_ledger.switched(scene, "translation")}
+    alone, together = (effect_ledger.train_all(builds, SHORT, 3, jobs=jobs) for jobs in (1, 2))
+    for name in builds:
+        assert alone[name]["data"] == together[name]["data"]
+        works = [[vars(work) for work in built[name]["work"]] for built in (alone, together)]
+        assert works[0] == works[1] and len(works[0]) == effect_ledger.COUNTED
+    assert alone["listed"]["data"] != alone["without"]["data"]
 
 
 def test_a_switched_build_differs_in_one_effect_only():

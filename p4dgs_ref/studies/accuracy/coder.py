@@ -1,4 +1,4 @@
-"""Study 3, entropy coder: bits of frequencies, means, deviations and weights, and their cost.
+"""Study 3, entropy coder: bits of frequencies, means and deviations, lanes, and their cost.
 
 The codec's format fixes these widths. Here its tables are built once more with the widths as
 parameters, and the codec's own rANS codes and decodes the symbols. Frequencies that total 2^p,
@@ -9,8 +9,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from ...codec import rans
-from ...codec.context import coding_context
-from ...codec.fixed_point import bit_length, exponent
+from ...codec.fixed_point import bit_length
 from ...codec.gaussian_table import MU_BITS, PRECISION, SIGMA_BITS, Model, gaussian_model
 from ...codec.streams import (
     decode_gaussian,
@@ -21,9 +20,8 @@ from ...codec.streams import (
     pack_fields,
 )
 from ...equations import likelihood
-from ..bench import in_units, quantised_tiny, random_message
-from ..clock import alternate, compare, stretch_of
-from ..inspect import float_context
+from ..bench import in_units, random_message
+from ..clock import alternate, compare, stated, stretch_of
 from .diagram import (
     Axes,
     Finding,
@@ -42,8 +40,9 @@ PRECISIONS = (8, 10, 12, 14, 16, 18, 20, 22, 24)
 WIDE = 12.0  # sigmas, the codec's window
 MU_WIDTHS = (0, 1, 2, 3, 4, 6, 8, 10)
 SIGMA_WIDTHS = (0, 1, 2, 3, 4, 6)
-WEIGHT_WIDTHS = (3, 4, 5, 6, 7, 8, 10, 12, 15)
+LANES = (1, 8, 32, 128, 512)
 WIDE_WINDOW, FITTED_WINDOW = "frequencies, 12σ window", "frequencies, fitted window"
+CODEC, LANED = "the codec", "the codec, lanes labelled"
 
 
 def message(n, seed=0):
@@ -147,61 +146,46 @@ def code(n, repeats, progress):
             encode(symbols, model_of(mu, sigma, **w))[0], model_of(mu, sigma, **w)
         )
     units = in_units(mu, sigma)
-    coded = encode_gaussian(symbols, *units), symbols, bits, gaussian_model(*units)
-    ideal = float(ideal_bits_gaussian(symbols, *units).sum())
-    rows.append(coded_row("the codec", "", *coded, ideal, 0))
-    runs["the codec", ""] = lambda: decode_gaussian(encode_gaussian(symbols, *units), *units)
+    about = symbols, bits, gaussian_model(*units), float(ideal_bits_gaussian(symbols, *units).sum())
+    for method, lanes in ((CODEC, None), *((LANED, lanes) for lanes in LANES)):
+        try:
+            data = encode_gaussian(symbols, *units, lanes)
+        except ValueError:  # too few symbols for that many lanes
+            continue
+        rows.append(coded_row(method, lanes or "", data, *about, 0))
+        runs[method, lanes or ""] = lambda lanes=lanes: decode_gaussian(
+            encode_gaussian(symbols, *units, lanes), *units
+        )
     progress("coder: times")
     times = alternate(runs, repeats)
     return [{**row, **times[row["method"], row["knob"]].columns("ns", 1e6 / n)} for row in rows]
-
-
-def context_rows(anchors):
-    """Entropy lost when the weights of psi_p have fewer bits, for a `tiny` model.
-
-    Its steps stay those of the full widths.
-    """
-    q = quantised_tiny(anchors, gain=0.3)
-    design, exact = q.model.design, float_context(q.model)
-    steps = np.repeat(q.context.q, design.widths, axis=1)
-    bits, _ = likelihood.forward(q.symbols * steps, exact.mu, exact.sigma, steps)
-    weights, biases = q.model.networks["psi_p"]
-    rows = []
-    for width in WEIGHT_WIDTHS:
-        shifts = [width - exponent(W) for W in weights]
-        rounded = [np.rint(W * 2.0**shift) * 2.0**-shift for W, shift in zip(weights, shifts)]
-        networks = {**q.model.networks, "psi_p": (rounded, biases)}
-        ctx = coding_context(design, networks, q.model.grids, q.positions)
-        arrays = (a.ravel() for a in (q.symbols, ctx.mu_units, ctx.sigma_units))
-        rows.append(
-            {
-                "method": "weights of ψ_p",
-                "knob": width,
-                "symbols": q.symbols.size,
-                "model_percent": 100 * (ideal_bits_gaussian(*arrays).sum() / bits.sum() - 1),
-            }
-        )
-    return rows
 
 
 def run(folder, quick, progress, jobs=1):
     n, repeats = 3000 if quick else 20_000, 3
     progress("coder: codes and decodes")
     rows = code(n, repeats, progress)
-    context = context_rows(60 if quick else 300)
+    axes = Axes(
+        "ns",
+        "percent",
+        "processor time (ns per symbol, encode and decode)",
+        "size above the entropy (%)",
+    )
     work_precision(
         folder / "coder.png",
-        [row for row in rows if row["method"] in (WIDE_WINDOW, FITTED_WINDOW, "the codec")],
-        Axes(
-            "ns",
-            "percent",
-            "processor time (ns per symbol, encode and decode)",
-            "size above the entropy (%)",
-        ),
+        [row for row in rows if row["method"] in (WIDE_WINDOW, FITTED_WINDOW, CODEC)],
+        axes,
         f"bits of the frequencies (labelled), {n:,} symbols, bytes written and read back\n"
         "reference: entropy under the true Gaussians",
     )
-    draw_widths(folder / "coder_context.png", rows, context)
+    draw_widths(folder / "coder_context.png", rows)
+    work_precision(
+        folder / "coder_lanes.png",
+        select(rows, method=LANED),
+        axes,
+        f"lanes (labelled), {n:,} symbols, bytes written and read back\n"
+        "reference: entropy under the true Gaussians",
+    )
     return Finding(
         "coder",
         "Entropy coder",
@@ -212,26 +196,26 @@ def run(folder, quick, progress, jobs=1):
                 "coder_context.png",
                 "Bits of the integer context: what the model loses, without the coder's own cost.",
             ),
+            ("coder_lanes.png", "Number of lanes: size above the entropy against time."),
         ],
-        [table(folder, "coder", rows), table(folder, "coder_context", context)],
-        read(rows, context),
+        [table(folder, "coder", rows)],
+        read(rows),
         f"median and quartiles of {repeats} alternating repeats, tables, encoding and decoding",
         stretch_of(rows),
     )
 
 
-def draw_widths(path, rows, context):
+def draw_widths(path, rows):
     fig, (ax,) = figure()
     of_codec = {
         "mean": MU_BITS,
         "log2 deviation": SIGMA_BITS,
-        "weights of ψ_p": WEIGHT_WIDTHS[-1],
     }
-    shown = [row for row in [*rows, *context] if row["method"] in of_codec]
+    shown = [row for row in rows if row["method"] in of_codec]
     axes = Axes(
         "knob",
         "model_percent",
-        "fractional bits of mean and deviation; bits of a weight",
+        "fractional bits of mean and deviation",
         "entropy lost by the model (%)",
         "linear",
     )
@@ -248,13 +232,16 @@ def draw_widths(path, rows, context):
     )
 
 
-def read(rows, context):
+def read(rows):
     """What the numbers say."""
     fitted, wide = select(rows, method=FITTED_WINDOW), select(rows, method=WIDE_WINDOW)
     mean, deviation = select(rows, method="mean"), select(rows, method="log2 deviation")
-    codec, most, least = at(rows, method="the codec"), fitted[-1], context[-1]
+    codec, most = at(rows, method=CODEC), fitted[-1]
     enough = next(row for row in fitted if row["percent"] < 2 * most["percent"])
-    light = next(row for row in context if row["model_percent"] < 0.1 + least["model_percent"])
+    lanes = [
+        f"{row['knob']}: {row['percent']:.2f} %, {stated(row, 'ns')}"
+        for row in select(rows, method=LANED)
+    ]
     of_codec = at(deviation, knob=SIGMA_BITS)["model_percent"]
     fine = f"the same with means of {mean[-1]['knob']} bits everywhere"
     times = compare("a symbol of the codec", codec, fine, mean[-1], "ns")
@@ -270,6 +257,6 @@ def read(rows, context):
         f"{times} Deviations "
         f"rounded to a power of two (0 bits) lose {deviation[0]['model_percent']:.2f} %, the "
         f"codec's {SIGMA_BITS} bits {of_codec:.3f} %; means rounded to a step lose "
-        f"{number(mean[0]['model_percent'])} %. Weights of {light['knob']} bits are within 0.1 % "
-        f"of the codec's {least['knob']}."
+        f"{number(mean[0]['model_percent'])} %. Lanes, the size above the entropy and the time of "
+        f"a symbol: {'; '.join(lanes)}."
     )

@@ -35,8 +35,13 @@ FAMILIES = (
         "table, 256 per sigma",
         "stable",
     ),
-    ("frequencies, 12σ window", "frequencies, fitted window", "the codec"),
-    ("mean", "log2 deviation", "weights of ψ_p"),
+    (
+        "frequencies, 12σ window",
+        "frequencies, fitted window",
+        "the codec",
+        "the codec, lanes labelled",
+    ),
+    ("mean", "log2 deviation"),
     (
         "adaptive, trained with it",
         "adaptive, rounded to it later",
@@ -44,8 +49,11 @@ FAMILIES = (
         "fixed, trained with it",
         "fixed, rounded to it later",
     ),
-    ("seeds", "iterations", "anchors", "deformation width", "anchors rated"),
+    ("seeds", "iterations", "anchors", "deformation width", "anchors rated", "precision"),
+    ("estimated by the loss", "in the file"),
+    ("weights, plain", "weights, entropy coded", "positions, plain"),
     ("1 level", "2 levels", "4 levels", "8 levels"),
+    ("saved by the context", "hash grid and context networks"),
     ("forward", "central", "fourth order", "complex step", "manual backward"),
     (
         "prediction",
@@ -259,6 +267,8 @@ def finish(fig, path, title):
         for axis in (ax.xaxis, ax.yaxis):
             if axis.get_scale() == "log":
                 readable_ticks(axis)
+            else:
+                axis.get_major_formatter().set_useOffset(False)
     fig.suptitle(title, fontsize=13)
     fig.set_dpi(DPI)
     place_labels(fig)
@@ -283,6 +293,12 @@ def table(folder, name, rows):
 def six_digits(value):
     """A value for a CSV: six digits are more than any measurement here has."""
     return f"{value:.6g}" if isinstance(value, (float, np.floating)) else value
+
+
+def unfold(rows, columns):
+    """Every row once for each {method: column}, with what the column holds as its `value`."""
+    kinds = columns.items()
+    return [{**row, "method": name, "value": row[key]} for name, key in kinds for row in rows]
 
 
 def select(rows, **wanted):

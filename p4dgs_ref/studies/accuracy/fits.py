@@ -9,7 +9,7 @@ from ...model import ANCHOR_NETWORKS, CONTEXT_NETWORKS
 from ...training.presets import TINY
 from ...training.trainer import Trainer
 from ..evaluate import evaluate
-from ..inspect import components
+from ..inspect import components, ledger
 
 ATTRIBUTES = ("features", "scales", "offset_scales", "offsets")  # sections of the file
 TEST_VIEWS = "the test views of `bouncing`, rendered from the decoded file"
@@ -17,7 +17,6 @@ TEST_VIEWS = "the test views of `bouncing`, rendered from the decoded file"
 
 class Fit(NamedTuple):
     model: object
-    state: tuple  # of the trainer, for `step_at`
     work: dict  # counted over all iterations: multiply_adds, rated_symbols
 
 
@@ -59,15 +58,14 @@ def train(scene, preset, seed=0, prepare=None, rated_share=1.0):
 
     with np.errstate(all="ignore"):  # the trainer itself looks for overflows
         model = trainer.run(count)
-    return Fit(model, trainer.state(), work)
+    return Fit(model, work)
 
 
-def step_at(scene, preset, state, stage):
-    """A function that does a step of a trained model as in that stage, to be timed."""
+def step_at(scene, preset, stage, prepare=None):
+    """A function that does the first step of a stage again and again, to be timed."""
     trainer = Trainer(scene, preset._replace(grow_every=10**9))  # the anchors stay as they are
-    trainer.restore(*state)
-    if stage < 4:
-        trainer.box = trainer.located = None
+    if prepare:
+        prepare(trainer)
 
     def step():
         trainer.iteration = (0, *preset.stage_ends)[stage - 1]
@@ -85,11 +83,14 @@ def judge(model, scene):
     """The model's file, decoded again, on the test views: bytes, bytes by kind, decibels."""
     data = encode(model)
     metrics, sizes = evaluate(decode(data), scene)[0], components(data)
+    coded = [row for row in ledger(data) if row["name"] in (*ATTRIBUTES, "hash_grid")]
     return {
         "psnr_db": metrics["psnr_db"],
         "bytes": len(data),
         "attribute_bytes": sum(sizes[name] for name in ATTRIBUTES),
         "grid_bytes": sizes["hash_grid"],
+        "coded_bytes": sum(row["bytes"] for row in coded),
+        "estimated_bytes": round(sum(row["estimate_bytes"] for row in coded)),
         "network_bytes": sum(n for name, n in sizes.items() if name.endswith(("mlp", "mlps"))),
         "anchors": metrics["anchors"],
     }

@@ -20,7 +20,18 @@ from ...training.adam import Adam
 from ...training.parameters import Parameters, random_layers
 from ..clock import alternate, compare, stretch_of
 from ..inspect import components
-from .diagram import Axes, Finding, figure, finish, legend_below, lines, table, work_precision
+from ..jobs import in_processes
+from .diagram import (
+    Axes,
+    Finding,
+    figure,
+    finish,
+    legend_below,
+    lines,
+    table,
+    unfold,
+    work_precision,
+)
 from .fits import ATTRIBUTES, multiply_adds, reduced, train
 from .quantisation import fixed
 
@@ -31,6 +42,7 @@ LEVELS = {
     4: (("xyz", 8), *((plane, 16) for plane in PLANES)),
     8: (("xyz", 8), ("xyz", 16), *((plane, res) for res in (16, 32) for plane in PLANES)),
 }
+COMMON = LEVELS[4], 512  # the grid over numbers of anchors
 LEARNING_RATE = 0.01
 LEAST_DEVIATION = 0.05  # of a channel, in steps: a constant channel still has a finite prior
 
@@ -119,28 +131,60 @@ def without_context(model, q):
     return written(model, design, {"psi_p": (weights, biases)}, model.grids)
 
 
-def measure(quick, progress):
-    """Rows of every grid, the file without context, and how often times were repeated."""
+def learnt(model, q, levels, table_size, steps):
+    """A context after some steps, and what it saves and costs in the file."""
+    fit = ContextFit(model, q, levels, table_size)
+    for _ in range(steps):
+        fit.step()
+    alone = without_context(model, q)["attribute_bytes"]
+    found = written(model, fit.design, fit.networks, fit.p.listed("grid"))
+    saved = alone - found["attribute_bytes"]
+    # Without a context, the mean and deviation of every channel are stored as float16 instead.
+    cost = found["grid_bytes"] + found["mlp_bytes"] - 4 * sum(model.design.widths)
+    about = {"alone_bytes": alone, "saved_bytes": saved, "cost_bytes": cost}
+    return fit, {"anchors": len(q.kept), **found, **about, "net_bytes": saved - cost}
+
+
+def with_anchors(task):
+    """The row of a model with that many anchors, whose context has the grid COMMON."""
+    anchors, iterations, steps = task
+    model = fixed(train(load_scene("bouncing"), reduced(iterations, anchors=anchors)).model)
+    return learnt(model, quantise(model), *COMMON, steps)[1]
+
+
+def pays_from(rows):
+    """The anchors from which the context saves more than it costs.
+
+    Beyond the most anchors measured, it is taken to save as much per anchor as there.
+    """
+    most = rows[-1]
+    if most["net_bytes"] < 0:
+        return most["anchors"] * most["cost_bytes"] / max(most["saved_bytes"], 1e-9)
+    return float(np.interp(0, *zip(*((row["net_bytes"], row["anchors"]) for row in rows))))
+
+
+def measure(quick, progress, jobs):
+    """Rows of every grid, rows of every number of anchors, and how often times were repeated."""
     iterations, steps = (120, 40) if quick else (950, 400)
     levels, sizes = ((1, 4), (64, 512)) if quick else (LEVELS, (32, 128, 512, 2048))
+    counts = (50, 100) if quick else (100, 200, 400, 800, 1600)
+    by_anchors = []
+    for row in in_processes(with_anchors, [(A, iterations, steps) for A in counts], jobs):
+        by_anchors.append(row)
+        progress(f"hash grid: {len(by_anchors)} of {len(counts)} numbers of anchors")
     progress("hash grid: the model whose attributes are kept")
     model = fixed(train(load_scene("bouncing"), reduced(iterations)).model)
-    q = quantise(model)
-    alone, rows, runs = without_context(model, q), [], {}
+    q, rows, runs = quantise(model), [], {}
     for count, size in product(levels, sizes):
         progress(f"hash grid: {count} levels, {size} entries")
-        fit = ContextFit(model, q, LEVELS[count], size)
-        for _ in range(steps):
-            fit.step()
-        in_file = written(model, fit.design, fit.networks, fit.p.listed("grid"))
+        fit, found = learnt(model, q, LEVELS[count], size, steps)
         rows.append(
             {
                 "method": f"{count} level{'s' * (count > 1)}",
                 "knob": size,
                 "levels": count,
                 "entries": sum(T * F for T, F in fit.design.levels()),
-                **in_file,
-                "saved_bytes": alone["attribute_bytes"] - in_file["attribute_bytes"],
+                **found,
                 "multiply_adds": multiply_adds(fit.design, ("psi_p",), len(fit.values)),
                 "reads": fit.located.nnz,
                 "symbols": int(fit.kept.sum()),
@@ -150,65 +194,78 @@ def measure(quick, progress):
     repeats = 3 if quick else 7
     times = alternate(runs, repeats)
     rows = [{**row, **times[row["levels"], row["knob"]].columns()} for row in rows]
-    return rows, alone, repeats
+    return rows, sorted(by_anchors, key=lambda row: row["anchors"]), repeats
 
 
 def run(folder, quick, progress, jobs=1):
-    rows, alone, repeats = measure(quick, progress)
+    rows, by_anchors, repeats = measure(quick, progress, jobs)
     reference = "one Gaussian per channel, the same symbols and coder"
     title = (
-        f"bytes saved of {alone['attribute_bytes']:,}, entries of a level's table labelled\n"
-        f"reference: {reference}"
+        f"{rows[0]['anchors']} anchors with {rows[0]['alone_bytes']:,} bytes of attributes, "
+        f"entries of a level's table labelled\nreference: {reference}"
     )
     axes = Axes(
         "grid_bytes",
-        "saved_bytes",
+        "net_bytes",
         "hash grid in the file (bytes)",
-        "bytes that the context saves",
+        "bytes saved, less grid and networks",
         y_scale="linear",
     )
-    fig, (ax,) = figure()
-    lines(ax, rows, axes)
-    sizes = [row["grid_bytes"] for row in rows]
-    bound = np.geomspace(min(sizes), max(sizes), 50)
-    ax.plot(bound, bound, ":", color="gray", label="pays for the grid")
-    legend_below(fig, ax, 3)
-    finish(fig, folder / "hash_grid.png", title)
-    work_precision(
-        folder / "hash_grid_time.png",
-        rows,
-        axes._replace(x="ms", x_label="one iteration of the context (ms)"),
-        title,
-    )
+    time = axes._replace(x="ms", x_label="one iteration of the context (processor ms)")
+    for name, shown in (("hash_grid", axes), ("hash_grid_time", time)):
+        fig, (ax,) = figure()
+        lines(ax, rows, shown)
+        ax.axhline(0, linestyle=":", color="gray")
+        legend_below(fig, ax, 4)
+        finish(fig, folder / f"{name}.png", title)
+    draw_anchors(folder / "hash_grid_anchors.png", by_anchors)
     return Finding(
         "hash_grid",
         "Hash grid",
         reference,
         [
-            ("hash_grid.png", "Bytes saved against the grid's own bytes."),
-            ("hash_grid_time.png", "Bytes saved against time."),
+            ("hash_grid.png", "Bytes saved in the whole file against the grid's own bytes."),
+            ("hash_grid_time.png", "Bytes saved in the whole file against time."),
+            ("hash_grid_anchors.png", "What the context saves and costs, over the anchors."),
         ],
-        [table(folder, "hash_grid", rows)],
-        read(rows, alone),
+        [table(folder, "hash_grid", rows), table(folder, "hash_grid_anchors", by_anchors)],
+        read(rows, by_anchors),
         f"median and quartiles of {repeats} alternating repeats of one iteration of the context",
         stretch_of(rows),
     )
 
 
-def read(rows, alone):
+def draw_anchors(path, rows):
+    """Saved and spent bytes over the number of anchors; the crossing is where the context pays."""
+    kinds = {"saved by the context": "saved_bytes", "hash grid and context networks": "cost_bytes"}
+    axes = Axes("anchors", "value", "anchors of the file", "bytes", y_scale="linear")
+    levels, size = COMMON
+    title = f"a context of {len(levels)} levels of up to {size} entries\n{says(rows)}"
+    shown = [{**row, "knob": row["anchors"]} for row in unfold(rows, kinds)]
+    work_precision(path, shown, axes, title, label=False)
+
+
+def says(rows):
+    """From how many anchors on the context pays, in words."""
+    anchors = pays_from(rows)
+    how = ", extrapolated" if anchors > rows[-1]["anchors"] else ""
+    return f"the context pays from about {float(f'{anchors:.2g}'):,.0f} anchors on{how}"
+
+
+def read(rows, by_anchors):
     """What the numbers say."""
-    net = [(row["saved_bytes"] - row["grid_bytes"], row) for row in rows]
-    gain, best = max(net, key=lambda pair: pair[0])
-    loss, worst = min(net, key=lambda pair: pair[0])
+    best, worst = (choose(rows, key=lambda row: row["net_bytes"]) for choose in (max, min))
     most = max(rows, key=lambda row: row["saved_bytes"])
     few, many = (choose(rows, key=lambda row: row["reads"]) for choose in (min, max))
     names = [f"an iteration with {row['reads']:,} reads of the grid" for row in (many, few)]
     times = compare(names[0], many, names[1], few)
     return (
-        f"One Gaussian per channel needs {alone['attribute_bytes']:,} bytes for "
-        f"{rows[0]['symbols']:,} symbols. The context that saves most, {most['method']} of "
-        f"{most['knob']} entries, saves {most['saved_bytes']:,} bytes, and its grid takes "
-        f"{most['grid_bytes']:,}. Less the grid, {best['method']} of {best['knob']} entries is the "
-        f"best with {gain:+,} bytes and {worst['method']} of {worst['knob']} entries the worst "
-        f"with {loss:+,}; the context MLPs take another {best['mlp_bytes']:,} bytes. {times}"
+        f"One Gaussian per channel needs {most['alone_bytes']:,} bytes for {most['symbols']:,} "
+        f"symbols of {most['anchors']} anchors. The context that saves most, {most['method']} of "
+        f"{most['knob']} entries, saves {most['saved_bytes']:,} bytes; its grid takes "
+        f"{most['grid_bytes']:,} and its networks {most['mlp_bytes']:,}. In the whole file, "
+        f"{best['method']} of {best['knob']} entries is the best with {best['net_bytes']:+,} bytes "
+        f"and {worst['method']} of {worst['knob']} entries the worst with "
+        f"{worst['net_bytes']:+,}. Measured with {by_anchors[0]['anchors']} to "
+        f"{by_anchors[-1]['anchors']} anchors, {says(by_anchors)}. {times}"
     )

@@ -64,10 +64,7 @@ def measure(iterations, trained_scales, scales, progress):
 def run(folder, quick, progress, jobs=1):
     iterations, trained = (120, (1.0, 4.0)) if quick else (950, (0.25, 0.5, 1.0, 2.0, 4.0))
     rows = measure(iterations, trained, (0.25, 0.5, 1.0, 2.0, 4.0, 8.0), progress)
-    shown = [
-        {**row, "knob": f"{row['knob']:g}", "coded": row["attribute_bytes"] + row["grid_bytes"]}
-        for row in rows
-    ]
+    shown = [{**row, "knob": f"{row['knob']:g}", "coded": row["coded_bytes"]} for row in rows]
     work_precision(
         folder / "quantisation.png",
         shown,

@@ -7,7 +7,17 @@ from pathlib import Path
 from ...splatting.settings import SETTINGS
 from ..clock import disturbance, stretch_of
 from ..evaluate import timed
-from . import coder, gradients, hash_grid, likelihood, quantisation, rendering, size, training
+from . import (
+    coder,
+    gradients,
+    hash_grid,
+    likelihood,
+    quantisation,
+    rendering,
+    size,
+    storage,
+    training,
+)
 from .diagram import number
 from .timing import machine
 
@@ -17,6 +27,7 @@ STUDIES = {
     "likelihood": likelihood.run,
     "coder": coder.run,
     "quantisation": quantisation.run,
+    "storage": storage.run,
     "training": training.run,
     "hash_grid": hash_grid.run,
     "gradients": gradients.run,

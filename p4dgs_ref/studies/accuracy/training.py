@@ -5,7 +5,6 @@ that is rated, and the seed.
 """
 
 from contextlib import nullcontext
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,11 +13,13 @@ from ...equations import anchor_rate, hash_rate, likelihood, rate_loss
 from ...model import Context, split
 from ...scenes import load_scene
 from ...training import objective
+from ...training.adam import Adam
+from ...training.parameters import Parameters
 from ...training.presets import Preset
 from ..bench import replaced
 from ..clock import Times, alternate, can_tell, stated, stretch_of
 from ..jobs import in_processes
-from .diagram import Axes, Finding, at, select, table, work_precision
+from .diagram import Axes, Finding, at, select, table, unfold, work_precision
 from .fits import TEST_VIEWS, judge, reduced, sampled, step_at, train
 
 SHARES = (1.0, 0.25, 0.05)  # of the anchors that an iteration rates; HAC rates 5 %
@@ -77,6 +78,7 @@ class Run(NamedTuple):
     preset: Preset
     share: float = 1.0
     seed: int = 0
+    prepare: object = None  # what `fits.train` does before the first step
 
 
 def plan(quick):
@@ -84,21 +86,31 @@ def plan(quick):
     base, seeds = (reduced(120), range(2)) if quick else (reduced(950), range(3))
     iterations = (60, 240) if quick else (240, 475, 1900, 3800)
     anchors, widths = ((100,), (32,)) if quick else ((50, 100, 400), (16, 32, 128, 192))
+    weights = (1e-4, 1e-2) if quick else (0.0, 1e-4, 3e-4, 3e-3, 1e-2)
     return base, [
         *(Run("seeds", seed, base, seed=seed) for seed in seeds),
         *(Run("iterations", n, reduced(n)) for n in iterations),
         *(Run("anchors", A, base._replace(anchors=A)) for A in anchors),
         *(Run("deformation width", W, base._replace(deformation=(W, W))) for W in widths),
         *(Run("anchors rated", share, base, share) for share in SHARES[1:]),
+        *(Run("λ_rate", value, base._replace(lambda_rate=value)) for value in weights),
+        Run("precision", "float64", base, prepare=in_float64),
     ]
 
 
+def in_float64(trainer):
+    """Let a trainer compute in double precision."""
+    trainer.adopt(Parameters(trainer.parameters.arrays, float))
+    trainer.adam = Adam(trainer.parameters)
+    trainer.settings = trainer.settings._replace(dtype="float64")
+
+
 def train_one(run):
-    """The row of a run without its time, and the trainer's last state."""
+    """The row of a run, without its time."""
     scene = load_scene("bouncing")
     with rated(run.share):
-        fit = train(scene, run.preset, run.seed, rated_share=run.share)
-    row = {
+        fit = train(scene, run.preset, run.seed, run.prepare, run.share)
+    return {
         "method": run.method,
         "knob": run.knob,
         "iterations": run.preset.iterations,
@@ -107,49 +119,52 @@ def train_one(run):
         **judge(fit.model, scene),
         **fit.work,
     }
-    return row, fit.state
 
 
-def seconds(runs, states):
+def seconds(runs):
     """Columns of the processor seconds of every run.
 
-    Steps of all trained models, in every stage, are timed in turn; a stage takes as many of them as
-    it has iterations.
+    Steps of all runs in all stages are timed in turn, at their first parameters; a stage takes as
+    many of them as it has iterations.
     """
-    scene, steps = load_scene("bouncing"), {}
-    for i, (run, state) in enumerate(zip(runs, states)):
-        for stage in range(1, 5):
-            step = step_at(scene, run.preset, state, stage)
-            steps[i, stage] = partial(rated_step, run.share, step)
+    scene, stages, found = load_scene("bouncing"), range(1, 5), []
     with np.errstate(all="ignore"):
-        times, found = alternate(steps, 5), []
-    for i, run in enumerate(runs):
-        lengths = np.diff([0, *run.preset.stage_ends]) / 1e3
-        total = lengths @ [times[i, stage][:3] for stage in range(1, 5)]
-        stretch = float(np.median([times[i, stage].stretch for stage in range(1, 5)]))
-        found.append(Times(*map(float, total), stretch).columns("seconds"))
+        steps = {(run, stage): rated_step(scene, run, stage) for run in runs for stage in stages}
+        times = alternate(steps, 5)
+    for run in runs:
+        lengths = np.diff([0, *run.preset.stage_ends])
+        measured = np.array([times[run, stage] for stage in stages])
+        *ms, _ = (lengths @ measured).tolist()
+        found.append(Times(*ms, measured[:, 3].mean()).columns("seconds", 1e-3))
     return found
 
 
-def rated_step(share, step):
-    with rated(share):
-        step()
+def rated_step(scene, run, stage):
+    """A function that does a step of a run."""
+    step = step_at(scene, run.preset, stage, run.prepare)
+
+    def rate_some():
+        with rated(run.share):
+            step()
+
+    return rate_some
 
 
 def measure(quick, progress, jobs):
     """Rows of every run, with the common point in every line, and that point's iterations."""
-    (base, runs), rows, states = plan(quick), [], []
-    for row, state in in_processes(train_one, runs, jobs):
+    (base, runs), rows = plan(quick), []
+    for row in in_processes(train_one, runs, jobs):
         rows.append(row)
-        states.append(state)
         progress(f"training: {len(rows)} of {len(runs)} trainings")
     progress("training: times of steps")
-    rows = [{**row, **times} for row, times in zip(rows, seconds(runs, states))]
+    rows = [{**row, **times} for row, times in zip(rows, seconds(runs))]
     common = {
         "iterations": base.iterations,
         "anchors": base.anchors,
         "deformation width": base.deformation[0],
         "anchors rated": 1.0,
+        "λ_rate": base.lambda_rate,
+        "precision": "float32",
     }
     middle = at(rows, method="seeds", knob=0)
     rows += [{**middle, "method": method, "knob": knob} for method, knob in common.items()]
@@ -159,13 +174,14 @@ def measure(quick, progress, jobs):
 def run(folder, quick, progress, jobs=1):
     rows, middle = measure(quick, progress, jobs)
     title = f"`tiny` on `bouncing`, all lines meet at {middle} iterations\nreference: {TEST_VIEWS}"
-    shown = [{**row, "knob": label(row)} for row in rows]
+    shown = [{**row, "knob": label(row)} for row in rows if row["method"] != "λ_rate"]
     for name, x, x_label in (
         ("training", "seconds", "training (processor seconds, median and quartiles)"),
         ("training_bytes", "bytes", "file (bytes)"),
     ):
         axes = Axes(x, "psnr_db", x_label, "PSNR of the test views (dB)", y_scale="linear")
         work_precision(folder / f"{name}.png", shown, axes, title, 3)
+    draw_rate(folder / "training_rate.png", select(rows, method="λ_rate"))
     return Finding(
         "training",
         "Training",
@@ -173,18 +189,30 @@ def run(folder, quick, progress, jobs=1):
         [
             ("training.png", "PSNR against seconds; every line changes one knob."),
             ("training_bytes.png", "PSNR of the same trainings against bytes."),
+            ("training_rate.png", "λ_rate: PSNR against the coded bytes, estimated and real."),
         ],
         [table(folder, "training", rows)],
         read(rows),
-        "processor seconds from steps of all trained models in all stages, timed in turn",
+        "processor seconds from steps of all runs in all stages, timed in turn at the start",
         stretch_of(rows),
     )
 
 
 def label(row):
     """The text beside a point."""
-    texts = {"seeds": "", "anchors rated": f"{100 * row['knob']:g} %"}
-    return texts.get(row["method"], f"{row['knob']:g}")
+    if row["method"] in ("seeds", "precision"):
+        return row["knob"] if row["method"] == "precision" else ""
+    return f"{100 * row['knob']:g} %" if row["method"] == "anchors rated" else f"{row['knob']:g}"
+
+
+def draw_rate(path, rows):
+    """PSNR over the bytes of attributes and grid: those of the loss and those of the file."""
+    kinds = {"estimated by the loss": "estimated_bytes", "in the file": "coded_bytes"}
+    shown = [{**row, "knob": f"{row['knob']:g}"} for row in unfold(rows, kinds)]
+    label = "attributes and hash grid (bytes)"
+    axes = Axes("value", "psnr_db", label, "PSNR of the test views (dB)", "linear", "linear")
+    title = f"λ_rate (labelled), one training each\nreference: {TEST_VIEWS}"
+    work_precision(path, shown, axes, title)
 
 
 def read(rows):
@@ -202,12 +230,20 @@ def read(rows):
             f"{instead(high, low)}"
         )
     few, *_, every = select(rows, method="anchors rated")
+    cheap, *_, dear = select(rows, method="λ_rate")
+    single, double = select(rows, method="precision")
     return (
         f"{len(seeds)} seeds of the common point differ by up to {max(seeds) - min(seeds):.2f} dB, "
         f"which is the scale for the other changes: {'; '.join(changes)}. Rating "
         f"{100 * few['share']:g} % of the anchors instead of all evaluates Eq. (11) "
         f"{few['rated_symbols']:,} instead of {every['rated_symbols']:,} times and changes "
-        f"the result by {difference(few, every)}, {instead(few, every)}."
+        f"the result by {difference(few, every)}, {instead(few, every)}. Training in float64 "
+        f"instead of float32 changes it by {difference(double, single)}, "
+        f"{instead(double, single)}. From λ_rate {cheap['knob']:g} to "
+        f"{dear['knob']:g}, the coded bytes go from {cheap['coded_bytes']:,} to "
+        f"{dear['coded_bytes']:,} (the loss estimates {cheap['estimated_bytes']:,} and "
+        f"{dear['estimated_bytes']:,}) and PSNR changes by "
+        f"{dear['psnr_db'] - cheap['psnr_db']:+.2f} dB."
     )
 
 
