@@ -3,7 +3,7 @@
 from contextlib import closing
 from pathlib import Path
 
-from .base import Line, UsageError, require_known, show
+from .base import Line, UsageError, show
 
 
 def oracle_list(arguments):
@@ -38,7 +38,7 @@ def oracle_check(arguments):
     """Judge the answers of a port; exit code 1 if a required case does not pass."""
     from ..oracle.adapter import Adapter
     from ..oracle.checker import check_port
-    from ..oracle.ports import FolderPort
+    from ..oracle.ports import FolderPort, require_known
     from ..oracle.published import names
     from ..oracle.report import as_json
 
@@ -54,7 +54,8 @@ def oracle_check(arguments):
             "--dtype, --timeout: these apply to --adapter only; "
             "the precision of a folder is that of its tensors"
         )
-    require_known("--only", arguments.only, names())
+    for name in arguments.only:
+        require_known(name, names(), "--only")
     port = (
         FolderPort(folder)
         if folder
@@ -62,13 +63,15 @@ def oracle_check(arguments):
     )
     with Line(arguments) as line, closing(port):
         report = check_port(
-            port, arguments.level, arguments.only, progress=line, version=arguments.vectors
+            port,
+            arguments.level,
+            arguments.only,
+            progress=line,
+            version=arguments.vectors,
+            strict=arguments.strict,
         )
     if not report.results:
         asked = f"--level {' '.join(arguments.level)} --only {' '.join(arguments.only)}"
         raise UsageError(f"{asked}: no such case; `p4dgs-ref oracle list` lists them")
-    text = str(report)
-    if folder and (Path(folder) / "manifest.json").is_file():
-        text += "\nthis folder holds the vectors themselves, not a port's answers"
-    show(arguments, as_json(report), text)
+    show(arguments, as_json(report), report)
     return 0 if report.ok else 1

@@ -361,6 +361,12 @@ ORACLE = {
             ),
             several("--only", "NAME", "check only this equation or subject; may be repeated"),
             VECTORS,
+            option(
+                "--strict",
+                action="store_true",
+                help="fail the cases that are acceptable because the printed formula, with stock "
+                "slopes, has fewer digits there",
+            ),
             QUIET,
         ),
     ),

@@ -104,10 +104,6 @@ class Adapter(contextlib.AbstractContextManager):
         if child is not None:
             child.end(grace=1.0)
 
-    def strangers(self):
-        """Return an empty list: every answer belongs to the case whose id it repeats."""
-        return []
-
     def __exit__(self, *_):
         self.close()
 

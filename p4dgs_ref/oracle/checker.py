@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import doctor, published
-from .compare import Result, compare, precision
+from . import doctor, printed, published
+from .compare import Result, compare, expected, precision
 from .ports import FunctionPort, PortError
 from .published import FOLDER, LEVELS
 from .report import text
@@ -15,7 +15,6 @@ class Report(NamedTuple):
     """All verdicts, in the order in which data flows."""
 
     results: list
-    strangers: tuple = ()  # tensors that belong to no case, perhaps misspelt; otherwise ignored
 
     @property
     def ok(self):
@@ -29,28 +28,31 @@ class Report(NamedTuple):
         return next((r for r in wrong if r.findings), next(iter(wrong), None))
 
     def levels(self):
-        """Return {level: {passed, of, says}} of the required cases."""
+        """Return {level: {passed, acceptable, of, says}} of the required cases."""
         found = {}
         for level, says in LEVELS.items():
             rows = [r for r in self.results if r.level == level and r.required]
             if rows:
-                passed = sum(not r.wrong for r in rows)
-                found[level] = {"passed": passed, "of": len(rows), "says": says}
+                verdicts = [r.verdict for r in rows]
+                counts = {"passed": verdicts.count("pass")}
+                counts["acceptable"] = verdicts.count("acceptable")
+                found[level] = {**counts, "of": len(rows), "says": says}
         return found
 
     def __str__(self):
         return text(self)
 
 
-def check(forward, key, vjp=None):
+def check(forward, key, vjp=None, strict=False):
     """Judge a Python function as an equation of the table, or as another subject of the vectors.
 
     `forward(**inputs)` returns the outputs: a dictionary, a NamedTuple, a tuple in order or one
     array. `vjp(inputs, cotangents)` returns {input: gradient}; without it only outputs are judged.
-    Arrays are whatever `np.asarray` reads. Raises KeyError where `key` is no subject.
+    Arrays are whatever `np.asarray` reads. `strict` fails what is acceptable because the printed
+    formula is no better. Raises KeyError where `key` is no subject.
     """
     roles = ("out.", "in_bar.") if vjp else ("out.",)
-    return Report(check_subject(published.cases(key), FunctionPort(forward, vjp), roles))
+    return Report(check_subject(published.cases(key), FunctionPort(forward, vjp), roles, strict))
 
 
 def check_port(
@@ -60,11 +62,12 @@ def check_port(
     folder=FOLDER,
     progress=lambda text: None,
     version=published.VERSIONS[-1],
+    strict=False,
 ):
     """Return a Report on a port, in the order in which data flows.
 
     `levels` and `only` (subjects or equations) choose cases; empty, they choose all. `version` is
-    that of the vectors: cases that joined later are left out.
+    that of the vectors: cases that joined later are left out. `strict` is that of `check`.
     """
     only = {only} if isinstance(only, str) else set(only)
     manifest = published.read_manifest(folder, version)
@@ -82,44 +85,75 @@ def check_port(
             chosen = not only or called & only
             if subject["level"] == level and chosen:
                 progress(subject["key"])
-                results += check_subject(published.read(subject, folder), port)
-    return Report(_shared(results), tuple(port.strangers()))
+                results += check_subject(published.read(subject, folder), port, strict=strict)
+    return Report(_shared(results))
 
 
-def check_subject(cases, port, roles=("out.", "in_bar.")):
+def check_subject(cases, port, roles=("out.", "in_bar."), strict=False):
     """Return the results of one subject's cases. Wrong answers are explained by the doctor."""
     results, answers = [], []
     for case in cases:
-        result, got = judge(case, port, roles)
+        result, got = judge(case, port, roles, strict)
         results.append(result)
-        if got is not None and result.verdict != "acceptable":
-            answers.append((case, got, [f.tensor for f in result.findings]))
-    if not any(r.findings for r in results):
+        if got is not None and result.verdict in ("pass", "fail") and not result.recipe:
+            answers.append(evidence(case, got, result))
+    if not any(r.findings and not r.recipe for r in results):
         return results
     diagnoses = doctor.diagnose(cases[0].subject, answers)
     return [explained(r, diagnoses) for r in results]
 
 
-def judge(case, port, roles=("out.", "in_bar.")):
+def judge(case, port, roles=("out.", "in_bar."), strict=False):
     """Return the Result of one case, and what the port answered, or None."""
-    required = case.record["result"] == "valid"
-
-    def result(verdict, findings=(), said="", required=required):
-        return Result(case.id, case.equation, case.level, verdict, required, tuple(findings), said)
-
     try:
         got = {name: np.asarray(a) for name, a in port.run(case).items()}
     except PortError as error:
-        asked = required and error.kind != "unasked"
-        return result(error.kind, said=printable(str(error)), required=asked), None
-    tolerance = case.tolerance(precision(got))
-    if tolerance is None:
-        return result("unasked", required=False), None
-    tensors = {n: a for n, a in case.tensors.items() if n.startswith((*roles, "scale."))}
-    findings = compare(tensors, got, tolerance)
-    if not findings:
-        return result("pass"), got
-    return result("fail" if required else "acceptable", findings), got
+        required = case.record["result"] == "valid" and error.kind != "unasked"
+        said = printable(str(error))
+        return Result(case.id, case.equation, case.level, error.kind, required, (), said), None
+    return judge_answer(case, got, roles, strict), got
+
+
+def judge_answer(case, got, roles=("out.", "in_bar."), strict=False):
+    """Return the Result of one case for the answer {"out.x": array, "in_bar.x_a": array}."""
+    required, recipe = case.record["result"] == "valid", ""
+    unasked = case.unasked(precision(got))
+    names = [n for n in expected(case.tensors) if n.startswith(roles) and n not in unasked]
+    got = {name: a for name, a in got.items() if name not in unasked}
+    findings = findings_of(case, names, got) if names else []
+    if not names:
+        verdict, required = "unasked", False
+    elif not findings:
+        verdict = "pass"
+    else:
+        verdict = "fail" if required else "acceptable"
+        mistaken = beyond_printed(case, names, got)
+        if required and not mistaken:
+            verdict, recipe = "fail" if strict else "acceptable", printed.RECIPES[case.subject]
+        findings = mistaken or findings
+    rest = required, tuple(findings), ""
+    return Result(
+        case.id, case.equation, case.level, verdict, *rest, unasked=tuple(unasked), recipe=recipe
+    )
+
+
+def findings_of(case, names, got):
+    """Return the findings of `compare` on some tensors of a case."""
+    tensors = {n: a for n, a in case.tensors.items() if n.removeprefix("scale.") in names}
+    return compare(tensors, got, case.tolerance(precision(got)))
+
+
+def beyond_printed(case, names, got):
+    """Return the findings on an answer that the printed formula, as it is, does not explain."""
+    precise = precision(got)
+    wider = printed.widened(case, precise)
+    return findings_of(wider, names, printed.within_range(case, got, precise))
+
+
+def evidence(case, got, result):
+    """Return what the doctor is shown of a case, with the scales of the printed formula."""
+    asked = {name: a for name, a in got.items() if name not in result.unasked}
+    return printed.widened(case, precision(got)), asked, [f.tensor for f in result.findings]
 
 
 def printable(text):
@@ -146,7 +180,7 @@ def _shared(results):
     shared = []
     for r in results:
         source = sources.get(r.equation)
-        silent = r.findings and not r.explanation and not r.hint
+        silent = r.findings and not r.explanation and not r.hint and not r.recipe
         if silent and source and r.id.split("/")[0] != source.id.split("/")[0]:
             r = r._replace(explanation=f"{source.explanation} (seen in {source.id})")
         shared.append(r)

@@ -34,17 +34,20 @@ class Result(NamedTuple):
     id: str
     equation: str
     level: str
-    # pass; fail; acceptable (it differs, but another answer is defensible in this case); unasked
-    # (the case is not checked in this precision); or the kind of a PortError
+    # pass; fail; acceptable (the printed formula is no better here or, where the case is not
+    # required, another answer is defensible); unasked (the case is not checked in this precision);
+    # or the kind of a PortError
     verdict: str
     required: bool
     findings: tuple  # of Finding
     explanation: str
     hint: str = ""  # a known mistake that agrees with most of the wrong answers, not with all
+    unasked: tuple = ()  # names of tensors that are not checked in this precision
+    recipe: str = ""  # of the digits that an answer lacks which is as near as the printed formula
 
     @property
     def wrong(self):
-        return self.required and self.verdict not in ("pass", "unasked")
+        return self.required and self.verdict not in ("pass", "acceptable", "unasked")
 
 
 def expected(tensors):
@@ -56,6 +59,22 @@ def precision(got):
     """Return the precision in which a port computes: float32 if any float tensor has it."""
     arrays = (np.asarray(a) for a in expected(got).values())
     return "float32" if "f4" in {a.dtype.str[1:] for a in arrays} else "float64"
+
+
+def too_wide(tensors, tolerance, precision):
+    """Return the names of the tensors of a case that its tolerance cannot judge in a precision.
+
+    They would pass although every number were off by 1e-3 of itself, zero or negated. In float32
+    some results cancel this far. A tensor of zeros is always judged: the right answer is zero.
+    """
+    names = []
+    for name, right in expected(tensors).items():
+        if right.dtype.kind == "f" and right.any():
+            alone = {name: right, "scale." + name: tensors["scale." + name]}
+            wrong = (1.001 * right, np.zeros_like(right), -right)
+            if not all(compare(alone, {name: a.astype(precision)}, tolerance) for a in wrong):
+                names.append(name)
+    return names
 
 
 def compare(tensors, got, tolerance):

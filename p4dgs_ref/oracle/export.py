@@ -14,9 +14,8 @@ from .published import FOLDER, VERSIONS, read_manifest
 def export(folder, version=VERSIONS[-1]):
     """Copy a version of the published vectors into a folder; return {output, files, bytes, cases}.
 
-    The folder `codec` beside them holds what a right port answers to the streams, so that
-    `oracle check` passes the whole folder. Raises OutputError where the folder holds other things,
-    because files could be overwritten.
+    The folder `codec` beside them holds what a right port answers to the streams, as an example.
+    Raises OutputError where the folder holds other things, because files could be overwritten.
     """
     place = Path(folder)
     if place.is_dir() and any(place.iterdir()) and not (place / "manifest.json").is_file():

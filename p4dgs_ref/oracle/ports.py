@@ -3,13 +3,14 @@
 A port that runs as a process is in `adapter.py`.
 """
 
+import difflib
 from pathlib import Path
 
 import numpy as np
 
 from . import safetensors
 from .compare import precision
-from .published import flatten, subjects
+from .published import FOLDER, flatten, read_manifest, subjects
 
 
 class PortError(Exception):
@@ -23,6 +24,28 @@ class PortError(Exception):
         self.kind = kind
 
 
+def stream_names():
+    """Return the names of the conformance streams."""
+    return [row["name"] for row in read_manifest()["streams"]]
+
+
+def require_known(name, known, where):
+    """Raise TensorError where a name is unknown; suggest the nearest that is known."""
+    if name not in known:
+        nearest = difflib.get_close_matches(name, known, 1)
+        hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
+        raise safetensors.TensorError(f"{where} {name!r}: not among the vectors{hint}")
+
+
+def require_answers(file):
+    """Raise TensorError where a file is a copy of one of the vectors."""
+    vectors = FOLDER / file.name
+    if vectors.is_file() and vectors.read_bytes() == file.read_bytes():
+        raise safetensors.TensorError(
+            f"{file}: expected a port's answers, got a copy of the published vectors"
+        )
+
+
 class FolderPort:
     """The answers that a port wrote: `<subject>.safetensors` or `<subject>.npz`.
 
@@ -30,22 +53,31 @@ class FolderPort:
     """
 
     def __init__(self, folder):
+        """Raises TensorError where a file bears no subject's name, or is one of the vectors."""
         self.folder = Path(folder)
         self.loaded = {}  # subject -> (arrays, file)
-        self.asked = {}  # subject -> names of cases
+        for place, known in (self.folder, subjects()), (self.folder / "codec", stream_names()):
+            for file in sorted(place.glob("*.safetensors")) + sorted(place.glob("*.npz")):
+                require_known(file.stem, known, f"{file}: name")
+                require_answers(file)
 
     def run(self, case):
-        """Return the tensors of one case. Raises PortError."""
+        """Return the tensors of one case.
+
+        Raises PortError, and TensorError where a tensor bears the name of no case.
+        """
         if case.subject not in self.loaded:
-            self.loaded[case.subject] = self.load(case.subject)
-        self.asked.setdefault(case.subject, set()).add(case.name)
+            arrays, file = self.loaded[case.subject] = self.load(case.subject)
+            known = [row["name"] for row in subjects()[case.subject]["cases"]]
+            for name in arrays:
+                require_known(name.partition("/")[0], known, f"{file}: case")
         arrays, file = self.loaded[case.subject]
         prefix = case.name + "/"
         found = {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
         if found:
             return found
         answers = {name.partition("/")[2]: a for name, a in arrays.items()}
-        if case.tolerance("float32") is None and precision(answers) == "float32":
+        if precision(answers) == "float32" and not case.is_asked("float32"):
             raise PortError("unasked", f"{file}: this case is checked in float64 only")
         raise PortError("missing", f"{file}: no tensor named {case.name}/...")
 
@@ -69,18 +101,6 @@ class FolderPort:
 
     def close(self):
         """Do nothing; an adapter ends its process here."""
-
-    def strangers(self):
-        """Return the files of unknown subjects and the tensors that belong to no checked case.
-
-        A tensor is named `file: tensor`.
-        """
-        files = sorted(f for f in self.folder.iterdir() if f.suffix in (".safetensors", ".npz"))
-        found = [f.name for f in files if f.stem not in subjects()]
-        for key, (arrays, file) in self.loaded.items():
-            asked = self.asked.get(key, ())
-            found += [f"{file.name}: {name}" for name in arrays if name.split("/")[0] not in asked]
-        return found
 
 
 class FunctionPort:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from . import safetensors
+from .compare import expected, too_wide
 
 FOLDER = Path(__file__).with_name("v1")
 VERSIONS = "1.0", "1.1"
@@ -47,6 +48,17 @@ class Golden(NamedTuple):
     def tolerance(self, precision):
         """Return the record {eps_S, reason} of a precision, or None if the case has none."""
         return self.record["tolerance"][precision]
+
+    def unasked(self, precision):
+        """Return the names of the outputs and gradients that are not checked in a precision."""
+        tolerance = self.tolerance(precision)
+        if tolerance is None:
+            return list(expected(self.tensors))
+        return too_wide(self.tensors, tolerance, precision)
+
+    def is_asked(self, precision):
+        """Whether anything in the case is checked in a precision."""
+        return len(self.unasked(precision)) < len(expected(self.tensors))
 
 
 def path():

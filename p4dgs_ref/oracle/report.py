@@ -7,6 +7,7 @@ from .published import subjects
 
 SHOWN = 8  # names of failing cases of a subject, at most
 REASONS = 3  # explanations of a subject, at most
+FEWER = "right formula, fewer digits here; the recipe is"
 
 
 def name_of(equation):
@@ -18,26 +19,39 @@ def name_of(equation):
 
 def text(report):
     """Return the scores, the first divergence with its explanation, and what else failed."""
-    lines = [
-        f"{level} {row['says']:<15} {row['passed']:>4} of {row['of']}"
-        for level, row in report.levels().items()
-    ]
-    verdicts = [r.verdict for r in report.results]
-    if "unasked" in verdicts:
-        lines.append(f"{verdicts.count('unasked')} cases are not checked in this precision")
-    if "acceptable" in verdicts:
-        count = verdicts.count("acceptable")
-        lines.append(f"{count} cases differ, but allow other answers")
-    if report.strangers:
-        names = ", ".join(report.strangers[:SHOWN])
-        lines.append(f"{len(report.strangers)} tensors belong to no case: {names}")
+    lines = []
+    for level, row in report.levels().items():
+        also = f", {row['acceptable']} acceptable" if row["acceptable"] else ""
+        lines.append(f"{level} {row['says']:<15} {row['passed']:>4} of {row['of']}{also}")
+    unasked = [r for r in report.results if r.verdict == "unasked"]
+    tensors = sum(len(r.unasked) for r in report.results if r not in unasked)
+    if unasked or tensors:
+        also = f" and {tensors} tensors of other cases" if tensors else ""
+        lines.append(f"{len(unasked)} cases{also} are not checked in this precision")
+    other = sum(r.verdict == "acceptable" and not r.required for r in report.results)
+    if other:
+        lines.append(f"{other} cases differ, but allow other answers")
+    as_printed = [r for r in report.results if r.recipe and not r.wrong]
+    lines += _acceptable(as_printed)
+    how = "passes or is acceptable" if as_printed else "passes"
     first = report.first
     if first is None:
-        lines.append("every required case passes" if report.ok else "no required case was run")
+        lines.append(f"every required case {how}" if report.ok else "no required case was run")
         return "\n".join(lines)
     lines += ["", f"first divergence: {name_of(first.equation)}", *_case(first)]
     others = [r for r in report.results if r.wrong and r is not first]
     return "\n".join(lines + _others(others, first.explanation))
+
+
+def _acceptable(results):
+    """Return which cases need more digits than the printed formula has, and the recipes."""
+    by_recipe = {}
+    for result in results:
+        by_recipe.setdefault(result.recipe, []).append(result.id)
+    lines = []
+    for recipe, ids in by_recipe.items():
+        lines += [f"acceptable: {', '.join(ids)}", f"  {FEWER}: {recipe}"]
+    return lines
 
 
 def _case(result):
@@ -55,6 +69,8 @@ def _reason(result):
     """Return why a case fails, as far as is known, and how that is introduced."""
     if result.hint:
         return "hint", result.hint
+    if result.recipe:
+        return FEWER, result.recipe
     return "explained by" if result.findings else "because", result.explanation
 
 
@@ -72,7 +88,7 @@ def _others(results, known):
         verdicts = [r.verdict for r in rows if r.verdict != "fail"]
         counts = [f"{verdicts.count(v)} {v}" for v in sorted(set(verdicts))]
         lines.append(f"  {key}: " + "; ".join([said] * bool(names) + counts))
-        reasons = Counter(_reason(r) for r in rows if r.explanation or r.hint)
+        reasons = Counter(_reason(r) for r in rows if _reason(r)[1])
         for (head, said), count in list(reasons.items())[:REASONS]:
             where = f" ({count} of these)" if count < len(rows) else ""
             lines.append(f"    {head}{where}: {'the same' if said == known else said}")
@@ -93,6 +109,8 @@ def as_json(report):
             "worst": _worst(r.findings),
             "explanation": r.explanation or None,
             "hint": r.hint or None,
+            "recipe": r.recipe or None,
+            "unasked": list(r.unasked),
         }
         for r in report.results
     ]
@@ -100,7 +118,6 @@ def as_json(report):
         "ok": report.ok,
         "levels": report.levels(),
         "cases": cases,
-        "strangers": list(report.strangers),
         "first_divergence": report.first.equation if report.first else None,
     }
     return json.loads(json.dumps(value), parse_constant=lambda _: None)

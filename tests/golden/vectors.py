@@ -277,7 +277,7 @@ def write_ids():
 
 
 def regenerate(folder, progress):
-    """Compute all vectors into a folder that `oracle check` passes, as `oracle export` does."""
+    """Compute all vectors into a folder that has the files which `oracle export` writes."""
     with filled(folder) as place:
         for name in WRITTEN:
             shutil.copyfile(FOLDER / name, place / name)

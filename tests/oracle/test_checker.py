@@ -102,12 +102,6 @@ def test_missing_extra_and_damaged_answers_are_reported(tmp_path):
         ("in_bar.l_a", "missing"),
         ("out.y", "extra"),
     }
-    found = judge_folder(tmp_path, "offsets", {**answers("offsets"), "ordinari/out.x": np.ones(2)})
-    assert (
-        found.ok
-        and found.strangers == ("offsets.safetensors: ordinari/out.x",)
-        and "belong to no case" in str(found)
-    )
     (tmp_path / "offsets.safetensors").write_bytes(b"nonsense")
     assert {
         r.verdict for r in checker.check_port(ports.FolderPort(tmp_path), only="offsets").results
@@ -120,6 +114,30 @@ def test_missing_extra_and_damaged_answers_are_reported(tmp_path):
     (tmp_path / "offsets.npz").unlink()
     lost = checker.check_port(ports.FolderPort(tmp_path), only="offsets")
     assert {r.verdict for r in lost.results} == {"missing"} and not lost.ok
+
+
+def test_a_misspelt_case_or_subject_is_refused(tmp_path):
+    misspelt = {**answers("offsets"), "ordinari/out.x": np.ones(2)}
+    with pytest.raises(safetensors.TensorError) as error:
+        judge_folder(tmp_path, "offsets", misspelt)
+    assert str(error.value) == (
+        f"{tmp_path}/offsets.safetensors: case 'ordinari': not among the vectors; "
+        "did you mean 'ordinary'?"
+    )
+    for wrong, right in ("ofsets.npz", "offsets"), ("codec/ful.safetensors", "full"):
+        folder = tmp_path / right
+        (folder / wrong).parent.mkdir(parents=True)
+        (folder / wrong).write_bytes(b"")
+        with pytest.raises(safetensors.TensorError, match=f"did you mean '{right}'"):
+            ports.FolderPort(folder)
+
+
+def test_a_copy_of_a_vector_file_is_no_answer(tmp_path):
+    (tmp_path / "view.safetensors").write_bytes(safetensors.dump(answers("view"))[0])
+    assert checker.check_port(ports.FolderPort(tmp_path), only="view").ok
+    shutil.copy(published.FOLDER / "view.safetensors", tmp_path)
+    with pytest.raises(safetensors.TensorError, match="view.safetensors: expected a port's answ"):
+        ports.FolderPort(tmp_path)
 
 
 def test_nothing_checked_is_not_success():
@@ -230,7 +248,9 @@ def test_a_mistake_in_one_direction_alone_is_explained():
 
 
 def test_levels_and_names_may_be_repeated_in_any_order(tmp_path):
-    port = ports.FolderPort(published.FOLDER)
+    for key in ("step_floor", "step", "noise"):
+        (tmp_path / f"{key}.safetensors").write_bytes(safetensors.dump(answers(key))[0])
+    port = ports.FolderPort(tmp_path)
     found = checker.check_port(port, ["L1", "L1", "L0"], ["step", "noise", "step"])
     assert [r.level for r in found.results] == sorted(r.level for r in found.results)
     assert {r.equation for r in found.results} == {"step", "noise"} and len(
@@ -256,11 +276,16 @@ def test_commands(tmp_path, capsys):
         file.is_file() for file in (tmp_path / "v1").rglob("*")
     )
     assert damaged(tmp_path / "v1") == []
-    shutil.rmtree(tmp_path / "v1" / "streams")
-    code, out, _ = run(capsys, "check", str(tmp_path / "v1"), "--quiet", "--level", "L1")
+    code, out, err = run(capsys, "check", str(tmp_path / "v1"), "--quiet", "--level", "L1")
+    assert code == 2 and not out and err.count("\n") == 1 and "the published vectors" in err
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    for key in published.equations():
+        (mine / f"{key}.safetensors").write_bytes(safetensors.dump(answers(key))[0])
+    code, out, _ = run(capsys, "check", str(mine), "--quiet", "--level", "L1")
     assert code == 0 and "every required case passes" in out
-    (tmp_path / "v1" / "view.safetensors").unlink()
-    code, out, _ = run(capsys, "check", str(tmp_path / "v1"), "--quiet", "--level", "L1", "--json")
+    (mine / "view.safetensors").unlink()
+    code, out, _ = run(capsys, "check", str(mine), "--quiet", "--level", "L1", "--json")
     assert code == 1 and json.loads(out)["first_divergence"] == "view"
 
 
@@ -273,7 +298,7 @@ def test_commands(tmp_path, capsys):
         (["check", ".", "--dtype", "float32"], "apply to --adapter only"),
         (["check", ".", "--level", "L0", "--only", "offsets"], "no such case"),
         (["export", "."], "expected an empty folder"),
-        (["check", ".", "--only", "nothing"], "expected one of"),
+        (["check", ".", "--only", "ofsets"], "did you mean 'offsets'"),
     ],
 )
 def test_mistakes_of_the_user(capsys, argv, says):

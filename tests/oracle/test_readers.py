@@ -333,7 +333,11 @@ def test_printed_commands_run(tmp_path, monkeypatch, capsys):
     assert cli.run(whole, 0.0) == 1  # nothing is there: everything is missing
     assert cli.run([*export[:2], str(tmp_path)], 0.0) == 2  # neither empty nor an export
     for subject in read_manifest()["subjects"]:
-        shutil.copy(FOLDER / subject["file"], answered)
+        vectors = safetensors.load((FOLDER / subject["file"]).read_bytes())
+        answer = {
+            n: a for n, a in vectors.items() if n.split("/")[1].startswith(("out.", "in_bar."))
+        }
+        (answered / subject["file"]).write_bytes(safetensors.dump(answer)[0])
     found = []
     for line in others:
         capsys.readouterr()

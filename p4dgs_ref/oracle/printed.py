@@ -1,0 +1,80 @@
+"""What the printed formulas give on the cases for which they have too few digits.
+
+A few cases ask for more than the paper's formulas give as they are printed and differentiated by
+the textbook: tanh has the slope 1 - tanh(y)**2, which cancels where tanh is close to 1, and the
+square of a long vector overflows. A port on stock automatic differentiation has the right formula
+and misses these cases. `tests/golden/printed.py` measures by how much, and this file holds:
+
+    <precision>/<subject>/<case>/scale.out.x    the scale S of the printed formula
+    <precision>/<subject>/<case>/range.out.x    where it leaves the range of the precision: there
+                                                0, an infinity or NaN is what it leaves
+"""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from . import safetensors
+
+FILE = Path(__file__).with_name("printed_v1.safetensors")
+
+TANH = "tanh'(y) = 4 e / (1 + e)^2 with e = exp(-2 |y|)"
+SIGMOID = "sigmoid'(y) = sigmoid(y) sigmoid(-y)"
+UNIT = (
+    "|r| by hypot, without squares, and for the gradient the part of r_bar perpendicular to the "
+    "unit vector n, sum over j of (r_bar_i n_j - n_i r_bar_j) n_j"
+)
+STEP = "q = 2 Q_0 sigmoid(2 u) above its floor, with the slope 4 Q_0 sigmoid(2 u) sigmoid(-2 u)"
+SSIM = (
+    "1 - SSIM = mean(l + s - l s) with e = image - truth, l = mu_e^2 / (mu_x^2 + mu_y^2 + C1), "
+    "s = var_e / (var_x + var_y + C2)"
+)
+RECIPES = {
+    "tanh": TANH,
+    "sigmoid": SIGMOID,
+    "unit_quaternion": UNIT,
+    "step_floor": STEP,
+    "view": "delta_vc by hypot, without squares",
+    "opacity": TANH,
+    "color": SIGMOID,
+    "rotation": UNIT,
+    "scale": SIGMOID,
+    "deformed": UNIT,
+    "step": STEP,
+    "ssim": SSIM,
+    "render_loss": SSIM,
+}
+
+
+@cache
+def measured():
+    """Return {case id and precision: {name: array}} of the file."""
+    cases = {}
+    for name, array in safetensors.load(FILE.read_bytes(), FILE).items():
+        precision, subject, case, tensor = name.split("/")
+        cases.setdefault((f"{subject}/{case}", precision), {})[tensor] = array
+    return cases
+
+
+def widened(case, precision):
+    """Return a case with the scales of the printed formula."""
+    found = measured().get((case.id, precision), {})
+    wider = {name: a for name, a in found.items() if name.startswith("scale.")}
+    return case._replace(tensors={**case.tensors, **wider})
+
+
+def within_range(case, got, precision):
+    """Return `got` with the expected numbers where the printed formula leaves the range.
+
+    Only infinities, NaN and what is as good as 0 are replaced; anything else is judged.
+    """
+    found, eps = dict(got), np.finfo(precision).eps
+    for name, lost in measured().get((case.id, precision), {}).items():
+        role, _, tensor = name.partition(".")
+        if role == "range" and np.shape(found.get(tensor)) == lost.shape:
+            mine = found[tensor]
+            nothing = ~(np.abs(mine) > eps * case.tensors["scale." + tensor])  # also where NaN
+            gone = lost & (nothing | np.isinf(mine))
+            found[tensor] = np.where(gone, case.tensors[tensor], mine).astype(mine.dtype)
+    return found
