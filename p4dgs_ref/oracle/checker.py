@@ -151,9 +151,15 @@ def beyond_printed(case, names, got):
 
 
 def evidence(case, got, result):
-    """Return what the doctor is shown of a case, with the scales of the printed formula."""
-    asked = {name: a for name, a in got.items() if name not in result.unasked}
-    return printed.widened(case, precision(got)), asked, [f.tensor for f in result.findings]
+    """Return what the doctor is shown of a case, with the scales of the printed formula.
+
+    Tensors that are merely as near as the printed formula comes say nothing about a mistake.
+    """
+    asked = [name for name in expected(got) if name not in result.unasked]
+    wrong = [finding.tensor for finding in result.findings]
+    near = {finding.tensor for finding in findings_of(case, asked, got)} - set(wrong)
+    shown = {name: got[name] for name in asked if name not in near}
+    return printed.widened(case, precision(got)), shown, wrong
 
 
 def printable(text):
