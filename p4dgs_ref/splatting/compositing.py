@@ -28,7 +28,7 @@ def forward(
     alpha_max=0.99,  # clamp of alpha (Q21)
 ):
     """Return image [height, width, 3], transmittance [height, width] and what `backward` needs."""
-    order = depth_order(depth, visible)
+    order = depth_order(depth, visible, occlusion)
     splats = mean2d[order], conic[order], alpha[order], alpha_max
     image = np.empty((height * width, 3), mean2d.dtype)
     transmittance = np.empty(height * width, mean2d.dtype)
@@ -98,10 +98,13 @@ def scatter(values, order, N):
     return full
 
 
-def depth_order(depth, visible):
-    """The visible rows from front to back; equal depths stay in the order of their index."""
+def depth_order(depth, visible, occlusion=True):
+    """The visible rows from front to back; equal depths stay in the order of their index.
+
+    Without occlusion the order changes nothing, so nothing is sorted.
+    """
     rows = np.flatnonzero(visible)
-    return rows[np.argsort(depth[rows], kind="stable")]
+    return rows[np.argsort(depth[rows], kind="stable")] if occlusion else rows
 
 
 def pixel_blocks(height, width, n, dtype):

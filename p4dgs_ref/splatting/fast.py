@@ -62,7 +62,8 @@ def forward(
     With `keep=False` the last is None, and a chunk is forgotten as soon as it is composited.
     """
     dtype, side = np.dtype(settings.dtype), settings.tile
-    lists = bin_splats(mean2d, cov2d, conic, alpha, depth, visible, width, height, settings)
+    looks = mean2d, cov2d, conic, alpha, depth, visible
+    lists = bin_splats(*looks, width, height, settings, occlusion)
     count = np.bincount(lists.tile, minlength=lists.columns * lists.rows)
     start = np.cumsum(count) - count
     splats = columns_of(mean2d, conic, alpha)

@@ -21,16 +21,19 @@ class Lists(NamedTuple):
     rows: int
 
 
-def bin_splats(mean2d, cov2d, conic, alpha, depth, visible, width, height, settings):
+def bin_splats(
+    mean2d, cov2d, conic, alpha, depth, visible, width, height, settings, occlusion=True
+):
     """List the pairs that `settings.footprint` asks for.
 
     "ellipse" lists a pair exactly where alpha reaches `settings.cut` at some point of the tile,
-    "box" every tile that meets the square of side 2 ceil(3 sigma), "all" every tile. Raises
-    ValueError where the lists would take more than half of the memory.
+    "box" every tile that meets the square of side 2 ceil(3 sigma), "all" every tile. Without
+    occlusion the Gaussians of a tile stand in the order of their index. Raises ValueError where the
+    lists would take more than half of the memory.
     """
     side = settings.tile
     columns, rows = -(-width // side), -(-height // side)
-    order = depth_order(depth, listable(alpha, visible, settings))
+    order = depth_order(depth, listable(alpha, visible, settings), occlusion)
     mean, conic, alpha = mean2d[order], conic[order], alpha[order]
     low, high = pixel_bounds(mean, cov2d[order], alpha, width, height, settings)
     # first tile, and the first one beyond: an empty range where the Gaussian is off the image

@@ -28,6 +28,7 @@ SCHEDULE = ("decay_from", "grow_from", "grow_until", "collect_from", "mask_from"
 COUNTED = 4  # last steps, whose work is counted
 TURNS = 15  # of the steps that are timed
 AS_LISTED = "as listed"
+COUNTS = ("bytes_on", "bytes_off", "work_on", "work_off", "sorted_on", "sorted_off")
 
 
 def shortened(preset, share):
@@ -76,10 +77,11 @@ def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, 
 
     `changes` are fields of the preset; `share` is that of its iterations, 1 for all. A row has the
     fields effect, called_for, evidence, ms_on, ms_off, bytes_on, bytes_off, work_on, work_off,
-    psnr_lost_when_off and psnr_gained_when_forced: ms of a whole step in the two builds that differ
-    in this effect, bytes of its weights in the file, multiply-adds of its equations per step, and
-    PSNR in dB on the test views, of which one is None. Raises ValueError for a scene without test
-    views and for an unknown preset or field.
+    sorted_on, sorted_off, psnr_lost_when_off and psnr_gained_when_forced: ms of a whole step in the
+    two builds that differ in this effect, bytes of its weights in the file, per step the
+    multiply-adds of its equations and the Gaussians that it sorts by depth, and PSNR in dB on the
+    test views, of which one is None. Raises ValueError for a scene without test views and for an
+    unknown preset or field.
     """
     if not scene.test:
         raise ValueError(
@@ -122,21 +124,24 @@ def costs(on, off, effect):
         "bytes_off": bytes_off,
         "work_on": work_on,
         "work_off": work_off,
+        "sorted_on": round(np.mean([work.sorted[effect] for work in on["work"]])),
+        "sorted_off": round(np.mean([work.sorted[effect] for work in off["work"]])),
     }
 
 
 def describe(rows):
     """The ledger as text: a line of numbers per effect, then the evidence for each."""
-    table = ["effect|listed|ms on|ms off|bytes on|off|work on|off|lost off|gained on".split("|")]
+    heading = "effect|listed|ms on|ms off|bytes on|off|work on|off|sorted on|off|lost off|gained on"
+    table = [heading.split("|")]
     for row in rows:
         times = [f"{row[name]:.2f}" for name in ("ms_on", "ms_off")]
-        counts = [f"{row[name]:,}" for name in ("bytes_on", "bytes_off", "work_on", "work_off")]
+        counts = [f"{row[name]:,}" for name in COUNTS]
         psnr = [signed(row[f"psnr_{name}"]) for name in ("lost_when_off", "gained_when_forced")]
         table.append([row["effect"], "yes" if row["called_for"] else "no", *times, *counts, *psnr])
     widths = [max(map(len, column)) for column in zip(*table)]
-    forms = [f"{side}{width}" for side, width in zip("<<>>>>>>>>", widths)]
+    forms = [f"{side}{width}" for side, width in zip("<<>>>>>>>>>>", widths)]
     lines = ["  ".join(map(format, line, forms)) for line in table]
-    units = "ms of a whole step; work in multiply-adds per step; PSNR in dB on the test views"
+    units = "ms, multiply-adds, Gaussians sorted by depth per step; PSNR in dB on the test views"
     evidence = [f"{row['effect']}: {row['evidence']}" for row in rows]
     return "\n".join([*lines, "", units, "", *evidence])
 

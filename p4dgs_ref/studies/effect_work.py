@@ -28,10 +28,13 @@ EQUATION_2 = {"forward": 6, "backward": 12}
 
 
 class Work:
-    """Counts calls, {(equation, function): calls}, and multiply-adds, {effect: multiply-adds}."""
+    """Counts calls, {(equation, function): calls}, and multiply-adds, {effect: multiply-adds}.
+
+    `sorted` counts Gaussians that were brought into the order of their depth.
+    """
 
     def __init__(self):
-        self.calls, self.own, self.view = Counter(), Counter(), 0
+        self.calls, self.own, self.sorted, self.view = Counter(), Counter(), Counter(), 0
 
     def add(self, key, name, saved):
         """Count one call of an equation; `saved` is what its forward returns for its backward."""
@@ -49,9 +52,11 @@ class Work:
             r_t, _, widths = saved
             self.own.update({effect: len(r_t) * n for effect, n in zip(fx.MOTION, widths)})
         elif key == "compositing, fast":
-            chunks, T, background, occlusion, *_ = saved
+            chunks, T, background, occlusion, lists, *_ = saved
             pairs = sum(chunk.A.size for chunk in chunks)
             self.own["occlusion"] += 2 * pairs * bool(occlusion)  # weight and transmittance
+            if occlusion and name == "forward":
+                self.sorted["occlusion"] += len(np.unique(lists.row))
             self.own["background"] += 3 * T.size * bool(background.any())
 
     def of(self, effect):

@@ -344,3 +344,27 @@ def test_a_system_that_does_not_tell_its_memory(monkeypatch):
         tiles.require_memory(tiles.ASSUMED_MEMORY // 2 + 1, "all")
     monkeypatch.delattr(os, "sysconf")
     tiles.require_memory(tiles.ASSUMED_MEMORY // 2, "all")
+
+
+@pytest.mark.parametrize("settings", [EXACT, FAST])
+def test_without_occlusion_nothing_is_sorted_by_depth(settings, monkeypatch):
+    """The order of the splats changes nothing then; what is still sorted are lengths of lists."""
+    rng = np.random.default_rng(3)
+    camera = look_at((1.0, -2.2, 1.1), (0, 0, 0), 17.0, 15.0, 16, 12)
+    x, s = rng.normal(size=(20, 3)) * 0.3, rng.uniform(0.05, 0.2, (20, 3))
+    r = np.tile([1.0, 0, 0, 0], (20, 1))
+    looks = rng.uniform(0.2, 0.9, 20), rng.random((20, 3)), camera, np.zeros(3)
+    inputs = (x, s, r, *looks, settings._replace(dtype="float64"))
+    image = render.forward(*inputs, False)[0][0]
+    assert np.abs(render.forward(*inputs, True)[0][0] - image).max() > 0.01
+
+    argsort = np.argsort
+
+    def integers_only(values, **kwargs):
+        assert values.dtype.kind != "f", "depths are sorted"
+        return argsort(values, **kwargs)
+
+    monkeypatch.setattr(np, "argsort", integers_only)
+    assert np.array_equal(render.forward(*inputs, False)[0][0], image)
+    with pytest.raises(AssertionError, match="depths are sorted"):
+        render.forward(*inputs, True)

@@ -44,6 +44,7 @@ def test_ledger(tmp_path):
         assert row["called_for"] == listed and row["ms_on"] > 0 and row["ms_off"] > 0
         assert row["work_on"] > 0 == row["work_off"]
         assert row["bytes_on"] >= 0 == row["bytes_off"]
+        assert (row["sorted_on"] > 0) == (row["effect"] == "occlusion") and row["sorted_off"] == 0
         assert (row["bytes_on"] > 0) == (row["effect"] in (*MOTION, *VIEW))
         assert (row["psnr_lost_when_off"] is not None) == listed
         assert (row["psnr_gained_when_forced"] is None) == listed
