@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from .scene import SceneError, require
+from .scene import FARTHEST, SceneError, require
 
 PLY_TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
     **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
+MOST_POINTS = 2**22  # a file may not hold more anchors
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 
 
@@ -27,15 +28,17 @@ def read_points(path: str | Path) -> np.ndarray:
     require(path.is_file(), path, "no such file")
     try:
         points = np.load(path, allow_pickle=False) if path.suffix == ".npy" else read_ply(path)
-    except (OSError, ValueError, KeyError, IndexError, EOFError) as error:
-        if isinstance(error, SceneError):
-            raise
+    except SceneError:
+        raise
+    except Exception as error:  # a broken file can fail in any layer of its reader
         raise SceneError(path, f"expected a point cloud; reading it failed: {error}") from None
     fits = points.ndim == 2 and points.shape[1] == 3 and len(points) and points.dtype.kind in "fiu"
     require(
         fits, path, f"expected numbers of shape [A, 3]; found {points.dtype} {list(points.shape)}"
     )
-    require(np.isfinite(points).all(), path, "expected finite coordinates")
+    require(len(points) <= MOST_POINTS, path, f"expected at most {MOST_POINTS} points")
+    near = np.all(np.abs(points) <= FARTHEST)
+    require(near, path, f"expected finite coordinates of at most {FARTHEST:g}")
     return points.astype(float)
 
 

@@ -2,13 +2,14 @@
 
 import json
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 
 from ..scenes.output import destination, write_atomically
-from ..scenes.scene import MODEL_EFFECTS, background_color, is_number, model_effects
+from ..scenes.scene import MODEL_EFFECTS, is_number
 from ..splatting.settings import Settings
 from .presets import Preset, choose
 from .progress import COLUMNS
@@ -80,9 +81,7 @@ def load(folder):
             f"version {VERSION}; train again into another folder"
         )
     try:
-        preset = preset_of(values)
-        check_values(values, preset)
-        check_arrays(arrays, values, preset)
+        check(arrays, values)
     except ValueError as error:
         raise RunError(f"{path}: {error}") from None
     return arrays, values
@@ -103,70 +102,91 @@ def preset_of(values):
     return choose(Preset(name=fields["name"]), changes)
 
 
-def check_values(values, preset):
-    """Raise ValueError with the first JSON value that `save` would not have written."""
-    seed, effects, background = (values[field] for field in ("seed", "effects", "background"))
-    need(is_number(seed, int) and seed >= 0, "seed", "an integer of at least 0")
-    known = isinstance(effects, list) and list(model_effects(effects, "effects")) == effects
-    need(known, "effects", "effects of the model in their order")
-    need(isinstance(background, list), "background", "three numbers in [0, 1]")
-    background_color(background, MODEL_EFFECTS, "field 'background'")
-    settings = values["settings"]
-    complete = isinstance(settings, dict) and set(settings) == set(Settings._fields)
-    need(complete, "settings", "all settings of the renderer")
-    iteration, most = values["iteration"], preset.iterations
-    counted = is_number(iteration, int) and 0 <= iteration <= most
-    need(counted, "iteration", f"an integer from 0 to {most}")
-    rows = values["history"]
-    is_table = isinstance(rows, list) and len(rows) <= iteration and all(map(is_row, rows))
-    need(is_table, "history", f"at most {iteration} rows of {len(COLUMNS)} numbers")
-    generator = np.random.default_rng(0).bit_generator
-    try:
-        generator.state = values["rng"]
-    except (ValueError, TypeError, KeyError, OverflowError):
-        pass  # the state is not the one given
-    need(generator.state == values["rng"], "rng", "the state of a PCG64")
+def is_count(value, most=np.inf):
+    """Whether a value is an integer from 0 to `most`."""
+    return is_number(value, int) and 0 <= value <= most
 
 
 def is_row(row):
     """Whether a value is a row of training.csv; the PSNR of equal pictures is infinite."""
-    numbers = isinstance(row, list) and all(is_number(value, int, float) for value in row)
-    return (
-        numbers
-        and len(row) == len(COLUMNS)
-        and all(value == np.inf or abs(value) <= LARGEST for value in row)
-    )
+    fits = [is_number(n, int, float) and (n == np.inf or abs(n) <= LARGEST) for n in row]
+    return len(fits) == len(COLUMNS) and all(fits)
 
 
-def check_arrays(arrays, values, preset):
-    """Raise ValueError with the first array or count of steps that `save` would not have written.
+def is_random_state(value):
+    """Whether a value is a state of NumPy's default generator."""
+    generator = np.random.PCG64()
+    with suppress(ValueError, TypeError, KeyError, OverflowError):
+        generator.state = value
+    return generator.state == value
+
+
+# What each JSON value must be, in words and as a test of it, of all values and of the preset.
+VALUES = {
+    "seed": ("an integer of at least 0", lambda seed, *_: is_count(seed)),
+    "effects": (
+        "some effects of the model, each once and in their order",
+        lambda effects, *_: effects == [name for name in MODEL_EFFECTS if name in effects],
+    ),
+    "background": (
+        "three numbers in [0, 1]",
+        lambda color, *_: len(color) == 3 and all(0 <= c <= 1 for c in color),
+    ),
+    "settings": (
+        "all settings of the renderer",
+        lambda settings, *_: settings.keys() == set(Settings._fields),
+    ),
+    "iteration": (
+        "an integer from 0 to the last iteration",
+        lambda iteration, _, preset: is_count(iteration, preset.iterations),
+    ),
+    "history": (
+        f"rows of {len(COLUMNS)} numbers, not more than iterations",
+        lambda rows, values, _: len(rows) <= values["iteration"] and all(map(is_row, rows)),
+    ),
+    "rng": ("a state of NumPy's PCG64", lambda state, *_: is_random_state(state)),
+}
+
+
+def check(arrays, values):
+    """Raise ValueError with the first field that `save` would not have written.
 
     The arrays must be those that a new training with as many anchors would save.
     """
+    preset = preset_of(values)
+    for field, (expected, is_met) in VALUES.items():
+        try:
+            need(is_met(values[field], values, preset), field, expected)
+        except (TypeError, AttributeError):  # a value of another kind
+            need(False, field, expected)
     mask, iteration = arrays.get("mask"), values["iteration"]
     need(mask is not None and mask.ndim == 2 and len(mask), "mask", "one row for each anchor")
     points = np.arange(len(mask))[:, None] * [preset.voxel, 0, 0]
-    scene = SimpleNamespace(effects=values["effects"])
-    wanted, counts = Trainer(scene, preset, points=points).state()
+    new = Trainer(SimpleNamespace(effects=values["effects"]), preset, points=points)
+    wanted = new.state()[0]
     wanted["order"] = np.zeros(arrays.get("order", mask).size, np.int64)
     if iteration > preset.stage_ends[2]:
         wanted["box"] = np.zeros((2, 3), np.float32)
-    for name in sorted(set(arrays) ^ set(wanted)):
-        need(False, name, "this array" if name in wanted else "no such array")
-    for name, like in wanted.items():
-        array, form = arrays[name], f"{like.dtype} of shape {list(like.shape)}"
-        got = f"{array.dtype} of shape {list(array.shape)}"
-        need(array.dtype == like.dtype and array.shape == like.shape, name, f"{form}, got {got}")
-        need(np.all(np.abs(array) <= LARGEST), name, "finite numbers in the range of float32")
-        signed = name.startswith(("p/", "m/", "box"))
-        need(signed or np.all(array >= 0), name, "no negative number")
-    need(len(set(arrays["order"].tolist())) == arrays["order"].size, "order", "each view once")
-    box = arrays.get("box")
-    need(box is None or np.all(box[0] <= box[1]), "box", "its lower corner, then its upper one")
+    for name in sorted({*arrays, *wanted}):
+        check_array(name, arrays.get(name), wanted.get(name))
+    order, box = arrays["order"].tolist(), arrays.get("box", np.zeros((2, 3)))
+    need(len(set(order)) == len(order), "order", "each view once")
+    need(np.all(box[0] <= box[1]), "box", "its lower corner, then its upper one")
     steps = values["steps"]
-    counted = isinstance(steps, dict) and set(steps) == set(counts["steps"])
-    counted = counted and all(is_number(n, int) and 0 <= n <= iteration for n in steps.values())
+    complete = isinstance(steps, dict) and steps.keys() == new.adam.steps.keys()
+    counted = complete and all(is_count(n, iteration) for n in steps.values())
     need(counted, "steps", f"an integer from 0 to {iteration} for each parameter")
+
+
+def check_array(name, array, like):
+    """Raise ValueError unless an array is like another and has values that it can have."""
+    need(like is not None, name, "no such array")
+    form = f"{like.dtype} of shape {list(like.shape)}"
+    got = "nothing" if array is None else f"{array.dtype} of shape {list(array.shape)}"
+    need(got == form, name, f"{form}, got {got}")
+    need(np.all(np.abs(array) <= LARGEST), name, "finite numbers in the range of float32")
+    signed = name.startswith(("p/", "m/", "box"))
+    need(signed or np.all(array >= 0), name, "no negative number")
 
 
 def resume(trainer, folder, common):

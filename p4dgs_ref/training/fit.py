@@ -69,12 +69,12 @@ def fit(
     chosen = choose(preset, changes)
     if not (isinstance(seed, int) and seed >= 0):
         raise ValueError(f"seed {seed!r}: expected an integer of at least 0")
-    advice.warn_of_few_views(scene)
     # Non-finite values are found and named; NumPy's warnings would say the same less clearly.
     with np.errstate(all="ignore"):
         trainer, progress = Trainer(scene, chosen, seed, settings, points), Progress(stream)
         with nullcontext() if folder is None else locked(folder), deferred() as asked:
             keep = keeper(trainer, folder, resume)
+            advice.warn_of_few_views(scene)
 
             def after_step(trainer, *seen):
                 progress(trainer, *seen)

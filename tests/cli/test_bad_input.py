@@ -80,7 +80,8 @@ def original(tmp_path_factory):
 
 @pytest.fixture
 def place(original, tmp_path, monkeypatch):
-    """A copy of `original` to work in."""
+    """A copy of `original` to work in. A warning that its scene has few views would be a line."""
+    monkeypatch.setattr("p4dgs_ref.training.advice.FEW_VIEWS", 0)
     shutil.copytree(original, tmp_path / "place")
     monkeypatch.chdir(tmp_path / "place")
     return tmp_path / "place"

@@ -78,6 +78,14 @@ def test_training_starts_from_the_points():
         ("words.ply", HEADER.format("ascii", kind="float").encode() + b"7 a b c\n" * 4, ["read"]),
         ("nan.ply", HEADER.format("ascii", kind="float").encode() + b"7 1 nan 3\n" * 4, ["finite"]),
         ("text.npy", b"no array", ["point cloud"]),
+        ("noformat.ply", b"ply\nelement vertex 1\nend_header\n1\n", ["point cloud"]),
+        (
+            "count.ply",
+            HEADER.format("binary_little_endian", kind="float")
+            .replace("vertex 4", f"vertex {10**30}")
+            .encode(),
+            ["point cloud"],
+        ),
     ],
 )
 def test_other_files_are_refused_in_one_line(name, content, words, tmp_path):
@@ -98,6 +106,8 @@ def test_other_files_are_refused_in_one_line(name, content, words, tmp_path):
         (np.zeros((4, 3), complex), "[A, 3]"),
         (np.full((4, 3), "a"), "[A, 3]"),
         (np.full((4, 3), np.inf), "finite"),
+        (np.full((4, 3), 1e300), "at most 1e+06"),
+        (np.broadcast_to(np.int8(0), (2**22 + 1, 3)), "at most 4194304 points"),
         (np.array([None]), "point cloud"),
     ],
 )
