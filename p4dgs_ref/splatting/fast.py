@@ -72,7 +72,7 @@ def forward(
     paint = np.concatenate([color, np.zeros((1, 3))]).astype(dtype)
     clamps = alpha.max(initial=0) > settings.alpha_max
     T = np.ones((len(count), side * side), dtype)
-    image = np.zeros((len(count), side * side, 3), dtype)
+    image = np.zeros((len(count), 3, side * side), dtype)
     stopped = np.zeros(T.shape, bool)
     # The lists, a few chunks for what is computed in passing, and below every chunk that is kept.
     needed = PAIR_BYTES * len(lists.row) + 8 * RANKS * GROUP * dtype.itemsize
@@ -96,14 +96,14 @@ def forward(
                 coefficients, light, dark, settings, occlusion, clamps, keep
             )
             T[tiles], stopped[tiles] = light, dark
-            image[tiles] += weights.transpose(1, 2, 0) @ paint.take(rows, axis=0).transpose(1, 0, 2)
+            image[tiles] += paint.take(rows, axis=0).transpose(1, 2, 0) @ weights.transpose(1, 0, 2)
             if keep:
                 chunks.append(Chunk(tiles, pairs, A, weights, slope))
     if background.any():  # black adds nothing
-        image += T[:, :, None] * background.astype(dtype)
+        image += T[:, None] * background.astype(dtype)[:, None]
     saved = (chunks, T, background, occlusion, lists, row_of, splats, middles, paint, settings)
-    pictures = tuple(to_image(a, lists, side)[:height, :width] for a in (image, T))
-    return pictures, saved if keep else None
+    image, transmittance = (to_image(a, lists, side)[:height, :width] for a in (image, T[:, None]))
+    return (image, transmittance[:, :, 0]), saved if keep else None
 
 
 def backward(saved, image_bar):
@@ -113,17 +113,17 @@ def backward(saved, image_bar):
     """
     chunks, T, background, occlusion, lists, row_of, splats, middles, paint, settings = saved
     g = to_tiles(np.asarray(image_bar, settings.dtype), lists, settings.tile)
-    behind = np.zeros(g.shape[:2], g.dtype)
+    behind = np.zeros_like(T)
     if occlusion and background.any():
-        behind = g @ background.astype(settings.dtype)
+        behind = background.astype(settings.dtype) @ g
     basis = monomials(settings.tile, settings.dtype).T
     per_pair = np.zeros((len(row_of), 9))  # the last row collects the padding
     for tiles, pairs, A, weights, slope in reversed(chunks):
         g_tiles, rows = g[tiles], row_of[pairs]
-        paint_bar = weights.transpose(1, 0, 2) @ g_tiles
+        paint_bar = weights.transpose(1, 0, 2) @ g_tiles.transpose(0, 2, 1)
         V = np.empty_like(A)  # what a pixel gains per unit of a splat's weight
         colors = paint.take(rows, axis=0).transpose(1, 0, 2)
-        np.matmul(colors, g_tiles.transpose(0, 2, 1), out=V.transpose(1, 0, 2))
+        np.matmul(colors, g_tiles, out=V.transpose(1, 0, 2))
         if occlusion:
             seen = behind[tiles]  # the value seen through a rank; nothing is divided by 1 - alpha
             blocked = np.empty_like(seen)
@@ -145,7 +145,7 @@ def backward(saved, image_bar):
         "conic": total[:, 2:5],
         "alpha": total[:, 5],
         "color": total[:, 6:],
-        "background": np.einsum("gp,gpc->c", T, g) if occlusion else g.sum(axis=(0, 1)),
+        "background": np.einsum("gp,gcp->c", T, g) if occlusion else g.sum(axis=(0, 2)),
     }
 
 
@@ -263,7 +263,8 @@ def front_to_back(A, weights, T, stopped, settings):
 
 def from_moments(moments, splats, rows, middles):
     """Gradients [K, G, 6] of mean2d (2), conic (3) and alpha of every pair, from six moments."""
-    m_0, m_u, m_v, m_uu, m_uv, m_vv = moments.T.astype(float).reshape(6, *rows.shape)
+    columns = moments.T.astype(float, order="C")
+    m_0, m_u, m_v, m_uu, m_uv, m_vv = columns.reshape(6, *rows.shape)
     x, y, a, b, c, _, opacity = (column[rows] for column in splats)
     e_x, e_y = middles[0] - x, middles[1] - y
     m_x, m_y = m_u + e_x * m_0, m_v + e_y * m_0  # about the splat's mean, not the tile's middle
@@ -279,15 +280,15 @@ def from_moments(moments, splats, rows, middles):
 
 
 def to_image(tiles, lists, side):
-    """Put tiles [G, P, ...] together to the image that all tiles cover."""
-    grid = tiles.reshape(lists.rows, lists.columns, side, side, *tiles.shape[2:]).swapaxes(1, 2)
-    return grid.reshape(lists.rows * side, lists.columns * side, *tiles.shape[2:])
+    """Put tiles [tiles, C, P] together to the image [H, W, C] that all tiles cover."""
+    grid = tiles.reshape(lists.rows, lists.columns, -1, side, side).transpose(0, 3, 1, 4, 2)
+    return grid.reshape(lists.rows * side, lists.columns * side, -1)
 
 
 def to_tiles(image, lists, side):
-    """Cut an image [H, W, 3] into tiles [G, P, 3], with zeros beyond its edge."""
+    """Cut an image [H, W, 3] into tiles [tiles, 3, P], with zeros beyond its edge."""
     height, width, _ = image.shape
     padded = np.zeros((lists.rows * side, lists.columns * side, 3), image.dtype)
     padded[:height, :width] = image
-    grid = padded.reshape(lists.rows, side, lists.columns, side, 3)
-    return grid.swapaxes(1, 2).reshape(-1, side * side, 3)
+    grid = padded.reshape(lists.rows, side, lists.columns, side, 3).transpose(0, 2, 4, 1, 3)
+    return grid.reshape(-1, 3, side * side)
