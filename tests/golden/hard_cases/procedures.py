@@ -232,7 +232,7 @@ def nothing_to_draw(dtype):
 
 
 def whole_image(dtype):
-    """One splat over a large image; 300 of them would take 8 GB and are refused."""
+    """One splat over a large image; 30,000 of them would take a terabyte and are refused."""
     one = dict(
         mean2d=np.array([[1000.0, 700]]),
         conic=np.array([[4000.0**-2, 0, 3000.0**-2]]),
@@ -243,11 +243,11 @@ def whole_image(dtype):
     )
     frame = dict(background=np.zeros(3), height=2160, width=3840)
     image, _ = fast_image({**one, **frame}, without_stop(dtype))
-    many = {name: np.repeat(a, 300, axis=0) for name, a in one.items()}
+    many = {name: np.repeat(a, 30_000, axis=0) for name, a in one.items()}
     refused = refuses(
         lambda: fast_image({**many, **frame}, without_stop(dtype)),
         ValueError,
-        "Gaussian 0 alone touches 129600 of 129600 tiles",
+        "3888000000 pairs of Gaussians and tiles: 972000000000 bytes",
     )
     y, x = np.arange(2160.0)[:, None], np.arange(3840.0)
     true = 0.75 * np.exp(-0.5 * (((x - 1000) / 4000) ** 2 + ((y - 700) / 3000) ** 2))

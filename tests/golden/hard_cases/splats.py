@@ -246,8 +246,8 @@ def entries():
         (
             "H-G10.whole_image",
             "fast",
-            "one splat over 3840 x 2160 against the closed form; 300 are refused before they take "
-            "memory",
+            "one splat over 3840 x 2160 against the closed form; 30,000 of them are refused before "
+            "they take memory",
         ),
         (
             "H-G11.tiles",
