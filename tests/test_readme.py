@@ -101,7 +101,7 @@ def test_two_commands_are_those_of_the_check():
     assert main_job == ".venv/bin/p4dgs-ref demo" and install[0] == "python3 -m venv .venv"
     assert [line for line in lines if line in (*install, second)] == [*install, second]
     slow = f"{second} -m slow"
-    assert f"`{slow}`" in README and any(line.startswith(f"{slow} ||") for line in lines)
+    assert f"`{slow}`" in README and any(line.startswith(f"{slow} tests --share") for line in lines)
 
 
 # Stands for python3: makes an "environment" whose programs record their calls and exit as told.
@@ -121,7 +121,7 @@ esac
 
 
 @pytest.mark.parametrize(
-    "tests, slow, code", [(0, 0, 0), (0, 5, 0), (1, 0, 1), (5, 0, 5), (0, 1, 1), (0, 2, 2)]
+    "tests, slow, code", [(0, 0, 0), (0, 5, 0), (1, 0, 1), (5, 0, 5), (0, 1, 1), (0, 2, 1)]
 )
 def test_check_fails_where_a_test_fails_and_leaves_nothing(tmp_path, tests, slow, code):
     programs = tmp_path / "programs"
@@ -152,9 +152,31 @@ def test_check_fails_where_a_test_fails_and_leaves_nothing(tmp_path, tests, slow
     floors += declared["options.extras_require"]["test"].split()
     lowest = " ".join(floor.replace(">=", "==") for floor in floors)
     calls = ["pip install .[test]", "python -m pytest", f"pip install .[test] {lowest}"]
-    calls += ["python -m pytest", "python -m pytest -m slow"]
-    assert log.read_text().splitlines() == calls[: 2 if tests else 5]
+    calls.append("python -m pytest")
+    *called, one, other = log.read_text().splitlines()
+    if tests:
+        assert [*called, one, other] == calls[:2]
+    else:
+        halves = [f"python -m pytest -m slow tests --share {i}/2" for i in (1, 2)]
+        assert called == calls and sorted((one, other)) == halves
     assert not list(temporary.iterdir())
+
+
+def test_shares_divide_the_slow_tests():
+    """Both halves together are the whole, as they are collected in the house of the studies."""
+    asked = [sys.executable, "-m", "pytest", "tests/studies", "-m", "slow", "--collect-only", "-q"]
+    found = []
+    for share in ("1/2", "2/2", "1/1"):
+        done = subprocess.run(
+            [*asked, "--share", share, "-p", "no:cacheprovider"],
+            cwd=ROOT,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+        )
+        found.append({line for line in done.stdout.splitlines() if "::" in line})
+    one, other, every = found
+    assert one | other == every and not one & other and len(one) - len(other) in (0, 1) and other
 
 
 def test_links_and_pictures_exist():

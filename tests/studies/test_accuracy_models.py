@@ -237,7 +237,8 @@ def test_the_loss_estimates_nearly_the_bytes_of_the_file(scene, model):
 def test_every_stage_of_every_run_is_timed(monkeypatch):
     runs = [run for run in training.plan(True)[1] if run.method in ("precision", "anchors rated")]
     monkeypatch.setattr(training, "alternate", lambda steps, repeats: dict.fromkeys(steps, ONE))
-    for step in (training.rated_step(load_scene("bouncing"), runs[0], stage) for stage in (1, 4)):
+    scene = load_scene("bouncing", downscale=4)
+    for step in (fits.step_at(scene, runs[0].preset, stage) for stage in (1, 4)):
         step()
         step()
     for columns in training.seconds(runs):

@@ -1,5 +1,6 @@
 """Short trainings for the studies: `tiny` with shorter stages, with its work counted."""
 
+from contextlib import nullcontext
 from typing import NamedTuple
 
 import numpy as np
@@ -61,15 +62,16 @@ def train(scene, preset, seed=0, prepare=None, rated_share=1.0):
     return Fit(model, work)
 
 
-def step_at(scene, preset, stage, prepare=None):
-    """A function that does the first step of a stage again and again, to be timed."""
+def step_at(scene, preset, stage, prepare=None, inside=nullcontext):
+    """A function that does the first step of a stage again and again, `inside()` a context."""
     trainer = Trainer(scene, preset._replace(grow_every=10**9))  # the anchors stay as they are
     if prepare:
         prepare(trainer)
 
     def step():
         trainer.iteration = (0, *preset.stage_ends)[stage - 1]
-        trainer.step()
+        with inside():
+            trainer.step()
 
     return step
 

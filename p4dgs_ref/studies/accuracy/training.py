@@ -5,6 +5,7 @@ that is rated, and the seed.
 """
 
 from contextlib import nullcontext
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -129,7 +130,11 @@ def seconds(runs):
     """
     scene, stages, found = load_scene("bouncing"), range(1, 5), []
     with np.errstate(all="ignore"):
-        steps = {(run, stage): rated_step(scene, run, stage) for run in runs for stage in stages}
+        steps = {
+            (run, stage): step_at(scene, run.preset, stage, run.prepare, partial(rated, run.share))
+            for run in runs
+            for stage in stages
+        }
         times = alternate(steps, 5)
     for run in runs:
         lengths = np.diff([0, *run.preset.stage_ends])
@@ -137,17 +142,6 @@ def seconds(runs):
         *ms, _ = (lengths @ measured).tolist()
         found.append(Times(*ms, measured[:, 3].mean()).columns("seconds", 1e-3))
     return found
-
-
-def rated_step(scene, run, stage):
-    """A function that does a step of a run."""
-    step = step_at(scene, run.preset, stage, run.prepare)
-
-    def rate_some():
-        with rated(run.share):
-            step()
-
-    return rate_some
 
 
 def measure(quick, progress, jobs):
