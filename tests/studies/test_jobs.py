@@ -6,7 +6,8 @@ import time
 
 import pytest
 
-from p4dgs_ref.studies.accuracy import training
+from p4dgs_ref.cli import parser as cli
+from p4dgs_ref.studies.accuracy import diagram, quantisation, training
 from p4dgs_ref.studies.accuracy.fits import reduced
 from p4dgs_ref.studies.jobs import in_processes
 
@@ -28,6 +29,21 @@ def test_two_processes_train_what_one_trains():
     runs.append(training.Run("anchors rated", 0.5, SHORT, 0.5))
     alone, together = (list(in_processes(training.train_one, runs, jobs)) for jobs in (1, 2))
     assert alone == together and alone[0]["psnr_db"] != alone[1]["psnr_db"]
+
+
+def test_quantisation_is_the_same_in_two_processes():
+    alone, together = (
+        quantisation.measure(12, (1.0, 4.0), (0.5,), lambda line: None, jobs) for jobs in (1, 2)
+    )
+    assert alone == together and len(alone) == 4 + 3
+    kinds = {row["method"] for row in alone}
+    assert kinds == set(diagram.FAMILIES[5]) and len(kinds) == 5
+
+
+def test_the_command_takes_all_cores():
+    for command in ("accuracy", "effects static"):
+        assert cli.parser().parse_args(command.split()).jobs == os.cpu_count()
+        assert cli.parser().parse_args([*command.split(), "--jobs", "3"]).jobs == 3
 
 
 def test_results_keep_the_order_of_their_tasks():

@@ -1,10 +1,12 @@
 """Study 4, quantisation: the scale of Q_0, adaptive and fixed steps, against PSNR and bytes."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
 from ...scenes import load_scene
+from ..jobs import in_processes
 from .diagram import Axes, Finding, at, select, table, work_precision
 from .fits import TEST_VIEWS, judge, reduced, train
 
@@ -39,31 +41,35 @@ def preset_at(scale, adaptive, iterations):
     return base._replace(**changes, **({} if adaptive else {"lr_q": (0.0, 0.0)}))
 
 
-def measure(iterations, trained_scales, scales, progress):
+def train_one(task):
+    """Rows of a model trained at one scale; one trained at 1 is rounded to `later` scales too."""
+    adaptive, scale, iterations, later = task
+    scene, kind = load_scene("bouncing"), "adaptive" if adaptive else "fixed"
+    preset = preset_at(scale, adaptive, iterations)
+    fit = train(scene, preset, prepare=None if adaptive else fix_steps)
+    models = {(f"{kind}, trained with it", scale): fit.model}
+    for other in later if scale == 1 else ():
+        models[f"{kind}, rounded to it later", other] = scaled(fit.model, other)
+        if adaptive:
+            models["trained adaptive, made fixed", other] = fixed(scaled(fit.model, other))
+    return [
+        {"method": method, "knob": knob, **judge(model, scene), **fit.work}
+        for (method, knob), model in models.items()
+    ]
+
+
+def measure(iterations, trained_scales, scales, progress, jobs):
     """Rows of models trained at each scale, and of models trained at 1 and rounded otherwise."""
-    scene, rows = load_scene("bouncing"), []
-
-    def add(method, scale, fit, model):
-        rows.append({"method": method, "knob": scale, **judge(model, scene), **fit.work})
-
-    for adaptive in (True, False):
-        kind = "adaptive" if adaptive else "fixed"
-        for scale in trained_scales:
-            progress(f"quantisation: {kind} steps, trained at {scale:g} Q_0")
-            preset = preset_at(scale, adaptive, iterations)
-            fit = train(scene, preset, prepare=None if adaptive else fix_steps)
-            add(f"{kind}, trained with it", scale, fit, fit.model)
-            again = scales if scale == 1 else ()
-            for other in again:
-                add(f"{kind}, rounded to it later", other, fit, scaled(fit.model, other))
-            for other in again if adaptive else ():
-                add("trained adaptive, made fixed", other, fit, fixed(scaled(fit.model, other)))
+    tasks, rows = list(product((True, False), trained_scales, [iterations], [scales])), []
+    for i, found in enumerate(in_processes(train_one, tasks, jobs), 1):
+        progress(f"quantisation: {i} of {len(tasks)} trainings")
+        rows += found
     return rows
 
 
 def run(folder, quick, progress, jobs=1):
     iterations, trained = (120, (1.0, 4.0)) if quick else (950, (0.25, 0.5, 1.0, 2.0, 4.0))
-    rows = measure(iterations, trained, (0.25, 0.5, 1.0, 2.0, 4.0, 8.0), progress)
+    rows = measure(iterations, trained, (0.25, 0.5, 1.0, 2.0, 4.0, 8.0), progress, jobs)
     shown = [{**row, "knob": f"{row['knob']:g}", "coded": row["coded_bytes"]} for row in rows]
     work_precision(
         folder / "quantisation.png",
