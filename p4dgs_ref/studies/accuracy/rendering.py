@@ -148,7 +148,7 @@ def run(folder, quick, progress, jobs=1):
         f"{n} splats in {size}×{size} pixels, forward and backward\nreference: exact twin in "
         f"float64, {exact_ms:.3g} ms; stop at T < 1e-4, tiles of 8×8 (box: 16×16)"
     )
-    work_precision(folder / "rendering.png", method_rows(small), IMAGE_ERROR, title)
+    work_precision(folder / "rendering.png", method_rows(small), IMAGE_ERROR, title, 3)
     draw_gradients(folder / "rendering_gradients.png", method_rows(small), title)
     draw_tiles(folder / "rendering_tiles.png", rows)
     return Finding(
@@ -180,7 +180,7 @@ def draw_gradients(path, rows, title):
         for name, label in GRADIENTS.items()
     ]
     fig, panels = draw_panels(contents, (8, 7.5), rows=2, sharex=True, label=False)
-    legend_below(fig, panels[0], 2)
+    legend_below(fig, panels[0], 3)
     finish(fig, path, title)
 
 
