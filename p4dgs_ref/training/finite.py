@@ -13,8 +13,9 @@ from . import objective
 class NotFinite(ArithmeticError):
     """Training met a NaN or an infinity; the message says where it was first seen."""
 
-    def __init__(self, iteration, found):
-        super().__init__(f"iteration {iteration}: {found}")
+    def __str__(self):  # of both arguments, so that it can be sent to another process
+        iteration, found = self.args
+        return f"iteration {iteration}: {found}"
 
 
 class Found(ArithmeticError):

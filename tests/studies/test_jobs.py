@@ -10,6 +10,7 @@ from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.studies.accuracy import diagram, quantisation, training
 from p4dgs_ref.studies.accuracy.fits import reduced
 from p4dgs_ref.studies.jobs import in_processes
+from p4dgs_ref.training.finite import NotFinite
 
 SHORT = reduced(12, anchors=20)
 
@@ -22,6 +23,15 @@ def place(seconds):
 
 def refuse(task):
     raise LookupError(f"task {task}")
+
+
+def explode(task):
+    raise NotFinite(task, "f_a[3, 1] is nan")
+
+
+def test_an_overflow_in_another_process_keeps_its_message():
+    with pytest.raises(NotFinite, match=r"^iteration 7: f_a\[3, 1\] is nan$"):
+        list(in_processes(explode, [7, 8], 2))
 
 
 def test_two_processes_train_what_one_trains():
