@@ -248,6 +248,12 @@ def test_every_stage_of_every_run_is_timed(monkeypatch):
         assert columns["stretch"] == pytest.approx(1.5)
 
 
+def test_a_difference_smaller_than_that_of_seeds_is_no_reading():
+    rows = [{"psnr_db": 20.0, "bytes": 900}, {"psnr_db": 19.9, "bytes": 1000}]
+    assert training.difference(*rows, 0.05) == "+0.10 dB and -100 bytes"
+    assert "we cannot tell: seeds differ by more" in training.difference(*rows, 0.2)
+
+
 ONE = clock.Times(2.0, 1.0, 4.0, 1.5)
 
 

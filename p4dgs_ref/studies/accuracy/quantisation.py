@@ -113,5 +113,6 @@ def read(rows, iterations):
         f"at {coarse['knob']:g} has {coarse['psnr_db']:.2f} dB: training with the final noise "
         f"changes it by {coarse['psnr_db'] - rounded['psnr_db']:+.2f} dB. Fixing the steps of the "
         f"trained adaptive model changes it by {forced['psnr_db'] - one['psnr_db']:+.2f} dB and "
-        f"{forced['bytes'] - one['bytes']:+,} bytes."
+        f"{forced['bytes'] - one['bytes']:+,} bytes. Each result is that of one seed; the study of "
+        "training says how far seeds differ."
     )
