@@ -341,6 +341,21 @@ def test_parts_are_gauged_counted_and_left_as_they_were():
     assert fast.forward is rows_before[fast, "forward"]
 
 
+def test_pairs_at_the_goal_are_counted_in_windows():
+    changed = dict(GOAL_ANCHORS=60, GOAL_SIDE=64, WINDOWS=4, WINDOW_SIDE=16)
+    with bench.replaced(size, **changed):  # windows that cover the whole picture
+        whole = size.work_at_goal()
+    with bench.replaced(size, **changed | dict(WINDOWS=2)):  # its four corners alone
+        corners = size.work_at_goal()
+    trainer = size.prepared(size.blown_up(load_scene("bouncing", downscale=2), 2, 1), 60)
+    trainer.settings = trainer.settings._replace(dtype="float64")
+    real = size.counted(trainer, 64**2)
+    assert 0.75 * real["compositing"] < whole["compositing"] < 1.25 * real["compositing"]
+    assert corners["compositing"] < whole["compositing"]  # there is less to see in corners
+    assert {**whole, "compositing": 0} == {**corners, "compositing": 0}
+    assert {**whole, "compositing": 0} == {**real, "compositing": 0}
+
+
 # --- the page ------------------------------------------------------------------------------------
 @pytest.fixture
 def overlapping(monkeypatch):

@@ -115,7 +115,9 @@ def measured(busy, rounds=3):
             steps.append(taken)
         for part, amount in work.items():
             times = clock.times_of([step[part] for step in steps])
-            rows.append({"part": part, "anchors": A, "work": amount, **times.columns()})
+            rows.append(
+                {"part": part, "anchors": A, "work": amount, "mb": amount / 1e3, **times.columns()}
+            )
     return rows
 
 
@@ -129,6 +131,7 @@ def test_the_hours_at_the_papers_size_stay_within_what_the_machine_slows_down(ma
         alone = laws()[row["part"]] * 1e-9 * GOAL[row["part"]] * steps / 3600
         assert alone <= row["hours"] * 1.0001 and row["hours"] <= slower * alone
         assert row["hours_low"] <= row["hours"] <= row["hours_high"]
+        assert np.isclose(row["gb"], GOAL[row["part"]] / 1e6)
     assert sum(row["hours"] for row in found) < slower * 31
 
 
@@ -138,10 +141,10 @@ def test_hours_that_nobody_knows_are_not_printed(machine):
     for row in found:
         row["hours_high"] = 5 * row["hours"]
     about = [{"anchors": 100, "side": 64}]
-    assert "we cannot tell how long training takes" in size.read(about, found, 1.0)
+    assert "we cannot tell how long training takes" in size.read(about, found)
     for row in found:
         row["hours_low"] = row["hours_high"] = row["hours"]
-    assert "we cannot tell" not in size.read(about, found, 1.0)
+    assert "we cannot tell" not in size.read(about, found)
 
 
 def test_a_study_on_a_busy_machine_says_so(machine, monkeypatch):

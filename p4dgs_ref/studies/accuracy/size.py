@@ -10,7 +10,6 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from scipy.optimize import nnls
 
 from ...model import ANCHOR_NETWORKS, CONTEXT_NETWORKS
 from ...scenes import load_scene
@@ -189,30 +188,23 @@ def measure(points, rounds, progress):
 
 # --- the size of the paper's scenes --------------------------------------------------------------
 def hours(rows, goal):
-    """Rows of every part: its time per unit of work, and the hours of the paper's schedule.
+    """Rows of every part: time per unit of work, hours of the paper's schedule, gigabytes.
 
-    The time per unit is that of the largest size. What a part does once in a step, whatever the
-    size, is counted as if it grew with the size, so the hours are rather too many.
+    Time and memory per unit are those of the largest size. What a part does once in a step,
+    whatever the size, is counted as if it grew with the size, so both are rather too large.
     """
     ends, found = (0, *PAPER_SYNTHETIC.stage_ends), []
     for part, unit in UNITS.items():
         largest = max(select(rows, part=part), key=lambda row: row["work"])
         steps = ends[4] - ends[FIRST_STAGE.get(part, 1) - 1]
         total = goal[part] * steps / 3.6e6
-        row = {"part": part, "unit": unit, "work": goal[part], "steps": steps}
+        gb = largest["mb"] / largest["work"] * goal[part] / 1e3
+        row = {"part": part, "unit": unit, "work": goal[part], "steps": steps, "gb": gb}
         for end in ("", "_low", "_high"):
             rate = largest[f"ms{end}"] / largest["work"]
             row |= {f"ns_per_unit{end}": 1e6 * rate, f"hours{end}": rate * total}
         found.append(row)
     return found
-
-
-def gigabytes(rows, goal):
-    """Memory of a step at the goal: a sum of non-negative multiples of the counted sizes."""
-    whole = select(rows, part="whole step")
-    sizes = [(1, row["anchors"], row["pixels"], row["pairs"]) for row in whole]
-    per_unit, _ = nnls(np.array(sizes, float), np.array([row["mb"] for row in whole]))
-    return per_unit @ [1, GOAL_ANCHORS, GOAL_SIDE**2, goal["compositing"]] / 1e3
 
 
 def run(folder, quick, progress, jobs=1):
@@ -245,7 +237,7 @@ def run(folder, quick, progress, jobs=1):
             table(folder, "size", rows),
             table(folder, "size_hours", by_part),
         ],
-        read(rows, by_part, gigabytes(rows, goal)),
+        read(rows, by_part),
         f"median and quartiles over {rounds} rounds through all sizes, one step each",
         stretch_of(rows),
     )
@@ -266,7 +258,7 @@ def draw_parts(path, rows, middle, side, what, label):
     finish(fig, path, "the paper's architecture with fewer anchors, a step of stage 4")
 
 
-def read(rows, by_part, memory):
+def read(rows, by_part):
     """What the numbers say."""
     total, low, high = (sum(row[f"hours{end}"] for row in by_part) for end in ("", "_low", "_high"))
     order = sorted(by_part, key=lambda row: -row["hours"])
@@ -291,7 +283,7 @@ def read(rows, by_part, memory):
         f"at the largest sizes measured, {max(row['anchors'] for row in rows):,} anchors and "
         f"{max(row['side'] for row in rows)} pixels a side: {'; '.join(rates)}. In "
         f"{PAPER_SYNTHETIC.iterations:,} iterations {answer}. That is a plan for a port, not a "
-        f"promise. A step needs about {memory:.1f} GB."
+        f"promise. The parts of a step hold {sum(row['gb'] for row in by_part):.1f} GB."
     )
 
 
