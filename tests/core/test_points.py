@@ -6,6 +6,7 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref.scenes import SceneError
 from p4dgs_ref.scenes.points import read_points
+from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
 
 POINTS = np.array([[0.5, -0.25, 1.0], [0.125, 2.0, -3.0], [1e-3, 0.75, 0.5], [4.0, 5.0, 6.0]])
@@ -49,7 +50,7 @@ def test_every_form_of_file_gives_the_same_points(tmp_path):
 
 def test_training_starts_from_the_points():
     scene = p4.load_scene("bouncing", downscale=8)
-    preset = p4.training.presets.choose("smoke", {"voxel": "0.001"})
+    preset = choose("smoke", {"voxel": "0.001"})
     started = Trainer(scene, preset, points=POINTS).parameters["x_a"]
     assert np.allclose(np.sort(started[:, 0]), np.sort(POINTS[:, 0]), atol=1e-6)
 
