@@ -307,6 +307,7 @@ def test_a_good_checkpoint_goes_on_to_the_same_bytes(edited, run, tmp_path):
     assert p4.encode(load_model(tmp_path / "run")[0]) == whole
     # Fortran's order of the same numbers, as another program may write them, is the same state.
     folder = edited(every(np.asfortranarray))
+    assert all(a.flags.c_contiguous for a in load(folder)[0].values())  # sums are added in place
     assert p4.encode(resume(folder, run).model()) == whole
 
 
