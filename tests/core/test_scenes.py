@@ -511,6 +511,7 @@ def test_scene_from_arrays():
     assert single.train[0].time == 0
 
 
+@pytest.mark.filterwarnings("error")
 def test_mistakes_in_arrays():
     images, cameras, times = arrays()
 
