@@ -2,6 +2,7 @@
 
 import json
 import time
+import warnings
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -106,6 +107,7 @@ def simulate(arguments):
 
 def train(arguments):
     """Fit a scene into a run folder."""
+    from ..scenes.dnerf import read_description
     from ..scenes.output import made
     from ..scenes.points import read_points
     from ..studies.report import write_training
@@ -118,6 +120,11 @@ def train(arguments):
         raise UsageError(f"{checkpoint}: exists; --resume goes on from it, another -o starts anew")
     if arguments.resume and arguments.points:
         raise UsageError("--points: not allowed with --resume; the checkpoint holds the anchors")
+    if "effects" not in read_description(scene.source):
+        warnings.warn(
+            f"{scene.source}: no scene.json lists effects, so all are trained; "
+            f"`p4dgs-ref effects {arguments.scene} --suggest --apply` finds and lists them"
+        )
     points = read_points(arguments.points) if arguments.points else None
     if not arguments.resume:
         estimate(scene, preset, arguments, points)

@@ -259,6 +259,7 @@ COMMANDS = {
             QUIET,
             output("folder for the picture and the table (optional)"),
             switch("--suggest", "only say which effects the pictures call for, and why"),
+            switch("--apply", "with --suggest: write the list to the scene's scene.json"),
             switch("--full", "all iterations of the preset tiny instead of half"),
             switch("--quick", "the preset smoke: seconds, too few steps to judge PSNR"),
             option("--seed", type=whole(0), default=0, help="seed of the trainings (default 0)"),

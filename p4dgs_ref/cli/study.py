@@ -42,22 +42,14 @@ def stability(arguments):
 def effects(arguments):
     """Train with and without each effect, or say which effects the pictures call for."""
     from ..studies.effect_ledger import describe, draw_ledger, ledger
-    from ..studies.suggest import suggest
-    from .job import read_scene, read_test_scene
+    from .job import read_test_scene
 
     if arguments.full and arguments.quick:
         raise UsageError("--quick: not allowed with --full; choose one")
+    if arguments.apply and not arguments.suggest:
+        raise UsageError("--apply: expected together with --suggest")
     if arguments.suggest:
-        if arguments.output or arguments.quick or arguments.full:
-            raise UsageError(
-                "--suggest: expected without -o, --quick and --full; it trains nothing"
-            )
-        rows = suggest(read_scene(arguments))
-        lines = [
-            f"{row['effect']:<14} {'yes' if row['called_for'] else 'no':<4} {row['evidence']}"
-            for row in rows
-        ]
-        return show(arguments, {"effects": rows}, "\n".join(lines))
+        return suggest_effects(arguments)
     scene = read_test_scene(arguments)
     preset, share = ("smoke", 1) if arguments.quick else ("tiny", 1 if arguments.full else 0.5)
     with Line(arguments) as line, report_folder(arguments.output) as beside:
@@ -68,3 +60,23 @@ def effects(arguments):
     if arguments.quick:
         text += "\n\n45 steps of the preset smoke: too few for the PSNR to mean anything"
     show(arguments, {"effects": rows}, text)
+
+
+def suggest_effects(arguments):
+    """Say which effects the pictures call for; with --apply write the list to scene.json."""
+    from ..scenes.dnerf import list_effects, packaged_folder
+    from ..studies.suggest import suggest
+    from .job import read_scene
+
+    if arguments.output or arguments.quick or arguments.full:
+        raise UsageError("--suggest: expected without -o, --quick and --full")
+    scene = read_scene(arguments)
+    if arguments.apply and packaged_folder() in scene.source.resolve().parents:
+        raise UsageError(f"--apply: {scene.source} is a packaged scene; expected a folder of yours")
+    with Line(arguments) as line:
+        rows = suggest(scene, progress=line, jobs=arguments.jobs)
+    called = [row["effect"] for row in rows if row["called_for"]]
+    lines = [f"{row['effect']:<14} {row['verdict']:<12} {row['evidence']}" for row in rows]
+    if arguments.apply:
+        lines.append(f"written to {list_effects(scene.source, called)}: {', '.join(called)}")
+    show(arguments, {"effects": rows}, "\n".join(lines))

@@ -18,9 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..splatting.camera import Camera
+from .output import write_atomically
 from .scene import (
     FARTHEST,
     LARGEST_LENS,
+    MODEL_EFFECTS,
+    SIMULATOR_EFFECTS,
     Scene,
     SceneError,
     View,
@@ -38,6 +41,7 @@ from .scene import (
 
 # Signs of the columns of a camera-to-world matrix: right stays, up becomes down, back forward.
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])
+DESCRIPTION = "scene.json"
 LARGEST_JSON = 2**27  # bytes; a view takes about 500
 
 
@@ -58,9 +62,9 @@ def load_scene(
         "downscale",
         f"{downscale!r}; expected an integer of at least 1",
     )
-    description = folder / "scene.json"
-    listed = read_json(description).get("effects") if os.path.lexists(description) else None
-    effects = model_effects(listed, f"{description}: effects")
+    effects = model_effects(
+        read_description(folder).get("effects"), f"{folder / DESCRIPTION}: effects"
+    )
     color = background_color(background, effects, folder)
     files = {split: folder / f"transforms_{split}.json" for split in ("train", "test", "val")}
     splits = {
@@ -69,6 +73,25 @@ def load_scene(
         if split != "val" or os.path.lexists(file)
     }
     return Scene(folder.resolve().name, effects=effects, background=color, source=folder, **splits)
+
+
+def read_description(folder: Path) -> dict:
+    """The scene.json of a scene's folder; empty where there is none."""
+    file = folder / DESCRIPTION
+    return read_json(file) if os.path.lexists(file) else {}
+
+
+def list_effects(folder: Path, effects: list[str]) -> Path:
+    """Write a scene's list of effects to its scene.json and return that file.
+
+    Everything else in the file stays, and so do effects of the simulator alone.
+    """
+    file, description = folder / DESCRIPTION, read_description(folder)
+    listed = description.get("effects") or []
+    drawn = [name for name in listed if name in SIMULATOR_EFFECTS and name not in MODEL_EFFECTS]
+    text = json.dumps({**description, "effects": [*effects, *drawn]}, indent=1) + "\n"
+    write_atomically(file, lambda opened: opened.write(text.encode()))
+    return file
 
 
 def packaged_folder() -> Path:

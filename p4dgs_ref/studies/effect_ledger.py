@@ -21,7 +21,6 @@ from .effect_work import counted, effect_bytes
 from .evaluate import evaluate
 from .jobs import in_processes
 from .report import BLUE, ORANGE, pyplot, save_figure, write_csv
-from .suggest import suggest
 
 # The iterations of a preset that are shortened together with its stages.
 SCHEDULE = ("decay_from", "grow_from", "grow_until", "collect_from", "mask_from")
@@ -88,8 +87,6 @@ def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, 
             f"scene {scene.name}: split 'test': no views; expected at least one to measure on"
         )
     preset = shortened(choose(preset, changes), share)
-    progress("looking at the pictures")
-    evidence = {row["effect"]: row["evidence"] for row in suggest(scene)}
     builds = {AS_LISTED: scene, **{effect: switched(scene, effect) for effect in MODEL_EFFECTS}}
     built = train_all(builds, preset, seed, progress, jobs)
     psnr = {name: evaluate(build["model"], scene)[0]["psnr_db"] for name, build in built.items()}
@@ -102,7 +99,7 @@ def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, 
             {
                 "effect": effect,
                 "called_for": called,
-                "evidence": evidence[effect],
+                "evidence": f"{worth:+.2f} dB with it, mean of {len(scene.test)} test views",
                 **costs(built[on], built[off], effect),
                 "psnr_lost_when_off": worth if called else None,
                 "psnr_gained_when_forced": None if called else worth,

@@ -1,215 +1,160 @@
-"""Which effects do the pictures call for? Inferred from images, cameras and times alone.
+"""Which effects do the pictures call for? Judged by short trainings in pairs.
 
-Silhouettes decide about motion. If nothing moves and nothing depends on the viewer, every pixel of
-the foreground looks at some point that is foreground in all other views too. These points form the
-visual hull (Laurentini 1994). Foreground that the hull does not cover proves that something
-changed. Where nothing contradicts, the colours that the views show of one point of the hull's
-surface decide about a dependence on the viewer. Where pictures cannot tell, an effect is kept: a
-model with an effect too many is larger, a model with an effect too few is wrong.
+What an effect looks at, the time of a view or the place of its camera, tells something about the
+picture only where the effect plays a part. One training of a pair is given the true values. The
+other one is given the same values, dealt out to the views at random. Both start from the same
+numbers and see the views in the same order, so without the effect neither has an advantage. They
+are compared on views that neither has seen. Occlusion is trained with and without it.
+
+An effect that the pictures cannot decide is kept: a model with an effect too many is larger, a
+model with an effect too few is wrong.
 """
 
-from itertools import product
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 
 from .. import effects as fx
 from ..scenes.scene import MODEL_EFFECTS
+from ..splatting.camera import Camera
+from ..training.presets import TINY
+from ..training.trainer import Trainer
+from .evaluate import decibel, squared_error
+from .jobs import in_processes
 
-GRID = 72  # points of the hull along an axis
-BARE = 0.002  # share of the foreground that the lattice may leave bare at thin parts
-COLOR_CHANGE = 0.05  # of 1: the change of one point's colours by texture and by a too large hull
-QUANTILE = (
-    0.75  # of the points: a quarter may lie in concavities, where the hull is not the surface
-)
-WITNESSES = 6  # views that must see a point before its colours are compared
-POINTS = 600  # surface points whose colours are compared
-AROUND = np.ones((3, 3), bool)
-KEPT = "kept: "
+ITERATIONS = 600
+FOLDS = 2  # pairs for each effect; each keeps another part of the views back
+BACK = 6  # one view of so many is kept back
+FEWEST = 2 * BACK  # views; with fewer nothing can be kept back
+WORTH = 0.2  # dB; effects that gain less are not worth their bytes
+VIEW = ("view_color", "view_geometry")
 
 
-def suggest(scene):
+@dataclass(frozen=True)
+class SeenFrom(Camera):
+    """A camera whose place, as the networks are told it, is not its own."""
+
+    told: np.ndarray = None
+
+    @property
+    def center(self):
+        """The place that the networks are told."""
+        return self.told
+
+
+def suggest(scene, iterations=ITERATIONS, progress=lambda line: None, jobs=1):
     """The effects that a scene's training views call for; its list of effects is not read.
 
-    Returns [{effect, called_for, evidence}] for the closed list in its order. The evidence is one
-    sentence with a number.
+    Returns [{effect, called_for, verdict, evidence}] for the closed list in its order. The verdict
+    is "yes", "no" or "cannot tell"; an effect is called for unless the verdict is "no". The
+    evidence is one sentence with a number.
     """
     views = scene.train
-    times = np.array([view.time for view in views])
-    masks = [foreground(view, scene.background) for view in views]
-    bare, change = evidence_of_change(views, masks)
-    occlusion = f"{KEPT}{len(views)} pictures cannot exclude that one surface hides another"
-    found = {
-        **dict.fromkeys(fx.MOTION, motion(times, bare, change)),
-        "view_color": view_color(bare, change),
-        "view_geometry": view_geometry(times, bare),
-        "occlusion": (True, occlusion),
-        "background": background(masks, scene.background),
-    }
+    times = {view.time for view in views}
+    moving = fx.MOTION if len(times) > 1 else ()
+    asked = ("translation", *VIEW, "occlusion") if len(times) > 1 else (*VIEW, "occlusion")
+    gains = {}
+    if len(views) >= FEWEST:
+        folds = range(FOLDS)
+        tasks = [(scene, moving, effect, fold, iterations) for effect in asked for fold in folds]
+        for (_, _, effect, fold, _), gain in zip(tasks, in_processes(paired, tasks, jobs)):
+            progress(f"{effect}: pair {fold + 1} of {FOLDS}")
+            gains[effect] = np.append(gains.get(effect, ()), gain)
+    said = {effect: verdict(effect, gains.get(effect), len(views)) for effect in MODEL_EFFECTS}
+    if not moving:
+        still = f"all {len(views)} views have the time {min(times):g}, so nothing can move"
+        said.update(dict.fromkeys(fx.MOTION, ("no", still)))
+    elif said["translation"][0] == "no":
+        said.update(dict.fromkeys(fx.MOTION, said["translation"]))
+    elif said["translation"][0] == "yes":
+        apart = (
+            f"something moves, and {len(views)} views, each with its own time, do not show whether "
+            "parts are carried along or turn or grow"
+        )
+        said.update(dict.fromkeys(("rotation", "scaling"), ("cannot tell", apart)))
+    said["background"] = background(views, scene.background)
     return [
-        {"effect": effect, "called_for": found[effect][0], "evidence": found[effect][1]}
+        {
+            "effect": effect,
+            "called_for": said[effect][0] != "no",
+            "verdict": said[effect][0],
+            "evidence": said[effect][1],
+        }
         for effect in MODEL_EFFECTS
     ]
 
 
-def foreground(view, color):
-    """Where a view shows more than its background, (H, W) bool: by its alpha or by its colour."""
-    if view.alpha is not None:
-        return view.alpha > 0.5
-    return np.abs(view.image - color).max(axis=2) > 0.02
+def paired(task):
+    """By how many dB an effect improves each view that was kept back: an array."""
+    scene, moving, effect, fold, iterations = task
+    effects = {*moving, "occlusion", "background", effect}
+    without = effects - {effect} if effect == "occlusion" else effects
+    dealt = scene.train if effect == "occlusion" else shuffled(scene.train, effect, fold)
+    both = ((scene.train, effects), (dealt, without))
+    with_it, without_it = (scores(scene, *build, fold, iterations) for build in both)
+    return with_it - without_it
 
 
-def evidence_of_change(views, masks):
-    """The share of the foreground that the hull leaves bare, and the change of a point's colour.
-
-    None for what is unknown.
-    """
-    total = sum(int(mask.sum()) for mask in masks)
-    if len(views) < 2 or all(mask.all() for mask in masks) or not total:
-        return None, None
-    hull, step = visual_hull(views, masks)
-    depths = [depth_map(hull, step, view.camera) for view in views]
-    bare = sum(int((mask & np.isinf(depth)).sum()) for mask, depth in zip(masks, depths)) / total
-    return bare, color_change(views, masks, hull, step, depths)
+def shuffled(views, effect, seed):
+    """The views with the times, or the places of the cameras, of other views."""
+    other = [views[i] for i in np.random.default_rng(seed).permutation(len(views))]
+    if effect in fx.MOTION:
+        return [replace(view, time=theirs.time) for view, theirs in zip(views, other)]
+    return [
+        replace(view, camera=SeenFrom(**vars(view.camera), told=theirs.camera.center))
+        for view, theirs in zip(views, other)
+    ]
 
 
-def visual_hull(views, masks):
-    """Points (M, 3) of a lattice that no view shows as background, and the lattice's step.
-
-    A view that does not see a point says nothing about it.
-    """
-    middle, reach = looked_at(views)
-    line = np.linspace(-reach, reach, GRID)
-    points = middle + np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
-    for view, mask in zip(views, masks):
-        row, column, depth, inside = pixels_of(points, view.camera)
-        keep = ~inside
-        keep[inside] = mask[row[inside], column[inside]]
-        points = points[keep & (depth > 0)]
-    return points, 2 * reach / (GRID - 1)
-
-
-def looked_at(views):
-    """The point nearest to all optical axes, and the radius around it that a typical view shows."""
-    cameras = [view.camera for view in views]
-    axes = np.array([camera.R[2] for camera in cameras])
-    centers = np.array([camera.center for camera in cameras])
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    sums = across.sum(axis=0), np.einsum("nij,nj->i", across, centers)
-    middle = np.linalg.lstsq(*sums, rcond=None)[0]
-    opening = [max(c.width / c.f_x, c.height / c.f_y) / 2 for c in cameras]
-    return middle, float(np.median(np.linalg.norm(centers - middle, axis=1) * opening))
-
-
-def pixels_of(points, camera):
-    """Row, column and depth of points, and whether they are in the picture."""
-    x, y, z = (points @ camera.R.T + camera.T).T
-    near = np.where(z > 1e-6, z, np.inf)
-    column = np.rint(camera.f_x * x / near + camera.c_x).astype(np.int64)
-    row = np.rint(camera.f_y * y / near + camera.c_y).astype(np.int64)
-    inside = (row >= 0) & (row < camera.height) & (column >= 0) & (column < camera.width)
-    return row, column, z, inside & (z > 1e-6)
-
-
-def depth_map(hull, step, camera):
-    """Depth of the hull's nearest point in or beside every pixel, infinite where there is none."""
-    row, column, z, inside = pixels_of(hull, camera)
-    height, width = camera.height, camera.width
-    depth = np.full((height + 2, width + 2), np.inf)
-    reach = int(np.ceil(step * max(camera.f_x, camera.f_y) / np.median(z) / 2)) if len(z) else 1
-    for dv, du in product(range(-reach, reach + 1), repeat=2):
-        v = np.clip(row[inside] + 1 + dv, 0, height + 1)
-        u = np.clip(column[inside] + 1 + du, 0, width + 1)
-        np.minimum.at(depth, (v, u), z[inside])
-    return depth[1:-1, 1:-1]
-
-
-def color_change(views, masks, hull, step, depths):
-    """How much the colour of one surface point differs between the views that see it.
-
-    It is a quantile over the points of their standard deviation. A view sees a point if no point of
-    the hull lies before it and its pixel is well inside the foreground.
-    """
-    shown = np.full((len(views), len(hull), 3), np.nan)
-    for color, view, depth, mask in zip(shown, views, depths, masks):
-        inner = ~binary_dilation(~mask, AROUND)
-        row, column, z, inside = pixels_of(hull, view.camera)
-        row, column = np.where(inside, row, 0), np.where(inside, column, 0)
-        seen = inside & inner[row, column] & (z <= depth[row, column] + step)
-        color[seen] = view.image[row[seen], column[seen]]
-    often = np.flatnonzero(np.isfinite(shown[:, :, 0]).sum(axis=0) >= WITNESSES)
-    if not len(often):
-        return None
-    chosen = shown[:, often[np.linspace(0, len(often) - 1, min(POINTS, len(often))).astype(int)]]
-    # Medians, because a view that looks past the body must not count.
-    middle = np.nanmedian(chosen, axis=0)
-    spread = np.nanmedian(np.abs(chosen - middle), axis=0).max(axis=1)
-    return float(np.quantile(1.4826 * spread, QUANTILE))  # a normal distribution's deviation
-
-
-# --- verdicts: (called for, evidence) ------------------------------------------------------------
-def motion(times, bare, change):
-    """Translation, rotation and scaling, which pictures show together."""
-    if len(set(times)) == 1:
-        return False, f"all {len(times)} views have the time {times[0]:g}, so nothing can move"
-    if bare is None:
-        return (
-            True,
-            f"{KEPT}{len(times)} views without silhouettes cannot show whether anything moves",
-        )
-    if bare > BARE:
-        return True, (
-            f"{100 * bare:.1f} % of the foreground is where some other time shows background; one "
-            "camera at a time cannot tell translation, rotation and scaling apart"
-        )
-    if change is None or change > COLOR_CHANGE:
-        unseen = f"no point is seen by {WITNESSES} views"
-        shown = unseen if change is None else f"colours of one point differ by {change:.3f}"
-        return True, f"{KEPT}silhouettes agree over time, but {shown}, as with motion inside them"
-    return False, (
-        f"one still shape fits all silhouettes ({100 * bare:.2f} % of the foreground left over), "
-        f"and colours of one point differ only by {change:.3f}"
+def scores(scene, views, effects, fold, iterations):
+    """PSNR (dB) of every view that is kept back, after a short training without noise and rate."""
+    back = range(fold, len(views), BACK)
+    seen = [view for i, view in enumerate(views) if i not in back]
+    half = iterations // 2
+    preset = TINY._replace(
+        stage_ends=(half, half, iterations, iterations),
+        decay_from=half,
+        grow_from=iterations // 12,
+        grow_every=max(iterations // 12, 1),
+        grow_until=half + 1,
+        mask_from=iterations + 1,
     )
+    trainer = Trainer(replace(scene, train=seen, effects=tuple(effects)), preset, fold)
+    with np.errstate(all="ignore"):
+        model = trainer.run()
+    drawn = [(model.render(views[i].camera, views[i].time), views[i].image) for i in back]
+    return np.array([decibel(squared_error(*pair)) for pair in drawn])
 
 
-def view_color(bare, change):
-    """A colour that depends on the viewer."""
-    if bare is not None and bare > BARE:
-        return True, (
-            f"{KEPT}{100 * bare:.1f} % of the foreground changes, and no two cameras show what "
-            "moves at the same moment"
-        )
-    if change is None:
-        return True, f"{KEPT}no surface point is seen by {WITNESSES} views, so none can be compared"
-    if change > COLOR_CHANGE:
-        return True, f"the colour of one still point differs by {change:.3f} between cameras"
-    return False, (
-        f"the colour of one point differs by {change:.3f} between cameras, not more than sampling "
-        "explains"
+def verdict(effect, gains, count):
+    """(verdict, evidence) from the gains (dB) of the views that were kept back, or None."""
+    if gains is None:
+        return "cannot tell", f"{count} views are too few to keep some back; expected {FEWEST}"
+    mean, error = gains.mean(), gains.std() / np.sqrt(len(gains))
+    without = "without hiding what is behind"
+    if effect != "occlusion":
+        without = f"with the {'times' if effect in fx.MOTION else 'cameras'} of other views"
+    evidence = (
+        f"{mean:+.2f} ± {error:.2f} dB on {len(gains)} views kept back, against training {without}"
     )
+    if mean - 3 * error > WORTH:
+        return "yes", evidence
+    if mean + 2 * error < WORTH:
+        return "no", evidence
+    return "cannot tell", evidence
 
 
-def view_geometry(times, bare):
-    """Shapes that depend on the viewer."""
-    if bare is None:
-        return True, f"{KEPT}without two silhouettes, 0 shapes can be compared between cameras"
-    share = f"{100 * bare:.1f} % of the foreground"
-    if bare > BARE and len(set(times)) == 1:
-        return True, f"{share} is where some other camera shows background, at one time"
-    if bare > BARE:
-        return True, (
-            f"{KEPT}{share} changes, and where every camera has its own time, motion and viewer "
-            "cannot be told apart"
-        )
-    return False, f"one shape fits the silhouettes of all cameras ({100 * bare:.2f} % left over)"
-
-
-def background(masks, color):
-    """A colour behind the scene."""
-    share = 1 - float(np.mean([mask.mean() for mask in masks]))
-    shown = f"{100 * share:.0f} % of the pixels show"
-    if share == 0:
-        return False, f"{shown} the background"
+def background(views, color):
+    """(verdict, evidence) about a colour behind the scene, from the pixels that show it."""
+    shares = [
+        np.mean(np.abs(view.image - color).max(axis=2) <= 0.02)
+        if view.alpha is None
+        else np.mean(view.alpha <= 0.5)
+        for view in views
+    ]
+    shown = f"{100 * np.mean(shares):.0f} % of the pixels show"
+    if not np.any(shares):
+        return "no", f"{shown} the background"
     if not np.any(color):
-        return False, f"{shown} the background, and it is black, which needs no term"
-    return True, f"{shown} a background that is not black"
+        return "no", f"{shown} the background, and it is black, which needs no term"
+    return "yes", f"{shown} a background that is not black"

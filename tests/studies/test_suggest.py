@@ -1,44 +1,113 @@
 """What the pictures of a scene say about the effects in it."""
 
+import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.effects import MOTION
-from p4dgs_ref.scenes import MODEL_EFFECTS, SIMULATOR_EFFECTS, Scene, load_scene, packaged_scenes
+from p4dgs_ref.scenes import MODEL_EFFECTS, SIMULATOR_EFFECTS, Scene, load_scene
+from p4dgs_ref.scenes.dnerf import packaged_folder
 from p4dgs_ref.scenes.simulator import trace
 from p4dgs_ref.scenes.simulator.description import describe
 from p4dgs_ref.scenes.simulator.simulate import place_cameras
 from p4dgs_ref.studies import suggest
-from tests.core.effect_scenes import SEEN_BY, described
+from tests.core.effect_scenes import described
+
+VIEWS = 24
 
 
-def suggested(scene):
-    return {row["effect"]: row for row in suggest.suggest(scene)}
+def suggested(scene, **options):
+    return {row["effect"]: row for row in suggest.suggest(scene, **options)}
 
 
-@pytest.mark.parametrize("name", packaged_scenes())
-def test_suggestion_is_right_as_far_as_pictures_tell(name):
-    """It keeps every effect that the scene lists, and says where it keeps one without evidence."""
-    scene = load_scene(name)
+@pytest.fixture
+def quick(monkeypatch):
+    """No training: every view gains what this dictionary says of its effect, give or take 0.1."""
+    gains = dict.fromkeys(("translation", *suggest.VIEW, "occlusion"), 0.0)
+    noise = np.linspace(-0.1, 0.1, 8)
+    monkeypatch.setattr(suggest, "paired", lambda task: gains[task[2]] + noise)
+    return gains
+
+
+@pytest.mark.parametrize(
+    "gain, spread, said",
+    [
+        (3.0, 0.1, "yes"),
+        (0.5, 0.1, "yes"),
+        (0.5, 1.0, "cannot tell"),
+        (0.2, 0.1, "cannot tell"),
+        (0.0, 0.1, "no"),
+        (-2.0, 0.1, "no"),
+        (0.0, 1.0, "cannot tell"),
+    ],
+)
+def test_verdict_asks_for_more_than_the_spread(gain, spread, said):
+    gains = gain + spread * np.resize([-1, 1], 16)
+    found, evidence = suggest.verdict("translation", gains, 48)
+    assert found == said
+    assert evidence.startswith(f"{gain:+.2f} ± ") and "dB on 16 views" in evidence
+
+
+def test_every_effect_has_a_verdict_and_a_number(quick):
+    scene = load_scene("bouncing")
+    quick.update(translation=4.0, view_color=0.2, occlusion=9.0)
     rows = suggested(scene)
     assert tuple(rows) == MODEL_EFFECTS
-    moves = bool(set(MOTION) & set(scene.effects))
-    assert all(rows[e]["called_for"] == moves for e in MOTION)
-    for effect, row in rows.items():
+    assert {effect: row["verdict"] for effect, row in rows.items()} == {
+        "translation": "yes",
+        "rotation": "cannot tell",
+        "scaling": "cannot tell",
+        "view_color": "cannot tell",
+        "view_geometry": "no",
+        "occlusion": "yes",
+        "background": "yes",
+    }
+    for row in rows.values():
         assert any(c.isdigit() for c in row["evidence"]) and "\n" not in row["evidence"]
-        assert row["called_for"] or effect not in scene.effects, (effect, row["evidence"])
-        if row["called_for"] and effect not in scene.effects:
-            assert (
-                "kept" in row["evidence"] or effect in MOTION and "cannot tell" in row["evidence"]
-            ), row
-    if not moves:
-        assert {e for e, row in rows.items() if row["called_for"]} == set(scene.effects)
+        assert row["called_for"] == (row["verdict"] != "no")
+    quick.update(translation=0.0)
+    assert not any(suggested(scene)[effect]["called_for"] for effect in MOTION)
+
+
+def test_one_time_and_few_views(quick):
+    scene = load_scene("bouncing")
+    frozen = suggested(replace(scene, train=[replace(view, time=0.5) for view in scene.train]))
+    assert {frozen[effect]["verdict"] for effect in MOTION} == {"no"}
+    assert "0.5" in frozen["translation"]["evidence"]
+    few = suggested(replace(scene, train=scene.train[:11]))
+    assert {row["verdict"] for name, row in few.items() if name != "background"} == {"cannot tell"}
+    assert "11 views" in few["occlusion"]["evidence"]
+
+
+def test_background_is_read_from_the_pixels(quick):
+    scene = load_scene("bouncing")
+    black = replace(scene, background=np.zeros(3))
+    assert suggested(black)["background"]["verdict"] == "no"
+    filled = [replace(v, alpha=None, image=np.full_like(v.image, 0.5)) for v in scene.train]
+    assert suggested(replace(scene, train=filled))["background"]["verdict"] == "no"
+    plain = [replace(v, alpha=None) for v in scene.train]
+    assert suggested(replace(scene, train=plain))["background"]["verdict"] == "yes"
+
+
+def test_dealt_out_values_are_those_of_other_views():
+    views = load_scene("bouncing").train
+    dealt = suggest.shuffled(views, "translation", 0)
+    assert sorted(v.time for v in dealt) == sorted(v.time for v in views)
+    assert sum(a.time != b.time for a, b in zip(dealt, views)) > 40
+    assert all(a.image is b.image and a.camera is b.camera for a, b in zip(dealt, views))
+    dealt = suggest.shuffled(views, "view_color", 0)
+    moved = [a.camera.center - b.camera.center for a, b in zip(dealt, views)]
+    assert np.count_nonzero(np.linalg.norm(moved, axis=1)) > 40
+    assert all(np.array_equal(a.camera.T, b.camera.T) for a, b in zip(dealt, views))
+    assert all(a.time == b.time and a.image is b.image for a, b in zip(dealt, views))
 
 
 def still(**changes):
-    """A variation of the scene `static`, drawn anew, without a list of effects."""
+    """A variation of the scene `static`, drawn anew."""
     description = describe({**described("static", SIMULATOR_EFFECTS), **changes})
     posed = place_cameras(description, "train")
     return Scene.from_arrays(
@@ -52,49 +121,88 @@ def bodies(**changes):
     return [{**body, **changes} for body in described("static", ())["bodies"]]
 
 
+def rods(radius):
+    """Six thin rods that stand still, white background."""
+    ends = np.random.default_rng(2).uniform(-0.8, 0.8, (6, 2, 3))
+    return [
+        {
+            "name": f"rod {i}",
+            "shape": {
+                "kind": "capsule",
+                "radius": radius,
+                "start": a.tolist(),
+                "end": b.tolist(),
+            },
+            "color": [0.8, 0.2, 0.1],
+        }
+        for i, (a, b) in enumerate(ends)
+    ]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "changes, effects",
+    "changes, said",
     [
-        ({}, set()),
-        ({"bodies": bodies(specular={"strength": 0.7, "exponent": 6})}, {*MOTION, "view_color"}),
-        (
-            {"bodies": bodies(motion=[{"kind": "spin", "axis": [0, 0, 1], "degrees": 180}])},
-            {*MOTION, *SEEN_BY},
-        ),
-        ({"bodies": bodies(motion=[{"kind": "line", "by": [0.1, 0, 0]}])}, {*MOTION, *SEEN_BY}),
-        ({"bodies": bodies(motion=[{"kind": "pulse", "amount": 0.1}])}, {*MOTION, *SEEN_BY}),
-        ({"bodies": bodies(faces_camera=True)}, {*MOTION, *SEEN_BY}),
+        ({}, "no"),
+        ({"bodies": rods(0.03)}, "no"),
+        ({"bodies": bodies(motion=[{"kind": "line", "by": [0.04, 0, 0]}])}, "yes"),
+        ({"bodies": bodies(motion=[{"kind": "spin", "axis": [0, 0, 1], "degrees": 20}])}, "yes"),
+    ],
+    ids=["still", "thin rods", "one pixel", "slow turn"],
+)
+def test_motion_is_judged_right_on_thin_slow_and_textured_things(changes, said):
+    """Silhouettes called rods of one to three pixels moving, and missed a motion of one pixel."""
+    scene = still(**changes)
+    gains = [suggest.paired((scene, MOTION, "translation", fold, 600)) for fold in range(2)]
+    found, evidence = suggest.verdict("translation", np.concatenate(gains), len(scene.train))
+    assert found == said, evidence
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A copy of a packaged scene without a list of effects."""
+    copy = tmp_path / "scene"
+    shutil.copytree(packaged_folder() / "static", copy)
+    (copy / "scene.json").unlink()
+    return copy
+
+
+def run(line):
+    return cli.run(line.split(), 0.0)
+
+
+def test_apply_writes_the_list_beside_what_the_file_holds(folder, quick, capsys):
+    quick.update(occlusion=9.0)
+    assert run(f"effects {folder} --suggest --apply --jobs 1 --quiet") == 0
+    assert "written to" in capsys.readouterr().out
+    listed = ("occlusion", "background")
+    assert json.loads((folder / "scene.json").read_text()) == {"effects": list(listed)}
+    assert load_scene(folder).effects == listed
+    described_as = {"title": "mine", "effects": ["background", "texture"], "bodies": []}
+    (folder / "scene.json").write_text(json.dumps(described_as))
+    assert run(f"effects {folder} --suggest --apply --jobs 1 --quiet") == 0
+    kept = {**described_as, "effects": [*listed, "texture"]}
+    assert json.loads((folder / "scene.json").read_text()) == kept
+
+
+@pytest.mark.parametrize(
+    "line, word",
+    [
+        ("effects static --apply", "--suggest"),
+        ("effects static --suggest --apply --jobs 1", "packaged"),
+        ("effects static --suggest --full", "--full"),
     ],
 )
-def test_suggestion_on_variations_of_a_still_scene(changes, effects):
-    """A motion of two and a half pixels, a tenth of the size, a highlight, a turn: all are seen."""
-    rows = suggested(still(**changes))
-    assert {e for e, row in rows.items() if row["called_for"]} == effects | {
-        "occlusion",
-        "background",
-    }
+def test_apply_is_refused_in_one_line(line, word, quick, capsys):
+    assert run(line) == 2
+    error = capsys.readouterr().err
+    assert word in error and error.count("\n") == 1
 
 
-def test_suggestion_at_one_time_and_without_alpha():
-    scene = load_scene("bouncing")
-    frozen = replace(scene, train=[replace(view, time=0.5) for view in scene.train])
-    rows = suggested(frozen)
-    assert (
-        not any(rows[e]["called_for"] for e in MOTION) and "0.5" in rows["translation"]["evidence"]
-    )
-    assert rows["view_geometry"]["called_for"] and "kept" not in rows["view_geometry"]["evidence"]
-    plain = replace(
-        load_scene("static"),
-        train=[replace(view, alpha=None) for view in load_scene("static").train],
-    )
-    assert not any(suggested(plain)[e]["called_for"] for e in (*MOTION, *SEEN_BY))
-    filled = [
-        replace(view, alpha=None, image=np.full_like(view.image, 0.5)) for view in scene.train
-    ]
-    rows = suggested(replace(scene, train=filled))
-    assert (
-        all("kept" in rows[e]["evidence"] for e in (*MOTION, *SEEN_BY))
-        and not rows["background"]["called_for"]
-    )
-    black = replace(scene, effects=("occlusion",))
-    assert not suggested(black)["background"]["called_for"]
+def test_train_points_to_the_suggestion_where_no_effects_are_listed(folder, tmp_path, capsys):
+    line = f"train {folder} --preset smoke --set stage_ends=1,1,2,2 --set mask_from=2 --quiet"
+    assert run(f"{line} -o {tmp_path / 'run'}") == 0
+    assert "--suggest --apply" in capsys.readouterr().err
+    (folder / "scene.json").write_text('{"effects": ["occlusion", "background"]}')
+    assert run(f"{line} -o {tmp_path / 'other'}") == 0
+    assert "--suggest" not in capsys.readouterr().err
