@@ -150,11 +150,11 @@ def views_of(W, T, focal, center, size, times, truth):
     return tuple(View("", image, None, camera, time) for image, camera, time in named)
 
 
-def trainer_of(state, views, background, iteration, effects, settings):
+def trainer_of(trainer, state, views, background, iteration, effects, settings):
     """Return a Trainer in a given state: arrays, moments, steps, mask, sums and box."""
     preset = PRESET._replace(**settings)
     scene = SimpleNamespace(train=views, effects=effects, background=background)
-    trainer = Replayed(scene, preset, settings=EXACT)
+    trainer = trainer(scene, preset, settings=EXACT)
     p, m, v = (
         parted({name: state[tag + name] for name in ARRAYS}, trainer.design) for tag in ROLES
     )
@@ -186,7 +186,7 @@ def state_of(trainer):
     return state
 
 
-def replay(u, views, iteration, effects, draws=(), **inputs):
+def replay(u, views, iteration, effects, draws=(), trainer=Replayed, **inputs):
     """Steps of training from a state: the state after them, and the losses before each of them.
 
     Growing, masking and the change of the stage happen within the steps where the settings say so.
@@ -195,7 +195,8 @@ def replay(u, views, iteration, effects, draws=(), **inputs):
     scene = {name: inputs.pop(name) for name in GIVEN}
     background = scene.pop("background")
     settings = {name: inputs.pop(name) for name in SETTINGS}
-    trainer = trainer_of(inputs, views_of(**scene), background, iteration, effects, settings)
+    given = inputs, views_of(**scene), background, iteration, effects, settings
+    trainer = trainer_of(trainer, *given)
     trainer.rng = GivenNumbers(u, draws)
     trainer.order = views[::-1]
     rows, rates = [], []
@@ -317,9 +318,13 @@ def all_inputs():
     return found
 
 
-def replay_cases():
-    for name, inputs in all_inputs().items():
-        yield Case(name, inputs, ("replay",) if name == "growing" else ("replay", "masked"))
+def event_cases():
+    yield Case("growing", all_inputs()["growing"], ("replay",))
+    yield Case("stage_switch", all_inputs()["stage_switch"], ("replay", "masked"))
+
+
+def whole_cases():
+    yield Case("ten_steps", all_inputs()["ten_steps"], ("replay", "masked"))
 
 
 def shapes():
@@ -352,20 +357,25 @@ def shapes():
     }
 
 
-SUBJECTS = (
-    Subject(
-        "training",
+def subject(key, formula, cases):
+    return Subject(
+        key,
         "L4",
         "total_loss",
         "1 to 9, 11 to 17",
-        "state, views, noise -> state after some steps, array by array",
+        formula,
         shapes(),
         (),
         replay,
-        replay_cases,
+        cases,
         {"arrays": list(ARRAYS), "beta_1": 0.9, "beta_2": 0.999, "epsilon": 1e-15},
         single=True,
         # On a lattice whose corners are float32 numbers: a small coordinate has no more digits.
         even=("out.x_a",),
-    ),
+    )
+
+
+SUBJECTS = (
+    subject("training", "state, views, noise -> state after an event", event_cases),
+    subject("training_whole", "state, views, noise -> state after ten steps", whole_cases),
 )

@@ -230,3 +230,50 @@ def test_the_workshop_passes_its_own_vectors(dtype):
 
     results = [r for key in KEYS for r in checker.check_subject(published.cases(key), Port())]
     assert all(r.verdict == "pass" for r in results), report.text(checker.Report(results))
+
+
+# --- mistakes -----------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "changes, id",
+    [
+        ({"draws_before_it_stops": True}, "kernel-stop-after-splat"),
+        ({"clamp_passes": False}, "kernel-clamp-blocks-gradient"),
+        ({"ties_reversed": True}, "kernel-ties-reversed"),
+        ({"ellipse": True}, "kernel-exact-ellipse"),
+        ({"masked": False}, "kernel-not-masked"),
+    ],
+)
+def test_a_port_with_another_rule_is_noticed_and_explained_wherever_it_shows(changes, id):
+    """The doctor has answers to `kernel`; what fails in the other subjects refers to it."""
+    rule = kernel.Rule(**changes)
+
+    class Port:
+        def run(self, case):
+            vjp = kernel.stage_vjp if case.subject == "kernel_stage" else kernel.kernel_vjp
+            outputs, pullback = vjp(**case.inputs(), rule=rule)
+            return named(outputs, pullback(**case.cotangents()))
+
+        def strangers(self):
+            return ()
+
+    keys = ("kernel", "kernel_many", "kernel_stage")
+    results = checker.check_port(Port(), ("L2",), set(keys)).results
+    failed = [r for r in results if r.verdict == "fail"]
+    assert {r.equation for r in failed} == {"compositing"} and len(failed) >= 1
+    assert all(f"[{id}]" in r.explanation for r in failed), [r.explanation for r in failed]
+
+
+def test_many_splats_at_some_pixels():
+    """Colour, transmittance and `last` of `kernel_many`, as one thread of the kernel has them."""
+    case = published.cases("kernel_many")[0]
+    i, bars = wide(case)
+    found = kernel.lists(**{name: i[name] for name in kernel.LISTED})
+    shape = i["height"], i["width"]
+    out = {"image": np.zeros((*shape, 3)), "transmittance": np.ones(shape)}
+    out["last"] = np.zeros(shape, np.int32)
+    unused = {name: np.zeros_like(i[name]) for name in (*kernel.SPLATS, "background")}
+    for v, u in np.random.default_rng(2).integers(0, shape, (60, 2)):
+        start, end = found.ranges[v // 16 * -(-shape[1] // 16) + u // 16]
+        pixel(i, found.row[start:end], u, v, bars["image_bar"][v, u], out, unused)
+        for name, a in out.items():
+            assert np.allclose(a[v, u], case.tensors[f"out.{name}"][v, u], rtol=1e-12), (name, v, u)

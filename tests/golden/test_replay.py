@@ -13,9 +13,10 @@ from p4dgs_ref.training import objective
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import Preset
 from tests.golden import replay
+from tests.golden.mistakes import MISTAKES
 from tests.golden.subjects import subjects
 
-CASES = published.cases("training")
+CASES = published.cases("training") + published.cases("training_whole")
 DESIGN = design_of(replay.PRESET, MODEL_EFFECTS)
 ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")
 FROM_STAGE_4 = ("psi_p", "psi_q", "grid")
@@ -179,7 +180,7 @@ def test_plain_loops_end_in_the_same_state(case):
 def test_our_own_training_passes(dtype):
     class Port:
         def run(self, case):
-            return subjects()["training"].answer(cast(case.inputs(), dtype), {})
+            return subjects()[case.subject].answer(cast(case.inputs(), dtype), {})
 
     results = checker.check_subject(CASES, Port())
     assert all(r.verdict == "pass" for r in results), results
@@ -252,3 +253,22 @@ def test_the_steps_do_not_amplify_rounding():
         if a.dtype.kind == "f" and a.size and right[name].any():
             largest = max(largest, np.abs(a - right[name]).max() / np.abs(right[name]).max())
     assert 0 < largest < 1e-11
+
+
+# --- mistakes -----------------------------------------------------------------------------------
+@pytest.mark.parametrize("id", ["training-moments-not-reset", "training-positions-move"])
+def test_a_mistake_is_noticed_and_explained_in_all_ten_steps_too(id):
+    """The doctor has answers to `training`; what fails in `training_whole` refers to it."""
+    mistake = next(mistake for mistake in MISTAKES if mistake.id == id)
+
+    class Port:
+        def run(self, case):
+            outputs, _ = mistake.run(case.inputs(), {})
+            return {f"out.{name}": a for name, a in outputs.items()}
+
+        def strangers(self):
+            return ()
+
+    results = checker.check_port(Port(), ("L4",), {"training", "training_whole"}).results
+    verdicts = {r.id: f"[{id}]" in r.explanation for r in results if r.verdict == "fail"}
+    assert verdicts["training_whole/ten_steps"] and all(verdicts.values()) and len(verdicts) >= 2

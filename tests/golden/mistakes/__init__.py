@@ -7,13 +7,16 @@ answers to the published cases, which `p4dgs_ref.oracle.doctor` compares with a 
 
 from tests.golden.mistakes import (
     compositing,
+    encoding,
     geometry,
     grid,
+    kernel,
     losses,
     motion,
     prediction,
     rate,
     stages,
+    training,
 )
 from tests.golden.mistakes.kit import Mistake, NotApplicable
 
@@ -26,6 +29,9 @@ MISTAKES = [
     *grid.MISTAKES,
     *rate.MISTAKES,
     *stages.MISTAKES,
+    *kernel.MISTAKES,
+    *encoding.MISTAKES,
+    *training.MISTAKES,
 ]
 
 __all__ = ["MISTAKES", "Mistake", "NotApplicable"]
