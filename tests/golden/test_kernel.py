@@ -253,9 +253,6 @@ def test_a_port_with_another_rule_is_noticed_and_explained_wherever_it_shows(cha
             outputs, pullback = vjp(**case.inputs(), rule=rule)
             return named(outputs, pullback(**case.cotangents()))
 
-        def strangers(self):
-            return ()
-
     keys = ("kernel", "kernel_many", "kernel_stage")
     results = checker.check_port(Port(), ("L2",), set(keys)).results
     failed = [r for r in results if r.verdict == "fail"]

@@ -266,9 +266,6 @@ def test_a_mistake_is_noticed_and_explained_in_all_ten_steps_too(id):
             outputs, _ = mistake.run(case.inputs(), {})
             return {f"out.{name}": a for name, a in outputs.items()}
 
-        def strangers(self):
-            return ()
-
     results = checker.check_port(Port(), ("L4",), {"training", "training_whole"}).results
     verdicts = {r.id: f"[{id}]" in r.explanation for r in results if r.verdict == "fail"}
     assert verdicts["training_whole/ten_steps"] and all(verdicts.values()) and len(verdicts) >= 2
