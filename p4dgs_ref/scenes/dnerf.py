@@ -261,10 +261,11 @@ def read_image(folder, name, where):
     inside = file.resolve().is_relative_to(folder.resolve())
     require(inside, where, f"{name!r} is outside; expected a picture in the folder {folder}")
     try:
-        with warnings.catch_warnings(), iio.imopen(file, "r", plugin="pillow") as picture:
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a picture so large that it could be an attack
-            clear = "transparency" in picture.metadata()  # a palette or a colour with an alpha
-            image = picture.read(mode="RGBA" if clear else None)
+            with iio.imopen(file, "r", plugin="pillow") as picture:
+                clear = "transparency" in picture.metadata()  # a palette or a colour with an alpha
+                image = picture.read(mode="RGBA" if clear else None)
     except Exception:  # a broken file can fail in any layer of the decoder
         raise SceneError(
             where, f"{file} cannot be read; expected a PNG of RGB or RGBA pixels"
