@@ -82,6 +82,23 @@ def test_adding_cases_leaves_the_published_ones_as_they_are(monkeypatch):
     assert json.loads(json.dumps({**manifest, "generator": old["generator"]})) == old
 
 
+def test_only_what_is_not_released_is_computed_anew():
+    vectors.refuse_released(["kernel", "training"])
+    with pytest.raises(ValueError, match="offsets: cases since 1.0 keep their bytes"):
+        vectors.refuse_released(["kernel", "offsets"])
+
+
+def test_an_earlier_version_is_written_without_what_joined_later(monkeypatch, tmp_path):
+    monkeypatch.setattr(vectors, "vector", None)
+    manifest = vectors.write(tmp_path, keep=True, version="1.0")
+    assert manifest == published.read_manifest(tmp_path) and not vectors.damaged(tmp_path)
+    assert "kernel" not in {s["key"] for s in manifest["subjects"]} and "trace.safetensors" in {
+        file.name for file in tmp_path.iterdir()
+    }
+    old = published.read_manifest(version="1.0")
+    assert {**manifest, "generator": 0} == json.loads(json.dumps({**old, "generator": 0}))
+
+
 def test_a_damaged_file_is_found(tmp_path):
     vectors_of = published.FOLDER
     for name in ("manifest.json", "view.safetensors"):

@@ -1,16 +1,17 @@
 """Makes the vectors: every case of every subject with inputs, outputs, cotangents and gradients.
 
 `python -m tests.golden.vectors` adds the cases that are not published yet to the published vectors,
-and leaves all others as they are. `python -m tests.golden.vectors DIR` computes all of them again
-into a folder and puts the codec's streams beside them, as `p4dgs-ref oracle export DIR` does with
-the published ones.
+and leaves all others as they are. `--again KEY` computes the published cases of a subject anew too,
+which is allowed until its version has been released. `python -m tests.golden.vectors DIR` computes
+all cases again into a folder and puts the codec's streams beside them, as `p4dgs-ref oracle export
+DIR` does with the published ones; `--vectors 1.0` does so with an earlier version.
 """
 
+import argparse
 import csv
 import hashlib
 import json
 import shutil
-import sys
 from functools import cache
 from pathlib import Path
 
@@ -27,6 +28,7 @@ from tests.golden import independent, measured
 from tests.golden.cases import FLAGS
 from tests.golden.subjects import subjects
 
+LATEST = published.VERSIONS[-1]
 # Everything else in the folder of the vectors is made here.
 WRITTEN = ("README.md", "LICENSE", "example_adapter.py", "model.p4dgs")
 IDS = Path(__file__).parent / "data" / "oracle_ids.csv"  # every case, its hash, since when
@@ -95,7 +97,7 @@ def joined():
 
 def joining(id):
     """Return the field of a record that says since when it is there; none for version 1.0."""
-    since = joined().get(id, published.VERSIONS[-1])
+    since = joined().get(id, LATEST)
     return {} if since == published.VERSIONS[0] else {"since": since}
 
 
@@ -145,22 +147,22 @@ def subject_file(subject, kept):
     return data, row
 
 
-def build(progress=lambda text: None, keep=False):
+def build(progress=lambda text: None, keep=False, again=()):
     """Return every file of vectors, {name: bytes}, and the manifest.
 
-    With `keep`, the published cases stay as they are.
+    With `keep`, the published cases stay as they are, except those of the subjects `again`.
     """
     files, rows = {}, []
     for subject in subjects().values():
         progress(f"vectors of {subject.key}")
-        is_known = keep and subject.key in published.subjects()
+        is_known = keep and subject.key in published.subjects() and subject.key not in again
         kept = {case.name: case for case in published.cases(subject.key)} if is_known else {}
         data, row = subject_file(subject, kept)
         files[row["file"]] = data
         rows.append(row)
     manifest = {
         "format": 1,
-        "version": f"v{published.VERSIONS[-1]}",
+        "version": f"v{LATEST}",
         "license": "CC0-1.0",
         "generator": {
             "p4dgs_ref": __version__,
@@ -218,9 +220,12 @@ def flags():
     return found
 
 
-def write(folder, progress=lambda text: None, keep=False):
-    """Write all vectors into an existing folder; return the manifest. See `build`."""
-    files, manifest = build(progress, keep)
+def write(folder, progress=lambda text: None, keep=False, again=(), version=LATEST):
+    """Write a version of the vectors into an existing folder; return the manifest. See `build`."""
+    files, manifest = build(progress, keep, again)
+    if version != LATEST:
+        manifest = published.limited(manifest, version)
+        files = {name: files[name] for name in manifest["files"]}
     files["manifest.json"] = _json(manifest)
     files["FLAGS.json"] = _json(flags())
     for name, data in files.items():
@@ -267,28 +272,51 @@ def listed():
     }
 
 
-def write_ids():
-    """Add the new cases and streams of the published vectors to the list of all."""
-    with IDS.open("a", encoding="utf-8", newline="") as file:
-        for id, sha256 in listed().items():
-            if id not in joined():
-                row = id, sha256, published.VERSIONS[-1]
-                csv.writer(file, lineterminator="\n").writerow(row)
+def write_ids(again=()):
+    """Add new cases and streams to the list of all; replace those of the subjects `again`."""
+    found = csv.DictReader(IDS.read_text(encoding="utf-8").splitlines())
+    rows = [row for row in found if row["id"].split("/")[0] not in again]
+    known = {row["id"] for row in rows}
+    for id, sha256 in listed().items():
+        if id not in known:
+            rows.append({"id": id, "sha256": sha256, "since": LATEST})
+    with IDS.open("w", encoding="utf-8", newline="") as file:
+        table = csv.DictWriter(file, rows[0], lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
 
 
-def regenerate(folder, progress):
-    """Compute all vectors into a folder that has the files which `oracle export` writes."""
+def refuse_released(again):
+    """Raise ValueError where a subject has cases of an earlier version, which keep their bytes."""
+    for key in again:
+        since = {joined()[case.id] for case in published.cases(key)}
+        if since != {LATEST}:
+            raise ValueError(f"{key}: cases since {min(since)} keep their bytes")
+
+
+def regenerate(folder, progress, version=LATEST):
+    """Compute a version into a folder that has the files which `oracle export` writes."""
     with filled(folder) as place:
         for name in WRITTEN:
             shutil.copyfile(FOLDER / name, place / name)
-        write(place, progress)
+        write(place, progress, version=version)
         copy_streams(place)
         write_expected(place)
 
 
+def main():
+    parser = argparse.ArgumentParser(description="Makes the vectors.")
+    parser.add_argument("folder", nargs="?", help="compute all vectors into this folder")
+    parser.add_argument("--vectors", default=LATEST, choices=published.VERSIONS)
+    parser.add_argument("--again", nargs="+", default=(), metavar="KEY", help="subjects")
+    arguments = parser.parse_args()
+    if arguments.folder:
+        regenerate(arguments.folder, print, arguments.vectors)
+        return
+    refuse_released(arguments.again)
+    write(FOLDER, print, keep=True, again=arguments.again)
+    write_ids(arguments.again)
+
+
 if __name__ == "__main__":
-    if sys.argv[1:]:
-        regenerate(sys.argv[1], print)
-    else:
-        write(FOLDER, print, keep=True)
-        write_ids()
+    main()
