@@ -1,5 +1,7 @@
 """Adam over one flat vector, and the learning-rate schedule of 3DGS and its successors."""
 
+from math import sqrt
+
 import numpy as np
 
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-15  # as in all methods that P-4DGS builds on
@@ -30,7 +32,7 @@ class Adam:
         def corrected(name):
             # Both moments start at zero; dividing by the sum of their weights corrects for that.
             n = self.steps[name]
-            return rates[name] * np.sqrt(1 - BETA_2**n) / (1 - BETA_1**n) if n else 0.0
+            return rates[name] * sqrt(1 - BETA_2**n) / (1 - BETA_1**n) if n else 0.0
 
         m, v = self.first.vector, self.second.vector
         # Beyond this the square of a gradient would overflow, and v would become inf - inf.
