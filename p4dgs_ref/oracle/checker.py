@@ -34,9 +34,12 @@ class Report(NamedTuple):
             rows = [r for r in self.results if r.level == level and r.required]
             if rows:
                 verdicts = [r.verdict for r in rows]
-                counts = {"passed": verdicts.count("pass")}
-                counts["acceptable"] = verdicts.count("acceptable")
-                found[level] = {**counts, "of": len(rows), "says": says}
+                found[level] = {
+                    "passed": verdicts.count("pass"),
+                    "acceptable": verdicts.count("acceptable"),
+                    "of": len(rows),
+                    "says": says,
+                }
         return found
 
     def __str__(self):
@@ -116,38 +119,25 @@ def judge(case, port, roles=("out.", "in_bar."), strict=False):
 
 def judge_answer(case, got, roles=("out.", "in_bar."), strict=False):
     """Return the Result of one case for the answer {"out.x": array, "in_bar.x_a": array}."""
-    required, recipe = case.record["result"] == "valid", ""
-    unasked = case.unasked(precision(got))
+    is_valid, unasked = case.record["result"] == "valid", tuple(case.unasked(precision(got)))
     names = [n for n in expected(case.tensors) if n.startswith(roles) and n not in unasked]
     got = {name: a for name, a in got.items() if name not in unasked}
-    findings = findings_of(case, names, got) if names else []
-    if not names:
-        verdict, required = "unasked", False
-    elif not findings:
-        verdict = "pass"
+    findings = findings_of(case, got, names) if names else []
+    mistaken = findings_of(*printed.as_printed(case, got), names) if findings else []
+    recipe = printed.RECIPES[case.subject] if findings and not mistaken else ""
+    if not findings:
+        verdict = "pass" if names else "unasked"
     else:
-        verdict = "fail" if required else "acceptable"
-        mistaken = beyond_printed(case, names, got)
-        if required and not mistaken:
-            verdict, recipe = "fail" if strict else "acceptable", printed.RECIPES[case.subject]
-        findings = mistaken or findings
-    rest = required, tuple(findings), ""
-    return Result(
-        case.id, case.equation, case.level, verdict, *rest, unasked=tuple(unasked), recipe=recipe
-    )
+        verdict = "fail" if is_valid and (mistaken or strict) else "acceptable"
+    said = tuple(mistaken or findings), "", ""  # no explanation and no hint yet
+    required = is_valid and bool(names)
+    return Result(case.id, case.equation, case.level, verdict, required, *said, unasked, recipe)
 
 
-def findings_of(case, names, got):
+def findings_of(case, got, names):
     """Return the findings of `compare` on some tensors of a case."""
     tensors = {n: a for n, a in case.tensors.items() if n.removeprefix("scale.") in names}
     return compare(tensors, got, case.tolerance(precision(got)))
-
-
-def beyond_printed(case, names, got):
-    """Return the findings on an answer that the printed formula, as it is, does not explain."""
-    precise = precision(got)
-    wider = printed.widened(case, precise)
-    return findings_of(wider, names, printed.within_range(case, got, precise))
 
 
 def evidence(case, got, result):
@@ -155,11 +145,10 @@ def evidence(case, got, result):
 
     Tensors that are merely as near as the printed formula comes say nothing about a mistake.
     """
-    asked = [name for name in expected(got) if name not in result.unasked]
     wrong = [finding.tensor for finding in result.findings]
-    near = {finding.tensor for finding in findings_of(case, asked, got)} - set(wrong)
-    shown = {name: got[name] for name in asked if name not in near}
-    return printed.widened(case, precision(got)), shown, wrong
+    near = {finding.tensor for finding in findings_of(case, got, got)} - set(wrong)
+    shown = {n: a for n, a in got.items() if n not in near and n not in result.unasked}
+    return printed.as_printed(case, got)[0], shown, wrong
 
 
 def printable(text):

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from . import safetensors
+from .compare import precision
 
 FILE = Path(__file__).with_name("printed_v1.safetensors")
 
@@ -52,29 +53,25 @@ def measured():
     """Return {case id and precision: {name: array}} of the file."""
     cases = {}
     for name, array in safetensors.load(FILE.read_bytes(), FILE).items():
-        precision, subject, case, tensor = name.split("/")
-        cases.setdefault((f"{subject}/{case}", precision), {})[tensor] = array
+        precise, subject, case, tensor = name.split("/")
+        cases.setdefault((f"{subject}/{case}", precise), {})[tensor] = array
     return cases
 
 
-def widened(case, precision):
-    """Return a case with the scales of the printed formula."""
-    found = measured().get((case.id, precision), {})
-    wider = {name: a for name, a in found.items() if name.startswith("scale.")}
-    return case._replace(tensors={**case.tensors, **wider})
+def as_printed(case, got):
+    """Return a case with the scales of the printed formula, and an answer in its range.
 
-
-def within_range(case, got, precision):
-    """Return `got` with the expected numbers where the printed formula leaves the range.
-
-    Only infinities, NaN and what is as good as 0 are replaced; anything else is judged.
+    Where the formula leaves the range, infinities, NaN and what is as good as 0 are replaced by the
+    expected numbers; anything else is judged.
     """
-    found, eps = dict(got), np.finfo(precision).eps
-    for name, lost in measured().get((case.id, precision), {}).items():
-        role, _, tensor = name.partition(".")
-        if role == "range" and np.shape(found.get(tensor)) == lost.shape:
-            mine = found[tensor]
-            nothing = ~(np.abs(mine) > eps * case.tensors["scale." + tensor])  # also where NaN
-            gone = lost & (nothing | np.isinf(mine))
-            found[tensor] = np.where(gone, case.tensors[tensor], mine).astype(mine.dtype)
-    return found
+    tensors, mine, precise = dict(case.tensors), dict(got), precision(got)
+    for name, a in measured().get((case.id, precise), {}).items():
+        tensor = name.removeprefix("range.")
+        if tensor == name:
+            tensors[name] = a
+        elif np.shape(mine.get(tensor)) == a.shape:
+            least = np.finfo(precise).eps * case.tensors["scale." + tensor]
+            kept = np.isfinite(mine[tensor]) & (np.abs(mine[tensor]) > least)
+            right = case.tensors[tensor].astype(mine[tensor].dtype)
+            mine[tensor] = np.where(a & ~kept, right, mine[tensor])
+    return case._replace(tensors=tensors), mine

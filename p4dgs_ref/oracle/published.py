@@ -56,10 +56,6 @@ class Golden(NamedTuple):
             return list(expected(self.tensors))
         return too_wide(self.tensors, tolerance, precision)
 
-    def is_asked(self, precision):
-        """Whether anything in the case is checked in a precision."""
-        return len(self.unasked(precision)) < len(expected(self.tensors))
-
 
 def path():
     """Return the folder of the published vectors."""
