@@ -55,6 +55,7 @@ class Preset(NamedTuple):
     lambda_ssim: float = 0.2
     sparse_share: float = 0.0  # of pixels unlike the background; a scene with less is sparse (Q13)
     sparse_ssim: float = 0.2  # lambda_ssim of a sparse scene in stages 1 and 2
+    sparse_lr_c: float = 1.0  # factor of lr_c there
     lambda_volume: float = 0.0  # 0.01 in Scaffold-GS; not in the paper (Q25)
     # learning rates: first and last, geometric over all iterations from `decay_from` on
     decay_from: int = 0
@@ -109,7 +110,7 @@ SOURCES = {
     **dict.fromkeys(("opacity_bias", "upright", "deformation_gain"), "off, as the parents (Q28)"),
     "lambda_rate": "HAC (Q12)",
     "lambda_ssim": "3DGS (Q13)",
-    **dict.fromkeys(("sparse_share", "sparse_ssim"), "off, as the paper (Q13)"),
+    **dict.fromkeys(("sparse_share", "sparse_ssim", "sparse_lr_c"), "off, as the paper (Q13)"),
     "lambda_volume": "off, as the paper (Q25)",
     "decay_from": "ours (Q17)",
     "lr_x": "Scaffold-GS (Q14)",
@@ -161,6 +162,7 @@ TINY = Preset(
     stage_ends=(200, 300, 1800, 3800),
     sparse_share=0.1,
     sparse_ssim=0.6,
+    sparse_lr_c=0.25,
     decay_from=300,
     lr_x=(0.002, 2e-4),
     lr_f=(0.015, 1.5e-3),

@@ -100,14 +100,20 @@ class Trainer:
 
     @cached_property
     def sparse(self):
-        """Whether so few pixels are unlike the background that L1 alone would miss them (Q13).
-
-        In stages 1 and 2 nothing moves, and L1 pulls every pixel to its median over time. Where a
-        thin body moves, that is the background: colours and scales saturate on the way to it, and
-        their gradients vanish for good. SSIM does not have this minimum.
-        """
+        """Whether few pixels are unlike the background of their picture (Q13)."""
         shares = [covered_share(view.image) for view in self.scene.train]
         return np.mean(shares) < self.preset.sparse_share
+
+    @property
+    def starts_sparse(self):
+        """Whether a sparse scene is in stages 1 and 2, which would otherwise learn only background.
+
+        Nothing moves there, and L1 pulls every pixel to its median over time. Where a thin body
+        moves, that is the background. psi_c and psi_s saturate on the way to it, and their
+        gradients vanish for good. SSIM sees the body, and with a slow psi_c the opacities fall
+        before all colours are those of the background; dead anchors are then re-seeded.
+        """
+        return self.stage <= 2 and self.sparse
 
     @property
     def stage(self):
@@ -120,9 +126,10 @@ class Trainer:
         if frozen or self.stage < FIRST_STAGE.get(name, 1):
             return 0.0
         first, last = getattr(self.preset, LEARNING_RATES[name])
-        return exponential(
+        rate = exponential(
             self.iteration, first, last, self.preset.iterations, self.preset.decay_from
         )
+        return rate * self.preset.sparse_lr_c if name == "psi_c" and self.starts_sparse else rate
 
     def next_view(self):
         """A random view; no view comes again before all others have been visited."""
@@ -153,7 +160,7 @@ class Trainer:
             noisy=stage >= 2,
             moving=stage >= 3,
             lambda_rate=preset.lambda_rate,
-            lambda_ssim=preset.sparse_ssim if stage <= 2 and self.sparse else preset.lambda_ssim,
+            lambda_ssim=preset.sparse_ssim if self.starts_sparse else preset.lambda_ssim,
             lambda_volume=preset.lambda_volume,
             settings=self.settings,
         )

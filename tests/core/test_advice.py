@@ -87,14 +87,18 @@ def test_covered_share_is_that_of_the_smaller_part():
     assert covered_share(image) == 0.3
 
 
-def test_a_sparse_scene_starts_with_more_ssim():
+def test_a_sparse_scene_starts_with_more_ssim_and_slower_colors():
     """One of sixteen columns is less than a tenth, two are more; from stage 3 on all are equal."""
-    weights = {}
+    weights, rates = {}, {}
     for thick in (1, 2):
-        for preset in (TINY, PAPER_SYNTHETIC._replace(anchors=50)):
-            trainer = Trainer(scene(3, thick), preset)
-            weights[thick, preset.name] = []
+        for preset in (TINY, PAPER_SYNTHETIC._replace(anchors=50, lr_c=(0.008, 0.008))):
+            trainer, case = Trainer(scene(3, thick), preset), (thick, preset.name)
+            weights[case], rates[case] = [], []
             for trainer.iteration in (0, *preset.stage_ends[:3]):
-                weights[thick, preset.name].append(trainer.fixed().lambda_ssim)
+                weights[case].append(trainer.fixed().lambda_ssim)
+                rates[case].append(trainer.rate_of("psi_c"))
     assert weights[1, "tiny"] == [0.6, 0.6, 0.2, 0.2]
     assert weights[2, "tiny"] == weights[1, "paper_synthetic"] == [0.2] * 4
+    assert rates[1, "tiny"] == pytest.approx([0.002, 0.002, *rates[2, "tiny"][2:]])
+    for full in (rates[2, "tiny"], rates[1, "paper_synthetic"]):
+        assert full[:2] == pytest.approx([0.008, 0.008])

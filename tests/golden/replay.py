@@ -91,7 +91,7 @@ PRESET = Preset(
 # Fields that only the name of a preset or the start of a training concerns, or that are off.
 UNUSED = (
     *("name", "anchors", "extent", "feature_std", "opacity_bias", "upright"),
-    *("deformation_gain", "sparse_share", "sparse_ssim"),
+    *("deformation_gain", "sparse_share", "sparse_ssim", "sparse_lr_c"),
 )
 SETTINGS = {name: value for name, value in PRESET._asdict().items() if name not in UNUSED}
 
