@@ -332,7 +332,7 @@ lessons.show(figure, "25_effects")
 evidence = {}
 for name, scene in scenes.items():
     gains = paired((scene, fx.MOTION, "translation", 0, 300))  # dB by true times, each view
-    evidence[name], reason = verdict("translation", gains, len(scene.train))
+    evidence[name], reason = verdict("translation", [gains], len(scene.train))
     print(f"{name}: translation? {evidence[name]}: {reason}")
 assert evidence["static"] == "no"
 assert evidence["bouncing"] == "yes"

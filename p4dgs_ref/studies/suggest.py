@@ -1,10 +1,11 @@
 """Which effects do the pictures call for? Judged by short trainings in pairs.
 
 What an effect looks at, the time of a view or the place of its camera, tells something about the
-picture only where the effect plays a part. One training of a pair is given the true values. The
-other one is given the same values, dealt out to the views at random. Both start from the same
-numbers and see the views in the same order, so without the effect neither has an advantage. They
-are compared on views that neither has seen. Occlusion is trained with and without it.
+picture only where the effect plays a part. Both trainings of a pair are first given these values
+dealt out to the views at random, and are the same until half of their iterations. Then one of them
+is given the true values. They see the views in the same order, so without the effect neither has an
+advantage. They are compared on views that neither has seen. Occlusion is trained with and without
+it.
 
 An effect that the pictures cannot decide is kept: a model with an effect too many is larger, a
 model with an effect too few is wrong.
@@ -59,7 +60,7 @@ def suggest(scene, iterations=ITERATIONS, progress=lambda line: None, jobs=1):
         tasks = [(scene, moving, effect, fold, iterations) for effect in asked for fold in folds]
         for (_, _, effect, fold, _), gain in zip(tasks, in_processes(paired, tasks, jobs)):
             progress(f"{effect}: pair {fold + 1} of {FOLDS}")
-            gains[effect] = np.append(gains.get(effect, ()), gain)
+            gains.setdefault(effect, []).append(gain)
     said = {effect: verdict(effect, gains.get(effect), len(views)) for effect in MODEL_EFFECTS}
     if not moving:
         still = f"all {len(views)} views have the time {min(times):g}, so nothing can move"
@@ -88,10 +89,12 @@ def paired(task):
     """By how many dB an effect improves each view that was kept back: an array."""
     scene, moving, effect, fold, iterations = task
     effects = {*moving, "occlusion", "background", effect}
-    without = effects - {effect} if effect == "occlusion" else effects
-    dealt = scene.train if effect == "occlusion" else shuffled(scene.train, effect, fold)
-    both = ((scene.train, effects), (dealt, without))
-    with_it, without_it = (scores(scene, *build, fold, iterations) for build in both)
+    if effect == "occlusion":
+        builds = (scene.train, scene.train, effects), (scene.train, scene.train, effects - {effect})
+    else:
+        dealt = shuffled(scene.train, effect, fold)
+        builds = (dealt, scene.train, effects), (dealt, dealt, effects)
+    with_it, without_it = (scores(scene, *build, fold, iterations) for build in builds)
     return with_it - without_it
 
 
@@ -106,11 +109,16 @@ def shuffled(views, effect, seed):
     ]
 
 
-def scores(scene, views, effects, fold, iterations):
-    """PSNR (dB) of every view that is kept back, after a short training without noise and rate."""
-    back = range(fold, len(views), BACK)
-    seen = [view for i, view in enumerate(views) if i not in back]
-    half = iterations // 2
+def scores(scene, first, views, effects, fold, iterations):
+    """PSNR (dB) of every view that is kept back, after a short training without noise and rate.
+
+    Its first half is given the views `first`, its second half `views`.
+    """
+    back, half = range(fold, len(views), BACK), iterations // 2
+    first, second = (
+        [view for i, view in enumerate(half_views) if i not in back]
+        for half_views in (first, views)
+    )
     preset = TINY._replace(
         stage_ends=(half, half, iterations, iterations),
         decay_from=half,
@@ -119,18 +127,26 @@ def scores(scene, views, effects, fold, iterations):
         grow_until=half + 1,
         mask_from=iterations + 1,
     )
-    trainer = Trainer(replace(scene, train=seen, effects=tuple(effects)), preset, fold)
+    trainer = Trainer(replace(scene, train=first, effects=tuple(effects)), preset, fold)
     with np.errstate(all="ignore"):
+        while trainer.iteration < half:
+            trainer.step()
+        trainer.scene = replace(trainer.scene, train=second)
         model = trainer.run()
     drawn = [(model.render(views[i].camera, views[i].time), views[i].image) for i in back]
     return np.array([decibel(squared_error(*pair)) for pair in drawn])
 
 
 def verdict(effect, gains, count):
-    """(verdict, evidence) from the gains (dB) of the views that were kept back, or None."""
+    """(verdict, evidence) from the gains (dB) of the views that were kept back, or None.
+
+    The gains of two pairs differ because their views do, and because trainings do; the larger of
+    the two errors counts.
+    """
     if gains is None:
         return "cannot tell", f"{count} views are too few to keep some back; expected {FEWEST}"
-    mean, error = gains.mean(), gains.std() / np.sqrt(len(gains))
+    pairs, gains = [np.mean(pair) for pair in gains], np.concatenate(gains)
+    mean, error = gains.mean(), max(gains.std() / np.sqrt(len(gains)), np.ptp(pairs) / 2)
     without = "without hiding what is behind"
     if effect != "occlusion":
         without = f"with the {'times' if effect in fx.MOTION else 'cameras'} of other views"

@@ -46,10 +46,17 @@ def quick(monkeypatch):
     ],
 )
 def test_verdict_asks_for_more_than_the_spread(gain, spread, said):
-    gains = gain + spread * np.resize([-1, 1], 16)
+    gains = [gain + spread * np.resize([-1, 1], 8)] * 2
     found, evidence = suggest.verdict("translation", gains, 48)
     assert found == said
     assert evidence.startswith(f"{gain:+.2f} ± ") and "dB on 16 views" in evidence
+
+
+def test_verdict_asks_for_more_than_trainings_differ_by():
+    assert suggest.verdict("view_color", [np.full(8, 1.0), np.full(8, 1.1)], 48)[0] == "yes"
+    assert (
+        suggest.verdict("view_color", [np.full(8, 0.0), np.full(8, -1.5)], 48)[0] == "cannot tell"
+    )
 
 
 def test_every_effect_has_a_verdict_and_a_number(quick):
@@ -154,7 +161,7 @@ def test_motion_is_judged_right_on_thin_slow_and_textured_things(changes, said):
     """Silhouettes called rods of one to three pixels moving, and missed a motion of one pixel."""
     scene = still(**changes)
     gains = [suggest.paired((scene, MOTION, "translation", fold, 600)) for fold in range(2)]
-    found, evidence = suggest.verdict("translation", np.concatenate(gains), len(scene.train))
+    found, evidence = suggest.verdict("translation", gains, len(scene.train))
     assert found == said, evidence
 
 
