@@ -167,7 +167,7 @@ def measure(quick, progress, jobs):
     """Rows of every grid, rows of every number of anchors, and how often times were repeated."""
     iterations, steps = (120, 40) if quick else (950, 400)
     levels, sizes = ((1, 4), (64, 512)) if quick else (LEVELS, (32, 128, 512, 2048))
-    counts = (50, 100) if quick else (100, 200, 400, 800, 1600)
+    counts = (50, 100) if quick else (100, 200, 400, 800, 1600, 3200)
     by_anchors = []
     for row in in_processes(with_anchors, [(A, iterations, steps) for A in counts], jobs):
         by_anchors.append(row)
