@@ -33,6 +33,10 @@ def test_labels_of_close_points_do_not_overlap(saved, tmp_path, monkeypatch):
     assert drawn.overlaps(saved["crowd.png"]) == []
     shown = [text for text, _ in drawn.texts(saved["crowd.png"]) if text.endswith("entries")]
     assert len(shown) > 6  # most of them find a place
+    first, second = (drawn.texts(saved["crowd.png"]) for _ in range(2))
+    assert [text for text, _ in first] == [text for text, _ in second]
+    moved = [np.abs(a.get_points() - b.get_points()).max() for (_, a), (_, b) in zip(first, second)]
+    assert max(moved) < 0.5  # pixels: another layout leaves everything where it is
     monkeypatch.setattr(diagram, "place_labels", lambda fig: None)
     diagram.work_precision(tmp_path / "naive.png", rows, title="a crowd")
     assert len(drawn.overlaps(saved["naive.png"])) > 5

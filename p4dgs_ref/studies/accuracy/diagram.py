@@ -154,6 +154,7 @@ def lines(ax, rows, axes, label=True, **changes):
                         textcoords="offset points",
                         color=style["color"],
                         fontsize=9,
+                        in_layout=False,  # the panels keep their sizes where labels move
                     )
     ax.set(xscale=axes.x_scale, yscale=axes.y_scale, xlabel=axes.x_label, ylabel=axes.y_label)
     ax.grid(True, which="major", color="#dddddd", linewidth=0.7)
@@ -226,7 +227,9 @@ def readable_ticks(axis):
     axis.set_minor_formatter(ticker.NullFormatter())
     if high < 1000 * low:
         subs = (1, 2, 5) if high < 30 * low else (1,)
-        axis.set_major_locator(ticker.LogLocator(subs=subs))
+        # A narrow axis has too few of these ticks, or too many between them.
+        narrow = high < 5 * low
+        axis.set_major_locator(ticker.MaxNLocator(4) if narrow else ticker.LogLocator(subs=subs))
         axis.set_major_formatter(ticker.FuncFormatter(lambda value, _: f"{value:g}"))
 
 
@@ -240,7 +243,6 @@ def place_labels(fig):
         labels = [text for text in ax.texts if hasattr(text, "xyann")]
         taken = [point for line in ax.lines if labels for point in marker_boxes(ax, line)]
         for text in labels:
-            text.set_in_layout(False)  # the panels keep their sizes
             for x, y, side in PLACES:
                 text.set(horizontalalignment=side)
                 text.xyann = x, y
