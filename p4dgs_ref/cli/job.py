@@ -120,16 +120,16 @@ def train(arguments):
         raise UsageError(f"{checkpoint}: exists; --resume goes on from it, another -o starts anew")
     if arguments.resume and arguments.points:
         raise UsageError("--points: not allowed with --resume; the checkpoint holds the anchors")
-    if "effects" not in read_description(scene.source):
-        warnings.warn(
-            f"{scene.source}: no scene.json lists effects, so all are trained; "
-            f"`p4dgs-ref effects {arguments.scene} --suggest --apply` finds and lists them"
-        )
     points = read_points(arguments.points) if arguments.points else None
     if not arguments.resume:
         estimate(scene, preset, arguments, points)
     start = time.perf_counter()
     with made(arguments.output) as folder:
+        if not arguments.resume and "effects" not in read_description(scene.source):
+            warnings.warn(
+                f"{scene.source}: no scene.json lists effects, so all are trained; "
+                f"`p4dgs-ref effects {arguments.scene} --suggest --apply` finds and lists them"
+            )
         trainer = fit(
             scene,
             preset,
