@@ -99,6 +99,6 @@ def test_a_sparse_scene_starts_with_more_ssim_and_slower_colors():
                 rates[case].append(trainer.rate_of("psi_c"))
     assert weights[1, "tiny"] == [0.6, 0.6, 0.2, 0.2]
     assert weights[2, "tiny"] == weights[1, "paper_synthetic"] == [0.2] * 4
-    assert rates[1, "tiny"] == pytest.approx([0.002, 0.002, *rates[2, "tiny"][2:]])
+    assert rates[1, "tiny"] == pytest.approx([0.004, 0.004, *rates[2, "tiny"][2:]])
     for full in (rates[2, "tiny"], rates[1, "paper_synthetic"]):
         assert full[:2] == pytest.approx([0.008, 0.008])
