@@ -98,7 +98,7 @@ def scatter(values, order, N):
     return full
 
 
-def depth_order(depth, visible, occlusion=True):
+def depth_order(depth, visible, occlusion):
     """The visible rows from front to back; equal depths stay in the order of their index.
 
     Without occlusion the order changes nothing, so nothing is sorted.

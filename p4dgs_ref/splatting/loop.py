@@ -47,7 +47,7 @@ def forward(
     image, T = np.zeros((height, width, 3)), np.ones((height, width))
     stopped = np.zeros((height, width), bool)
     drawn = []
-    order = depth_order(depth, listable(alpha, visible, settings))
+    order = depth_order(depth, listable(alpha, visible, settings), occlusion=True)
     bounds = pixel_bounds(mean2d[order], cov2d[order], alpha[order], width, height, settings)
     for i, low, high in zip(order, *bounds):
         x_0, y_0 = low.clip(0).astype(int)

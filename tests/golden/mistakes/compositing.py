@@ -205,7 +205,7 @@ def composed(cut=lambda A: A, own_alpha=False, clamp_passes=False, through_T=Tru
 
     def run(given, cotangents):
         order, shape = (
-            depth_order(given["depth"], given["visible"]),
+            depth_order(given["depth"], given["visible"], True),
             (given["height"], given["width"]),
         )
         mean, conic, alpha, color = (
