@@ -11,11 +11,12 @@ AGAIN = 0.02  # seconds after which a signal that came too early is sent again
 def interrupt(number, frame):
     """Raise KeyboardInterrupt; the handler of the command line.
 
-    Inside an import the exception could be swallowed, or turned into an ImportError. A signal that
-    comes there is sent again until the import is over.
+    Inside an import or a `__del__` the exception could be swallowed, or turned into an ImportError.
+    A signal that comes there is sent again until they are over.
     """
     while frame:
-        if frame.f_code.co_filename.startswith("<frozen importlib"):
+        code = frame.f_code
+        if code.co_filename.startswith("<frozen importlib") or code.co_name == "__del__":
             threading.Timer(AGAIN, signal.raise_signal, [number]).start()
             return
         frame = frame.f_back

@@ -205,3 +205,18 @@ def test_other_threads_change_no_handler():
     thread.start()
     thread.join()
     assert seen == [signal.getsignal(signal.SIGTERM)]
+
+
+class Dying:
+    """An object in whose destructor a signal arrives."""
+
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+        time.sleep(0.01)  # Python calls the handler here
+
+
+def test_a_signal_in_a_destructor_is_not_lost():
+    """Python prints and forgets what a destructor raises."""
+    with pytest.raises(KeyboardInterrupt), handled(interrupt):
+        Dying()
+        time.sleep(10)
