@@ -9,7 +9,7 @@ import pytest
 from p4dgs_ref.oracle import doctor, published
 from p4dgs_ref.oracle.compare import compare, expected
 from p4dgs_ref.table import EQUATIONS
-from tests.golden.kill_matrix import Judge, laboratory
+from tests.golden.kill_matrix import PATIENCE, Judge, deadline, laboratory
 from tests.golden.mutate import applied, mutations
 
 CLOSE = 1e-6  # of the largest number in an array
@@ -64,9 +64,9 @@ def survey(judge, sample):
     counts = Counter()
     for mutation in sample:
         try:
-            with laboratory(), applied(mutation):
+            with deadline(PATIENCE), laboratory(), applied(mutation):
                 answers = judge.answers(mutation.equation)
-        except Exception:  # the changed file cannot even be loaded
+        except Exception:  # the changed file cannot be loaded, or never ends
             continue
         if any(wrong for *_, wrong in answers):
             diagnoses = doctor.diagnose(mutation.equation, answers)
@@ -87,8 +87,8 @@ def test_mutations_of_our_code(judge):
 
 @pytest.mark.slow
 def test_more_mutations_of_our_code(judge):
-    counts = survey(judge, random.Random(12).sample(of_one_equation(), 400))
-    assert counts.total() >= 200 and counts["silent"] > counts["explained"] > 0
+    counts = survey(judge, random.Random(12).sample(of_one_equation(), 200))
+    assert counts.total() >= 100 and counts["silent"] > counts["explained"] > 0
 
 
 def mixed(rng, mistakes, cases):
