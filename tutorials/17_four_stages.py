@@ -103,7 +103,8 @@ for end in ends:
     if trainer.stage == 4:
         trainer.freeze_positions()  # otherwise the first step of stage 4 does it
     stage = trainer.stage
-    rates = {stem: trainer.rate_of(stem) for stem in LEARNING_RATES}
+    # psi_t is the time net of D3DGS, which `tiny` does not have
+    rates = {stem: trainer.rate_of(stem) for stem in LEARNING_RATES if stem != "psi_t"}
     before = {name: a.copy() for name, a in trainer.parameters.arrays.items()}
     for step in range(end - trainer.iteration):
         losses, seen, view = trainer.step()
