@@ -110,6 +110,7 @@ def effect_bytes(data):
     if "psi_d" in model.networks:
         numbers = [W.size + b.size for W, b in zip(*model.networks["psi_d"])]
         heads = {effect: n for effect, n in zip(fx.MOTION, numbers[-3:]) if n}
-        shared = sum(numbers[:-3]) / len(heads)
+        time_net = [W.size + b.size for W, b in zip(*model.networks.get("psi_t", ((), ())))]
+        shared = sum(numbers[:-3] + time_net) / len(heads)
         sizes.update({effect: 2 * (count + shared) for effect, count in heads.items()})
     return sizes

@@ -65,14 +65,14 @@ def suggest(scene, iterations=ITERATIONS, progress=lambda line: None, jobs=1):
     if not moving:
         still = f"all {len(views)} views have the time {min(times):g}, so nothing can move"
         said.update(dict.fromkeys(fx.MOTION, ("no", still)))
-    elif said["translation"][0] == "no":
-        said.update(dict.fromkeys(fx.MOTION, said["translation"]))
     elif said["translation"][0] == "yes":
         apart = (
             f"something moves, and {len(views)} views, each with its own time, do not show whether "
             "parts are carried along or turn or grow"
         )
         said.update(dict.fromkeys(("rotation", "scaling"), ("cannot tell", apart)))
+    else:
+        said.update(dict.fromkeys(fx.MOTION, said["translation"]))
     said["background"] = background(views, scene.background)
     return [
         {

@@ -32,11 +32,7 @@ LEARNING_RATES = {
 }
 # The stage in which an array first takes part; all others take part in all stages.
 FIRST_STAGE = {"psi_d": 3, "psi_t": 3, "psi_p": 4, "psi_q": 4, "grid": 4}
-
-
 MOST_MOMENTS = 2**28  # bytes of moments for SSIM that are kept: 682 views of 64x64, 4 of 800x800
-
-
 UNLIKE = 0.1  # difference of a channel from which on a pixel is unlike the background
 
 

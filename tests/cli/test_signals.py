@@ -159,7 +159,7 @@ def test_a_second_training_is_refused_while_the_first_one_lives(tmp_path):
 @SIGNALS
 def test_at_twenty_moments_of_the_start(tmp_path, number):
     argv = ["demo", "bouncing", "-o", "out", "--quiet"]
-    # SIGTERM ends Python, without a word, until the handlers are in place before the first import.
+    # SIGTERM ends Python silently until the handlers are in place before the first import.
     first = {signal.SIGINT: "p4dgs_ref.signals", signal.SIGTERM: "p4dgs_ref.cli"}[number]
     code = SLOW.format(module=first, seconds=0) + CONSOLE_SCRIPT.format(argv=argv)
     for i in range(20):

@@ -70,6 +70,16 @@ def test_two_processes_train_the_builds_that_one_trains():
     assert alone["listed"]["data"] != alone["without"]["data"]
 
 
+def test_bytes_of_motion_are_those_of_its_section():
+    """Also with D3DGS's time net and skip."""
+    scene = load_scene("figure", downscale=4)
+    options = dict(deformation=(6, 5, 4), time_net=(7, 3), skip=True)
+    for changes in ({}, options):
+        data = encode(Trainer(scene, SHORT._replace(**changes)).model())
+        sizes = effect_ledger.effect_bytes(data)
+        assert round(sum(sizes[e] for e in MOTION)) == components(data)["deformation_mlp"]
+
+
 def test_a_switched_build_differs_in_one_effect_only():
     scene = load_scene("glossy")
     for effect in MODEL_EFFECTS:

@@ -78,6 +78,10 @@ def test_every_effect_has_a_verdict_and_a_number(quick):
         assert row["called_for"] == (row["verdict"] != "no")
     quick.update(translation=0.0)
     assert not any(suggested(scene)[effect]["called_for"] for effect in MOTION)
+    quick.update(translation=0.2)  # undecided: all three for the same reason
+    rows = suggested(scene)
+    assert {rows[effect]["verdict"] for effect in MOTION} == {"cannot tell"}
+    assert all("+0.20 ± " in rows[effect]["evidence"] for effect in MOTION)
 
 
 def test_one_time_and_few_views(quick):
