@@ -428,9 +428,6 @@ class Port:
         except p4.BitstreamError as error:
             return None, str(error)
 
-    def strangers(self):
-        return []
-
 
 report = oracle.check_port(Port(), only="codec")
 print(report)

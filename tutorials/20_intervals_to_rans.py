@@ -467,7 +467,7 @@ def decode(name, stream):
         return None, str(error)
 
 
-port = SimpleNamespace(decode=decode, strangers=list)
+port = SimpleNamespace(decode=decode)
 report = oracle.check_port(port, only="codec")
 print(report)
 assert report.ok

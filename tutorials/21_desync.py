@@ -432,7 +432,7 @@ def answer(name, stream):
         return None, str(error)
 
 
-port = SimpleNamespace(decode=answer, strangers=list)
+port = SimpleNamespace(decode=answer)
 report = oracle.check_port(port, only="codec")
 print(report)
 assert report.ok

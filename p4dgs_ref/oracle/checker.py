@@ -84,8 +84,7 @@ def check_port(
             progress("codec")
             results += streams.check(port, {row["name"] for row in manifest["streams"]})
         for subject in manifest["subjects"]:
-            called = {subject["key"], subject["equation"], "codec" if level == "L3" else ""}
-            chosen = not only or called & only
+            chosen = not only or {subject["key"], subject["equation"]} & only
             if subject["level"] == level and chosen:
                 progress(subject["key"])
                 results += check_subject(published.read(subject, folder), port, strict=strict)

@@ -334,9 +334,6 @@ def test_what_the_equation_explains_is_offered_to_its_scalars_and_says_from_wher
         def run(self, case):
             return super().run(case) if case.level == "L1" else {"out.bits": np.float64(1.0)}
 
-        def strangers(self):
-            return ()
-
     report = checker.check_port(Port(by_id("likelihood-nats")), ["L0", "L1"], "likelihood")
     said = {r.id.split("/")[0]: r.explanation for r in report.results if r.findings}
     assert said.pop("likelihood").endswith("[likelihood-nats]")
