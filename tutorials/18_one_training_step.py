@@ -264,7 +264,8 @@ parts = {
 
 origin = p.vector.copy()
 before = p["f_a"][a, j]
-adam.step(p, gradients, trainer.rate_of)
+# All arrays of a network, such as psi_c.W0 and psi_c.b0, have the rate of the network.
+adam.step(p, gradients, lambda name: trainer.rate_of(name.split(".")[0]))
 move = p["f_a"][a, j] - before
 after = objective.forward(p, design, networks, grids, fixed, view, u)[0].L_total
 p.vector[:] = origin
