@@ -291,7 +291,7 @@ def rows():
 
 
 def table():
-    """The table as Markdown, as the README shows it."""
+    """The table as Markdown, as tutorials/reference.md shows it."""
     lines = ["| no. | key | file | formula |", "|---|---|---|---|"]
     for row in rows():
         formula = row["formula"].replace("|", "\\|")  # a bare bar would end the column

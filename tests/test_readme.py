@@ -1,4 +1,7 @@
-"""The README is true: its programs print what it shows, and its figures, names and links hold."""
+"""README.md and tutorials/reference.md are true.
+
+Their programs print what they show, and their figures, names and links hold.
+"""
 
 import configparser
 import json
@@ -28,12 +31,24 @@ from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, TINY
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-PROGRAMS = re.findall(r"```python\n(.*?)```\n```text\n(.*?)```", README, re.DOTALL)
+REFERENCE = (ROOT / "tutorials" / "reference.md").read_text(encoding="utf-8")
+BOTH = README + REFERENCE
+PROGRAM = re.compile(r"```python\n(.*?)```\n```text\n(.*?)```", re.DOTALL)
+PROGRAMS = PROGRAM.findall(REFERENCE)
+(FIVE_LINES,) = PROGRAM.findall(README)
+PAGES = {"README.md": README, "tutorials/reference.md": REFERENCE}
+NOT_YET = {
+    "tutorials/notebooks/00_whole_paper.ipynb",
+    "tutorials/notebooks",
+    "tutorials/00_whole_paper.py",
+    "tutorials/pictures/architecture.png",
+}
+SMOKE_INSTEAD = ('preset="tiny"', 'preset="smoke"')
 
 
-def section(title):
+def section(title, page=REFERENCE):
     """The text between a heading and the next."""
-    return README.split(f"\n## {title}\n", 1)[1].split("\n## ", 1)[0]
+    return page.split(f"\n## {title}\n", 1)[1].split("\n## ", 1)[0]
 
 
 def cells(text):
@@ -54,7 +69,7 @@ def numbers(text):
 
 def demo():
     """The measured figures of the demo by name."""
-    rows = {row[0]: row[1] for row in cells(section("Two commands"))}
+    rows = {row[0]: row[1] for row in cells(section("The demo's figures"))}
     names = {
         "PSNR of the test views; of the object only; SSIM": ("psnr_db", "psnr_fg_db", "ssim"),
         "anchors; Gaussians": ("anchors", "gaussians"),
@@ -73,18 +88,37 @@ def demo():
     "program, output", PROGRAMS, ids=["example", "face", "port", "slips", "sizes"]
 )
 def test_program_prints_what_stands_below_it(program, output):
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8"}
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, env=environment, capture_output=True, text=True
-    )
+    done = run(program)
     assert (done.stdout, done.stderr) == (output, "")
 
 
+def run(program):
+    """The process of a Python program, run from the top of the checkout on one thread."""
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8"}
+    return subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, env=environment, capture_output=True, text=True
+    )
+
+
 def test_every_program_is_run_and_the_first_is_short():
-    assert README.count("```python") == len(PROGRAMS)
+    assert BOTH.count("```python") == len(PROGRAMS) + 1
     assert len(PROGRAMS[0][0].splitlines()) <= 12
     slope, quotient = numbers(PROGRAMS[0][1])[-2:]
     assert slope == quotient != 0
+
+
+def test_five_lines_run_and_print_the_figures_of_the_demo():
+    """With another preset, which takes a second; the demo's own figures are measured below."""
+    program, output = FIVE_LINES
+    m = demo()
+    shown = f"{m['psnr_db']:.2f} dB on 10 test views from {m['bytes']:,.0f} bytes\n"
+    assert output == shown
+    assert program.startswith("import p4dgs_ref as p4\n\n")
+    assert len(program.splitlines()[2:]) == 5
+    done = run(program.replace(*SMOKE_INSTEAD))
+    form = re.sub(r"\d[\d,.]*", "N", output)
+    assert SMOKE_INSTEAD[0] in program and done.stderr == ""
+    assert re.sub(r"\d[\d,.]*", "N", done.stdout) == form
 
 
 def test_table_of_equations_is_the_printed_one():
@@ -92,9 +126,8 @@ def test_table_of_equations_is_the_printed_one():
 
 
 def test_two_commands_are_those_of_the_check():
-    first, second = re.search(r"```sh\n(.*?)```", section("Two commands"), re.DOTALL)[
-        1
-    ].splitlines()
+    commands = re.search(r"```sh\n(.*?)```", section("Two commands", README), re.DOTALL)[1]
+    first, second = commands.splitlines()
     *install, main_job = first.split(" && ")
     script = (ROOT / ".ci" / "run").read_text().replace('"$room"/', "")
     lines = [line.strip() for line in script.splitlines()]
@@ -178,12 +211,51 @@ def test_shares_divide_the_slow_tests():
     assert one | other == every and not one & other and len(one) - len(other) in (0, 1) and other
 
 
-def test_links_and_pictures_exist():
-    links = re.findall(r"\]\(([^)#]+)\)", README)
-    assert {"tutorials/pictures/demo.png", "LICENSE", "CHANGELOG.md"} <= set(links)
+def anchors(text):
+    """The anchors that GitHub gives to the headings of a page."""
+    titles = re.findall(r"^#+ (.*)$", re.sub(r"```.*?```", "", text, flags=re.DOTALL), re.MULTILINE)
+    return [re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles]
+
+
+def test_readme_fits_a_few_screens_and_begins_with_the_paper_in_one_file():
+    assert len(README.splitlines()) <= 150
+    links = re.findall(r"(?<!!)\[[^]]*\]\(([^)]+)\)", README)
+    assert links[0] == "tutorials/notebooks/00_whole_paper.ipynb"
+    pictures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", README)
+    assert pictures == ["tutorials/pictures/demo.gif", "tutorials/pictures/architecture.png"]
+    assert README.index("2510.10030") < README.index(links[0])
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_and_pictures_exist(page):
+    folder = (ROOT / page).parent
+    links = re.findall(r"\]\(([^)\s]+)\)", PAGES[page])
+    assert links
     for link in links:
-        assert (ROOT / link).is_file(), link
-    assert (ROOT / "tutorials/pictures/demo.png").stat().st_size < 150_000
+        if link.startswith("https://"):
+            continue
+        path, _, anchor = link.partition("#")
+        if path in NOT_YET:
+            continue
+        target = (folder / path).resolve() if path else ROOT / page
+        assert target.exists() and target.is_relative_to(ROOT), link
+        if anchor:
+            assert anchor in anchors(target.read_text(encoding="utf-8")), link
+
+
+def test_contents_list_all_sections_of_the_reference():
+    listed = re.findall(r"^- \[(.*)\]\(#(.*)\)$", REFERENCE, re.MULTILINE)
+    sections = re.findall(r"^## (.*)$", REFERENCE, re.MULTILINE)
+    assert [title for title, _ in listed] == sections
+    assert [anchor for _, anchor in listed] == anchors(REFERENCE)[1:]
+    assert len(set(sections)) == len(sections) >= 19
+
+
+def test_pictures_of_the_pages_are_small():
+    pictures = ROOT / "tutorials" / "pictures"
+    assert (pictures / "demo.png").stat().st_size < 150_000
+    assert (pictures / "demo.gif").stat().st_size < 1_500_000
+    assert {"LICENSE", "CHANGELOG.md"} <= set(re.findall(r"\]\(([^)#]+)\)", README))
 
 
 def choices(parser):
@@ -195,12 +267,12 @@ def test_commands_and_options_are_those_of_the_parser():
     commands = choices(cli.parser())
     listed = re.findall(r"`p4dgs-ref (\w+)`", section("What each command does"))
     assert sorted(listed) == sorted(commands)
-    for name, rest in re.findall(r"p4dgs-ref (\w+)([^`\n]*)`", README):
+    for name, rest in re.findall(r"p4dgs-ref (\w+)([^`\n]*)`", BOTH):
         arguments = commands[name].parse_args(rest.split()) if rest.strip() else None
         assert arguments is None or arguments.function
     deep = [*commands.values(), *choices(commands["oracle"]).values()]
     every = {option for command in deep for option in command._option_string_actions}
-    ours = re.sub(r"`python -m tests[^`]*`", "", README)  # tools of a checkout have other options
+    ours = re.sub(r"`python -m tests[^`]*`", "", BOTH)  # tools of a checkout have other options
     assert set(re.findall(r"(?<![\w-])--[a-z]+(?:-[a-z]+)*", ours)) <= every
 
 
@@ -213,7 +285,7 @@ def test_names_exist():
 
 
 def plain(value):
-    """A number as the README writes it."""
+    """A number as the reference writes it."""
     if value == 0 or 1e-3 <= value < 1000:
         return f"{value:g}"
     digits, exponent = f"{value:.6e}".split("e")
@@ -361,6 +433,20 @@ def test_demo_figures_agree_with_each_other():
     assert m["explicit_bytes"] == plain_float32[59]
     assert m["ratio"] == round(plain_float32[59] / m["bytes"], 1)
     assert m["ratio_without_sh"] == round(plain_float32[14] / m["bytes"], 1)
+
+
+def test_readme_quotes_the_figures_of_the_reference():
+    m = demo()
+    rows = {row[0]: row[1] for row in cells(section("The demo's figures"))}
+    seconds = numbers(rows["training; whole command"])[-1]
+    demo_row = (
+        f"{m['psnr_db']:.2f} dB on ten test views, {m['bytes']:,.0f} bytes | {seconds:.1f} s |"
+    )
+    assert demo_row in README
+    assert f"file of {m['bytes']:,.0f} bytes" in README
+    share = re.search(r"Networks are (\d+ %) of the file", REFERENCE)[1]
+    assert f"The ratio of the demo, {m['ratio']}," in README
+    assert f"networks are {share} of the file" in " ".join(README.split())
 
 
 def test_demo_bytes_add_up():

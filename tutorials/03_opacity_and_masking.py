@@ -27,7 +27,7 @@ rng = np.random.default_rng(1103)
 # from rendering."
 #
 # The paper does not say what bounds the opacity. Scaffold-GS, on which the paper builds, uses
-# $\tanh$, and so does this project (choice `Q4` of the README). Opacities therefore lie between
+# $\tanh$, and so does this project (choice `Q4` in `reference.md`). Opacities therefore lie between
 # $-1$ and $1$. With the threshold $\tau_\alpha = 0$, the sign of $\alpha$ decides whether a
 # Gaussian is drawn.
 

@@ -467,7 +467,7 @@ print(f"without hiding {inner(wrong, d['alpha']):.4f}")
 # contributes, $\sum_p \alpha_i(p)\,T_i(p)$, is what the backward pass returns as $\bar c_i$ for a
 # cotangent of one. Of 400 random splats, the half that contributes most reproduces the image at
 # about 30 dB on its own. For this reason training masks children for good whose opacity stays
-# small (choice Q15; the README lists all choices), and their offsets cost no bits in the file.
+# small (choice Q15; `reference.md` lists all choices), and their offsets cost no bits in the file.
 
 # %%
 many = dict(

@@ -267,7 +267,7 @@ say("red, green, blue of p", pixel)
 # compute steps, means and standard deviations, Eqs. (8) and (12). The 2 + 3 + 3 + 6 = 14
 # attributes of the anchor are priced by Eq. (11), and the 20 signs of the grid by Eq. (14). The
 # noise of Eq. (7) is a random draw; ours is 0. Eqs. (13) and (17) add everything up, and the sum
-# is divided by 14 (choice Q12; the README lists all choices).
+# is divided by 14 (choice Q12; `reference.md` lists all choices).
 
 # %%
 levels = [draw(T, F) for T, F in design.levels()]

@@ -361,7 +361,7 @@ assert 0 < reach < pixels
 # rate is 0.015 and its gradient is -3e-5?
 #
 # **18.3** Write the backward of Eqs. (5) and (6) as the pipeline uses it, in which no gradient
-# flows from $\mathcal{E}(x)$ back to x (choice Q10 of the README).
+# flows from $\mathcal{E}(x)$ back to x (choice Q10 in `reference.md`).
 
 # %%
 answer_1 = ...

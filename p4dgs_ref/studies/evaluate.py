@@ -1,4 +1,4 @@
-"""How good a model is on test views, and how fast it renders them (README, "Measures")."""
+"""How good a model is on test views, and how fast it renders them ("Measures" in reference.md)."""
 
 import time
 

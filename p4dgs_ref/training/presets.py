@@ -96,8 +96,8 @@ class Preset(NamedTuple):
         return 1 + sum(iteration >= end for end in self.stage_ends[:3])
 
 
-# Where the values of the two paper presets come from, with the number of the choice in the README.
-# A rate has two values, the first and the last.
+# Where the values of the two paper presets come from, with the number of the choice in
+# tutorials/reference.md. A rate has two values, the first and the last.
 SOURCES = {
     **dict.fromkeys(("anchors", "extent"), "Scaffold-GS (Q28)"),
     **dict.fromkeys(("voxel", "d", "k", "hidden", "context", "grow_init", "stage_ends"), "paper"),

@@ -104,7 +104,7 @@ def test_without_both_it_is_eq_5():
 
 
 def test_training_and_file_carry_both():
-    """Three layers as in the README: the arrays of a short training come back from the bytes."""
+    """Three layers as in the reference: the arrays of a short training come back from the bytes."""
     scene = p4.load_scene("bouncing", downscale=4)
     options = dict(deformation=(12, 11, 10), time_net=(9, 7), skip=True)
     model = p4.train(scene, "smoke", **options)

@@ -43,13 +43,16 @@ def test_the_survivors_are_described_as_the_code_is():
         assert described[survivor["id"]] == survivor["change"]
 
 
-def test_the_readme_says_what_the_file_says():
-    readme = (kill_matrix.MATRIX.parents[2] / "README.md").read_text(encoding="utf-8")
-    readme = " ".join(readme.split())
+def test_the_pages_say_what_the_file_says():
+    top = kill_matrix.MATRIX.parents[2]
+    reference = (top / "tutorials" / "reference.md").read_text(encoding="utf-8")
+    reference = " ".join(reference.split())
     found = committed()["mutations"]
-    assert f"the answers that {len(MISTAKES)} common mistakes lead to" in readme
-    assert f"with some {round(found['total'], -1):,} one-token mutations" in readme
-    assert f"mutations, {100 * found['killed'] / found['total']:.1f} % are noticed" in readme
+    assert f"the answers that {len(MISTAKES)} common mistakes lead to" in reference
+    assert f"with some {round(found['total'], -1):,} one-token mutations" in reference
+    assert f"mutations, {100 * found['killed'] / found['total']:.1f} % are noticed" in reference
+    readme = (top / "README.md").read_text(encoding="utf-8")
+    assert f"for {len(MISTAKES)} common mistakes" in " ".join(readme.split())
 
 
 # --- whether it is true -------------------------------------------------------------------------
