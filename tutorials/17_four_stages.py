@@ -26,8 +26,9 @@ paper = PRESETS["paper_synthetic"]
 # ## Claim
 # The model is not trained all at once. Each of four stages adds one thing (choice Q24;
 # `reference.md` lists all choices). Stage 1 trains a scene without motion. Stage 2 adds noise,
-# Eq. (7), with the base step $q = Q_0$. Stage 3 adds time, Eqs. (5) and (6). Stage 4 adds the hash grid, the
-# adaptive steps of Eq. (8), and the rate in Eq. (15). In one formula, from stage 1 to stage 4:
+# Eq. (7), with the base step $q = Q_0$. Stage 3 adds time, Eqs. (5) and (6). Stage 4 adds the
+# hash grid, the adaptive steps of Eq. (8), and the rate in Eq. (15). In one formula, from stage 1
+# to stage 4:
 # $$\tilde f = f + u\,q,\quad u \in [-\tfrac12, \tfrac12),\quad
 #   q = 0,\; Q_0,\; Q_0,\; Q_0(1+\tanh\psi_q(h)),$$
 # $$\mathcal{L} = \mathcal{L}_{render} + \lambda\,[\text{stage 4}]\,\mathcal{L}_{rate}.$$
