@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 REFERENCE = (ROOT / "tutorials" / "reference.md").read_text(encoding="utf-8")
 BOTH = README + REFERENCE
-PROGRAM = re.compile(r"```python\n(.*?)```\n```text\n(.*?)```", re.DOTALL)
+PROGRAM = re.compile(r"```python\n((?:(?!```).)*)```\n```text\n(.*?)```", re.DOTALL)
 PROGRAMS = PROGRAM.findall(REFERENCE)
 (FIVE_LINES,) = PROGRAM.findall(README)
 PAGES = {"README.md": README, "tutorials/reference.md": REFERENCE}
@@ -101,7 +101,7 @@ def run(program):
 
 
 def test_every_program_is_run_and_the_first_is_short():
-    assert BOTH.count("```python") == len(PROGRAMS) + 1
+    assert BOTH.count("```python") == len(PROGRAMS) + len(["five lines", "one equation"])
     assert len(PROGRAMS[0][0].splitlines()) <= 12
     slope, quotient = numbers(PROGRAMS[0][1])[-2:]
     assert slope == quotient != 0
@@ -119,6 +119,14 @@ def test_five_lines_run_and_print_the_figures_of_the_demo():
     form = re.sub(r"\d[\d,.]*", "N", output)
     assert SMOKE_INSTEAD[0] in program and done.stderr == ""
     assert re.sub(r"\d[\d,.]*", "N", done.stdout) == form
+
+
+def test_one_equation_is_shown_as_its_file_has_it():
+    (shown,) = re.findall(r"```python\n(.*?)```", section("One equation", README), re.DOTALL)
+    file = ROOT / "p4dgs_ref" / "equations" / "offsets.py"
+    docstring, body = file.read_text(encoding="utf-8").split("\n\n\n", 1)
+    assert shown == body
+    assert f"`{table.EQUATIONS['offsets'].formula}`" in section("One equation", README)
 
 
 def test_table_of_equations_is_the_printed_one():
@@ -443,10 +451,11 @@ def test_readme_quotes_the_figures_of_the_reference():
         f"{m['psnr_db']:.2f} dB on ten test views, {m['bytes']:,.0f} bytes | {seconds:.1f} s |"
     )
     assert demo_row in README
-    assert f"file of {m['bytes']:,.0f} bytes" in README
+    text = " ".join(README.split())
     share = re.search(r"Networks are (\d+ %) of the file", REFERENCE)[1]
-    assert f"The ratio of the demo, {m['ratio']}," in README
-    assert f"networks are {share} of the file" in " ".join(README.split())
+    assert f"the demo's file of {m['bytes']:,.0f} bytes" in text
+    assert f"The ratio of the demo, {m['ratio']}," in text
+    assert f"networks are {share} of the file" in text
 
 
 def test_demo_bytes_add_up():
