@@ -5,15 +5,18 @@
 # and send a gradient back from the Gaussians to the anchor.
 # **Before it:** nothing but NumPy. **Takes** a second of machine time on two cores, a quarter of an
 # hour of yours.
+#
+# **File:** Eq. (1) [offsets.py](../p4dgs_ref/equations/offsets.py).
 
 # %%
 import numpy as np
 
 from p4dgs_ref.equations import offsets
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.lessons import close, inner, moved, random_like
 
 plt = lessons.pyplot()
+architecture.show("01_offsets")
 rng = np.random.default_rng(1)
 
 # %% [markdown]

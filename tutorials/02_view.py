@@ -5,6 +5,8 @@
 # explain why the second one has no radial component.
 # **Before it:** `01_offsets`. **Takes** two seconds of machine time on two cores, twenty minutes of
 # yours.
+#
+# **File:** Eq. (2) [view.py](../p4dgs_ref/equations/view.py).
 
 # %%
 import numpy as np
@@ -13,11 +15,12 @@ from p4dgs_ref import EQUATIONS, effects
 from p4dgs_ref.equations import mlp, view
 from p4dgs_ref.equations.numerics import perpendicular
 from p4dgs_ref.model import bounding_box, snap
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.lessons import close, inner
 from p4dgs_ref.studies.random_inputs import random_network
 
 plt = lessons.pyplot()
+architecture.show("02_view")
 rng = np.random.default_rng(2)
 
 # %% [markdown]

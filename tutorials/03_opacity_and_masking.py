@@ -5,17 +5,22 @@
 # what a Gaussian that is not drawn can still learn.
 # **Before it:** `01_offsets`, `02_view`. **Takes** two seconds of machine time on two cores, forty
 # minutes of yours.
+#
+# **Files:** Eq. (3) [opacity.py](../p4dgs_ref/equations/opacity.py),
+# [masking.py](../p4dgs_ref/equations/masking.py), [mlp.py](../p4dgs_ref/equations/mlp.py),
+# [anchor_network.py](../p4dgs_ref/equations/anchor_network.py).
 
 # %%
 import numpy as np
 
 from p4dgs_ref.equations import masking, mlp, opacity, view
 from p4dgs_ref.equations.numerics import tanh_slope
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.lessons import close, inner, moved, random_like
 from p4dgs_ref.studies.random_inputs import random_anchor_network, random_network
 
 plt = lessons.pyplot()
+architecture.show("03_opacity_and_masking")
 rng = np.random.default_rng(1103)
 
 # %% [markdown]

@@ -5,6 +5,10 @@
 # several outputs share, and through a normalised quaternion.
 # **Before it:** `02_view`, `03_opacity_and_masking`. **Takes** two seconds of machine time on two
 # cores, half an hour of yours.
+#
+# **Files:** Eq. (3) [color.py](../p4dgs_ref/equations/color.py),
+# Eq. (3) [rotation.py](../p4dgs_ref/equations/rotation.py),
+# Eq. (4) [scale.py](../p4dgs_ref/equations/scale.py).
 
 # %%
 import numpy as np
@@ -12,12 +16,13 @@ from matplotlib.patches import Ellipse
 
 from p4dgs_ref.equations import anchor_network, color, rotation, scale
 from p4dgs_ref.equations.numerics import normalise, normalise_backward, sigmoid_slope
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.lessons import close, inner
 from p4dgs_ref.splatting import covariance
 from p4dgs_ref.studies.random_inputs import random_anchor_network
 
 plt = lessons.pyplot()
+architecture.show("04_color_rotation_scale")
 rng = np.random.default_rng(4)
 
 # %% [markdown]

@@ -5,18 +5,22 @@
 # encoding, and explain why the pipeline does not use it.
 # **Before it:** `01_offsets`, `03_opacity_and_masking`. **Takes** two seconds of machine time on
 # two cores, forty minutes of yours.
+#
+# **Files:** [positional_encoding.py](../p4dgs_ref/equations/positional_encoding.py),
+# Eq. (5) [deformation.py](../p4dgs_ref/equations/deformation.py).
 
 # %%
 import numpy as np
 
 from p4dgs_ref import PRESETS
 from p4dgs_ref.equations import deformation, deformed, mlp, positional_encoding
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.lessons import close, inner, random_like
 from p4dgs_ref.studies.random_inputs import random_field
 from p4dgs_ref.training.initial import design_of
 
 plt = lessons.pyplot()
+architecture.show("05_positional_encoding_and_deformation")
 rng = np.random.default_rng(5)
 
 # %% [markdown]

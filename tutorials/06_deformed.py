@@ -5,6 +5,8 @@
 # rotation, and which parameters learn from its gradient.
 # **Before it:** `04_color_rotation_scale` and `05_positional_encoding_and_deformation`. **Takes**
 # two seconds of machine time on two cores, twenty minutes of yours.
+#
+# **File:** Eq. (6) [deformed.py](../p4dgs_ref/equations/deformed.py).
 
 # %%
 import numpy as np
@@ -12,12 +14,13 @@ from matplotlib.patches import Ellipse
 
 from p4dgs_ref import PRESETS, effects
 from p4dgs_ref.equations import deformed, numerics
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.lessons import close, inner, moved, random_like
 from p4dgs_ref.splatting import covariance
 from p4dgs_ref.training.initial import design_of
 
 plt = lessons.pyplot()
+architecture.show("06_deformed")
 rng = np.random.default_rng(6)
 
 # %% [markdown]

@@ -5,6 +5,9 @@
 # cannot, and why ties need a rule.
 # **Before it:** `01_offsets`. **Takes** two seconds of machine time on two cores, half an hour of
 # yours.
+#
+# **Files:** Eq. (7) [noise.py](../p4dgs_ref/equations/noise.py),
+# Eq. (10) [rounding.py](../p4dgs_ref/equations/rounding.py).
 
 # %%
 import numpy as np
@@ -12,10 +15,11 @@ from scipy.special import ndtr
 
 from p4dgs_ref import EQUATIONS
 from p4dgs_ref.equations import noise, rounding
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.lessons import close, inner
 
 plt = lessons.pyplot()
+architecture.show("07_noise_and_rounding")
 rng = np.random.default_rng(7)
 
 # %% [markdown]

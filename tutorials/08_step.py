@@ -5,6 +5,8 @@
 # them fails in floating-point arithmetic, and why.
 # **Before it:** `03_opacity_and_masking` for networks, `07_noise_and_rounding`. **Takes** two
 # seconds of machine time on two cores, half an hour of yours.
+#
+# **File:** Eq. (8) [step.py](../p4dgs_ref/equations/step.py).
 
 # %%
 from decimal import Decimal, localcontext
@@ -14,12 +16,13 @@ from scipy.special import expit as sigmoid
 
 from p4dgs_ref import decode, oracle
 from p4dgs_ref.equations import mlp, rounding, step
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.lessons import close, inner, moved, random_like
 from p4dgs_ref.studies.inspect import float_context
 from p4dgs_ref.studies.random_inputs import random_network
 
 plt = lessons.pyplot()
+architecture.show("08_step")
 rng = np.random.default_rng(8)
 
 # %% [markdown]

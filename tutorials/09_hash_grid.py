@@ -5,6 +5,9 @@
 # gradient to a grid of which only the signs are used.
 # **Before it:** `07_noise_and_rounding` for straight-through. **Takes** two seconds of machine time
 # on two cores, forty minutes of yours.
+#
+# **Files:** Eq. (9) [hash_grid.py](../p4dgs_ref/equations/hash_grid.py),
+# [grid_nodes.py](../p4dgs_ref/equations/grid_nodes.py).
 
 # %%
 import numpy as np
@@ -12,11 +15,12 @@ import numpy as np
 from p4dgs_ref import EQUATIONS, oracle
 from p4dgs_ref.equations import grid_nodes, hash_grid
 from p4dgs_ref.model import LATTICE, bounding_box, snap
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.lessons import close, inner, moved, random_like
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC
 
 plt = lessons.pyplot()
+architecture.show("09_hash_grid")
 rng = np.random.default_rng(9)
 
 # %% [markdown]

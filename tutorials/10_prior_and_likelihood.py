@@ -5,6 +5,9 @@
 # mean and in narrow bins, and derive all four gradients.
 # **Before it:** `07_noise_and_rounding`, `08_step`. **Takes** two seconds of machine time on two
 # cores, an hour of yours.
+#
+# **Files:** Eq. (11) [likelihood.py](../p4dgs_ref/equations/likelihood.py),
+# Eq. (12) [prior.py](../p4dgs_ref/equations/prior.py).
 
 # %%
 import math
@@ -15,11 +18,12 @@ from scipy.special import erfcx, ndtr
 from p4dgs_ref import EQUATIONS, oracle
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.equations import likelihood, mlp, prior
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.lessons import close, inner, moved
 from p4dgs_ref.studies.random_inputs import random_network
 
 plt = lessons.pyplot()
+architecture.show("10_prior_and_likelihood")
 rng = np.random.default_rng(10)
 
 # %% [markdown]

@@ -5,17 +5,22 @@
 # out, and explain which gradient every parameter receives from the rate.
 # **Before it:** `09_hash_grid`, `10_prior_and_likelihood`. **Takes** two seconds of machine time on
 # two cores, half an hour of yours.
+#
+# **Files:** Eq. (13) [anchor_rate.py](../p4dgs_ref/equations/anchor_rate.py),
+# Eq. (14) [hash_rate.py](../p4dgs_ref/equations/hash_rate.py),
+# Eq. (17) [rate_loss.py](../p4dgs_ref/equations/rate_loss.py).
 
 # %%
 import numpy as np
 
 from p4dgs_ref import EQUATIONS, oracle
 from p4dgs_ref.equations import anchor_rate, hash_rate, rate_loss
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.lessons import close, inner, moved, random_like
 from p4dgs_ref.studies.inspect import ledger
 
 plt = lessons.pyplot()
+architecture.show("11_rate")
 rng = np.random.default_rng(11)
 
 # %% [markdown]

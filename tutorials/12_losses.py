@@ -5,6 +5,10 @@
 # weight of the rate trades for what.
 # **Before it:** `01_offsets`. **Takes** six seconds of machine time on two cores, forty minutes of
 # yours.
+#
+# **Files:** Eq. (15) [total_loss.py](../p4dgs_ref/equations/total_loss.py),
+# Eq. (16) [render_loss.py](../p4dgs_ref/equations/render_loss.py),
+# [ssim.py](../p4dgs_ref/equations/ssim.py), [window.py](../p4dgs_ref/equations/window.py).
 
 # %%
 import numpy as np
@@ -12,10 +16,11 @@ from scipy.ndimage import gaussian_filter
 
 from p4dgs_ref import load_scene, oracle
 from p4dgs_ref.equations import render_loss, ssim, total_loss, window
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.lessons import close, inner
 
 plt = lessons.pyplot()
+architecture.show("12_losses")
 rng = np.random.default_rng(12)
 photo = load_scene("bouncing").test[0].image[12:62, 4:58]
 truth = photo.astype(float) * 0.8 + 0.1  # [50, 54, 3], away from 0 and 1

@@ -5,17 +5,20 @@
 # gradient of the ellipsoid back to the quaternion.
 # **Before it:** `01_offsets`, `02_view`. **Takes** five seconds of machine time on two cores, forty
 # minutes of yours.
+#
+# **File:** [covariance.py](../p4dgs_ref/splatting/covariance.py).
 
 # %%
 import numpy as np
 
 from p4dgs_ref import oracle
 from p4dgs_ref.equations.numerics import normalise, normalise_backward
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.lessons import close, moved, random_like
 from p4dgs_ref.splatting import covariance
 
 plt = lessons.pyplot()
+architecture.show("13_covariance")
 rng = np.random.default_rng(13)
 turn = np.linspace(0, 2 * np.pi, 90)
 circle = np.stack([np.cos(turn), np.sin(turn)])  # the figures bend it into ellipses

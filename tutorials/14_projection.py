@@ -5,17 +5,20 @@
 # its conic back to its position and shape.
 # **Before it:** `13_covariance`. **Takes** six seconds of machine time on two cores, an hour of
 # yours.
+#
+# **File:** [projection.py](../p4dgs_ref/splatting/projection.py).
 
 # %%
 import numpy as np
 
 from p4dgs_ref import oracle
 from p4dgs_ref.equations.numerics import normalise
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.lessons import close, moved, random_like
 from p4dgs_ref.splatting import covariance, projection
 
 plt = lessons.pyplot()
+architecture.show("14_projection")
 rng = np.random.default_rng(14)
 inner = lessons.inner
 h = 1e-6

@@ -4,16 +4,20 @@
 # **Promise.** After this you can composite splats by hand, and derive the gradient of every
 # opacity in one sweep from back to front. **Before it:** `14_projection`. **Takes** three seconds
 # of machine time on two cores, an hour of yours.
+#
+# **Files:** [compositing.py](../p4dgs_ref/splatting/compositing.py),
+# [loop.py](../p4dgs_ref/splatting/loop.py), [fast.py](../p4dgs_ref/splatting/fast.py).
 
 # %%
 import numpy as np
 
 from p4dgs_ref import SETTINGS, oracle
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.splatting import compositing, loop
 from p4dgs_ref.studies.random_inputs import random_splats
 
 plt = lessons.pyplot()
+architecture.show("15_compositing")
 rng = np.random.default_rng(15)
 h = 1e-6  # step of finite differences
 

@@ -4,6 +4,10 @@
 # **Promise.** After this you can say what each stage of training switches on, and how that
 # changes the gradient and the picture. **Before it:** `16_pipeline_by_hand`. **Takes** eight
 # seconds on two cores, three quarters of an hour of yours.
+#
+# **Files:** [presets.py](../p4dgs_ref/training/presets.py),
+# [trainer.py](../p4dgs_ref/training/trainer.py),
+# [objective.py](../p4dgs_ref/training/objective.py).
 
 # %%
 from dataclasses import replace
@@ -12,7 +16,7 @@ import numpy as np
 
 from p4dgs_ref import PRESETS, SETTINGS, decode, encode, evaluate, load_scene, oracle
 from p4dgs_ref.equations import anchor_rate, hash_rate, likelihood, rate_loss, rounding
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import choose
@@ -20,6 +24,7 @@ from p4dgs_ref.training.progress import psnr
 from p4dgs_ref.training.trainer import LEARNING_RATES, Trainer
 
 plt = lessons.pyplot()
+architecture.show("17_four_stages")
 paper = PRESETS["paper_synthetic"]
 
 # %% [markdown]

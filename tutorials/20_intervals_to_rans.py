@@ -4,6 +4,10 @@
 # **Promise.** After this you can turn symbols with probabilities into bytes and back, first with
 # fractions and then exactly as the file does. **Before it:** `10_prior_and_likelihood`;
 # `19_file_byte_by_byte` helps. **Takes** four seconds on two cores, an hour of yours.
+#
+# **Files:** [rans.py](../p4dgs_ref/codec/rans.py),
+# [gaussian_table.py](../p4dgs_ref/codec/gaussian_table.py),
+# [streams.py](../p4dgs_ref/codec/streams.py).
 
 # %%
 import math
@@ -22,10 +26,11 @@ from p4dgs_ref.codec import streams as sections
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.oracle import streams
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.studies import inspect
 
 plt = lessons.pyplot()
+architecture.show("20_intervals_to_rans")
 data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
 model = quantised_of(container.open_container(data))
 

@@ -4,6 +4,10 @@
 # **Promise.** After this you can answer the five questions that users of learned codecs ask most
 # often, each with a number. **Before it:** `07_noise_and_rounding`, `08_step`,
 # `10_prior_and_likelihood`. **Takes** three seconds on two cores, an hour of yours.
+#
+# **Files:** [noise.py](../p4dgs_ref/equations/noise.py),
+# [step.py](../p4dgs_ref/equations/step.py), [likelihood.py](../p4dgs_ref/equations/likelihood.py),
+# [quantise.py](../p4dgs_ref/codec/quantise.py).
 
 # %%
 import math
@@ -16,11 +20,12 @@ from p4dgs_ref import look_at, oracle
 from p4dgs_ref.codec import container
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
 from p4dgs_ref.equations import anchor_rate, hash_rate, likelihood, noise, rate_loss
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.studies import inspect
 from p4dgs_ref.studies.accuracy import formulas
 
 plt = lessons.pyplot()
+architecture.show("22_five_questions_about_bits")
 rng = np.random.default_rng(22)
 data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
 quantised = quantised_of(container.open_container(data))

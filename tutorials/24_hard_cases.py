@@ -5,6 +5,10 @@
 # arithmetic, and you know six such places and their remedies. **Before it:**
 # `10_prior_and_likelihood`, `12_losses`, `15_compositing`. **Takes** four seconds on two cores,
 # an hour of yours.
+#
+# **Files:** [table.py](../p4dgs_ref/studies/hard_cases/table.py),
+# [map.py](../p4dgs_ref/studies/hard_cases/map.py),
+# [numerics.py](../p4dgs_ref/equations/numerics.py).
 
 # %%
 import math
@@ -16,12 +20,13 @@ from scipy.special import expit, ndtr
 
 from p4dgs_ref import oracle
 from p4dgs_ref.equations import hash_rate, ssim, step
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.splatting import compositing, projection
 from p4dgs_ref.studies.hard_cases import map as stability_map
 from p4dgs_ref.studies.hard_cases import table
 
 plt = lessons.pyplot()
+architecture.show("24_hard_cases")
 EPS_32 = float(np.finfo(np.float32).eps)
 EPS_64 = float(np.finfo(np.float64).eps)
 

@@ -5,6 +5,9 @@
 # an effect that is not listed costs nothing. **Before it:**
 # `05_positional_encoding_and_deformation`, `06_deformed`, `15_compositing`. **Takes** seven
 # seconds on two cores, half an hour of yours.
+#
+# **Files:** [effects.py](../p4dgs_ref/effects.py),
+# [effect_ledger.py](../p4dgs_ref/studies/effect_ledger.py).
 
 # %%
 from dataclasses import replace
@@ -17,7 +20,7 @@ from p4dgs_ref import oracle
 from p4dgs_ref.codec import published
 from p4dgs_ref.equations import color, deformation, deformed, positional_encoding
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.splatting import compositing
 from p4dgs_ref.studies.effect_ledger import describe, ledger
 from p4dgs_ref.studies.effect_work import counted
@@ -29,6 +32,7 @@ from p4dgs_ref.training.presets import PAPER_SYNTHETIC, choose
 from p4dgs_ref.training.trainer import Trainer
 
 plt = lessons.pyplot()
+architecture.show("25_effects")
 
 # %% [markdown]
 # ## Claim

@@ -5,6 +5,9 @@
 # you have compared inter prediction with intra prediction in bytes. **Before it:** `06_deformed`,
 # `16_pipeline_by_hand`, `19_file_byte_by_byte`. **Takes** ten seconds on two cores, an hour of
 # yours.
+#
+# **Files:** [model.py](../p4dgs_ref/model.py),
+# [deformation.py](../p4dgs_ref/equations/deformation.py), [file.py](../p4dgs_ref/codec/file.py).
 
 # %%
 import json
@@ -20,12 +23,13 @@ from p4dgs_ref.scenes.dnerf import packaged_folder
 from p4dgs_ref.scenes.simulator.description import describe
 from p4dgs_ref.scenes.simulator.simulate import place_cameras
 from p4dgs_ref.scenes.simulator.trace import trace
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.studies.accuracy import fits
 from p4dgs_ref.studies.evaluate import decibel, evaluate, squared_error
 from p4dgs_ref.studies.inspect import components
 
 plt = lessons.pyplot()
+architecture.show("26_video_codec_analogy")
 
 # %% [markdown]
 # ## Claim

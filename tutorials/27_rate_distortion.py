@@ -4,6 +4,9 @@
 # **Promise.** After this you can draw an honest rate-distortion curve, and say what
 # $\lambda_{rate}$ does to steps and files. **Before it:** `17_four_stages`. **Takes** nine
 # seconds on two cores, half an hour of yours.
+#
+# **Files:** [total_loss.py](../p4dgs_ref/equations/total_loss.py),
+# [trainer.py](../p4dgs_ref/training/trainer.py), [file.py](../p4dgs_ref/codec/file.py).
 
 # %%
 import copy
@@ -13,12 +16,13 @@ import numpy as np
 from p4dgs_ref import decode, encode, evaluate, load_scene, oracle
 from p4dgs_ref.equations import likelihood, rate_loss, total_loss
 from p4dgs_ref.model import context
-from p4dgs_ref.school import lessons
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.studies.inspect import components
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
 
 plt = lessons.pyplot()
+architecture.show("27_rate_distortion")
 
 # %% [markdown]
 # ## Claim

@@ -8,6 +8,7 @@ class Tutorial(NamedTuple):
 
     name: str
     keys: tuple = ()  # of the equations that it explains
+    lit: tuple = ()  # boxes of the drawing that it lights, where they are not those of `keys`
 
 
 TUTORIALS = (
@@ -27,17 +28,36 @@ TUTORIALS = (
     Tutorial("14_projection", ("projection",)),
     Tutorial("15_compositing", ("compositing",)),
     Tutorial("16_pipeline_by_hand"),
-    Tutorial("17_four_stages"),
-    Tutorial("18_one_training_step"),
-    Tutorial("19_file_byte_by_byte"),
-    Tutorial("20_intervals_to_rans"),
-    Tutorial("21_desync"),
-    Tutorial("22_five_questions_about_bits"),
-    Tutorial("23_accuracy_versus_time"),
-    Tutorial("24_hard_cases"),
-    Tutorial("25_effects"),
+    Tutorial(
+        "17_four_stages",
+        lit=(
+            "deformation",
+            "deformed",
+            "noise",
+            "step",
+            "hash_grid",
+            "prior",
+            "likelihood",
+            "rate_loss",
+            "total_loss",
+        ),
+    ),
+    Tutorial("18_one_training_step", lit=("noise", "render_loss", "rate_loss", "total_loss")),
+    Tutorial("19_file_byte_by_byte", lit=("rounding", "entropy_coder", "file")),
+    Tutorial("20_intervals_to_rans", lit=("likelihood", "entropy_coder", "file")),
+    Tutorial("21_desync", lit=("hash_grid", "prior", "entropy_coder")),
+    Tutorial(
+        "22_five_questions_about_bits",
+        lit=("noise", "rounding", "step", "likelihood", "anchor_rate", "hash_rate"),
+    ),
+    Tutorial("23_accuracy_versus_time", lit=("compositing", "likelihood")),
+    Tutorial(
+        "24_hard_cases",
+        lit=("step", "likelihood", "hash_rate", "ssim", "projection", "compositing"),
+    ),
+    Tutorial("25_effects", lit=("view", "color", "deformation", "deformed", "compositing")),
     Tutorial("26_video_codec_analogy"),
-    Tutorial("27_rate_distortion"),
+    Tutorial("27_rate_distortion", lit=("total_loss", "rate_loss", "file")),
 )
 
 

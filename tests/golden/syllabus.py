@@ -4,9 +4,12 @@ python -m tests.golden.syllabus               run all tutorials, draw all pictur
 python -m tests.golden.syllabus 06 20 demo    only these tutorials and the pictures of the demo
 python -m tests.golden.syllabus accuracy      only the pictures of the two studies of accuracy
 python -m tests.golden.syllabus index         only the index, with the times it already holds
+
+Each of these also draws the architecture anew.
 """
 
 import ast
+import hashlib
 import os
 import re
 import subprocess
@@ -19,6 +22,7 @@ from typing import NamedTuple
 
 from p4dgs_ref.oracle import read_manifest
 from p4dgs_ref.scenes.output import write_atomically
+from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.syllabus import TUTORIALS, tutorial_of
 from p4dgs_ref.table import EQUATIONS
 
@@ -26,6 +30,7 @@ from . import gallery
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tutorials"
+DRAWING = "architecture.png"  # in tutorials/pictures
 
 
 # --- the facts that a tutorial states about itself ------------------------------------------------
@@ -181,6 +186,7 @@ def index(seconds, folder=FOLDER):
     """
     text = (Path(folder) / "README.md").read_text(encoding="utf-8")
     sections = {
+        "architecture": drawing_of_the_architecture(),
         "order": order_table(seconds, folder),
         "graph": graph(folder),
         "equations": equations_table(folder),
@@ -192,6 +198,21 @@ def index(seconds, folder=FOLDER):
         rest = after.split("<!-- end -->", 1)[1]
         text = f"{before}{mark}{made}\n<!-- end -->{rest}"
     return text
+
+
+# --- the drawing ----------------------------------------------------------------------------------
+def drawing_of_the_architecture():
+    """The drawing as Markdown, with a hash of its source, by which a test finds an old drawing."""
+    source = Path(architecture.__file__).read_bytes()
+    caption = "The architecture of P-4DGS; numbers are those of the paper's equations"
+    return f"![{caption}](pictures/{DRAWING})\n<!-- {hashlib.sha256(source).hexdigest()[:12]} -->"
+
+
+def draw_architecture(file):
+    """Write the drawing as a PNG, without matplotlib's version in it."""
+    figure = architecture.draw(dpi=150)
+    figure.savefig(file, metadata={"Software": None})
+    lessons.pyplot().close(figure)
 
 
 # --- measuring ------------------------------------------------------------------------------------
@@ -237,6 +258,7 @@ def main(chosen):
         if not chosen or "accuracy" in chosen:
             gallery.draw_accuracy(out)
         gallery.take(out, FOLDER / "pictures")
+    write_atomically(FOLDER / "pictures" / DRAWING, draw_architecture)
     text = index(seconds).encode()
     write_atomically(FOLDER / "README.md", lambda file: file.write(text))
 

@@ -97,7 +97,8 @@ def test_tutorial_runs_with_figures_and_its_exercises_unsolved(tutorial, tmp_pat
     written = [file for file in tmp_path.iterdir() if file.suffix != ".json"]
     assert all(file.name.startswith(tutorial.name[:2] + "_") for file in written)
     figures = sorted(tmp_path.glob("*.png"))
-    assert figures
+    assert f"{tutorial.name[:2]}_map.png" in {file.name for file in figures}
+    assert len(figures) >= 2  # the drawing of the architecture and the tutorial's own
     for file in figures:
         image = iio.imread(file)
         assert image.shape[1] >= 600 and image[..., :3].std() > 5, file.name
@@ -170,6 +171,29 @@ def test_figures_are_shown_under_the_tutorials_number(tutorial):
     shown = re.findall(r'lessons\.show\(\w+, f?"([^"]+)"\)', source(tutorial))
     assert shown and len(set(shown)) == len(shown)
     assert all(name.startswith(tutorial.name[:2] + "_") for name in shown)
+
+
+@EACH
+def test_first_code_cell_shows_the_drawing_of_the_architecture(tutorial):
+    first_code = next(cell for cell in form.cells(source(tutorial)) if not cell.prose)
+    assert first_code.text.count(f'architecture.show("{tutorial.name}")\n') == 1
+    assert source(tutorial).count("architecture.show(") == 1
+
+
+@EACH
+def test_first_cell_links_the_files_of_its_equations(tutorial):
+    head = form.cells(source(tutorial))[0].text.strip().replace("\n", " ")
+    line = re.search(r"\*\*Files?:\*\* (.*)\.$", head)[1]
+    linked = {}
+    for number, name, path in re.findall(r"(?:Eq\. \((\d+)\) )?\[([^]]+)\]\(([^)]+)\)", line):
+        file = (FOLDER / path).resolve()
+        assert file.is_file() and file.name == name, path
+        linked[file] = number
+    for key in tutorial.keys:
+        equation = EQUATIONS[key]
+        assert linked[ROOT / f"{equation.module.replace('.', '/')}.py"] == equation.number.rstrip(
+            "'"
+        )
 
 
 @EACH
@@ -265,7 +289,7 @@ def test_links_of_the_index_lead_somewhere():
 
 def test_gallery_is_complete_small_and_moves():
     files = {file.name: file.stat().st_size for file in (FOLDER / "pictures").iterdir()}
-    assert set(files) == set(gallery.PICTURES)
+    assert set(files) == {*gallery.PICTURES, syllabus.DRAWING}
     assert sum(files.values()) < gallery.LARGEST == 2_500_000
     moving = [name for name in files if name.endswith(".gif")]
     assert len(moving) >= 2
