@@ -46,14 +46,19 @@ class Axis(NamedTuple):
 
 def arguments(forward):
     """{argument: Spec} from the comments of a function's signature."""
+    return {name: parsed(comment) for name, comment in comments(forward).items()}
+
+
+def comments(forward):
+    """{argument: its comment} of a function's signature; "" where there is none."""
     source = textwrap.dedent(inspect.getsource(forward))
-    comments = {
+    found = {
         token.start[0]: token.string.lstrip("# ")
         for token in tokenize.generate_tokens(io.StringIO(source).readline)
         if token.type == tokenize.COMMENT
     }
     (function,) = ast.parse(source).body
-    return {a.arg: parsed(comments.get(a.lineno, "")) for a in function.args.args}
+    return {a.arg: found.get(a.lineno, "") for a in function.args.args}
 
 
 def parsed(comment):

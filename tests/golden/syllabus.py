@@ -5,7 +5,7 @@ python -m tests.golden.syllabus 06 20 demo    only these tutorials and the pictu
 python -m tests.golden.syllabus accuracy      only the pictures of the two studies of accuracy
 python -m tests.golden.syllabus index         only the index, with the times it already holds
 
-Each of these also draws the architecture anew.
+Each of these also draws the architecture anew and writes the glossary.
 """
 
 import ast
@@ -26,7 +26,7 @@ from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.syllabus import TUTORIALS, tutorial_of
 from p4dgs_ref.table import EQUATIONS
 
-from . import gallery
+from . import gallery, glossary
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tutorials"
@@ -259,8 +259,12 @@ def main(chosen):
             gallery.draw_accuracy(out)
         gallery.take(out, FOLDER / "pictures")
     write_atomically(FOLDER / "pictures" / DRAWING, draw_architecture)
-    text = index(seconds).encode()
-    write_atomically(FOLDER / "README.md", lambda file: file.write(text))
+    write_text(FOLDER / "glossary.md", glossary.glossary())
+    write_text(FOLDER / "README.md", index(seconds))
+
+
+def write_text(path, text):
+    write_atomically(path, lambda file: file.write(text.encode()))
 
 
 if __name__ == "__main__":
