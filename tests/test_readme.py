@@ -41,7 +41,6 @@ NOT_YET = {
     "tutorials/notebooks/00_whole_paper.ipynb",
     "tutorials/notebooks",
     "tutorials/00_whole_paper.py",
-    "tutorials/pictures/architecture.png",
 }
 SMOKE_INSTEAD = ('preset="tiny"', 'preset="smoke"')
 
