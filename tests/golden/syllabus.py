@@ -5,7 +5,7 @@ python -m tests.golden.syllabus 06 20 demo    only these tutorials and the pictu
 python -m tests.golden.syllabus accuracy      only the pictures of the two studies of accuracy
 python -m tests.golden.syllabus index         only the index, with the times it already holds
 
-Each of these also draws the architecture anew and writes the glossary.
+Each of these also draws the architecture anew and writes the glossary and the handout.
 """
 
 import ast
@@ -26,11 +26,21 @@ from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.school.syllabus import TUTORIALS, tutorial_of
 from p4dgs_ref.table import EQUATIONS
 
-from . import gallery, glossary
+from . import gallery, glossary, handout
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tutorials"
 DRAWING = "architecture.png"  # in tutorials/pictures
+PATH = {  # minutes of reading without exercises
+    "00_whole_paper": 60,
+    "01_offsets": 15,
+    "03_opacity_and_masking": 25,
+    "07_noise_and_rounding": 25,
+    "10_prior_and_likelihood": 30,
+    "15_compositing": 35,
+    "16_pipeline_by_hand": 40,
+    "20_intervals_to_rans": 30,
+}
 
 
 # --- the facts that a tutorial states about itself ------------------------------------------------
@@ -130,6 +140,21 @@ def equations_table(folder=FOLDER):
     return "\n".join(lines)
 
 
+def path_table(folder=FOLDER):
+    """A Markdown table of the path of four hours."""
+    titles = {tutorial.name: facts(tutorial, folder).title for tutorial in TUTORIALS}
+    titles["00_whole_paper"] = "Eq. (1) to Eq. (17): the whole paper in one file"
+    lines = ["| tutorial | what it is about | minutes |", "|---|---|---|"]
+    for name, minutes in PATH.items():
+        lines.append(f"| {both_forms(name)} | {titles[name]} | {minutes} |")
+    return "\n".join(lines)
+
+
+def both_forms(name):
+    """Links to the notebook of a tutorial and to its source."""
+    return f"[{name}](notebooks/{name}.ipynb) ([source]({name}.py))"
+
+
 def order_table(seconds, folder=FOLDER):
     """A Markdown table of the tutorials in order; `seconds` is {number: measured}."""
     lines = [
@@ -140,7 +165,7 @@ def order_table(seconds, folder=FOLDER):
         own = facts(tutorial, folder)
         measured = f"{seconds[tutorial.name[:2]]:.1f}" if tutorial.name[:2] in seconds else ""
         lines.append(
-            f"| [{tutorial.name}]({tutorial.name}.py) | {own.title} | {listed(own.after)} | "
+            f"| {both_forms(tutorial.name)} | {own.title} | {listed(own.after)} | "
             f"{len(own.exercises)} | {measured} | {own.reading} |"
         )
     return "\n".join(lines)
@@ -187,6 +212,7 @@ def index(seconds, folder=FOLDER):
     text = (Path(folder) / "README.md").read_text(encoding="utf-8")
     sections = {
         "architecture": drawing_of_the_architecture(),
+        "path": path_table(folder),
         "order": order_table(seconds, folder),
         "graph": graph(folder),
         "equations": equations_table(folder),
@@ -259,6 +285,7 @@ def main(chosen):
             gallery.draw_accuracy(out)
         gallery.take(out, FOLDER / "pictures")
     write_atomically(FOLDER / "pictures" / DRAWING, draw_architecture)
+    handout.save(FOLDER / "handout.pdf")
     write_text(FOLDER / "glossary.md", glossary.glossary())
     write_text(FOLDER / "README.md", index(seconds))
 

@@ -21,6 +21,7 @@ from tests.school import tutorial_form as form
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tutorials"
+NAMES = {tutorial.name for tutorial in TUTORIALS}
 INDEX = (FOLDER / "README.md").read_text(encoding="utf-8")
 SHORT_SECONDS = 2  # a tutorial that takes less is not marked slow,
 ALL_SHORT_SECONDS = 20  # as long as the short ones together take less than this
@@ -212,7 +213,8 @@ def test_port_is_checked_against_the_equations_of_the_tutorial(tutorial):
 
 def test_files_and_table_agree():
     names = [t.name for t in TUTORIALS]
-    assert names == sorted(file.stem for file in FOLDER.glob("*.py"))
+    files = {file.stem for file in FOLDER.glob("*.py")} - {"00_whole_paper"}  # has its own form
+    assert names == sorted(files)
     assert names == sorted(file.stem for file in (FOLDER / "solutions").glob("*.py"))
 
 
@@ -283,8 +285,27 @@ def test_every_equation_has_tutorial_vector_and_exercise(key):
 
 
 def test_links_of_the_index_lead_somewhere():
-    for link in re.findall(r"\]\(([^)#]+)\)", INDEX):
+    rendered = {f"notebooks/{name}.ipynb" for name in ("00_whole_paper", *NAMES)}
+    for link in set(re.findall(r"\]\(([^)#]+)\)", INDEX)) - rendered - {"00_whole_paper.py"}:
         assert link.startswith("https://") or (FOLDER / link).exists(), link
+    for heading in re.findall(r"\]\(#([^)]+)\)", INDEX):
+        assert f"\n## {heading.replace('-', ' ').capitalize()}\n" in INDEX, heading
+
+
+def test_path_of_four_hours_is_as_long_as_it_says():
+    assert 225 <= sum(syllabus.PATH.values()) <= 265
+    for name, minutes in syllabus.PATH.items():
+        if name in NAMES:
+            assert 0.75 <= minutes / reading_minutes(name) <= 1.33, name
+
+
+def reading_minutes(name):
+    """The time to read a tutorial up to its exercises: 120 words, or 12 lines of code a minute."""
+    text = (FOLDER / f"{name}.py").read_text(encoding="utf-8").split("# ## Exercises", 1)[0]
+    found = form.cells(text)
+    words = sum(len(cell.text.split()) for cell in found if cell.prose)
+    lines = sum(bool(line.strip()) for cell in found if not cell.prose for line in cell.lines)
+    return words / 120 + lines / 12
 
 
 def test_gallery_is_complete_small_and_moves():
