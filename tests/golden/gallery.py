@@ -1,8 +1,11 @@
 """The pictures of tutorials/README.md, which come from the demo, two studies and the tutorials.
 
-`python -m tests.golden.syllabus` draws them anew and reduces them in size.
+`python -m tests.golden.syllabus` draws them anew and reduces them in size. Which code of a tutorial
+drew a picture is recorded in gallery.json, so that a test notices pictures that are out of date.
 """
 
+import hashlib
+import json
 import tempfile
 from pathlib import Path
 from typing import NamedTuple
@@ -12,11 +15,14 @@ import numpy as np
 
 from p4dgs_ref.codec.file import decode
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.scenes.output import filled
+from p4dgs_ref.scenes.output import filled, write_atomically
 from p4dgs_ref.studies.accuracy import report
 from p4dgs_ref.studies.main_job import main_job
 
 from . import animation
+
+TUTORIALS = Path(__file__).resolve().parents[2] / "tutorials"
+DRAWN = Path(__file__).with_name("gallery.json")  # {picture: hash of the code that drew it}
 
 WIDTH = 640  # pixels of a figure
 LARGEST = 2_500_000  # bytes of all pictures together
@@ -105,13 +111,16 @@ def gallery():
 def take(out, pictures):
     """Renew those pictures of the gallery whose figures are in the folder `out`; keep the others.
 
-    Raises ValueError if the gallery would become too large.
+    Returns the names of those that were renewed. Raises ValueError if the gallery would become too
+    large.
     """
+    renewed = []
     with filled(pictures) as beside:
         for name, picture in PICTURES.items():
             source = Path(out) / picture.figure
             if not source.is_file():
                 continue
+            renewed.append(name)
             if name.endswith(".gif"):
                 shrink_animation(source, beside / name)
             elif picture.drawn_by == "demo":
@@ -127,6 +136,32 @@ def take(out, pictures):
             raise ValueError(
                 f"{pictures}: expected at most {LARGEST:,} bytes of pictures, got {total:,}"
             )
+    return renewed
+
+
+def code_hash(picture):
+    """A hash of the code, without prose and comments, of the tutorial that draws a picture."""
+    (file,) = TUTORIALS.glob(f"{picture.figure[:2]}_*.py")
+    lines = file.read_text(encoding="utf-8").splitlines()
+    code = [line.rstrip() for line in lines if line.strip() and not line.startswith("#")]
+    return hashlib.sha256("\n".join(code).encode()).hexdigest()[:16]
+
+
+def record(names):
+    """Note in gallery.json that the code as it is drew these pictures."""
+    drawn = json.loads(DRAWN.read_text(encoding="utf-8")) if DRAWN.is_file() else {}
+    for name in names:
+        if PICTURES[name].drawn_by == "tutorial":
+            drawn[name] = code_hash(PICTURES[name])
+    text = json.dumps(drawn, indent=1, sort_keys=True) + "\n"
+    write_atomically(DRAWN, lambda file: file.write(text.encode()))
+
+
+def stale():
+    """Names of the pictures that other code than today's has drawn."""
+    drawn = json.loads(DRAWN.read_text(encoding="utf-8"))
+    pictures = {n: picture for n, picture in PICTURES.items() if picture.drawn_by == "tutorial"}
+    return [name for name, picture in pictures.items() if drawn.get(name) != code_hash(picture)]
 
 
 def draw_demo(out):

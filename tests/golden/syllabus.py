@@ -283,7 +283,7 @@ def main(chosen):
             gallery.draw_demo(out)
         if not chosen or "accuracy" in chosen:
             gallery.draw_accuracy(out)
-        gallery.take(out, FOLDER / "pictures")
+        gallery.record(gallery.take(out, FOLDER / "pictures"))
     write_atomically(FOLDER / "pictures" / DRAWING, draw_architecture)
     handout.save(FOLDER / "handout.pdf")
     write_text(FOLDER / "glossary.md", glossary.glossary())

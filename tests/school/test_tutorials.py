@@ -318,6 +318,31 @@ def test_gallery_is_complete_small_and_moves():
     assert all(f"pictures/{name}" in INDEX for name in files)
 
 
+def test_pictures_are_those_of_the_tutorials_as_they_are():
+    """Where it fails, `python -m tests.golden.syllabus NUMBER` draws the pictures of a tutorial."""
+    assert not gallery.stale()
+
+
+def test_picture_of_changed_code_is_stale(tmp_path, monkeypatch):
+    for picture in gallery.PICTURES.values():
+        for file in FOLDER.glob(f"{picture.figure[:2]}_*.py"):
+            (tmp_path / file.name).write_bytes(file.read_bytes())
+    monkeypatch.setattr(gallery, "TUTORIALS", tmp_path)
+    monkeypatch.setattr(gallery, "DRAWN", tmp_path / "gallery.json")
+    gallery.record(gallery.PICTURES)
+    assert not gallery.stale()
+    changed = tmp_path / "15_compositing.py"
+    text = changed.read_text(encoding="utf-8")
+    changed.write_text(text + "\n# another comment\n", encoding="utf-8")
+    assert not gallery.stale()
+    changed.write_text(text + "\nscale = 5\n", encoding="utf-8")
+    assert gallery.stale() == ["compositing.png"]
+    gallery.record(["demo.png"])
+    assert gallery.stale() == ["compositing.png"]
+    gallery.record(["compositing.png"])
+    assert not gallery.stale()
+
+
 def test_pictures_are_made_small_and_keep_what_they_show(tmp_path):
     rng = np.random.default_rng(1)
     patches = rng.integers(0, 256, (9, 16, 3), dtype=np.uint8)
