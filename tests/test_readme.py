@@ -140,6 +140,10 @@ def test_two_commands_are_those_of_the_check():
     lines = [line.strip() for line in script.splitlines()]
     assert main_job == ".venv/bin/p4dgs-ref demo" and install[0] == "python3 -m venv .venv"
     assert [line for line in lines if line in (*install, second)] == [*install, second]
+    declared = configparser.ConfigParser()
+    declared.read(ROOT / "setup.cfg")
+    oldest = declared["options"]["python_requires"].removeprefix(">=")
+    assert f"Python {oldest} or newer" in section("Two commands", README)
     python = second.removesuffix(" -m pytest")
     assert f"`{second} -m slow`" in README and f"halves {python} -m slow tests" in lines
 
