@@ -201,7 +201,7 @@ def draw():
     """Return the page as a figure."""
     figure = lessons.pyplot().figure(figsize=PAGE, dpi=150)
     height = DRAWING * architecture.HEIGHT / architecture.WIDTH
-    top = PAGE[1] - 0.75 - height
+    top = PAGE[1] - 0.62 - height
     axes = figure.add_axes(
         (MARGIN / PAGE[0], top / PAGE[1], DRAWING / PAGE[0], height / PAGE[1]),
     )
@@ -224,7 +224,7 @@ def draw():
     return figure
 
 
-def write(figure, x, y, text, size=8.5, **style):
+def write(figure, x, y, text, size=8.2, **style):
     """Write on the page; x and y in inches from its lower left corner."""
     figure.text(x / PAGE[0], y / PAGE[1], text, size=size, color=architecture.INK, **style)
 
