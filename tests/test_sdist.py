@@ -26,6 +26,7 @@ NOT_SOURCES = shutil.ignore_patterns(
 def files(folder):
     """The files under a folder, without what a build or a test run leaves there."""
     left = ("__pycache__", ".egg-info", ".pytest_cache", "PKG-INFO", "tutorials/out")
+    left += ("tutorials/notebooks/out", ".ipynb_checkpoints")
     paths = (str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file())
     return {path for path in paths if not any(name in path for name in left)}
 

@@ -289,9 +289,9 @@ assert np.array_equal(after_a_small_step, f_hat)
 # ways, starting at $f = 0$.
 #
 # With straight-through, the parameter ends at 0.5, the edge between two steps of the stairs, and
-# its symbol keeps changing between 0 and 1. With noise, it ends near 0.3, and its symbol is always
-# 0. The paper uses noise here. Straight-through returns in `09_hash_grid`, where a noisy value
-# would no longer be binary.
+# its symbol keeps changing between 0 and 1. With noise, it ends near 0.3, and its symbol stays 0.
+# The paper uses noise here. Straight-through returns in `09_hash_grid`, where a noisy value would
+# no longer be binary.
 
 
 # %%

@@ -65,7 +65,7 @@ def show(figure, name):
     write_atomically(place, lambda file: figure.savefig(file, bbox_inches="tight"))
     print(f"figure: {place.parent.name}/{place.name}")
     if interactive():
-        figure.show()
+        pyplot().show(block=False)
     else:
         pyplot().close(figure)
 
@@ -174,4 +174,3 @@ def settle(exercise, problem):
     """Record and print whether an exercise is solved."""
     RESULTS[exercise] = not problem
     print(f"exercise {exercise}: " + (f"not solved: {problem}" if problem else "solved"))
-    return not problem

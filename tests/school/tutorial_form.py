@@ -5,7 +5,8 @@ begins with `# %% [markdown]`, and all its lines are comments.
 """
 
 import re
-from typing import NamedTuple
+
+from p4dgs_ref.school.notebooks import cells
 
 HEADINGS = [
     "Claim",
@@ -18,32 +19,6 @@ HEADINGS = [
     "Check your port",
 ]
 WIDEST = 100
-
-
-class Cell(NamedTuple):
-    """One cell: the number of its first line in the file, and its lines without that first one."""
-
-    line: int
-    prose: bool
-    lines: list
-
-    @property
-    def text(self):
-        """The code, or the prose without the comment signs."""
-        if self.prose:
-            return "\n".join(re.sub(r"^# ?", "", line) for line in self.lines)
-        return "\n".join(self.lines)
-
-
-def cells(source):
-    """The cells of a file."""
-    found = []
-    for i, line in enumerate(source.splitlines(), 1):
-        if line.startswith("# %%"):
-            found.append(Cell(i, line.strip() == "# %% [markdown]", []))
-        elif found:
-            found[-1].lines.append(line)
-    return found
 
 
 def headings(source):

@@ -1,0 +1,262 @@
+"""`python -m p4dgs_ref.school.notebooks [NAME ...]` makes tutorials/notebooks/*.ipynb.
+
+A notebook (format 4.5) holds the cells of a tutorial and, below each of them, what it printed and
+drew when the file ran once, in order, in a process of its own. NAME is a tutorial of the checkout
+or its number; without a name all are made.
+
+The metadata hold the SHA-256 of the tutorial, by which a test finds notebooks that are stale. The
+hash does not cover the package: where a change of its code moves what tutorials print, make the
+notebooks again.
+"""
+
+import ast
+import base64
+import hashlib
+import io
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import traceback
+import types
+from pathlib import Path
+from typing import NamedTuple
+
+from ..scenes.output import write_atomically
+from ..signals import handled, interrupt
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "tutorials"
+DPI = 100  # of the figures: those of most tutorials are 800 pixels wide
+PROSE, CODE = "# %% [markdown]", "# %%"
+LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)[^)\s]+")  # a target without https: and the like
+START = "import sys; from p4dgs_ref.school.notebooks import record; record(*sys.argv[1:])"
+INSTALL = "To run it, install the package: `pip install .` in the folder above `tutorials/`."
+METADATA = {
+    "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+    "language_info": {
+        "file_extension": ".py",
+        "mimetype": "text/x-python",
+        "name": "python",
+        "pygments_lexer": "ipython3",
+    },
+}
+
+
+class InputError(ValueError):
+    """A name or a file that the maker cannot use."""
+
+
+class RunError(RuntimeError):
+    """A tutorial that raised an error."""
+
+
+# --- reading a tutorial ---------------------------------------------------------------------------
+class Cell(NamedTuple):
+    """One cell: the number of its first line in the file, and its lines without that first one."""
+
+    line: int
+    prose: bool
+    lines: list
+
+    @property
+    def text(self):
+        """The code, or the prose without the comment signs."""
+        text = "\n".join(self.lines).strip("\n")
+        return re.sub(r"^# ?", "", text, flags=re.M) if self.prose else text
+
+
+def cells(text):
+    """Return the cells of a percent file."""
+    found = []
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.startswith(CODE):
+            found.append(Cell(number, line.strip() == PROSE, []))
+        elif found:
+            found[-1].lines.append(line)
+    return found
+
+
+def tutorials(folder):
+    """Return the tutorials of a folder in their order."""
+    return sorted(folder.glob("[0-9][0-9]_*.py"))
+
+
+# --- the notebook without its outputs -------------------------------------------------------------
+def unrun(source):
+    """Return the notebook of a tutorial with empty outputs, as a dictionary."""
+    number, count = source.stem[:2], 0
+    made = [notebook_cell(f"{number}-links", "markdown", links(source))]
+    for cell in cells(source.read_text(encoding="utf-8")):
+        id = f"{number}-{len(made):02d}"
+        if cell.prose:
+            made.append(notebook_cell(id, "markdown", LINK.sub(moved, cell.text)))
+        else:
+            count += 1
+            made.append(notebook_cell(id, "code", cell.text, execution_count=count, outputs=[]))
+    digest = hashlib.sha256(source.read_bytes()).hexdigest()
+    metadata = {**METADATA, "p4dgs_ref": {"source_sha256": digest}}
+    return {"cells": made, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
+
+
+def notebook_cell(id, kind, text, **more):
+    """Return a cell of a notebook."""
+    lines = text.splitlines(keepends=True)
+    return {"cell_type": kind, "id": id, "metadata": {}, "source": lines, **more}
+
+
+def links(source):
+    """Return the text of the first cell, which links what belongs to the tutorial."""
+    names = [file.stem for file in tutorials(source.parent)]
+    i = names.index(source.stem)
+    parts = [f"Made from [{source.name}](../{source.name})"]
+    if (source.parent / "solutions" / source.name).is_file():
+        parts.append(f"[solutions](../solutions/{source.name})")
+    parts += [f"previous: [{name}]({name}.ipynb)" for name in names[max(i - 1, 0) : i]]
+    parts += [f"next: [{name}]({name}.ipynb)" for name in names[i + 1 : i + 2]]
+    return " · ".join([*parts, "[all tutorials](../README.md)"]) + f"\n\n{INSTALL}"
+
+
+def moved(link):
+    """Return a link of a tutorial as seen from the folder of the notebooks."""
+    tutorial = re.fullmatch(r"(\d\d_\w+)\.py", link[0])
+    return f"{tutorial[1]}.ipynb" if tutorial else f"../{link[0]}"
+
+
+# --- running a tutorial ---------------------------------------------------------------------------
+def make(source):
+    """Run a tutorial in a process of its own and write its notebook, whose path is returned."""
+    notebook = unrun(source)
+    with tempfile.TemporaryDirectory() as folder:
+        result = Path(folder) / "outputs.json"
+        environment = {
+            **os.environ,
+            "MPLBACKEND": "Agg",
+            "OPENBLAS_NUM_THREADS": "1",
+            "P4DGS_TUTORIALS_OUT": str(Path(folder) / "out"),
+            "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+            "PYTHONUTF8": "1",
+        }
+        call = [sys.executable, "-c", START, str(source.resolve()), str(result)]
+        done = subprocess.run(
+            call, env=environment, cwd=folder, capture_output=True, encoding="utf-8"
+        )
+        if done.returncode:
+            said = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+            raise RunError(f"{source.name}, {said[-1]}")
+        outputs = json.loads(result.read_text(encoding="utf-8"))
+    code = (cell for cell in notebook["cells"] if cell["cell_type"] == "code")
+    for cell, own in zip(code, outputs, strict=True):
+        cell["outputs"] = own
+    text = json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+    target = source.parent / "notebooks" / f"{source.stem}.ipynb"
+    target.parent.mkdir(exist_ok=True)
+    write_atomically(target, lambda file: file.write(text.encode()))
+    return target
+
+
+class Stream(io.TextIOBase):
+    """A text stream that adds to the outputs of a cell."""
+
+    def __init__(self, name, outputs):
+        self.name, self.outputs = name, outputs
+
+    def write(self, text):
+        if not self.outputs or self.outputs[-1].get("name") != self.name:
+            self.outputs.append({"output_type": "stream", "name": self.name, "text": ""})
+        self.outputs[-1]["text"] += text
+        return len(text)
+
+
+def record(source, result):
+    """Run the cells of a tutorial in this process; write their outputs to the file `result`.
+
+    The cells find what they would find in a notebook: the arguments of its kernel, an interactive
+    prompt, no `__file__`, and figures that appear at `plt.show` or at the end of the cell.
+    """
+    import matplotlib.pyplot as plt
+
+    source, outputs, made, terminal = Path(source), [], [], sys.stderr
+    sys.argv, sys.ps1 = ["kernel", "-f", "kernel.json"], ">>> "
+    sys.stdout, sys.stderr = Stream("stdout", outputs), Stream("stderr", outputs)
+    sys.modules["__main__"] = main = types.ModuleType("__main__")
+    plt.show = lambda *args, **settings: outputs.extend(figures(plt))
+    code = [cell for cell in cells(source.read_text(encoding="utf-8")) if not cell.prose]
+    for count, cell in enumerate(code, 1):
+        try:
+            value = run(cell, source.name, vars(main))
+        except BaseException as error:
+            print(where(cell, source.name, error), file=terminal)
+            sys.exit(1)
+        if value is not None:
+            data = {"data": {"text/plain": repr(value)}, "metadata": {}}
+            outputs.append({"output_type": "execute_result", "execution_count": count, **data})
+        plt.show()
+        made.append(outputs.copy())
+        outputs.clear()
+    Path(result).write_text(json.dumps(made), encoding="utf-8")
+
+
+def run(cell, name, namespace):
+    """Run a cell; return the value of its last statement if that is an expression."""
+    # With empty lines before the cell, errors and warnings give the line in the file.
+    tree = ast.parse("\n" * cell.line + "\n".join(cell.lines), name)
+    last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
+    exec(compile(tree, name, "exec"), namespace)
+    return eval(compile(ast.Expression(last.value), name, "eval"), namespace) if last else None
+
+
+def where(cell, name, error):
+    """Return one line: the cell, the line of the file that raised the error, and the error."""
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if frame.filename == name]
+    line = error.lineno if isinstance(error, SyntaxError) else lines[-1]
+    message = " ".join(str(error).split())
+    return f"cell at line {cell.line}, line {line}: {type(error).__name__}: {message}"
+
+
+def figures(plt):
+    """Close the open figures of pyplot; return them as outputs of a cell."""
+    made = []
+    for number in plt.get_fignums():
+        figure, file = plt.figure(number), io.BytesIO()
+        figure.savefig(file, dpi=DPI, bbox_inches="tight", metadata={"Software": None})
+        plt.close(figure)
+        picture = base64.b64encode(file.getvalue()).decode()
+        data = {"image/png": picture, "text/plain": str(figure)}
+        made.append({"output_type": "display_data", "data": data, "metadata": {}})
+    return made
+
+
+# --- the command ----------------------------------------------------------------------------------
+def chosen(names):
+    """Return the tutorials with these names or numbers, or all."""
+    every = tutorials(FOLDER)
+    if not every:
+        raise InputError(f"{FOLDER}: expected the tutorials of a checkout")
+    for name in names:
+        if not any(name in (source.stem, source.stem[:2]) for source in every):
+            raise InputError(f"{name}: expected the name or the number of a tutorial")
+    return [s for s in every if not names or s.stem in names or s.stem[:2] in names]
+
+
+def main(names):
+    """Make the notebooks of these tutorials, or of all; return the exit code."""
+    try:
+        with handled(interrupt):
+            for source in chosen(names):
+                target = make(source)
+                print(f"{source.stem}: {target.stat().st_size:,} bytes", flush=True)
+    except (InputError, RunError) as error:
+        print(error, file=sys.stderr)
+        return 2 if isinstance(error, InputError) else 1
+    except KeyboardInterrupt:
+        print("stopped; the remaining notebooks are as before", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
