@@ -138,6 +138,8 @@ print(f"they cost {ideal:.2f} bits and are sent as {number:0{bits}b}")
 
 # %% [markdown]
 # The next cell draws this as an animation, which zooms into the chosen part after each symbol.
+#
+# ![Every symbol narrows the interval](pictures/intervals.gif)
 
 # %%
 CHOSEN, EVEN, ODD = lessons.COLORS[1], lessons.COLORS[0], lessons.COLORS[5]

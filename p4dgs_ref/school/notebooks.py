@@ -24,13 +24,18 @@ import types
 from pathlib import Path
 from typing import NamedTuple
 
+import imageio.v3 as iio
+import numpy as np
+
 from ..scenes.output import write_atomically
 from ..signals import handled, interrupt
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tutorials"
-DPI = 100  # of the figures: those of most tutorials are 800 pixels wide
+DPI = 100  # of the figures: most are 800 pixels wide
+COLOR_STEP = 5  # of 255; rounding the colours saves a third of the bytes, and nobody sees it
 PROSE, CODE = "# %% [markdown]", "# %%"
+NAME = re.compile(r"(?<!\[)`(\d\d_\w+)`")  # of a tutorial in the prose, unless it is linked already
 LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)[^)\s]+")  # a target without https: and the like
 START = "import sys; from p4dgs_ref.school.notebooks import record; record(*sys.argv[1:])"
 INSTALL = "To run it, install the package: `pip install .` in the folder above `tutorials/`."
@@ -92,7 +97,8 @@ def unrun(source):
     for cell in cells(source.read_text(encoding="utf-8")):
         id = f"{number}-{len(made):02d}"
         if cell.prose:
-            made.append(notebook_cell(id, "markdown", LINK.sub(moved, cell.text)))
+            text = NAME.sub(r"[`\1`](\1.py)", cell.text)
+            made.append(notebook_cell(id, "markdown", LINK.sub(moved, text)))
         else:
             count += 1
             made.append(notebook_cell(id, "code", cell.text, execution_count=count, outputs=[]))
@@ -222,10 +228,11 @@ def figures(plt):
     made = []
     for number in plt.get_fignums():
         figure, file = plt.figure(number), io.BytesIO()
-        figure.savefig(file, dpi=DPI, bbox_inches="tight", metadata={"Software": None})
+        figure.savefig(file, format="png", dpi=DPI, bbox_inches="tight")
         plt.close(figure)
-        picture = base64.b64encode(file.getvalue()).decode()
-        data = {"image/png": picture, "text/plain": str(figure)}
+        pixels = np.rint(iio.imread(file.getvalue())[..., :3] / COLOR_STEP) * COLOR_STEP
+        png = iio.imwrite("<bytes>", pixels.astype(np.uint8), extension=".png", optimize=True)
+        data = {"image/png": base64.b64encode(png).decode(), "text/plain": str(figure)}
         made.append({"output_type": "display_data", "data": data, "metadata": {}})
     return made
 
