@@ -177,7 +177,7 @@ def test_figures_are_shown_under_the_tutorials_number(tutorial):
 @EACH
 def test_first_code_cell_shows_the_drawing_of_the_architecture(tutorial):
     first_code = next(cell for cell in form.cells(source(tutorial)) if not cell.prose)
-    assert first_code.text.count(f'architecture.show("{tutorial.name}")\n') == 1
+    assert first_code.lines.count(f'architecture.show("{tutorial.name}")') == 1
     assert source(tutorial).count("architecture.show(") == 1
 
 
