@@ -133,7 +133,7 @@ def equations_table(folder=FOLDER):
             f"`{key}`",
             f"[`{file}`](../{file})",
             f"[`{key}.safetensors`](../p4dgs_ref/oracle/v1/{key}.safetensors)",
-            f"[{name}]({name}.py)",
+            f"[{name}](notebooks/{name}.ipynb)",
             ", ".join(about.get(key, [])),
         )
         lines.append("| " + " | ".join(cells) + " |")
