@@ -27,7 +27,7 @@ from typing import NamedTuple
 import imageio.v3 as iio
 import numpy as np
 
-from ..scenes.output import write_atomically
+from ..scenes.output import OutputError, made, write_atomically
 from ..signals import handled, interrupt
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -93,18 +93,18 @@ def tutorials(folder):
 def unrun(source):
     """Return the notebook of a tutorial with empty outputs, as a dictionary."""
     number, count = source.stem[:2], 0
-    made = [notebook_cell(f"{number}-links", "markdown", links(source))]
+    parts = [notebook_cell(f"{number}-links", "markdown", links(source))]
     for cell in cells(source.read_text(encoding="utf-8")):
-        id = f"{number}-{len(made):02d}"
+        id = f"{number}-{len(parts):02d}"
         if cell.prose:
             text = NAME.sub(r"[`\1`](\1.py)", cell.text)
-            made.append(notebook_cell(id, "markdown", LINK.sub(moved, text)))
+            parts.append(notebook_cell(id, "markdown", LINK.sub(moved, text)))
         else:
             count += 1
-            made.append(notebook_cell(id, "code", cell.text, execution_count=count, outputs=[]))
+            parts.append(notebook_cell(id, "code", cell.text, execution_count=count, outputs=[]))
     digest = hashlib.sha256(source.read_bytes()).hexdigest()
     metadata = {**METADATA, "p4dgs_ref": {"source_sha256": digest}}
-    return {"cells": made, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
+    return {"cells": parts, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
 
 
 def notebook_cell(id, kind, text, **more):
@@ -135,6 +135,18 @@ def moved(link):
 def make(source):
     """Run a tutorial in a process of its own and write its notebook, whose path is returned."""
     notebook = unrun(source)
+    code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    with made(source.parent / "notebooks") as folder:
+        for cell, outputs in zip(code, outputs_of(source), strict=True):
+            cell["outputs"] = outputs
+        text = json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+        target = folder / f"{source.stem}.ipynb"
+        write_atomically(target, lambda file: file.write(text.encode()))
+    return target
+
+
+def outputs_of(source):
+    """Run a tutorial in a process of its own; return the outputs of every cell of code."""
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "outputs.json"
         environment = {
@@ -152,15 +164,7 @@ def make(source):
         if done.returncode:
             said = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
             raise RunError(f"{source.name}, {said[-1]}")
-        outputs = json.loads(result.read_text(encoding="utf-8"))
-    code = (cell for cell in notebook["cells"] if cell["cell_type"] == "code")
-    for cell, own in zip(code, outputs, strict=True):
-        cell["outputs"] = own
-    text = json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
-    target = source.parent / "notebooks" / f"{source.stem}.ipynb"
-    target.parent.mkdir(exist_ok=True)
-    write_atomically(target, lambda file: file.write(text.encode()))
-    return target
+        return json.loads(result.read_text(encoding="utf-8"))
 
 
 class Stream(io.TextIOBase):
@@ -184,7 +188,7 @@ def record(source, result):
     """
     import matplotlib.pyplot as plt
 
-    source, outputs, made, terminal = Path(source), [], [], sys.stderr
+    source, outputs, every, terminal = Path(source), [], [], sys.stderr
     sys.argv, sys.ps1 = ["kernel", "-f", "kernel.json"], ">>> "
     sys.stdout, sys.stderr = Stream("stdout", outputs), Stream("stderr", outputs)
     sys.modules["__main__"] = main = types.ModuleType("__main__")
@@ -200,9 +204,9 @@ def record(source, result):
             data = {"data": {"text/plain": repr(value)}, "metadata": {}}
             outputs.append({"output_type": "execute_result", "execution_count": count, **data})
         plt.show()
-        made.append(outputs.copy())
+        every.append(outputs.copy())
         outputs.clear()
-    Path(result).write_text(json.dumps(made), encoding="utf-8")
+    Path(result).write_text(json.dumps(every), encoding="utf-8")
 
 
 def run(cell, name, namespace):
@@ -225,7 +229,7 @@ def where(cell, name, error):
 
 def figures(plt):
     """Close the open figures of pyplot; return them as outputs of a cell."""
-    made = []
+    shown = []
     for number in plt.get_fignums():
         figure, file = plt.figure(number), io.BytesIO()
         figure.savefig(file, format="png", dpi=DPI, bbox_inches="tight")
@@ -233,8 +237,8 @@ def figures(plt):
         pixels = np.rint(iio.imread(file.getvalue())[..., :3] / COLOR_STEP) * COLOR_STEP
         png = iio.imwrite("<bytes>", pixels.astype(np.uint8), extension=".png", optimize=True)
         data = {"image/png": base64.b64encode(png).decode(), "text/plain": str(figure)}
-        made.append({"output_type": "display_data", "data": data, "metadata": {}})
-    return made
+        shown.append({"output_type": "display_data", "data": data, "metadata": {}})
+    return shown
 
 
 # --- the command ----------------------------------------------------------------------------------
@@ -256,9 +260,9 @@ def main(names):
             for source in chosen(names):
                 target = make(source)
                 print(f"{source.stem}: {target.stat().st_size:,} bytes", flush=True)
-    except (InputError, RunError) as error:
+    except (InputError, OutputError, RunError) as error:
         print(error, file=sys.stderr)
-        return 2 if isinstance(error, InputError) else 1
+        return 1 if isinstance(error, RunError) else 2
     except KeyboardInterrupt:
         print("stopped; the remaining notebooks are as before", file=sys.stderr)
         return 130

@@ -286,6 +286,20 @@ def test_error_names_tutorial_cell_and_line(code, said, small, monkeypatch, caps
     assert len(list((folder / "notebooks").iterdir())) == 1
 
 
+def test_failed_write_keeps_the_old_notebook(small, monkeypatch):
+    folder = small.parent / "notebooks"
+    folder.mkdir()
+    (folder / "02_next.ipynb").write_text("as before")
+
+    def full(*paths):
+        raise OSError("no space left")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(OSError, match="no space left"):
+        notebooks.make(small.parent / "02_next.py")
+    assert [file.read_text() for file in folder.iterdir()] == ["as before"]
+
+
 def test_command_makes_what_is_named(small, monkeypatch, capsys):
     monkeypatch.setattr(notebooks, "FOLDER", small.parent)
     assert notebooks.main(["02"]) == 0
@@ -293,6 +307,10 @@ def test_command_makes_what_is_named(small, monkeypatch, capsys):
     assert notebooks.main(["01_small", "9"]) == 2
     assert capsys.readouterr().err == "9: expected the name or the number of a tutorial\n"
     assert [file.name for file in (small.parent / "notebooks").iterdir()] == ["02_next.ipynb"]
+    shutil.rmtree(small.parent / "notebooks")
+    (small.parent / "notebooks").write_text("a file")
+    assert notebooks.main(["02"]) == 2
+    assert "notebooks: expected a folder that can be written to" in capsys.readouterr().err
     monkeypatch.setattr(notebooks, "FOLDER", small.parent / "none")
     assert notebooks.main([]) == 2
     assert "expected the tutorials of a checkout" in capsys.readouterr().err
