@@ -38,7 +38,8 @@ PROSE, CODE = "# %% [markdown]", "# %%"
 NAME = re.compile(r"(?<!\[)`(\d\d_\w+)`")  # of a tutorial in the prose, unless it is linked already
 LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)[^)\s]+")  # a target without https: and the like
 START = "import sys; from p4dgs_ref.school.notebooks import record; record(*sys.argv[1:])"
-INSTALL = "To run it, install the package: `pip install .` in the folder above `tutorials/`."
+PACKAGE = "To run it, install the package: `pip install .` in the folder above `tutorials/`."
+WITHOUT = "To run it, install what it imports: `pip install numpy scipy matplotlib`."
 METADATA = {
     "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
     "language_info": {
@@ -122,7 +123,9 @@ def links(source):
         parts.append(f"[solutions](../solutions/{source.name})")
     parts += [f"previous: [{name}]({name}.ipynb)" for name in names[max(i - 1, 0) : i]]
     parts += [f"next: [{name}]({name}.ipynb)" for name in names[i + 1 : i + 2]]
-    return " · ".join([*parts, "[all tutorials](../README.md)"]) + f"\n\n{INSTALL}"
+    package = re.search(r"^(from|import) p4dgs_ref\b", source.read_text(encoding="utf-8"), re.M)
+    install = PACKAGE if package else WITHOUT
+    return " · ".join([*parts, "[all tutorials](../README.md)"]) + f"\n\n{install}"
 
 
 def moved(link):

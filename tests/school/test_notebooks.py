@@ -211,7 +211,8 @@ def test_outputs_of_a_small_tutorial(small):
     head, title, first, second, third = notebook["cells"]
     assert "".join(head["source"]).startswith(
         "Made from [01_small.py](../01_small.py) · [solutions](../solutions/01_small.py) · "
-        "next: [02_next](02_next.ipynb) · [all tutorials](../README.md)\n\nTo run it"
+        "next: [02_next](02_next.ipynb) · [all tutorials](../README.md)\n\n"
+        "To run it, install the package: `pip install .` in"
     )
     assert title["source"] == [
         "# A title, $x^2$\n",
@@ -241,8 +242,10 @@ def test_outputs_of_a_small_tutorial(small):
 
 def test_last_notebook_links_the_one_before_and_no_solution(small):
     notebook = form.load(notebooks.make(small.parent / "02_next.py"))
-    assert "".join(notebook["cells"][0]["source"]).startswith(
-        "Made from [02_next.py](../02_next.py) · previous: [01_small](01_small.ipynb) · [all"
+    assert "".join(notebook["cells"][0]["source"]) == (
+        "Made from [02_next.py](../02_next.py) · previous: [01_small](01_small.ipynb) · "
+        "[all tutorials](../README.md)\n\n"
+        "To run it, install what it imports: `pip install numpy scipy matplotlib`."
     )
     assert notebook["cells"][1]["outputs"][0]["data"] == {"text/plain": "'last'"}
 
