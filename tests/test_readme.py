@@ -37,10 +37,6 @@ PROGRAM = re.compile(r"```python\n((?:(?!```).)*)```\n```text\n(.*?)```", re.DOT
 PROGRAMS = PROGRAM.findall(REFERENCE)
 (FIVE_LINES,) = PROGRAM.findall(README)
 PAGES = {"README.md": README, "tutorials/reference.md": REFERENCE}
-NOT_YET = {
-    "tutorials/notebooks/00_whole_paper.ipynb",
-    "tutorials/00_whole_paper.py",
-}
 SMOKE_INSTEAD = ('preset="tiny"', 'preset="smoke"')
 
 
@@ -245,8 +241,6 @@ def test_links_and_pictures_exist(page):
         if link.startswith("https://"):
             continue
         path, _, anchor = link.partition("#")
-        if path in NOT_YET:
-            continue
         target = (folder / path).resolve() if path else ROOT / page
         assert target.exists() and target.is_relative_to(ROOT), link
         if anchor:
