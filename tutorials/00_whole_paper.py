@@ -16,9 +16,9 @@
 # **How to read it.** Every forward is a function that returns its result and its own backward,
 # `back`. A name that ends in `_bar` is the gradient of the loss by that name, and `back` returns
 # the gradients of the inputs in their order. There are A anchors with k children each, which are N
-# Gaussians, and an image [P, 3] has P pixels. Lengths are in scene units,
-# times run from 0 to 1. Where the paper is silent, a comment names one of the
-# [choices](reference.md#choices), as in (Q10).
+# Gaussians, and an image [P, 3] has P pixels. Lengths are in scene units, times run from 0 to 1.
+# Where the paper is silent, a comment names one of the [choices](reference.md#choices), as in
+# (Q10).
 #
 # **What it leaves out**, and where the package has it: permanent masks and growing
 # (`training/density.py`); tiles and the clamp of the projection (`splatting/`); hashing and 2D

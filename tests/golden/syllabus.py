@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tutorials"
 DRAWING = "architecture.png"  # in tutorials/pictures
 PATH = {  # minutes of reading without exercises
-    "00_whole_paper": 60,
+    "00_whole_paper": 65,
     "01_offsets": 15,
     "03_opacity_and_masking": 25,
     "07_noise_and_rounding": 25,
