@@ -277,29 +277,32 @@ COMMANDS = {
             ),
             several("--only", "KEY", "only this equation; may be repeated"),
             switch("--backward-only", "leave the forwards as they are"),
-            option(
-                "--seed",
-                type=whole(0),
-                help="seed of the held-back inputs by which `grade` judges (default 0)",
-            ),
         ),
     ),
     "grade": (
         school.grade,
-        "points by equation, from inputs that the students have not seen",
+        "points by student and equation, from inputs that the students have not seen; copies of "
+        "the package are noticed by their text, and key/README.md says what remains possible",
         (
-            option("folder", type=place, help="folder that `classroom` wrote"),
             option(
-                "--student",
+                "folders",
+                nargs="+",
+                metavar="DIR",
                 type=place,
-                metavar="FOLDER",
-                help="files of one student (default FOLDER/student)",
+                help="what a student handed in: a classroom, or the files of its folder student/",
+            ),
+            option(
+                "--classroom",
+                type=place,
+                metavar="DIR",
+                help="the classroom whose equations are asked for (default the first DIR)",
             ),
             option(
                 "--seed",
                 type=whole(0),
-                help="seed of the held-back inputs (default that of the classroom)",
+                help="seed of the inputs; students must not know it (default: drawn and printed)",
             ),
+            switch("--reveal", "print expected values, once grading is closed"),
             option(
                 "--timeout",
                 type=real(0.1, 3600),

@@ -7,13 +7,13 @@ def classroom(arguments):
     """Write the equations without their bodies, and the key."""
     from ..school import classroom as write
 
-    done = write(arguments.folder, arguments.only or None, arguments.backward_only, arguments.seed)
+    done = write(arguments.folder, arguments.only or None, arguments.backward_only)
     kept = f"; kept as they were: {', '.join(done['kept'])}" if done["kept"] else ""
     show(
         arguments,
         done,
         f"{done['output']}: {done['functions']} functions of {len(done['equations'])} equations "
-        f"to write in student/; the key is in key/, README.md explains{kept}",
+        f"to write in student/; the key is in key/; README.md and key/README.md explain{kept}",
     )
 
 
@@ -22,9 +22,14 @@ def grade(arguments):
     from .. import school
 
     with Line(arguments) as line:
-        report = school.grade(
-            arguments.folder, arguments.seed, arguments.student, arguments.timeout, line
+        reports = school.grade(
+            *arguments.folders,
+            classroom=arguments.classroom,
+            seed=arguments.seed,
+            timeout=arguments.timeout,
+            reveal=arguments.reveal,
+            progress=line,
         )
     if arguments.output:
-        school.write(report, arguments.output)
-    show(arguments, school.as_json(report), school.text(report))
+        school.write(reports, arguments.output)
+    show(arguments, school.as_json(reports), school.text(reports))

@@ -94,13 +94,18 @@ def rate(f_noisy, mu, sigma, q):
         if len(rows):
             log_p[rows], ratio[rows] = regime(low[rows], high[rows], z[rows], w[rows])
 
+    return TO_BITS * log_p, *slopes(offset, sigma, z, w, ratio)
+
+
+def slopes(offset, sigma, z, w, ratio):
+    """Slopes of the bits by f_noisy, sigma and q; ratio is phi(low) / p."""
     # phi(low) - phi(high) = phi(low) * drop, without a difference
     drop = -np.expm1(-z * w)
     slope_z = -np.sign(offset) * ratio * drop  # d log p / dz, with the sign of the offset
     slope_w = ratio * (1 - drop / 2)  # d log p / dw
     sigma_slope = -(offset / sigma * slope_z + w * slope_w)  # sigma divides both z and w
     per_unit = TO_BITS / sigma
-    return TO_BITS * log_p, per_unit * slope_z, per_unit * sigma_slope, per_unit * slope_w
+    return per_unit * slope_z, per_unit * sigma_slope, per_unit * slope_w
 
 
 def around_the_mean(low, high, z, w):

@@ -9,7 +9,7 @@ A teacher's session in Python:
 """
 
 from .grading import grade
-from .marks import as_csv, as_json, text, write
+from .marks import as_csv, as_json, table, text, write
 from .room import ClassroomError, classroom
 from .student import load
 
@@ -20,6 +20,7 @@ __all__ = [
     "classroom",
     "grade",
     "load",
+    "table",
     "text",
     "write",
 ]

@@ -1,5 +1,6 @@
 """Grades a classroom: each equation in a process of its own, with points for every right part."""
 
+import secrets
 import time
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +13,7 @@ from ..oracle.compare import compare, expected
 from ..oracle.ports import PortError
 from ..table import EQUATIONS
 from . import held_back
-from .guard import suspicions
+from .guard import copies
 from .removal import unwritten
 from .room import FORWARD, GRADIENTS, HARD, ClassroomError, read_record
 from .student import Student
@@ -43,7 +44,7 @@ class Grade(NamedTuple):
     first: str = ""  # the first wrong answer with its worst element
     explanation: str = ""  # the known mistake that explains the wrong answers
     hint: str = ""  # a known mistake that agrees with most of them
-    flags: tuple = ()  # attempts to ask the reference; with any of them there are no points
+    flags: tuple = ()  # copies of the package; with any of them there are no points
     note: str = ""  # "not begun", "cannot be read" ...
 
     @property
@@ -61,8 +62,9 @@ class Grade(NamedTuple):
 
 
 class Report(NamedTuple):
-    """The grades of all equations, in the order in which data flows."""
+    """The grades of one student in all equations, in the order in which data flows."""
 
+    student: str
     seed: int
     grades: tuple
 
@@ -75,22 +77,42 @@ class Report(NamedTuple):
         return sum(grade.of for grade in self.grades)
 
 
-def grade(folder, seed=None, student=None, timeout=5.0, progress=lambda text: None):
-    """Grade DIR/student, or the files in the folder `student`, and return a Report.
+def grade(
+    *folders, classroom=None, seed=None, timeout=5.0, reveal=False, progress=lambda text: None
+):
+    """Grade what students handed in, all by the same inputs, and return a Report for each of them.
 
-    Nothing is written. `seed` determines the held-back inputs; the default is the seed of the
-    classroom. `timeout` is the time for one case, in seconds. Raises ClassroomError.
+    A folder is a classroom, of which DIR/student counts, or contains a student's files itself.
+    `classroom` is the one whose equations are asked for; the default is the first folder. `seed`
+    determines the inputs; without it one is drawn. `timeout` is the time for one case, in seconds.
+    With `reveal`, messages contain expected values. Nothing is written. Raises ClassroomError.
     """
-    record = read_record(folder)
-    files = Path(student) if student is not None else Path(folder) / "student"
-    if not files.is_dir():
-        raise ClassroomError(f"{files}: expected a folder with the files of a student")
-    seed = record["seed"] if seed is None else seed
-    asked_of, grades = record["equations"], []
-    for key in sorted(asked_of, key=published.equations().index):
-        progress(f"grading {key}")
-        grades.append(grade_of(key, files / f"{key}.py", asked_of[key], seed, timeout))
-    return Report(seed, tuple(grades))
+    asked_of = read_record(folders[0] if classroom is None else classroom)["equations"]
+    seed = secrets.randbelow(2**32) if seed is None else seed
+    places = [files_of(folder) for folder in folders]
+    reports = []
+    for name, files in zip(names_of(folders), places):
+        grades = []
+        for key in sorted(asked_of, key=published.equations().index):
+            progress(f"grading {name}: {key}")
+            path = files / f"{key}.py"
+            grades.append(grade_of(key, path, asked_of[key], seed, timeout, reveal))
+        reports.append(Report(name, seed, tuple(grades)))
+    return tuple(reports)
+
+
+def files_of(folder):
+    """Return the folder with a student's files."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ClassroomError(f"{folder}: expected a folder with the files of a student")
+    return folder / "student" if (folder / "student").is_dir() else folder
+
+
+def names_of(folders):
+    """Return the names of the folders, or their paths if two have the same name."""
+    names = [Path(folder).resolve().name for folder in folders]
+    return names if len(set(names)) == len(names) else list(map(str, folders))
 
 
 def parts_of(key, asked):
@@ -110,7 +132,7 @@ def parts_of(key, asked):
     return parts
 
 
-def grade_of(key, path, asked, seed, timeout):
+def grade_of(key, path, asked, seed, timeout, reveal):
     """Return the Grade of one file."""
     parts = parts_of(key, asked)
     nothing = Grade(key, tuple(parts))
@@ -121,7 +143,7 @@ def grade_of(key, path, asked, seed, timeout):
     if all(unwritten(source, name) for name in asked):
         return nothing._replace(note="not begun")
     try:
-        flags = tuple(suspicions(source, key))
+        flags = tuple(copies(source, key, asked))
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         return nothing._replace(
             first=f"{path.name}: {type(error).__name__}: {error}", note="cannot be read"
@@ -130,7 +152,7 @@ def grade_of(key, path, asked, seed, timeout):
     deadline = time.monotonic() + SECONDS
     with Student(path, timeout) as port:
         for case in held_back.cases(key, seed):
-            wrong = judged(case, port, deadline)
+            wrong = judged(case, port, deadline, reveal)
             for i, part in enumerate(parts):
                 if counts(part, case):
                     said = first_of(wrong, part.prefix)
@@ -153,7 +175,7 @@ def first_of(wrong, prefix):
     return next((said for name, said in wrong.items() if (name + ".").startswith(prefix)), "")
 
 
-def judged(case, port, deadline):
+def judged(case, port, deadline, reveal):
     """Return {tensor: what is wrong with it} of the answer to one case."""
     try:
         if time.monotonic() >= deadline:
@@ -162,9 +184,9 @@ def judged(case, port, deadline):
     except PortError as error:
         said = str(error) if error.kind == "unasked" else f"{error.kind}: {error}"
         return dict.fromkeys(expected(case.tensors), said)
-    wrong = differences(case, got)
+    wrong = differences(case, got, reveal)
     if first_of(wrong, "out."):  # a wrong forward is not punished twice
-        again = differences(case, {**got, **port.follow})
+        again = differences(case, {**got, **port.follow}, reveal)
         wrong = {
             name: said
             for name, said in wrong.items()
@@ -177,8 +199,8 @@ def judged(case, port, deadline):
     return wrong
 
 
-def differences(case, got):
-    """Return {tensor: what is wrong with it}."""
+def differences(case, got, reveal):
+    """Return {tensor: what is wrong with it}; expected values are said with `reveal` only."""
     wrong = {
         name: f"{name}: dtype: {a.dtype}, expected float64"
         for name, a in got.items()
@@ -186,6 +208,8 @@ def differences(case, got):
     }
     for f in compare(case.tensors, got, case.tolerance("float64")):
         said = f.message if f.kind == "value" else f"{f.tensor}: {f.kind}: {f.message}"
+        if f.kind == "value" and not reveal:
+            said = said.partition(", expected")[0] + ", which is wrong"
         wrong.setdefault(f.tensor, said)
     return wrong
 

@@ -1,57 +1,79 @@
-"""Looks in the syntax of a student's file for ways to ask the reference for the answer.
+"""Notices a copy of the package in a student's file by its text.
 
-The check is meant to be fair. It does not stop a student who is determined to cheat.
+Functions are compared by their syntax trees without names, comments, docstrings and layout. Short
+functions are alike by chance, so only a file with much that is alike counts as a copy. A copy whose
+statements were changed is not noticed.
 """
 
 import ast
+import re
+from functools import cache
+from pathlib import Path
 
-from ..table import EQUATIONS
+from .removal import functions_of, without_bodies
 from .room import source_of
 
-# Names that reach a module without an import statement, or the table of all references.
-DOORS = {"EQUATIONS", "__import__", "import_module", "exec", "eval", "globals", "modules"}
-LOADERS = {
-    "importlib",
-    "runpy",
-    "pkgutil",
-    "gc",
-    "inspect",
-    "builtins",
-    "subprocess",
-    "multiprocessing",
-    "ctypes",
-}
+PACKAGE = Path(__file__).resolve().parents[1]
+ENOUGH = 160  # nodes of the syntax tree that must be alike in all
 
 
-def suspicions(source, key):
-    """Return what the file does that the original file does not.
+def copies(source, key, asked):
+    """Return the functions of a student's file that are copies of functions of the package.
 
-    The entries have the form "line 5: imports p4dgs_ref.equations.offsets". Raises SyntaxError or
-    ValueError if the file cannot be parsed.
+    The entries have the form "line 5: forward is that of p4dgs_ref/equations/mlp.py". There are
+    none if the functions together are so short that they may be alike by chance. Raises SyntaxError
+    or ValueError if the file cannot be parsed.
     """
-    original = {what for _, what in doors(source_of(key), key)}
-    found = [(line, what) for line, what in doors(source, key) if what not in original]
-    return [f"line {line}: {what}" for line, what in sorted(found)]
+    known, given = functions_of_the_package(), handed_out(key, tuple(asked))
+    alike = []
+    for node in functions(ast.parse(source)):
+        body = normalised(node)
+        if body in known and body not in given:
+            alike.append((node, known[body]))
+    if sum(len(list(ast.walk(node))) for node, _ in alike) < ENOUGH:
+        return []
+    return [f"line {node.lineno}: {node.name} is that of {place}" for node, place in alike]
 
 
-def doors(source, key):
-    """Yield (line, what) for imports of the project or of a loader, and for names in DOORS."""
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, (ast.Import, ast.ImportFrom)):
-            for name in imported(node, key):
-                if name.split(".")[0] in {"p4dgs_ref", *LOADERS}:
-                    yield node.lineno, f"imports {name}"
-        elif isinstance(node, (ast.Name, ast.Attribute)):
-            name = node.id if isinstance(node, ast.Name) else node.attr
-            if name in DOORS:
-                yield node.lineno, f"uses {name}"
+@cache
+def functions_of_the_package():
+    """Return {normalised body: "p4dgs_ref/equations/mlp.py"} of the rooms that hold equations."""
+    known = {}
+    for room in ("splatting", "equations"):
+        for path in sorted((PACKAGE / room).glob("*.py")):
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            place = path.relative_to(PACKAGE.parent).as_posix()
+            known.update({normalised(node): place for node in functions(tree)})
+    return known
 
 
-def imported(node, key):
-    """Return the full names that an import statement in the file of an equation imports."""
-    if isinstance(node, ast.Import):
-        return [alias.name for alias in node.names]
-    package = EQUATIONS[key].module.split(".")[:-1]
-    base = package[: len(package) + 1 - node.level] if node.level else []
-    module = ".".join([*base, *([node.module] if node.module else [])])
-    return [f"{module}.{alias.name}" for alias in node.names]
+@cache
+def handed_out(key, asked):
+    """Return the normalised bodies of the functions that students get with the file."""
+    stub = without_bodies(source_of(key), functions_of(key, asked), str)
+    return {normalised(node) for node in functions(ast.parse(stub))}
+
+
+def functions(tree):
+    """Return the syntax trees of all functions in a file."""
+    return [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+
+
+def normalised(function):
+    """Return the body of a function as text, with numbers in place of names."""
+    for node in ast.walk(function):
+        if isinstance(getattr(node, "body", None), list):
+            node.body = [line for line in node.body if not is_idle(line)]
+    text = ast.dump(ast.Module(function.body, []))
+    names = {}
+    return re.sub(
+        r"\b(?:id|arg|name)='(\w+)'",
+        lambda found: str(names.setdefault(found[1], len(names))),
+        text,
+    )
+
+
+def is_idle(statement):
+    """Whether a statement does nothing: a docstring or `pass`."""
+    is_constant = isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
+    return is_constant or isinstance(statement, ast.Pass)

@@ -4,6 +4,7 @@ The reference's answers and the bounds on errors come with them.
 """
 
 import zlib
+from functools import cache
 
 import numpy as np
 
@@ -37,10 +38,11 @@ def is_ordinary(case):
     return case.record["flags"] == ["ordinary"]
 
 
+@cache
 def cases(key, seed):
     """Return the held-back cases of an equation, ordinary ones first; a seed always gives the same.
 
-    They have the form of published cases.
+    They have the form of published cases, and are drawn once for all students.
     """
     found = []
     for case in sorted(published.cases(key), key=lambda case: not is_ordinary(case)):

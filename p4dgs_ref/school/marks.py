@@ -1,4 +1,4 @@
-"""The grader's report as text, as JSON and as CSV."""
+"""The grades of a class as text, as JSON and as CSV."""
 
 import csv
 import io
@@ -10,30 +10,42 @@ from ..scenes.output import filled
 from ..table import EQUATIONS
 from .syllabus import tutorial_of
 
-COLUMNS = (
-    "number",
-    "key",
-    "points",
-    "of",
-    "tutorial",
-    "first",
-    "explanation",
-    "hint",
-    "flags",
-    "note",
-)
+
+def text(reports):
+    """Return the table of all students, and then the details of each."""
+    blocks = [table(reports)] if len(reports) > 1 else []
+    return "\n\n".join([*blocks, *map(details, reports)])
 
 
-def text(report):
-    """Return the points of every equation, with the first wrong answer and its explanation."""
+def table(reports):
+    """Return the points by student and equation; the longer side of the table goes down."""
+    keys = [grade.key for grade in reports[0].grades]
+    grid = [["student", *keys, "points", "of"]]
+    for report in reports:
+        points = [f"{grade.points:.2f}{'*' if grade.flags else ' '}" for grade in report.grades]
+        grid.append([report.student, *points, f"{report.points:.2f} ", f"{report.of:.0f} "])
+    grid = list(zip(*grid)) if len(keys) > len(reports) else grid
+    widths = [max(map(len, column)) for column in zip(*grid)]
+    lines = [
+        "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in grid
+    ]
+    return "\n".join([*lines, "* a copy of the package: points withheld"])
+
+
+def details(report):
+    """Return the points of a student, with the first wrong answers and their explanations."""
     names = [name_of(grade.key) for grade in report.grades]
     width = max(map(len, names))
-    lines = []
+    lines = [report.student]
     for heading, grade in zip(names, report.grades):
         points = f"{grade.points:5.2f} of {grade.of:2.0f}"
         lines.append(f"{heading:<{width}}  {points}  {missed(grade)}".rstrip())
-        lines += [f"    points withheld ({grade.earned:.2f}): {flag}" for flag in grade.flags]
-        said = {"first": grade.first, "explained by": grade.explanation, "hint": grade.hint}
+        said = {
+            f"points withheld ({grade.earned:.2f})": "; ".join(grade.flags),
+            "first": grade.first,
+            "explained by": grade.explanation,
+            "hint": grade.hint,
+        }
         lines += [f"    {name}: {what}" for name, what in said.items() if what]
     percent = 100 * report.points / report.of if report.of else 0
     total = f"{report.points:5.2f} of {report.of:.0f}  ({percent:.1f} %, seed {report.seed})"
@@ -78,32 +90,40 @@ def rows(report):
     ]
 
 
-def as_json(report):
-    """Return the report as a dictionary; scripts may rely on its fields."""
-    return {
-        "seed": report.seed,
-        "points": round(report.points, 4),
-        "of": round(report.of, 4),
-        "equations": rows(report),
-    }
+def as_json(reports):
+    """Return the reports as a dictionary; scripts may rely on its fields."""
+    students = [
+        {
+            "student": report.student,
+            "points": round(report.points, 4),
+            "of": round(report.of, 4),
+            "equations": rows(report),
+        }
+        for report in reports
+    ]
+    return {"seed": reports[0].seed, "students": students}
 
 
-def as_csv(report):
-    """Return the report as a table for a spreadsheet, with one line for each equation."""
+def as_csv(reports):
+    """Return a table for a spreadsheet: a line for each student, a column for each equation."""
     out = io.StringIO()
-    table = csv.DictWriter(out, COLUMNS, lineterminator="\n", extrasaction="ignore")
-    table.writeheader()
-    for row in rows(report):
-        table.writerow({**row, "flags": "; ".join(row["flags"])})
+    lines = csv.writer(out, lineterminator="\n")
+    keys = [grade.key for grade in reports[0].grades]
+    lines.writerow(["student", "points", "of", *keys, "withheld", "seed"])
+    for report in reports:
+        points = [round(grade.points, 4) for grade in report.grades]
+        withheld = " ".join(grade.key for grade in report.grades if grade.flags)
+        total = round(report.points, 4), round(report.of, 4)
+        lines.writerow([report.student, *total, *points, withheld, report.seed])
     return out.getvalue()
 
 
-def write(report, folder):
+def write(reports, folder):
     """Write grades.txt, grades.json and grades.csv to a folder. Raises OutputError."""
     files = {
-        "grades.txt": text(report) + "\n",
-        "grades.json": json.dumps(as_json(report), indent=1) + "\n",
-        "grades.csv": as_csv(report),
+        "grades.txt": text(reports) + "\n",
+        "grades.json": json.dumps(as_json(reports), indent=1) + "\n",
+        "grades.csv": as_csv(reports),
     }
     with filled(Path(folder)) as beside:
         for name, content in files.items():

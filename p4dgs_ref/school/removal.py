@@ -7,8 +7,8 @@ import json
 HELPERS = {
     ("compositing", "forward"): ("alphas", "transmittances"),
     ("covariance", "forward"): ("rotation_matrix",),
-    ("deformed", "forward"): ("moved",),
-    ("hash_grid", "forward"): ("query",),
+    ("deformed", "forward"): ("as_printed", "moved"),
+    ("hash_grid", "forward"): ("locate", "nodes", "entries", "query"),
     ("hash_rate", "forward"): ("entropy",),
     ("likelihood", "forward"): (
         "literal",
@@ -18,9 +18,12 @@ HELPERS = {
         "far_from_the_mean",
         "narrow_bin",
     ),
+    ("likelihood", "backward"): ("slopes",),
     ("masking", "backward"): ("scatter",),
     ("ssim", "forward"): ("dissimilarity",),
 }
+# The forwards of these save slopes, from which their backwards follow in a line or two.
+SAVES_SLOPES = {"hash_grid", "step", "likelihood"}
 
 
 def functions_of(key, parts):

@@ -11,6 +11,7 @@ import shlex
 import sys
 import types
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ import numpy as np
 from ..oracle.adapter import Adapter, packed, unpacked
 from ..oracle.published import Golden, flatten
 from ..table import EQUATIONS
+from .removal import SAVES_SLOPES
+from .room import MERGED
 
 ROOT = Path(__file__).resolve().parents[2]
 START_SECONDS = 60
@@ -68,6 +71,7 @@ class Student(Adapter):
 # --- inside the process ---------------------------------------------------------------------------
 def main(path):
     """Answer requests from stdin until it ends. Everything else that is printed goes to stderr."""
+    reference = alone(Path(path).stem)
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # input() in a student's file ends at once
@@ -75,16 +79,47 @@ def main(path):
         request = json.loads(line)
         reply = {"p4dgs_oracle": 1}
         if "p4dgs_oracle" not in request:
-            reply = {"id": request["id"], **answer(path, request)}
+            reply = {"id": request["id"], **answer(path, request, reference)}
         replies.write(json.dumps(reply).encode() + b"\n")
         replies.flush()
+
+
+class Lock:
+    """A finder of modules that refuses those of the project."""
+
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        """Raise ImportError for a module of the project; leave others to the next finder."""
+        if is_ours(name):
+            raise ImportError(f"{name} cannot be imported by a file that is graded")
+
+
+def is_ours(name):
+    """Whether a module belongs to the project."""
+    return name.partition(".")[0] == "p4dgs_ref"
+
+
+def alone(key):
+    """Return the module of the reference's equation, which cannot be imported from now on.
+
+    Of the project, only the modules that it imports can still be imported.
+    """
+    for name in filter(is_ours, list(sys.modules)):
+        del sys.modules[name]
+    reference = import_module(EQUATIONS[key].module)
+    for name in {key, MERGED.get(key, key)}:
+        package = sys.modules[reference.__package__]
+        del sys.modules[f"{package.__name__}.{name}"]
+        delattr(package, name)
+    sys.meta_path.insert(0, Lock)
+    return reference
 
 
 loaded = cache(load)
 
 
-def answer(path, request):
-    """Return the fields of the reply to one case."""
+def answer(path, request, reference):
+    """Return the fields of the reply to one case; `reference` is the module of the equation."""
     key = Path(path).stem
     tensors = {
         f"{role}.{name}": a
@@ -92,23 +127,22 @@ def answer(path, request):
         for name, a in unpacked(request, role).items()
     }
     case = Golden(request["id"], "", key, key, "", {"settings": request["settings"]}, tensors)
-    reference = EQUATIONS[key]
-    said = {}
+    eq, said = EQUATIONS[key], {}
 
     def forward():
-        return outputs_of(reference, loaded(path).forward(**case.inputs()))
+        return outputs_of(eq, loaded(path).forward(**case.inputs()))
 
     def backward(saved):
         made = loaded(path).backward(saved, **case.cotangents())
         if not isinstance(made, dict):
             raise TypeError("expected a dictionary {input name: gradient}")
-        return flat({name: made[name] for name in reference.gradients if name in made})
+        return flat({name: made[name] for name in eq.gradients if name in made})
 
     outputs, saved = tried(forward, said, "forward") or ({}, None)
     gradients = follow = {}
-    if reference.gradients:
-        if outputs:
-            gradients = tried(lambda: backward(saved), said, "backward") or {}
+    if eq.gradients and outputs:
+        gradients = tried(lambda: backward(saved), said, "backward") or {}
+    if eq.gradients and key not in SAVES_SLOPES:
         _, reference_saved = reference.forward(**case.inputs())
         about = {} if outputs else said
         follow = tried(lambda: backward(reference_saved), about, "backward") or {}
@@ -132,15 +166,15 @@ def tried(call, said, part):
     return None
 
 
-def outputs_of(reference, made):
+def outputs_of(eq, made):
     """Return (flat outputs, saved) of what a student's forward returned."""
     if not isinstance(made, tuple) or len(made) != 2:
         raise TypeError("expected a pair, the output and what backward needs")
     output, saved = made
-    count = len(reference.outputs)
+    count = len(eq.outputs)
     if count > 1 and (not isinstance(output, tuple) or len(output) != count):
-        raise TypeError(f"expected a tuple of {', '.join(reference.outputs)} as output")
-    return flat(reference.named(output if count > 1 else (output,))), saved
+        raise TypeError(f"expected a tuple of {', '.join(eq.outputs)} as output")
+    return flat(eq.named(output if count > 1 else (output,))), saved
 
 
 def flat(values):

@@ -71,6 +71,38 @@ def test_every_function_that_is_removed_exists():
         assert set(functions_of(key, ("forward", "backward"))) <= set(functions)
 
 
+@pytest.mark.parametrize(
+    "key, heart",
+    [
+        (
+            "hash_grid",
+            ("prod(axis=2)", "bitwise_xor", "floor", "csr_matrix((", "grid_nodes import"),
+        ),
+        ("likelihood", ("erfcx(", "expm1", "log1p", "ndtr(", "322560", "per_unit")),
+    ],
+)
+def test_the_heart_of_eqs_9_and_11_is_to_be_written(key, heart, tmp_path):
+    school.classroom(tmp_path, [key])
+    full, open_ = (
+        "\n".join(
+            ast.unparse(node)
+            for node in ast.parse((tmp_path / folder / f"{key}.py").read_text()).body
+            if not isinstance(node, ast.Expr)
+        )
+        for folder in ("key", "student")
+    )
+    code = re.sub(r'""".*?"""', "", open_, flags=re.DOTALL)
+    for words in heart:
+        assert words not in code
+        assert words in full or words == "grid_nodes import"
+
+
+def test_slopes_of_eq_11_are_to_be_written_where_the_forward_is_given(tmp_path):
+    school.classroom(tmp_path, ["likelihood"], backward_only=True)
+    open_ = (tmp_path / "student" / "likelihood.py").read_text()
+    assert unwritten(open_, "slopes") and not unwritten(open_, "rate")
+
+
 def test_comments_of_a_body_are_removed_with_it():
     source = (
         "def f(x):\n    # the answer is twice x\n    return 2 * x    # indeed\n\n\n"
@@ -89,9 +121,10 @@ def test_backward_only_keeps_forwards(tmp_path):
     record = json.loads((tmp_path / "classroom.json").read_text())
     record["equations"] = {key: record["equations"][key] for key in ("mlp", "offsets")}
     (tmp_path / "classroom.json").write_text(json.dumps(record))
-    grades = school.grade(tmp_path, student=tmp_path / "key", seed=5).grades
+    (report,) = school.grade(tmp_path / "key", classroom=tmp_path, seed=5)
+    grades = report.grades
     assert len(grades) == 2
-    assert all(grade.of == grade.points == 10 for grade in grades)
+    assert all(grade.of == grade.earned == 10 for grade in grades)
     names = {part.name for grade in grades for part in grade.parts}
     assert not names & {"forward", "hard cases: outputs"}
 
@@ -102,18 +135,18 @@ def test_readme_lists_every_equation_with_its_tutorial(tmp_path):
     for key in KEYS:
         tutorial = f"tutorials/{tutorial_of(key).name}.py"
         assert re.search(rf"\| `student/{key}.py` \| `{tutorial}` \| `forward`", text)
-    assert "10 points an equation: 4 for the forward" in text and "{" not in text
+    assert "10 points an equation: 3 for the forward" in text and "{" not in text
+    assert "`hash_grid`, `step`, `likelihood`" in text
 
 
 def test_students_work_survives_a_second_classroom(room):
     mine = "def forward(x_a, O_a, l_a):\n    return 'mine'\n"
     (room / "student" / "offsets.py").write_text(mine)
-    school.classroom(room, ["offsets"], seed=9)
-    done = school.classroom(room, ["view"])
-    assert json.loads((room / "classroom.json").read_text())["seed"] == 9
+    done = school.classroom(room, ["offsets", "view"])
     assert done["kept"] == ["offsets"] and done["equations"] == ["view"]
     assert (room / "student" / "offsets.py").read_text() == mine
-    assert [grade.key for grade in school.grade(room).grades] == ["view", "offsets"]
+    (report,) = school.grade(room)
+    assert [grade.key for grade in report.grades] == ["view", "offsets"]
 
 
 def test_refusals_leave_nothing_behind(tmp_path):
@@ -134,9 +167,9 @@ def test_refusals_leave_nothing_behind(tmp_path):
     [
         "{",
         "[]",
-        '{"p4dgs_classroom": 1, "seed": "0", "equations": {}}',
-        '{"p4dgs_classroom": 1, "seed": 0, "equations": {"offset": ["forward"]}}',
-        '{"p4dgs_classroom": 1, "seed": 0, "equations": {"offsets": []}}',
+        '{"p4dgs_classroom": 2, "equations": {}}',
+        '{"p4dgs_classroom": 1, "equations": {"offset": ["forward"]}}',
+        '{"p4dgs_classroom": 1, "equations": {"offsets": []}}',
     ],
 )
 def test_damaged_record_is_refused(room, text):
