@@ -373,8 +373,7 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-slope = gradient(x_a[None], x_c, delta_vc_bar=np.ones((1, 1)))
-lessons.number("02.1", answer_1, slope[0] @ [0.7, 0, 0])
+lessons.number("02.1", answer_1)
 lessons.forward("02.2", my_forward, "view")
 lessons.backward("02.3", my_backward, "view")
 

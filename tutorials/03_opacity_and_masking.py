@@ -405,10 +405,7 @@ def my_masking_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-no_view = np.zeros((1, 0))
-one_weight = [np.eye(1)], [np.zeros(1)]
-_, saved = opacity.forward(np.array([[np.arctanh(0.6)]]), no_view, no_view, *one_weight)
-lessons.number("03.1", answer_1, opacity.backward(saved, np.array([[2.0]]))["f_a"][0, 0])
+lessons.number("03.1", answer_1)
 lessons.forward("03.2", my_opacity, "opacity")
 lessons.backward("03.3", my_mlp_backward, "mlp")
 lessons.backward("03.4", my_masking_backward, "masking")

@@ -429,8 +429,7 @@ def my_deformation(x, t, weights, biases, L_x, L_t):
     raise NotImplementedError
 
 
-_, saved = positional_encoding.forward(np.zeros((1, 1)), 2)
-lessons.number("05.1", answer_1, positional_encoding.backward(saved, np.ones((1, 5)))["p"][0, 0])
+lessons.number("05.1", answer_1)
 lessons.backward("05.2", my_encoding_backward, "positional_encoding")
 lessons.forward("05.3", my_deformation, "deformation")
 

@@ -345,7 +345,7 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("08.1", answer_1, np.arctanh(-0.5))
+lessons.number("08.1", answer_1)
 lessons.forward("08.2", my_forward, "step")
 lessons.backward("08.3", my_backward, "step")
 
@@ -357,17 +357,14 @@ lessons.backward("08.3", my_backward, "step")
 
 
 # %%
-def port(u, Q_0):
-    return Q_0 * np.maximum(2 * sigmoid(2 * u), step.SMALLEST)
+def port(**inputs):
+    return step.forward(**inputs)[0]
 
 
 def port_vjp(inputs, cotangents):
-    u, Q_0 = inputs["u"], inputs["Q_0"]
-    s = sigmoid(2 * u)
-    slope = np.where(2 * s > step.SMALLEST, 4 * Q_0 * s * sigmoid(-2 * u), 0)
-    return {"u": slope * cotangents["q_bar"]}
+    return step.backward(step.forward(**inputs)[1], **cotangents)
 
 
-report = oracle.check(port, "step_floor", port_vjp)
+report = oracle.check(port, "step", port_vjp)
 print(report)
 assert report.ok

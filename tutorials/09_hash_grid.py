@@ -366,8 +366,7 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-by_hand, _ = hash_grid.forward(np.array([[0.75, 0.25, 0]]), grids=[theta], **unit_square)
-lessons.number("09.1", answer_1, by_hand[0, 0])
+lessons.number("09.1", answer_1)
 lessons.forward("09.2", my_row, "hash_index")
 lessons.backward("09.3", my_backward, "hash_grid")
 

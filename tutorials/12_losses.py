@@ -391,8 +391,7 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-names = ("out.L_total", "in_bar.L_render", "in_bar.L_rate")
-lessons.number("12.1", answer_1, [case[name] for name in names])
+lessons.number("12.1", answer_1)
 lessons.forward("12.2", my_forward, "render_loss")
 lessons.backward("12.3", my_backward, "ssim")
 

@@ -534,7 +534,7 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("14.1", answer_1, slope_of_pixel(1, 8) ** 2 @ [0.04, 0.16] + 0.3)
+lessons.number("14.1", answer_1)
 lessons.forward("14.2", my_forward, "projection")
 lessons.backward("14.3", my_backward, "projection")
 

@@ -539,21 +539,7 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-layers = dict(
-    mean2d=np.zeros((3, 2)),
-    conic=np.zeros((3, 3)),
-    alpha=alpha,
-    color=np.outer([1, 1, 0.5], np.ones(3)),
-    depth=np.arange(3.0),
-    visible=np.ones(3, bool),
-    background=np.ones(3),
-    height=1,
-    width=1,
-)
-(white, _), saved_white = compositing.forward(**layers)
-red_bar = np.array([[[1.0, 0, 0]]])
-opacities_bar = compositing.backward(saved_white, red_bar)["alpha"]
-lessons.number("15.1", answer_1, [white[0, 0, 0], *opacities_bar])
+lessons.number("15.1", answer_1)
 lessons.forward("15.2", my_forward, "compositing")
 lessons.backward("15.3", my_backward, "compositing")
 

@@ -381,12 +381,8 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-parameter = Parameters({"w": np.zeros(1)}, np.float64)
-gradient = parameter.zeros()
-gradient["w"][0] = -3e-5
-Adam(parameter).step(parameter, gradient, lambda name: 0.015)
-lessons.number("18.1", answer_1, np.abs(of_l1).max())
-lessons.number("18.2", answer_2, parameter["w"][0])
+lessons.number("18.1", answer_1)
+lessons.number("18.2", answer_2)
 lessons.backward("18.3", my_backward, "temporal_prediction", "x", "s", "r")
 
 # %% [markdown]

@@ -451,7 +451,7 @@ with suppress(NotImplementedError):
     answer_2 = np.frombuffer(my_encode(bits.astype(int), bit_keys), np.uint8)
 with suppress(NotImplementedError):
     answer_3 = my_decode(grid[4:], len(signs), sign_keys)
-lessons.number("20.1", answer_1, 7)
+lessons.number("20.1", answer_1)
 lessons.number("20.2", answer_2, np.frombuffer(masks[4:], np.uint8))
 lessons.number("20.3", answer_3, signs)
 

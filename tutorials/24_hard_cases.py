@@ -426,7 +426,7 @@ def my_quaternion_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("24.1", answer_1, 2 * expit(-38.0))
+lessons.number("24.1", answer_1)
 lessons.forward("24.2", my_hash_rate, "hash_rate")
 lessons.backward("24.3", my_quaternion_backward, "unit_quaternion")
 

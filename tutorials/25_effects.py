@@ -378,9 +378,7 @@ def my_color_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-without_rotation = [effect for effect in MODEL_EFFECTS if effect != "rotation"]
-fewer = parameters_of_psi_d(MODEL_EFFECTS) - parameters_of_psi_d(without_rotation)
-lessons.number("25.1", answer_1, fewer)
+lessons.number("25.1", answer_1)
 lessons.forward("25.2", my_motion, "temporal_prediction")
 lessons.backward("25.3", my_color_backward, "color")
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from p4dgs_ref import EQUATIONS, oracle
 from p4dgs_ref.equations import offsets
 from p4dgs_ref.school import lessons
 
@@ -43,7 +44,13 @@ def test_close_is_relative_to_the_largest_number():
         (..., "no answer yet"),
         (None, "no answer yet"),
         ([1, 2], "solved"),
-        ([1, 2.00001], "not solved: off by 1e-05, expected 6 right digits"),
+        ([1, 2.00001], "not solved: nearly right, but 6 right digits are expected"),
+        (
+            [-2, -4],
+            "not solved: all 2 numbers are too large by a factor of 2 and of the wrong sign",
+        ),
+        ([0, 0], "not solved: all 2 numbers are zero"),
+        ([1, 5], "not solved: 1 of 2 numbers are wrong"),
         (3, "not solved: shape (), expected (2,)"),
         ("two", "not solved: expected a number"),
     ],
@@ -52,6 +59,36 @@ def test_numbers(mine, said, capsys):
     assert lessons.number("01.1", mine, [1, 2]) is None  # a notebook would print a value
     assert lessons.RESULTS == {"01.1": said == "solved"}
     assert said in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "mine, said",
+    [(7, "solved"), (-7, "it is of the wrong sign"), (14, "by a factor of 2"), (8, "it is wrong")],
+)
+def test_short_answers_are_stored_and_not_given_away(mine, said, capsys):
+    lessons.number("20.1", mine)
+    printed = capsys.readouterr().out
+    assert said in printed
+    assert said == "solved" or "7" not in printed.replace("20.1", "")
+
+
+def test_hints_come_one_after_the_other(capsys, monkeypatch):
+    monkeypatch.setattr(lessons, "ASKED", {})
+    first, second = lessons.stored("hints")["07.3"]
+    for said in (f"1 of 2: {first}", f"2 of 2: {second}", f"2 of 2: {second}"):
+        lessons.hint("07.3")
+        assert capsys.readouterr().out == f"hint {said}\n"
+    with pytest.raises(ValueError, match="'7.3': expected a number such as '01.2'"):
+        lessons.hint("7.3")
+
+
+def test_a_problem_is_followed_by_the_offer_of_a_hint(capsys):
+    lessons.number("01.1", ...)
+    assert capsys.readouterr().out == (
+        'exercise 01.1: not solved: no answer yet\n  lessons.hint("01.1") gives a hint\n'
+    )
+    lessons.number("01.1", [1, 4, -1])
+    assert capsys.readouterr().out == "exercise 01.1: solved\n"
 
 
 def unwritten(**inputs):
@@ -64,9 +101,9 @@ def unwritten(**inputs):
         (lambda x_a, O_a, l_a: x_a[:, None] + O_a * l_a[:, None], "exercise 01.2: solved"),
         (lambda **inputs: {"x": offsets.forward(**inputs)[0]}, "exercise 01.2: solved"),
         (unwritten, "not solved: no answer yet"),
-        (lambda x_a, O_a, l_a: x_a[:, None] + O_a, "case offsets/ordinary: out.x["),
-        (lambda x_a, O_a, l_a: x_a, "case offsets/ordinary: out.x: (5, 3), expected (5, 4, 3)"),
-        (lambda x_a, O_a, l_a: 1 / 0, "case offsets/ordinary: ZeroDivisionError"),
+        (lambda x_a, O_a, l_a: x_a[:, None] + O_a, "the output x: 60 of 60 numbers are wrong"),
+        (lambda x_a, O_a, l_a: x_a, "the output x: shape: (5, 3), expected (5, 4, 3)"),
+        (lambda x_a, O_a, l_a: 1 / 0, "your function raised ZeroDivisionError: division by zero"),
     ],
 )
 def test_forwards(mine, said, capsys):
@@ -90,4 +127,58 @@ def test_backwards(capsys):
     assert not solved(without_sum)
     assert solved(without_sum, "O_a", "l_a")
     assert not solved(one_missing)
-    assert "in_bar.l_a: expected float64" in capsys.readouterr().out
+    assert "the gradient of l_a: missing: expected float64" in capsys.readouterr().out
+
+
+def wrong_in_q(change):
+    """A backward of Eq. (7) whose gradient of q is changed."""
+
+    def backward(inputs, cotangents):
+        f_bar = cotangents["f_noisy_bar"]
+        q_bar = (f_bar * inputs["u"]).sum(axis=1, keepdims=True)
+        return {"f": f_bar, "q": change(q_bar, f_bar)}
+
+    return backward
+
+
+def said_of(change, capsys):
+    lessons.backward("07.3", wrong_in_q(change), "noise")
+    return capsys.readouterr().out
+
+
+def test_feedback_names_the_mistake_that_the_oracle_names(capsys):
+    def mean(q_bar, f_bar):
+        return q_bar / f_bar.shape[1]
+
+    said = said_of(mean, capsys)
+    by_oracle = oracle.check(EQUATIONS["noise"], "noise", wrong_in_q(mean)).first.explanation
+    assert "mean over the channels instead of the sum" in by_oracle
+    assert said.splitlines()[:3] == [
+        "exercise 07.3: not solved: "
+        "the gradient of q: all 6 numbers are too small by a factor of 5",
+        f"  It looks like this: {by_oracle}",
+        "  Case noise/ordinary: [3, 0] is 0.135502324406, not 0.677511622031",
+    ]
+    assert "eps S" not in said
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (lambda q_bar, f_bar: 6 * q_bar, "a factor of 6: it looks like a sum over 6 numbers where"),
+        (lambda q_bar, f_bar: q_bar * np.log(2), "it looks like natural logarithms where bits"),
+        (lambda q_bar, f_bar: 7 * q_bar, "are too large by a factor of 7\n"),
+        (lambda q_bar, f_bar: -q_bar, "are of the wrong sign\n"),
+        (lambda q_bar, f_bar: q_bar**3 + 1, "q: 6 of 6 numbers are wrong\n"),
+        (lambda q_bar, f_bar: q_bar * np.nan, "q: 6 of 6 numbers are wrong\n"),
+        (lambda q_bar, f_bar: q_bar * (1 + 1e-9), "too few right digits: its error is 4.5"),
+    ],
+)
+def test_feedback_in_plain_words(change, said, capsys):
+    assert said in said_of(change, capsys)
+
+
+def test_measure_of_accuracy_is_explained_where_digits_are_missing_and_nowhere_else(capsys):
+    few = said_of(lambda q_bar, f_bar: q_bar * (1 + 1e-9), capsys)
+    assert few.count("eps S") == 2 and "eps is the distance from 1 to the next float" in few
+    assert "eps S" not in said_of(lambda q_bar, f_bar: q_bar + f_bar[:, :1], capsys)

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.oracle import read_manifest
+from p4dgs_ref.school import lessons
 from p4dgs_ref.school.syllabus import TUTORIALS, tutorial_of
 from p4dgs_ref.table import EQUATIONS
-from tests.golden import gallery, syllabus
+from tests.golden import answers, gallery, syllabus
 from tests.school import tutorial_form as form
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -113,6 +114,25 @@ def test_all_solutions_pass(tmp_path):
     assert sorted(results) == sorted(asked)
 
 
+def test_stored_answers_are_those_of_the_solutions():
+    """Where it fails, `python -m tests.golden.answers` makes them anew."""
+    made, stored = answers.answers(), lessons.stored("answers")
+    assert set(made) == set(stored)
+    for exercise, answer in made.items():
+        assert np.allclose(answer, stored[exercise], rtol=1e-9, atol=0), exercise
+
+
+@pytest.mark.parametrize("nodes", [10, 13, 16, 20, 24, 32, 40])
+def test_23_3_is_solved_as_its_text_says(nodes, monkeypatch):
+    """Eight pieces with 10 to 40 nodes each pass all golden bins."""
+    monkeypatch.setattr(lessons, "RESULTS", {})
+    solution = next(t for t in TUTORIALS if t.name.startswith("23"))
+    text = source(solution, solution=True)
+    assert text.count("roots_legendre(10)") == 1
+    exec(text.replace("roots_legendre(10)", f"roots_legendre({nodes})"), {})
+    assert lessons.RESULTS["23.3"]
+
+
 @pytest.mark.slow
 @EACH
 def test_solution_runs_alone(tutorial, tmp_path):
@@ -165,6 +185,42 @@ def test_exercises_are_two_or_three_and_have_solutions(tutorial):
     assert list(solved) == asked
     section = source(tutorial).split("# ## Exercises\n", 1)[1].split("# ## Check your port", 1)[0]
     assert re.findall(r"\*\*(\d\d\.\d)\*\*", section) == asked
+
+
+@EACH
+def test_answers_do_not_stand_below_their_blanks(tutorial):
+    asked = source(tutorial).split("# ## Exercises\n", 1)[1].split("# ## Check your port", 1)[0]
+    for exercise, right in re.findall(r'lessons\.number\(\s*"([^"]+)", \w+(.*)\)', asked):
+        assert exercise in lessons.stored("answers") or exercise in answers.FROM_DATA
+        assert not right.removeprefix(", digits=15") or exercise in answers.FROM_DATA
+
+
+@EACH
+def test_checks_of_ports_call_the_package(tutorial):
+    """So they print no formula that an exercise asks for."""
+    port = ast.parse(source(tutorial).split("# ## Check your port", 1)[1])
+    called = {"forward", "backward", "vjp", "rate_forward", "decoded", "render"}
+    checked = set()
+    for node in ast.walk(port):
+        if isinstance(node, ast.Call) and ast.unparse(node.func).startswith("oracle.check"):
+            checked |= {argument.id for argument in node.args if isinstance(argument, ast.Name)}
+    for function in port.body:
+        if isinstance(function, ast.FunctionDef) and function.name in checked:
+            calls = {n.attr for n in ast.walk(function) if isinstance(n, ast.Attribute)}
+            assert calls & called, function.name
+
+
+@EACH
+def test_every_exercise_has_two_hints(tutorial):
+    for exercise in syllabus.facts(tutorial).exercises:
+        hints = lessons.stored("hints")[exercise]
+        assert len(hints) == 2
+        assert all(hint.endswith((".", "?")) and 20 < len(hint) < 250 for hint in hints), exercise
+
+
+def test_hints_belong_to_exercises():
+    every = {exercise for t in TUTORIALS for exercise in syllabus.facts(t).exercises}
+    assert set(lessons.stored("hints")) == every
 
 
 @EACH

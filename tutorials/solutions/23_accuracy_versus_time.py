@@ -40,17 +40,17 @@ lessons.number("23.2", 2, best)
 
 # %% [markdown]
 # **23.3** Seen from the edge of the bin that is nearer to the mean, $low \ge 0$, the density is
-# $\phi(low)\,e^{-low\,t - t^2/2}$. The integrand is between 0 and 1, and nothing underflows. Four
-# pieces with twenty nodes each suffice, because the integral may end where the integrand is below
+# $\phi(low)\,e^{-low\,t - t^2/2}$. The integrand is between 0 and 1, and nothing underflows. Eight
+# pieces with ten nodes each suffice, because the integral may end where the integrand is below
 # $e^{-40}$. For a bin that holds the mean, $p$ is one minus two tails, or the integral itself if
 # the bin is short. The derivatives need only the ratio $\phi(high)/\phi(low) = e^{-zw}$.
 
 # %%
-x, weight = roots_legendre(20)
-pieces = np.arange(4)[:, None]
+x, weight = roots_legendre(10)
+pieces = np.arange(8)[:, None]
 inside = (x + 1) / 2
-nodes = ((pieces + inside) / 4).ravel()
-weights = np.tile(weight / 8, 4)
+nodes = ((pieces + inside) / 8).ravel()
+weights = np.tile(weight / 16, 8)
 
 
 def mass_over_density(low, w):
