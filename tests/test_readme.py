@@ -450,7 +450,7 @@ def test_readme_quotes_the_figures_of_the_reference():
     text = " ".join(README.split())
     share = re.search(r"Networks are (\d+ %) of the file", REFERENCE)[1]
     assert f"the demo's file of {m['bytes']:,.0f} bytes" in text
-    assert f"The ratio of the demo, {m['ratio']}," in text
+    assert f"The demo's file is {m['ratio']} times smaller" in text
     assert f"networks are {share} of the file" in text
 
 

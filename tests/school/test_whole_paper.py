@@ -251,21 +251,26 @@ def on_noise(rng, whole):
         assert np.array_equal(symbols[:, group], rounding.forward(f[:, group], q[:, [i]])[0][0])
 
 
-def on_grid(rng, whole):
+def on_hash_grid(rng, whole):
     x_a = rng.uniform(-1.4, 1.4, (5, 3))  # some are outside the box
-    levels = [rng.uniform(-1.2, 1.2, (res**3, whole.F)) for res in whole.RESOLUTIONS]
-    resolutions = [("xyz", res) for res in whole.RESOLUTIONS]
+    grid = rng.uniform(-1.2, 1.2, (whole.RESOLUTION**3, whole.F))
     box = np.full(3, -whole.BOX), np.full(3, whole.BOX)
-    bits = whole.signs(np.concatenate(levels))
-    mine, back = whole.hash_grid(whole.corners(x_a), bits)
-    theirs, saved = hash_grid.forward(x_a, *box, levels, resolutions)
+    mine, back = whole.hash_grid(whole.node_weights(x_a), whole.signs(grid))
+    theirs, saved = hash_grid.forward(x_a, *box, [grid], [("xyz", whole.RESOLUTION)])
     bar = rng.normal(size=theirs.shape)
     close(mine, theirs)
-    free = np.abs(np.concatenate(levels)) <= 1  # in `context` of the tutorial
-    close(back(bar) * free, np.concatenate(hash_grid.backward(saved, bar)["grids"]))
-    (mine, back), ((theirs, *_), saved) = whole.hash_rate(bits), hash_rate.forward(levels)
+    free = np.abs(grid) <= 1  # in `context` of the tutorial
+    close(back(bar) * free, hash_grid.backward(saved, bar)["grids"][0])
+
+
+def on_hash_rate(rng, whole):
+    grid = rng.uniform(-0.9, 0.5, (7, 3))
+    (mine, back), ((theirs, *_), saved) = (
+        whole.hash_rate(whole.signs(grid)),
+        hash_rate.forward([grid]),
+    )
     close(mine, theirs)
-    close(back(0.7) * free, np.concatenate(hash_rate.backward(saved, 0.7)["grids"]))
+    close(back(0.7), hash_rate.backward(saved, 0.7)["grids"][0])
 
 
 def on_step(rng, whole):
@@ -328,7 +333,7 @@ def in_the_package(whole, p):
         hidden=(2 * whole.d,) * 2,
         deformation=(48, 48),
         context=(2 * whole.d,) * 2,
-        grid_3d=whole.RESOLUTIONS,
+        grid_3d=(whole.RESOLUTION,),
         grid_2d=(),
         F=whole.F,
         Q_f=whole.Q_0[0],
@@ -357,8 +362,7 @@ def in_the_package(whole, p):
         weights, biases = trunk[0::2] + ends[0], trunk[1::2] + ends[1]
         arrays |= {f"{name}.W{i}": a for i, a in enumerate(weights)}
         arrays |= {f"{name}.b{i}": a for i, a in enumerate(biases)}
-    levels = np.split(p["grid"], [whole.RESOLUTIONS[0] ** 3])
-    arrays |= {f"grid.{i}": level for i, level in enumerate(levels)}
+    arrays["grid.0"] = p["grid"]
     return Parameters(arrays, np.float64), design
 
 
@@ -377,8 +381,8 @@ def awake(whole, rng):
 def test_whole_loss_and_its_gradient_are_those_of_the_package(stage, whole):
     rng = np.random.default_rng(stage)
     p, u = awake(whole, rng), rng.random((whole.A, whole.n)) - 0.5
-    R, T, t, image = shot = whole.views(24, 0)[7]
-    weights = whole.corners(p["x_a"]) if stage == 4 else None
+    R, T, t, image = shot = whole.shots(24, 0)[7]
+    weights = whole.node_weights(p["x_a"]) if stage == 4 else None
     L, parts, back = whole.loss(p, shot, u, stage, weights)
     mine = back()[0]
 
@@ -417,8 +421,11 @@ def test_whole_loss_and_its_gradient_are_those_of_the_package(stage, whole):
 
 # --- its own check of gradients -------------------------------------------------------------------
 PLANTED = {
-    "clamp at 0.99": ("bar *= cover <= 0.99", "bar *= 1"),
-    "light behind a splat": ("np.divide(behind[:, 1:], 1 - A, out=behind[:, 1:])", "behind[:, 1:]"),
+    "clamp at 0.99": ("cover_bar *= unclamped <= 0.99", "cover_bar *= 1"),
+    "light behind a splat": (
+        "np.divide(behind[:, 1:], 1 - cover, out=behind[:, 1:])",
+        "behind[:, 1:]",
+    ),
     "ellipse's centre": ("x, y = x - one * u, y - one * v", "x, y = x - one * v, y - one * u"),
     "depth of the projection": ("z_bar -= (m_bar * m)", "z_bar -= 0 * (m_bar * m)"),
     "children of an anchor": ("x_bar * l[:, None], (x_bar * O)", "x_bar, (x_bar * O)"),
@@ -428,7 +435,7 @@ PLANTED = {
     "upper edge of a bin": ("f_bar = -side * (upper_bar + lower_bar)", "f_bar = -side * upper_bar"),
     "step in the noise": ("np.add.reduceat(bar * u, STARTS", "np.add.reduceat(bar, STARTS"),
     "signs of the grids": ("slope = np.log2((1 - p) / p) / 2", "slope = np.log2((1 - p) / p)"),
-    "rate of one noisy number": ("noisy_bar = noisy_bar + f_bar", "noisy_bar = noisy_bar"),
+    "rate of one noisy number": ("noisy_bar = noisy_bar + coded_bar", "noisy_bar = noisy_bar"),
 }
 
 
@@ -468,7 +475,7 @@ def short():
         SOURCE.replace("STAGE_ENDS = (20, 40, 1000, 1700)", "STAGE_ENDS = (5, 10, 30, 60)")
     )
     with contextlib.redirect_stdout(io.StringIO()):
-        p = module.train(module.views(24, 0))
+        p = module.train(module.shots(24, 0))
     return module, p, module.encode(p)
 
 
@@ -480,7 +487,7 @@ def test_decoded_values_are_those_that_were_encoded(short):
             assert np.array_equal(decoded[name], p[name].astype(np.float16))
     assert np.array_equal(decoded["x_a"], p["x_a"])  # on the lattice since stage 4
     assert np.array_equal(decoded["grid"], module.signs(p["grid"]))
-    (q, *_), _ = module.context(decoded, module.corners(decoded["x_a"]))
+    (q, *_), _ = module.context(decoded, module.node_weights(decoded["x_a"]))
     assert np.array_equal(values, module.rounding(module.attributes(p), q) * q[:, module.GROUP])
     assert np.abs(values - module.attributes(p)).max() > 0
 
@@ -488,7 +495,7 @@ def test_decoded_values_are_those_that_were_encoded(short):
 def test_file_takes_the_bytes_that_the_equations_say(short):
     module, p, file = short
     decoded, values = module.decode(b"".join(file.values()))
-    (q, mu, sigma, grid_bits), _ = module.context(decoded, module.corners(decoded["x_a"]))
+    (q, mu, sigma, grid_bits), _ = module.context(decoded, module.node_weights(decoded["x_a"]))
     bits = module.likelihood(values, mu, sigma, q[:, module.GROUP])[0].sum() + grid_bits
     # It can be less: after so short a training some numbers lie where Eq. (11) says 100 bits, and
     # the coder has a slot of 24 bits for them.
@@ -498,7 +505,7 @@ def test_file_takes_the_bytes_that_the_equations_say(short):
 def test_same_seed_gives_the_same_bytes(short):
     module, _, file = short
     with contextlib.redirect_stdout(io.StringIO()):
-        assert module.encode(module.train(module.views(24, 0))) == file
+        assert module.encode(module.train(module.shots(24, 0))) == file
 
 
 def test_coder_returns_every_symbol_at_its_price(whole):
@@ -519,7 +526,7 @@ def test_coder_returns_every_symbol_at_its_price(whole):
 
 # --- the figures of its first cell ----------------------------------------------------------------
 def test_frames_are_different_and_bright_where_nothing_is(whole):
-    images = np.array([image for *_, image in whole.views(24, 0)])
+    images = np.array([image for *_, image in whole.shots(24, 0)])
     assert images.shape == (24, whole.SIZE**2, 3) and images.min() >= 0 and images.max() == 1
     assert 0.1 < (images.min(axis=2) < 0.95).mean() < 0.5
     assert np.abs(np.diff(images, axis=0)).max(axis=(1, 2)).min() > 0.2
