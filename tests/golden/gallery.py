@@ -47,6 +47,11 @@ PICTURES = {
         "animation.gif",
         "The demo's file over time, seen by a moving camera: truth, decoded picture, error",
     ),
+    "whole_paper.png": Picture(
+        "tutorial",
+        "00_whole_paper.png",
+        "The paper in one file: unseen views, the decoded pictures, their error, and the bytes",
+    ),
     "deformed.png": Picture(
         "tutorial",
         "06_deformed.png",

@@ -1,7 +1,7 @@
 """The index of the tutorials: tutorials/README.md with its tables, its graph and its pictures.
 
 python -m tests.golden.syllabus               run all tutorials, draw all pictures, write the index
-python -m tests.golden.syllabus 06 20 demo    only these tutorials and the pictures of the demo
+python -m tests.golden.syllabus 00 06 demo    only these tutorials and the pictures of the demo
 python -m tests.golden.syllabus accuracy      only the pictures of the two studies of accuracy
 python -m tests.golden.syllabus index         only the index, with the times it already holds
 
@@ -12,6 +12,7 @@ import ast
 import hashlib
 import os
 import re
+import runpy
 import subprocess
 import sys
 import tempfile
@@ -265,7 +266,7 @@ def run(tutorial, out, folder=FOLDER):
 
 def main(chosen):
     """Run what is chosen (everything if nothing is), renew its pictures, and write the index."""
-    known = {"demo", "accuracy", "index", *(tutorial.name[:2] for tutorial in TUTORIALS)}
+    known = {"demo", "accuracy", "index", "00", *(tutorial.name[:2] for tutorial in TUTORIALS)}
     unknown = sorted(set(chosen) - known)
     if unknown:
         sys.exit(
@@ -279,6 +280,8 @@ def main(chosen):
                 if done.returncode:
                     sys.exit(f"{tutorial.name}.py: {done.stderr.strip().splitlines()[-1]}")
                 print(f"{tutorial.name}: {seconds[tutorial.name[:2]]:.1f} s", flush=True)
+        if not chosen or "00" in chosen:
+            runpy.run_path(str(FOLDER / "00_whole_paper.py"))["main"](folder=Path(out))
         if not chosen or "demo" in chosen:
             gallery.draw_demo(out)
         if not chosen or "accuracy" in chosen:
