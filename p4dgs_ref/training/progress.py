@@ -34,7 +34,7 @@ class Progress:
         if not kept and self.stream is None:
             return
         decibel = psnr(seen.image, view.image)
-        anchors, gaussians = len(trainer.mask), len(seen.index)
+        anchors, gaussians = trainer.primitives, len(seen.index)
         stage = trainer.preset.stage(done - 1)
         if kept:
             row = [done, stage, losses.L_total, decibel, losses.L_rate, anchors, gaussians]

@@ -1,17 +1,17 @@
-"""The four stages of training: one view an iteration, Adam, density control, a state to save."""
+"""The four stages of training: what is trained when, density control, a state to save."""
 
-import time
 from functools import cached_property
 
 import numpy as np
 
-from ..equations import hash_grid, ssim
+from ..equations import hash_grid
 from ..model import Anchors, Model, bounding_box, snap, split
 from ..splatting.settings import FAST
 from . import density, objective
-from .adam import Adam, exponential
-from .finite import NotFinite, find_first, first_bad
+from .adam import exponential
+from .finite import NotFinite, find_first
 from .initial import design_of, initial_parameters
+from .loop import Loop
 from .parameters import Parameters
 
 LEARNING_RATES = {
@@ -32,18 +32,12 @@ LEARNING_RATES = {
 }
 # The stage in which an array first takes part; all others take part in all stages.
 FIRST_STAGE = {"psi_d": 3, "psi_t": 3, "psi_p": 4, "psi_q": 4, "grid": 4}
-MOST_MOMENTS = 2**28  # bytes of moments for SSIM that are kept: 682 views of 64x64, 4 of 800x800
 UNLIKE = 0.1  # difference of a channel from which on a pixel is unlike the background
 
 
 def covered_share(image):
     """The share of the pixels of an image [H, W, 3] that are unlike its median colour."""
     return np.mean(np.abs(image - np.median(image, axis=(0, 1))).max(axis=2) > UNLIKE)
-
-
-def held_bytes(moments):
-    """The bytes that the moments of a view hold; an array that is a view holds its whole base."""
-    return sum((a if a.base is None else a.base).nbytes for a in moments)
 
 
 def assemble(p, design, mask, box, background):
@@ -70,27 +64,26 @@ def tagged(arrays, tag):
     return {name[len(start) :]: a for name, a in arrays.items() if name.startswith(start)}
 
 
-class Trainer:
+class Trainer(Loop):
     """Fits one scene: `step()` does one iteration, `model()` returns the model so far."""
 
     def __init__(self, scene, preset, seed=0, settings=FAST, points=None):
-        self.scene, self.preset, self.seed, self.settings = scene, preset, seed, settings
-        self.rng = np.random.default_rng(seed)
+        super().__init__(scene, preset, seed, settings)
         self.design = design_of(preset, scene.effects)
-        self.iteration = 0
         self.box = None  # the bounding box, fixed when stage 4 starts
         self.located = None  # where the positions are in the hash grid, from stage 4 on
-        self.order = np.zeros(0, np.int64)  # the views still to be visited, last first
-        self.history = []  # rows of training.csv
-        self.moments = {}  # by view, as long as they fit into MOST_MOMENTS bytes
-        self.adopt(initial_parameters(preset, self.design, self.rng, points))
-        self.adam = Adam(self.parameters)
+        self.start(initial_parameters(preset, self.design, self.rng, points))
         self.mask = np.ones((len(self.parameters["x_a"]), self.design.k), bool)
         self.statistics = density.Statistics.empty(*self.mask.shape)
 
+    @property
+    def primitives(self):
+        """The number of anchors."""
+        return len(self.mask)
+
     def adopt(self, parameters):
         """Take over parameters and find the networks and grids in them."""
-        self.parameters = parameters
+        super().adopt(parameters)
         self.networks = {name: parameters.network(name) for name in self.design.layers()}
         self.grids = parameters.listed("grid")
 
@@ -127,25 +120,6 @@ class Trainer:
         )
         return rate * self.preset.sparse_lr_c if name == "psi_c" and self.starts_sparse else rate
 
-    def next_view(self):
-        """A random view; no view comes again before all others have been visited."""
-        if not len(self.order):
-            self.order = self.rng.permutation(len(self.scene.train))
-        index, self.order = self.order[-1], self.order[:-1]
-        return self.scene.train[index]
-
-    def moments_of(self, view):
-        """The moments of the truth for SSIM, which are the same at every visit.
-
-        They are computed anew where those of other views have filled MOST_MOMENTS.
-        """
-        if id(view) in self.moments:
-            return self.moments[id(view)]
-        moments = ssim.moments(view.image)
-        if sum(map(held_bytes, [*self.moments.values(), moments])) <= MOST_MOMENTS:
-            self.moments[id(view)] = moments
-        return moments
-
     def fixed(self):
         """The inputs of the next iteration that are not parameters."""
         preset, stage = self.preset, self.stage
@@ -161,14 +135,14 @@ class Trainer:
             settings=self.settings,
         )
 
-    def step(self):
-        """Do one iteration; returns its Losses, what was Seen, and the View.
+    def gradients_of(self, view):
+        """The Losses of a view, what was Seen, and the gradients of parameters and of mean2d.
 
         Raises NotFinite with the first equation, array and index that is NaN or infinite.
         """
         if self.stage == 4 and not self.box:
             self.freeze_positions()
-        view, p = self.next_view(), self.parameters
+        p = self.parameters
         u = self.rng.random((len(self.mask), sum(self.design.widths)), np.float32) - np.float32(0.5)
         moments = self.moments_of(view)
         inputs = (p, self.design, self.networks, self.grids, self.fixed(), view, u, moments)
@@ -178,17 +152,7 @@ class Trainer:
         watched = (losses.L_total, gradients.vector, seen.alpha)
         if not all(np.isfinite(values).all() for values in watched):
             raise NotFinite(self.iteration, find_first(*inputs))
-        rates = {stem: self.rate_of(stem) for stem in LEARNING_RATES}
-        self.adam.step(p, gradients, lambda name: rates[name.split(".")[0]])
-        if not np.isfinite(p.vector).all():
-            bad = first_bad(p.arrays)
-            raise NotFinite(self.iteration, f"after Adam's step, parameter {bad}")
-        if self.iteration >= self.preset.collect_from:
-            self.statistics.collect(seen, mean2d_bar, view.camera.width, view.camera.height)
-        self.iteration += 1
-        if self.iteration % self.preset.grow_every == 0:
-            self.adjust()
-        return losses, seen, view
+        return losses, seen, gradients, mean2d_bar
 
     def freeze_positions(self):
         """Put the positions on the 16-bit lattice of the box and find them in the hash grid.
@@ -235,33 +199,11 @@ class Trainer:
         count = len(added["x_a"])
         if not keep.any() and not count:
             keep = np.arange(len(keep)) == 0
-        zeros = {name: np.zeros_like(rows) for name, rows in added.items()}
-        self.adopt(self.parameters.with_rows(density.ROWS, keep, added))
-        self.adam.first, self.adam.second = (
-            moments.with_rows(density.ROWS, keep, zeros)
-            for moments in (self.adam.first, self.adam.second)
-        )
+        self.change_rows(density.ROWS, keep, added)
         self.mask = np.concatenate([self.mask[keep], np.ones((count, self.design.k), bool)])
         self.statistics = self.statistics.with_rows(keep, count)
         if self.box:
             self.freeze_positions()
-
-    def run(self, report=None, every_seconds=None, save=None):
-        """Train to the end and return the model.
-
-        `report(trainer, losses, seen, view, ms)` is called after each step, `save(trainer)` every
-        `every_seconds`.
-        """
-        saved = time.monotonic()
-        while self.iteration < self.preset.iterations:
-            start = time.perf_counter()
-            losses, seen, view = self.step()
-            if report:
-                report(self, losses, seen, view, 1e3 * (time.perf_counter() - start))
-            if save and time.monotonic() - saved > every_seconds:
-                save(self)
-                saved = time.monotonic()
-        return self.model()
 
     def model(self):
         """The model as it is now, before rounding."""

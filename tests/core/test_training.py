@@ -10,7 +10,7 @@ import pytest
 from p4dgs_ref.equations import ssim
 from p4dgs_ref.model import LATTICE, snap
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.training import trainer as trainer_module
+from p4dgs_ref.training import loop
 from p4dgs_ref.training.adam import Adam, exponential
 from p4dgs_ref.training.finite import NotFinite
 from p4dgs_ref.training.initial import initial_parameters, neighbour_distance
@@ -360,9 +360,9 @@ def test_an_equation_inside_another_is_named_with_it(scene, monkeypatch):
 def test_moments_of_the_pictures_stay_within_their_budget(scene, monkeypatch):
     """What is kept for SSIM is bounded, and training ends with the same bytes without it."""
     ends, most = [], []
-    of_one_view = trainer_module.held_bytes(ssim.moments(scene.train[0].image))
-    for budget in (trainer_module.MOST_MOMENTS, 5 * of_one_view, 0):
-        monkeypatch.setattr(trainer_module, "MOST_MOMENTS", budget)
+    of_one_view = loop.held_bytes(ssim.moments(scene.train[0].image))
+    for budget in (loop.MOST_MOMENTS, 5 * of_one_view, 0):
+        monkeypatch.setattr(loop, "MOST_MOMENTS", budget)
         trainer = Trainer(scene, SMOKE, seed=1)
         trainer.run()
         ends.append(trainer.parameters.vector.tobytes())
@@ -373,7 +373,7 @@ def test_moments_of_the_pictures_stay_within_their_budget(scene, monkeypatch):
 def test_held_bytes_count_whole_arrays():
     """An array that is a view keeps all of its base in memory."""
     truth = np.zeros((20, 30, 3))
-    assert trainer_module.held_bytes(ssim.moments(truth)) == 4 * truth.nbytes
+    assert loop.held_bytes(ssim.moments(truth)) == 4 * truth.nbytes
 
 
 def test_prepare_comes_before_numpy():
