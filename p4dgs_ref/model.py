@@ -84,18 +84,29 @@ class Design(NamedTuple):
         }
         layers = {name: list(zip(w[:-1], w[1:])) for name, w in widths.items()}
         if fx.moves(self.effects):
-            time = (1 + 2 * self.L_t, *self.time_net)
-            inputs = 3 * (1 + 2 * self.L_x) + time[-1]
-            trunk = [*zip((inputs, *self.deformation), self.deformation)]
-            if self.skip:
-                after = len(trunk) // 2 + 1
-                rows, columns = trunk[after]
-                trunk[after] = inputs + rows, columns
-            last = self.deformation[-1] if self.deformation else inputs
-            layers["psi_d"] = trunk + [(last, head) for head in fx.heads(self.effects)]
-            if self.time_net:
-                layers["psi_t"] = [*zip(time[:-1], time[1:])]
+            heads = fx.heads(self.effects)
+            layers.update(
+                deformation_layers(
+                    self.L_x, self.L_t, self.deformation, heads, self.time_net, self.skip
+                )
+            )
         return layers
+
+
+def deformation_layers(L_x, L_t, widths, heads, time_net=(), skip=False):
+    """The shapes of psi_d, which ends with its heads, and of psi_t where there is a time net."""
+    time = (1 + 2 * L_t, *time_net)
+    inputs = 3 * (1 + 2 * L_x) + time[-1]
+    trunk = [*zip((inputs, *widths), widths)]
+    if skip:
+        after = len(trunk) // 2 + 1
+        rows, columns = trunk[after]
+        trunk[after] = inputs + rows, columns
+    last = widths[-1] if widths else inputs
+    layers = {"psi_d": trunk + [(last, head) for head in heads]}
+    if time_net:
+        layers["psi_t"] = [*zip(time[:-1], time[1:])]
+    return layers
 
 
 def declared_numbers(design, anchors):
@@ -312,6 +323,11 @@ class Model:
     grids: list[np.ndarray]  # [T, F] for each level; only the signs are used
     box: tuple[np.ndarray, np.ndarray]  # corners lo and hi [3] of the lattice of positions
     background: np.ndarray  # [3]
+
+    @property
+    def primitives(self) -> int:
+        """The number of anchors."""
+        return len(self.anchors.mask)
 
     def gaussians(self, t: float, camera: Camera) -> Gaussians:
         """The Gaussians at time t in [0, 1] for this camera."""

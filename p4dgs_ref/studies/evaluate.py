@@ -72,7 +72,7 @@ def evaluate(model, scene, settings=FAST, split="test"):
     metrics = {
         **{key: mean(key) for key in ("psnr_db", "psnr_fg_db", "ssim")},
         "render_fps": float(1 / np.median(seconds)),
-        "anchors": len(model.anchors.mask),
+        "anchors": model.primitives,
         "gaussians": int(np.median(counts)),
     }
     return metrics, rows, images

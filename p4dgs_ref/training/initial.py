@@ -42,20 +42,26 @@ def neighbour_distance(points):
     return np.sqrt(np.maximum((distance[:, 1:] ** 2).mean(axis=1), 1e-7))
 
 
-def initial_parameters(preset, design, rng, points=None):
-    """The Parameters of a model before training; `points` [A, 3] replace the random ones.
-
-    Their names are x_a, f_a, log_s, log_l, O_a, then "psi_alpha.W0" and so on for the networks,
-    then "grid.0" and so on.
-    """
+def starting_points(points, count, extent, rng):
+    """The points [A, 3] to start from, or `count` random ones in [-extent, extent]^3."""
     if points is None:
-        points = rng.uniform(-preset.extent, preset.extent, (preset.anchors, 3))
+        points = rng.uniform(-extent, extent, (count, 3))
     points = np.asarray(points, float)
     if points.ndim != 2 or points.shape[1] != 3 or not len(points) or not np.isfinite(points).all():
         raise ValueError(
             f"points: expected finite numbers of shape [A, 3], A at least 1, got an array of "
             f"shape {list(points.shape)}"
         )
+    return points
+
+
+def initial_parameters(preset, design, rng, points=None):
+    """The Parameters of a model before training; `points` [A, 3] replace the random ones.
+
+    Their names are x_a, f_a, log_s, log_l, O_a, then "psi_alpha.W0" and so on for the networks,
+    then "grid.0" and so on.
+    """
+    points = starting_points(points, preset.anchors, preset.extent, rng)
     x_a = np.unique(np.round(points / preset.voxel), axis=0) * preset.voxel  # nodes of the lattice
     A = len(x_a)
     log_reach = np.repeat(np.log(neighbour_distance(x_a))[:, None], 3, axis=1)

@@ -1,0 +1,57 @@
+"""Density control of 3DGS: cloning, splitting, pruning, and resets of the opacity.
+
+Kerbl et al. 2023, section 5.2, with the constants of the authors' code in the presets. Statistics
+are those of `training.density`, with one child per Gaussian.
+"""
+
+import numpy as np
+
+from ..equations.numerics import normalise, sigmoid
+from ..splatting.covariance import rotation_matrix
+
+SHRINK = 1.6  # children of a split are smaller by this factor
+LARGEST = 0.1  # of the extent: larger Gaussians are pruned once opacities have been reset
+RESET_ALPHA = 0.01
+
+
+def densify(p, rows, gradient, extent, preset, rng, prune_large):
+    """The Gaussians [N] to keep, and new ones as {array name: rows}.
+
+    Where the mean gradient [N] of the projected centre is large, a small Gaussian is cloned in
+    place, and a large one is replaced by two smaller ones, drawn from it. Of old and new ones those
+    are left out that are nearly transparent or, with `prune_large`, very large.
+    """
+    wanted = gradient >= preset.gradient_threshold
+    if len(wanted) >= preset.most:
+        wanted[:] = False
+    large = np.exp(p["log_s"]).max(axis=1) > preset.percent_dense * extent
+    clones, parents = np.flatnonzero(wanted & ~large), np.flatnonzero(wanted & large)
+    halves = np.repeat(parents, 2)
+    added = {name: p[name][np.concatenate([clones, halves])] for name in rows}
+    children = slice(len(clones), None)
+    r, _ = normalise(p["raw_r"][halves])
+    noise = rng.normal(size=(len(halves), 3)) * np.exp(p["log_s"][halves])
+    added["x"][children] += np.einsum("nij,nj->ni", rotation_matrix(r), noise)
+    added["log_s"][children] -= np.log(SHRINK)
+    limit = LARGEST * extent if prune_large else np.inf
+    lasting = lasts(added, preset, limit)
+    keep = lasts(p, preset, limit)
+    keep[parents] = False
+    return keep, {name: a[lasting] for name, a in added.items()}
+
+
+def lasts(p, preset, limit):
+    """Which Gaussians are neither nearly transparent nor larger than the limit."""
+    visible = sigmoid(p["logit_alpha"]) >= preset.min_opacity
+    return visible & (np.exp(p["log_s"]).max(axis=1) <= limit)
+
+
+def reset_opacity(p, first, second):
+    """Lower all opacities, in place, to RESET_ALPHA at most, with zero Adam moments.
+
+    What the pictures need becomes opaque again; the rest is pruned.
+    """
+    most = np.log(RESET_ALPHA / (1 - RESET_ALPHA))
+    p["logit_alpha"][...] = np.minimum(p["logit_alpha"], most)
+    first["logit_alpha"][...] = 0
+    second["logit_alpha"][...] = 0
