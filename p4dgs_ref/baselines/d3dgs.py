@@ -63,6 +63,10 @@ class Preset(NamedTuple):
     reset_every: int = 3000
     most: int = 10**9  # Gaussians from which on none are added
 
+    def stage(self, iteration):
+        """1 before the Gaussians move, then 2."""
+        return 1 + (iteration >= self.warm_up)
+
 
 PAPER_SYNTHETIC = Preset()
 PAPER_REAL = PAPER_SYNTHETIC._replace(
@@ -119,7 +123,7 @@ class D3DGS(explicit.Explicit):
         return arrays
 
     def predict(self, t, x_c, iteration=None):
-        """The Gaussians at time t as the camera at x_c sees them; before `warm_up` nothing moves."""
+        """See `Explicit`; before `warm_up` nothing moves."""
         p, preset = self.parameters, self.preset
         (s, r, alpha), saved_activations = activations.forward(
             p["log_s"], p["raw_r"], p["logit_alpha"]
@@ -136,7 +140,7 @@ class D3DGS(explicit.Explicit):
         return Gaussians(x, s, r, alpha, color, np.arange(len(x))), saved
 
     def predict_backward(self, saved, x_bar, s_bar, r_bar, alpha_bar, color_bar):
-        """Gradients of the Gaussians' arrays and of the networks; see `Explicit`."""
+        """See `Explicit`."""
         saved_activations, saved_motion, saved_color = saved
         networks, colors = {}, explicit.colors_backward(saved_color, color_bar)
         x_bar = x_bar + colors.pop("x")
@@ -156,10 +160,13 @@ class D3DGS(explicit.Explicit):
         }, networks
 
 
+MODEL = D3DGS
+
+
 class Trainer(trainer.Trainer):
     """Fits one scene by D3DGS."""
 
-    kind = D3DGS
+    kind = MODEL
     RATES = {
         "x": "lr_x",
         "sh_dc": "lr_sh_dc",

@@ -21,6 +21,7 @@ class Trainer(Loop):
     and what `density` and `explicit.start` read.
     """
 
+    UNIT = "stored"
     kind: type
     RATES: dict  # the field of the preset with the rate of an array, or of all arrays of a network
 
@@ -55,11 +56,8 @@ class Trainer(Loop):
 
     def gradients_of(self, view):
         """The Losses of a view, what was Seen, and the gradients of parameters and of mean2d."""
-        preset, model, gradients = (
-            self.preset,
-            self.around(self.parameters),
-            self.parameters.zeros(),
-        )
+        preset, p = self.preset, self.parameters
+        model, gradients = self.around(p), p.zeros()
         x_c = view.camera.center.astype(np.float32)
         g, saved_model = model.predict(self.time_of(view), x_c, self.iteration)
         (image, _, visible), saved_render = render.forward(

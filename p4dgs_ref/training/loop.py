@@ -11,7 +11,7 @@ that the paper compares itself with. A subclass supplies
     model()             the model so far
 
 and calls `start` with the first parameters. Its preset has the fields `iterations`, `collect_from`
-and `grow_every`.
+and `grow_every`, and `stage(iteration)`, counted from 1.
 """
 
 import time
@@ -32,6 +32,8 @@ def held_bytes(moments):
 
 class Loop:
     """Fits one scene: `step()` does one iteration, `model()` returns the model so far."""
+
+    UNIT = "anchors"  # what a model stores
 
     def __init__(self, scene, preset, seed, settings):
         self.scene, self.preset, self.seed, self.settings = scene, preset, seed, settings

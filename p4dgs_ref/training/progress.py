@@ -51,8 +51,8 @@ class Progress:
         # The most important numbers come first, because a narrow terminal cuts the line.
         self.write(
             f"{done:{len(str(total))}d}/{total}  {left:.0f} s left  stage {stage}  "
-            f"loss {loss:.4f}  PSNR {decibel:.2f} dB  {rate} bits/parameter  {anchors} anchors  "
-            f"{gaussians} Gaussians  {ms:.1f} ms/step"
+            f"loss {loss:.4f}  PSNR {decibel:.2f} dB  {rate} bits/parameter  "
+            f"{anchors} {trainer.UNIT}  {gaussians} Gaussians  {ms:.1f} ms/step"
         )
 
     def write(self, line):

@@ -1,0 +1,36 @@
+"""The table of the baselines' equations, rows as in `p4dgs_ref.table`.
+
+D belongs to D3DGS, H to 4DHexPlane, G to 4DGS. What a method takes from the paper or from another
+method has no second row.
+"""
+
+from ..table import Equation
+
+_ROWS = (
+    Equation(
+        "activations",
+        "D1",
+        "s = exp(log_s), r = raw_r / |raw_r|, alpha = sigmoid(logit_alpha)",
+        "p4dgs_ref.baselines.activations",
+        ("s", "r", "alpha"),
+        ("log_s", "raw_r", "logit_alpha"),
+    ),
+    Equation(
+        "sh_color",
+        "D2",
+        "color = max(0, 1/2 + sum_k sh_k Y_k(d))",
+        "p4dgs_ref.baselines.sh_color",
+        ("color",),
+        ("d", "sh"),
+    ),
+    Equation(
+        "deformation_d3dgs",
+        "D3",
+        "(delta_x, delta_s, delta_r) = psi_d(concat(E(x), psi_t(E(t))))",
+        "p4dgs_ref.equations.deformation_d3dgs",
+        ("delta_x", "delta_s", "delta_r"),
+        ("x", "weights", "biases", "time_weights", "time_biases"),
+    ),
+)
+
+BASELINE_EQUATIONS: dict[str, Equation] = {row.key: row for row in _ROWS}
