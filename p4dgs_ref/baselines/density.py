@@ -14,30 +14,31 @@ LARGEST = 0.1  # of the extent: larger Gaussians are pruned once opacities have 
 RESET_ALPHA = 0.01
 
 
-def densify(p, rows, gradient, extent, preset, rng, prune_large):
+def densify(p, rows, gradient, extent, preset, scatter, prune_large):
     """The Gaussians [N] to keep, and new ones as {array name: rows}.
 
     Where the mean gradient [N] of the projected centre is large, a small Gaussian is cloned in
-    place, and a large one is replaced by two smaller ones, drawn from it. Of old and new ones those
-    are left out that are nearly transparent or, with `prune_large`, very large.
+    place, and a large one is replaced by two, which `scatter` places and shrinks. Of old and new
+    ones those are left out that are nearly transparent or, with `prune_large`, very large.
     """
-    wanted = gradient >= preset.gradient_threshold
-    if len(wanted) >= preset.most:
-        wanted[:] = False
+    wanted = (gradient >= preset.gradient_threshold) & (len(gradient) < preset.most)
     large = np.exp(p["log_s"]).max(axis=1) > preset.percent_dense * extent
     clones, parents = np.flatnonzero(wanted & ~large), np.flatnonzero(wanted & large)
-    halves = np.repeat(parents, 2)
-    added = {name: p[name][np.concatenate([clones, halves])] for name in rows}
-    children = slice(len(clones), None)
-    r, _ = normalise(p["raw_r"][halves])
-    noise = rng.normal(size=(len(halves), 3)) * np.exp(p["log_s"][halves])
-    added["x"][children] += np.einsum("nij,nj->ni", rotation_matrix(r), noise)
-    added["log_s"][children] -= np.log(SHRINK)
+    children = {name: np.repeat(p[name][parents], 2, axis=0) for name in rows}
+    scatter(children)
+    added = {name: np.concatenate([p[name][clones], children[name]]) for name in rows}
     limit = LARGEST * extent if prune_large else np.inf
-    lasting = lasts(added, preset, limit)
-    keep = lasts(p, preset, limit)
+    keep, lasting = lasts(p, preset, limit), lasts(added, preset, limit)
     keep[parents] = False
     return keep, {name: a[lasting] for name, a in added.items()}
+
+
+def scatter(children, rng):
+    """Move copies of a Gaussian, in place, to points drawn from it, and shrink them."""
+    r, _ = normalise(children["raw_r"])
+    drawn = rng.normal(size=children["x"].shape) * np.exp(children["log_s"])
+    children["x"] += np.einsum("nij,nj->ni", rotation_matrix(r), drawn)
+    children["log_s"] -= np.log(SHRINK)
 
 
 def lasts(p, preset, limit):

@@ -85,6 +85,10 @@ class Trainer(Loop):
         losses = Losses(L_total, L_render, L1, D_SSIM, 0.0, 0.0)
         return losses, Seen(alpha, g.index, visible, image), gradients, bars["mean2d"]
 
+    def scatter(self, children):
+        """Place and shrink the children {array name: rows} of Gaussians that are split."""
+        density.scatter(children, self.rng)
+
     def adjust(self):
         """Clone, split and prune; reset the opacities every `reset_every` iterations."""
         preset, now, p = self.preset, self.iteration, self.parameters
@@ -92,7 +96,7 @@ class Trainer(Loop):
             return
         gradient = (self.statistics.gradient / np.maximum(self.statistics.seen, 1))[:, 0]
         rows, late = self.around(p).rows, now > preset.reset_every
-        keep, added = density.densify(p, rows, gradient, self.extent, preset, self.rng, late)
+        keep, added = density.densify(p, rows, gradient, self.extent, preset, self.scatter, late)
         if keep.any() or len(added["x"]):
             self.change_rows(rows, keep, added)
         if now % preset.reset_every == 0:
