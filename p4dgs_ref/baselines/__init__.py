@@ -9,12 +9,13 @@ The module of a method has PRESETS, MODEL (a subclass of `explicit.Explicit`) an
 equations are rows of `table.BASELINE_EQUATIONS`.
 """
 
+from dataclasses import replace
 from importlib import import_module
 
 import numpy as np
 
 from ..splatting.settings import FAST
-from ..training.presets import read_value
+from ..training.presets import read_changes
 from ..training.progress import Progress
 from . import ply
 
@@ -43,17 +44,7 @@ def choose(method, preset=None, changes=None):
     if name not in module.PRESETS:
         raise ValueError(f"preset {name!r}: expected one of {', '.join(module.PRESETS)}")
     chosen = module.PRESETS[name]
-    for field, value in (changes or {}).items():
-        like = getattr(chosen, field, None)
-        if field == "name" or field not in chosen._fields:
-            raise ValueError(f"field {field!r} of preset {name} of {method}: no such field")
-        try:
-            chosen = chosen._replace(**{field: read_value(value, like)})
-        except (ValueError, KeyError, TypeError):
-            raise ValueError(
-                f"field {field!r}: expected a value like {like!r}, got {value!r}"
-            ) from None
-    return chosen
+    return replace(chosen, **read_changes(name, vars(chosen), changes))
 
 
 def train(

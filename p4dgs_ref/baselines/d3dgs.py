@@ -10,7 +10,7 @@ their renderer takes it for a unit quaternion, so that a turn also shears the Ga
 mistake; Eq. (6) normalises.
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,45 +23,24 @@ from . import activations, explicit, trainer
 HEADS = (3, 3, 4)  # of psi_d: delta_x, delta_s, delta_r
 
 
-class Preset(NamedTuple):
-    """The constants of the authors' code for synthetic scenes (40,000 iterations)."""
+@dataclass(frozen=True)
+class Preset(explicit.Preset):
+    """Further constants; all values are those of the authors' code for synthetic scenes."""
 
-    name: str = "paper_synthetic"
-    points: int = 100_000  # random points at the start
-    extent: float = 1.3  # they are uniform in [-extent, extent]^3
-    sh_degree: int = 3
-    sh_every: int = 1000  # iterations from one active degree of the harmonics to the next
+    iterations: int = 40_000
+    warm_up: int = 3000  # the first iteration in which the Gaussians move
+    points: int = 100_000
     deformation: tuple[int, ...] = (256,) * 8
     time_net: tuple[int, ...] = (256, 30)
     skip: bool = True
     L_x: int = 10
     L_t: int = 6
     deformation_gain: float = 1.0  # the heads of psi_d start smaller by this factor
-    iterations: int = 40_000
-    warm_up: int = 3000  # the first iteration in which the Gaussians move
     time_noise: float = 0.0  # annealed noise of the time, in steps between views; real scenes: 0.1
     noise_until: int = 20_000
-    lambda_ssim: float = 0.2
-    # learning rates: first and last; that of x reaches its last value at `x_until`
-    x_until: int = 30_000
-    lr_x: tuple[float, ...] = (8e-4, 8e-6)  # 1.6e-4, times the 5 that the code takes for extent
-    lr_sh_dc: tuple[float, ...] = (0.0025, 0.0025)
-    lr_sh_rest: tuple[float, ...] = (0.000125, 0.000125)
-    lr_alpha: tuple[float, ...] = (0.05, 0.05)
-    lr_s: tuple[float, ...] = (0.005, 0.005)
-    lr_r: tuple[float, ...] = (0.001, 0.001)
+    x_until: int = 30_000  # when lr_x reaches its last value
+    lr_x: tuple[float, ...] = (8e-4, 8e-6)  # 1.6e-4, times the 5 that the code takes for the extent
     lr_d: tuple[float, ...] = (8e-4, 1.6e-6)
-    # density control
-    collect_from: int = 0
-    grow_from: int = 500
-    grow_every: int = 100
-    grow_until: int = 15_000
-    # The code has 7e-4 for sums of absolute gradients per pixel; 2e-4 is 3DGS's for plain ones.
-    gradient_threshold: float = 2e-4
-    percent_dense: float = 0.01  # of the extent: smaller Gaussians are cloned, larger ones split
-    min_opacity: float = 0.005
-    reset_every: int = 3000
-    most: int = 10**9  # Gaussians from which on none are added
 
     def stage(self, iteration):
         """1 before the Gaussians move, then 2."""
@@ -69,10 +48,11 @@ class Preset(NamedTuple):
 
 
 PAPER_SYNTHETIC = Preset()
-PAPER_REAL = PAPER_SYNTHETIC._replace(
-    name="paper_real", time_net=(), L_t=10, iterations=20_000, time_noise=0.1
+PAPER_REAL = replace(
+    PAPER_SYNTHETIC, name="paper_real", time_net=(), L_t=10, iterations=20_000, time_noise=0.1
 )
-TINY = PAPER_SYNTHETIC._replace(
+TINY = replace(
+    PAPER_SYNTHETIC,
     name="tiny",
     points=800,
     extent=1.0,
@@ -94,8 +74,8 @@ TINY = PAPER_SYNTHETIC._replace(
     grow_until=2000,
 )
 # The network of our own preset `tiny`: two layers of 64, no time net, no skip.
-TINY_SMALL = TINY._replace(
-    name="tiny_small", deformation=(64, 64), time_net=(), skip=False, lr_d=(0.002, 1e-4)
+TINY_SMALL = replace(
+    TINY, name="tiny_small", deformation=(64, 64), time_net=(), skip=False, lr_d=(0.002, 1e-4)
 )
 PRESETS = {p.name: p for p in (PAPER_SYNTHETIC, PAPER_REAL, TINY, TINY_SMALL)}
 
@@ -167,16 +147,7 @@ class Trainer(trainer.Trainer):
     """Fits one scene by D3DGS."""
 
     kind = MODEL
-    RATES = {
-        "x": "lr_x",
-        "sh_dc": "lr_sh_dc",
-        "sh_rest": "lr_sh_rest",
-        "logit_alpha": "lr_alpha",
-        "log_s": "lr_s",
-        "raw_r": "lr_r",
-        "psi_d": "lr_d",
-        "psi_t": "lr_d",
-    }
+    RATES = {**trainer.Trainer.RATES, "psi_d": "lr_d", "psi_t": "lr_d"}
 
     def rate_of(self, name):
         """The current learning rate of an array; networks have none before `warm_up`."""

@@ -1,6 +1,6 @@
 """What the models of the baselines share: explicit Gaussians, their first values, their file."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -25,6 +25,37 @@ PLY_OF_3DGS = {
 }
 
 
+@dataclass(frozen=True)
+class Preset:
+    """The constants that the baselines share, with the values of 3DGS's code.
+
+    Rates are first and last, geometric over all iterations.
+    """
+
+    name: str = "paper_synthetic"
+    iterations: int = 30_000
+    points: int = 10_000  # random points at the start
+    extent: float = 1.3  # they are uniform in [-extent, extent]^3
+    sh_degree: int = 3
+    sh_every: int = 1000  # iterations from one active degree of the harmonics to the next
+    lambda_ssim: float = 0.2
+    lr_x: tuple[float, ...] = (1.6e-4, 1.6e-6)
+    lr_sh_dc: tuple[float, ...] = (0.0025, 0.0025)
+    lr_sh_rest: tuple[float, ...] = (0.000125, 0.000125)
+    lr_alpha: tuple[float, ...] = (0.05, 0.05)
+    lr_s: tuple[float, ...] = (0.005, 0.005)
+    lr_r: tuple[float, ...] = (0.001, 0.001)
+    collect_from: int = 0
+    grow_from: int = 500
+    grow_every: int = 100
+    grow_until: int = 15_000
+    gradient_threshold: float = 2e-4  # of the projected centre, in NDC units per view
+    percent_dense: float = 0.01  # of the extent: smaller Gaussians are cloned, larger ones split
+    min_opacity: float = 0.005
+    reset_every: int = 3000
+    most: int = 10**9  # Gaussians from which on none are added
+
+
 @dataclass(frozen=True, eq=False)
 class Explicit:
     """A model of explicit Gaussians. Each baseline is a subclass, which also has
@@ -39,12 +70,12 @@ class Explicit:
     """
 
     parameters: Parameters
-    preset: tuple
+    preset: Preset
     background: np.ndarray  # [3]
     occlusion: bool = True
 
     METHOD: ClassVar[str]
-    DEFAULT: ClassVar[tuple]  # a preset
+    DEFAULT: ClassVar[Preset]
     FORM: ClassVar[tuple]  # the fields of a preset that a file tells its reader
     PROPERTIES: ClassVar[dict] = PLY_OF_3DGS
 
@@ -109,7 +140,7 @@ class Explicit:
             for (name, shape), part in zip(values["rows"].items(), parts)
             if name != "normals"
         }
-        preset = cls.DEFAULT._replace(**values["form"])
+        preset = replace(cls.DEFAULT, **values["form"])
         background = np.array(values["background"])
         return cls(Parameters({**arrays, **networks}), preset, background, values["occlusion"])
 

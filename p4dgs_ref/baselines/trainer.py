@@ -15,15 +15,19 @@ from . import density
 
 
 class Trainer(Loop):
-    """Fits one scene by the method `kind`, a subclass of Explicit.
-
-    A preset has the fields iterations, lambda_ssim, a rate (first, last) for each name of RATES,
-    and what `density` and `explicit.start` read.
-    """
+    """Fits one scene by the method `kind`, a subclass of Explicit."""
 
     UNIT = "stored"
     kind: type
-    RATES: dict  # the field of the preset with the rate of an array, or of all arrays of a network
+    # The field of the preset with the rate of an array, or of all arrays of a network.
+    RATES = {
+        "x": "lr_x",
+        "sh_dc": "lr_sh_dc",
+        "sh_rest": "lr_sh_rest",
+        "logit_alpha": "lr_alpha",
+        "log_s": "lr_s",
+        "raw_r": "lr_r",
+    }
 
     def __init__(self, scene, preset, seed=0, settings=FAST, points=None):
         super().__init__(scene, preset, seed, settings)

@@ -299,20 +299,7 @@ def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Pr
         if preset not in PRESETS:
             raise ValueError(f"preset {preset!r}: expected one of {', '.join(PRESETS)}")
         preset = PRESETS[preset]
-    values = {}
-    for field, value in (changes or {}).items():
-        if field == "name" or field not in Preset._fields:
-            raise ValueError(
-                f"field {field!r} of preset {preset.name}: no such field; "
-                "`p4dgs-ref presets` lists them"
-            )
-        like = getattr(PAPER_SYNTHETIC, field)
-        try:
-            values[field] = read_value(value, like)
-        except (ValueError, KeyError, TypeError):
-            raise ValueError(
-                f"field {field!r}: expected a value like {like!r}, got {value!r}"
-            ) from None
+    values = read_changes(preset.name, PAPER_SYNTHETIC._asdict(), changes)
     chosen = preset._replace(**values)
     for field, (expected, is_met) in REQUIREMENTS.items():
         value = getattr(chosen, field)
@@ -331,6 +318,27 @@ def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Pr
             f"numbers in a model, as many as a file may hold, got {parts}"
         )
     return chosen
+
+
+def read_changes(name, fields, changes):
+    """The values {field: value} of changes to the preset of that name; `fields` has a value each.
+
+    Raises ValueError for an unknown field, and for a value of another type.
+    """
+    values = {}
+    for field, value in (changes or {}).items():
+        if field == "name" or field not in fields:
+            raise ValueError(
+                f"field {field!r} of preset {name}: no such field; `p4dgs-ref presets` lists them"
+            )
+        like = fields[field]
+        try:
+            values[field] = read_value(value, like)
+        except (ValueError, KeyError, TypeError):
+            raise ValueError(
+                f"field {field!r}: expected a value like {like!r}, got {value!r}"
+            ) from None
+    return values
 
 
 def read_value(value, like):
