@@ -19,9 +19,13 @@ def densify(p, rows, gradient, extent, preset, scatter, prune_large):
 
     Where the mean gradient [N] of the projected centre is large, a small Gaussian is cloned in
     place, and a large one is replaced by two, which `scatter` places and shrinks. Of old and new
-    ones those are left out that are nearly transparent or, with `prune_large`, very large.
+    ones those are left out that are nearly transparent or, with `prune_large`, very large. No more
+    are added than `most` leaves room for, those with the largest gradients.
     """
-    wanted = (gradient >= preset.gradient_threshold) & (len(gradient) < preset.most)
+    room = max(preset.most - len(gradient), 0)
+    wanted = np.zeros(len(gradient), bool)
+    wanted[np.argsort(-gradient, kind="stable")[:room]] = True
+    wanted &= gradient >= preset.gradient_threshold
     large = np.exp(p["log_s"]).max(axis=1) > preset.percent_dense * extent
     clones, parents = np.flatnonzero(wanted & ~large), np.flatnonzero(wanted & large)
     children = {name: np.repeat(p[name][parents], 2, axis=0) for name in rows}

@@ -53,7 +53,7 @@ class Preset:
     percent_dense: float = 0.01  # of the extent: smaller Gaussians are cloned, larger ones split
     min_opacity: float = 0.005
     reset_every: int = 3000
-    most: int = 10**9  # Gaussians from which on none are added
+    most: int = 10**9  # Gaussians; density control adds none beyond
 
 
 @dataclass(frozen=True, eq=False)

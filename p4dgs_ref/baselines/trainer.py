@@ -62,7 +62,7 @@ class Trainer(Loop):
         """The Losses of a view, what was Seen, and the gradients of parameters and of mean2d."""
         preset, p = self.preset, self.parameters
         model, gradients = self.around(p), p.zeros()
-        x_c = view.camera.center.astype(np.float32)
+        x_c = view.camera.center.astype(p.vector.dtype)
         g, saved_model = model.predict(self.time_of(view), x_c, self.iteration)
         (image, _, visible), saved_render = render.forward(
             *g[:5], view.camera, model.background, self.settings, model.occlusion
@@ -73,7 +73,7 @@ class Trainer(Loop):
         )
         bars = render.backward(saved_render, render_loss.backward(saved_loss, 1.0)["image"])
         gaussians_bar = [
-            bars[name].astype(np.float32) for name in ("x", "s", "r", "alpha", "color")
+            bars[name].astype(p.vector.dtype) for name in ("x", "s", "r", "alpha", "color")
         ]
         arrays, networks = model.predict_backward(saved_model, *gaussians_bar)
         for name, gradient in arrays.items():

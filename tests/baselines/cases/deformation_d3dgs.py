@@ -1,0 +1,39 @@
+"""Cases of D3: with and without its time net and its skip."""
+
+import numpy as np
+
+from p4dgs_ref.model import deformation_layers
+from tests.golden.cases import Case
+
+L_X, L_T = 2, 3
+HIDDEN = (9, 8, 6, 5)
+
+
+def inputs(time_net, skip, seed=0):
+    """Random inputs for five Gaussians."""
+    rng = np.random.default_rng(seed)
+    layers = deformation_layers(L_X, L_T, HIDDEN, (3, 3, 4), time_net, skip)
+
+    def drawn(name):
+        shapes = layers.get(name, [])
+        weights = [rng.normal(size=shape) / np.sqrt(shape[0]) for shape in shapes]
+        return weights, [rng.normal(size=columns) for _, columns in shapes]
+
+    weights, biases = drawn("psi_d")
+    time_weights, time_biases = drawn("psi_t")
+    return dict(
+        x=rng.normal(size=(5, 3)),
+        t=0.37,
+        weights=weights,
+        biases=biases,
+        time_weights=time_weights,
+        time_biases=time_biases,
+        L_x=L_X,
+        L_t=L_T,
+    )
+
+
+def cases():
+    yield Case("ordinary", inputs((7, 4), True))
+    yield Case("no_skip", inputs((7, 4), False), ("off",))
+    yield Case("no_time_net", inputs((), True), ("off",))
