@@ -72,6 +72,9 @@ TINY = replace(
     lr_d=(3e-4, 1.5e-5),
     grow_from=300,
     grow_until=2000,
+    gradient_threshold=5e-4,
+    percent_dense=0.02,
+    most=800,  # as many as our preset `tiny` has: 200 anchors of 4 children
 )
 # The network of our own preset `tiny`: two layers of 64, no time net, no skip.
 TINY_SMALL = replace(
