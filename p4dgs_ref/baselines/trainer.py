@@ -59,7 +59,10 @@ class Trainer(Loop):
         return exponential(self.iteration, first, last, self.preset.iterations)
 
     def gradients_of(self, view):
-        """The Losses of a view, what was Seen, and the gradients of parameters and of mean2d."""
+        """The Losses of a view, what was Seen, and the gradients of parameters and of mean2d.
+
+        Raises NotFinite with the first array and index that is NaN or infinite.
+        """
         preset, p = self.preset, self.parameters
         model, gradients = self.around(p), p.zeros()
         x_c = view.camera.center.astype(p.vector.dtype)
@@ -82,7 +85,8 @@ class Trainer(Loop):
             gradients.fill(name, network_gradients)
         L_render, L1, D_SSIM = (float(loss) for loss in losses)
         L_total = L_render + model.regularise(gradients)
-        if bad := first_bad({"L_total": L_total, **gradients.arrays}):
+        if not np.isfinite(L_total) or not np.isfinite(gradients.vector).all():
+            bad = first_bad({"L_total": L_total, **gradients.arrays})
             raise NotFinite(self.iteration, f"loss or gradient of {bad}")
         alpha = np.zeros((self.primitives, 1))
         alpha[g.index, 0] = g.alpha

@@ -10,6 +10,7 @@ from p4dgs_ref.baselines import d3dgs
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.studies.evaluate import evaluate
+from p4dgs_ref.training.finite import NotFinite
 from p4dgs_ref.training.parameters import Parameters
 
 SMALL = replace(
@@ -167,6 +168,13 @@ def test_training_is_repeatable_and_learns(scene, trained):
     start = d3dgs.Trainer(scene, SMALL, seed=1).model()
     ends = [evaluate(model, scene)[0]["psnr_db"] for model in (start, trained)]
     assert ends[1] > ends[0] + 1
+
+
+def test_a_number_that_is_not_finite_is_named(scene):
+    trainer = d3dgs.Trainer(scene, SMALL)
+    trainer.parameters["sh_dc"][3] = np.nan
+    with np.errstate(all="ignore"), pytest.raises(NotFinite, match="iteration 0: .*is nan"):
+        trainer.step()
 
 
 def test_rates(scene):
