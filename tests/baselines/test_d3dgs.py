@@ -1,5 +1,6 @@
 """D3DGS: its pipeline and gradients, training, presets, and its file."""
 
+import io
 from dataclasses import replace
 
 import numpy as np
@@ -201,6 +202,38 @@ def test_annealed_noise_of_the_time(scene):
         drawn = [noisy.time_of(view) - view.time for _ in range(2000)]
         assert np.std(drawn) == pytest.approx(size / count, rel=0.06)
         assert abs(np.mean(drawn)) <= 0.1 * size / count
+
+
+class Pulled(d3dgs.D3DGS):
+    """D3DGS with a further term of the loss, 3 times the sum of all coordinates."""
+
+    def regularise(self, gradients):
+        gradients["x"][...] += 3
+        return 3 * float(self.parameters["x"].sum())
+
+
+def test_a_further_term_of_the_loss(scene):
+    plain, pulled = d3dgs.Trainer(scene, SMALL), d3dgs.Trainer(scene, SMALL)
+    pulled.kind = Pulled
+    before, _, gradients, _ = plain.gradients_of(scene.train[0])
+    after, _, more, _ = pulled.gradients_of(scene.train[0])
+    added = 3 * float(plain.parameters["x"].sum())
+    assert after.L_total == pytest.approx(before.L_total + added)
+    assert after.L_render == before.L_render
+    assert np.allclose(more["x"], gradients["x"] + 3)
+
+
+def test_training_by_name(scene):
+    """The same model as from the Trainer, and a progress line that calls things by their names."""
+    stream = io.StringIO()
+    changes = dict(points="30", iterations=12, warm_up=4)
+    model = baselines.train(scene, "d3dgs_small", seed=2, stream=stream, **changes)
+    preset = replace(d3dgs.TINY_SMALL, points=30, iterations=12, warm_up=4)
+    wanted = d3dgs.Trainer(scene, preset, 2).run()
+    assert np.array_equal(model.parameters.vector, wanted.parameters.vector)
+    lines = stream.getvalue().splitlines()
+    assert "stage 1" in lines[0] and "stage 2" in lines[-1]
+    assert all("30 stored  30 Gaussians" in line for line in lines)
 
 
 # --- presets ---
