@@ -29,7 +29,7 @@ class Preset(explicit.Preset):
 
     iterations: int = 40_000
     warm_up: int = 3000  # the first iteration in which the Gaussians move
-    points: int = 100_000
+    gaussians: int = 100_000
     deformation: tuple[int, ...] = (256,) * 8
     time_net: tuple[int, ...] = (256, 30)
     skip: bool = True
@@ -54,7 +54,7 @@ PAPER_REAL = replace(
 TINY = replace(
     PAPER_SYNTHETIC,
     name="tiny",
-    points=800,
+    gaussians=800,
     extent=1.0,
     sh_every=500,
     L_x=4,

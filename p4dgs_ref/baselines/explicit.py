@@ -34,7 +34,7 @@ class Preset:
 
     name: str = "paper_synthetic"
     iterations: int = 30_000
-    points: int = 10_000  # random points at the start
+    gaussians: int = 10_000  # at random points at the start
     extent: float = 1.3  # they are uniform in [-extent, extent]^3
     sh_degree: int = 3
     sh_every: int = 1000  # iterations from one active degree of the harmonics to the next
@@ -147,7 +147,7 @@ class Explicit:
 
 def start(preset, rng, points=None):
     """The first Gaussians of 3DGS, on random or given points: grey, faint, as wide as the gaps."""
-    x = starting_points(points, preset.points, preset.extent, rng)
+    x = starting_points(points, preset.gaussians, preset.extent, rng)
     N, K = len(x), (preset.sh_degree + 1) ** 2
     return {
         "x": x,

@@ -16,7 +16,7 @@ from p4dgs_ref.training.parameters import Parameters
 
 SMALL = replace(
     d3dgs.TINY_SMALL,
-    points=40,
+    gaussians=40,
     deformation=(9, 8, 7),
     skip=True,
     time_net=(6, 5),
@@ -47,7 +47,7 @@ def trained(scene):
 def random_parameters(seed=0, N=7):
     """Parameters in float64 in which every array matters; psi_d does not read E(x)."""
     rng = np.random.default_rng(seed)
-    p = Parameters(d3dgs.D3DGS.initial(replace(SMALL, points=N), rng), np.float64)
+    p = Parameters(d3dgs.D3DGS.initial(replace(SMALL, gaussians=N), rng), np.float64)
     p["sh_dc"][...] = rng.normal(size=(N, 3, 1))
     p["sh_rest"][...] = 0.3 * rng.normal(size=(N, 3, 15))
     p["raw_r"][...] = rng.normal(size=(N, 4))
@@ -179,7 +179,7 @@ def test_a_number_that_is_not_finite_is_named(scene):
 
 
 def test_rates(scene):
-    preset = replace(d3dgs.PAPER_SYNTHETIC, points=10, deformation=(4, 4, 4), time_net=(4, 3))
+    preset = replace(d3dgs.PAPER_SYNTHETIC, gaussians=10, deformation=(4, 4, 4), time_net=(4, 3))
     trainer = d3dgs.Trainer(scene, preset)
     assert trainer.rate_of("x") == pytest.approx(8e-4) and trainer.rate_of("psi_d") == 0
     trainer.iteration = 15_000
@@ -226,9 +226,9 @@ def test_a_further_term_of_the_loss(scene):
 def test_training_by_name(scene):
     """The same model as from the Trainer, and a progress line that calls things by their names."""
     stream = io.StringIO()
-    changes = dict(points="30", iterations=12, warm_up=4)
+    changes = dict(gaussians="30", iterations=12, warm_up=4)
     model = baselines.train(scene, "d3dgs_small", seed=2, stream=stream, **changes)
-    preset = replace(d3dgs.TINY_SMALL, points=30, iterations=12, warm_up=4)
+    preset = replace(d3dgs.TINY_SMALL, gaussians=30, iterations=12, warm_up=4)
     wanted = d3dgs.Trainer(scene, preset, 2).run()
     assert np.array_equal(model.parameters.vector, wanted.parameters.vector)
     lines = stream.getvalue().splitlines()
@@ -240,7 +240,7 @@ def test_training_by_name(scene):
 def test_the_network_has_the_size_of_the_authors():
     """522,280 parameters for synthetic scenes."""
     p = Parameters(
-        d3dgs.D3DGS.initial(replace(d3dgs.PAPER_SYNTHETIC, points=5), np.random.default_rng(0))
+        d3dgs.D3DGS.initial(replace(d3dgs.PAPER_SYNTHETIC, gaussians=5), np.random.default_rng(0))
     )
     assert sum(a.size for name, a in p.arrays.items() if name.startswith("psi")) == 522_280
     assert sum(p[name].size for name in p.arrays if not name.startswith("psi")) == 5 * 59
@@ -253,7 +253,7 @@ def test_the_network_has_the_size_of_the_authors():
         ("d3dgs", "huge", {}, "preset 'huge': expected one of paper_synthetic"),
         ("d3dgs", None, {"anchors": 3}, "field 'anchors' of preset tiny"),
         ("d3dgs", None, {"name": "x"}, "field 'name' of preset tiny"),
-        ("d3dgs", None, {"points": 2.5}, "field 'points': expected a value like"),
+        ("d3dgs", None, {"gaussians": 2.5}, "field 'gaussians': expected a value like"),
     ],
 )
 def test_unknown_names_and_values(method, preset, changes, words):

@@ -12,14 +12,14 @@ from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting.covariance import forward as covariance
 from p4dgs_ref.training.parameters import Parameters
 
-PRESET = replace(d3dgs.TINY_SMALL, points=60, gradient_threshold=0.5, percent_dense=0.1)
+PRESET = replace(d3dgs.TINY_SMALL, gaussians=60, gradient_threshold=0.5, percent_dense=0.1)
 EXTENT = 3.0
 ROWS = ["x", "sh_dc", "sh_rest", "logit_alpha", "log_s", "raw_r"]
 
 
 def random_gaussians(N=60, seed=0):
     rng = np.random.default_rng(seed)
-    p = Parameters(explicit.start(replace(PRESET, points=N), rng), np.float64)
+    p = Parameters(explicit.start(replace(PRESET, gaussians=N), rng), np.float64)
     p["log_s"][...] = np.log(0.3) + 0.7 * rng.normal(size=(N, 3))
     p["logit_alpha"][...] = 4 * rng.normal(size=N) - 3
     p["sh_rest"][...] = rng.normal(size=p["sh_rest"].shape)
@@ -122,7 +122,7 @@ def test_a_window_of_training(scene, monkeypatch):
 
 
 def test_the_last_gaussian_stays(scene):
-    preset = replace(PRESET, points=3, min_opacity=0.9, grow_from=0, grow_every=2)
+    preset = replace(PRESET, gaussians=3, min_opacity=0.9, grow_from=0, grow_every=2)
     trainer = d3dgs.Trainer(scene, preset)
     for _ in range(4):
         trainer.step()
