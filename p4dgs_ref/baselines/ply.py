@@ -10,9 +10,8 @@
     property float value
     end_header
 
-All numbers are float32, as in the files of the authors. A splat viewer reads the vertices and
-ignores the rest. The text is the overhead: 1.5 to 3 KB, of which the properties of the harmonics
-are two thirds.
+All numbers are float32, as in the files of the authors; D3DGS keeps its network in a file of its
+own. The text is the overhead, about 2 KB.
 """
 
 import json
