@@ -95,11 +95,16 @@ class Explicit:
 
     def render(self, camera, t, settings=FAST):
         """The image [H, W, 3] at time t in [0, 1]. Clip it to [0, 1] before saving it."""
-        *gaussians, _ = self.gaussians(t, camera)
-        (image, *_), _ = render.forward(
-            *gaussians, camera, self.background, settings, self.occlusion, keep=False
-        )
+        (image, *_), _ = self.draw(self.gaussians(t, camera), camera, settings, keep=False)
         return image
+
+    def draw(self, g, camera, settings, keep=True):
+        """What `splatting.render.forward` returns for some Gaussians."""
+        return render.forward(*g[:-1], camera, self.background, settings, self.occlusion, keep)
+
+    def draw_backward(self, saved, image_bar):
+        """Gradients of the fields of the Gaussians, and of mean2d."""
+        return render.backward(saved, image_bar)
 
     def regularise(self, gradients):
         """Return the further terms of the loss and add their gradients; here there are none."""
@@ -108,7 +113,8 @@ class Explicit:
     def save(self, path):
         """Write the file; returns its bytes as {"gaussians": ..., "network": ..., "other": ...}."""
         arrays, N = dict(self.parameters.arrays), self.primitives
-        arrays["normals"] = np.zeros((N, 3))
+        if "normals" in self.PROPERTIES:
+            arrays["normals"] = np.zeros((N, 3))
         rows = {name: arrays.pop(name) for name in self.PROPERTIES}
         columns = {name: array.reshape(N, array[:1].size) for name, array in rows.items()}
         properties = []

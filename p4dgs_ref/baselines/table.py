@@ -31,6 +31,38 @@ _ROWS = (
         ("delta_x", "delta_s", "delta_r"),
         ("x", "weights", "biases", "time_weights", "time_biases"),
     ),
+    Equation(
+        "rotation_4d",
+        "G1",
+        "R v = l v conj(r), l = raw_l / |raw_l|, r = raw_r / |raw_r|",
+        "p4dgs_ref.baselines.rotation_4d",
+        ("R",),
+        ("raw_l", "raw_r"),
+    ),
+    Equation(
+        "conditional",
+        "G2",
+        "x_t = x + b (t - mu_t) / var_t, Sigma_t = A - b b^T / var_t",
+        "p4dgs_ref.baselines.conditional",
+        ("x_t", "Sigma_t", "var_t"),
+        ("x", "mu_t", "s", "R"),
+    ),
+    Equation(
+        "marginal",
+        "G3",
+        "alpha_t = alpha exp(-(t - mu_t)**2 / (2 var_t))",
+        "p4dgs_ref.baselines.marginal",
+        ("alpha_t", "weight"),
+        ("alpha", "mu_t", "var_t"),
+    ),
+    Equation(
+        "spherindrical",
+        "G4",
+        "sh_t = sum_n cos(2 pi n (t - mu_t)) sh_n",
+        "p4dgs_ref.baselines.spherindrical",
+        ("sh_t",),
+        ("sh", "mu_t"),
+    ),
 )
 
 BASELINE_EQUATIONS: dict[str, Equation] = {row.key: row for row in _ROWS}

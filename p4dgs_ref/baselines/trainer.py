@@ -3,7 +3,6 @@
 import numpy as np
 
 from ..equations import render_loss
-from ..splatting import render
 from ..splatting.settings import FAST
 from ..training.adam import exponential
 from ..training.density import Statistics
@@ -67,17 +66,14 @@ class Trainer(Loop):
         model, gradients = self.around(p), p.zeros()
         x_c = view.camera.center.astype(p.vector.dtype)
         g, saved_model = model.predict(self.time_of(view), x_c, self.iteration)
-        (image, _, visible), saved_render = render.forward(
-            *g[:5], view.camera, model.background, self.settings, model.occlusion
-        )
+        (image, _, visible), saved_render = model.draw(g, view.camera, self.settings)
         truth = view.image.astype(image.dtype)
         losses, saved_loss = render_loss.forward(
             image, truth, preset.lambda_ssim, self.moments_of(view)
         )
-        bars = render.backward(saved_render, render_loss.backward(saved_loss, 1.0)["image"])
-        gaussians_bar = [
-            bars[name].astype(p.vector.dtype) for name in ("x", "s", "r", "alpha", "color")
-        ]
+        image_bar = render_loss.backward(saved_loss, 1.0)["image"]
+        bars = model.draw_backward(saved_render, image_bar)
+        gaussians_bar = [bars[name].astype(p.vector.dtype) for name in g._fields[:-1]]
         arrays, networks = model.predict_backward(saved_model, *gaussians_bar)
         for name, gradient in arrays.items():
             gradients[name][...] = gradient

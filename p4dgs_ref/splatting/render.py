@@ -22,7 +22,31 @@ def forward(
     Projection is computed in float64, compositing in `settings.dtype`. Raises ValueError for an
     opacity that is negative or NaN: lists of tiles would leave it out, the exact twin would not.
     """
-    splats, *saved_projection = project(x, s, r, camera, settings)
+    Sigma, saved_covariance = covariance.forward(s.astype(float), r.astype(float))
+    out, saved = draw(x, Sigma, alpha, color, camera, background, settings, occlusion, keep)
+    return out, (saved_covariance, *saved)
+
+
+def backward(saved, image_bar):
+    """Gradients of x, s, r, alpha, color and background, and of mean2d for density control."""
+    saved_covariance, *saved = saved
+    bars = draw_backward(saved, image_bar)
+    return {**covariance.backward(saved_covariance, bars.pop("Sigma")), **bars}
+
+
+def draw(
+    x,  # [N, 3]
+    Sigma,  # [N, 3, 3]  covariances, symmetric (square scene units)
+    alpha,  # [N]
+    color,  # [N, 3]
+    camera,
+    background,  # [3]
+    settings,
+    occlusion=True,
+    keep=True,
+):
+    """What `forward` returns, for Gaussians with any covariances."""
+    splats, saved_projection = project(x, Sigma, camera, settings)
     mean2d, cov2d, conic, depth, visible = splats
     alpha, color, background = (np.asarray(a, float) for a in (alpha, color, background))
     bad = np.flatnonzero(~(alpha >= 0))
@@ -35,25 +59,23 @@ def forward(
     else:
         compositor = fast
         out, saved = fast.forward(mean2d, cov2d, conic, *looks, settings, occlusion, keep)
-    return (*out, visible), (*saved_projection, compositor, saved)
+    return (*out, visible), (saved_projection, compositor, saved)
 
 
-def backward(saved, image_bar):
-    """Gradients of x, s, r, alpha, color and background, and of mean2d for density control."""
-    saved_covariance, saved_projection, compositor, saved_compositing = saved
+def draw_backward(saved, image_bar):
+    """Gradients of x, Sigma, alpha, color and background, and of mean2d."""
+    saved_projection, compositor, saved_compositing = saved
     splats = compositor.backward(saved_compositing, image_bar)
     mean2d_bar, conic_bar = splats["mean2d"], splats.pop("conic")
     places = projection.backward(saved_projection, mean2d_bar=mean2d_bar, conic_bar=conic_bar)
-    shapes = covariance.backward(saved_covariance, places["Sigma"])
-    return {"x": places["x"], **shapes, **splats}
+    return {**places, **splats}
 
 
-def project(x, s, r, camera, settings):
-    """Return the output of `projection`, and what `covariance` and `projection` saved."""
-    Sigma, saved_covariance = covariance.forward(s.astype(float), r.astype(float))
-    splats, saved_projection = projection.forward(
+def project(x, Sigma, camera, settings):
+    """Return the output of `projection` for a camera, and what it saved."""
+    return projection.forward(
         x.astype(float),
-        Sigma,
+        Sigma.astype(float, copy=False),
         camera.R,
         camera.T,
         np.array([camera.f_x, camera.f_y]),
@@ -63,4 +85,3 @@ def project(x, s, r, camera, settings):
         settings.blur,
         settings.tan_clamp,
     )
-    return splats, saved_covariance, saved_projection

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.special import lpmv
 
-from p4dgs_ref.baselines import sh_color
+from p4dgs_ref.baselines import conditional, rotation_4d, sh_color, spherindrical
 from p4dgs_ref.baselines.table import BASELINE_EQUATIONS
+from p4dgs_ref.splatting.covariance import rotation_matrix
 from p4dgs_ref.table import Equation
 from tests.baselines.cases import cases_of
 from tests.core import adjoint, shape_comments
@@ -127,3 +128,100 @@ def test_harmonics_are_orthonormal_on_the_sphere():
     Y, _ = sh_color.basis(d, 16)
     area = np.repeat(weights, 8) * 2 * np.pi / 8
     assert (Y.T * area) @ Y == pytest.approx(np.eye(16), abs=1e-14)
+
+
+def hamilton(p, q):
+    """The product of two quaternions (w, x, y, z), from its scalar and vector parts."""
+    vector = p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:])
+    return np.array([p[0] * q[0] - p[1:] @ q[1:], *vector])
+
+
+def test_4d_rotations_against_products_of_quaternions():
+    inputs = case_of("rotation_4d").inputs
+    R, _ = rotation_4d.forward(**inputs)
+    for matrix, l, r in zip(R, *inputs.values()):
+        l, r = (q / np.linalg.norm(q) for q in (l, r))
+        for axis in range(4):
+            v = np.roll(np.eye(4)[axis], 1)  # (t, x, y, z)
+            turned = hamilton(hamilton(l, v), r * [1, -1, -1, -1])
+            assert matrix[:, axis] == pytest.approx(np.roll(turned, -1), abs=1e-15)
+
+
+def test_4d_rotations_are_rotations():
+    """Orthogonal with determinant 1; the same for (-l, -r); of space alone where l = r."""
+    inputs = case_of("rotation_4d").inputs
+    R, _ = rotation_4d.forward(**inputs)
+    assert R @ R.transpose(0, 2, 1) == pytest.approx(np.tile(np.eye(4), (5, 1, 1)), abs=1e-15)
+    assert np.linalg.det(R) == pytest.approx(np.ones(5), abs=1e-14)
+    assert np.array_equal(R, rotation_4d.forward(-inputs["raw_l"], -inputs["raw_r"])[0])
+    r = inputs["raw_r"]
+    space = np.tile(np.eye(4), (5, 1, 1))
+    space[:, :3, :3] = rotation_matrix(r / np.linalg.norm(r, axis=1, keepdims=True))
+    assert rotation_4d.forward(r, r)[0] == pytest.approx(space, abs=1e-15)
+
+
+@pytest.mark.parametrize("name", ["ordinary", "by_hand", "at_its_mean"])
+def test_conditional_gaussians_against_the_inverse_matrix(name):
+    """The precision of (x, y, z) given t is a block of the inverse of the 4 x 4 covariance."""
+    x, mu_t, s, R, t = case_of("conditional", name).inputs.values()
+    (x_t, Sigma_t, var_t), _ = conditional.forward(x, mu_t, s, R, t)
+    for n in range(len(x)):
+        Sigma = R[n] @ np.diag(s[n] ** 2) @ R[n].T
+        precision = np.linalg.inv(Sigma)
+        block = np.linalg.inv(precision[:3, :3])
+        assert Sigma_t[n] == pytest.approx(block, rel=1e-11, abs=1e-13)
+        mean = x[n] - block @ precision[:3, 3] * (t - mu_t[n])
+        assert x_t[n] == pytest.approx(mean, rel=1e-11)
+        assert var_t[n] == pytest.approx(Sigma[3, 3], rel=1e-13)
+
+
+def test_conditional_and_marginal_against_an_integral():
+    """The 4D density on the slice t: its integral, mean and covariance, by sums over a grid."""
+    x, mu_t, s, R, t = case_of("conditional").inputs.values()
+    (x_t, Sigma_t, var_t), _ = conditional.forward(x, mu_t, s, R, t)
+    weight = BASELINE_EQUATIONS["marginal"](alpha=np.ones(5), mu_t=mu_t, var_t=var_t, t=t)["weight"]
+    steps = np.linspace(-7, 7, 41)
+    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    for n in range(5):
+        precision = np.linalg.inv(R[n] @ np.diag(s[n] ** 2) @ R[n].T)
+        # A grid in which the slice is a round Gaussian; any affine map integrates the same.
+        root = np.linalg.cholesky(np.linalg.inv(precision[:3, :3]))
+
+        def slice_at(time, middle):
+            points = middle + grid @ root.T
+            v = np.concatenate([points - x[n], np.full((len(grid), 1), time - mu_t[n])], axis=1)
+            return points, np.exp(-0.5 * np.einsum("pi,ij,pj->p", v, precision, v))
+
+        points, density = slice_at(t, x_t[n])
+        _, at_mean = slice_at(mu_t[n], x[n])
+        assert weight[n] == pytest.approx(density.sum() / at_mean.sum(), rel=1e-9)
+        mean = density @ points / density.sum()
+        assert mean == pytest.approx(x_t[n], rel=1e-9)
+        spread = (points - mean).T * density @ (points - mean) / density.sum()
+        assert spread == pytest.approx(Sigma_t[n], rel=1e-8, abs=1e-10)
+
+
+def test_a_lasting_gaussian_keeps_its_shape_in_float32():
+    """Where A and b b^T / var_t agree to all digits but a few, Sigma_t has full precision."""
+    _, mu_t, s, R, t = case_of("conditional").inputs.values()
+    inputs = [np.zeros((5, 3)), mu_t, s * [1e-3, 1e-3, 1e-3, 1e3], R]
+    (_, exact, _), _ = conditional.forward(*inputs, t)
+    (_, Sigma_t, _), _ = conditional.forward(*(a.astype(np.float32) for a in inputs), t)
+    assert np.all(np.abs(Sigma_t - exact) <= 1e-5 * exact.max(axis=(1, 2), keepdims=True))
+    M = (R * inputs[2][:, None]).astype(np.float32)
+    Sigma = M @ M.transpose(0, 2, 1)
+    naive = Sigma[:, :3, :3] - Sigma[:, :3, 3:] * Sigma[:, 3:, :3] / Sigma[:, 3:, 3:]
+    assert np.abs(naive - exact).max() > exact.max()
+
+
+def test_waves_in_time_against_a_loop():
+    """Term by term; and one wave is orthogonal to the others over a period."""
+    sh, mu_t, t = case_of("spherindrical").inputs.values()
+    sh_t, _ = spherindrical.forward(sh, mu_t, t)
+    for n in range(5):
+        waves = [math.cos(2 * math.pi * k * (t - mu_t[n])) for k in range(4)]
+        assert sh_t[n] == pytest.approx(sum(w * sh[n, :, k] for k, w in enumerate(waves)))
+    unit = np.eye(3).reshape(3, 1, 3, 1).repeat(3, axis=1)
+    times = np.arange(8) / 8
+    values = np.array([spherindrical.forward(unit, np.zeros(3), t)[0][:, 0, 0] for t in times])
+    assert values.T @ values / 8 == pytest.approx(np.diag([1, 0.5, 0.5]), abs=1e-15)

@@ -306,7 +306,8 @@ def test_without_occlusion_every_gaussian_is_as_if_alone(name, settings):
     off, ours, saved = run(slice(None), False)
     alone = [run([i], True) for i in range(n)]
     assert np.abs(off - sum(image for image, _, _ in alone)).max() <= 4 * EPS * max(off.max(), 1)
-    projected = render.project(splats["x"], splats["s"], splats["r"], camera, settings)[0]
+    Sigma, _ = covariance.forward(splats["s"], splats["r"])
+    projected = render.project(splats["x"], Sigma, camera, settings)[0]
     terms = compositing_terms(projected, saved, bar, settings)
     terms.update(projected_terms(saved, terms))
     for key in ("mean2d", *splats):

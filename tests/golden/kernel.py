@@ -258,10 +258,12 @@ def kernel_surrogate(**base):
 
 def splats_of(x, s, r, camera):
     """Return the splats of some Gaussians as inputs of `composite`, and what backward needs."""
-    splats, *saved = render.project(x, s, r, camera, PAPER)
+    Sigma, saved_covariance = covariance.forward(s.astype(float), r.astype(float))
+    splats, saved_projection = render.project(x, Sigma, camera, PAPER)
     *floats, visible = splats
     named = dict(zip(("mean2d", "cov2d", "conic", "depth"), (a.astype(x.dtype) for a in floats)))
-    return dict(named, visible=visible, height=camera.height, width=camera.width), saved
+    splats = dict(named, visible=visible, height=camera.height, width=camera.width)
+    return splats, (saved_covariance, saved_projection)
 
 
 def stage_vjp(x, s, r, alpha, color, W, T, focal, center, size, background, rule=RIGHT):

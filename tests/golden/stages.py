@@ -158,9 +158,8 @@ def projection_vjp(x, s, r, W, T, focal, center, size):
 
     r is taken as it is: its gradient is the plain derivative of the printed matrix.
     """
-    splats, saved_covariance, saved_projection = render.project(
-        x, s, r, camera_of(W, T, focal, center, size), EXACT
-    )
+    Sigma, saved_covariance = covariance.forward(s.astype(float), r.astype(float))
+    splats, saved_projection = render.project(x, Sigma, camera_of(W, T, focal, center, size), EXACT)
     names = ("mean2d", "cov2d", "conic", "depth", "visible")
     outputs = dict(zip(names, splats))
     del outputs["cov2d"]

@@ -1,0 +1,36 @@
+"""Cases of G4."""
+
+import numpy as np
+
+from tests.golden.cases import Case
+
+
+def cases():
+    rng = np.random.default_rng(34)
+    inputs = dict(sh=rng.normal(size=(5, 3, 4, 16)), mu_t=rng.uniform(size=5), t=0.37)
+    yield Case("ordinary", inputs)
+    yield Case("no_gaussians", dict(sh=inputs["sh"][:0], mu_t=np.zeros(0), t=0.37), ("empty",))
+    yield Case(
+        "no_waves",
+        {**inputs, "sh": inputs["sh"][:, :, :1]},
+        ("off",),
+        expected={"sh_t": inputs["sh"][:, :, 0]},
+    )
+    sh = inputs["sh"][:1, :, :3, :1]
+    bar = np.array([[[1.0], [10], [100]]])
+    yield Case(
+        "a_quarter_of_a_period",
+        dict(sh=sh, mu_t=np.array([0.25]), t=0.5),
+        ("single", "negative"),
+        cotangents={"sh_t_bar": bar},
+        expected={
+            "sh_t": sh[:, :, 0] - sh[:, :, 2],
+            "sh_bar": bar[:, :, None] * np.array([1.0, 0, -1])[:, None],
+            "mu_t_bar": 2 * np.pi * np.array([(sh[:, :, 1] * bar).sum()]),
+        },
+    )
+    yield Case(
+        "a_whole_period",
+        {**inputs, "mu_t": np.full(5, -0.63)},
+        expected={"sh_t": inputs["sh"].sum(axis=2)},
+    )
