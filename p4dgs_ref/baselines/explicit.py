@@ -100,7 +100,8 @@ class Explicit:
 
     def draw(self, g, camera, settings, keep=True):
         """What `splatting.render.forward` returns for some Gaussians."""
-        return render.forward(*g[:-1], camera, self.background, settings, self.occlusion, keep)
+        looks = camera, self.background, settings, self.occlusion, keep
+        return render.forward(g.x, g.s, g.r, g.alpha, g.color, *looks)
 
     def draw_backward(self, saved, image_bar):
         """Gradients of the fields of the Gaussians, and of mean2d."""

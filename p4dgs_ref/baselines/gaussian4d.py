@@ -90,8 +90,7 @@ class Gaussian4D(explicit.Explicit):
         "x": "x y z",
         "mu_t": "t",
         "sh_dc": "f_dc_*",
-        "sh_rest": "f_rest_*",
-        "sh_time": "f_time_*",
+        "sh_rest": "f_rest_*",  # with the waves in time after the harmonics of 3DGS
         "logit_alpha": "opacity",
         "log_s": "scale_*",
         "log_s_t": "scale_t",
@@ -107,7 +106,7 @@ class Gaussian4D(explicit.Explicit):
         return {
             **arrays,
             "mu_t": rng.uniform(-0.1, 1.1, N),
-            "sh_time": np.zeros((N, 3, preset.waves * K)),
+            "sh_rest": np.zeros((N, 3, (preset.waves + 1) * K - 1)),
             "log_s_t": np.full((N, 1), np.log(preset.start_s_t)),
             "raw_l": arrays["raw_r"],
         }
@@ -161,33 +160,33 @@ class Gaussian4D(explicit.Explicit):
         if iteration is not None:
             steps = iteration // preset.sh_every
             degree, waves = min(steps, degree), min(max(steps - degree, 0), waves)
-        stored = np.concatenate([p["sh_dc"], p["sh_rest"], p["sh_time"]], axis=2)
-        sh = stored.reshape(len(x), 3, -1, (preset.sh_degree + 1) ** 2)[:, :, : waves + 1]
+        stored = np.concatenate([p["sh_dc"], p["sh_rest"]], axis=2)
+        sh = stored.reshape(len(x), 3, preset.waves + 1, -1)[:, :, : waves + 1]
         sh_t, saved_sh = spherindrical.forward(sh, p["mu_t"], t)
         at_t = {"sh_dc": sh_t[:, :, :1], "sh_rest": sh_t[:, :, 1:]}
         color, saved_color = explicit.colors(at_t, x, x_c, degree)
         return color, (saved_sh, saved_color)
 
     def colors_backward(self, saved, color_bar):
-        """Gradients of x_t, mu_t, sh_dc, sh_rest and sh_time."""
+        """Gradients of x_t, mu_t, sh_dc and sh_rest."""
         saved_sh, saved_color = saved
         bars = explicit.colors_backward(saved_color, color_bar)
         sh_t_bar = np.concatenate([bars["sh_dc"], bars["sh_rest"]], axis=2)
         series = spherindrical.backward(saved_sh, sh_t_bar)
-        K, sh_time_bar = sh_t_bar.shape[2], np.zeros_like(self.parameters["sh_time"])
-        active = series["sh"].reshape(len(color_bar), 3, -1)[:, :, K:]
-        sh_time_bar[:, :, : active.shape[2]] = active
+        active = series["sh"].reshape(len(color_bar), 3, -1)
+        sh_rest_bar = np.zeros_like(self.parameters["sh_rest"])
+        sh_rest_bar[:, :, : active.shape[2] - 1] = active[:, :, 1:]
         return {
             "x": bars["x"],
             "mu_t": series["mu_t"],
-            "sh_dc": series["sh"][:, :, 0, :1],
-            "sh_rest": series["sh"][:, :, 0, 1:],
-            "sh_time": sh_time_bar,
+            "sh_dc": active[:, :, :1],
+            "sh_rest": sh_rest_bar,
         }
 
     def draw(self, g, camera, settings, keep=True):
         """See `Explicit`."""
-        return render.draw(*g[:-1], camera, self.background, settings, self.occlusion, keep)
+        looks = camera, self.background, settings, self.occlusion, keep
+        return render.draw(g.x, g.Sigma, g.alpha, g.color, *looks)
 
     def draw_backward(self, saved, image_bar):
         """See `Explicit`."""
@@ -209,7 +208,6 @@ class Trainer(trainer.Trainer):
     RATES = {
         **trainer.Trainer.RATES,
         "mu_t": "lr_t",
-        "sh_time": "lr_sh_rest",
         "log_s_t": "lr_s",
         "raw_l": "lr_r",
     }
