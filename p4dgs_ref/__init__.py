@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from .codec.container import BitstreamError
     from .codec.file import decode, encode
     from .model import Model
-    from .scenes.dnerf import load_scene
+    from .scenes.load import load_scene
     from .scenes.scene import Scene, SceneError, View
     from .scenes.simulator.simulate import simulate
     from .splatting.camera import Camera, look_at
@@ -71,7 +71,7 @@ _HOME = {
     "decode": "codec.file",
     "encode": "codec.file",
     "evaluate": "studies.evaluate",
-    "load_scene": "scenes.dnerf",
+    "load_scene": "scenes.load",
     "look_at": "splatting.camera",
     "main_job": "studies.main_job",
     "prepare": "__main__",

@@ -19,7 +19,7 @@ from p4dgs_ref import oracle
 from p4dgs_ref.codec import published
 from p4dgs_ref.equations import deformation
 from p4dgs_ref.model import predict, predict_backward
-from p4dgs_ref.scenes.dnerf import packaged_folder
+from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator.description import describe
 from p4dgs_ref.scenes.simulator.simulate import place_cameras
 from p4dgs_ref.scenes.simulator.trace import trace

@@ -60,6 +60,7 @@ def estimate(scene, preset, arguments, points=None):
     """Time the first steps of a long training; more than an hour needs --yes."""
     from ..training.trainer import Trainer
 
+    points = scene.points if points is None else points
     anchors = preset.anchors if points is None else len(points)
     if anchors <= 1000 and preset.iterations <= 10_000:
         return
@@ -107,9 +108,8 @@ def simulate(arguments):
 
 def train(arguments):
     """Fit a scene into a run folder."""
-    from ..scenes.dnerf import read_description
+    from ..scenes.load import read_description, read_points_for
     from ..scenes.output import made
-    from ..scenes.points import read_points
     from ..studies.report import write_training
     from ..training.checkpoint import CHECKPOINT
     from ..training.fit import fit
@@ -120,7 +120,7 @@ def train(arguments):
         raise UsageError(f"{checkpoint}: exists; --resume goes on from it, another -o starts anew")
     if arguments.resume and arguments.points:
         raise UsageError("--points: not allowed with --resume; the checkpoint holds the anchors")
-    points = read_points(arguments.points) if arguments.points else None
+    points = read_points_for(scene, arguments.points) if arguments.points else None
     if not arguments.resume:
         estimate(scene, preset, arguments, points)
     start = time.perf_counter()
@@ -232,7 +232,7 @@ def held_camera(arguments, model):
     from ..splatting.camera import look_at
 
     azimuth, elevation, distance, fov, size = (
-        CAMERA[name] if getattr(arguments, name) is None else getattr(arguments, name)
+        CAMERA[name] if getattr(arguments, name, None) is None else getattr(arguments, name)
         for name in ("azimuth", "elevation", "distance", "fov", "size")
     )
     azimuth, elevation = np.radians([azimuth, elevation])
@@ -256,11 +256,16 @@ def views_to_render(arguments, model):
         camera = held_camera(arguments, model)
         times = np.linspace(0, 1, arguments.frames or CAMERA["frames"])
         return [(f"t_{i:03d}", camera, t) for i, t in enumerate(times)]
-    for name in CAMERA:
-        if getattr(arguments, name) is not None:
-            raise UsageError(f"--{name}: not allowed with --scene, which has its own cameras")
-    views = getattr(read_scene(arguments, arguments.split, "render"), arguments.split)
+    views = scene_views(arguments, "--scene, which has its own cameras")
     return [(view.name.replace("/", "_"), view.camera, view.time) for view in views]
+
+
+def scene_views(arguments, instead):
+    """The views of --split of --scene; options that place a camera are refused beside them."""
+    for name in CAMERA:
+        if getattr(arguments, name, None) is not None:
+            raise UsageError(f"--{name}: not allowed with {instead}")
+    return getattr(read_scene(arguments, arguments.split, "render"), arguments.split)
 
 
 def render(arguments):
@@ -288,6 +293,68 @@ def render(arguments):
         arguments,
         {"output": arguments.output, "images": len(images), "ms_per_image": ms},
         f"{arguments.output}: {len(images)} images, {ms:.1f} ms each",
+    )
+
+
+def frozen_camera(arguments, model):
+    """The camera whose view is exported, and its name for the header."""
+    if arguments.camera is None and not arguments.scene:
+        return held_camera(arguments, model), "a held camera"
+    # `demo` names a file after its scene
+    arguments.scene = arguments.scene or Path(arguments.file).stem
+    views, i = scene_views(arguments, "--camera or --scene"), arguments.camera or 0
+    if i >= len(views):
+        raise UsageError(f"--camera {i}: expected one of the views 0 ... {len(views) - 1}")
+    return views[i].camera, f"view {views[i].name} of {arguments.scene}"
+
+
+def header_of(model, camera, name):
+    """The comments of a PLY file that say what was frozen, besides the time."""
+    effects = model.design.effects
+    frozen = {"view_color": "colours", "view_geometry": "opacities, scales and rotations"}
+    seen = [words for effect, words in frozen.items() if effect in effects] or ["no attributes"]
+    x, y, z = camera.center
+    comments = [
+        f"frozen view: {name}, camera at {x:.4g} {y:.4g} {z:.4g}",
+        f"of this view alone: {' and '.join(seen)}",
+        "background of the model: {:.3g} {:.3g} {:.3g}".format(*model.background),
+    ]
+    if "occlusion" not in effects:
+        comments.append("the model adds up all light, a viewer hides what is behind")
+    return comments
+
+
+def export_ply(arguments):
+    """Write the Gaussians of one time, or of several, as one camera sees them."""
+    import numpy as np
+
+    from ..scenes.output import new_file
+    from ..scenes.ply import write_gaussians
+
+    _, model, _ = read_file(arguments.file)
+    camera, name = frozen_camera(arguments, model)
+    header, file = header_of(model, camera, name), Path(arguments.file)
+    title, counts = f"{file.stem}, a P-4DGS model, frozen at time", []
+
+    def write(path, t):
+        gaussians = model.gaussians(t, camera)
+        write_gaussians(path, gaussians, [f"{title} {t:.6g}", *header])
+        counts.append(len(gaussians.alpha))
+
+    if arguments.all_times:
+        output = arguments.output or file.with_name(f"{file.stem}_ply")
+        with report_folder(output) as beside:
+            for i, t in enumerate(np.linspace(arguments.time, 1, arguments.all_times)):
+                write(beside / f"t_{i:03d}.ply", t)
+    else:
+        output = arguments.output or file.with_suffix(".ply")
+        with new_file(output) as path:
+            write(path, arguments.time)
+    show(
+        arguments,
+        {"output": str(output), "files": len(counts), "gaussians": max(counts)},
+        f"{output}: {max(counts)} Gaussians, frozen for {name}"
+        + (f", {len(counts)} files" if arguments.all_times else ""),
     )
 
 

@@ -108,7 +108,7 @@ VIEW = (
         "--downscale", type=whole(1), default=1, help="divide the image size by this (default 1)"
     ),
 )
-SCENE_HELP = "a folder in the D-NeRF layout, or the name of a packaged scene"
+SCENE_HELP = "a D-NeRF, HyperNeRF or NeRF-DS folder, or the name of a packaged scene"
 SCENE = (option("scene", help=SCENE_HELP), *VIEW)
 TRAINING = (
     option("--preset", default="tiny", help="settings of the training (default tiny)"),
@@ -116,6 +116,12 @@ TRAINING = (
     several("--set", "KEY=VALUE", "change a field of the preset; may be repeated", dest="changes"),
     QUIET,
     switch("--yes", "go on although the estimate is over an hour"),
+)
+SPLIT = option(
+    "--split",
+    default="test",
+    choices=("train", "test", "val"),
+    help="which views of the scene (default test)",
 )
 CAMERA = (  # without defaults, so that an option that does not apply can be refused
     option("--azimuth", type=real(-360, 360), help="degrees about z (default 40)"),
@@ -147,7 +153,10 @@ COMMANDS = {
         (
             *SCENE,
             *TRAINING,
-            option("--points", help="start from the points of a .npy or .ply file"),
+            option(
+                "--points",
+                help="start from the points of a .npy or .ply file, or of COLMAP's points3D.txt",
+            ),
             output("run folder", required=True),
             switch("--resume", "go on from the checkpoint in the run folder"),
             option(
@@ -179,14 +188,40 @@ COMMANDS = {
             *VIEW,
             option("--frames", type=whole(1, 10_000), help="times from 0 to 1 (default 24)"),
             option("--scene", help="use the cameras and times of this scene"),
-            option(
-                "--split",
-                default="test",
-                choices=("train", "test", "val"),
-                help="which views of the scene (default test)",
-            ),
+            SPLIT,
             option("--settings", default="fast", help="exact, paper or fast (default fast)"),
             CHECK_FINITE,
+        ),
+    ),
+    "export-ply": (
+        job.export_ply,
+        "write a file's Gaussians of one time and view as a PLY file for splat viewers",
+        (
+            FILE,
+            option(
+                "--time",
+                type=real(0, 1),
+                default=0.0,
+                metavar="T",
+                help="the time to freeze (default 0); of --all-times the first",
+            ),
+            option(
+                "--all-times",
+                type=whole(1, 10_000),
+                metavar="N",
+                help="write N files, of even times from --time to 1, into a folder",
+            ),
+            option(
+                "--camera",
+                type=whole(0),
+                metavar="I",
+                help="freeze view I of --scene, counted from 0, instead of a held camera",
+            ),
+            option("--scene", help="whose view --camera is (default: what FILE is named after)"),
+            SPLIT,
+            *CAMERA[:3],
+            *VIEW,
+            output("file to write, or folder with --all-times (default beside FILE)"),
         ),
     ),
     "evaluate": (

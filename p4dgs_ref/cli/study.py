@@ -64,7 +64,7 @@ def effects(arguments):
 
 def suggest_effects(arguments):
     """Say which effects the pictures call for; with --apply write the list to scene.json."""
-    from ..scenes.dnerf import list_effects, packaged_folder
+    from ..scenes.load import list_effects, packaged_folder
     from ..studies.suggest import suggest
     from .job import read_scene
 

@@ -4,7 +4,7 @@ The simulator that draws the packaged scenes is a room of its own, `p4dgs_ref.sc
 Loading a scene does not import it.
 """
 
-from .dnerf import load_scene, packaged_scenes
+from .load import load_scene, packaged_scenes
 from .scene import MODEL_EFFECTS, SIMULATOR_EFFECTS, Scene, SceneError, View
 
 __all__ = [

@@ -72,6 +72,7 @@ class Scene:
     effects: tuple[str, ...] = MODEL_EFFECTS
     background: np.ndarray = field(default_factory=lambda: np.ones(3))  # [3], made float32
     source: Path | None = None  # the folder it was read from
+    points: np.ndarray | None = None  # [A, 3]  where anchors start; None: at random places
 
     def __post_init__(self):
         where = self.source or self.name

@@ -72,6 +72,7 @@ class Trainer(Loop):
         self.design = design_of(preset, scene.effects)
         self.box = None  # the bounding box, fixed when stage 4 starts
         self.located = None  # where the positions are in the hash grid, from stage 4 on
+        points = scene.points if points is None else points
         self.start(initial_parameters(preset, self.design, self.rng, points))
         self.mask = np.ones((len(self.parameters["x_a"]), self.design.k), bool)
         self.statistics = density.Statistics.empty(*self.mask.shape)

@@ -59,9 +59,7 @@ def stop(process, number):
 
 @SIGNALS
 @pytest.mark.parametrize("way", [CONSOLE_SCRIPT, MODULE], ids=["console script", "python -m"])
-@pytest.mark.parametrize(
-    "module", quick(["numpy"], ["argparse", "scipy", "p4dgs_ref.scenes.dnerf"])
-)
+@pytest.mark.parametrize("module", quick(["numpy"], ["argparse", "scipy", "p4dgs_ref.scenes.load"]))
 def test_during_an_import(tmp_path, number, way, module):
     argv = ["train", "bouncing", "-o", "run", "--preset", "smoke", "--quiet"]
     code = SLOW.format(module=module, seconds=0.3) + way.format(argv=argv)

@@ -59,14 +59,14 @@ def test_training_starts_from_the_points():
     "name, content, words",
     [
         ("missing.ply", None, ["no such file"]),
-        ("points.txt", b"1 2 3", [".npy or .ply"]),
+        ("points.txt", b"1 2 3", ["a line of 3 words", "ERROR TRACK[]"]),
         ("empty.ply", b"", ["ply"]),
         ("cut.ply", b"ply\nformat ascii 1.0\nelement vertex 4\n", ["end_header"]),
         ("faces.ply", b"ply\nformat ascii 1.0\nelement face 1\nend_header\n", ["vertex"]),
         (
             "flat.ply",
             b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n",
-            ["x, y and z"],
+            ["properties x, y, z"],
         ),
         (
             "list.ply",

@@ -12,7 +12,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from p4dgs_ref.scenes import MODEL_EFFECTS, Scene, SceneError, dnerf, load_scene, packaged_scenes
+from p4dgs_ref.scenes import MODEL_EFFECTS, Scene, SceneError, load, load_scene, packaged_scenes
 from p4dgs_ref.splatting.camera import look_at
 
 WIDTH, HEIGHT = 12, 8
@@ -455,7 +455,7 @@ def project_by_hand(data, frame, point):
 
 
 def test_arm_tips_land_on_pixels_of_their_colour():
-    folder = dnerf.packaged_folder() / "orientation"
+    folder = load.packaged_folder() / "orientation"
     arms = json.loads((folder / "scene.json").read_text())["bodies"]
     seen = {arm["name"]: 0 for arm in arms}
     for split, views in (

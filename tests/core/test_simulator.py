@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene
-from p4dgs_ref.scenes.dnerf import packaged_folder
+from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator import motion, shapes, simulate, trace
 from p4dgs_ref.scenes.simulator.description import describe
 from p4dgs_ref.scenes.simulator.simulate import place_cameras

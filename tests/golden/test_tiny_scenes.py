@@ -4,7 +4,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from p4dgs_ref.scenes.dnerf import packaged_folder
+from p4dgs_ref.scenes.load import packaged_folder
 from tests.golden import tiny_scenes
 
 

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from p4dgs_ref.scenes.dnerf import packaged_folder, packaged_scenes
+from p4dgs_ref.scenes.load import packaged_folder, packaged_scenes
 from p4dgs_ref.scenes.simulator import simulate
 
 

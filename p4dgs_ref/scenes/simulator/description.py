@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from ..dnerf import read_json
+from ..files import read_json
 from ..scene import SIMULATOR_EFFECTS, check_effects, is_number, require
 
 REQUIRED = object()

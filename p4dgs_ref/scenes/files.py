@@ -1,0 +1,96 @@
+"""Reads the files of which scenes consist: JSON objects and pictures."""
+
+import json
+import os
+import warnings
+from contextlib import contextmanager
+
+import imageio.v3 as iio
+import numpy as np
+
+from .scene import SceneError, as_float, over_background, require, size_of
+
+LARGEST_JSON = 2**27  # bytes; a view takes about 500
+
+
+FOLDERS = (
+    "a D-NeRF folder with transforms_train.json and transforms_test.json, "
+    "or a HyperNeRF or NeRF-DS folder with dataset.json"
+)
+
+
+def read_json(file, expected=FOLDERS):
+    """The JSON object in a file; `expected` ends the message about a missing file."""
+    require(
+        not file.exists() or file.is_file() and file.stat().st_size <= LARGEST_JSON,
+        file,
+        f"a directory, a device or larger than {LARGEST_JSON} bytes; expected a JSON file",
+    )
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise SceneError(file, f"missing; expected {expected}") from None
+    except OSError as error:
+        raise SceneError(file, f"cannot be read ({error.strerror}); expected a JSON file") from None
+    except (ValueError, RecursionError) as error:
+        raise SceneError(file, f"malformed ({error}); expected JSON in UTF-8") from None
+    require(isinstance(data, dict), file, f"a {type(data).__name__}; expected a JSON object")
+    return data
+
+
+def read_image(folder, name, where):
+    """The pixels of a picture as float32 [H, W, 3 or 4]; the name may leave out .png."""
+    file = folder / name
+    if not os.path.isfile(file):  # unlike Path.is_file, also False for an impossible name
+        file = folder / f"{name}.png"
+    require(os.path.isfile(file), where, f"no picture {name!r}; expected {file}")
+    inside = file.resolve().is_relative_to(folder.resolve())
+    require(inside, where, f"{name!r} is outside; expected a picture in the folder {folder}")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a picture so large that it could be an attack
+            with iio.imopen(file, "r", plugin="pillow") as picture:
+                clear = "transparency" in picture.metadata()  # a palette or a colour with an alpha
+                image = picture.read(mode="RGBA" if clear else None)
+    except Exception:  # a broken file can fail in any layer of the decoder
+        raise SceneError(
+            where, f"{file} cannot be read; expected a PNG of RGB or RGBA pixels"
+        ) from None
+    return as_float(image, f"{where}: {file}")
+
+
+def shrink(image, color, downscale, where, resample=lambda plane: plane):
+    """The picture over a colour and its alpha (None for RGB), both sides divided by `downscale`.
+
+    `resample` moves the pixels of a plane before they are averaged.
+    """
+    require(
+        not any(side % downscale for side in image.shape[:2]),
+        where,
+        f"{size_of(image)} pixels; expected sides divisible by downscale {downscale}",
+    )
+    # before the averaging, so that every colour is weighted by its alpha
+    pixels, alpha = over_background(image, color)
+    pixels = box_filter(resample(pixels), downscale)
+    return pixels, None if alpha is None else box_filter(resample(alpha), downscale)
+
+
+def box_filter(image, s):
+    """The means over boxes of s by s pixels."""
+    if s == 1:
+        return image
+    height, width = image.shape[0] // s, image.shape[1] // s
+    boxes = image.reshape(height, s, width, s, *image.shape[2:])
+    return boxes.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
+
+
+@contextmanager
+def reading(path, what):
+    """Any error while the file at `path` is read becomes one line that says it should be `what`."""
+    require(path.is_file(), path, "no such file")
+    try:
+        yield
+    except SceneError:
+        raise
+    except Exception as error:  # a broken file can fail in any layer of its reader
+        raise SceneError(path, f"expected {what}; reading it failed: {error}") from None
