@@ -1,4 +1,4 @@
-"""Every constant of training by name: the two settings of the paper and two small ones.
+"""Every constant of training by name: the two settings of the paper and three small ones.
 
 A value of `paper_synthetic` and `paper_real` comes from the paper or, where the paper gives none,
 from the methods that it builds on or from us: `SOURCES` says from which. `differences(preset)`
@@ -185,6 +185,8 @@ TINY = Preset(
     collect_from=0,
     mask_from=1800,
 )
+# The points of a real scene know its depth, which few cameras cannot measure: anchors keep it.
+TINY_REAL = TINY._replace(name="tiny_real", lr_x=PAPER_REAL.lr_x)
 SMOKE = TINY._replace(
     name="smoke",
     anchors=20,
@@ -205,7 +207,7 @@ SMOKE = TINY._replace(
 )
 
 PRESETS: dict[str, Preset] = {
-    preset.name: preset for preset in (PAPER_SYNTHETIC, PAPER_REAL, TINY, SMOKE)
+    preset.name: preset for preset in (PAPER_SYNTHETIC, PAPER_REAL, TINY, TINY_REAL, SMOKE)
 }
 
 

@@ -255,8 +255,36 @@ def test_mistakes_in_scenes(place, capsys, mistake, words):
         refused(line, words, place, capsys)
 
 
+def without(name):
+    return lambda folder: (folder / name).unlink()
+
+
+@pytest.mark.parametrize(
+    "mistake, words",
+    [
+        (without("points.npy"), ("two/points.npy", "no such file")),
+        (without("scene.json"), ("two/scene.json", "missing", "NeRF-DS")),
+        (without("dataset.json"), ("transforms_train.json", "D-NeRF", "dataset.json")),
+        (without("camera/000002_right.json"), ("camera/000002_right.json", "missing")),
+        (lambda f: (f / "metadata.json").write_text("[1]"), ("metadata.json", "a JSON object")),
+    ],
+)
+def test_mistakes_in_scenes_of_nerf_ds(place, capsys, mistake, words):
+    shutil.copytree(ROOT / "tiny_scenes/twocams", place / "two")
+    mistake(place / "two")
+    for line in (
+        "demo two -o out --preset smoke --quiet",
+        "train two -o new/run --preset smoke --quiet",
+        "evaluate good.p4dgs two -o out",
+        "export-ply good.p4dgs --scene two",
+    ):
+        refused(line, words, place, capsys)
+
+
 LINES = [
     ("", ("COMMAND",)),
+    ("train scene -o new --preset smoke --points text", ("text", ".npy, .ply or .txt")),
+    ("train scene -o new --preset smoke --points points3D.txt", ("points3D.txt", "no such file")),
     ("fly", ("fly", "demo")),
     ("train scene", ("-o",)),
     ("demo --fast", ("--fast",)),

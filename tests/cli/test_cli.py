@@ -23,6 +23,7 @@ COMMANDS = (
     "encode",
     "decode",
     "render",
+    "export-ply",
     "evaluate",
     "inspect",
     "equations",
@@ -230,6 +231,24 @@ def test_train_encode_decode_render(run, capsys):
     view = p4.load_scene("bouncing", downscale=4).test[2]
     want = np.clip(model.render(view.camera, view.time, p4.SETTINGS["exact"]), 0, 1)
     np.testing.assert_allclose(iio.imread("views/test_r_002.png") / 255, want, atol=0.501 / 255)
+
+
+def test_train_on_the_layout_of_nerf_ds(run):
+    assert run("train twocams -o run --preset smoke --json")["anchors"] == 200
+    run("encode run -o twocams.p4dgs")
+    assert run("evaluate twocams.p4dgs twocams --json")["scene"] == "twocams"
+    assert run("render twocams.p4dgs -o views --scene twocams --json")["images"] == 12
+    assert Path("views/000002_right.png").is_file()
+    assert "view 000002_right" in run("export-ply twocams.p4dgs --camera 0")
+    lines = [f"{i} {i} 0 0 0 0 0 0 1 1" for i in range(3)]
+    Path("points3D.txt").write_text("\n".join(lines))
+    again = run("train twocams -o other --preset smoke --points points3D.txt --json")
+    assert again["anchors"] == 3
+    with np.load("other/checkpoint.npz") as file:
+        x = p4.load_scene("twocams").points  # what (x - center) scale made of the file's points
+        raw = np.load(ROOT / "tiny_scenes/twocams/points.npy")
+        scale = np.ptp(x[:, 0]) / np.ptp(raw[:, 0])
+        assert np.ptp(file["p/x_a"][:, 0]) == pytest.approx(2 * scale, abs=0.05)
 
 
 def test_simulate(run):

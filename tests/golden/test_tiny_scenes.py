@@ -1,11 +1,18 @@
-"""The pictures of the packaged scenes can be drawn again."""
+"""The pictures of the packaged scenes can be drawn again, and twocams holds what it promises."""
+
+import json
 
 import imageio.v3 as iio
 import numpy as np
 import pytest
 
+from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.load import packaged_folder
-from tests.golden import tiny_scenes
+from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.trace import trace
+from p4dgs_ref.studies.evaluate import decibel, evaluate, squared_error
+from p4dgs_ref.training.fit import train
+from tests.golden import tiny_scenes, two_cameras
 
 
 @pytest.mark.parametrize("name", ["orientation", "figure"])
@@ -19,3 +26,87 @@ def test_committed_pixels_can_be_drawn_again(name, tmp_path):
             difference = np.abs(iio.imread(new).astype(int) - iio.imread(old).astype(int))
             assert difference.max() <= 1, file  # another NumPy may round the last bit otherwise
     assert [file.name for file in (tmp_path / name).iterdir() if file.name[0] == "."] == []
+
+
+def test_twocams_can_be_drawn_again(tmp_path):
+    assert not tiny_scenes.main(["twocams", "-o", str(tmp_path)])
+    new, old = tmp_path / "twocams", packaged_folder() / "twocams"
+    files = sorted(path.relative_to(new) for path in new.rglob("*.*"))
+    assert files == sorted(path.relative_to(old) for path in old.rglob("*.*"))
+    assert len(files) == 2 * (48 + 12) + 4
+    size = sum((old / file).stat().st_size for file in files)
+    assert f"| {size:,} |" in (packaged_folder() / "README.md").read_text()
+    for file in files:
+        if file.suffix == ".png":
+            difference = iio.imread(new / file).astype(int) - iio.imread(old / file).astype(int)
+            assert np.abs(difference).max() <= 1, file
+        elif file.suffix == ".npy":
+            np.testing.assert_allclose(np.load(new / file), np.load(old / file), atol=1e-5)
+        else:
+            same_values(json.loads((new / file).read_text()), json.loads((old / file).read_text()))
+
+
+def same_values(new, old):
+    """Two JSON values are equal, numbers up to what another NumPy may round otherwise."""
+    if isinstance(old, dict):
+        assert list(new) == list(old)
+        new, old = list(new.values()), list(old.values())
+    if isinstance(old, list):
+        assert len(new) == len(old)
+        for pair in zip(new, old):
+            same_values(*pair)
+    else:
+        assert new == (pytest.approx(old, abs=1e-12) if isinstance(old, float) else old)
+
+
+def test_twocams_is_read_as_it_was_drawn():
+    description, scene = describe(two_cameras.SOURCE), load_scene("twocams")
+    eyes = two_cameras.cameras(description)
+    for views, eye in ((scene.train, eyes["left"]), (scene.test, eyes["right"])):
+        for view in views:
+            for field, value in vars(eye).items():
+                found = getattr(view.camera, field)
+                np.testing.assert_allclose(found, value, atol=1e-12, err_msg=field)
+        drawn = trace(description, eye, views[5].time)
+        wanted = drawn[..., :3] * drawn[..., 3:] + 1 - drawn[..., 3:]
+        np.testing.assert_allclose(views[5].image, wanted, atol=0.51 / 255)
+        assert views[5].alpha is None
+    assert [view.time for view in scene.train] == [i / 47 for i in range(48)]
+    assert [view.time for view in scene.test] == [i / 47 for i in range(2, 48, 4)]
+    left, right = (eyes[side].center - description.cameras.target for side in ("left", "right"))
+    cosine = left @ right / np.linalg.norm(left) / np.linalg.norm(right)
+    assert np.degrees(np.arccos(cosine)) == pytest.approx(4.53, abs=0.01)
+
+
+def test_the_points_of_twocams_lie_on_its_bodies():
+    """On a face of the table, on the pillar or on the ball, where it is at the time 0."""
+    table, pillar, ball = describe(two_cameras.SOURCE).bodies
+    x = load_scene("twocams").points
+    faces = np.abs(x - table.position) / table.shape.half
+    foot, top = pillar.shape.start, pillar.shape.end
+    share = np.clip((x - foot) @ (top - foot) / ((top - foot) @ (top - foot)), 0, 1)
+    off = {
+        "table": np.abs(faces.max(axis=1) - 1),
+        "pillar": np.linalg.norm(x - foot - share[:, None] * (top - foot), axis=1)
+        - pillar.shape.radius,
+        "ball": np.linalg.norm(x - ball.position, axis=1) - ball.shape.radius,
+    }
+    nearest = np.abs(list(off.values()))
+    assert nearest.min(axis=0).max() < 1e-5
+    assert np.all(np.bincount(nearest.argmin(axis=0)) >= 15)
+
+
+@pytest.mark.slow
+def test_a_training_on_twocams_finds_the_other_view():
+    """Nothing seen from the left alone is as good: no picture, and no anchors that may wander."""
+    scene = load_scene("twocams")
+
+    def without_model(picture_of):
+        errors = [squared_error(picture_of(view), view.image) for view in scene.test]
+        return np.mean([decibel(error) for error in errors])
+
+    still = np.mean([view.image for view in scene.test], axis=0)
+    beside = {view.time: view.image for view in scene.train}
+    psnr = evaluate(train(scene, "tiny_real"), scene)[0]["psnr_db"]
+    assert psnr > 26 and psnr > 3 + without_model(lambda view: still)
+    assert psnr > 3 + without_model(lambda view: beside[view.time])

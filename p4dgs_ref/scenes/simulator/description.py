@@ -241,7 +241,7 @@ def describe(source):
     """
     data, where = source, "scene"
     if not isinstance(source, dict):
-        data = read_json(Path(source), "a scene.json like the six in tiny_scenes/")
+        data = read_json(Path(source), "a scene.json like that of tiny_scenes/bouncing")
         where = str(source)
     description = SCENE(data, where)
     require(description.bodies, f"{where}: bodies", "empty; expected at least one body")
