@@ -24,7 +24,6 @@ import re
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from ..splatting.camera import Camera
 from .files import read_image, read_json, shrink
@@ -69,19 +68,15 @@ def read(folder, color, downscale):
     ratio, rest = ratios[0], downscale
     if ratios[0] * downscale in ratios:
         ratio, rest = ratios[0] * downscale, 1
-    names = list(times)
-    turns, positions, lenses = zip(*(read_camera(folder, name) for name in names))
-    centers = place(folder, np.stack(positions))
     points = place(folder, read_points(folder / "points.npy"))
-    cameras = {name: row for name, *row in zip(names, turns, centers, lenses)}
+    turns, positions, lenses = zip(*(read_camera(folder, name) for name in times))
+    centers = place(folder, np.stack(positions))
     views = {
-        split: tuple(
-            read_view(folder, name, *cameras[name], times[name], ratio, rest, color)
-            for name in chosen
-        )
-        for split, chosen in splits.items()
+        name: read_view(folder, name, *camera, ratio, rest, color)
+        for name, *camera in zip(times, turns, centers, lenses, times.values())
     }
-    return {**views, "points": points}
+    found = {split: tuple(views[name] for name in names) for split, names in splits.items()}
+    return {**found, "points": points}
 
 
 def read_ids(folder):
@@ -152,13 +147,7 @@ def picture_sizes(folder):
 def numbers(data, file, field, shape=(), least=-LARGEST_LENS):
     """The numbers of a field as an array of that shape."""
     values = as_array(data.get(field))
-    kind = (
-        "numbers of shape [3, 3]"
-        if len(shape) == 2
-        else f"{shape[0]} numbers"
-        if shape
-        else "a number"
-    )
+    kind = f"numbers of shape {list(shape)}" if shape else "a number"
     require(
         values.shape == shape and np.all((values >= least) & (values <= LARGEST_LENS)),
         f"{file}: {field}",
@@ -226,6 +215,8 @@ def straighten(plane, lens, stride, where):
     """A picture as the lens without distortion and skew would show it."""
     if not (lens.skew or lens.radial.any() or lens.tangential.any()):
         return plane
+    from scipy.ndimage import map_coordinates  # a tenth of a second that few scenes need
+
     v, u = np.indices(plane.shape[:2])
     pixel = np.stack([u, v], axis=-1) + 0.5
     x, y = np.moveaxis((pixel * stride - lens.center) / lens.focal, -1, 0)
