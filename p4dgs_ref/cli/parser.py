@@ -155,7 +155,8 @@ COMMANDS = {
             *TRAINING,
             option(
                 "--points",
-                help="start from the points of a .npy or .ply file, or of COLMAP's points3D.txt",
+                help="start from the points of a .npy or .ply file or of COLMAP's points3D.txt, in "
+                "the coordinates of the scene's files",
             ),
             output("run folder", required=True),
             switch("--resume", "go on from the checkpoint in the run folder"),

@@ -38,9 +38,9 @@ def train(
     """Fit a scene and return the model, ready to be rendered or encoded.
 
     `preset` is a preset or its name; further keywords change its fields. Anchors start at `points`
-    [A, 3], without them at those of the scene, and at random where it has none. In `folder`, which
-    must exist, a checkpoint is kept and renewed every `save_every` seconds; with `resume` training
-    goes on from it. The progress line goes to `stream`.
+    [A, 3] in scene units, without them at those of the scene, and at random where it has none. In
+    `folder`, which must exist, a checkpoint is kept and renewed every `save_every` seconds; with
+    `resume` training goes on from it. The progress line goes to `stream`.
 
     Raises ValueError for an unknown preset, field or value, RunError for a checkpoint that does not
     fit, OutputError for a folder in which another training runs, and NotFinite with the first
