@@ -11,7 +11,7 @@ import imageio.v3 as iio
 import numpy as np
 from scipy.cluster.vq import kmeans2, vq
 
-from p4dgs_ref.scenes.dnerf import DESCRIPTION, find_scene
+from p4dgs_ref.scenes.load import DESCRIPTION, find_scene
 from p4dgs_ref.scenes.scene import over_background
 from p4dgs_ref.scenes.simulator.description import describe
 from p4dgs_ref.scenes.simulator.simulate import camera_at

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.scenes.dnerf import DESCRIPTION, find_scene
+from p4dgs_ref.scenes.load import DESCRIPTION, find_scene
 from p4dgs_ref.scenes.simulator.description import describe
 from p4dgs_ref.studies.evaluate import decibel, squared_error
 from tests.budget import ROOT
