@@ -98,7 +98,7 @@ def test_the_points_of_twocams_lie_on_its_bodies():
 
 @pytest.mark.slow
 def test_a_training_on_twocams_finds_the_other_view():
-    """Nothing seen from the left alone is as good: no picture, and no anchors that may wander."""
+    """No picture is as good: neither the best that does not move nor what the left camera sees."""
     scene = load_scene("twocams")
 
     def without_model(picture_of):
@@ -108,5 +108,5 @@ def test_a_training_on_twocams_finds_the_other_view():
     still = np.mean([view.image for view in scene.test], axis=0)
     beside = {view.time: view.image for view in scene.train}
     psnr = evaluate(train(scene, "tiny_real"), scene)[0]["psnr_db"]
-    assert psnr > 26 and psnr > 3 + without_model(lambda view: still)
-    assert psnr > 3 + without_model(lambda view: beside[view.time])
+    assert psnr > 26 and psnr > 2 + without_model(lambda view: still)
+    assert psnr > 5 + without_model(lambda view: beside[view.time])
