@@ -269,9 +269,9 @@ def choices(parser):
 
 def test_commands_and_options_are_those_of_the_parser():
     commands = choices(cli.parser())
-    listed = re.findall(r"`p4dgs-ref (\w+)`", section("What each command does"))
+    listed = re.findall(r"`p4dgs-ref ([\w-]+)`", section("What each command does"))
     assert sorted(listed) == sorted(commands)
-    for name, rest in re.findall(r"p4dgs-ref (\w+)([^`\n]*)`", BOTH):
+    for name, rest in re.findall(r"p4dgs-ref ([\w-]+)([^`\n]*)`", BOTH):
         arguments = commands[name].parse_args(rest.split()) if rest.strip() else None
         assert arguments is None or arguments.function
     deep = [*commands.values(), *choices(commands["oracle"]).values()]

@@ -30,6 +30,7 @@ class Trainer(Loop):
 
     def __init__(self, scene, preset, seed=0, settings=FAST, points=None):
         super().__init__(scene, preset, seed, settings)
+        points = scene.points if points is None else points
         self.start(Parameters(self.kind.initial(preset, self.rng, points)))
         self.extent = extent_of(scene.train, self.parameters["x"])
         self.statistics = Statistics.empty(self.primitives, 1)
