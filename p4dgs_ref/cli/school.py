@@ -1,6 +1,6 @@
 """The commands of the classroom: write a copy for students, grade it."""
 
-from .base import Line, show
+from .base import Line, report_folder, show
 
 
 def classroom(arguments):
@@ -21,7 +21,7 @@ def grade(arguments):
     """Judge what students wrote."""
     from .. import school
 
-    with Line(arguments) as line:
+    with report_folder(arguments.output) as beside, Line(arguments) as line:
         reports = school.grade(
             *arguments.folders,
             classroom=arguments.classroom,
@@ -30,6 +30,6 @@ def grade(arguments):
             reveal=arguments.reveal,
             progress=line,
         )
-    if arguments.output:
-        school.write(reports, arguments.output)
+        if beside:
+            school.write(reports, beside)
     show(arguments, school.as_json(reports), school.text(reports))

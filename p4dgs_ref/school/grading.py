@@ -64,7 +64,7 @@ class Grade(NamedTuple):
 class Report(NamedTuple):
     """The grades of one student in all equations, in the order in which data flows."""
 
-    student: str
+    student: str  # the folder
     seed: int
     grades: tuple
 
@@ -91,13 +91,13 @@ def grade(
     seed = secrets.randbelow(2**32) if seed is None else seed
     places = [files_of(folder) for folder in folders]
     reports = []
-    for name, files in zip(names_of(folders), places):
+    for folder, files in zip(folders, places):
         grades = []
         for key in sorted(asked_of, key=published.equations().index):
-            progress(f"grading {name}: {key}")
+            progress(f"grading {folder}: {key}")
             path = files / f"{key}.py"
             grades.append(grade_of(key, path, asked_of[key], seed, timeout, reveal))
-        reports.append(Report(name, seed, tuple(grades)))
+        reports.append(Report(str(folder), seed, tuple(grades)))
     return tuple(reports)
 
 
@@ -107,12 +107,6 @@ def files_of(folder):
     if not folder.is_dir():
         raise ClassroomError(f"{folder}: expected a folder with the files of a student")
     return folder / "student" if (folder / "student").is_dir() else folder
-
-
-def names_of(folders):
-    """Return the names of the folders, or their paths if two have the same name."""
-    names = [Path(folder).resolve().name for folder in folders]
-    return names if len(set(names)) == len(names) else list(map(str, folders))
 
 
 def parts_of(key, asked):

@@ -17,19 +17,26 @@ def text(reports):
     return "\n\n".join([*blocks, *map(details, reports)])
 
 
-def table(reports):
-    """Return the points by student and equation; the longer side of the table goes down."""
+def grid(reports):
+    """Return the table of a class as rows of text: a line for each student, the heading first."""
     keys = [grade.key for grade in reports[0].grades]
-    grid = [["student", *keys, "points", "of"]]
+    rows = [["student", *keys, "points", "of", "copied", "seed"]]
     for report in reports:
-        points = [f"{grade.points:.2f}{'*' if grade.flags else ' '}" for grade in report.grades]
-        grid.append([report.student, *points, f"{report.points:.2f} ", f"{report.of:.0f} "])
-    grid = list(zip(*grid)) if len(keys) > len(reports) else grid
-    widths = [max(map(len, column)) for column in zip(*grid)]
-    lines = [
-        "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in grid
-    ]
-    return "\n".join([*lines, "* a copy of the package: points withheld"])
+        points = [f"{grade.points:.2f}" for grade in report.grades]
+        total = f"{report.points:.2f}", f"{report.of:.0f}"
+        copied = sum(bool(grade.flags) for grade in report.grades)
+        rows.append([report.student, *points, *total, str(copied), str(report.seed)])
+    return rows
+
+
+def table(reports):
+    """Return the table of a class in columns; its longer side goes down the page."""
+    rows = grid(reports)
+    rows = list(zip(*rows)) if len(rows[0]) > len(rows) else rows
+    first, *others = (max(map(len, column)) for column in zip(*rows))
+    return "\n".join(
+        "  ".join([row[0].ljust(first), *map(str.rjust, row[1:], others)]) for row in rows
+    )
 
 
 def details(report):
@@ -105,16 +112,9 @@ def as_json(reports):
 
 
 def as_csv(reports):
-    """Return a table for a spreadsheet: a line for each student, a column for each equation."""
+    """Return the table of a class for a spreadsheet."""
     out = io.StringIO()
-    lines = csv.writer(out, lineterminator="\n")
-    keys = [grade.key for grade in reports[0].grades]
-    lines.writerow(["student", "points", "of", *keys, "withheld", "seed"])
-    for report in reports:
-        points = [round(grade.points, 4) for grade in report.grades]
-        withheld = " ".join(grade.key for grade in report.grades if grade.flags)
-        total = round(report.points, 4), round(report.of, 4)
-        lines.writerow([report.student, *total, *points, withheld, report.seed])
+    csv.writer(out, lineterminator="\n").writerows(grid(reports))
     return out.getvalue()
 
 

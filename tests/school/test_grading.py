@@ -70,7 +70,7 @@ def room(tmp_path):
 
 def graded(room, forward=None, backward=None, key="offsets", **options):
     write(room, key, forward, backward)
-    (report,) = school.grade(room, **options)
+    (report,) = school.grade(room, **{"seed": 0, **options})
     return next(grade for grade in report.grades if grade.key == key)
 
 
@@ -312,6 +312,11 @@ def test_answers_written_independently_are_no_copies(path):
     assert all(copies(source, key, BOTH) == [] for key in keys)
 
 
+@pytest.mark.parametrize("key", ["offsets", "view", "noise", "scale", "total_loss"])
+def test_short_functions_are_alike_by_chance(key):
+    assert copies(source_of(key), key, BOTH) == []
+
+
 def test_names_are_not_forbidden(room):
     body = "modules, eval, gc, EQUATIONS = x_a, O_a, l_a, None\nimport sys, inspect\n"
     grade = graded(room, forward=body + RIGHT + "return x, (O_a, l_a)")
@@ -362,8 +367,9 @@ def test_reports_agree(room):
     assert (room / "grades.csv").read_text() == school.as_csv(reports)
     (student,) = value["students"]
     (row,) = student["equations"]
-    assert float(line["points"]) == student["points"] == round(reports[0].points, 4)
-    assert float(line["offsets"]) == row["points"] and line["student"] == "room"
+    assert student["points"] == round(reports[0].points, 4)
+    assert float(line["points"]) == float(line["offsets"]) == round(student["points"], 2)
+    assert row["points"] == student["points"] and line["student"] == str(room)
     assert row["tutorial"] == "01_offsets" and value["seed"] == int(line["seed"]) == 2
     of_parts = sum(part["points"] for part in row["parts"])
     assert of_parts == pytest.approx(student["points"], abs=1e-3)
@@ -386,48 +392,37 @@ def hand_in(tmp_path):
     return tmp_path
 
 
-def test_a_class_is_graded_by_the_same_inputs_in_one_table(hand_in):
-    folders = [hand_in / name for name in ("anna", "ben", "carla")]
-    reports = school.grade(*folders, classroom=hand_in / "course")
+def test_a_class_is_graded_by_the_same_inputs_in_one_table(hand_in, monkeypatch):
+    monkeypatch.chdir(hand_in)
+    reports = school.grade("anna", "ben", "carla", classroom="course")
     assert [report.student for report in reports] == ["anna", "ben", "carla"]
     assert len({report.seed for report in reports}) == 1
     anna, ben, carla = csv.DictReader(io.StringIO(school.as_csv(reports)))
-    assert (
-        anna["withheld"] == "likelihood" and float(anna["offsets"]) == float(anna["points"]) == 10
-    )
-    assert float(ben["points"]) == round(reports[1].points, 4) > float(carla["points"]) == 0
-    assert 6 < float(ben["likelihood"]) < 8.5  # the printed formula has no digits in the tails
-    head = school.text(reports).split("\n\n")[0].splitlines()
-    assert head[0].split() == ["student", "offsets", "likelihood", "points", "of"]
-    assert head[1].split() == ["anna", "10.00", "0.00*", "10.00", "20"]
+    assert float(anna["offsets"]) == float(anna["points"]) == 10
+    assert (anna["copied"], ben["copied"], carla["copied"]) == ("1", "0", "0")
+    assert float(ben["points"]) == round(reports[1].points, 2) > float(carla["points"]) == 0
+    assert 6 < float(ben["likelihood"]) < 8  # the printed formula has no digits in the tails
+    head, *lines = school.text(reports).split("\n\n")[0].splitlines()
+    assert head.split() == ["student", "anna", "ben", "carla"]
+    assert lines[0].split() == ["offsets", "10.00", ben["offsets"], "0.00"]
+    names = [line.split()[0] for line in lines[1:]]
+    assert names == ["likelihood", "points", "of", "copied", "seed"]
     # the points of one student alone, by the seed that was printed
-    again = school.grade(folders[1], classroom=hand_in / "course", seed=reports[0].seed)
+    again = school.grade("ben", classroom="course", seed=reports[0].seed)
     assert again == reports[1:2]
 
 
 def test_long_side_of_the_table_goes_down(hand_in):
-    reports = school.grade(hand_in / "carla", seed=1)
-    lines = school.table(reports).splitlines()
-    assert [line.split()[0] for line in lines[:-1]] == [
-        "student",
-        "offsets",
-        "likelihood",
-        "points",
-        "of",
-    ]
+    lines = school.table(school.grade(hand_in / "carla") * 9).splitlines()
+    assert len(lines) == 10
+    figures = ["student", "offsets", "likelihood", "points", "of", "copied", "seed"]
+    assert lines[0].split() == figures
 
 
 def test_students_do_not_choose_their_equations(hand_in):
     (hand_in / "carla" / "classroom.json").write_text('{"p4dgs_classroom": 1, "equations": {}}')
     (report,) = school.grade(hand_in / "carla", classroom=hand_in / "course")
     assert report.of == 20
-
-
-def test_folders_of_one_name_go_by_their_paths(hand_in):
-    (hand_in / "late").mkdir()
-    shutil.copytree(hand_in / "carla", hand_in / "late" / "carla")
-    folders = [hand_in / "carla", hand_in / "late" / "carla"]
-    assert [r.student for r in school.grade(*folders, seed=1)] == list(map(str, folders))
 
 
 def test_expected_values_are_printed_with_reveal_only(room):
