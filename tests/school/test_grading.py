@@ -425,7 +425,7 @@ def test_students_do_not_choose_their_equations(hand_in):
     assert report.of == 20
 
 
-def test_expected_values_are_printed_with_reveal_only(room):
+def test_right_values_are_printed_with_reveal_only(room):
     write(room, "offsets", forward=WITHOUT_SCALING)
     hidden, shown = (school.grade(room, seed=3, reveal=reveal) for reveal in (False, True))
     right = re.search(r"expected (\S+) ", shown[0].grades[0].first)[1]
