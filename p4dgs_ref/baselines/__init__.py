@@ -23,6 +23,7 @@ from . import ply
 METHODS = {
     "d3dgs": ("d3dgs", "tiny"),
     "d3dgs_small": ("d3dgs", "tiny_small"),
+    "hexplane": ("hexplane", "tiny"),
     "gaussian4d": ("gaussian4d", "tiny"),
 }
 

@@ -107,7 +107,7 @@ class Explicit:
         """Gradients of the fields of the Gaussians, and of mean2d."""
         return render.backward(saved, image_bar)
 
-    def regularise(self, gradients):
+    def regularise(self, gradients, iteration):
         """Return the further terms of the loss and add their gradients; here there are none."""
         return 0.0
 

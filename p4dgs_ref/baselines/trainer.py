@@ -81,7 +81,7 @@ class Trainer(Loop):
         for name, network_gradients in networks.items():
             gradients.fill(name, network_gradients)
         L_render, L1, D_SSIM = (float(loss) for loss in losses)
-        L_total = L_render + model.regularise(gradients)
+        L_total = L_render + model.regularise(gradients, self.iteration)
         if not np.isfinite(L_total) or not np.isfinite(gradients.vector).all():
             bad = first_bad({"L_total": L_total, **gradients.arrays})
             raise NotFinite(self.iteration, f"loss or gradient of {bad}")
