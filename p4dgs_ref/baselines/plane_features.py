@@ -53,7 +53,7 @@ def backward(saved, features_bar):
     u_bar = np.zeros((4, N), features_bar.dtype)
     for axis, slope in enumerate(slopes(*fraction)):
         read = reader(index, slope, len(entries)) @ entries
-        along = (read * values_bar).sum(axis=1).reshape(len(nodes), N) * steps[axis]
+        along = np.einsum("if,if->i", read, values_bar).reshape(len(nodes), N) * steps[axis]
         for i in range(3):
             u_bar[i] += along[axes[:, axis] == i].sum(axis=0)
     return {
@@ -99,7 +99,11 @@ def reader(index, weights, total):
 
 def product_of_others(values):
     """For each of six planes, axis 1, the product of the other five; there may be zeros."""
-    ones = np.ones_like(values[:, :1])
-    before = np.cumprod(np.concatenate([ones, values[:, :-1]], axis=1), axis=1)
-    after = np.cumprod(np.concatenate([ones, values[:, :0:-1]], axis=1), axis=1)[:, ::-1]
-    return before * after
+    others = np.ones_like(values)
+    for i in range(5):
+        others[:, i + 1] = others[:, i] * values[:, i]
+    after = np.ones_like(values[:, 0])
+    for i in reversed(range(5)):
+        after *= values[:, i + 1]
+        others[:, i] *= after
+    return others
