@@ -103,11 +103,8 @@ class HexPlane(explicit.Explicit):
             for i in range(6):
                 plane = rng.uniform(0.1, 0.5, (n, n, F)) if i < 3 else np.ones((n, T, F))
                 arrays[f"planes.{6 * level + i}"] = plane
-        W, inputs = preset.hidden[-1], F * len(preset.levels)
-        layers = [*zip((inputs, *preset.hidden), preset.hidden)]
-        for head in plane_decoder.HEADS:
-            layers += [(W, W), (W, head)]
-        return {**arrays, **first_network(rng, layers, len(preset.hidden), preset.deformation_gain)}
+        inputs = F * len(preset.levels)
+        return {**arrays, **first_network(rng, inputs, preset.hidden, preset.deformation_gain)}
 
     def predict(self, t, x_c, iteration=None):
         """See `Explicit`; in the coarse stage nothing moves."""
@@ -152,12 +149,15 @@ class HexPlane(explicit.Explicit):
         return float(np.dot(factors, losses))
 
 
-def first_network(rng, layers, trunk, gain):
-    """The first arrays of psi: weights as Xavier and Glorot draw them, biases as PyTorch does."""
+def first_network(rng, inputs, hidden, gain):
+    """The first arrays of psi: weights as Glorot and Bengio draw them, biases as PyTorch does."""
+    W, layers = hidden[-1], [*zip((inputs, *hidden), hidden)]
+    for head in plane_decoder.HEADS:
+        layers += [(W, W), (W, head)]
     arrays = random_layers(rng, "psi", layers)
     for i, (rows, columns) in enumerate(layers):
         arrays[f"psi.W{i}"] *= np.sqrt(6 * rows / (rows + columns))
-    for i in range(trunk + 1, len(layers), 2):
+    for i in range(len(hidden) + 1, len(layers), 2):
         arrays[f"psi.W{i}"] *= gain
         arrays[f"psi.b{i}"] *= gain
     return arrays

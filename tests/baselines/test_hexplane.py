@@ -271,6 +271,14 @@ def test_the_planes_have_the_size_of_the_authors():
     assert 0.95 * bound < np.abs(p["psi.W2"]).max() <= bound
 
 
+def test_the_first_deltas_shrink_with_their_gain():
+    gains = [1.0, 0.01]
+    psis = [hexplane.first_network(np.random.default_rng(0), 4, (5,), gain) for gain in gains]
+    for name, full in psis[0].items():
+        last = name[5:] in ("2", "4", "6")  # phi is layer 0, each head has two
+        assert psis[1][name] == pytest.approx(full * (0.01 if last else 1)), name
+
+
 def test_the_file_is_read_back(scene, trained, tmp_path):
     """With all planes and the box; another scene's points give another box."""
     sizes = trained.save(tmp_path / "a.ply")
