@@ -4,7 +4,7 @@
     (delta_x, delta_log_s, delta_raw_r) = H2(features)          `plane_decoder`
     (s_t, r_t, alpha) = D1(log_s + delta_log_s, raw_r + delta_raw_r, logit_alpha)
     x_t = x + delta_x, color = D2(x_t - x_c, sh)
-    L_total = L_render + lambda_space L_space + lambda_time L_time + lambda_one L_one       H3
+    L_total = L_render + lambda_planes (L_space, L_time, L_one)   H3, `plane_losses`
 
 Training begins with a coarse stage in which nothing moves. The fine stage then starts anew with
 Adam and its learning rates. Positions receive a gradient through the planes, too.
@@ -40,9 +40,7 @@ class Preset(explicit.Preset):
     features: int = 32  # at each node
     hidden: tuple[int, ...] = (64,)  # widths of phi, of which the last is that of the heads
     deformation_gain: float = 1.0  # the last layers of the heads start smaller by this factor
-    lambda_space: float = 1e-4
-    lambda_time: float = 0.01
-    lambda_one: float = 1e-4
+    lambda_planes: tuple[float, ...] = (1e-4, 0.01, 1e-4)  # of L_space, L_time and L_one
     lr_planes: tuple[float, ...] = (1.6e-3, 1.6e-5)
     lr_psi: tuple[float, ...] = (1.6e-4, 1.6e-6)
     grow_until: int = 18_000
@@ -139,10 +137,9 @@ class HexPlane(explicit.Explicit):
 
     def regularise(self, gradients, iteration):
         """The terms of H3, of the fine stage."""
-        preset = self.preset
-        if iteration < preset.coarse:
+        factors = self.preset.lambda_planes
+        if iteration < self.preset.coarse:
             return 0.0
-        factors = preset.lambda_space, preset.lambda_time, preset.lambda_one
         losses, planes = plane_losses.forward(self.parameters.listed("planes"))
         for i, bar in enumerate(plane_losses.backward(planes, *factors)["planes"]):
             gradients[f"planes.{i}"][...] += bar

@@ -25,18 +25,17 @@ def forward(
     planes,  # list of [I, J, F]  level by level, each xy, xz, yz, xt, yt, zt
 ):
     """Return the features [N, K], those of the first level first, and what `backward` needs."""
-    N, F, P = len(x), planes[0].shape[2], len(planes)
+    N, F, nodes = len(x), planes[0].shape[2], np.array([plane.shape[:2] for plane in planes])
     extent = np.where(hi > lo, hi - lo, 1)  # a flat box: all its points are at the first node
     u = np.concatenate([(x - lo) / extent, np.full((N, 1), t, x.dtype)], axis=1).T
-    inside = (u > 0) & (u < 1)
-    nodes, axes = np.array([plane.shape[:2] for plane in planes]), np.resize(AXES, (P, 2))
-    index, fraction = cells(np.clip(u, 0, 1)[axes], nodes)
+    index, a, b = cells(np.clip(u, 0, 1), nodes)
+    weights = np.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b], axis=2)
     entries = np.concatenate([plane.reshape(-1, F) for plane in planes])
-    weights = reader(index, bilinear(*fraction), len(entries))
-    values = (weights @ entries).reshape(P // 6, 6, N, F)
+    starts = np.arange(0, index.size + 1, 4)  # of the rows of a sparse matrix, one row a reading
+    reads = csr_matrix((weights.ravel(), index.ravel(), starts), (index.size // 4, len(entries)))
+    values = (reads @ entries).reshape(len(planes) // 6, 6, N, F)
     features = np.concatenate([*values.prod(axis=1)], axis=1)
-    steps = (nodes - 1).T[:, :, None].astype(x.dtype)  # [2, P, 1]: cells along each axis
-    return features, (index, fraction, entries, weights, values, steps, axes, inside, extent, nodes)
+    return features, (nodes, extent, (u > 0) & (u < 1), index, a, b, entries, reads, values)
 
 
 def backward(saved, features_bar):
@@ -45,65 +44,40 @@ def backward(saved, features_bar):
     A coordinate on or beyond a face has gradient zero, as in PyTorch; on an inner node its slope
     is that of the cell above.
     """
-    index, fraction, entries, weights, values, steps, axes, inside, extent, nodes = saved
-    _, _, N, F = values.shape
-    levels_bar = np.stack(np.split(features_bar, len(values), axis=1))[:, None]
-    values_bar = (levels_bar * product_of_others(values)).reshape(-1, F)
-    entries_bar = np.split(weights.T @ values_bar, np.cumsum(nodes.prod(axis=1))[:-1])
+    nodes, extent, inside, index, a, b, entries, reads, values = saved
+    P, N, F = *a.shape, entries.shape[1]
+    levels_bar = np.stack(np.split(features_bar, len(values), axis=1))
+    others = [np.delete(values, i, axis=1).prod(axis=1) for i in range(6)]
+    values_bar = (np.stack(others, axis=1) * levels_bar[:, None]).reshape(P, N, F)
+    entries_bar = reads.T @ values_bar.reshape(P * N, F)
+    planes_bar = np.split(entries_bar, nodes.prod(axis=1).cumsum()[:-1])
+    c = np.einsum("pnkf,pnf->kpn", entries[index], values_bar)  # by the weights of the four nodes
+    along = (
+        (1 - b) * (c[2] - c[0]) + b * (c[3] - c[1]),
+        (1 - a) * (c[1] - c[0]) + a * (c[3] - c[2]),
+    )
     u_bar = np.zeros((4, N), features_bar.dtype)
-    for axis, slope in enumerate(slopes(*fraction)):
-        read = reader(index, slope, len(entries)) @ entries
-        along = np.einsum("if,if->i", read, values_bar).reshape(len(nodes), N) * steps[axis]
-        for i in range(3):
-            u_bar[i] += along[axes[:, axis] == i].sum(axis=0)
+    for p in range(P):
+        for axis, position_bar, n in zip(AXES[p % 6], along, nodes[p]):
+            u_bar[axis] += (n - 1) * position_bar[p]
     return {
         "x": (u_bar * inside)[:3].T / extent,
-        "planes": [bar.reshape(*size, F) for bar, size in zip(entries_bar, nodes)],
+        "planes": [bar.reshape(I, J, F) for bar, (I, J) in zip(planes_bar, nodes)],
     }
 
 
 def cells(u, nodes):
-    """The nodes [P, N, 4] around points u [P, 2, N] in [0, 1], and where in the cell they are.
+    """The four nodes [P, N, 4] around points u [4, N] in [0, 1] in planes of nodes [P, 2].
 
-    Nodes are counted through all P planes of nodes [P, 2]; the fractions are [2, P, N].
+    Nodes are numbered through all planes. Also returned is where in the cell the points are, as
+    fractions a, b [P, N] of its two axes.
     """
-    position = u * (nodes - 1)[:, :, None].astype(u.dtype)
-    low = np.floor(position)
-    fraction = (position - low).transpose(1, 0, 2)
-    low = low.astype(np.int64)
-    high = np.minimum(low + 1, nodes[:, :, None] - 1)  # at the upper face its weight is 0
+    last = (nodes - 1)[:, :, None]
+    position = u[np.resize(AXES, nodes.shape)] * last.astype(u.dtype)
+    low = position.astype(np.int64)
+    high = np.minimum(low + 1, last)  # at the upper face its weight is 0
     rows = np.stack([low[:, 0], low[:, 0], high[:, 0], high[:, 0]], axis=2)
     columns = np.stack([low[:, 1], high[:, 1], low[:, 1], high[:, 1]], axis=2)
-    starts = np.cumsum([0, *nodes.prod(axis=1)])[:-1, None, None]
-    return starts + rows * nodes[:, 1, None, None] + columns, fraction
-
-
-def bilinear(a, b):
-    """The weights [P, N, 4] of a cell's nodes at fractions a and b [P, N] of its two axes."""
-    return np.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b], axis=2)
-
-
-def slopes(a, b):
-    """The derivatives of `bilinear` by a and by b."""
-    return (
-        np.stack([b - 1, -b, 1 - b, b], axis=2),
-        np.stack([a - 1, 1 - a, -a, a], axis=2),
-    )
-
-
-def reader(index, weights, total):
-    """A sparse matrix [P N, total] whose product with all nodes reads every point of each plane."""
-    starts = np.arange(0, index.size + 1, 4)
-    return csr_matrix((weights.ravel(), index.ravel(), starts), shape=(index.size // 4, total))
-
-
-def product_of_others(values):
-    """For each of six planes, axis 1, the product of the other five; there may be zeros."""
-    others = np.ones_like(values)
-    for i in range(5):
-        others[:, i + 1] = others[:, i] * values[:, i]
-    after = np.ones_like(values[:, 0])
-    for i in reversed(range(5)):
-        after *= values[:, i + 1]
-        others[:, i] *= after
-    return others
+    first = nodes.prod(axis=1).cumsum() - nodes.prod(axis=1)
+    a, b = (position - np.floor(position)).transpose(1, 0, 2)
+    return first[:, None, None] + rows * nodes[:, 1, None, None] + columns, a, b

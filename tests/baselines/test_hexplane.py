@@ -188,7 +188,7 @@ def test_the_pipeline_against_a_loop():
 @pytest.mark.parametrize("iteration", [5, 20])
 def test_gradients_of_the_loss(scene, iteration):
     """One view from parameters to the loss with the terms of the planes, in float64."""
-    preset = replace(SMALL, lambda_space=0.3, lambda_time=0.2, lambda_one=0.1)
+    preset = replace(SMALL, lambda_planes=(0.3, 0.2, 0.1))
     trainer = hexplane.Trainer(scene, preset, settings=EXACT)
     trainer.start(random_parameters(4))
     trainer.iteration, p, view = iteration, trainer.parameters, scene.train[3]
