@@ -51,6 +51,20 @@ class Preset(explicit.Preset):
 
 
 PAPER_SYNTHETIC = Preset()
+PAPER_REAL = replace(  # of HyperNeRF's scenes, where the authors take two views an iteration
+    PAPER_SYNTHETIC,
+    name="paper_real",
+    iterations=17_000,
+    grow_until=13_000,
+    reset_every=10**9,
+    levels=(1, 2, 4),
+    time_nodes=150,
+    features=16,
+    hidden=(128,),
+    lambda_planes=(2e-4, 1e-3, 1e-4),
+    lr_planes=(1.6e-3, 1.6e-4),
+    lr_psi=(1.6e-4, 1.6e-5),
+)
 TINY = replace(
     PAPER_SYNTHETIC,
     name="tiny",
@@ -76,7 +90,7 @@ TINY = replace(
     percent_dense=0.02,
     most=800,  # as many as our preset `tiny` has: 200 anchors of 4 children
 )
-PRESETS = {p.name: p for p in (PAPER_SYNTHETIC, TINY)}
+PRESETS = {p.name: p for p in (PAPER_SYNTHETIC, PAPER_REAL, TINY)}
 
 
 class HexPlane(explicit.Explicit):
