@@ -207,7 +207,7 @@ def test_annealed_noise_of_the_time(scene):
 class Pulled(d3dgs.D3DGS):
     """D3DGS with a further term of the loss, 3 times the sum of all coordinates."""
 
-    def regularise(self, gradients):
+    def regularise(self, gradients, iteration):
         gradients["x"][...] += 3
         return 3 * float(self.parameters["x"].sum())
 
