@@ -145,9 +145,12 @@ def take(out, pictures):
 
 
 def code_hash(picture):
-    """A hash of the code, without prose and comments, of the tutorial that draws a picture."""
+    """A hash of the code, without prose and comments, of the tutorial that draws a picture.
+
+    It ends where the exercises begin, which draw nothing.
+    """
     (file,) = TUTORIALS.glob(f"{picture.figure[:2]}_*.py")
-    lines = file.read_text(encoding="utf-8").splitlines()
+    lines = file.read_text(encoding="utf-8").split("# ## Exercises")[0].splitlines()
     code = [line.rstrip() for line in lines if line.strip() and not line.startswith("#")]
     return hashlib.sha256("\n".join(code).encode()).hexdigest()[:16]
 

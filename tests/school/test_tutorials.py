@@ -390,7 +390,10 @@ def test_picture_of_changed_code_is_stale(tmp_path, monkeypatch):
     text = changed.read_text(encoding="utf-8")
     changed.write_text(text + "\n# another comment\n", encoding="utf-8")
     assert not gallery.stale()
-    changed.write_text(text + "\nscale = 5\n", encoding="utf-8")
+    changed.write_text(text + "\nanswer_4 = ...\n", encoding="utf-8")
+    assert not gallery.stale()
+    with_scale = text.replace("# ## Exercises", "scale = 5\n# ## Exercises")
+    changed.write_text(with_scale, encoding="utf-8")
     assert gallery.stale() == ["compositing.png"]
     gallery.record(["demo.png"])
     assert gallery.stale() == ["compositing.png"]
