@@ -355,6 +355,9 @@ print(f"largest change of a direction {turn:.1e} degrees, of a distance {shift:.
 # position of an anchor. `np.hypot` and `np.where` help.
 #
 # **02.3** Write its backward: two terms, and zero where the distance is zero.
+#
+# **Predict, then run.** A port computes the distance as the root of the sum of squares, in
+# float16. An anchor is $300$ units away along x. Which distance and which direction does it get?
 
 # %%
 answer_1 = ...

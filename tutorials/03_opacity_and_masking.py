@@ -377,6 +377,9 @@ print(f"the network is cheaper from {count / k:.0f} anchors on")
 #
 # **03.4** Write the backward of masking. A Boolean array as an index, `zeros[keep] = ...`, does the
 # scattering.
+#
+# **Predict, then run.** The opacities of all children of an anchor fall just below $\tau_\alpha$.
+# Which gradient does its feature get from the next picture?
 
 # %%
 answer_1 = ...

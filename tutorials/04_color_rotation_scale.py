@@ -415,6 +415,9 @@ assert close(rounded / exact, 1.025)
 #
 # In the last two, the derivations above give `psi_bar`, and the function that `network` returns
 # does the rest.
+#
+# **Predict, then run.** A port computes $y/\sqrt{\|y\|^2 + \epsilon}$ with $\epsilon = 10^{-24}$
+# in float16. What does it return for $y = 0$?
 
 # %%
 answer_1 = ...

@@ -294,6 +294,9 @@ assert "psi_d" not in design_of(paper, ()).layers()
 #
 # **06.3** Write its backward. `numerics.normalise(y)` returns $y/n$ and $n$, and
 # `numerics.normalise_backward(y / n, n, bar)` returns the gradient of $y$.
+#
+# **Predict, then run.** Both $r$ and $\Delta r$ are multiplied by $100$. What happens to $r'$ and
+# to the gradient of $\Delta r$?
 
 # %%
 answer_1 = ...

@@ -380,6 +380,9 @@ assert abs(squared_error[0.25] / squared_error[0.125] - 4) < 0.05
 # **07.2** Write Eq. (10) with both outputs, the symbols as integers.
 #
 # **07.3** Write the backward of Eq. (7).
+#
+# **Predict, then run.** All numbers of a group are exact multiples of their step. What is the mean
+# squared error with the noise of training, and what is it in the file?
 
 # %%
 answer_1 = ...

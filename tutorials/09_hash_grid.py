@@ -343,6 +343,9 @@ print(f"{signs_of_hac} signs take {signs_of_hac / 8 / 2**20:.2f} MiB")
 #
 # **09.3** Write the backward of Eq. (9). It needs two lines of the section above, and `np.split` to
 # cut the rows into levels.
+#
+# **Predict, then run.** All parameters of the grid are multiplied by $1000$. What happens to $h$,
+# and what to the gradients?
 
 # %%
 answer_1 = ...

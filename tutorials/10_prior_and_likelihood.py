@@ -431,6 +431,10 @@ assert abs(bits_in_file - bits_exact[0, 0]) > 1e-2
 # `prior.RAW_MIN` and `prior.RAW_MAX`.
 #
 # **10.3** Write the backward of Eq. (11), with the function `slopes_of_log_p` of this tutorial.
+#
+# **Predict, then run.** A scene changes its unit from metres to millimetres, so that $f$, $\mu$,
+# $\sigma$ and $q$ are all multiplied by $1000$. What happens to the bits, and what to the gradient
+# of $\mu$?
 
 # %%
 case = lessons.golden("gaussian_bin/tails")

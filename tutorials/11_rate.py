@@ -334,6 +334,9 @@ print(f"Eq. (17) describes {100 * in_rate / in_file:.0f} % of this file, which h
 #
 # **11.3** Write Eq. (17): the bits, and the bits per parameter. If there are no parameters, the
 # loss is $0$.
+#
+# **Predict, then run.** Every parameter of the hash grid changes its sign. What happens to
+# $R_{hash}$, and what to its gradient?
 
 
 # %%

@@ -370,6 +370,9 @@ assert chosen == sorted(chosen, reverse=True)
 # images.
 #
 # **12.3** Write the backward of SSIM, with `window.blur`.
+#
+# **Predict, then run.** Both pictures are made half as bright. What happens to L1, and what to
+# $1 - \mathrm{SSIM}$?
 
 # %%
 case = lessons.golden("total_loss/ordinary")

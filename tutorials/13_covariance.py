@@ -427,6 +427,9 @@ assert share_of_invalid(of_rounded) == 0
 # **13.2** Write the forward.
 #
 # **13.3** Write its backward.
+#
+# **Predict, then run.** A quaternion $r$ is replaced by $-r$. What happens to $\Sigma$, and what
+# to $\bar r$?
 
 # %%
 answer_1 = ...

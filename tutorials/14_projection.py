@@ -513,6 +513,9 @@ assert errors[16] < 0.02
 # and set all culled rows to zero at the end.
 #
 # **14.3** Write its backward.
+#
+# **Predict, then run.** The same camera takes pictures of twice the width and height, with twice
+# the focal length. What happens to the mean, the variances and the blur of a splat, all in pixels?
 
 # %%
 answer_1 = ...

@@ -605,6 +605,9 @@ print(f"the pixel before {np.round(pixel, 4)} and after {np.round(again, 4)}")
 #
 # **16.3** Write the backward of all of them together. You may use the modules of
 # `p4dgs_ref.equations`, because the exercise is about how they are connected.
+#
+# **Predict, then run.** The anchor and the camera move together by $(1, 0, 0)$. Which of the
+# canonical Gaussian's attributes change? Does the pixel at $t = 0.5$ change?
 
 # %%
 answer_1 = ...

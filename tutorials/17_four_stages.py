@@ -403,6 +403,9 @@ assert abs(after - scores[3]) < 0.5
 # noisy numbers and the steps. The output `bits` is Eq. (13) plus Eq. (14), without the offsets of
 # masked children. The output `L_rate` is `bits` divided by the count of all numbers, the masked
 # ones included.
+#
+# **Predict, then run.** Stage 4 runs with $\lambda_{rate} = 0$, so that only the picture counts.
+# Which of $\psi_p$, $\psi_q$ and the hash grid still get a gradient?
 
 # %%
 answer_1 = ...

@@ -366,6 +366,8 @@ assert 0 < reach < pixels
 #
 # **18.3** Write the backward of Eqs. (5) and (6) as the pipeline uses it, in which no gradient
 # flows from $\mathcal{E}(x)$ back to x (choice Q10 in `reference.md`).
+#
+# **Predict, then run.** The whole loss is multiplied by $1000$. How do Adam's steps change?
 
 # %%
 answer_1 = ...

@@ -372,6 +372,9 @@ for row in inspect.ledger(golden):
 # **19.3** Write `my_container(data)`, which returns `{name: bytes}` or raises `ValueError`. It is
 # tried on all published streams, both valid and damaged: 24 must be read, and among the damaged
 # ones 13 have a bad frame and must be refused.
+#
+# **Predict, then run.** One bit of a file flips on the disk. Can a flipped bit stay unnoticed by
+# `my_container`, for example one in a checksum itself?
 
 # %%
 answer_1 = ...

@@ -421,6 +421,10 @@ for row in inspect.ledger(data):
 # share one table. It must reproduce the masks of the file.
 #
 # **20.3** Write `my_decode(message, count, keys)`. It must decode the signs of the hash grid.
+#
+# **Predict, then run.** One sign in a hundred is negative, but the encoder's table says one in
+# two. How many bits a sign does `my_encode` write with this table, and how many with the right
+# one?
 
 # %%
 answer_1 = answer_2 = answer_3 = ...

@@ -378,6 +378,9 @@ assert by_tables / by_floats - 1 < 0.001
 # $l = \lfloor(94548\,raw + 2^{15})/2^{16}\rfloor$, where $94548$ stands for $2^{16}\log_2 e$, it
 # is $\lfloor(l - \log_2 D - (p - 39)\,2^{16} + 2^{11})/2^{12}\rfloor$, clipped to the range from
 # $-128$ to $319$. The stream `full` is the test.
+#
+# **Predict, then run.** A port sums the integers of $xW$ in float32. From which size of the sums
+# on may it be wrong? Are the sums of the stream `full` that large?
 
 # %%
 answer_1 = answer_2 = answer_3 = ...

@@ -411,6 +411,9 @@ assert moved > 0
 # including $0$ and $10^{25}$. Differentiate the quotient as in `04_color_rotation_scale`; for
 # $y = (3, 0, 0, 4)$ and $\bar r = (1, 0, 0, 0)$ the result is $\bar y = (0.128, 0, 0, -0.096)$.
 # Divide by the largest entry before you square.
+#
+# **Predict, then run.** What does a float16 port return for **24.1**, with the best formula that
+# there is?
 
 # %%
 answer_1 = ...

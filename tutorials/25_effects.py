@@ -357,6 +357,9 @@ assert evidence["bouncing"] == "yes"
 # $c = \mathrm{sigmoid}(y)$, as in `04_color_rotation_scale`. You may use `equations.mlp`;
 # `mlp.backward(saved, y_bar)` returns the gradients of `x`, `weights` and `biases`. Where
 # $y = 0$, $\bar y = \bar c/4$. For large $y$, write $1 - c$ as a sigmoid.
+#
+# **Predict, then run.** A scene has no effect at all. How many parameters does $\psi_d$ have, and
+# how many inputs does $\psi_c$ read?
 
 # %%
 answer_1 = ...

@@ -408,6 +408,10 @@ assert 0.3 < motion / inter_bytes < 0.7
 # of `p4dgs_ref.equations`. The last three weights are the heads. They have the same input, so
 # side by side they form one last layer. For a head $W$ with a single row, $y = 2$ and
 # $\overline{\Delta x} = (1, 0, -1)$ give $\bar W = (2, 0, -2)$.
+#
+# **Predict, then run.** The same motion is recorded for twice as long, so $t$ from 0 to 1 now
+# covers twice the time. Which $L_t$ gives $\psi_d$ at least the waves, in seconds, that it had
+# before?
 
 # %%
 rng = np.random.default_rng(8)

@@ -291,6 +291,9 @@ assert (np.abs(overhead) < 0.25).all()
 #
 # **27.3** Write the backward of Eq. (17). Its output `bits` is the sum of the two rates, and
 # `L_rate` is `bits` divided by `n_parameters`, or zero if there are none.
+#
+# **Predict, then run.** The price $\lambda$ is multiplied by $4$. What happens to the best step,
+# to the bits of a number and to its squared error?
 
 # %%
 answer_1 = ...

@@ -40,3 +40,14 @@ def my_backward(inputs, cotangents):
 
 lessons.forward("01.2", my_forward, "offsets")
 lessons.backward("01.3", my_backward, "offsets")
+
+# %% [markdown]
+# **Predict, then run.** Between 512 and 1024, numbers in float16 are 0.5 apart. A child moves if
+# the product is more than half of that, so the first offset is 3. Positions are kept in float32
+# for this reason.
+
+# %%
+offsets = np.arange(1, 6).astype(np.float16)
+children = np.float16(1000) + offsets * np.float16(0.1)
+assert np.spacing(np.float16(1000)) == 0.5
+assert children.tolist() == [1000, 1000, 1000.5, 1000.5, 1000.5]

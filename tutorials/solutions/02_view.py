@@ -51,3 +51,14 @@ def my_backward(inputs, cotangents):
 
 lessons.forward("02.2", my_forward, "view")
 lessons.backward("02.3", my_backward, "view")
+
+# %% [markdown]
+# **Predict, then run.** The largest float16 is 65504, but $300^2 = 90000$. The distance is
+# infinite and the direction zero. With the largest component divided out first, both are right.
+
+# %%
+v = np.array([300, 0, 0], np.float16)
+with np.errstate(over="ignore"):
+    distance = np.sqrt((v**2).sum())
+assert np.isinf(distance) and not (v / distance).any()
+assert np.abs(v).max() * np.sqrt(((v / 300) ** 2).sum()) == 300

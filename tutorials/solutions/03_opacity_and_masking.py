@@ -4,6 +4,7 @@
 # %%
 import numpy as np
 
+from p4dgs_ref.equations import masking
 from p4dgs_ref.school import lessons
 
 # %% [markdown]
@@ -75,3 +76,17 @@ def my_masking_backward(inputs, cotangents):
 
 
 lessons.backward("03.4", my_masking_backward, "masking")
+
+# %% [markdown]
+# **Predict, then run.** None: a Gaussian that is left out of the list has no cotangent, and
+# `masking` fills its place with zeros. The picture alone never brings the anchor back.
+
+# %%
+alpha = np.array([[0.009, 0.0099]])
+triples = np.ones((1, 2, 3))
+quaternions = np.ones((1, 2, 4))
+mask = np.array([[True, True]])
+kept, saved = masking.forward(alpha, mask, 0.01, triples, triples, triples, quaternions)
+bars = [np.ones_like(array) for array in kept[:5]]
+assert all(len(bar) == 0 for bar in bars)
+assert not masking.backward(saved, *bars)["alpha"].any()

@@ -71,3 +71,14 @@ def my_scale_backward(inputs, cotangents):
 
 lessons.backward("04.3", my_rotation_backward, "rotation")
 lessons.backward("04.4", my_scale_backward, "scale")
+
+# %% [markdown]
+# **Predict, then run.** NaN. The smallest positive float16 is $6\cdot 10^{-8}$, so $\epsilon$
+# becomes 0 and the port divides 0 by 0. In float32 the formula returns 0.
+
+# %%
+for kind, is_nan in ((np.float16, True), (np.float32, False)):
+    zero = np.zeros(4, kind)
+    with np.errstate(invalid="ignore"):
+        r = zero / np.sqrt((zero**2).sum() + kind(1e-24))
+    assert r.dtype == kind and np.isnan(r).all() == is_nan

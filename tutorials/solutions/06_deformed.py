@@ -49,3 +49,17 @@ def my_backward(inputs, cotangents):
 
 lessons.forward("06.2", my_deformed, "deformed")
 lessons.backward("06.3", my_backward, "deformed")
+
+# %% [markdown]
+# **Predict, then run.** $r'$ depends on the direction of the sum only and stays. A change of
+# $\Delta r$ now matters a hundred times less, so the gradient is divided by 100.
+
+# %%
+r, delta_r, r_bar = np.random.default_rng(6).normal(size=(3, 1, 4))
+seen = []
+for factor in (1, 100):
+    arrays = still, still, factor * r, still, still, factor * delta_r
+    (_, _, r_t), saved = deformed.forward(*arrays)
+    seen.append((r_t, deformed.backward(saved, still, still, r_bar)["delta_r"]))
+assert np.allclose(seen[0][0], seen[1][0])
+assert np.allclose(seen[0][1], 100 * seen[1][1])

@@ -4,7 +4,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.equations import rounding
+from p4dgs_ref.equations import noise, rounding
 from p4dgs_ref.school import lessons
 
 # %% [markdown]
@@ -43,3 +43,16 @@ def my_backward(inputs, cotangents):
 
 
 lessons.backward("07.3", my_backward, "noise")
+
+# %% [markdown]
+# **Predict, then run.** Noise does not know where the multiples are: its mean square is $q^2/12$.
+# Rounding loses nothing. Noise describes rounding well only where the numbers spread over many
+# steps.
+
+# %%
+rng = np.random.default_rng(7)
+f = 0.25 * rng.integers(-9, 10, (1, 100_000))
+noisy, _ = noise.forward(f, rng.random(f.shape) - 0.5, quarter)
+rounded = rounding.forward(f, quarter)[0][1]
+assert np.isclose(((noisy - f) ** 2).mean(), 0.25**2 / 12, rtol=0.02)
+assert np.array_equal(rounded, f)

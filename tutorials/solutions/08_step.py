@@ -45,3 +45,12 @@ def my_backward(inputs, cotangents):
 
 
 lessons.backward("08.3", my_backward, "step")
+
+# %% [markdown]
+# **Predict, then run.** Just above $-1$, numbers in float16 are $2^{-11} = 0.00049$ apart. At $-4$
+# the result is one such step, 27 % too small; at $-5$ it is 0. The sigmoid has no such step.
+
+# %%
+u = np.array([-4, -5], np.float16)
+assert (1 + np.tanh(u)).tolist() == [2**-11, 0]
+assert np.allclose(2 * sigmoid(2 * u), 1 + np.tanh(u.astype(float)), rtol=2e-3)

@@ -61,3 +61,15 @@ def my_backward(inputs, cotangents):
 
 
 lessons.backward("09.3", my_backward, "hash_grid")
+
+# %% [markdown]
+# **Predict, then run.** Only signs count, so $h$ stays. But now every $|\theta|$ is above 1, where
+# the straight-through estimator passes nothing: all gradients are 0, and the signs cannot change.
+
+# %%
+for factor, alive in ((1, [True, True, False, False]), (1000, [False] * 4)):
+    box = np.zeros(3), np.ones(3)
+    h, saved = hash_grid.forward(place, *box, [factor * theta], (("xy", 2),))
+    assert np.array_equal(h, by_hand)
+    (theta_bar,) = hash_grid.backward(saved, np.ones((1, 1)))["grids"]
+    assert (theta_bar[:, 0] != 0).tolist() == alive

@@ -82,3 +82,18 @@ def my_likelihood_backward(inputs, cotangents):
 
 
 lessons.backward("10.3", my_likelihood_backward, "likelihood")
+
+# %% [markdown]
+# **Predict, then run.** Eq. (11) contains quotients only, so the bits stay the same. A change of
+# $\mu$ by one unit now is a thousand times smaller, and so is the gradient. A density would lose
+# $\log_2 1000$, about ten bits a number.
+
+# %%
+given = [np.array([[value]]) for value in (0.3, 0.1, 0.2, 0.05)]  # f, mu, sigma, q
+bits, gradients = [], []
+for factor in (1, 1000):
+    of_unit, saved = likelihood.forward(*(factor * array for array in given))
+    bits.append(of_unit)
+    gradients.append(likelihood.backward(saved, np.ones((1, 1)))["mu"])
+assert close(bits[0], bits[1])
+assert close(gradients[0], 1000 * gradients[1])

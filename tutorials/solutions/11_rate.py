@@ -4,6 +4,7 @@
 # %%
 import numpy as np
 
+from p4dgs_ref.equations import hash_rate
 from p4dgs_ref.school import lessons
 
 # %% [markdown]
@@ -54,3 +55,17 @@ def my_rate(R_anchor, R_hash, n_parameters):
 
 
 lessons.forward("11.3", my_rate, "rate_loss")
+
+# %% [markdown]
+# **Predict, then run.** $N_+$ and $N_-$ change places. The rate is the same, and its gradient has
+# the opposite sign: it always pushes towards the more frequent sign.
+
+# %%
+grid = np.random.default_rng(11).normal(0.5, 1, (1000, 1))
+rates, slopes = [], []
+for sign in (1, -1):
+    (R_hash, _, _), saved = hash_rate.forward([sign * grid])
+    rates.append(R_hash)
+    slopes.append(hash_rate.backward(saved, 1.0)["grids"][0])
+assert np.isclose(rates[0], rates[1])
+assert slopes[0].any() and np.allclose(slopes[0], -slopes[1])

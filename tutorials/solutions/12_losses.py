@@ -61,3 +61,17 @@ def my_backward(inputs, cotangents):
 
 
 lessons.backward("12.3", my_backward, "ssim")
+
+# %% [markdown]
+# **Predict, then run.** L1 is measured in brightness, so it is halved. SSIM compares quotients and
+# stays almost the same; only its two constants make a difference. In dark scenes, D-SSIM therefore
+# has more weight.
+
+# %%
+rng = np.random.default_rng(12)
+truth = rng.random((32, 32, 3))
+image = truth + rng.normal(0, 0.05, truth.shape)
+_, L1, D_SSIM = my_forward(image, truth, 0.2)
+_, dark_L1, dark_D_SSIM = my_forward(image / 2, truth / 2, 0.2)
+assert np.isclose(dark_L1, L1 / 2)
+assert 0.9 * D_SSIM < dark_D_SSIM < D_SSIM

@@ -65,3 +65,16 @@ def my_backward(inputs, cotangents):
 
 lessons.forward("13.2", my_forward, "covariance")
 lessons.backward("13.3", my_backward, "covariance")
+
+# %% [markdown]
+# **Predict, then run.** Both quaternions are the same rotation, so $\Sigma$ stays. $R$ is
+# quadratic in $r$, so its slopes, and with them $\bar r$, change their signs. Two ports may
+# therefore differ in all signs of $r$ and draw the same picture.
+
+# %%
+r = np.array([[0.1, -0.7, 0.5, 0.5]])
+cotangents = {"Sigma_bar": np.random.default_rng(13).normal(size=(1, 3, 3))}
+assert np.array_equal(my_forward(scales, r), my_forward(scales, -r))
+plus = my_backward({"s": scales, "r": r}, cotangents)
+minus = my_backward({"s": scales, "r": -r}, cotangents)
+assert np.allclose(plus["s"], minus["s"]) and np.allclose(plus["r"], -minus["r"])

@@ -125,3 +125,16 @@ def my_backward(given, cotangents):
 
 
 lessons.backward("15.3", my_backward, "compositing")
+
+# %% [markdown]
+# **Predict, then run.** The smallest positive float16 is $6\cdot 10^{-8}$, so the product is 0
+# after eight layers. It is not visible: what lies behind has a weight of $10^{-8}$. But a backward
+# that divides by transmittances divides by zero.
+
+# %%
+through = np.float16(1)
+layers_passed = 0
+while through > 0:
+    through = through * np.float16(0.1)
+    layers_passed += 1
+assert layers_passed == 8

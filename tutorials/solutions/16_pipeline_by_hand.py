@@ -121,3 +121,24 @@ def my_backward(inputs, cotangents):
 
 lessons.forward("16.2", my_forward, "spatial_prediction")
 lessons.backward("16.3", my_backward, "spatial_prediction", "x_a", "f_a", "s_a", "l_a", "O_a")
+
+# %% [markdown]
+# **Predict, then run.** Eqs. (1) to (4) see the anchor only relative to the camera, so all
+# attributes except $x$ stay, and $x$ moves along. But Eq. (5) reads the position itself. $\psi_d$
+# moves the Gaussians differently there, and the pixel changes.
+
+# %%
+there = anchor._replace(x_a=anchor.x_a + [1.0, 0, 0])
+camera_there = Camera(np.eye(3), np.array([-1.0, 0, 4]), 40.0, 40.0, 16.0, 12.0, 33, 25)
+pixels = {}
+canonical = {}
+for name, moved, seen_by in (("here", anchor, camera), ("there", there, camera_there)):
+    canonical[name] = predict(design, networks, moved, seen_by.center)[0]
+    g = predict(design, networks, moved, seen_by.center, 0.5)[0]
+    (image, *_), _ = render.forward(*g[:5], seen_by, np.ones(3), SETTINGS["exact"])
+    pixels[name] = image[12, 18]
+assert np.allclose(canonical["there"].x - canonical["here"].x, [1, 0, 0])
+for attribute in ("s", "r", "alpha", "color"):
+    a, b = (getattr(canonical[name], attribute) for name in ("here", "there"))
+    assert np.allclose(a, b)
+assert np.abs(pixels["there"] - pixels["here"]).max() > 0.003

@@ -5,8 +5,12 @@
 import numpy as np
 
 from p4dgs_ref import PRESETS
-from p4dgs_ref.equations import likelihood
+from p4dgs_ref.equations import hash_grid, likelihood
+from p4dgs_ref.model import context, context_backward
+from p4dgs_ref.oracle import published
+from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.school import lessons
+from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.trainer import LEARNING_RATES
 
 # %% [markdown]
@@ -63,3 +67,30 @@ def my_backward(inputs, cotangents):
 
 
 lessons.backward("17.3", my_backward, "rate_stage", "noisy", "q")
+
+# %% [markdown]
+# **Predict, then run.** The picture sees the steps through the noise $u\,q$, so $\psi_q$ gets a
+# gradient, and through it the grid. Means and deviations occur in the rate only: $\psi_p$ gets
+# none.
+
+# %%
+given = published.cases("context_stage")[0].inputs()
+design = design_of(PRESETS["tiny"], MODEL_EFFECTS)
+design = design._replace(d=given["d"], k=given["k"], Q_0=tuple(given["Q_0"]))
+tables = [len(grid) for grid in given["grids"]]
+located = hash_grid.locate(
+    given["x_a"],
+    given["lo"],
+    given["hi"],
+    given["resolutions"],
+    tables,
+)
+networks = {}
+for name in ("psi_q", "psi_p"):
+    networks[name] = given[f"{name}_weights"], given[f"{name}_biases"]
+ctx, saved = context(design, networks, given["grids"], located)
+none = np.zeros_like(ctx.mu)
+of_grids, of_networks = context_backward(saved, np.ones_like(ctx.q), none, none)
+assert any(grid.any() for grid in of_grids)
+assert any(W.any() for W in of_networks["psi_q"]["weights"])
+assert not any(W.any() for W in of_networks["psi_p"]["weights"])

@@ -52,3 +52,21 @@ def my_backward(inputs, cotangents):
 
 
 lessons.backward("18.3", my_backward, "temporal_prediction", "x", "s", "r")
+
+# %% [markdown]
+# **Predict, then run.** They do not: Adam divides the mean of the gradients by the root of the
+# mean of their squares, and the factor cancels. Only $\epsilon = 10^{-15}$ is now smaller in
+# comparison. A weight of one term relative to another, such as $\lambda_{rate}$, does change the
+# steps.
+
+# %%
+ends = []
+for factor in (1, 1000):
+    parameter = Parameters({"w": np.zeros(1)}, np.float64)
+    adam = Adam(parameter)
+    for slope in (-3e-5, 2e-5, -7e-5):
+        gradient = parameter.zeros()
+        gradient["w"][0] = factor * slope
+        adam.step(parameter, gradient, lambda name: 0.015)
+    ends.append(parameter["w"][0])
+assert np.isclose(ends[0], ends[1], rtol=1e-6)

@@ -82,3 +82,14 @@ n = np.array(struct.unpack_from("<3H", body, 24 + 6 * 17))
 lo, hi = box[:3], box[3:]
 anchor_17 = lessons.golden("frames/front_000")["in.x_a"][17]
 lessons.number("19.2", lo + n * ((hi - lo) / 65535), anchor_17, digits=15)
+
+# %% [markdown]
+# **Predict, then run.** No. A checksum that is itself damaged no longer agrees with its bytes, and
+# a CRC-32 notices every single flipped bit.
+
+# %%
+whole = (oracle.path() / "model.p4dgs").read_bytes()
+for place in np.random.default_rng(19).integers(0, 8 * len(whole), 100):
+    damaged = bytearray(whole)
+    damaged[place // 8] ^= 1 << place % 8
+    assert refuses(my_container, bytes(damaged))

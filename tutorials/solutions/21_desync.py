@@ -75,3 +75,15 @@ log2_D = np.repeat(fixed_point.log2(D), widths, axis=1)
 exponents = np.repeat(p.astype(int), widths)
 mine = my_sigma_units(raw, log2_D, exponents)
 lessons.number("21.3", mine, stored["sigma_units"], digits=15)
+
+# %% [markdown]
+# **Predict, then run.** float32 has 24 bits, so from $2^{24}$ on it skips odd integers. The sums
+# of `full` exceed $2^{34}$, and already in the first layer many of them are wrong. A double is
+# exact up to $2^{53}$.
+
+# %%
+assert np.float32(2**24) + np.float32(1) == 2**24
+single = h.astype(np.float32) @ layers[0].W.astype(np.float32)
+double = h @ layers[0].W
+assert np.abs(y).max() > 2**34
+assert (single != double).mean() > 0.3

@@ -79,3 +79,12 @@ def my_rate_backward(inputs, cotangents):
 
 
 lessons.backward("22.3", my_rate_backward, "rate_stage", "mu", "q")
+
+# %% [markdown]
+# **Predict, then run.** 2048. From there on, numbers in float16 are 2 apart, and $2048 + 1$ is
+# rounded back to 2048. Sums of many small numbers need more digits than the numbers.
+
+# %%
+running = np.add.accumulate(np.ones(10_000, np.float16))
+assert running[-1] == 2048
+assert np.ones(10_000, np.float32).sum() == 10_000

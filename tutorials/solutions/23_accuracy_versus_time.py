@@ -89,3 +89,30 @@ def my_bin(z, w):
 
 
 lessons.forward("23.3", my_bin, "gaussian_bin")
+
+# %% [markdown]
+# **Predict, then run.** From two steps on. The error of the formula at two steps is
+# $4\cdot 10^{-4}$, and numbers of float16 near 0.38 are $2\cdot 10^{-4}$ apart. More steps buy
+# nothing below this floor.
+
+
+# %%
+def simpson(n, kind):
+    x = np.linspace(-0.5, 0.5, n + 1).astype(kind)
+    density = np.exp(-x * x / kind(2)) * kind(1 / math.sqrt(2 * math.pi))
+    weight = np.full(n + 1, kind(2))
+    weight[1::2] = kind(4)
+    weight[[0, -1]] = kind(1)
+    total = kind(0)
+    for term in weight * density:
+        total = total + term
+    return total / kind(3 * n)
+
+
+mass = ndtr(0.5) - ndtr(-0.5)
+half, double = (
+    [abs(float(simpson(n, kind)) - mass) for n in (2, 4, 8, 16, 32)]
+    for kind in (np.float16, np.float64)
+)
+assert 1e-4 < min(half) and max(half) < 2e-4
+assert max(double) < 4e-4 and min(double) < 1e-8

@@ -56,3 +56,14 @@ def my_quaternion_backward(inputs, cotangents):
 
 
 lessons.backward("24.3", my_quaternion_backward, "unit_quaternion")
+
+# %% [markdown]
+# **Predict, then run.** Zero. A better formula keeps digits, but $6\cdot 10^{-17}$ lies below the
+# smallest positive float16, $6\cdot 10^{-8}$. This is a matter of range, and only another type or
+# a logarithm helps.
+
+# %%
+smallest = float(np.finfo(np.float16).smallest_subnormal)
+assert 5e-8 < smallest < 7e-8
+assert np.float16(2 * np.exp(-38.0)) == 0
+assert np.float16(np.log(2) - 38.0) < -37

@@ -87,3 +87,13 @@ def my_color_backward(inputs, cotangents):
 
 
 lessons.backward("25.3", my_color_backward, "color")
+
+# %% [markdown]
+# **Predict, then run.** None: without motion there is no $\psi_d$, in memory or in the file. The
+# colour network reads the feature alone; distance and direction, four more inputs, are left out.
+
+# %%
+with_all = design_of(PAPER_SYNTHETIC, MODEL_EFFECTS).layers()
+without = design_of(PAPER_SYNTHETIC, ()).layers()
+assert "psi_d" in with_all and "psi_d" not in without
+assert with_all["psi_c"][0][0] - without["psi_c"][0][0] == 4

@@ -77,3 +77,13 @@ def my_backward(inputs, cotangents):
 
 
 lessons.backward("26.3", my_backward, "deformation")
+
+# %% [markdown]
+# **Predict, then run.** One more, $L_t + 1$. The old time $t$ is $2t'$ in the new unit, and
+# $\sin(2^j\cdot 2t') = \sin(2^{j+1}t')$: each old wave is the next faster one now.
+
+# %%
+old_t = np.linspace(0, 1, 50)[:, None]
+old, _ = positional_encoding.forward(old_t, 4)
+new, _ = positional_encoding.forward(old_t / 2, 5)
+assert np.allclose(new[:, 3:], old[:, 1:])

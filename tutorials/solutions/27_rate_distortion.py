@@ -48,3 +48,15 @@ def my_backward(inputs, cotangents):
 
 
 lessons.backward("27.3", my_backward, "rate_loss")
+
+# %% [markdown]
+# **Predict, then run.** The step is proportional to $\sqrt\lambda$, so it doubles. A number then
+# takes one bit less, and its squared error $q^2/12$ grows four times.
+
+# %%
+cost = 2 * steps**2 / 12 - 0.001 * np.log2(steps)
+dearer_steps = 2 * steps
+dearer_cost = 2 * dearer_steps**2 / 12 - 0.004 * np.log2(dearer_steps)
+cheap, dear = steps[cost.argmin()], dearer_steps[dearer_cost.argmin()]
+assert np.isclose(dear / cheap, 2)
+assert np.isclose(np.log2(dear / cheap), 1) and np.isclose((dear / cheap) ** 2, 4)
