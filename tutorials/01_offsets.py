@@ -2,9 +2,8 @@
 # # Eq. (1): where an anchor's Gaussians stand
 #
 # **Promise.** After this tutorial you can compute the positions of an anchor's Gaussians by hand,
-# and send a gradient back from the Gaussians to the anchor.
-# **Before it:** nothing but NumPy. **Takes** a second of machine time on two cores, a quarter of an
-# hour of yours.
+# and send a gradient back from the Gaussians to the anchor. **Before it:** nothing but NumPy.
+# **Takes** a second of machine time on two cores, 15 minutes of reading and 25 of exercises.
 #
 # **File:** Eq. (1) [offsets.py](../p4dgs_ref/equations/offsets.py).
 

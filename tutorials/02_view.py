@@ -2,9 +2,8 @@
 # # Eq. (2): how far away an anchor is, and in which direction it is seen
 #
 # **Promise.** After this tutorial you can derive the gradients of a length and of a direction, and
-# explain why the second one has no radial component.
-# **Before it:** `01_offsets`. **Takes** two seconds of machine time on two cores, twenty minutes of
-# yours.
+# explain why the second one has no radial component. **Before it:** `01_offsets`. **Takes** two
+# seconds of machine time on two cores, 25 minutes of reading and 30 of exercises.
 #
 # **File:** Eq. (2) [view.py](../p4dgs_ref/equations/view.py).
 

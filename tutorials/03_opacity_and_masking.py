@@ -2,9 +2,8 @@
 # # Eq. (3): which Gaussians an anchor shows, and the small network that decides it
 #
 # **Promise.** After this tutorial you can run a multilayer perceptron backward by hand, and explain
-# what a Gaussian that is not drawn can still learn.
-# **Before it:** `01_offsets`, `02_view`. **Takes** two seconds of machine time on two cores, forty
-# minutes of yours.
+# what a Gaussian that is not drawn can still learn. **Before it:** `01_offsets`, `02_view`.
+# **Takes** two seconds of machine time on two cores, 25 minutes of reading and 35 of exercises.
 #
 # **Files:** Eq. (3) [opacity.py](../p4dgs_ref/equations/opacity.py),
 # [masking.py](../p4dgs_ref/equations/masking.py), [mlp.py](../p4dgs_ref/equations/mlp.py),

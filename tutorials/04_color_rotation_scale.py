@@ -2,9 +2,9 @@
 # # Eq. (3) for colour and rotation, Eq. (4) for scale
 #
 # **Promise.** After this tutorial you can take a gradient through a sigmoid, through a factor that
-# several outputs share, and through a normalised quaternion.
-# **Before it:** `02_view`, `03_opacity_and_masking`. **Takes** two seconds of machine time on two
-# cores, half an hour of yours.
+# several outputs share, and through a normalised quaternion. **Before it:** `02_view`,
+# `03_opacity_and_masking`. **Takes** two seconds of machine time on two cores, 30 minutes of
+# reading and 35 of exercises.
 #
 # **Files:** Eq. (3) [color.py](../p4dgs_ref/equations/color.py),
 # Eq. (3) [rotation.py](../p4dgs_ref/equations/rotation.py),

@@ -2,9 +2,9 @@
 # # Eq. (5): how far every Gaussian has moved at time t
 #
 # **Promise.** After this tutorial you can encode a number as waves, derive the gradient of the
-# encoding, and explain why the pipeline does not use it.
-# **Before it:** `01_offsets`, `03_opacity_and_masking`. **Takes** two seconds of machine time on
-# two cores, forty minutes of yours.
+# encoding, and explain why the pipeline does not use it. **Before it:** `01_offsets`,
+# `03_opacity_and_masking`. **Takes** two seconds of machine time on two cores, 25 minutes of
+# reading and 30 of exercises.
 #
 # **Files:** [positional_encoding.py](../p4dgs_ref/equations/positional_encoding.py),
 # Eq. (5) [deformation.py](../p4dgs_ref/equations/deformation.py).

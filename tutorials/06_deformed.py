@@ -2,9 +2,9 @@
 # # Eq. (6): the Gaussians at time t
 #
 # **Promise.** After this tutorial you know how a correction is added to a position, a scale and a
-# rotation, and which parameters learn from its gradient.
-# **Before it:** `04_color_rotation_scale` and `05_positional_encoding_and_deformation`. **Takes**
-# two seconds of machine time on two cores, twenty minutes of yours.
+# rotation, and which parameters learn from its gradient. **Before it:** `04_color_rotation_scale`
+# and `05_positional_encoding_and_deformation`. **Takes** two seconds of machine time on two cores,
+# 20 minutes of reading and 30 of exercises.
 #
 # **File:** Eq. (6) [deformed.py](../p4dgs_ref/equations/deformed.py).
 

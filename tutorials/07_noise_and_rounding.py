@@ -2,9 +2,8 @@
 # # Eq. (7) and Eq. (10): noise during training, rounding in the file
 #
 # **Promise.** After this tutorial you can explain why noise can take the place of rounding, when it
-# cannot, and why ties need a rule.
-# **Before it:** `01_offsets`. **Takes** two seconds of machine time on two cores, half an hour of
-# yours.
+# cannot, and why ties need a rule. **Before it:** `01_offsets`. **Takes** two seconds of machine
+# time on two cores, 25 minutes of reading and 25 of exercises.
 #
 # **Files:** Eq. (7) [noise.py](../p4dgs_ref/equations/noise.py),
 # Eq. (10) [rounding.py](../p4dgs_ref/equations/rounding.py).

@@ -2,9 +2,9 @@
 # # Eq. (9): the binary hash grid
 #
 # **Promise.** After this tutorial you can look up an anchor by hand, including the hash, and send a
-# gradient to a grid of which only the signs are used.
-# **Before it:** `07_noise_and_rounding` for straight-through. **Takes** two seconds of machine time
-# on two cores, forty minutes of yours.
+# gradient to a grid of which only the signs are used. **Before it:** `07_noise_and_rounding` for
+# straight-through. **Takes** two seconds of machine time on two cores, 25 minutes of reading and 30
+# of exercises.
 #
 # **Files:** Eq. (9) [hash_grid.py](../p4dgs_ref/equations/hash_grid.py),
 # [grid_nodes.py](../p4dgs_ref/equations/grid_nodes.py).

@@ -2,9 +2,9 @@
 # # Eq. (11) and Eq. (12): how many bits a number costs
 #
 # **Promise.** After this tutorial you can compute the cost of a number in bits, also far from the
-# mean and in narrow bins, and derive all four gradients.
-# **Before it:** `07_noise_and_rounding`, `08_step`. **Takes** two seconds of machine time on two
-# cores, an hour of yours.
+# mean and in narrow bins, and derive all four gradients. **Before it:** `07_noise_and_rounding`,
+# `08_step`. **Takes** two seconds of machine time on two cores, 30 minutes of reading and 35 of
+# exercises.
 #
 # **Files:** Eq. (11) [likelihood.py](../p4dgs_ref/equations/likelihood.py),
 # Eq. (12) [prior.py](../p4dgs_ref/equations/prior.py).

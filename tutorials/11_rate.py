@@ -2,9 +2,9 @@
 # # Eq. (13), Eq. (14) and Eq. (17): the rate
 #
 # **Promise.** After this tutorial you can add up the bits of a model, with masked Gaussians left
-# out, and explain which gradient every parameter receives from the rate.
-# **Before it:** `09_hash_grid`, `10_prior_and_likelihood`. **Takes** two seconds of machine time on
-# two cores, half an hour of yours.
+# out, and explain which gradient every parameter receives from the rate. **Before it:**
+# `09_hash_grid`, `10_prior_and_likelihood`. **Takes** two seconds of machine time on two cores, 20
+# minutes of reading and 30 of exercises.
 #
 # **Files:** Eq. (13) [anchor_rate.py](../p4dgs_ref/equations/anchor_rate.py),
 # Eq. (14) [hash_rate.py](../p4dgs_ref/equations/hash_rate.py),

@@ -2,9 +2,8 @@
 # # Eqs. (15) and (16): what training minimises
 #
 # **Promise.** After this tutorial you can derive the gradient of SSIM by hand, and explain what the
-# weight of the rate trades for what.
-# **Before it:** `01_offsets`. **Takes** six seconds of machine time on two cores, forty minutes of
-# yours.
+# weight of the rate trades for what. **Before it:** `01_offsets`. **Takes** six seconds of machine
+# time on two cores, 25 minutes of reading and 30 of exercises.
 #
 # **Files:** Eq. (15) [total_loss.py](../p4dgs_ref/equations/total_loss.py),
 # Eq. (16) [render_loss.py](../p4dgs_ref/equations/render_loss.py),

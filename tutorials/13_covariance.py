@@ -2,9 +2,8 @@
 # # Support: from a quaternion and three scales to a covariance, and back
 #
 # **Promise.** After this tutorial you can turn a quaternion into an ellipsoid by hand, and send a
-# gradient of the ellipsoid back to the quaternion.
-# **Before it:** `01_offsets`, `02_view`. **Takes** five seconds of machine time on two cores, forty
-# minutes of yours.
+# gradient of the ellipsoid back to the quaternion. **Before it:** `01_offsets`, `02_view`.
+# **Takes** five seconds of machine time on two cores, 30 minutes of reading and 30 of exercises.
 #
 # **File:** [covariance.py](../p4dgs_ref/splatting/covariance.py).
 

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # Support: from splats to a pixel's colour, and back without a division
 #
-# **Promise.** After this you can composite splats by hand, and derive the gradient of every
-# opacity in one sweep from back to front. **Before it:** `14_projection`. **Takes** three seconds
-# of machine time on two cores, an hour of yours.
+# **Promise.** After this you can composite splats by hand, and derive the gradient of every opacity
+# in one sweep from back to front. **Before it:** `14_projection`. **Takes** three seconds of
+# machine time on two cores, 35 minutes of reading and 50 of exercises.
 #
 # **Files:** [compositing.py](../p4dgs_ref/splatting/compositing.py),
 # [loop.py](../p4dgs_ref/splatting/loop.py), [fast.py](../p4dgs_ref/splatting/fast.py).

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # Eq. (1) to Eq. (17): the whole pipeline by hand, one anchor and one pixel
 #
-# **Promise.** After this you have followed one anchor through every equation, to a colour and to
-# a number of bits, with code as simple as a pocket calculator. **Before it:** `01_offsets` to
-# `15_compositing`. **Takes** two seconds on two cores, an hour of yours.
+# **Promise.** After this you have followed one anchor through every equation, to a colour and to a
+# number of bits, with code as simple as a pocket calculator. **Before it:** `01_offsets` to
+# `15_compositing`. **Takes** two seconds on two cores, 40 minutes of reading and 50 of exercises.
 #
 # **Files:** [model.py](../p4dgs_ref/model.py), [render.py](../p4dgs_ref/splatting/render.py),
 # [objective.py](../p4dgs_ref/training/objective.py).

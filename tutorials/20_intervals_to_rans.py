@@ -3,7 +3,8 @@
 #
 # **Promise.** After this you can turn symbols with probabilities into bytes and back, first with
 # fractions and then exactly as the file does. **Before it:** `10_prior_and_likelihood`;
-# `19_file_byte_by_byte` helps. **Takes** four seconds on two cores, an hour of yours.
+# `19_file_byte_by_byte` helps. **Takes** four seconds on two cores, 30 minutes of reading and 40 of
+# exercises.
 #
 # **Files:** [rans.py](../p4dgs_ref/codec/rans.py),
 # [gaussian_table.py](../p4dgs_ref/codec/gaussian_table.py),

@@ -1,10 +1,10 @@
 # %% [markdown]
 # # Hard cases: where formulas that are right give wrong numbers
 #
-# **Promise.** After this you can see in a formula where it will fail in floating-point
-# arithmetic, and you know six such places and their remedies. **Before it:**
-# `10_prior_and_likelihood`, `12_losses`, `15_compositing`. **Takes** four seconds on two cores,
-# an hour of yours.
+# **Promise.** After this you can see in a formula where it will fail in floating-point arithmetic,
+# and you know six such places and their remedies. **Before it:** `10_prior_and_likelihood`,
+# `12_losses`, `15_compositing`. **Takes** four seconds on two cores, 25 minutes of reading and 30
+# of exercises.
 #
 # **Files:** [table.py](../p4dgs_ref/studies/hard_cases/table.py),
 # [map.py](../p4dgs_ref/studies/hard_cases/map.py),
@@ -412,7 +412,7 @@ assert moved > 0
 # $y = (3, 0, 0, 4)$ and $\bar r = (1, 0, 0, 0)$ the result is $\bar y = (0.128, 0, 0, -0.096)$.
 # Divide by the largest entry before you square.
 #
-# **Predict, then run.** What does a float16 port return for **24.1**, with the best formula that
+# **Predict, then run.** What does a float16 port return for 24.1, with the best formula that
 # there is?
 
 # %%

@@ -24,6 +24,7 @@ from typing import NamedTuple
 from p4dgs_ref.oracle import read_manifest
 from p4dgs_ref.scenes.output import write_atomically
 from p4dgs_ref.school import architecture, lessons
+from p4dgs_ref.school.notebooks import cells
 from p4dgs_ref.school.syllabus import TUTORIALS, tutorial_of
 from p4dgs_ref.table import EQUATIONS
 
@@ -32,16 +33,19 @@ from . import gallery, glossary, handout
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tutorials"
 DRAWING = "architecture.png"  # in tutorials/pictures
-PATH = {  # minutes of reading without exercises
-    "00_whole_paper": 65,
-    "01_offsets": 15,
-    "03_opacity_and_masking": 25,
-    "07_noise_and_rounding": 25,
-    "10_prior_and_likelihood": 30,
-    "15_compositing": 35,
-    "16_pipeline_by_hand": 40,
-    "20_intervals_to_rans": 30,
-}
+PATH = (  # for four hours of reading
+    "00_whole_paper",
+    "01_offsets",
+    "03_opacity_and_masking",
+    "07_noise_and_rounding",
+    "10_prior_and_likelihood",
+    "15_compositing",
+    "16_pipeline_by_hand",
+    "20_intervals_to_rans",
+)
+WORDS, LINES = 120, 12  # of prose and of code that are read in a minute: formulas take time
+EACH = 4  # minutes to think about an exercise or a question
+WRITTEN = 3  # lines of a solution that are written in a minute
 
 
 # --- the facts that a tutorial states about itself ------------------------------------------------
@@ -50,7 +54,8 @@ class Facts(NamedTuple):
 
     title: str
     after: tuple  # numbers of the tutorials that a reader should know
-    reading: str  # "half an hour"
+    reading: int  # minutes
+    doing: int  # minutes for the exercises
     exercises: dict  # "01.2" -> keys of the equations that it is about
 
 
@@ -61,13 +66,46 @@ def facts(tutorial, folder=FOLDER):
     title = re.match(r"# %% \[markdown\]\n# # (.*)\n", source)
     first_cell = source.split("\n# %%", 1)[0].splitlines()
     head = " ".join(line.lstrip("# ").strip() for line in first_cell[2:])
-    said = re.search(r"\*\*Before it:\*\*(.*?)\*\*Takes\*\*.*?two cores,\s+(.*?) of yours", head)
+    said = re.search(
+        r"\*\*Before it:\*\*(.*?)\*\*Takes\*\*.*? two cores, "
+        r"(\d+) minutes of reading and (\d+) of exercises\.",
+        head,
+    )
     if not title or not said:
         raise ValueError(
             f"{path.name}: expected a title, then "
-            "**Before it:** ... **Takes** ... on two cores, ... of yours"
+            "**Before it:** ... **Takes** ... on two cores, "
+            "... minutes of reading and ... of exercises."
         )
-    return Facts(title[1], prerequisites(said[1]), said[2], exercises(source, tutorial.keys))
+    after, minutes = prerequisites(said[1]), map(int, said.groups()[1:])
+    return Facts(title[1], after, *minutes, exercises(source, tutorial.keys))
+
+
+def minutes(name, folder=FOLDER):
+    """The minutes that it takes to read a tutorial and to do its exercises, measured in its files.
+
+    Reading ends at the exercises. Both are rounded to five minutes.
+    """
+    source = (Path(folder) / f"{name}.py").read_text(encoding="utf-8")
+    taught, _, asked = source.partition("# ## Exercises")
+    solution = Path(folder) / "solutions" / f"{name}.py"
+    doing = time_to_read(f"# %% [markdown]\n#{asked}")
+    doing += EACH * len(re.findall(r"\*\*(\d\d\.\d|Predict, then run\.)\*\*", asked))
+    if solution.is_file():
+        doing += len(code_lines(solution.read_text(encoding="utf-8"))) / WRITTEN
+    return tuple(5 * max(1, round(time / 5)) for time in (time_to_read(taught), doing))
+
+
+def time_to_read(source):
+    """Minutes to read the prose and the code of some cells."""
+    words = sum(len(cell.text.split()) for cell in cells(source) if cell.prose)
+    return words / WORDS + len(code_lines(source)) / LINES
+
+
+def code_lines(source):
+    """The lines of the cells of code, without imports and without blank ones."""
+    lines = [line for cell in cells(source) if not cell.prose for line in cell.lines]
+    return [line for line in lines if line.strip() and not line.startswith(("from ", "import "))]
 
 
 def prerequisites(text):
@@ -146,8 +184,8 @@ def path_table(folder=FOLDER):
     titles = {tutorial.name: facts(tutorial, folder).title for tutorial in TUTORIALS}
     titles["00_whole_paper"] = "Eq. (1) to Eq. (17): the whole paper in one file"
     lines = ["| tutorial | what it is about | minutes |", "|---|---|---|"]
-    for name, minutes in PATH.items():
-        lines.append(f"| {both_forms(name)} | {titles[name]} | {minutes} |")
+    for name in PATH:
+        lines.append(f"| {both_forms(name)} | {titles[name]} | {minutes(name, folder)[0]} |")
     return "\n".join(lines)
 
 
@@ -159,7 +197,7 @@ def both_forms(name):
 def order_table(seconds, folder=FOLDER):
     """A Markdown table of the tutorials in order; `seconds` is {number: measured}."""
     lines = [
-        "| tutorial | what it is about | after | exercises | seconds | reading |",
+        "| tutorial | what it is about | after | exercises | seconds | minutes |",
         "|---|---|---|---|---|---|",
     ]
     for tutorial in TUTORIALS:
@@ -167,7 +205,7 @@ def order_table(seconds, folder=FOLDER):
         measured = f"{seconds[tutorial.name[:2]]:.1f}" if tutorial.name[:2] in seconds else ""
         lines.append(
             f"| {both_forms(tutorial.name)} | {own.title} | {listed(own.after)} | "
-            f"{len(own.exercises)} | {measured} | {own.reading} |"
+            f"{len(own.exercises)} | {measured} | {own.reading} + {own.doing} |"
         )
     return "\n".join(lines)
 

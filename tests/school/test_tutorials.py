@@ -347,20 +347,44 @@ def test_links_of_the_index_lead_somewhere():
         assert f"\n## {heading.replace('-', ' ').capitalize()}\n" in INDEX, heading
 
 
-def test_path_of_four_hours_is_as_long_as_it_says():
-    assert 225 <= sum(syllabus.PATH.values()) <= 265
-    for name, minutes in syllabus.PATH.items():
-        if name in NAMES:
-            assert 0.75 <= minutes / reading_minutes(name) <= 1.33, name
+@EACH
+def test_first_cell_states_the_measured_minutes(tutorial):
+    own = syllabus.facts(tutorial)
+    assert (own.reading, own.doing) == syllabus.minutes(tutorial.name)
 
 
-def reading_minutes(name):
-    """The time to read a tutorial up to its exercises: 120 words, or 12 lines of code a minute."""
-    text = (FOLDER / f"{name}.py").read_text(encoding="utf-8").split("# ## Exercises", 1)[0]
-    found = form.cells(text)
-    words = sum(len(cell.text.split()) for cell in found if cell.prose)
-    lines = sum(bool(line.strip()) for cell in found if not cell.prose for line in cell.lines)
-    return words / 120 + lines / 12
+def test_minutes_follow_their_rule(tmp_path):
+    prose = "# %% [markdown]\n# # Title\n#\n# " + "word " * (8 * syllabus.WORDS - 2) + "\n"
+    code = "\n# %%\nimport numpy\n\n" + "x = 1\n" * (2 * syllabus.LINES) + "\n# %% [markdown]\n"
+    asked = "# ## Exercises\n# **01.1** a\n#\n# **01.2** b\n#\n# **Predict, then run.** c\n"
+    solution = "# %%\n" + "x = 1\n" * (9 * syllabus.WRITTEN - 1)
+    (tmp_path / "solutions").mkdir()
+    (tmp_path / "sample.py").write_text(prose + code + asked, encoding="utf-8")
+    (tmp_path / "solutions" / "sample.py").write_text(solution, encoding="utf-8")
+    assert syllabus.minutes("sample", tmp_path) == (10, 20)  # 3 times 4 and 9 are 21
+
+
+def test_path_of_four_hours_and_all_hours_are_those_of_the_headers():
+    assert 225 <= sum(syllabus.minutes(name)[0] for name in syllabus.PATH) <= 265
+    own = [syllabus.facts(tutorial) for tutorial in TUTORIALS]
+    reading, doing = (
+        round(sum(minutes) / 60) for minutes in zip(*((o.reading, o.doing) for o in own))
+    )
+    for file in (ROOT / "README.md", FOLDER / "README.md"):
+        said = " ".join(file.read_text(encoding="utf-8").split())
+        assert f"about {reading} hours of reading and {doing} of exercises" in said
+
+
+@EACH
+def test_exercises_end_with_a_question_that_the_solutions_answer(tutorial):
+    asked = source(tutorial).split("# ## Exercises\n", 1)[1].split("# ## Check your port", 1)[0]
+    prose = form.cells("# %% [markdown]\n" + asked)[0].text
+    question = re.split(r"\n\n(?=\*\*)", prose.strip())[-1]
+    assert asked.count("**Predict, then run.** ") == 1
+    assert question.startswith("**Predict, then run.** ") and "?" in question
+    answered, tested = form.cells(source(tutorial, solution=True))[-2:]
+    assert answered.text.strip().startswith("**Predict, then run.** ")
+    assert not tested.prose and "assert " in "\n".join(tested.lines)
 
 
 def test_gallery_is_complete_small_and_moves():
