@@ -20,31 +20,28 @@ def of_port(cases, port, roles):
         if first is None:
             return ""
         case = next(case for case in cases if case.id == first.id)
-        answers = judge(case, port, roles)[1]
+        answers = judge(case, port, roles)[1] or {}
     if not first.findings:
         return f"your function raised {first.explanation} (case {first.id})"
-    known = first.explanation or first.hint
-    finding, tensors = first.findings[0], case.tensors
-    lengths = () if known else {n for tensor in tensors.values() for n in tensor.shape}
-    said = [of_tensor(finding, answers, tensors, lengths)]
-    if known:
-        said.append(f"It looks like this: {known}")
-    if finding.kind == "value":
-        place = str(list(finding.index)) if finding.index else "the number"
-        said.append(f"Case {case.id}: {place} is {finding.got:.12g}, not {finding.want:.12g}")
-    return "\n  ".join(said)
-
-
-def of_tensor(finding, answers, tensors, lengths):
-    """Return what is wrong with one output or gradient of a case."""
+    finding, known = first.findings[0], first.explanation or first.hint
+    mine, right = answers.get(finding.tensor), case.tensors.get(finding.tensor)
     role, name = finding.tensor.split(".", 1)
-    whose = f"{ROLES[role]} {name}"
-    if finding.kind == "value" and finding.relative and finding.relative < NEARLY:
-        return f"{whose} has too few right digits: {digits(finding)}"
+    said = f"{ROLES[role]} {name}: {of_finding(finding, mine, right, known)}"
+    if known:
+        said += f"\n  It looks like this: {known}"
     if finding.kind == "value":
-        mine, right = answers[finding.tensor], tensors[finding.tensor]
-        return f"{whose}: {difference(mine, right, lengths)}"
-    return f"{whose}: {finding.kind}: {finding.message}"
+        place = list(finding.index) or "the number"
+        said += f"\n  Case {case.id}: {place} is {finding.got:.12g}, not {finding.want:.12g}"
+    return said
+
+
+def of_finding(finding, mine, right, known):
+    """Return what is wrong with one output or gradient; `known` is the doctor's diagnosis."""
+    if finding.kind != "value":
+        return f"{finding.kind}: {finding.message}"
+    if finding.relative is not None and finding.relative < NEARLY:
+        return "too few right digits" + ("" if known else f": {digits(finding)}")
+    return difference(mine, right)
 
 
 def digits(finding):
@@ -62,13 +59,13 @@ def of_number(mine, right):
     return difference(mine, right) if right.size > 1 or telling else "it is wrong"
 
 
-def difference(mine, right, lengths=()):
-    """Return how an array differs from the right one; `lengths` are those of axes in the sum."""
+def difference(mine, right):
+    """Return how an array differs from the right one of the same shape."""
     mine, right = np.asarray(mine, float), np.asarray(right, float)
     factor = common_factor(mine, right)
     them = f"all {right.size} numbers are" if right.size > 1 else "it is"
     if factor is not None:
-        return f"{them} {in_words(factor, lengths)}"
+        return f"{them} {in_words(factor)}"
     if right.size == 1:
         return "it is wrong"
     wrong = ~np.isclose(mine, right, NEARLY, 0)
@@ -82,23 +79,16 @@ def common_factor(mine, right):
     if not factors.size or not np.isfinite(factors).all() or mine[right == 0].any():
         return None
     same = np.ptp(factors) <= NEARLY * np.abs(factors).max()
-    return float(factors[0]) if same else None
+    return float(factors[0]) if same and abs(factors[0] - 1) > NEARLY else None
 
 
-def in_words(factor, lengths=()):
-    """Return a factor in words, with a guess at its cause."""
+def in_words(factor):
+    """Return in words how numbers that are wrong by a factor differ from the right ones."""
     if factor == 0:
         return "zero"
+    sign = "of the opposite sign"
     n = max(abs(factor), 1 / abs(factor))
-    said = []
-    if not math.isclose(n, 1, rel_tol=NEARLY):
-        said.append(f"too {'large' if abs(factor) > 1 else 'small'} by a factor of {n:.6g}")
-    if factor < 0:
-        said.append("of the wrong sign")
-    guess = ""
-    if math.isclose(n, 1 / math.log(2), rel_tol=NEARLY):
-        guess = ": it looks like natural logarithms where bits are meant, or the reverse"
-    elif n > 1.5 and any(math.isclose(n, length, rel_tol=NEARLY) for length in lengths):
-        kind = ("sum", "mean") if abs(factor) > 1 else ("mean", "sum")
-        guess = f": it looks like a {kind[0]} over {n:.0f} numbers where a {kind[1]} is meant"
-    return " and ".join(said) + guess
+    if math.isclose(n, 1, rel_tol=NEARLY):
+        return sign
+    size = f"too {'large' if abs(factor) > 1 else 'small'} by a factor of {n:.6g}"
+    return f"{size} and {sign}" if factor < 0 else size

@@ -47,7 +47,7 @@ def test_close_is_relative_to_the_largest_number():
         ([1, 2.00001], "not solved: nearly right, but 6 right digits are expected"),
         (
             [-2, -4],
-            "not solved: all 2 numbers are too large by a factor of 2 and of the wrong sign",
+            "not solved: all 2 numbers are too large by a factor of 2 and of the opposite sign",
         ),
         ([0, 0], "not solved: all 2 numbers are zero"),
         ([1, 5], "not solved: 1 of 2 numbers are wrong"),
@@ -63,7 +63,12 @@ def test_numbers(mine, said, capsys):
 
 @pytest.mark.parametrize(
     "mine, said",
-    [(7, "solved"), (-7, "it is of the wrong sign"), (14, "by a factor of 2"), (8, "it is wrong")],
+    [
+        (7, "solved"),
+        (-7, "it is of the opposite sign"),
+        (14, "by a factor of 2"),
+        (8, "it is wrong"),
+    ],
 )
 def test_short_answers_are_stored_and_not_given_away(mine, said, capsys):
     lessons.number("20.1", mine)
@@ -165,10 +170,13 @@ def test_feedback_names_the_mistake_that_the_oracle_names(capsys):
 @pytest.mark.parametrize(
     "change, said",
     [
-        (lambda q_bar, f_bar: 6 * q_bar, "a factor of 6: it looks like a sum over 6 numbers where"),
-        (lambda q_bar, f_bar: q_bar * np.log(2), "it looks like natural logarithms where bits"),
+        (lambda q_bar, f_bar: 0 * q_bar, "the gradient of q: all 6 numbers are zero\n"),
+        (
+            lambda q_bar, f_bar: q_bar / -3,
+            "are too small by a factor of 3 and of the opposite sign\n",
+        ),
         (lambda q_bar, f_bar: 7 * q_bar, "are too large by a factor of 7\n"),
-        (lambda q_bar, f_bar: -q_bar, "are of the wrong sign\n"),
+        (lambda q_bar, f_bar: -q_bar, "are of the opposite sign\n"),
         (lambda q_bar, f_bar: q_bar**3 + 1, "q: 6 of 6 numbers are wrong\n"),
         (lambda q_bar, f_bar: q_bar * np.nan, "q: 6 of 6 numbers are wrong\n"),
         (lambda q_bar, f_bar: q_bar * (1 + 1e-9), "too few right digits: its error is 4.5"),
@@ -176,6 +184,16 @@ def test_feedback_names_the_mistake_that_the_oracle_names(capsys):
 )
 def test_feedback_in_plain_words(change, said, capsys):
     assert said in said_of(change, capsys)
+
+
+def test_feedback_on_integers(capsys):
+    def floored(f, q):
+        symbols = np.floor(f / q).astype(int)
+        return symbols, symbols * q
+
+    lessons.forward("07.2", floored, "rounding")
+    said = capsys.readouterr().out
+    assert "the output symbols: " in said and " numbers are wrong\n" in said
 
 
 def test_measure_of_accuracy_is_explained_where_digits_are_missing_and_nowhere_else(capsys):

@@ -90,11 +90,12 @@ def run(paths, out):
 @EACH_RUN
 def test_tutorial_runs_with_figures_and_its_exercises_unsolved(tutorial, tmp_path):
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    _, results = run([FOLDER / f"{tutorial.name}.py"], tmp_path)
+    out, results = run([FOLDER / f"{tutorial.name}.py"], tmp_path)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     print(f"{tutorial.name}: {seconds:.1f} s")  # depends on the machine: recorded, not asserted
     assert results and not any(results.values())
+    assert "eps S" not in out  # explained to a student where digits are missing, and only there
     assert set(results) == set(syllabus.facts(tutorial).exercises)
     written = [file for file in tmp_path.iterdir() if file.suffix != ".json"]
     assert all(file.name.startswith(tutorial.name[:2] + "_") for file in written)

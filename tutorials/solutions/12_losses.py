@@ -19,9 +19,9 @@ lessons.number("12.1", [0.0724, bar, 1e-3 * bar], [case[name] for name in names]
 
 
 # %% [markdown]
-# **12.2** This is a weighted mean of two numbers. With `1 - ssim.forward(...)[0]` the case
-# `H-P7.nearly_equal` fails. SSIM is almost one there, and subtracting it from one leaves only a few
-# digits.
+# **12.2** This is a weighted mean of two numbers. With `1 - ssim.forward(...)[0]` the answer to the
+# case `H-P7.nearly_equal` is accepted, but with few digits: SSIM is almost one there, and
+# subtracting it from one loses them.
 
 
 # %%
