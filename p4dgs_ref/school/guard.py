@@ -1,8 +1,8 @@
-"""Notices a copy of the package in a student's file by its text.
+"""Notices copies of the package in a student's file by their text.
 
-Functions are compared by their syntax trees without names, comments, docstrings and layout. Short
-functions are alike by chance, so only a file with much that is alike counts as a copy. A copy whose
-statements were changed is not noticed.
+Functions are compared line by line, without names, comments, docstrings and layout, so a copy is
+still one after small changes. Short functions are alike by chance; only a file with enough text in
+functions that are alike counts as a copy.
 """
 
 import ast
@@ -14,66 +14,74 @@ from .removal import functions_of, without_bodies
 from .room import source_of
 
 PACKAGE = Path(__file__).resolve().parents[1]
-ENOUGH = 160  # nodes of the syntax tree that must be alike in all
+ALIKE = 0.8  # of a function's text; where tutorials and tests compute the same, it is below 0.4
+ENOUGH = 200  # characters of such functions in a file; names count as one
 
 
 def copies(source, key, asked):
     """Return the functions of a student's file that are copies of functions of the package.
 
-    The entries have the form "line 5: forward is that of p4dgs_ref/equations/mlp.py". There are
-    none if the functions together are so short that they may be alike by chance. Raises SyntaxError
-    or ValueError if the file cannot be parsed.
+    The entries have the form "forward (line 5)". There are none if together they are so short that
+    they may be alike by chance. Raises SyntaxError or ValueError if the file cannot be parsed.
     """
-    known, given = functions_of_the_package(), handed_out(key, tuple(asked))
-    alike = []
-    for node in functions(ast.parse(source)):
-        body = normalised(node)
-        if body in known and body not in given:
-            alike.append((node, known[body]))
-    if sum(len(list(ast.walk(node))) for node, _ in alike) < ENOUGH:
-        return []
-    return [f"line {node.lineno}: {node.name} is that of {place}" for node, place in alike]
+    given = handed_out(key, tuple(asked))
+    found, size = [], 0
+    for function in functions(source):
+        mine = [line for line in lines_of(function) if line not in given]
+        alike = [line for line in mine if line in lines_of_the_package()]
+        if alike and length(alike) >= ALIKE * length(mine):
+            found.append(f"{function.name} (line {function.lineno})")
+            size += length(alike)
+    return found if size >= ENOUGH else []
 
 
 @cache
-def functions_of_the_package():
-    """Return {normalised body: "p4dgs_ref/equations/mlp.py"} of the rooms that hold equations."""
-    known = {}
-    for room in ("splatting", "equations"):
-        for path in sorted((PACKAGE / room).glob("*.py")):
-            tree = ast.parse(path.read_text(encoding="utf-8"))
-            place = path.relative_to(PACKAGE.parent).as_posix()
-            known.update({normalised(node): place for node in functions(tree)})
-    return known
+def lines_of_the_package():
+    """Return the lines of all functions in the rooms that hold equations."""
+    files = [path for room in ("equations", "splatting") for path in (PACKAGE / room).glob("*.py")]
+    return {
+        line
+        for path in files
+        for function in functions(path.read_text(encoding="utf-8"))
+        for line in lines_of(function)
+    }
 
 
 @cache
 def handed_out(key, asked):
-    """Return the normalised bodies of the functions that students get with the file."""
+    """Return the lines of the functions in the file that students get."""
     stub = without_bodies(source_of(key), functions_of(key, asked), str)
-    return {normalised(node) for node in functions(ast.parse(stub))}
+    return {line for function in functions(stub) for line in lines_of(function)}
 
 
-def functions(tree):
+def functions(source):
     """Return the syntax trees of all functions in a file."""
-    return [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+    return [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
 
 
-def normalised(function):
-    """Return the body of a function as text, with numbers in place of names."""
+def lines_of(function):
+    """Return the body of a function, a statement a line, with numbers in place of names.
+
+    Docstrings and assignments of constants are left out.
+    """
     for node in ast.walk(function):
         if isinstance(getattr(node, "body", None), list):
-            node.body = [line for line in node.body if not is_idle(line)]
-    text = ast.dump(ast.Module(function.body, []))
+            node.body = [
+                s for s in node.body if not isinstance(getattr(s, "value", 0), ast.Constant)
+            ]
+    return [
+        nameless(line.strip()) for line in ast.unparse(ast.Module(function.body, [])).splitlines()
+    ]
+
+
+def nameless(line):
+    """Return a line with numbers in place of names; the names of attributes stay."""
     names = {}
     return re.sub(
-        r"\b(?:id|arg|name)='(\w+)'",
-        lambda found: str(names.setdefault(found[1], len(names))),
-        text,
+        r"(?<![.\w])[A-Za-z_]\w*", lambda name: str(names.setdefault(name[0], len(names))), line
     )
 
 
-def is_idle(statement):
-    """Whether a statement does nothing: a docstring or `pass`."""
-    is_constant = isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
-    return is_constant or isinstance(statement, ast.Pass)
+def length(lines):
+    """Return the number of characters."""
+    return sum(map(len, lines))

@@ -48,7 +48,7 @@ def details(report):
         points = f"{grade.points:5.2f} of {grade.of:2.0f}"
         lines.append(f"{heading:<{width}}  {points}  {missed(grade)}".rstrip())
         said = {
-            f"points withheld ({grade.earned:.2f})": "; ".join(grade.flags),
+            f"{grade.earned:.2f} points withheld, copied": ", ".join(grade.flags),
             "first": grade.first,
             "explained by": grade.explanation,
             "hint": grade.hint,

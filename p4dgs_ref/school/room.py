@@ -170,8 +170,8 @@ loses most of the hard cases.
   works. The exceptions are {SLOPES}, whose forwards save the slopes themselves.
 - Functions receive float64 and must return float64. Printed text is ignored, and functions that run
   for too long are stopped.
-- A copy of the package's functions gets no points. Copies are recognised whatever their names,
-  comments and layout are; short functions, which are alike by chance, do not count.
+- A file with a copy of the package's functions gets no points. Copies are recognised whatever their
+  names, comments and layout are; short functions, which are alike by chance, do not count.
 
 ## The equations
 
@@ -198,15 +198,16 @@ This folder, `key/`, contains the complete files. Hand out its parent folder wit
 ## What is noticed, and what remains possible
 
 While a file is graded, its process cannot import the equation that it should compute, nor anything
-else of `p4dgs_ref` that the original file does not import. Functions whose text is that of the key
-or of the installed package, whatever their names, comments, docstrings and layout are, cost all
-points of the equation. The report names them beside the points that the file would have had, so
-that you can decide otherwise.
+else of `p4dgs_ref` that the original file does not import. Functions that agree in four fifths of
+their text with those of the key or of the installed package, whatever their names, comments,
+docstrings and layout are, cost all points of the equation. The report names them beside the points
+that the file would have had, so that you can decide otherwise.
 
 This keeps honest students honest. It does not stop a student who is determined to cheat:
 
-- A copy whose statements were changed or reordered is not noticed, and neither is one of the short
-  equations, such as Eqs. (1), (7) and (15): everybody writes them in the same way.
+- A copy of which more was changed is not noticed, and neither is one of the short equations, which
+  everybody writes in the same way: `view`, `offsets`, `opacity`, `color`, `rotation`, `scale`,
+  `step`, `noise`, `rate_loss`, `total_loss`.
 - A file can open the installed package as a text and run it, undo the lock on imports, start a
   process of its own or look into the memory of the one that it runs in. Whoever reads the file sees
   this at once.
