@@ -9,7 +9,7 @@ import warnings
 from pathlib import Path
 
 from .. import __version__
-from . import job, oracle, school, study
+from . import experiments, job, oracle, school, study
 from .base import UsageError, say
 
 
@@ -55,6 +55,11 @@ def color(text):
         raise argparse.ArgumentTypeError(
             f"expected white, black or r,g,b in 0 ... 1, got {text!r}"
         ) from None
+
+
+def listed(read):
+    """A reader of numbers with commas between them."""
+    return lambda text: tuple(read(part) for part in text.split(",") if part.strip())
 
 
 def place(text):
@@ -122,6 +127,13 @@ SPLIT = option(
     default="test",
     choices=("train", "test", "val"),
     help="which views of the scene (default test)",
+)
+EXPERIMENT = (
+    *VIEW,
+    option("--seeds", type=whole(1, 1000), default=3, help="seeds 0 to N - 1 (default 3)"),
+    option("--iterations", type=whole(1), help="of every training (default those of the preset)"),
+    JOBS,
+    QUIET,
 )
 CAMERA = (  # without defaults, so that an option that does not apply can be refused
     option("--azimuth", type=real(-360, 360), help="degrees about z (default 40)"),
@@ -302,6 +314,31 @@ COMMANDS = {
             JOBS,
         ),
     ),
+    "compare": (
+        experiments.compare,
+        "the paper's tables 1 and 2 on tiny scenes: P-4DGS and the methods it is compared with",
+        (
+            option("scenes", nargs="*", help=f"{SCENE_HELP} (default: all packaged that move)"),
+            several("--method", "NAME", "only ours and this one; may be repeated", dest="methods"),
+            switch("--quick", "one scene, one seed"),
+            option(
+                "--equal",
+                choices=("iterations", "time"),
+                default="iterations",
+                help="what all methods get the same of (default iterations)",
+            ),
+            option(
+                "--caps",
+                type=listed(whole(1)),
+                default=(),
+                metavar="N,N",
+                help="also train every baseline with these numbers of Gaussians, so that files of "
+                "equal PSNR can be compared",
+            ),
+            *EXPERIMENT,
+            output("folder to write to (default report/compare)", default="report/compare"),
+        ),
+    ),
     "classroom": (
         school.classroom,
         "write the equations with bodies removed for students, and the key for their teacher",
@@ -447,6 +484,7 @@ def user_errors():
     from ..scenes.output import OutputError
     from ..scenes.scene import SceneError
     from ..school import ClassroomError
+    from ..studies.methods import StudyError
     from ..training.checkpoint import RunError
 
     return (
@@ -458,6 +496,7 @@ def user_errors():
         TensorError,
         AdapterError,
         ClassroomError,
+        StudyError,
         UsageError,
     )
 
