@@ -131,7 +131,7 @@ SPLIT = option(
 EXPERIMENT = (
     *VIEW,
     option("--seeds", type=whole(1, 1000), default=3, help="seeds 0 to N - 1 (default 3)"),
-    option("--iterations", type=whole(1), help="of every training (default those of the preset)"),
+    option("--iterations", type=whole(4), help="of every training (default those of the preset)"),
     JOBS,
     QUIET,
 )

@@ -8,6 +8,7 @@ import numpy as np
 
 from .. import baselines
 from ..codec.file import decode, encode
+from ..scenes import Scene
 from ..scenes.output import write_atomically
 from ..training.presets import choose
 from ..training.trainer import Trainer
@@ -41,7 +42,7 @@ class StudyError(ValueError):
 class Task(NamedTuple):
     """One training and its file."""
 
-    scene: object
+    scene: Scene
     method: str
     seed: int
     folder: Path  # of the file
@@ -72,21 +73,22 @@ def known(names):
 
 
 def preset_of(task):
-    """The preset for tiny scenes with all dates of its schedule shortened or stretched alike."""
+    """The preset for tiny scenes with the task's changes and iterations.
+
+    All dates of its schedule are shortened or stretched alike. Raises StudyError.
+    """
     try:
         if task.method == OURS:
             name = "tiny" if task.scene.points is None else "tiny_real"
-            preset = choose(name, task.changes)
-        else:
-            size = {"gaussians": task.most, "most": task.most} if task.most else {}
-            preset = baselines.choose(task.method, None, {**size, **task.changes})
+            ours = choose(name, task.changes)
+            return shortened(ours, (task.iterations or ours.iterations) / ours.iterations)
+        size = {"gaussians": task.most, "most": task.most} if task.most else {}
+        theirs = baselines.choose(task.method, None, {**size, **task.changes})
     except ValueError as error:
         raise StudyError(str(error)) from None
-    share = 1 if task.iterations is None else task.iterations / preset.iterations
-    if task.method == OURS:
-        return shortened(preset, share)
-    dates = {name: getattr(preset, name) for name in DATES if hasattr(preset, name)}
-    return replace(preset, **{name: max(round(share * n), n > 0) for name, n in dates.items()})
+    share = (task.iterations or theirs.iterations) / theirs.iterations
+    dates = {name: getattr(theirs, name) for name in DATES if hasattr(theirs, name)}
+    return replace(theirs, **{name: max(round(share * n), n > 0) for name, n in dates.items()})
 
 
 def fit(task):

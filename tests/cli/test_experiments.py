@@ -1,0 +1,68 @@
+"""The commands of the paper's tables: their files, and their mistakes in one line."""
+
+import json
+import shlex
+import time
+
+import pytest
+
+from p4dgs_ref.baselines import METHODS
+from p4dgs_ref.cli import parser as cli
+from p4dgs_ref.studies import methods
+
+SHORT = "--iterations 4 --downscale 8 --quiet"
+
+
+@pytest.fixture(autouse=True)
+def place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(methods, "TURNS", 1)
+    return tmp_path
+
+
+def run(line, capsys):
+    """The exit code, stdout and stderr of a command."""
+    try:
+        code = cli.run(shlex.split(line), time.perf_counter())
+    except SystemExit as stopped:
+        code = stopped.code
+    return code, *capsys.readouterr()
+
+
+def refused(line, words, place, capsys):
+    before = sorted(place.rglob("*"))
+    code, out, err = run(line, capsys)
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    assert err.startswith("p4dgs-ref: ") and [w for w in words if w not in err] == [], err
+    assert sorted(place.rglob("*")) == before
+
+
+def test_compare_quick_has_one_row_a_method(place, capsys):
+    code, out, err = run(f"compare --quick -o out --json {SHORT}", capsys)
+    assert (code, err) == (0, "")
+    result = json.loads((place / "out/compare.json").read_text())
+    assert json.loads(out) == result
+    rows = result["methods"]
+    assert [row["method"] for row in rows] == ["p4dgs", *METHODS]
+    assert {(row["scene"], row["seed"]) for row in rows} == {("bouncing", 0)}
+    for row in rows:
+        ending = "p4dgs" if row["method"] == "p4dgs" else "ply"
+        file = place / "out" / f"bouncing_{row['method']}_seed0.{ending}"
+        assert file.stat().st_size == row["bytes"]
+
+
+COMPARE = [
+    ("compare --method nerf -o out", ("method 'nerf'", "p4dgs, d3dgs")),
+    ("compare nowhere -o out", ("nowhere", "packaged")),
+    ("compare --caps 10,x -o out", ("--caps", "'x'")),
+    ("compare --iterations 0 -o out", ("--iterations", "'0'")),
+    ("compare --seeds 0 -o out", ("--seeds", "'0'")),
+    ("compare --equal bytes -o out", ("--equal", "bytes")),
+    ("compare bouncing -o text", ("text", "folder that can be written")),
+]
+
+
+@pytest.mark.parametrize("line, words", COMPARE)
+def test_mistakes(place, capsys, line, words):
+    (place / "text").write_text("")
+    refused(line, words, place, capsys)
