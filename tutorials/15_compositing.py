@@ -354,7 +354,7 @@ pulls = [
 for pull, fall, gradient in zip(pulls, falls, bars["alpha"]):
     assert np.isclose(-inner(pull, fall), gradient, rtol=1e-10)
 
-figure, panels = plt.subplots(1, 4, figsize=(14, 3.9), layout="constrained", sharey=True)
+figure, panels = plt.subplots(1, 4, figsize=(12, 3.7), layout="constrained", sharey=True)
 names = ("as it is", "as it should be", "pull at the front splat", "pull at the back splat")
 for ax, picture, name in zip(panels, (seen, target, *pulls), names):
     shown = ax.imshow(picture, cmap="PuOr", vmin=-0.6, vmax=0.6)

@@ -213,7 +213,7 @@ def shade(i):
 
 
 owners = np.repeat(np.arange(len(parts)), sizes)
-figure, axes = plt.subplots(figsize=(16, 9))
+figure, axes = plt.subplots(figsize=(9.5, 5.6), layout="constrained")
 for i, byte in enumerate(data):
     row, column = divmod(i, 32)
     axes.add_patch(plt.Rectangle((column, row), 1, 1, color=shade(owners[i]), lw=0))
@@ -224,13 +224,13 @@ for i, byte in enumerate(data):
         ha="center",
         va="center",
         family="monospace",
-        fontsize=9.5,
+        fontsize=9,
     )
 address = 0
 for i, (name, size) in enumerate(parts):
     label = f"{address:3d}  {name}, {size} bytes"
     axes.add_patch(plt.Rectangle((33.2, 2.2 * i + 1), 1.4, 1.4, color=shade(i), lw=0))
-    axes.text(35, 2.2 * i + 1.75, label, va="center", fontsize=13)
+    axes.text(35, 2.2 * i + 1.75, label, va="center", fontsize=10)
     address += size
 axes.set(
     frame_on=False,

@@ -202,9 +202,9 @@ print(f"PSNR {-10 * math.log10(((before - after) ** 2).mean()):.1f} dB")
 figure, (left, middle, errors) = plt.subplots(
     1,
     3,
-    figsize=(17, 5),
+    figsize=(12, 4.2),
     layout="constrained",
-    width_ratios=(1, 1, 1.2),
+    width_ratios=(1, 1, 1.1),
 )
 left.imshow(before)
 left.set_title("What was sent")
@@ -220,7 +220,7 @@ errors.set(
     ylim=(-0.3, 2000),
     xlabel="symbol in the message",
     ylabel="|received − sent| (steps q)",
-    title="All symbols are right, then nearly all are wrong",
+    title="All symbols are right,\nthen nearly all are wrong",
 )
 errors.legend(loc="upper left")
 lessons.show(figure, "21_desync")

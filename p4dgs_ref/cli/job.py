@@ -410,14 +410,12 @@ def inspect(arguments):
 
 def write_heat(arguments, data, folder):
     """Write heat.png, the scene in colours that show the bits of its anchors, and heat.csv."""
-    import numpy as np
-
     from ..studies.heat import heat_image
     from ..studies.inspect import anchor_bits
     from ..studies.report import HEAT, draw_heat, write_csv
 
     model, bits = anchor_bits(data)
-    limits = tuple(np.percentile(bits, (2, 98)))
+    limits = bits.min(), bits.max()
     image = heat_image(model, bits, held_camera(arguments, model), arguments.time, limits, HEAT)
     rows = [[a, *x, b] for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))]
     write_csv(folder / "heat.csv", rows, ("anchor", "x", "y", "z", "bits"))

@@ -232,7 +232,7 @@ def paint(axes, lit=()):
         line = FancyArrowPatch(path=Path(arrow.points), arrowstyle="-|>", mutation_scale=8)
         line.set(color=DARK, linewidth=1.2)
         axes.add_artist(line)
-        write(axes, *arrow.at, arrow.text, size=8)
+        write(axes, *arrow.at, arrow.text)
     for icon in ICONS:
         paint_icon(axes, icon, 0.3 if lit else 0.8)
     for frame in FRAMES:

@@ -172,8 +172,12 @@ def draw_heat(path, image, bits, limits):
     left.set(xticks=[], yticks=[], title="bits of the anchors, in place")
     left.spines[:].set_visible(False)
     scale = plt.cm.ScalarMappable(plt.Normalize(*limits), HEAT)
-    figure.colorbar(scale, ax=left, label="bits of the Gaussian's anchor", shrink=0.9)
-    right.hist(bits, bins=30, color=BLUE)
+    ticks = np.linspace(*limits, 5)
+    label = "bits of the Gaussian's anchor"
+    figure.colorbar(scale, ax=left, label=label, shrink=0.9, ticks=ticks, format="{x:.0f}")
+    _, edges, bars = right.hist(bits, bins=30, range=limits)
+    for bar, middle in zip(bars, edges[:-1] + np.diff(edges) / 2):
+        bar.set_color(scale.to_rgba(middle))
     right.set(
         xlabel="bits of an anchor: position, f, s, l, O, masks",
         ylabel="anchors",

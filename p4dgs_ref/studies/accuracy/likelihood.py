@@ -25,7 +25,7 @@ from .diagram import (
 )
 from .formulas import FORMULAS, TABLES, truth
 from .formulas import table as table_formula
-from .heatmap import draw_heatmap
+from .heatmap import FAILED, draw_heatmap, label_heatmaps, log_error, plane
 from .timing import special_calls
 
 # Bits and slopes at points of the planes, from 60-digit arithmetic: {"quick": rows, "full": rows}.
@@ -34,9 +34,7 @@ DIGITS = Path(__file__).with_name("sixty_digits.json")
 LEAST_BITS = 1e-6  # errors of fewer bits are relative to this
 DTYPES = ("float32", "float64")
 REACHES = (3, 1000)  # sigmas: the values of a trained model, and the declared domain
-LEVELS = (-16, 0)  # log10 of the errors that the heat maps distinguish
 REFERENCE = "reference: quadrature"
-FAILED = "infinite or not a number"
 
 
 def inputs(z, w, dtype):
@@ -73,14 +71,6 @@ def check_truth(quick):
     bits_error = np.abs(found_bits - bits) / np.maximum(bits, LEAST_BITS)
     gap = np.abs(np.array(found_slopes) - slopes).max(axis=0)
     return bits_error.max(), relative_to(np.abs(slopes).max(axis=0), gap).max()
-
-
-def plane(quick):
-    """Distances and widths of the plane: two axes of numbers that float32 can hold."""
-    n = 25 if quick else 73
-    return tuple(
-        np.logspace(*limits, n).astype(np.float32).astype(float) for limits in ((-2, 3), (-12, 6))
-    )
 
 
 def cuts(z_axis, w_axis):
@@ -214,16 +204,9 @@ def draw_map(path, z_axis, w_axis, maps, what):
     fig, panels = figure(3, (8, 6.2), rows=2, sharex=True, sharey=True)
     for ax, name in zip(panels, FORMULAS):
         error = maps[name, "float64"][0 if what == "bits" else 1]
-        log = np.log10(np.maximum(error, 10.0 ** LEVELS[0]))
-        log = np.where(np.isfinite(error), log, np.inf)
-        shown = draw_heatmap(ax, w_axis, z_axis, log, LEVELS)
+        mesh = draw_heatmap(ax, z_axis, w_axis, log_error(error))
         ax.set_title(name, fontsize=11)
-        ax.set_xticks([1e-12, 1e-6, 1, 1e6])
-    fig.supxlabel("bin width q/σ")
-    fig.supylabel("distance |x − μ|/σ")
-    fig.colorbar(
-        shown, ax=panels, location="right", shrink=0.8, extend="both", label="log10 of the error"
-    )
+    label_heatmaps(fig, panels, mesh, what)
     scale = "relative above 1e-6 bits" if what == "bits" else "relative to the larger slope"
     finish(fig, path, f"float64, error of the {what} ({scale})\nred: {FAILED}; {REFERENCE}")
 
