@@ -190,9 +190,11 @@ assert R_of_equal_signs == 0
 assert not hash_gradients([theta], 1.0)[0].any()
 
 # %% [markdown]
-# The left panel of the figure shows the mean cost of a sign and the slope that all signs feel. The
-# right panel compares the sections of a file (bars) with the equations (black marks). The file is
-# the model of the golden vectors, whose parameters were drawn at random, not trained.
+# The two panels on the left show the mean cost of a sign and the slope that all signs feel; they
+# have different units. The slope is infinite at both ends, so its axis is cut. The panel on the
+# right shows the sections of a file on a linear scale, with their bytes beside them and, where an
+# equation describes them, the bytes by the equation. The file is the model of the golden vectors,
+# whose parameters were drawn at random, not trained.
 
 # %%
 sections = ledger((oracle.path() / "model.p4dgs").read_bytes())
@@ -203,90 +205,50 @@ share = np.linspace(0.005, 0.995, 199)
 cost = -share * np.log2(share) - (1 - share) * np.log2(1 - share)
 slope = 0.5 * np.log2((1 - share) / share)
 
-figure, (left, right) = plt.subplots(
-    1, 2, figsize=(13.5, 5), layout="constrained", width_ratios=(1, 1.15)
+figure, axes = plt.subplot_mosaic(
+    [["cost", "bytes"], ["slope", "bytes"]],
+    figsize=(12, 5),
+    layout="constrained",
+    width_ratios=(1, 1.3),
 )
-left.plot(
-    share,
-    cost,
-    color=blue,
-    label="bits per entry, $R_{hash}/N$",
+axes["cost"].plot(share, cost, color=blue)
+axes["cost"].plot(6 / 8, by_hand / 8, "ko", ms=8, label="by hand: 6 of 8")
+axes["cost"].set(
+    ylim=(0, 1.1),
+    ylabel="$R_{hash}/N$\n(bits per entry)",
+    title="Descent drives the signs to the majority",
 )
-left.plot(
-    share,
-    slope,
-    "--",
-    color=red,
-    label=r"slope in $\theta$ (bits)",
+axes["cost"].legend(loc="lower center")
+axes["slope"].plot(share, slope, color=red)
+axes["slope"].axhline(0, color="0.4", lw=1)
+axes["slope"].set(
+    ylim=(-3, 3),
+    xlabel="share of positive entries $p_+$",
+    ylabel="slope in $\\theta$\n(bits per unit)",
 )
-left.plot(
-    6 / 8,
-    by_hand / 8,
-    "ko",
-    ms=9,
-    label="by hand: 6 of 8",
-)
-left.axhline(0, color="0.4", lw=1)
-left.set_xlabel("share of positive entries $p_+$")
-left.set_ylabel("bits")
-left.set_ylim(-2.6, 2.6)
-left.set_title("Descent drives the signs towards the majority")
-left.legend(loc="lower left", fontsize=11)
 
+right = axes["bytes"]
 for y, section in enumerate(reversed(sections)):
-    color, alpha = light, 0.5
-    if section["name"] in IN_13:
-        color, alpha = blue, 1
-    if section["name"] in IN_14:
-        color, alpha = orange, 1
-    right.barh(
-        y,
-        section["bytes"],
-        color=color,
-        alpha=alpha,
-    )
+    color, label = light, f" {section['bytes']}"
     if section["name"] in IN_13 + IN_14:
-        right.plot(
-            section["estimate_bytes"],
-            y,
-            "k|",
-            ms=16,
-            mew=3,
-        )
-right.barh(
-    0,
-    0,
-    color=blue,
-    label="in Eq. (13)",
+        color = blue if section["name"] in IN_13 else orange
+        label += f", by the equation {section['estimate_bytes']:.0f}"
+    right.barh(y, section["bytes"], color=color)
+    right.text(section["bytes"], y, label, va="center")
+for color, label in (
+    (blue, "in Eq. (13)"),
+    (orange, "in Eq. (14)"),
+    (light, "in the file, in no equation"),
+):
+    right.barh(0, 0, color=color, label=label)
+right.set(
+    xlim=(0, 4800),
+    xlabel="bytes",
+    title="Which sections the rate describes",
 )
-right.barh(
-    0,
-    0,
-    color=orange,
-    label="in Eq. (14)",
-)
-right.barh(
-    0,
-    0,
-    color=light,
-    alpha=0.5,
-    label="in the file, in no equation",
-)
-right.plot(
-    [],
-    [],
-    "k|",
-    ms=14,
-    mew=3,
-    ls="",
-    label="by the equation",
-)
-right.set_xscale("log")
-right.set_xlim(20, 6000)
-right.set_xlabel("bytes (log scale)")
 right.set_yticks(range(len(sections)), [section["name"] for section in reversed(sections)])
-right.set_title("Which sections the rate describes")
-right.legend(loc="upper right", fontsize=11)
+right.grid(False, axis="y")
+right.legend(loc="upper right")
 lessons.show(figure, "11_rate")
 
 # %% [markdown]

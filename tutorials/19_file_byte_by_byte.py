@@ -229,17 +229,17 @@ for i, byte in enumerate(data):
 address = 0
 for i, (name, size) in enumerate(parts):
     label = f"{address:3d}  {name}, {size} bytes"
-    axes.add_patch(plt.Rectangle((33.2, 2.2 * i + 1), 1.4, 1.4, color=shade(i), lw=0))
-    axes.text(35, 2.2 * i + 1.75, label, va="center", fontsize=10)
+    axes.add_patch(plt.Rectangle((32.6, 2.2 * i + 1), 1.2, 1.4, color=shade(i), lw=0))
+    axes.text(34.1, 2.2 * i + 1.75, label, va="center", fontsize=9.5)
     address += size
 axes.set(
     frame_on=False,
-    xlim=(0, 46),
+    xlim=(0, 43.6),
     ylim=(31, 0),
     xticks=np.arange(0, 32, 8) + 0.5,
     xticklabels=range(0, 32, 8),
-    yticks=np.arange(31) + 0.5,
-    yticklabels=range(0, 31 * 32, 32),
+    yticks=np.arange(0, 31, 4) + 0.5,
+    yticklabels=range(0, 31 * 32, 4 * 32),
     ylabel="address (bytes)",
     title="A model in 980 bytes; entropy coding acts only on the thin stripe in the middle",
 )
