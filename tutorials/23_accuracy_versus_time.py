@@ -396,7 +396,9 @@ except BitstreamError as error:
 # $0 \le t \le w$. The range may end where the exponent is $-40$. One rule for the whole range
 # loses too many digits where the nodes crowd at its ends, so cut it into eight equal pieces; 10 to
 # 40 nodes in each then suffice for all bins. A bin with $a < 0$ holds the mean: integrate $\phi$
-# itself if $w < 2$; a wider one is one minus two tails, and you may take these from `ndtr`.
+# itself if $w < 2$; a wider one is one minus two tails, and you may take these from `ndtr`. The
+# densities at the two edges have the quotient $e^{-|z| w}$, and narrow bins lose their difference
+# unless you compute it with `expm1`.
 #
 # **Predict, then run.** Simpson's rule computes the mass of $\phi$ from $-\frac12$ to $\frac12$ in
 # float16, with every operation rounded. From which number of steps on does its error stop falling?
