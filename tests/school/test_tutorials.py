@@ -26,12 +26,20 @@ NAMES = {tutorial.name for tutorial in TUTORIALS}
 INDEX = (FOLDER / "README.md").read_text(encoding="utf-8")
 SHORT_SECONDS = 2  # a tutorial that takes less is not marked slow,
 ALL_SHORT_SECONDS = 20  # as long as the short ones together take less than this
+LEGIBLE = 8  # pixels: the size of the smallest text of a picture that is gallery.WIDTH wide
 RUN = """
 import json, runpy, sys
 from p4dgs_ref.school import lessons
+from tests.studies import drawn
+show, texts = lessons.show, {}
+def watched(figure, name):
+    show(figure, name)
+    texts[name + ".png"] = drawn.smallest(figure)
+lessons.show = watched
 for path in sys.argv[2:]:
     runpy.run_path(path, run_name="__main__")
 json.dump(lessons.RESULTS, open(sys.argv[1], "w"))
+json.dump(texts, open("texts.json", "w"))
 """
 
 
@@ -105,6 +113,11 @@ def test_tutorial_runs_with_figures_and_its_exercises_unsolved(tutorial, tmp_pat
     for file in figures:
         image = iio.imread(file)
         assert image.shape[1] >= 600 and image[..., :3].std() > 5, file.name
+    texts = json.loads((tmp_path / "texts.json").read_text())
+    shown = {picture.figure for picture in gallery.PICTURES.values()} & texts.keys()
+    for name in (*shown, f"{tutorial.name[:2]}_map.png"):
+        width = iio.improps(tmp_path / name).shape[1]
+        assert texts[name] * gallery.WIDTH / width >= LEGIBLE, name
 
 
 def test_all_solutions_pass(tmp_path):
@@ -422,6 +435,9 @@ def test_picture_of_changed_code_is_stale(tmp_path, monkeypatch):
     assert gallery.stale() == ["compositing.png"]
     gallery.record(["demo.png"])
     assert gallery.stale() == ["compositing.png"]
+    monkeypatch.setitem(gallery.DRAW, "demo.png", (test_picture_of_changed_code_is_stale,))
+    assert gallery.stale() == ["demo.png", "compositing.png"]
+    gallery.record(["demo.png"])
     gallery.record(["compositing.png"])
     assert not gallery.stale()
 

@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from matplotlib import colormaps
 
 import p4dgs_ref as p4
 from p4dgs_ref.codec import container, file, published
@@ -18,6 +19,7 @@ from p4dgs_ref.codec.fixed_point import table
 from p4dgs_ref.equations import grid_nodes
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting.camera import look_at
+from p4dgs_ref.studies import report
 from p4dgs_ref.studies.heat import heat_image
 from p4dgs_ref.studies.inspect import anchor_bits, components, ledger, symbol_bits
 from tests.codec.models import MAKE
@@ -88,6 +90,31 @@ def test_heat_follows_the_bits(data):
     only = dataclasses.replace(model, anchors=anchors, background=np.zeros(3))
     covered = heat_image(only, more, *settings).min(axis=2) < 0.999
     assert difference[~covered].max(initial=0) <= 1e-3
+
+
+def test_the_bar_of_the_heat_picture_spans_the_bits(tmp_path, monkeypatch):
+    """Bar and histogram have the data's range and one scale of colours; both name the unit."""
+    saved = []
+    monkeypatch.setattr(report, "save_figure", lambda figure, path: saved.append(figure))
+    bits = np.random.default_rng(3).gamma(4, 30, 200)
+    limits = bits.min(), bits.max()
+    report.draw_heat(tmp_path / "heat.png", np.ones((8, 8, 3)), bits, limits)
+    (figure,) = saved
+    figure.canvas.draw()
+    _, histogram, bar = figure.axes
+    assert bar.get_ylim() == limits
+    ticks = bar.get_yticks()
+    assert (ticks[0], ticks[-1]) == limits
+    assert [text.get_text() for text in bar.get_yticklabels()] == [f"{tick:.0f}" for tick in ticks]
+    assert "bits" in bar.get_ylabel() and "bits" in histogram.get_xlabel()
+    columns = histogram.patches
+    assert sum(column.get_height() for column in columns) == len(bits)
+    assert (columns[0].get_x(), columns[-1].get_x() + columns[-1].get_width()) == limits
+    for column in columns:
+        middle = column.get_x() + column.get_width() / 2
+        share = (middle - limits[0]) / (limits[1] - limits[0])
+        assert column.get_facecolor() == pytest.approx(colormaps[report.HEAT](share), abs=0.02)
+    report.pyplot().close(figure)
 
 
 def test_the_format_page_is_complete():
