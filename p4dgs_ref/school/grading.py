@@ -134,14 +134,14 @@ def grade_of(key, path, asked, seed, timeout, reveal):
         source = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return nothing._replace(note=f"{path.name}: expected a file of Python text")
-    if all(unwritten(source, name) for name in asked):
-        return nothing._replace(note="not begun")
     try:
         flags = tuple(copies(source, key, asked))
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         return nothing._replace(
             first=f"{path.name}: {type(error).__name__}: {error}", note="cannot be read"
         )
+    if all(unwritten(source, name) for name in asked):
+        return nothing._replace(note="not begun")
     first = explanation = hint = ""
     deadline = time.monotonic() + SECONDS
     with Student(path, timeout) as port:

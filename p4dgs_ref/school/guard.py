@@ -65,10 +65,9 @@ def lines_of(function):
     Docstrings and assignments of constants are left out.
     """
     for node in ast.walk(function):
-        if isinstance(getattr(node, "body", None), list):
-            node.body = [
-                s for s in node.body if not isinstance(getattr(s, "value", 0), ast.Constant)
-            ]
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            body[:] = [s for s in body if not isinstance(getattr(s, "value", 0), ast.Constant)]
     return [
         nameless(line.strip()) for line in ast.unparse(ast.Module(function.body, [])).splitlines()
     ]

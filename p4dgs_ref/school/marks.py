@@ -69,7 +69,7 @@ def missed(grade):
 
 
 def rows(report):
-    """Return one dictionary for each equation, with the fields of COLUMNS and its parts."""
+    """Return one dictionary for each equation, with its parts."""
     return [
         {
             "number": EQUATIONS[grade.key].number,

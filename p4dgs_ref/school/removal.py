@@ -74,14 +74,8 @@ def first_line(node, lines):
 
 
 def unwritten(source, name):
-    """Whether a function is still as `without_bodies` left it, or missing.
-
-    False for a file that cannot be parsed.
-    """
-    try:
-        node = functions_in(source).get(name)
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        return False
+    """Whether a function is still as `without_bodies` left it, or missing."""
+    node = functions_in(source).get(name)
     if node is None:
         return True
     body = node.body[len(kept(node)) :]

@@ -90,13 +90,8 @@ class Lock:
     @staticmethod
     def find_spec(name, path=None, target=None):
         """Raise ImportError for a module of the project; leave others to the next finder."""
-        if is_ours(name):
+        if name.startswith("p4dgs_ref"):
             raise ImportError(f"{name} cannot be imported by a file that is graded")
-
-
-def is_ours(name):
-    """Whether a module belongs to the project."""
-    return name.partition(".")[0] == "p4dgs_ref"
 
 
 def alone(key):
@@ -104,11 +99,11 @@ def alone(key):
 
     Of the project, only the modules that it imports can still be imported.
     """
-    for name in filter(is_ours, list(sys.modules)):
+    for name in [name for name in sys.modules if name.startswith("p4dgs_ref")]:
         del sys.modules[name]
     reference = import_module(EQUATIONS[key].module)
+    package = sys.modules[reference.__package__]
     for name in {key, MERGED.get(key, key)}:
-        package = sys.modules[reference.__package__]
         del sys.modules[f"{package.__name__}.{name}"]
         delattr(package, name)
     sys.meta_path.insert(0, Lock)
