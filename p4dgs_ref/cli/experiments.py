@@ -1,6 +1,6 @@
 """The commands that make the paper's tables and curves on tiny scenes."""
 
-from .base import Line, report_folder, show
+from .base import Line, UsageError, report_folder, show
 
 
 def compare(arguments):
@@ -26,3 +26,45 @@ def compare(arguments):
             arguments.jobs,
         )
     show(arguments, result, f"{study.describe(result)}\n\nfiles and tables: {arguments.output}")
+
+
+def sweep(arguments):
+    """Make the points of a rate-distortion curve, or one of them, and draw what is there."""
+    from pathlib import Path
+
+    from ..scenes import load_scene
+    from ..scenes.output import made
+    from ..studies import sweep as study
+
+    scene = load_scene(arguments.scene, arguments.background, arguments.downscale)
+    with made(arguments.output), Line(arguments) as line:
+        tasks, values = study.plan(
+            scene,
+            arguments.output,
+            arguments.lambda_rate,
+            arguments.seeds,
+            arguments.iterations,
+            arguments.methods,
+            arguments.caps,
+        )
+        if arguments.point:
+            return make_point(arguments, tasks, values)
+        if not arguments.collect:
+            study.make_missing(tasks, values, line, arguments.jobs)
+        result = study.collect(tasks, Path(arguments.output))
+    show(arguments, result, f"{study.describe(result)}\n{arguments.output}: sweep.csv, sweep.png")
+
+
+def make_point(arguments, tasks, values):
+    """Make one point of a sweep, counted from 1."""
+    from ..studies.sweep import make_missing, record
+
+    i, count = arguments.point
+    if count != len(tasks) or not 1 <= i <= count:
+        raise UsageError(
+            f"--point {i}/{count}: expected I/{len(tasks)} with I from 1 to {len(tasks)}, the "
+            "number of points of this sweep"
+        )
+    make_missing([tasks[i - 1]], values)
+    path = str(record(tasks[i - 1]))
+    show(arguments, {"point": i, "of": count, "output": path}, f"point {i} of {count}: {path}")

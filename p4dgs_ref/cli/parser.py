@@ -62,6 +62,14 @@ def listed(read):
     return lambda text: tuple(read(part) for part in text.split(",") if part.strip())
 
 
+def fraction(text):
+    """A reader of I/N."""
+    i, slash, count = text.partition("/")
+    if not slash or not (i + count).isdecimal():
+        raise argparse.ArgumentTypeError(f"expected I/N, like 3/15, got {text!r}")
+    return int(i), int(count)
+
+
 def place(text):
     """A reader of a path. An empty one is refused, since it would mean the current folder."""
     if not text:
@@ -127,6 +135,14 @@ SPLIT = option(
     default="test",
     choices=("train", "test", "val"),
     help="which views of the scene (default test)",
+)
+CAPS = option(
+    "--caps",
+    type=listed(whole(1)),
+    default=(),
+    metavar="N,N",
+    help="also train every baseline with these numbers of Gaussians, so that files of equal PSNR "
+    "can be compared",
 )
 EXPERIMENT = (
     *VIEW,
@@ -327,16 +343,37 @@ COMMANDS = {
                 default="iterations",
                 help="what all methods get the same of (default iterations)",
             ),
-            option(
-                "--caps",
-                type=listed(whole(1)),
-                default=(),
-                metavar="N,N",
-                help="also train every baseline with these numbers of Gaussians, so that files of "
-                "equal PSNR can be compared",
-            ),
+            CAPS,
             *EXPERIMENT,
             output("folder to write to (default report/compare)", default="report/compare"),
+        ),
+    ),
+    "sweep": (
+        experiments.sweep,
+        "rate-distortion: PSNR against estimated and written bytes over lambda_rate",
+        (
+            option("scene", help=SCENE_HELP),
+            option(
+                "--lambda-rate",
+                type=listed(real(0, 1e18)),
+                default=(1e-4, 1e-3, 3e-3, 1e-2, 3e-2),
+                metavar="X,X",
+                help="values of the preset's field (default 1e-4,1e-3,3e-3,1e-2,3e-2)",
+            ),
+            several("--method", "NAME", "also this baseline; may be repeated", dest="methods"),
+            CAPS,
+            option(
+                "--point",
+                type=fraction,
+                metavar="I/N",
+                help="make only point I of all N of this sweep, as one job of an array does",
+            ),
+            switch("--collect", "make nothing, draw the points that are there"),
+            *EXPERIMENT,
+            output(
+                "folder of the sweep; points that it holds are kept (default report/sweep)",
+                default="report/sweep",
+            ),
         ),
     ),
     "classroom": (

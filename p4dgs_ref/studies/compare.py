@@ -182,7 +182,7 @@ def describe(result):
         f"equal {result['equal']}; bytes of the file, of which network (also planes and hash "
         "grid) and Gaussians; training in processor seconds. The paper's columns: dB, SSIM, MB, "
         "frames/s, on its scenes and graphics card.",
-        *aligned(table),
+        *methods.aligned(table),
         "",
         *per_scene(rows, scenes, [own["method"] for own in result["summary"]]),
         "",
@@ -200,13 +200,6 @@ def printed(numbers):
     return "-" if numbers is None else "{:.2f} {:.3f} {:g} {}".format(*numbers)
 
 
-def aligned(table):
-    """The lines of a table: the first column to the left, the others to the right."""
-    widths = [max(map(len, column)) for column in zip(*table)]
-    forms = [f"{'<' if i == 0 else '>'}{width}" for i, width in enumerate(widths)]
-    return ["  ".join(map(format, line, forms)).rstrip() for line in table]
-
-
 def per_scene(rows, scenes, chosen):
     """PSNR and bytes of every scene."""
     table = [["scene: dB, bytes", *scenes]]
@@ -217,7 +210,7 @@ def per_scene(rows, scenes, chosen):
             psnr, size = (np.mean([row[key] for row in own]) for key in ("psnr_db", "bytes"))
             cells.append(f"{psnr:.2f} {size:,.0f}")
         table.append([name, *cells])
-    return aligned(table)
+    return methods.aligned(table)
 
 
 def sentence(other):

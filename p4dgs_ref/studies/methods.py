@@ -180,3 +180,10 @@ def equal_times(tasks):
 def spread(values):
     """The mean of some values, and half of their range."""
     return float(np.mean(values)), float(np.ptp(values) / 2)
+
+
+def aligned(table):
+    """The lines of a table: the first column to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*table)]
+    forms = [f"{'<' if i == 0 else '>'}{width}" for i, width in enumerate(widths)]
+    return ["  ".join(map(format, line, forms)).rstrip() for line in table]

@@ -51,7 +51,30 @@ def test_compare_quick_has_one_row_a_method(place, capsys):
         assert file.stat().st_size == row["bytes"]
 
 
-COMPARE = [
+def test_sweep_point_by_point(place, capsys):
+    sweep = f"sweep bouncing --seeds 1 --lambda-rate 0,0.5 {SHORT}"
+    assert run(f"{sweep} --point 2/2", capsys)[0] == 0
+    assert not (place / "report/sweep/sweep.csv").exists()
+    assert run(f"{sweep} --collect", capsys)[0] == 0
+    assert len((place / "report/sweep/sweep.csv").read_text().splitlines()) == 2
+    refused(f"{sweep} --point 3/3", ("--point 3/3", "1 to 2"), place, capsys)
+    refused(f"{sweep} --point 0/2", ("--point 0/2", "1 to 2"), place, capsys)
+    code, out, err = run(f"{sweep} --json --jobs 1", capsys)
+    assert (code, err) == (0, "") and json.loads(out)["missing"] == 0
+    assert len((place / "report/sweep/sweep.csv").read_text().splitlines()) == 3
+    (place / "report/sweep/sweep.json").write_text('{"version": 0}')
+    refused(f"{sweep} --collect", ("sweep.json: 'version'", "expected 1"), place, capsys)
+    (place / "report/sweep/sweep.json").write_text("{")
+    refused(f"{sweep} --collect", ("sweep.json", "JSON"), place, capsys)
+
+
+MISTAKES = [
+    ("sweep bouncing --lambda-rate , -o out", ("lambda_rate", "empty sweep")),
+    ("sweep bouncing --collect -o out", ("out", "empty sweep")),
+    ("sweep bouncing --point 4/3 -o out", ("--point 4/3", "1 to 15")),
+    ("sweep bouncing --lambda-rate 1,-2 -o out", ("--lambda-rate", "'-2'")),
+    ("sweep bouncing --point 1 -o out", ("--point", "I/N")),
+    ("sweep bouncing --method nerf -o out", ("method 'nerf'",)),
     ("compare --method nerf -o out", ("method 'nerf'", "p4dgs, d3dgs")),
     ("compare nowhere -o out", ("nowhere", "packaged")),
     ("compare --caps 10,x -o out", ("--caps", "'x'")),
@@ -62,7 +85,7 @@ COMPARE = [
 ]
 
 
-@pytest.mark.parametrize("line, words", COMPARE)
+@pytest.mark.parametrize("line, words", MISTAKES)
 def test_mistakes(place, capsys, line, words):
     (place / "text").write_text("")
     refused(line, words, place, capsys)
