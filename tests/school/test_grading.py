@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from p4dgs_ref import school
+from p4dgs_ref.cli.parser import run
 from p4dgs_ref.oracle import published
 from p4dgs_ref.school import guard
 from p4dgs_ref.school.grading import parts_of
@@ -470,3 +471,17 @@ def test_seed_is_drawn_and_no_file_contains_it(room):
     one, other = (school.grade(room)[0].seed for _ in range(2))
     assert one != other
     assert "seed" not in json.loads((room / "classroom.json").read_text())
+
+
+def test_command_line_grades_and_refuses_in_one_line(room, capsys):
+    write(room, "offsets", forward=WITHOUT_SCALING)
+    options = ["--seed", "3", "--quiet", "--reveal", "-o", str(room / "marks")]
+    assert run(["grade", str(room), str(room / "key"), *options], 0) == 0
+    text = capsys.readouterr().out
+    assert (room / "marks" / "grades.txt").read_text() == text
+    assert "expected" in text and text.count("seed 3") == 2
+    file = room / "README.md"  # found before anything is graded
+    assert run(["grade", str(room), "-o", str(file)], 0) == 2
+    assert run(["grade", str(room), str(room / "nobody")], 0) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and len(err.splitlines()) == 2 and "grading" not in err
