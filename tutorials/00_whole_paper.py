@@ -13,7 +13,7 @@
 #     positions -> grid -> steps and probabilities -> bits -> L_rate        Eqs. (7) to (14), (17)
 #     L_total = L_render + lambda_rate L_rate                               Eq. (15)
 #
-# `python tutorials/00_whole_paper.py` takes about 20 seconds; with `--check` it compares gradients
+# `python tutorials/00_whole_paper.py` takes 10 to 20 seconds; with `--check` it compares gradients
 # with finite differences. It needs NumPy, SciPy and matplotlib, and nothing of the package.
 #
 # **How to read it.** An equation with a gradient is a function that returns its result and its own
@@ -48,7 +48,7 @@ n = len(GROUP)  # numbers of an anchor
 Q_0 = np.array([0.25, 0.01, 0.01, 0.1])  # base steps of the groups (Q6)
 BACKGROUND = np.ones(3)
 LAMBDA_SSIM, LAMBDA_RATE = 0.2, 5e-4
-STAGE_ENDS = (20, 40, 1000, 1700)  # iterations
+STAGE_ENDS = (20, 40, 800, 1300)  # iterations
 
 # %% [markdown]
 # ## The scene
@@ -309,23 +309,18 @@ def compositing(mean, conic, alpha, c):
     to_x, to_y = K_a * u + K_b * v, K_b * u + K_c * v
     constant = np.log(alpha) - (to_x * u + to_y * v) / 2
     exponent = PIXELS @ np.array([-K_a / 2, -K_b, -K_c / 2, to_x, to_y, constant])
-    unclamped = np.exp(exponent, out=exponent)  # [P, N]
+    unclamped = np.exp(exponent)  # [P, N]
     cover = np.minimum(unclamped, 0.99)
-    light = np.ones((len(cover), len(alpha) + 1))
-    np.subtract(1, cover, out=light[:, 1:])
-    np.cumprod(light, axis=1, out=light)
+    light = np.cumprod(np.hstack([np.ones((len(cover), 1)), 1 - cover]), axis=1)  # [P, N + 1]
     weight = cover * light[:, :-1]
 
     def back(image_bar):
         value = image_bar @ c.T
-        behind = np.empty_like(light)  # column i: weight times value of splat i and all behind it
-        np.multiply(weight, value, out=behind[:, :-1])
-        behind[:, -1] = light[:, -1] * (image_bar @ BACKGROUND)
-        np.cumsum(behind[:, ::-1], axis=1, out=behind[:, ::-1])
-        cover_bar = np.multiply(light[:, :-1], value, out=value)
-        cover_bar -= np.divide(behind[:, 1:], 1 - cover, out=behind[:, 1:])
-        cover_bar *= unclamped <= 0.99  # the clamp passes no gradient
-        exponent_bar = np.multiply(cover_bar, unclamped, out=cover_bar)
+        last = light[:, -1] * (image_bar @ BACKGROUND)
+        gains = np.hstack([weight * value, last[:, None]])
+        behind = np.cumsum(gains[:, ::-1], axis=1)[:, ::-1][:, 1:]
+        cover_bar = light[:, :-1] * value - behind / (1 - cover)
+        exponent_bar = cover_bar * unclamped * (unclamped <= 0.99)  # the clamp passes no gradient
         xx, xy, yy, x, y, one = PIXELS.T @ exponent_bar
         x, y = x - one * u, y - one * v  # from here on relative to the splat's centre
         mean_bar = np.stack([K_a * x + K_b * y, K_b * x + K_c * y], axis=1)
@@ -589,7 +584,7 @@ def context(p, weights, relaxed=False):
 def loss(p, shot, u, stage, weights=None, relaxed=None):
     """Eq. (15): L_render + LAMBDA_RATE L_rate for one view, its parts, and the whole backward.
 
-    `back` returns {name: gradient}, and the gradient of the canonical centres x for `reseed`.
+    `back` returns {name: gradient}.
     `relaxed` is for `check`: centres [N, 3] at which psi_d is evaluated instead of x, while the
     grid's parameters take the place of their signs. Then differences see what `back` computes.
     """
@@ -600,7 +595,7 @@ def loss(p, shot, u, stage, weights=None, relaxed=None):
         (q, mu, sigma, hash_bits), back_context = context(p, weights, relaxed is not None)
     noisy, back_noise = noise(values, q, u if stage > 1 else 0 * u)
     (x, s, r, alpha, c), back_predict = predict(p["x_a"], noisy, p, -R.T @ T)
-    parts = {"centers": x, "alpha": alpha}
+    parts = {"centers": x}
     if stage > 2:
         centers = x if relaxed is None else relaxed
         deltas, back_deformation = deformation(centers, t, network(p, "psi_d"))
@@ -634,7 +629,7 @@ def loss(p, shot, u, stage, weights=None, relaxed=None):
         g["f"], s_a_bar, l_bar, g["O"] = groups(values_bar)
         g["log_s"], g["log_l"] = s_a_bar * np.exp(p["log_s"]), l_bar * np.exp(p["log_l"])
         g |= {f"{name}.{i}": a for name in networks for i, a in enumerate(networks[name])}
-        return g, x_bar
+        return g
 
     parts |= {"render": L_render, "bits": bits}
     return L_render + LAMBDA_RATE * L_rate, parts, back
@@ -642,9 +637,9 @@ def loss(p, shot, u, stage, weights=None, relaxed=None):
 
 # %% [markdown]
 # ## Training
-# Adam (Kingma and Ba 2015), one view an iteration. An anchor whose children have all become
-# transparent gets no gradient and would stay so. Every 100 iterations such anchors start again in
-# the place of children with large gradients. This is not the paper's: it grows anchors (Q16).
+# Adam (Kingma and Ba 2015), one view an iteration. A child whose alpha falls to 0 is not drawn,
+# gets no gradient and has no way back. Here a bias and a slow start of psi_alpha keep the children
+# alive; the paper grows new anchors instead (Q16).
 
 
 # %%
@@ -678,7 +673,7 @@ def start(rng):
         stem, i = name.split(".")
         bound = 1 / np.sqrt(NETWORKS[stem][int(i) // 2 * 2][0])  # the layer's inputs
         p[name] += rng.uniform(-bound, bound, p[name].shape)
-    p["psi_alpha.5"] += 0.3  # a child with alpha <= 0 is not drawn and gets no gradient
+    p["psi_alpha.5"] += 0.3  # all children are visible
     p["psi_r.5"] += np.tile([1, 0, 0, 0], k)  # near the identity
     p["psi_d.4"] *= 0.01  # nearly at rest
     p["psi_d.5"] *= 0.01
@@ -702,27 +697,8 @@ class Adam:
             v += 0.001 * (gradient**2 - v)
             rate = decay * RATES[name.split(".")[0]]
             if name.startswith("psi_alpha"):
-                rate *= min(1, t / 50)  # too fast at first, many children would vanish
+                rate *= min(1, t / 50)
             p[name] -= rate * m / (1 - 0.9**t) / (np.sqrt(v / (1 - 0.999**t)) + 1e-15)
-
-
-def reseed(p, adam, opacity, center_gradient, rng):
-    """Start dead anchors again as copies of anchors whose children have the largest gradients.
-
-    `opacity` [A] and `center_gradient` [N] are means over the last iterations. The copy stands
-    where such a child stands. Its own children begin in one place; the networks tell them apart.
-    """
-    dead = opacity < 0.03
-    pull = np.where(np.repeat(dead, k), 0, center_gradient)
-    if not dead.any() or not pull.any():
-        return
-    child = rng.choice(A * k, size=dead.sum(), p=pull / pull.sum())
-    centers = offsets(p["x_a"], p["O"], np.exp(p["log_l"]))[0].reshape(-1, 3)
-    copies = {name: p[name][child // k] for name in ANCHORS}
-    copies |= {"x_a": centers[child], "O": 0}
-    for name in ANCHORS:
-        p[name][dead] = copies[name]
-        adam.m[name][dead] = adam.v[name][dead] = 0
 
 
 def lattice(x_a):
@@ -739,7 +715,6 @@ def train(views, seed=0):
     """Fit the parameters to the views, and return them."""
     rng = np.random.default_rng(seed)
     p, adam, weights, losses = start(rng), Adam(), None, []
-    opacity, center_gradient = np.zeros(A), np.zeros(A * k)
     print(" step  stage L_render   bits")
     for iteration in range(STAGE_ENDS[3]):
         stage = 1 + sum(iteration >= end for end in STAGE_ENDS[:3])
@@ -750,17 +725,11 @@ def train(views, seed=0):
             order = rng.permutation(len(views))
         u = rng.random((A, n)) - 0.5
         _, parts, back = loss(p, views[order[iteration % len(views)]], u, stage, weights)
-        g, x_bar = back()
+        g = back()
         if stage == 4:
             del g["x_a"]
         progress = max(iteration - STAGE_ENDS[1], 0) / (STAGE_ENDS[3] - STAGE_ENDS[1])
         adam.step(p, g, decay=0.07**progress)
-        opacity += np.maximum(parts["alpha"], 0).reshape(A, k).sum(axis=1) / 100
-        center_gradient += np.sqrt((x_bar**2).sum(axis=1)) / 100
-        if (iteration + 1) % 100 == 0:
-            if iteration + 1 < STAGE_ENDS[2]:
-                reseed(p, adam, opacity, center_gradient, rng)
-            opacity[:], center_gradient[:] = 0, 0
         losses.append(parts["render"])
         if (iteration + 1) % (STAGE_ENDS[3] // 10) == 0:
             row = f"{iteration + 1:5} {stage:6} {np.mean(losses[-100:]):8.4f} {parts['bits']:6.0f}"
@@ -901,7 +870,7 @@ def check():
         weights = node_weights(p["x_a"]) if stage == 4 else None
         _, parts, _ = loss(p, shot, u, stage, weights)
         fixed = shot, u, stage, weights, parts["centers"]
-        for name, array_bar in loss(p, *fixed)[2]()[0].items():
+        for name, array_bar in loss(p, *fixed)[2]().items():
             direction = rng.normal(size=array_bar.shape)
             slope, differences = (array_bar * direction).sum(), []
             for nudge in (1e-6, 1e-7):
