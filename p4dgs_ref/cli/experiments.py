@@ -68,3 +68,36 @@ def make_point(arguments, tasks, values):
     make_missing([tasks[i - 1]], values)
     path = str(record(tasks[i - 1]))
     show(arguments, {"point": i, "of": count, "output": path}, f"point {i} of {count}: {path}")
+
+
+def ablate(arguments):
+    """Print the paper's Table 3 in form, and the method with one part left out at a time."""
+    import json
+
+    from ..scenes import load_scene
+    from ..studies import ablate as study
+    from ..studies.report import write_csv
+
+    scene = load_scene(arguments.scene, arguments.background, arguments.downscale)
+    with Line(arguments) as line, report_folder(arguments.output) as beside:
+        options = arguments.seeds, arguments.iterations, line, arguments.jobs
+        result = study.ablate(scene, beside, *options)
+        (beside / "ablate.json").write_text(json.dumps(result, indent=1) + "\n")
+        write_csv(beside / "ablate.csv", result["rows"])
+    show(arguments, result, study.describe(result))
+
+
+def composition(arguments):
+    """Print the paper's Table 4 in form."""
+    import json
+
+    from ..scenes import load_scene
+    from ..studies import composition as study
+
+    scene = load_scene(arguments.scene, arguments.background, arguments.downscale)
+    with report_folder(arguments.output) as beside:
+        rates = arguments.low, arguments.high
+        options = arguments.iterations, arguments.seed, arguments.jobs
+        result = study.composition(scene, beside, *rates, *options)
+        (beside / "composition.json").write_text(json.dumps(result, indent=1) + "\n")
+    show(arguments, result, study.describe(result))

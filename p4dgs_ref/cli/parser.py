@@ -144,10 +144,13 @@ CAPS = option(
     help="also train every baseline with these numbers of Gaussians, so that files of equal PSNR "
     "can be compared",
 )
+LENGTH = option(
+    "--iterations", type=whole(4), help="of every training (default those of the preset)"
+)
 EXPERIMENT = (
     *VIEW,
     option("--seeds", type=whole(1, 1000), default=3, help="seeds 0 to N - 1 (default 3)"),
-    option("--iterations", type=whole(4), help="of every training (default those of the preset)"),
+    LENGTH,
     JOBS,
     QUIET,
 )
@@ -374,6 +377,36 @@ COMMANDS = {
                 "folder of the sweep; points that it holds are kept (default report/sweep)",
                 default="report/sweep",
             ),
+        ),
+    ),
+    "ablate": (
+        experiments.ablate,
+        "the paper's table 3: from D3DGS to P-4DGS step by step, then one part left out at a time",
+        (
+            option("scene", help=SCENE_HELP),
+            *EXPERIMENT,
+            output("folder to write to (default report/ablate)", default="report/ablate"),
+        ),
+    ),
+    "composition": (
+        experiments.composition,
+        "the paper's table 4: what a file consists of at a low and at a high rate",
+        (
+            option("scene", nargs="?", default="bouncing", help=SCENE_HELP),
+            *VIEW,
+            option(
+                "--low", type=real(0, 1e18), default=1e-2, help="lambda_rate of the low rate (0.01)"
+            ),
+            option(
+                "--high",
+                type=real(0, 1e18),
+                default=1e-4,
+                help="lambda_rate of the high rate (default 0.0001)",
+            ),
+            option("--seed", type=whole(0), default=0, help="seed of the trainings (default 0)"),
+            LENGTH,
+            JOBS,
+            output("folder to write to (default report/composition)", default="report/composition"),
         ),
     ),
     "classroom": (

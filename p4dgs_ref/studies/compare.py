@@ -14,7 +14,7 @@ from . import methods
 from .clock import disturbance, stretch_of
 from .evaluate import json_safe
 from .jobs import in_processes
-from .methods import OURS, StudyError, Task, spread
+from .methods import OURS, Task, spread
 from .rate_distortion import bytes_at
 from .report import LARGEST_ERROR, pyplot, save_figure, write_csv
 
@@ -65,8 +65,7 @@ def compare(
     chosen = methods.known([OURS, *names] if names else [])
     groups = []
     for scene in scenes:
-        if not scene.test:
-            raise StudyError(f"scene {scene.name}: split 'test': no views to measure on")
+        methods.require_test_views(scene)
         length = iterations or methods.preset_of(Task(scene, OURS, 0, folder)).iterations
         tasks = [Task(scene, name, 0, folder, length) for name in chosen]
         tasks += [Task(scene, name, 0, folder, length, cap) for name in chosen[1:] for cap in caps]

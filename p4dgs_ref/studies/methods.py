@@ -72,6 +72,12 @@ def known(names):
     return [name for name in methods if name in names] if names else list(methods)
 
 
+def require_test_views(scene):
+    """Raise StudyError for a scene that has nothing to measure on."""
+    if not scene.test:
+        raise StudyError(f"scene {scene.name}: split 'test': no views to measure on")
+
+
 def preset_of(task):
     """The preset for tiny scenes with the task's changes and iterations.
 

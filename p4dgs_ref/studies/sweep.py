@@ -34,8 +34,7 @@ def plan(scene, folder, lambdas=LAMBDAS, seeds=3, iterations=None, names=(), cap
     """
     if not lambdas:
         raise StudyError("lambda_rate: an empty sweep; expected at least one value")
-    if not scene.test:
-        raise StudyError(f"scene {scene.name}: split 'test': no views to measure on")
+    methods.require_test_views(scene)
     names = [name for name in methods.known(names) if name != OURS] if names else []
     values = {
         "version": VERSION,

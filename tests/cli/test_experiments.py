@@ -68,7 +68,20 @@ def test_sweep_point_by_point(place, capsys):
     refused(f"{sweep} --collect", ("sweep.json", "JSON"), place, capsys)
 
 
+def test_composition(place, capsys):
+    code, out, err = run(f"composition -o out --json {SHORT[:-8]} --jobs 1", capsys)
+    assert (code, err) == (0, "")
+    result = json.loads((place / "out/composition.json").read_text())
+    assert json.loads(out) == result and result["lambda_rate"] == [0.01, 0.0001]
+    files = [path.stat().st_size for path in (place / "out").glob("*.p4dgs")]
+    assert sorted(files) == sorted(result["bytes"])
+
+
 MISTAKES = [
+    ("ablate nowhere -o out", ("nowhere", "packaged")),
+    ("ablate bouncing --iterations 3 -o out", ("--iterations", "'3'")),
+    ("composition --low -1 -o out", ("--low", "'-1'")),
+    ("composition bouncing -o text/out", ("text/out", "folder that can be written")),
     ("sweep bouncing --lambda-rate , -o out", ("lambda_rate", "empty sweep")),
     ("sweep bouncing --collect -o out", ("out", "empty sweep")),
     ("sweep bouncing --point 4/3 -o out", ("--point 4/3", "1 to 15")),
