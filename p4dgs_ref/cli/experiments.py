@@ -1,58 +1,60 @@
 """The commands that make the paper's tables and curves on tiny scenes."""
 
+from pathlib import Path
+
 from .base import Line, UsageError, report_folder, show
+
+
+def scene_of(arguments, source):
+    """A scene as the command line wants it."""
+    from ..scenes import load_scene
+
+    return load_scene(source, arguments.background, arguments.downscale)
+
+
+def run(arguments, study, job):
+    """Show the result of `job(folder, progress)`, whose files move to the output at the end."""
+    with Line(arguments) as line, report_folder(arguments.output) as beside:
+        result = job(beside, line)
+    show(arguments, result, f"{study.describe(result)}\nfiles and tables: {arguments.output}")
 
 
 def compare(arguments):
     """Train all methods on scenes and print the paper's Tables 1 and 2 in form."""
-    from ..scenes import load_scene
     from ..studies import compare as study
     from ..studies.methods import known
 
     known(arguments.methods)
-    names = arguments.scenes or study.dynamic_scenes()
-    names = names[:1] if arguments.quick else names
-    scenes = [load_scene(name, arguments.background, arguments.downscale) for name in names]
-    with Line(arguments) as line, report_folder(arguments.output) as beside:
-        result = study.compare(
-            scenes,
-            beside,
-            arguments.methods,
-            1 if arguments.quick else arguments.seeds,
-            arguments.iterations,
-            arguments.equal == "time",
-            () if arguments.quick else arguments.caps,
-            line,
-            arguments.jobs,
-        )
-    show(arguments, result, f"{study.describe(result)}\n\nfiles and tables: {arguments.output}")
+    names, seeds, caps = arguments.scenes, arguments.seeds, arguments.caps
+    names = names or study.dynamic_scenes()
+    if arguments.quick:
+        names, seeds, caps = names[:1], 1, ()
+    scenes = [scene_of(arguments, name) for name in names]
+    equal_time = arguments.equal == "time"
+    options = arguments.methods, seeds, arguments.iterations, equal_time, caps
+    run(
+        arguments,
+        study,
+        lambda folder, line: study.compare(scenes, folder, *options, line, arguments.jobs),
+    )
 
 
 def sweep(arguments):
     """Make the points of a rate-distortion curve, or one of them, and draw what is there."""
-    from pathlib import Path
-
-    from ..scenes import load_scene
     from ..scenes.output import made
     from ..studies import sweep as study
 
-    scene = load_scene(arguments.scene, arguments.background, arguments.downscale)
+    scene = scene_of(arguments, arguments.scene)
+    seeds, length = arguments.seeds, arguments.iterations
+    options = arguments.lambda_rate, seeds, length, arguments.methods, arguments.caps
     with made(arguments.output), Line(arguments) as line:
-        tasks, values = study.plan(
-            scene,
-            arguments.output,
-            arguments.lambda_rate,
-            arguments.seeds,
-            arguments.iterations,
-            arguments.methods,
-            arguments.caps,
-        )
+        tasks, values = study.plan(scene, arguments.output, *options)
         if arguments.point:
             return make_point(arguments, tasks, values)
         if not arguments.collect:
             study.make_missing(tasks, values, line, arguments.jobs)
         result = study.collect(tasks, Path(arguments.output))
-    show(arguments, result, f"{study.describe(result)}\n{arguments.output}: sweep.csv, sweep.png")
+    show(arguments, result, f"{study.describe(result)}\nfiles and tables: {arguments.output}")
 
 
 def make_point(arguments, tasks, values):
@@ -72,32 +74,25 @@ def make_point(arguments, tasks, values):
 
 def ablate(arguments):
     """Print the paper's Table 3 in form, and the method with one part left out at a time."""
-    import json
-
-    from ..scenes import load_scene
     from ..studies import ablate as study
-    from ..studies.report import write_csv
 
-    scene = load_scene(arguments.scene, arguments.background, arguments.downscale)
-    with Line(arguments) as line, report_folder(arguments.output) as beside:
-        options = arguments.seeds, arguments.iterations, line, arguments.jobs
-        result = study.ablate(scene, beside, *options)
-        (beside / "ablate.json").write_text(json.dumps(result, indent=1) + "\n")
-        write_csv(beside / "ablate.csv", result["rows"])
-    show(arguments, result, study.describe(result))
+    scene = scene_of(arguments, arguments.scene)
+    options = arguments.seeds, arguments.iterations
+    run(
+        arguments,
+        study,
+        lambda folder, line: study.ablate(scene, folder, *options, line, arguments.jobs),
+    )
 
 
 def composition(arguments):
     """Print the paper's Table 4 in form."""
-    import json
-
-    from ..scenes import load_scene
     from ..studies import composition as study
 
-    scene = load_scene(arguments.scene, arguments.background, arguments.downscale)
-    with report_folder(arguments.output) as beside:
-        rates = arguments.low, arguments.high
-        options = arguments.iterations, arguments.seed, arguments.jobs
-        result = study.composition(scene, beside, *rates, *options)
-        (beside / "composition.json").write_text(json.dumps(result, indent=1) + "\n")
-    show(arguments, result, study.describe(result))
+    scene = scene_of(arguments, arguments.scene)
+    options = arguments.low, arguments.high, arguments.iterations, arguments.seed
+    run(
+        arguments,
+        study,
+        lambda folder, line: study.composition(scene, folder, *options, line, arguments.jobs),
+    )

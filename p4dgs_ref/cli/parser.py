@@ -406,6 +406,7 @@ COMMANDS = {
             option("--seed", type=whole(0), default=0, help="seed of the trainings (default 0)"),
             LENGTH,
             JOBS,
+            QUIET,
             output("folder to write to (default report/composition)", default="report/composition"),
         ),
     ),

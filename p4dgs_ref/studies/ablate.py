@@ -25,6 +25,7 @@ from .evaluate import evaluate
 from .inspect import components
 from .jobs import in_processes
 from .methods import OURS, Task, spread
+from .report import write_csv
 
 TINIEST_STEP = 2.0**-40  # noise of this size changes nothing
 OF_THE_AUTHORS = ("deformation", "time_net", "skip", "L_x", "L_t", "lr_d")
@@ -117,7 +118,7 @@ def make(step):
 
 
 def ablate(scene, folder, seeds=3, iterations=None, progress=lambda line: None, jobs=1):
-    """Make all steps and parts left out; files go into a folder. Returns their rows.
+    """Make all steps and parts left out; files and ablate.csv go into a folder. Returns their rows.
 
     Raises StudyError for a scene without test views.
     """
@@ -132,6 +133,7 @@ def ablate(scene, folder, seeds=3, iterations=None, progress=lambda line: None, 
     for row in in_processes(make, steps, jobs):
         rows.append(row)
         progress(f"{len(rows)} of {len(steps)} trainings")
+    write_csv(folder / "ablate.csv", rows)
     return {"scene": scene.name, "rows": rows, "steps": summaries(rows)}
 
 

@@ -6,6 +6,7 @@ from . import methods
 from .inspect import components
 from .jobs import in_processes
 from .methods import OURS, Task
+from .report import write_csv
 
 # The rows, the sections of the file that they are, and the percent of the paper's two files.
 ROWS = {
@@ -21,17 +22,25 @@ ROWS = {
 }
 
 
-def composition(scene, folder, low=1e-2, high=1e-4, iterations=None, seed=0, jobs=1):
+def composition(
+    scene,
+    folder,
+    low=1e-2,
+    high=1e-4,
+    iterations=None,
+    seed=0,
+    progress=lambda line: None,
+    jobs=1,
+):
     """Train at two values of lambda_rate, the larger one for the low rate; files go to a folder.
 
     Returns {"scene", "lambda_rate", "bytes", "rows"}, each row with bytes and percent of both.
     """
     methods.require_test_views(scene)
-    values = (low, high)
-    tasks = [
-        Task(scene, OURS, seed, Path(folder), iterations, None, {"lambda_rate": v}) for v in values
-    ]
-    list(in_processes(methods.train, tasks, jobs))
+    base = Task(scene, OURS, seed, Path(folder), iterations)
+    tasks = [base._replace(changes={"lambda_rate": value}) for value in (low, high)]
+    for done, _ in enumerate(in_processes(methods.train, tasks, jobs), 1):
+        progress(f"{done} of 2 trainings")
     files = [task.path.read_bytes() for task in tasks]
     sizes = [components(data) for data in files]
     rows = []
@@ -39,9 +48,12 @@ def composition(scene, folder, low=1e-2, high=1e-4, iterations=None, seed=0, job
         both = [sum(size.get(section, 0) for section in sections) for size in sizes]
         percent = [100 * n / len(data) for n, data in zip(both, files)]
         rows.append({"component": name, "bytes": both, "percent": percent, "paper_percent": paper})
+    cells = [[row["component"], *row["bytes"], *row["percent"]] for row in rows]
+    columns = ("component", "bytes_low", "bytes_high", "percent_low", "percent_high")
+    write_csv(folder / "composition.csv", cells, columns)
     return {
         "scene": scene.name,
-        "lambda_rate": list(values),
+        "lambda_rate": [low, high],
         "bytes": [len(data) for data in files],
         "rows": rows,
     }

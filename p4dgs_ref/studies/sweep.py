@@ -18,7 +18,7 @@ from .inspect import ledger
 from .jobs import in_processes
 from .methods import OURS, StudyError, Task, spread
 from .rate_distortion import bd_rate
-from .report import BLUE, STACK, pyplot, save_figure, write_csv
+from .report import BLUE, RED, STACK, pyplot, save_figure, write_csv
 
 VERSION = 1
 COLUMNS = ("lambda_rate", "seed", "estimated_bytes", "bytes", "psnr_db", "ssim")
@@ -155,7 +155,7 @@ def draw(path, rows, curve, points):
     for point in curve:
         at = point["bytes"], point["psnr_db"]
         ax.annotate(f" {point['lambda_rate']:g}", at, fontsize=9, va="top")
-    for color, (name, found) in zip(STACK[1:], points.items()):
+    for color, (name, found) in zip((*STACK[1:], RED), points.items()):
         ax.plot(*zip(*sorted(pairs(found))), "D-", color=color, label=name)
     ax.set(
         xscale="log",

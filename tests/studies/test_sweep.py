@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
+from p4dgs_ref.baselines import METHODS
 from p4dgs_ref.studies import sweep as study
 from p4dgs_ref.studies.evaluate import evaluate
 from p4dgs_ref.studies.inspect import ledger
@@ -94,6 +95,17 @@ def test_what_has_arrived_is_drawn(swept, tmp_path):
     assert (result["points"], result["missing"]) == (2, 4)
     assert [point["seeds"] for point in result["curve"]] == [1, 1]
     assert not result["baselines"] and not (tmp_path / "baselines.csv").exists()
+
+
+def test_every_baseline_is_drawn(swept, tmp_path, monkeypatch):
+    _, tasks, result = swept
+    figures = []
+    monkeypatch.setattr(study, "save_figure", lambda figure, path: figures.append(figure))
+    points = {name: [{"bytes": 9e5, "psnr_db": 30.0}] for name in METHODS}
+    rows = [json.loads(study.record(task).read_text()) for task in tasks[:4]]
+    study.draw(tmp_path / "a.png", rows, result["curve"], points)
+    labels = [text.get_text() for text in figures[0].axes[0].get_legend().get_texts()]
+    assert labels[3:] == list(METHODS)
 
 
 def test_means_over_seeds(swept):
