@@ -153,7 +153,7 @@ def views_of(W, T, focal, center, size, times, truth):
 def trainer_of(trainer, state, views, background, iteration, effects, settings):
     """Return a Trainer in a given state: arrays, moments, steps, mask, sums and box."""
     preset = PRESET._replace(**settings)
-    scene = SimpleNamespace(train=views, effects=effects, background=background)
+    scene = SimpleNamespace(train=views, effects=effects, background=background, points=None)
     trainer = trainer(scene, preset, settings=EXACT)
     p, m, v = (
         parted({name: state[tag + name] for name in ARRAYS}, trainer.design) for tag in ROLES
