@@ -1,7 +1,7 @@
 """The pictures of tutorials/README.md, which come from the demo, two studies and the tutorials.
 
-`python -m tests.golden.syllabus` draws them anew and reduces them in size. Which code drew a picture
-is recorded in gallery.json, so that a test notices pictures that are out of date.
+`python -m tests.golden.syllabus` draws them anew and reduces them in size. Which code drew a
+picture is recorded in gallery.json, so that a test notices pictures that are out of date.
 """
 
 import hashlib
