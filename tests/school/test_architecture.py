@@ -94,7 +94,8 @@ def test_arrows_run_between_the_boxes_and_beside_the_texts(drawn):
         for a, b in zip(corners, corners[1:]):
             stretch = np.concatenate([np.minimum(a, b), np.maximum(a, b)])
             for text, place in texts.items():
-                assert apart(stretch, place), (arrow, text.get_text())
+                # a pixel of tolerance: versions of matplotlib measure letters differently
+                assert apart(stretch, place, -1.0), (arrow, text.get_text())
             for box in boxes:
                 assert apart(stretch, box, -2.0), arrow
 
