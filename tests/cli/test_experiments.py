@@ -10,6 +10,8 @@ from p4dgs_ref.baselines import METHODS
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.studies import methods
 
+# Outside of pytest Python hides them; matplotlib 3.8 causes some with a new pyparsing.
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 SHORT = "--iterations 4 --downscale 8 --quiet"
 
 
