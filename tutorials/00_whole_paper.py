@@ -53,7 +53,7 @@ STAGE_ENDS = (20, 40, 800, 1300)  # iterations
 # %% [markdown]
 # ## The scene
 # Two balls on a white background: one bounces, the other walks half a circle around it. There is
-# one picture a moment, taken by a camera that looks at the origin from ever other directions.
+# one picture for each moment, taken by a camera that looks at the origin from another direction.
 
 
 # %%

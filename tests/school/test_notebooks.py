@@ -109,7 +109,10 @@ PNG = ("cells", 3, "outputs", 1, "data", "image/png")
         (set_key("cells", 3, "execution_count", to=1), "execution counts [1, 1"),
         (set_key("cells", 2, "outputs", 0, "output_type", to="error"), "output of type error"),
         (set_key("cells", 2, "outputs", 0, "name", to="log"), "stream log"),
-        (set_key("cells", 2, "outputs", 0, "text", to="in /tmp/folder"), "path or traceback"),
+        *(
+            (set_key("cells", 2, "outputs", 0, "text", to=f"in {folder}/a"), "path or traceback")
+            for folder in form.HERE
+        ),
         (set_key("cells", 2, "outputs", 0, "text", to="Traceback (most"), "path or traceback"),
         (set_key("cells", 2, "outputs", 0, "text", to="<f at 0x7f0012345678>"), "an address"),
         (set_key("cells", 2, "outputs", 0, "text", to="x" * 6001), "6,001 characters"),
