@@ -53,28 +53,14 @@ PAPER_REAL = replace(
 )
 TINY = replace(
     PAPER_SYNTHETIC,
-    name="tiny",
-    gaussians=800,
-    extent=1.0,
-    sh_every=500,
+    **explicit.TINY,
     L_x=4,
     L_t=4,
     deformation_gain=0.01,
-    iterations=3800,
     warm_up=200,
     x_until=3800,
     lr_x=(0.002, 2e-4),
-    lr_sh_dc=(0.01, 0.001),
-    lr_sh_rest=(0.0005, 5e-5),
-    lr_alpha=(0.05, 0.005),
-    lr_s=(0.01, 0.001),
-    lr_r=(0.005, 5e-4),
     lr_d=(6e-4, 3e-5),
-    grow_from=300,
-    grow_until=2000,
-    gradient_threshold=5e-4,
-    percent_dense=0.02,
-    most=800,  # as many as our preset `tiny` has: 200 anchors of 4 children
 )
 # The network of our own preset `tiny`: two layers of 64, no time net, no skip.
 TINY_SMALL = replace(

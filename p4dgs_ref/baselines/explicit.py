@@ -56,6 +56,26 @@ class Preset:
     most: int = 10**9  # Gaussians; density control adds none beyond
 
 
+# What the presets for the tiny scenes change alike.
+TINY = {
+    "name": "tiny",
+    "iterations": 3800,
+    "gaussians": 800,
+    "most": 800,  # as many as our preset `tiny` has: 200 anchors of 4 children
+    "extent": 1.0,
+    "sh_every": 500,
+    "lr_sh_dc": (0.01, 0.001),
+    "lr_sh_rest": (0.0005, 5e-5),
+    "lr_alpha": (0.05, 0.005),
+    "lr_s": (0.01, 0.001),
+    "lr_r": (0.005, 5e-4),
+    "grow_from": 300,
+    "grow_until": 2000,
+    "gradient_threshold": 5e-4,
+    "percent_dense": 0.02,
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Explicit:
     """A model of explicit Gaussians. Each baseline is a subclass, which also has

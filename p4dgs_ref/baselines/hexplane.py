@@ -67,11 +67,7 @@ PAPER_REAL = replace(  # of HyperNeRF's scenes, where the authors take two views
 )
 TINY = replace(
     PAPER_SYNTHETIC,
-    name="tiny",
-    gaussians=800,
-    extent=1.0,
-    sh_every=500,
-    iterations=3800,
+    **explicit.TINY,
     coarse=400,
     lambda_ssim=0.2,
     nodes=8,
@@ -80,16 +76,6 @@ TINY = replace(
     deformation_gain=0.01,
     lr_x=(5e-4, 5e-5),
     lr_planes=(0.01, 1e-4),
-    lr_sh_dc=(0.01, 0.001),
-    lr_sh_rest=(0.0005, 5e-5),
-    lr_alpha=(0.05, 0.005),
-    lr_s=(0.01, 0.001),
-    lr_r=(0.005, 5e-4),
-    grow_from=300,
-    grow_until=2000,
-    gradient_threshold=5e-4,
-    percent_dense=0.02,
-    most=800,  # as many as our preset `tiny` has: 200 anchors of 4 children
 )
 PRESETS = {p.name: p for p in (PAPER_SYNTHETIC, PAPER_REAL, TINY)}
 
