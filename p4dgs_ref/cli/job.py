@@ -328,8 +328,8 @@ def export_ply(arguments):
     """Write the Gaussians of one time, or of several, as one camera sees them."""
     import numpy as np
 
+    from ..codec.splats import write_gaussians
     from ..scenes.output import new_file
-    from ..scenes.ply import write_gaussians
 
     _, model, _ = read_file(arguments.file)
     camera, name = frozen_camera(arguments, model)

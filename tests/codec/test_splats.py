@@ -6,9 +6,9 @@ import struct
 import numpy as np
 import pytest
 
+from p4dgs_ref.codec.splats import read_gaussians, write_gaussians
 from p4dgs_ref.model import Gaussians
 from p4dgs_ref.scenes import SceneError
-from p4dgs_ref.scenes.ply import read_gaussians, write_gaussians
 from p4dgs_ref.scenes.points import read_points
 from p4dgs_ref.splatting import render
 from p4dgs_ref.splatting.camera import look_at
