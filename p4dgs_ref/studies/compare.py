@@ -161,21 +161,16 @@ def against(rows, fewer, method):
 
 
 # --- text ----------------------------------------------------------------------------------------
-HEADING = "method|PSNR dB|SSIM|bytes|network|Gaussians|frames/s|train s"
+HEADING = "PSNR dB|SSIM|bytes|network|Gaussians|frames/s|train s".split("|")
 
 
 def describe(result):
-    """Tables 1 and 2 in form, the table of scenes, and what the ratios mean."""
+    """Tables 1 and 2 in form, a table for each scene, and what the ratios mean."""
     rows = result["methods"]
     scenes, seeds = list(dict.fromkeys(row["scene"] for row in rows)), len(seeds_of(rows))
-    table = [HEADING.split("|") + [f"the paper's {name}" for name in PAPER]]
+    table = [["method", *HEADING, *(f"the paper's {name}" for name in PAPER)]]
     for own in result["summary"]:
-        sizes = [f"{own[key]:,.0f}" for key in COUNTS]
-        quality = [f"{own[k]:.{n}f} ±{own[f'{k}_spread']:.{n}f}" for k, n in QUALITY]
-        times = [f"{own['render_fps']:.0f}", f"{own['train_seconds']:.0f}"]
-        table.append(
-            [own["method"], *quality, *sizes, *times, *map(printed, own["paper"].values())]
-        )
+        table.append([*cells(own), *map(printed, own["paper"].values())])
     lines = [
         f"Mean over {', '.join(scenes)}; {seeds} seed{'s' * (seeds > 1)}, ± half their range; "
         f"equal {result['equal']}; bytes of the file, of which network (also planes and hash "
@@ -183,33 +178,30 @@ def describe(result):
         "frames/s, on its scenes and graphics card.",
         *methods.aligned(table),
         "",
-        *per_scene(rows, scenes, [own["method"] for own in result["summary"]]),
-        "",
-        *(sentence(other) for other in result["against"]),
-        disturbance(result["stretch"]),
     ]
+    for scene in scenes if len(scenes) > 1 else ():
+        own = [row for row in rows if row["scene"] == scene]
+        found = [cells(summary(own, method["method"])) for method in result["summary"]]
+        lines += [*methods.aligned([[scene, *HEADING], *found]), ""]
+    lines += [*(sentence(other) for other in result["against"]), disturbance(result["stretch"])]
     return "\n".join(lines).rstrip()
 
 
-QUALITY = (("psnr_db", 2), ("ssim", 4))
+def cells(own):
+    """One line of a table from a summary: the method and what HEADING says."""
+    return [
+        own["method"],
+        f"{own['psnr_db']:.2f} ±{own['psnr_db_spread']:.2f}",
+        f"{own['ssim']:.4f} ±{own['ssim_spread']:.4f}",
+        *(f"{own[key]:,.0f}" for key in COUNTS),
+        f"{own['render_fps']:.0f}",
+        f"{own['train_seconds']:.0f}",
+    ]
 
 
 def printed(numbers):
     """The paper's numbers of a method, or a dash."""
     return "-" if numbers is None else "{:.2f} {:.3f} {:g} {}".format(*numbers)
-
-
-def per_scene(rows, scenes, chosen):
-    """PSNR and bytes of every scene."""
-    table = [["scene: dB, bytes", *scenes]]
-    for name in chosen:
-        cells = []
-        for scene in scenes:
-            own = [row for row in select(rows, name) if row["scene"] == scene]
-            psnr, size = (np.mean([row[key] for row in own]) for key in ("psnr_db", "bytes"))
-            cells.append(f"{psnr:.2f} {size:,.0f}")
-        table.append([name, *cells])
-    return methods.aligned(table)
 
 
 def sentence(other):

@@ -103,6 +103,17 @@ def test_the_tables_show_the_papers_numbers_apart(done):
     assert text[heading + 2].split()[-2:] == ["-", "-"]
 
 
+def test_every_scene_has_a_table_where_there_are_several(done):
+    result = done[1]
+    assert "bouncing  " not in study.describe(result)
+    better = [{**row, "scene": "second", "psnr_db": 1.5} for row in result["methods"]]
+    text = study.describe({**result, "methods": [*result["methods"], *better]}).splitlines()
+    at = next(i for i, line in enumerate(text) if line.startswith("second "))
+    lines = [line.split() for line in text[at + 1 :][: len(CHOSEN)]]
+    assert [line[:3] for line in lines] == [[name, "1.50", "±0.00"] for name in CHOSEN]
+    assert any(line.startswith("bouncing ") for line in text)
+
+
 def rows_of(table):
     """Rows of one scene and seed from {(method, most): (bytes, psnr)}."""
     rest = {"scene": "s", "seed": 0, "ssim": 0.9, "render_fps": 100.0, "train_seconds": 1.0}
