@@ -26,7 +26,7 @@ from p4dgs_ref.training import objective
 from p4dgs_ref.training.adam import Adam
 from p4dgs_ref.training.fit import train
 from p4dgs_ref.training.parameters import Parameters
-from p4dgs_ref.training.presets import TINY
+from p4dgs_ref.training.presets import SMOKE
 from tests.golden.cases import Case
 from tests.golden.flat import (
     CAMERA_SHAPES,
@@ -92,7 +92,7 @@ def golden_model():
 def train_golden_model():
     """Bytes of a small model that moves, shines and hides parts of itself."""
     scene = replace(load_scene("bouncing", background=(0.35, 0.6, 0.85)), effects=MODEL_EFFECTS)
-    preset = TINY._replace(
+    preset = SMOKE._replace(
         name="golden",
         anchors=60,
         d=6,
@@ -104,6 +104,8 @@ def train_golden_model():
         context=(10,),
         grid_3d=(5,),
         grid_2d=(9,),
+        F=2,
+        grow="reseed",
         stage_ends=(60, 90, 700, 1000),
         decay_from=90,
         grow_from=30,
