@@ -58,6 +58,9 @@ class Design(NamedTuple):
     # D3DGS's reading of psi_d (Q1), a preset option; both are absent from a header that has neither
     time_net: tuple = ()  # hidden widths of psi_t, then the width of its output
     skip: bool = False  # whether psi_d's layer after the middle takes its inputs once more
+    # The coded design, which goes beyond the paper: a file of version 2 (codec/container.py)
+    coded: bool = False
+    position_bits: int = 16  # per axis; fewer only in the coded design
 
     @property
     def widths(self):
@@ -268,15 +271,21 @@ def bounding_box(x_a):
     return x_a.min(axis=0).astype(np.float32), x_a.max(axis=0).astype(np.float32)
 
 
-def snap(x_a, lo, hi):
-    """Round positions [A, 3] to the box's lattice of 16 bits per axis (Q14).
+def snap(x_a, lo, hi, bits=16):
+    """Round positions [A, 3] to the box's lattice of `bits` bits per axis (Q14).
 
-    Return the symbols (int64) and the positions that they stand for (float64).
+    Return the symbols of 16 bits (int64) and the positions that they stand for (float64).
     """
     lo, extent = lo.astype(float), hi.astype(float) - lo
     share = (np.clip(x_a, lo, hi) - lo) / np.where(extent > 0, extent, 1)
-    symbols = np.rint(share * LATTICE).astype(np.int64)
+    symbols = on_lattice(np.rint(share * ((1 << bits) - 1)).astype(np.int64), bits)
     return symbols, unsnap(symbols, lo, hi)
+
+
+def on_lattice(m, bits):
+    """The symbols of 16 bits of coordinates m on a lattice of `bits` bits, rounded to nearest."""
+    most = (1 << bits) - 1
+    return (m * LATTICE + most // 2) // most
 
 
 def unsnap(symbols, lo, hi):

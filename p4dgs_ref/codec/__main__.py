@@ -4,16 +4,19 @@ Every part of the format is the docstring of the module that implements it. The 
 outside of the file and ends with the tables of integers that a decoder needs.
 """
 
+import json
 import sys
 from importlib import import_module
 from textwrap import fill
 
 from .fixed_point import table
+from .header import BASES
 
 PARTS = (
     "container",
     "file",
     "header",
+    "positions",
     "context",
     "fixed_point",
     "gaussian_table",
@@ -35,7 +38,9 @@ def page():
     for name, meaning in TABLES.items():
         numbers = " ".join(map(str, table(name).tolist()))
         texts[f"Table {name}"] = f"{meaning}\n\n{fill(numbers, 100)}"
-    page = "The file format of p4dgs_ref, version 1\n"
+    bases = [f'"{name}": {json.dumps(base)}' for name, base in BASES.items()]
+    texts["Base designs"] = "\n\n".join(fill(base, 100) for base in bases)
+    page = "The file format of p4dgs_ref, versions 1 and 2\n"
     for number, (title, text) in enumerate(texts.items(), 1):
         heading = f"{number}. {title}"
         page += f"\n\n{heading}\n{'=' * len(heading)}\n\n{text.strip()}\n"

@@ -85,6 +85,7 @@ from .container import SECTIONS, BitstreamError, open_container, require, write_
 from .context import coding_context
 from .gaussian_table import gaussian_model
 from .header import check_work, read_header, write_header
+from .positions import read_gaps, write_gaps
 from .quantise import BOX, EncodeError, Quantised, coded, dequantise, quantise, valid_box
 from .streams import decode_bits, decode_symbols, encode_bits, encode_gaussian
 
@@ -111,11 +112,15 @@ def sections_of(quantised):
     Raises EncodeError for a model that decoders refuse because it would cost them too much time.
     """
     model, ctx = quantised.model, quantised.context
-    box = np.concatenate(model.box).astype("<f4").tobytes()
+    positions = np.concatenate(model.box).astype("<f4").tobytes()
+    if model.design.coded:
+        positions += write_gaps(quantised.positions, model.box, model.design.position_bits)
+    else:
+        positions += quantised.positions.astype("<u2").tobytes()
     signs = np.concatenate([grid.ravel() for grid in model.grids])
     sections = {
         "header": write_header(model),
-        "positions": box + quantised.positions.astype("<u2").tobytes(),
+        "positions": positions,
         "masks": encode_bits(model.anchors.mask.ravel()),
         "hash_grid": encode_bits(signs > 0),
     }
@@ -124,14 +129,19 @@ def sections_of(quantised):
         arrays = (quantised.symbols, ctx.mu_units, ctx.sigma_units)
         sections[name] = encode_gaussian(*(array[:, columns][kept] for array in arrays))
     for name, members in NETWORK_SECTIONS.items():
-        numbers = network_numbers(model.networks, members)
-        if numbers.size:
-            sections[name] = numbers.astype("<f2").tobytes()
+        body = write_networks(model.networks, members)
+        if body:
+            sections[name] = body
     try:
         check_work(model.design, len(model.anchors.mask), size_of(sections))
     except BitstreamError as error:
         raise EncodeError(f"design: {error.message}") from None
     return sections
+
+
+def write_networks(networks, members):
+    """The section of some networks; no bytes where the model has none of them."""
+    return network_numbers(networks, members).astype("<f2").tobytes()
 
 
 def network_numbers(networks, members):
@@ -146,7 +156,8 @@ def encode(model: Model) -> bytes:
 
     Raises EncodeError or OverflowError for a number that the format cannot hold.
     """
-    return write_container(sections_of(quantise(model)))
+    quantised = quantise(model)
+    return write_container(sections_of(quantised), 1 + quantised.model.design.coded)
 
 
 def decode(data: bytes) -> Model:
@@ -154,20 +165,24 @@ def decode(data: bytes) -> Model:
 
     Raises BitstreamError, which names section and byte, for a file that is damaged or inconsistent.
     """
-    return quantised_of(open_container(data)).model
+    return quantised_of(open_container(data), data[8]).model
 
 
-def quantised_of(sections):
+def quantised_of(sections, version=1):
     """The quantised model in the sections of a file, the inverse of `sections_of`.
 
     Raises BitstreamError, which names section and byte.
     """
     require("header" in sections, "header", 0, "section is missing")
-    design, A, background = read_header(sections["header"])
+    design, A, background = read_header(sections["header"], version)
     check_work(design, A, size_of(sections))
     check_presence(sections, design.layers())
-    box, positions = read_positions(sections["positions"], A)
-    networks, grids = read_networks(sections, design), read_grids(sections["hash_grid"], design)
+    box, positions = read_positions(sections["positions"], A, design)
+    networks, layers = {}, design.layers()
+    for name, members in NETWORK_SECTIONS.items():
+        shapes = {member: layers[member] for member in members if member in layers}
+        networks |= read_networks(sections.get(name, b""), name, shapes)
+    grids = read_grids(sections["hash_grid"], design)
     mask = decode_bits(sections["masks"], A * design.k, "masks").reshape(A, design.k)
     x_a = unsnap(positions, *box)
     ctx, kept = coding_context(design, networks, grids, positions), coded(mask, design)
@@ -208,16 +223,19 @@ def read_symbols(data, name, ctx, columns, kept):
     return decode_symbols(data, tables, name)
 
 
-def read_positions(data, A):
+def read_positions(data, A, design):
     """The box, two float32 arrays [3], and the positions [A, 3] int64."""
+    least = 24 if design.coded else 24 + 6 * A
     require(
-        len(data) == 24 + 6 * A,
+        len(data) >= least and (design.coded or len(data) == least),
         "positions",
         len(data),
-        f"expected {24 + 6 * A} bytes for {A} anchors, found {len(data)}",
+        f"expected {least} bytes{' or more' * design.coded} for {A} anchors, found {len(data)}",
     )
     lo, hi = np.frombuffer(data, "<f4", 6).astype(np.float32).reshape(2, 3)
     require(valid_box(lo, hi), "positions", 0, f"expected a box with {BOX}")
+    if design.coded:
+        return (lo, hi), read_gaps(data, 24, A, (lo, hi), design.position_bits)
     return (lo, hi), np.frombuffer(data, "<u2", offset=24).astype(np.int64).reshape(A, 3)
 
 
@@ -229,26 +247,23 @@ def read_grids(data, design):
     return [np.where(part, 1.0, -1.0).reshape(shape) for part, shape in zip(signs, shapes)]
 
 
-def read_networks(sections, design):
-    """The networks {name: (weights, biases)}, float64."""
-    networks, layers = {}, design.layers()
-    for section, members in NETWORK_SECTIONS.items():
-        shapes = {name: layers[name] for name in members if name in layers}
-        pairs = [pair for network in shapes.values() for pair in network]
-        sizes = [size for rows, columns in pairs for size in (rows * columns, columns)]
-        data = sections.get(section, b"")
-        require(
-            len(data) == 2 * sum(sizes),
-            section,
-            len(data),
-            f"expected {2 * sum(sizes)} bytes, found {len(data)}",
-        )
-        numbers = np.frombuffer(data, "<f2").astype(float)
-        wrong = np.flatnonzero(~np.isfinite(numbers))
-        if len(wrong):
-            raise BitstreamError(section, 2 * int(wrong[0]), "expected finite weights")
-        arrays = iter(np.split(numbers, np.cumsum(sizes)))
-        for name, network in shapes.items():
-            read = [(next(arrays).reshape(pair), next(arrays)) for pair in network]
-            networks[name] = [W for W, _ in read], [b for _, b in read]
+def read_networks(data, section, shapes):
+    """The networks {name: (weights, biases)} of a section, float64, from their layers' shapes."""
+    pairs = [pair for network in shapes.values() for pair in network]
+    sizes = [size for rows, columns in pairs for size in (rows * columns, columns)]
+    require(
+        len(data) == 2 * sum(sizes),
+        section,
+        len(data),
+        f"expected {2 * sum(sizes)} bytes, found {len(data)}",
+    )
+    numbers = np.frombuffer(data, "<f2").astype(float)
+    wrong = np.flatnonzero(~np.isfinite(numbers))
+    if len(wrong):
+        raise BitstreamError(section, 2 * int(wrong[0]), "expected finite weights")
+    arrays = iter(np.split(numbers, np.cumsum(sizes)))
+    networks = {}
+    for name, network in shapes.items():
+        read = [(next(arrays).reshape(pair), next(arrays)) for pair in network]
+        networks[name] = [W for W, _ in read], [b for _, b in read]
     return networks

@@ -33,6 +33,19 @@ of the grid and at most 2^25 numbers in all. A decoder needs at most 64 MiB plus
 for each of these numbers, beside the file itself. The header has at most 2^14 bytes, because a JSON
 parser needs many times the memory of its text.
 
+VERSION 2. The header has two more fields:
+
+    as             the name of a base design
+    position_bits  bits of a coordinate of a position (`positions.py`): 1 to 16
+
+`as` and `anchors` must be there. Any other field that is missing has the value of the base design;
+the end of this page lists these. The limits above hold for all values together. A base design never
+changes, but others may join. This encoder takes the one that gives the shortest header, and of
+several the first.
+
+Worked numbers. {"as":"tiny","anchors":199,"k":5} stands for the header of version 1 with 199
+anchors, five children, and the rest of the base design "tiny"; its positions have 10 bits.
+
 Time is bounded by n, the number of bytes of all sections together. The header promises at most
 2^22 + 2^4 n numbers. The coding context of one anchor needs a multiplication for every weight of
 psi_p and psi_q, without biases, and reads 2^D nodes of F entries in every level of D axes. A node
@@ -63,10 +76,25 @@ def write_header(model):
     for name in OPTIONAL:
         if not fields[name]:
             del fields[name]
+    if fields.pop("coded"):
+        return min((as_base(name, fields) for name in BASES), key=len)
+    del fields["position_bits"]
+    return in_json(fields)
+
+
+def as_base(name, fields):
+    """The header of version 2 that names a base design and the fields that differ from it."""
+    base = BASES[name]
+    fields = json.loads(in_json(fields))  # with lists, as the base has them
+    return in_json({"as": name} | {k: v for k, v in fields.items() if base.get(k) != v})
+
+
+def in_json(fields):
+    """A JSON object without spaces."""
     return json.dumps(fields, separators=(",", ":")).encode("ascii")
 
 
-def read_header(data):
+def read_header(data, version=1):
     """The design, the number of anchors and the background of a header section.
 
     Raises BitstreamError for anything but an object with exactly the fields above, in their ranges.
@@ -78,10 +106,16 @@ def read_header(data):
         pairs = []
     expect(isinstance(pairs, tuple), "expected a JSON object")
     fields = dict(pairs)
-    known = {**FIELDS, **OPTIONAL}
+    expect(len(pairs) == len(fields), "expected no field twice")
+    needed = FIELDS
+    if version == 2:
+        base = fields.pop("as", None)
+        expect(base in tuple(BASES), f"field 'as': expected one of {', '.join(BASES)}")
+        fields, needed = {**BASES[base], **fields}, {**FIELDS, "position_bits": integer(16)}
+    known = {**needed, **OPTIONAL}
     expect(
-        len(pairs) == len(fields) and set(FIELDS) <= set(fields) <= set(known),
-        f"expected the fields {', '.join(FIELDS)}, and perhaps {', '.join(OPTIONAL)}, once each",
+        set(needed) <= set(fields) <= set(known),
+        f"expected the fields {', '.join(needed)}, and perhaps {', '.join(OPTIONAL)}, once each",
     )
     values = {name: read(name, fields[name]) for name, read in known.items() if name in fields}
     expect(
@@ -93,7 +127,7 @@ def read_header(data):
         "field 'effects': expected no effect twice",
     )
     anchors, background = values.pop("anchors"), np.array(values.pop("background"))
-    design = Design(**values)
+    design = Design(**values, coded=version == 2)
     parts = declared_numbers(design, anchors)
     expect(
         parts["grid"] <= MOST_ENTRIES,
@@ -208,3 +242,47 @@ FIELDS = {
     "effects": list_of(effect, 0, len(MODEL_EFFECTS)),
 }
 OPTIONAL = {"time_net": list_of(integer(2**14), 1, 8), "skip": true}
+# The base designs of version 2: all fields but `as` and `anchors`, and the optional ones where they
+# differ from their absence. Files name them, so none of them may ever change.
+BASES = {
+    "tiny": {
+        "background": [1, 1, 1],
+        "d": 16,
+        "k": 4,
+        "hidden": [32, 32],
+        "deformation": [64, 64],
+        "L_x": 4,
+        "L_t": 4,
+        "context": [16, 16],
+        "grid": [["xyz", 8], ["xy", 16], ["xz", 16], ["yz", 16]],
+        "table": [2**13, 2**15],
+        "F": 2,
+        "Q_0": [0.25, 0.01, 0.01, 0.1],
+        "tau_alpha": 0,
+        "effects": ["translation", "view_color", "occlusion", "background"],
+        "position_bits": 10,
+    },
+    "paper": {
+        "background": [1, 1, 1],
+        "d": 16,
+        "k": 10,
+        "hidden": [32, 32],
+        "deformation": [192, 192],
+        "L_x": 10,
+        "L_t": 6,
+        "context": [32, 32],
+        "grid": [
+            *(["xyz", R] for R in (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)),
+            *([plane, R] for plane in ("xy", "xz", "yz") for R in (130, 258, 514, 1026)),
+        ],
+        "table": [2**13, 2**15],
+        "F": 4,
+        "Q_0": [1, 0.001, 0.001, 0.2],
+        "tau_alpha": 0,
+        "effects": [
+            *("translation", "rotation", "scaling", "view_color", "view_geometry"),
+            *("occlusion", "background"),
+        ],
+        "position_bits": 16,
+    },
+}

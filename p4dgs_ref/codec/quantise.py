@@ -10,6 +10,7 @@ from ..model import GROUPS, Anchors, Model, groups, join, snap, split, without_s
 from .container import BitstreamError
 from .context import CodingContext, coding_context
 from .header import read_header, write_header
+from .positions import codes_of
 
 LARGEST = 1e30  # coordinate of a box, so that extents are finite in float32
 BOX = f"lo <= hi, finite, within +-{LARGEST:g}"  # what the box of a file must be
@@ -29,7 +30,7 @@ class Quantised(NamedTuple):
     """A model as its file holds it."""
 
     model: Model  # every array as a decoder will have it, float64
-    positions: np.ndarray  # [A, 3]  0 to 65535, int64
+    positions: np.ndarray  # [A, 3]  0 to 65535 in both versions, int64
     symbols: np.ndarray  # [A, n]  int64, columns as `model.join`; 0 where nothing is coded
     kept: np.ndarray  # [A, n]  bool: which symbols are coded; those of masked children are not
     context: CodingContext
@@ -54,7 +55,8 @@ def quantise(model):
 
     Anchors whose children are all masked are dropped, except that one anchor always stays. In a
     scene without view effects, hidden units that are zero for every anchor are dropped too. Dropped
-    and masked numbers may have any value; all others must be finite.
+    and masked numbers may have any value; all others must be finite. The coded design sorts the
+    anchors (`positions.py`).
 
     Raises EncodeError, which names the array, and OverflowError, which names the element, where
     |f / q| is more than 2^31.
@@ -70,7 +72,11 @@ def quantise(model):
     ]
     background = np.array(model.background, float)
     design = as_decoded(replace(model, anchors=anchors, background=background))
-    positions, x_a = snap(finite("anchors x_a", anchors.x_a), *box)
+    positions, x_a = snap(finite("anchors x_a", anchors.x_a), *box, design.position_bits)
+    if design.coded:
+        order = codes_of(positions, box, design.position_bits).argsort(kind="stable")
+        positions, x_a = positions[order], x_a[order]
+        anchors = Anchors(*(array[order] for array in anchors))
     ctx, kept = coding_context(design, networks, grids, positions), coded(anchors.mask, design)
     symbols = round_attributes(np.where(kept, join(anchors), 0), ctx.q, design)
     anchors = Anchors(x_a, *dequantise(symbols, ctx, design), anchors.mask)
@@ -146,7 +152,7 @@ def valid_box(lo, hi):
 def as_decoded(model):
     """The design as a decoder will read it. Raises EncodeError for one that it would refuse."""
     try:
-        return read_header(write_header(model))[0]
+        return read_header(write_header(model), 1 + model.design.coded)[0]
     except BitstreamError as error:
         raise EncodeError(f"design: {error.message}") from None
 

@@ -54,10 +54,7 @@ def encode_gaussian(symbols, mu_units, sigma_units, lanes=None, push_rows=None):
     model = gaussian_model(mu_units, sigma_units)
     entries, gamma = find_entries(symbols, model)
     widths = model.low[model.table]
-    # A gamma code is two fields: b zeros and a one, then r in b bits.
-    b = bit_length(gamma) - 1
-    codes = np.stack([1 << b, gamma - (1 << b)], axis=1).ravel()
-    code_widths = np.stack([b + 1, b], axis=1).ravel()
+    codes, code_widths = gamma_fields(gamma)
     return rans.encode(entries, model.keys, lanes, push_rows) + pack_fields(
         np.concatenate([symbols & (1 << widths) - 1, codes]),
         np.concatenate([widths, code_widths]),
@@ -131,6 +128,13 @@ def find_entries(symbols, model):
     gamma = np.where(beyond < 0, -2 * place[escaped], 2 * beyond + 1)
     place[escaped] = blocks[escaped]
     return model.first[model.table] + place, gamma
+
+
+def gamma_fields(values):
+    """The gamma codes of integers as two fields each: b zeros and a one, then r in b bits."""
+    b = bit_length(values) - 1
+    fields = np.stack([1 << b, values - (1 << b)], axis=1).ravel()
+    return fields, np.stack([b + 1, b], axis=1).ravel()
 
 
 def read_gammas(data, start, count, section):

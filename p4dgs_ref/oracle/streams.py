@@ -47,8 +47,8 @@ def decoded(data):
 
     Raises BitstreamError.
     """
-    arrays = {}
-    for name, (kind, a) in published.expected(quantised_of(open_container(data))).items():
+    arrays, quantised = {}, quantised_of(open_container(data), data[8])
+    for name, (kind, a) in published.expected(quantised).items():
         arrays[name] = np.asarray(a).astype(bool if kind == "bit" else published.TYPES[kind])
     return arrays
 

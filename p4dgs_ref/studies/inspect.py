@@ -49,12 +49,15 @@ def ledger(data):
     Raises BitstreamError for a file that cannot be decoded.
     """
     sections = read_container(data)
-    q = quantised_of(sections)
+    q = quantised_of(sections, data[8])
     model, prior = q.model, float_context(q.model)
     steps = np.repeat(q.context.q, model.design.widths, axis=1)
     floats, _ = likelihood.forward(q.symbols * steps, prior.mu, prior.sigma, steps)
     integers = symbol_bits(q)
-    found = {"header": (len(sections["header"]),), "positions": (24, q.positions.size)}
+    found = {
+        "header": (len(sections["header"]),),
+        "positions": (24 + q.model.design.coded, q.positions.size),
+    }
     signs = np.concatenate([grid.ravel() for grid in model.grids]) > 0
     for name, flags in (("masks", model.anchors.mask), ("hash_grid", signs)):
         ones, f = np.count_nonzero(flags), int.from_bytes(sections[name][:4], "little") / 2**24
@@ -99,9 +102,11 @@ def symbol_bits(q):
 
 def anchor_bits(data):
     """The model of a file, and the bits [A] of each anchor: its position, attributes and masks."""
-    q = quantised_of(read_container(data))
+    sections = read_container(data)
+    q = quantised_of(sections, data[8])
     mask = q.model.anchors.mask
-    return q.model, 48 + symbol_bits(q).sum(axis=1) + entropy_bits(mask) / len(mask)
+    position = 8 * (len(sections["positions"]) - 24) / len(mask)  # the mean of all anchors
+    return q.model, position + symbol_bits(q).sum(axis=1) + entropy_bits(mask) / len(mask)
 
 
 def components(data):

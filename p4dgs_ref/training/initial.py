@@ -28,6 +28,8 @@ def design_of(preset, effects):
         effects=tuple(effects),
         time_net=preset.time_net,
         skip=preset.skip,
+        coded=preset.coded,
+        position_bits=preset.position_bits,
     )
 
 

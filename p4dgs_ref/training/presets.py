@@ -50,6 +50,8 @@ class Preset(NamedTuple):
     Q_l: float = 0.001
     Q_O: float = 0.2
     lambda_rate: float = 1e-3
+    coded: bool = False  # the coded design, in a file of version 2; it goes beyond the paper
+    position_bits: int = 16  # of an anchor's position, per axis; fewer only in the coded design
     # stages and loss
     stage_ends: tuple[int, ...] = (3000, 5000, 10_000, 40_000)
     lambda_ssim: float = 0.2
@@ -109,6 +111,8 @@ SOURCES = {
     "feature_std": "Scaffold-GS (Q28)",
     **dict.fromkeys(("opacity_bias", "upright", "deformation_gain"), "off, as the parents (Q28)"),
     "lambda_rate": "HAC (Q12)",
+    "coded": "off, as the paper",
+    "position_bits": "ours (Q14)",
     "lambda_ssim": "3DGS (Q13)",
     **dict.fromkeys(("sparse_share", "sparse_ssim", "sparse_lr_c"), "off, as the paper (Q13)"),
     "lambda_volume": "off, as the paper (Q25)",
@@ -280,6 +284,8 @@ REQUIREMENTS = {
     "Q_s": STEP,
     "Q_l": STEP,
     "Q_O": STEP,
+    "coded": ("true or false", lambda value: True),
+    "position_bits": between(1, 16),
     "tau_alpha": between(0, 1),  # a file may hold less, but negative opacities are not rendered
     "lambda_ssim": between(0, 1),
     "sparse_ssim": between(0, 1),
@@ -323,6 +329,8 @@ def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Pr
         )
     if chosen.skip and len(chosen.deformation) < 3:
         raise ValueError("field 'skip': expected at least three layers in the field deformation")
+    if chosen.position_bits != 16 and not chosen.coded:
+        raise ValueError("field 'position_bits': expected 16 where the field coded is false")
     parts = declared_numbers(design_of(chosen, MODEL_EFFECTS), chosen.anchors)
     if sum(parts.values()) > MOST_NUMBERS:
         raise ValueError(

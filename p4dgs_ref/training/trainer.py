@@ -156,13 +156,13 @@ class Trainer(Loop):
         return losses, seen, gradients, mean2d_bar
 
     def freeze_positions(self):
-        """Put the positions on the 16-bit lattice of the box and find them in the hash grid.
+        """Put the positions on the lattice of the box and find them in the hash grid.
 
         The box is fixed the first time, when stage 4 starts.
         """
         x_a, tables = self.parameters["x_a"], [T for T, _ in self.design.levels()]
         self.box = self.box or bounding_box(x_a)
-        x_a[...] = snap(x_a, *self.box)[1]
+        x_a[...] = snap(x_a, *self.box, self.design.position_bits)[1]
         self.located = hash_grid.locate(x_a, *self.box, self.design.grid, tables)
 
     def adjust(self):
