@@ -26,9 +26,9 @@ NETWORKS_OF_SECTION = {
 KINDS = {
     "length": r"total length|at least 18 bytes|add up to|expected \d+ bytes",
     "magic": "wrong magic",
-    "version": "version 2",
+    "version": "version 3",
     "checksum": "checksum",
-    "table": "ascending ids",
+    "table": "ascending ids|lengths of",
     "missing": "section is missing",
     "unexpected": "no effect that needs",
     "header": "expected",

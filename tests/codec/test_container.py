@@ -87,7 +87,7 @@ def test_seeded_mutations_are_refused(sections):
     [
         (lambda d: b"\x88" + d[1:], 0, "magic"),
         (lambda d: d.replace(b"\r\n", b"\n"), 0, "magic"),
-        (lambda d: d[:8] + b"\2" + d[9:], 8, "version 2"),
+        (lambda d: d[:8] + b"\3" + d[9:], 8, "version 3"),
         (lambda d: d[:9] + b"\xff" + d[10:], 9, "255 sections"),
         (lambda d: d + b"\0", 10, "total length"),
         (lambda d: b"", 0, "at least"),

@@ -42,7 +42,7 @@ def test_good_files_are_read_whole(tmp_path):
     "start, size, message",
     [
         (b"", LARGE, "not a P-4DGS file: wrong magic number, expected 89 50 34 44"),
-        (MAGIC + b"\2", LARGE, "version 2"),
+        (MAGIC + b"\3", LARGE, "version 3"),
         (frame(18), LARGE, f"total length 18, but the file has {LARGE} bytes"),
         (frame(LARGE), LARGE, f"total length {LARGE}, expected at most {2**29}"),
         (frame(2**29), 2**29, "the lengths of the sections add up to 18"),

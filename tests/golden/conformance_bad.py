@@ -101,7 +101,14 @@ def _frames(sections):
             0,
             "magic",
         ),
-        ("wrong_version", "version 2", framed(rows, version=2), "container", 8, "version"),
+        (
+            "wrong_version",
+            "version 2, which begins with another table",
+            framed(rows, version=2),
+            "container",
+            None,
+            "table",
+        ),
         (
             "wrong_total",
             "a total length one too large, its checksum right",

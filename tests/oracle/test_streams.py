@@ -86,7 +86,7 @@ def test_they_come_from_the_decoder(tmp_path, monkeypatch):
     monkeypatch.setattr(
         streams,
         "quantised_of",
-        lambda sections: (q := right(sections))._replace(positions=q.positions ^ 1),
+        lambda *given: (q := right(*given))._replace(positions=q.positions ^ 1),
     )
     export.write_expected(tmp_path)
     wrong = check(tmp_path)
