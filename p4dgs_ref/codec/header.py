@@ -38,10 +38,10 @@ VERSION 2. The header has two more fields:
     as             the name of a base design
     position_bits  bits of a coordinate of a position (`positions.py`): 1 to 16
 
-`as` and `anchors` must be there. Any other field that is missing has the value of the base design;
-the end of this page lists these. The limits above hold for all values together. A base design never
-changes, but others may join. This encoder takes the one that gives the shortest header, and of
-several the first.
+`as` and `anchors` must be there. Any other field that is missing has the value of the base design.
+The limits above hold for all values together. The base designs stand at the end of this page and in
+`bases.json`. None of them ever changes, but others may join. This encoder takes the one that gives
+the shortest header, and of several the first.
 
 Worked numbers. {"as":"tiny","anchors":199,"k":5} stands for the header of version 1 with 199
 anchors, five children, and the rest of the base design "tiny"; its positions have 10 bits.
@@ -55,6 +55,7 @@ whatever the number of their anchors. A decoder checks all limits before it read
 """
 
 import json
+from pathlib import Path
 
 import numpy as np
 
@@ -63,6 +64,8 @@ from ..scenes.scene import MODEL_EFFECTS
 from .container import require
 
 MOST_BYTES, MOST_ENTRIES = 2**14, 2**24
+# The base designs of version 2. Files name them, so none of them may ever change.
+BASES = json.loads(Path(__file__).with_name("bases.json").read_text())
 AXES = ("xyz", "xy", "xz", "yz")
 
 
@@ -242,47 +245,3 @@ FIELDS = {
     "effects": list_of(effect, 0, len(MODEL_EFFECTS)),
 }
 OPTIONAL = {"time_net": list_of(integer(2**14), 1, 8), "skip": true}
-# The base designs of version 2: all fields but `as` and `anchors`, and the optional ones where they
-# differ from their absence. Files name them, so none of them may ever change.
-BASES = {
-    "tiny": {
-        "background": [1, 1, 1],
-        "d": 16,
-        "k": 4,
-        "hidden": [32, 32],
-        "deformation": [64, 64],
-        "L_x": 4,
-        "L_t": 4,
-        "context": [16, 16],
-        "grid": [["xyz", 8], ["xy", 16], ["xz", 16], ["yz", 16]],
-        "table": [2**13, 2**15],
-        "F": 2,
-        "Q_0": [0.25, 0.01, 0.01, 0.1],
-        "tau_alpha": 0,
-        "effects": ["translation", "view_color", "occlusion", "background"],
-        "position_bits": 10,
-    },
-    "paper": {
-        "background": [1, 1, 1],
-        "d": 16,
-        "k": 10,
-        "hidden": [32, 32],
-        "deformation": [192, 192],
-        "L_x": 10,
-        "L_t": 6,
-        "context": [32, 32],
-        "grid": [
-            *(["xyz", R] for R in (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)),
-            *([plane, R] for plane in ("xy", "xz", "yz") for R in (130, 258, 514, 1026)),
-        ],
-        "table": [2**13, 2**15],
-        "F": 4,
-        "Q_0": [1, 0.001, 0.001, 0.2],
-        "tau_alpha": 0,
-        "effects": [
-            *("translation", "rotation", "scaling", "view_color", "view_geometry"),
-            *("occlusion", "background"),
-        ],
-        "position_bits": 16,
-    },
-}

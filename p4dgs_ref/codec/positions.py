@@ -79,7 +79,9 @@ def read_gaps(data, start, count, box, bits):
     require(r <= most, name, start, f"{r} raw bits per gap, expected at most {most}")
     at = 8 * (start + 1)
     end = at + r * count
-    require(end <= 8 * len(data), name, len(data), "the data end before the last raw bit")
+    # At least one more bit per gap, so that a wrong count is refused before it costs memory.
+    enough = end + count <= 8 * len(data)
+    require(enough, name, len(data), "the data end before the last bit of a gap")
     low = unpack_fields(raw_bits(data, at, end), np.full(count, r))
     gamma, end = read_gammas(data, end, count, name)
     rest = raw_bits(data, end, min(end + 8, 8 * len(data)))

@@ -75,13 +75,13 @@ def refused(data):
         return True
 
 
-@pytest.mark.parametrize("i", range(3))
+@pytest.mark.parametrize("i", range(4))
 def test_every_prefix_is_refused(i):
     data = fuzz.good_files()[i]
     assert decode(data) and all(refused(data[:n]) for n in range(len(data)))
 
 
-@pytest.mark.parametrize("i", range(2))
+@pytest.mark.parametrize("i", (0, 1, 3))
 def test_every_flipped_bit_is_refused(i):
     data = bytearray(fuzz.good_files()[i])
     for at in range(len(data)):
@@ -98,7 +98,7 @@ def test_a_mutation_is_always_the_same():
     for data in files:
         sections = read_container(data).items()
         rows = [(container.SECTIONS.index(name) + 1, body) for name, body in sections]
-        assert assemble(rows) == data
+        assert assemble(rows, data[8]) == data
 
 
 @pytest.mark.parametrize(
@@ -114,9 +114,9 @@ def test_a_faulty_decoder_is_noticed(monkeypatch, fault, found):
     """An exception, a warning, too much memory and too much time are failures."""
     monkeypatch.setattr(fuzz, "PATIENCE", 0.015 if found == "seconds" else 60)
 
-    def faulty(sections):
+    def faulty(sections, version):
         fault(sections)
-        return file.quantised_of(sections)
+        return file.quantised_of(sections, version)
 
     monkeypatch.setattr(fuzz, "quantised_of", faulty)
     _, failures = fuzz.fuzz(12)
@@ -211,6 +211,7 @@ def bytes_of_arrays(model):
 LARGE = {
     "anchors of paper_real": (20_000, REAL),
     "narrow": (60_000, dict(d=1, k=1)),
+    "narrow and coded": (60_000, dict(d=1, k=1, coded=True, position_bits=16)),
     "wide features": (700, dict(d=4096)),
     "many children": (2000, dict(k=256)),
     "every level": (1500, dict(F=64, grid=(("xyz", 3),) * 64)),
@@ -296,6 +297,17 @@ def test_hostile_headers_cost_no_memory(least):
         with traced(2**20), pytest.raises(BitstreamError) as caught:
             decode(data)
         assert caught.value.section == where, fields
+
+
+def test_a_wrong_number_of_coded_positions_costs_no_memory():
+    sections = read_container(fuzz.good_files()[3])
+    fields = {**json.loads(sections["header"]), "anchors": 2**17}
+    for bits in (b"\0", sections["positions"][24:]):
+        body = {"header": json.dumps(fields).encode(), "positions": bytes(24) + bits}
+        data = write_container({**sections, **body}, 2)
+        with traced(2**20), pytest.raises(BitstreamError) as caught:
+            decode(data)
+        assert caught.value.section == "positions"
 
 
 def test_the_largest_model_has_256_mib():

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from p4dgs_ref.codec.container import MAGIC, SECTIONS, VERSION, read_container, write_container
+from p4dgs_ref.codec.container import MAGIC, SECTIONS, layout, read_container, write_container
+from p4dgs_ref.codec.header import BASES
 
 # Values that a field of the header is set to, whatever its type.
 VALUES = [
@@ -47,7 +48,8 @@ def damage_bytes(rng, data, repaired):
         return operation.__name__, operation(rng, data)
     sections = read_container(data)
     name = [*sections][rng.integers(len(sections))]
-    return operation.__name__, write_container({**sections, name: operation(rng, sections[name])})
+    sections[name] = operation(rng, sections[name])
+    return operation.__name__, write_container(sections, data[8])
 
 
 def stretch(rng, data):
@@ -105,7 +107,7 @@ def damage_sections(rng, data, repaired):
     rows = [(SECTIONS.index(name) + 1, body) for name, body in read_container(data).items()]
     kinds = ("sections exchanged", "bodies exchanged", "section twice", "section missing")
     what = kinds[rng.integers(4)]
-    end, (i, j) = 18 + 9 * len(rows), rng.choice(len(rows), 2, replace=False)
+    end, (i, j) = frame_of(data), rng.choice(len(rows), 2, replace=False)
     if what == "sections exchanged":
         rows[i], rows[j] = rows[j], rows[i]
     elif what == "bodies exchanged":
@@ -115,32 +117,56 @@ def damage_sections(rng, data, repaired):
     else:
         del rows[i]
     if repaired:
-        return what, assemble(rows)
+        return what, assemble(rows, data[8])
     return what, data[:end] + b"".join(body for _, body in rows)
 
 
-def assemble(rows):
-    """A container of any rows (id, body) in any order, with valid lengths and checksums."""
+def frame_of(data):
+    """The bytes of a file before its first section."""
+    return sum(size for _, size in layout(data)[:2])
+
+
+def assemble(rows, version):
+    """A container of any rows (id, body) in any order, with valid lengths and checksums.
+
+    In version 2, where a section cannot stand twice, the lengths are those of the last rows.
+    """
+    bodies = b"".join(body for _, body in rows)
+    if version == 2:
+        head = write_container({SECTIONS[i - 1]: body for i, body in rows}, 2)
+        return resealed(head[: frame_of(head)] + bodies)
     total = 18 + 9 * len(rows) + sum(len(body) for _, body in rows)
-    head = MAGIC + bytes([VERSION, len(rows)]) + total.to_bytes(4, "little")
+    head = MAGIC + bytes([version, len(rows)]) + total.to_bytes(4, "little")
     for i, body in rows:
         numbers = (len(body), zlib.crc32(body))
         head += bytes([i]) + b"".join(number.to_bytes(4, "little") for number in numbers)
-    return head + zlib.crc32(head).to_bytes(4, "little") + b"".join(body for _, body in rows)
+    return head + zlib.crc32(head).to_bytes(4, "little") + bodies
+
+
+def resealed(data):
+    """A file of version 2 with the checksum that belongs to its bytes."""
+    at = 10 + 11 * data[9]
+    crc = zlib.crc32(data[:at] + data[at + 4 :])
+    return data[:at] + crc.to_bytes(4, "little") + data[at + 4 :]
 
 
 def damage_table(rng, data, repaired):
     """One field of the container header or the section table; repaired: with a valid checksum."""
-    end = 14 + 9 * data[9]
-    fields = [(0, 8), (8, 1), (9, 1), (10, 4)]  # (offset, bytes)
-    for row in range(14, end, 9):
-        fields += [(row, 1), (row + 1, 4), (row + 5, 4)]
+    end = frame_of(data) - 4
+    fields = [(0, 8), (8, 1), (9, 1)]  # (offset, bytes)
+    if data[8] == 2:
+        fields += [(at, data[9]) for at in range(10, end, data[9])]
+    else:
+        fields.append((10, 4))
+        for row in range(14, end, 9):
+            fields += [(row, 1), (row + 1, 4), (row + 5, 4)]
     at, size = fields[rng.integers(len(fields))]
     old = int.from_bytes(data[at : at + size], "little")
     values = [0, 1, old + 1, old - 1, old + 9, 2**31, 2**32 - 1, int(rng.integers(2**32))]
     new = values[rng.integers(8)] % 256**size
     head = data[:at] + new.to_bytes(size, "little") + data[at + size : end]
-    crc = zlib.crc32(head).to_bytes(4, "little") if repaired else data[end : end + 4]
+    covered = head + data[end + 4 :] if data[8] == 2 else head
+    crc = zlib.crc32(covered).to_bytes(4, "little") if repaired else data[end : end + 4]
     return "table field", head + crc + data[end + 4 :]
 
 
@@ -148,6 +174,8 @@ def damage_header(rng, data, repaired):
     """One to three fields of the JSON header get another value or a near one, or are removed."""
     sections = read_container(data)
     fields = json.loads(sections["header"])
+    if data[8] == 2:
+        fields = {**BASES[fields["as"]], **fields}
     for name in rng.choice([*fields], int(rng.integers(1, 4)), replace=False):
         how = rng.random()
         if how < 0.1:
@@ -158,8 +186,8 @@ def damage_header(rng, data, repaired):
             fields[name] = VALUES[rng.integers(len(VALUES))]
     header = json.dumps(fields, separators=(",", ":")).encode()
     if repaired:
-        return "header field", write_container({**sections, "header": header})
-    start = 18 + 9 * len(sections)
+        return "header field", write_container({**sections, "header": header}, data[8])
+    start = frame_of(data)
     return "header field", data[:start] + header + data[start + len(sections["header"]) :]
 
 

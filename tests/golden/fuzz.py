@@ -40,12 +40,13 @@ ANSWERS = ("refused", "within limits", "unchanged", "failed")
 
 @cache
 def good_files():
-    """Three small files: one of a scene with every effect, the least, one with four lanes."""
+    """Small files: of a scene with every effect, the least, with four lanes, of version 2."""
     least = dict(d=1, k=1, hidden=(), context=(), grid=(("xz", 2),), F=1, effects=())
     q = quantise(sample_model(3, 50, d=8))
     features = [a[:, :8].ravel() for a in (q.symbols, q.context.mu_units, q.context.sigma_units)]
     lanes = write_container({**sections_of(q), "features": encode_gaussian(*features, lanes=4)})
-    return encode(sample_model(1, 12)), encode(sample_model(2, 1, **least)), lanes
+    second = sample_model(4, 12, coded=True, position_bits=10)
+    return encode(sample_model(1, 12)), encode(sample_model(2, 1, **least)), lanes, encode(second)
 
 
 def memory_bound(data):
@@ -54,7 +55,7 @@ def memory_bound(data):
     They are 64 MiB and, where the header is valid, four times the size of the numbers it declares.
     """
     try:
-        design, anchors, _ = read_header(open_container(data)["header"])
+        design, anchors, _ = read_header(open_container(data)["header"], data[8])
     except (BitstreamError, KeyError):
         return 2**26
     return 2**26 + 4 * 8 * sum(declared_numbers(design, anchors).values())
@@ -97,7 +98,7 @@ def judge(case):
     before, start = tracemalloc.get_traced_memory()[0], time.process_time()
     changed, q, wrong = case.data != case.original, None, []
     try:
-        q = quantised_of(open_container(case.data))
+        q = quantised_of(open_container(case.data), case.data[8])
         answer = "within limits" if changed else "unchanged"
     except BitstreamError as error:
         answer = "refused"
@@ -154,14 +155,14 @@ def main(arguments=None):
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the mutations (default: 0)")
     parser.add_argument(
-        "file", nargs="?", help="a good file to damage (default: three small built-in files)"
+        "file", nargs="?", help="a good file to damage (default: small built-in files)"
     )
     options = parser.parse_args(arguments)
     files = None
     if options.file:
         try:
             files = (read_file(options.file),)
-            quantised_of(open_container(files[0]))
+            quantised_of(open_container(files[0]), files[0][8])
         except (OSError, BitstreamError) as error:
             parser.error(f"{options.file}: expected a good file: {error}")
     answers, failures = fuzz(options.count, options.seed, files)

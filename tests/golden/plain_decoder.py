@@ -14,6 +14,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[2] / "p4dgs_ref"
 TABLES = json.loads((PACKAGE / "codec" / "tables.json").read_text())
+BASES = json.loads((PACKAGE / "codec" / "bases.json").read_text())
 SECTIONS = (
     "header",
     "positions",
@@ -55,7 +56,33 @@ def interpolate(table, i, r, bits):
 
 
 def read_container(data):
-    """The sections {name: bytes}."""
+    """The sections {name: bytes} of both versions."""
+    sections = read_frame_2(data) if data[8:9] == b"\2" else read_frame_1(data)
+    for name in SECTIONS:
+        need(name in sections or name == "deformation_mlp", name, "missing")
+    return sections
+
+
+def read_frame_2(data):
+    """The sections of a file of version 2."""
+    w = data[9] if len(data) >= 18 else 0
+    start = 14 + 11 * w
+    need(data[:8] == b"\x89P4D\r\n\x1a\n" and 0 < w < 5, "container", "size, magic or w")
+    lengths = [int.from_bytes(data[i : i + w], "little") for i in range(10, start - 4, w)]
+    total = start + sum(length - 1 for length in lengths if length)
+    need(total == len(data) <= 2**29, "container", "lengths")
+    crc = zlib.crc32(data[: start - 4] + data[start:]).to_bytes(4, "little")
+    need(crc == data[start - 4 : start], "container", "checksum")
+    sections = {}
+    for name, length in zip(SECTIONS, lengths):
+        if length:
+            sections[name] = data[start : start + length - 1]
+            start += length - 1
+    return sections
+
+
+def read_frame_1(data):
+    """The sections of a file of version 1."""
     valid = len(data) >= 18 and data[:9] == b"\x89P4D\r\n\x1a\n\x01"
     need(valid, "container", "size, magic or version")
     start = 18 + 9 * data[9]
@@ -74,18 +101,19 @@ def read_container(data):
         need(zlib.crc32(body) == crc, SECTIONS[number - 1], "checksum")
         sections[SECTIONS[number - 1]] = body
         start += length
-    for name in SECTIONS:
-        need(name in sections or name == "deformation_mlp", name, "missing")
     return sections
 
 
-def read_header(body, size):
+def read_header(body, size, version):
     """The fields, the nodes T of each level, and the widths of the groups f, s, l, O.
 
     `size` is the number of bytes of all sections.
     """
     try:
         h = json.loads(body.decode("ascii"))
+        if version == 2:
+            h = {**BASES[h["as"]], **h}
+            need(h["position_bits"] in range(1, 17), "header", "bits")
         T = [min(R ** len(axes), h["table"][len(axes) == 2]) for axes, R in h["grid"]]
         entries = h["F"] * sum(T)
         numbers = h["anchors"] * (9 + h["d"] + 4 * h["k"]) + entries  # without the weights
@@ -316,17 +344,59 @@ def read_gaussian(data, pairs, section):
     return symbols
 
 
+def read_positions_1(body, A):
+    """The coordinates of all anchors, x y z x y z ..."""
+    need(len(body) == 24 + 6 * A, "positions", "length")
+    return struct.unpack(f"<{3 * A}H", body[24:])
+
+
+def read_positions_2(body, A, B, axes):
+    """The same in version 2; `axes` are those on which the box has an extent."""
+    digits, L = B * len(axes), 2**B - 1
+    need(len(body) > 24 and body[24] <= digits, "positions", "raw bits of a gap")
+    bits = [byte >> i & 1 for byte in body[25:] for i in range(8)][::-1]
+    r = body[24]
+
+    def take(width):
+        need(len(bits) >= width, "positions", "the end of the bits")
+        return sum(bits.pop() << i for i in range(width))
+
+    need(len(bits) >= r * A, "positions", "raw bits")
+    raw = [take(r) for _ in range(A)]
+    code, positions = 0, []
+    for low in raw:
+        b = 0
+        while not take(1):
+            b += 1
+            need(b <= 33, "positions", "an endless gamma code")
+        quotient = 2**b + take(b) - 1
+        code += quotient * 2**r + low  # a number of 82 bits at most
+        need(code < 2**digits, "positions", "a code that is too large")
+        point = [0, 0, 0]
+        for i in range(digits):  # from the highest bit of the first axis on
+            axis = axes[i % len(axes)]
+            point[axis] = 2 * point[axis] + (code >> digits - 1 - i & 1)
+        positions += [(65535 * m + L // 2) // L for m in point]
+    need(len(bits) < 8 and not any(bits), "positions", "bits left over")
+    return positions
+
+
 def decode(data):
     """Every array of a file, {name: flat list}, row by row."""
     sections = read_container(data)
-    h, T, widths = read_header(sections["header"], sum(map(len, sections.values())))
+    h, T, widths = read_header(sections["header"], sum(map(len, sections.values())), data[8])
     numbers, psi_p, psi_q = read_networks(sections, h, widths)
     A, k, n, F = h["anchors"], h["k"], sum(widths), h["F"]
     body = sections["positions"]
-    need(len(body) == 24 + 6 * A, "positions", "length")
-    box, positions = struct.unpack("<6f", body[:24]), struct.unpack(f"<{3 * A}H", body[24:])
+    need(len(body) >= 24, "positions", "length")
+    box = struct.unpack("<6f", body[:24])
     lo, hi = box[:3], box[3:]
     need(all(-1e30 <= a <= b <= 1e30 for a, b in zip(lo, hi)), "positions", "box")
+    if data[8] == 2:
+        axes = [axis for axis in range(3) if lo[axis] < hi[axis]]
+        positions = read_positions_2(body, A, h["position_bits"], axes)
+    else:
+        positions = read_positions_1(body, A)
     steps = [(b - a) / 65535 for a, b in zip(lo, hi)]
     x_a = [lo[i % 3] + u * steps[i % 3] for i, u in enumerate(positions)]
     masks = read_bits(sections["masks"], A * k, "masks")
@@ -355,7 +425,7 @@ def decode(data):
                 attributes[i] = symbols[i] * q[i // n * 4 + group]
         start += width
     return {
-        "header": h,
+        "header": json.loads(sections["header"]),
         "positions": positions,
         "x_a": x_a,
         "masks": masks,

@@ -41,7 +41,10 @@ def sample_model(seed, anchors, **fields):
     shapes = (design.d,), (3,), (3,), (design.k, 3)
     zeros = Anchors(x_a, *(np.zeros((anchors, *shape)) for shape in shapes), mask)
     model = Model(design, zeros, networks, grids, bounding_box(x_a), rng.random(3))
-    ctx = quantise(model).context
+    quantised = quantise(model)
+    ctx, sorted_ones = quantised.context, quantised.model.anchors
+    if design.coded:
+        x_a, mask = sorted_ones.x_a, sorted_ones.mask
     deviations = 2.0 ** (ctx.sigma_units / 16) * rng.normal(size=ctx.mu_units.shape)
     symbols = np.rint(ctx.mu_units / 1024 + deviations)
     symbols[rng.random(symbols.shape) < 0.03] -= 5e6
