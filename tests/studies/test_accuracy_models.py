@@ -134,7 +134,9 @@ def test_a_reduced_preset_keeps_the_shares_of_the_stages():
 
     assert fits.reduced(TINY.iterations) == TINY
     short = fits.reduced(380, anchors=17)
-    assert short.stage_ends == (20, 30, 180, 380) and short.anchors == 17 and short.decay_from == 30
+    assert (
+        short.stage_ends == (20, 30, 180, 380) and short.anchors == 17 and short.decay_from == 180
+    )
 
 
 # --- hash grid -----------------------------------------------------------------------------------

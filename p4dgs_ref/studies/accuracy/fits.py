@@ -27,7 +27,7 @@ def reduced(iterations, **changes):
     ends = tuple(round(share * end) for end in TINY.stage_ends[:3])
     shorter = dict(
         stage_ends=(*ends, iterations),
-        decay_from=ends[1],
+        decay_from=round(share * TINY.decay_from),
         mask_from=ends[2],
         grow_from=round(share * TINY.grow_from),
         grow_every=max(20, round(share * TINY.grow_every)),
