@@ -14,6 +14,9 @@ objects:
            section), checksum, table (section ids and their order), missing, unexpected (a section),
            header (its content), number (a weight or the box), stream (an entropy-coded message).
 
+The streams whose names begin with `coded_` have version 2. Their `header` is the JSON as it stands
+in the file, without what the base design says.
+
 Types are u8, u16, i32, i64, f32, f64, and bit: eight to a byte, the lowest bit first, the last byte
 filled with zeros. Symbols reach 2^31 and mu_units 2^34; they are stored as i64 where i32 is too
 narrow.

@@ -51,7 +51,8 @@ def files():
 def good_row(maker, says, contents):
     """The manifest's row of a good stream; adds its two files to `contents`."""
     quantised, sections = stream_of(maker)
-    row = file_row(maker.__name__, says, write_container(sections), contents)
+    version = 1 + quantised.model.design.coded
+    row = file_row(maker.__name__, says, write_container(sections, version), contents)
     row["header"] = json.loads(sections["header"])
     row["sections"] = {name: len(body) for name, body in sections.items()}
     row["expected"] = f"{row['name']}.bin"

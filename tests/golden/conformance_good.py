@@ -6,8 +6,9 @@ The texts of SAYS are published in the manifest.
 import numpy as np
 
 from p4dgs_ref.codec.context import coding_context
+from p4dgs_ref.codec.positions import codes_of
 from p4dgs_ref.codec.quantise import Quantised, coded
-from p4dgs_ref.model import Anchors, Design, Model, split, unsnap
+from p4dgs_ref.model import Anchors, Design, Model, on_lattice, split, unsnap
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 
 BASE = Design(
@@ -102,6 +103,59 @@ class Parts:
             self.design, anchors, self.networks, self.grids, self.box, np.array([0.25, 0.5, 1.0])
         )
         return Quantised(model, self.positions, symbols, kept, ctx)
+
+
+def coded_parts(seed, bits, lattice=None, box=None, anchors=9, **changes):
+    """Parts of version 2, with random points or `lattice` [A, 3] on a lattice of `bits` bits."""
+    parts = Parts(seed, anchors, coded=True, position_bits=bits, **changes)
+    m = parts.draw(0, 2**bits - 1, anchors, 3) if lattice is None else np.array(lattice)
+    parts.box = box or parts.box
+    points = on_lattice(m, bits)
+    parts.positions = points[codes_of(points, parts.box, bits).argsort(kind="stable")]
+    return parts
+
+
+def coded_ten_bits():
+    return coded_parts(30, 10)
+
+
+def coded_one_bit():
+    return coded_parts(31, 1, anchors=12)
+
+
+def coded_sixteen_bits():
+    corners = [[0, 0, 0], [65535] * 3, [65535, 0, 32768], [32767, 32768, 1], [0, 65535, 65534]]
+    return coded_parts(32, 16, corners, anchors=5)
+
+
+def coded_nowhere():
+    lo = np.array([-1.5, -1.0, 0.25], np.float32)
+    return coded_parts(33, 10, np.zeros((3, 3), int), (lo, lo), anchors=3)
+
+
+def coded_flat():
+    lo, hi = np.array([-1.5, -1.0, 0.25], np.float32), np.array([-1.5, 2.0, 1.75], np.float32)
+    flat = [[0, 5, 7], [0, 31, 31], [0, 0, 30], [0, 5, 7], [0, 16, 15]]
+    return coded_parts(34, 5, flat, (lo, hi), anchors=5)
+
+
+def coded_as_tiny():
+    """A header that leaves all to its base but the number of anchors and what moves."""
+    tiny = dict(
+        d=16,
+        k=4,
+        hidden=(2,),
+        deformation=(2,),
+        context=(2,),
+        L_x=4,
+        L_t=4,
+        F=2,
+        grid=(("xyz", 8), ("xy", 16), ("xz", 16), ("yz", 16)),
+        table=(2**13, 2**15),
+        Q_0=(0.25, 0.01, 0.01, 0.1),
+        effects=("translation", "view_color", "occlusion", "background"),
+    )
+    return coded_parts(35, 10, anchors=2, **tiny)
 
 
 def smallest_grid():
@@ -368,4 +422,10 @@ SAYS = {
     ties: "weights half-way between two fixed-point integers: to even",
     time_net: "psi_d with a time net and a skip, the optional fields of the header",
     full: "every effect, every section",
+    coded_ten_bits: "version 2: nine positions of ten bits, sorted",
+    coded_one_bit: "version 2: twelve positions of one bit, some in the same place",
+    coded_sixteen_bits: "version 2: positions of 16 bits, the least and the largest code",
+    coded_nowhere: "version 2: three positions in a box without extent",
+    coded_flat: "version 2: a box without extent along x, two equal positions",
+    coded_as_tiny: "version 2: most fields are those of the base design",
 }

@@ -119,6 +119,7 @@ def read_header(body, size, version):
         numbers = h["anchors"] * (9 + h["d"] + 4 * h["k"]) + entries  # without the weights
         most = min(2**25, 2**22 + 16 * size)
         need(0 < entries <= 2**24 and 0 < numbers <= most, "header", "sizes")
+        need(not h.get("skip") or len(h["deformation"]) >= 3, "header", "skip")
         need(len(h["Q_0"]) == 4 and {*h["effects"]} <= EFFECTS, "header", "steps or effects")
         widths = [h["d"], 3, 3, 3 * h["k"]]
         nets = [(len(T) * h["F"], *h["context"], n) for n in (2 * sum(widths), 4)]
