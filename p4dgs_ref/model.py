@@ -293,6 +293,34 @@ def unsnap(symbols, lo, hi):
     return lo.astype(float) + symbols * ((hi.astype(float) - lo) / LATTICE)
 
 
+def step_code(step):
+    """The codes of the steps for weights (B1) that are nearest to some positive numbers: int64."""
+    mantissa, exponent = np.frexp(np.clip(step, step_of_code(0), step_of_code(255)))
+    return 16 * (exponent + 14) + np.rint(32 * mantissa).astype(np.int64) - 16
+
+
+def step_of_code(code):
+    """The steps of codes 0 to 255: (16 + code mod 16) 2^(floor(code / 16) - 19), 2^-15 to 1.94.
+
+    The product of a step and an integer up to 2^19 is exact, also in float32.
+    """
+    return np.ldexp(16.0 + code % 16, code // 16 - 19)
+
+
+def first_steps(networks):
+    """Codes of steps that nobody has learned, for the weights and the biases of every layer.
+
+    A tenth of the root mean square of the weights, and half of that for the biases, as
+    {network: (codes, codes)}.
+    """
+    steps = {}
+    for name, (weights, _) in networks.items():
+        squares = [np.sum(W.astype(float) ** 2) / max(W.size, 1) for W in weights]
+        rms = np.sqrt(squares)
+        steps[name] = step_code(0.1 * rms), step_code(0.05 * rms)
+    return steps
+
+
 class Context(NamedTuple):
     """How the attributes of every anchor are quantised and coded; columns as in `join`."""
 
@@ -332,6 +360,8 @@ class Model:
     grids: list[np.ndarray]  # [T, F] for each level; only the signs are used
     box: tuple[np.ndarray, np.ndarray]  # corners lo and hi [3] of the lattice of positions
     background: np.ndarray  # [3]
+    # Only of the coded design: codes of the steps of all weights and biases, layer by layer (B1)
+    steps: dict[str, tuple[np.ndarray, np.ndarray]] | None = None
 
     @property
     def primitives(self) -> int:

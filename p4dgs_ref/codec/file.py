@@ -88,6 +88,7 @@ from .header import check_work, read_header, write_header
 from .positions import read_gaps, write_gaps
 from .quantise import BOX, EncodeError, Quantised, coded, dequantise, quantise, valid_box
 from .streams import decode_bits, decode_symbols, encode_bits, encode_gaussian
+from .weights import read_weights, write_weights
 
 NETWORK_SECTIONS = {
     "anchor_mlps": ANCHOR_NETWORKS,
@@ -129,9 +130,11 @@ def sections_of(quantised):
         arrays = (quantised.symbols, ctx.mu_units, ctx.sigma_units)
         sections[name] = encode_gaussian(*(array[:, columns][kept] for array in arrays))
     for name, members in NETWORK_SECTIONS.items():
-        body = write_networks(model.networks, members)
-        if body:
-            sections[name] = body
+        present = {member: model.networks[member] for member in members if member in model.networks}
+        if present and model.design.coded:
+            sections[name] = write_weights(present, model.steps)
+        elif present:
+            sections[name] = network_numbers(present).astype("<f2").tobytes()
     try:
         check_work(model.design, len(model.anchors.mask), size_of(sections))
     except BitstreamError as error:
@@ -139,16 +142,10 @@ def sections_of(quantised):
     return sections
 
 
-def write_networks(networks, members):
-    """The section of some networks; no bytes where the model has none of them."""
-    return network_numbers(networks, members).astype("<f2").tobytes()
-
-
-def network_numbers(networks, members):
+def network_numbers(networks):
     """Weights and biases of some networks in the order of the file, as one array."""
-    present = [networks[name] for name in members if name in networks]
-    layers = [layer for network in present for layer in zip(*network)]
-    return np.concatenate([np.zeros(0), *(array.ravel() for pair in layers for array in pair)])
+    layers = [layer for network in networks.values() for layer in zip(*network)]
+    return np.concatenate([array.ravel() for pair in layers for array in pair])
 
 
 def encode(model: Model) -> bytes:
@@ -178,10 +175,14 @@ def quantised_of(sections, version=1):
     check_work(design, A, size_of(sections))
     check_presence(sections, design.layers())
     box, positions = read_positions(sections["positions"], A, design)
-    networks, layers = {}, design.layers()
+    networks, steps, layers = {}, {}, design.layers()
     for name, members in NETWORK_SECTIONS.items():
         shapes = {member: layers[member] for member in members if member in layers}
-        networks |= read_networks(sections.get(name, b""), name, shapes)
+        if shapes and design.coded:
+            decoded, codes = read_weights(sections[name], name, shapes)
+            networks, steps = networks | decoded, steps | codes
+        elif shapes:
+            networks |= read_networks(sections[name], name, shapes)
     grids = read_grids(sections["hash_grid"], design)
     mask = decode_bits(sections["masks"], A * design.k, "masks").reshape(A, design.k)
     x_a = unsnap(positions, *box)
@@ -196,7 +197,7 @@ def quantised_of(sections, version=1):
         symbols[:, columns][kept[:, columns]] = values
     del found, values
     anchors = Anchors(x_a, *dequantise(symbols, ctx, design), mask)
-    model = Model(design, anchors, networks, grids, box, background)
+    model = Model(design, anchors, networks, grids, box, background, steps or None)
     return Quantised(model, positions, symbols, kept, ctx)
 
 

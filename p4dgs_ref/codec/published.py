@@ -67,9 +67,9 @@ def expected(quantised):
         "attributes": ("f64", quantised.symbols * np.repeat(ctx.q, model.design.widths, axis=1)),
     }
     for section, members in NETWORK_SECTIONS.items():
-        numbers = network_numbers(model.networks, members)
-        if numbers.size:
-            arrays[section] = "f32", numbers
+        present = {name: model.networks[name] for name in members if name in model.networks}
+        if present:
+            arrays[section] = "f32", network_numbers(present)
     return arrays
 
 

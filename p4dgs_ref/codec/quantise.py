@@ -6,12 +6,24 @@ from typing import NamedTuple
 import numpy as np
 
 from ..equations import rounding
-from ..model import GROUPS, Anchors, Model, groups, join, snap, split, without_silent_units
+from ..model import (
+    GROUPS,
+    Anchors,
+    Model,
+    first_steps,
+    groups,
+    join,
+    snap,
+    split,
+    step_of_code,
+    without_silent_units,
+)
 from .container import BitstreamError
 from .context import CodingContext, coding_context
 from .header import read_header, write_header
 from .positions import codes_of
 
+MOST_STEPS = 2**15 - 1  # of a weight of the coded design
 LARGEST = 1e30  # coordinate of a box, so that extents are finite in float32
 BOX = f"lo <= hi, finite, within +-{LARGEST:g}"  # what the box of a file must be
 
@@ -65,7 +77,11 @@ def quantise(model):
     alive = model.anchors.mask.any(axis=1)
     alive[0] |= not alive.any()
     anchors = Anchors(*(array[alive] for array in model.anchors))
-    box, networks = round_box(model.box), round_networks(model.networks)
+    box = round_box(model.box)
+    networks, steps = round_networks(model.networks), None
+    if model.design.coded:
+        steps = model.steps or first_steps(model.networks)
+        networks = round_to_steps(model.networks, steps)
     grids = [
         np.where(finite(f"hash grid level {i}", grid) >= 0, 1.0, -1.0)
         for i, grid in enumerate(model.grids)
@@ -80,7 +96,7 @@ def quantise(model):
     ctx, kept = coding_context(design, networks, grids, positions), coded(anchors.mask, design)
     symbols = round_attributes(np.where(kept, join(anchors), 0), ctx.q, design)
     anchors = Anchors(x_a, *dequantise(symbols, ctx, design), anchors.mask)
-    rounded = Model(design, anchors, networks, grids, box, background)
+    rounded = Model(design, anchors, networks, grids, box, background, steps)
     return Quantised(without_silent_units(rounded), positions, symbols, kept, ctx)
 
 
@@ -100,6 +116,26 @@ def round_networks(networks):
             all(np.isfinite(a).all() for arrays in rounded[name] for a in arrays),
             f"network {name}: expected finite weights within float16's range, +-65504",
         )
+    return rounded
+
+
+def round_to_steps(networks, steps):
+    """Networks rounded to multiples of their tensors' steps (B1), float64.
+
+    `steps` are codes as in `Model.steps`. Raises EncodeError, which names the network, for a weight
+    of more steps than a file can hold.
+    """
+    rounded = {}
+    for name, pair in networks.items():
+        tensors = []
+        for arrays, codes in zip(pair, steps[name]):
+            symbols = [np.rint(a / step) + 0.0 for a, step in zip(arrays, step_of_code(codes))]
+            require_encodable(
+                all((np.abs(a) <= MOST_STEPS).all() for a in symbols),
+                f"network {name}: expected finite weights of at most {MOST_STEPS} steps",
+            )
+            tensors.append([a * step for a, step in zip(symbols, step_of_code(codes))])
+        rounded[name] = tuple(tensors)
     return rounded
 
 

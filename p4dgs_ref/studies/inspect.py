@@ -67,8 +67,9 @@ def ledger(data):
         kept = q.kept[:, columns]
         estimate, coded = (bits[:, columns][kept].sum() for bits in (floats, integers))
         found[name] = stream_header(sections[name], 0), int(kept.sum()), estimate, coded
-    for name in NETWORK_SECTIONS:
-        found[name] = 0, len(sections.get(name, b"")) // 2
+    for name, members in NETWORK_SECTIONS.items():
+        present = [model.networks[member] for member in members if member in model.networks]
+        found[name] = 0, sum(a.size for pair in present for arrays in pair for a in arrays)
     frame = len(data) - sum(map(len, sections.values()))
     return [
         ledger_row("container", frame, frame),

@@ -5,6 +5,7 @@ from scipy.spatial import cKDTree
 
 from .. import effects as fx
 from ..model import Design
+from .coded_networks import first_log_steps
 from .parameters import Parameters, random_layers
 
 
@@ -61,7 +62,7 @@ def initial_parameters(preset, design, rng, points=None):
     """The Parameters of a model before training; `points` [A, 3] replace the random ones.
 
     Their names are x_a, f_a, log_s, log_l, O_a, then "psi_alpha.W0" and so on for the networks,
-    then "grid.0" and so on.
+    then "grid.0" and so on, and in the coded design "log_step".
     """
     points = starting_points(points, preset.anchors, preset.extent, rng)
     x_a = np.unique(np.round(points / preset.voxel), axis=0) * preset.voxel  # nodes of the lattice
@@ -86,4 +87,8 @@ def initial_parameters(preset, design, rng, points=None):
             arrays[f"psi_d.b{i}"] *= preset.deformation_gain
     for i, shape in enumerate(design.levels()):
         arrays[f"grid.{i}"] = rng.uniform(-1e-4, 1e-4, shape)  # HAC: random signs with a gradient
-    return Parameters(arrays)
+    p = Parameters(arrays)
+    if design.coded:
+        networks = {name: p.network(name) for name in design.layers()}
+        p = Parameters({**arrays, "log_step": first_log_steps(networks)})
+    return p

@@ -33,6 +33,7 @@ from ..model import (
     split,
 )
 from ..splatting import render
+from . import coded_networks
 
 ATTRIBUTES = ("f_a", "log_s", "log_l", "O_a")  # the parameters of the groups f, s, l, O
 
@@ -49,6 +50,8 @@ class Fixed(NamedTuple):
     lambda_ssim: float
     lambda_volume: float  # weight of Scaffold-GS's volume term (Q25)
     settings: object  # of the renderer
+    coded: tuple | None = None  # Layout of coded networks and their noise (B1), in stage 4
+    lambda_networks: float = 1.0  # price of a bit of a network beside one of an anchor
 
 
 class Losses(NamedTuple):
@@ -83,6 +86,9 @@ def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
     rendering and rate share it (Q23), and stage 1 does not use it. `truth_moments` are the
     `ssim.moments` of the view's image, if they are at hand.
     """
+    R_networks, saved_networks = 0.0, None
+    if fixed.coded is not None:
+        R_networks, networks, saved_networks = coded_networks.forward(p, *fixed.coded)
     values = linear_values(p)
     steps, ctx, saved_context = None, None, None
     if fixed.located is not None:
@@ -107,7 +113,8 @@ def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
     )
     bits, L_rate, saved_rate = 0.0, 0.0, None
     if ctx is not None:
-        (bits, L_rate), saved_rate = rate_forward(noisy, ctx, grids, fixed.mask, design)
+        R_networks *= fixed.lambda_networks
+        (bits, L_rate), saved_rate = rate_forward(noisy, ctx, grids, fixed.mask, design, R_networks)
     L_total, saved_total = total_loss.forward(
         np.float64(L_render), np.float64(L_rate), fixed.lambda_rate
     )
@@ -117,13 +124,13 @@ def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
         *(float(loss) for loss in (L_render, L1, D_SSIM, L_rate, bits)),
     ]
     saved_parts = saved_noise, saved_context, saved_predict, saved_render, saved_loss, saved_rate
-    saved = p, design, fixed, values, volume_s_bar, saved_parts, saved_total
+    saved = p, design, fixed, values, volume_s_bar, saved_parts, saved_networks, saved_total
     return Losses(*losses), Seen(saved_predict.alpha, g.index, visible, image), saved
 
 
 def backward(saved):
     """Gradients of L_total as Parameters of the same layout, and of the splats' mean2d [N, 2]."""
-    p, design, fixed, values, volume_s_bar, saved_parts, saved_total = saved
+    p, design, fixed, values, volume_s_bar, saved_parts, saved_networks, saved_total = saved
     saved_noise, saved_context, saved_predict, saved_render, saved_loss, saved_rate = saved_parts
     gradients = p.zeros()
     losses_bar = total_loss.backward(saved_total, 1.0)
@@ -157,6 +164,9 @@ def backward(saved):
     gradients["x_a"][...] = anchors["x_a"]
     for name, network_gradients in networks.items():
         gradients.fill(name, network_gradients)
+    if saved_networks is not None:
+        price = fixed.lambda_networks * losses_bar["L_rate"] / values.size
+        coded_networks.backward(saved_networks, gradients, price)
     return gradients, bars["mean2d"]
 
 
@@ -175,7 +185,7 @@ def noise_backward(saved, noisy_bar, design):
     return values_bar, np.concatenate([part["q"] for part in parts], axis=1)
 
 
-def rate_forward(noisy, ctx, grids, mask, design):
+def rate_forward(noisy, ctx, grids, mask, design, R_networks=0.0):
     """Return (bits, L_rate) of the noisy attributes and the grids, and what `rate_backward` needs.
 
     Eqs. (11), (13), (14) and (17). The rate is per coded number (Q12).
@@ -184,7 +194,7 @@ def rate_forward(noisy, ctx, grids, mask, design):
     bits, saved_bits = likelihood.forward(noisy, ctx.mu, ctx.sigma, q)
     R_anchor, saved_anchors = anchor_rate.forward(*split(bits, design), mask)
     (R_hash, _, _), saved_grids = hash_rate.forward(grids)
-    rates, saved_rates = rate_loss.forward(R_anchor, R_hash, noisy.size)
+    rates, saved_rates = rate_loss.forward(R_anchor, R_hash + R_networks, noisy.size)
     return rates, (saved_bits, saved_anchors, saved_grids, saved_rates)
 
 

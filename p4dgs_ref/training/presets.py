@@ -52,6 +52,8 @@ class Preset(NamedTuple):
     lambda_rate: float = 1e-3
     coded: bool = False  # the coded design, in a file of version 2; it goes beyond the paper
     position_bits: int = 16  # of an anchor's position, per axis; fewer only in the coded design
+    lambda_networks: float = 1.0  # price of a bit of a coded network beside one of an anchor (B1)
+    rounding_from: int = 0  # before, coded networks get noise; from here on they are rounded
     # stages and loss
     stage_ends: tuple[int, ...] = (3000, 5000, 10_000, 40_000)
     lambda_ssim: float = 0.2
@@ -74,6 +76,7 @@ class Preset(NamedTuple):
     lr_grid: tuple[float, ...] = (0.0016, 1e-5)
     lr_p: tuple[float, ...] = (0.005, 1e-5)
     lr_q: tuple[float, ...] = (0.005, 1e-5)
+    lr_step: tuple[float, ...] = (0.0, 0.0)  # of the logarithms of coded networks' steps
     # growing, pruning and masking
     grow: str = "scaffold"  # "scaffold", "reseed" or "off"
     grow_from: int = 1500
@@ -112,6 +115,7 @@ SOURCES = {
     **dict.fromkeys(("opacity_bias", "upright", "deformation_gain"), "off, as the parents (Q28)"),
     "lambda_rate": "HAC (Q12)",
     "coded": "off, as the paper",
+    **dict.fromkeys(("lambda_networks", "rounding_from", "lr_step"), "unused, as the paper"),
     "position_bits": "ours (Q14)",
     "lambda_ssim": "3DGS (Q13)",
     **dict.fromkeys(("sparse_share", "sparse_ssim", "sparse_lr_c"), "off, as the paper (Q13)"),
@@ -190,6 +194,15 @@ TINY = Preset(
     collect_from=0,
     mask_from=1800,
 )
+# It goes beyond the paper: its networks and positions pay for their bits (B1, B2).
+TINY_CODED = TINY._replace(
+    name="tiny_coded",
+    coded=True,
+    position_bits=10,
+    lambda_networks=0.5,
+    rounding_from=2700,
+    lr_step=(0.02, 0.002),
+)
 # The points of a real scene know its depth, which few cameras cannot measure: anchors keep it.
 TINY_REAL = TINY._replace(name="tiny_real", lr_x=PAPER_REAL.lr_x)
 # For tests; published files were made with its learning rates.
@@ -221,7 +234,8 @@ SMOKE = TINY._replace(
 )
 
 PRESETS: dict[str, Preset] = {
-    preset.name: preset for preset in (PAPER_SYNTHETIC, PAPER_REAL, TINY, TINY_REAL, SMOKE)
+    preset.name: preset
+    for preset in (PAPER_SYNTHETIC, PAPER_REAL, TINY, TINY_CODED, TINY_REAL, SMOKE)
 }
 
 

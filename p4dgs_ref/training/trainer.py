@@ -7,7 +7,7 @@ import numpy as np
 from ..equations import hash_grid
 from ..model import Anchors, Model, bounding_box, snap, split
 from ..splatting.settings import FAST
-from . import density, objective
+from . import coded_networks, density, objective
 from .adam import exponential
 from .finite import NotFinite, find_first
 from .initial import design_of, initial_parameters
@@ -29,9 +29,10 @@ LEARNING_RATES = {
     "psi_p": "lr_p",
     "psi_q": "lr_q",
     "grid": "lr_grid",
+    "log_step": "lr_step",
 }
 # The stage in which an array first takes part; all others take part in all stages.
-FIRST_STAGE = {"psi_d": 3, "psi_t": 3, "psi_p": 4, "psi_q": 4, "grid": 4}
+FIRST_STAGE = {"psi_d": 3, "psi_t": 3, "psi_p": 4, "psi_q": 4, "grid": 4, "log_step": 4}
 UNLIKE = 0.1  # difference of a channel from which on a pixel is unlike the background
 
 
@@ -55,6 +56,7 @@ def assemble(p, design, mask, box, background):
         grids=[grid.astype(float) for grid in p.listed("grid")],
         box=box or bounding_box(x_a),
         background=np.asarray(background, float),
+        steps=coded_networks.learned_steps(p["log_step"], networks) if design.coded else None,
     )
 
 
@@ -87,6 +89,9 @@ class Trainer(Loop):
         super().adopt(parameters)
         self.networks = {name: parameters.network(name) for name in self.design.layers()}
         self.grids = parameters.listed("grid")
+        self.layout = (
+            coded_networks.Layout(parameters, self.networks) if self.design.coded else None
+        )
 
     @cached_property
     def sparse(self):
@@ -134,7 +139,21 @@ class Trainer(Loop):
             lambda_ssim=preset.sparse_ssim if self.starts_sparse else preset.lambda_ssim,
             lambda_volume=preset.lambda_volume,
             settings=self.settings,
+            coded=self.coded(),
+            lambda_networks=preset.lambda_networks,
         )
+
+    def coded(self):
+        """The layout of coded networks and their noise, which is None where they are rounded."""
+        if self.layout is None or self.stage < 4:
+            return None
+        if self.iteration >= self.preset.rounding_from:
+            return self.layout, None
+        return self.layout, self.noise(len(self.layout.tensor))
+
+    def noise(self, *shape):
+        """Uniform noise in [-1/2, 1/2)."""
+        return self.rng.random(shape, np.float32) - np.float32(0.5)
 
     def gradients_of(self, view):
         """The Losses of a view, what was Seen, and the gradients of parameters and of mean2d.
@@ -143,8 +162,10 @@ class Trainer(Loop):
         """
         if self.stage == 4 and not self.box:
             self.freeze_positions()
+            if self.design.coded:
+                self.parameters["log_step"][...] = coded_networks.first_log_steps(self.networks)
         p = self.parameters
-        u = self.rng.random((len(self.mask), sum(self.design.widths)), np.float32) - np.float32(0.5)
+        u = self.noise(len(self.mask), sum(self.design.widths))
         moments = self.moments_of(view)
         inputs = (p, self.design, self.networks, self.grids, self.fixed(), view, u, moments)
         losses, seen, saved = objective.forward(*inputs)

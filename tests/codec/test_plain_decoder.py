@@ -116,4 +116,4 @@ def test_it_is_short_and_uses_nothing_of_the_package():
     names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
     names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
     assert names == {"json", "struct", "zlib", "bisect", "itertools", "math", "pathlib"}
-    assert sum(isinstance(node, ast.stmt) for node in nodes) <= 300
+    assert sum(isinstance(node, ast.stmt) for node in nodes) <= 380  # of both versions

@@ -3,6 +3,7 @@
 import json
 import struct
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -84,12 +85,24 @@ def rows_of(anchors):
 
 
 def test_sorting_keeps_every_anchor_with_its_attributes():
-    model = coded(16, anchors=40)
+    model = in_steps_of_both_versions(coded(16, anchors=40))
     paper = model.design._replace(coded=False)
     one = quantise(changed_design(model, paper)).model.anchors
     two = quantise(model).model.anchors
     assert not np.array_equal(one.x_a, two.x_a)
     assert np.array_equal(rows_of(one), rows_of(two))
+
+
+def in_steps_of_both_versions(model):
+    """The model with weights that are multiples of 1/64, which is the step of code 144."""
+    networks = {
+        name: tuple([np.rint(64 * a) / 64 for a in arrays] for arrays in pair)
+        for name, pair in model.networks.items()
+    }
+    steps = {
+        name: (np.full(len(W), 144), np.full(len(b), 144)) for name, (W, b) in networks.items()
+    }
+    return replace(model, networks=networks, steps=steps)
 
 
 def changed_design(model, design):

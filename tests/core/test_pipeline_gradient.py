@@ -12,7 +12,7 @@ from p4dgs_ref.scenes.scene import MODEL_EFFECTS, View
 from p4dgs_ref.splatting import fast, tiles
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, FAST
-from p4dgs_ref.training import objective
+from p4dgs_ref.training import coded_networks, objective
 from p4dgs_ref.training.initial import design_of, initial_parameters
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import SMOKE
@@ -103,6 +103,19 @@ def hold(p, design, fixed, view, u, monkeypatch):
         return h, read_grids(located, base)[1]
 
     smooth_rate, (_, saved_rate) = surrogate(base), hash_rate.forward(base)
+    coding = {}
+    if fixed.coded:  # scales carry no gradient, and steps move off their lattice
+        layout, log_step = fixed.coded[0], p["log_step"].copy()
+        steps = coded_networks.steps_of(log_step)
+        step = steps[layout.tensor]
+        w = p.vector[layout.part]
+        b = coded_networks.scales(layout.noisy.vector / step, layout)
+        error = np.rint(w / step) - w / step
+        coding = {
+            (coded_networks, "scales"): lambda k, layout: b,
+            (coded_networks, "steps_of"): lambda moved: steps * np.exp(moved - log_step),
+            (np, "rint"): lambda k: k + error,
+        }
     return {
         (masking, "forward"): gather,
         # x and t are told apart by their number of columns
@@ -110,6 +123,7 @@ def hold(p, design, fixed, view, u, monkeypatch):
         (fast, "bin_splats"): lambda *args: lists[0],
         (hash_grid, "query"): query,
         (hash_rate, "forward"): lambda grids: (smooth_rate(grids), saved_rate),
+        **coding,
     }
 
 
@@ -179,6 +193,17 @@ def test_every_array_with_the_time_net_and_skip_of_d3dgs(monkeypatch):
     options = dict(deformation=(9, 8, 7), time_net=(6, 4), skip=True)
     names = check(*setting(changes=options), monkeypatch)
     assert {"psi_d.W2", "psi_t.W0", "psi_t.b1"} <= set(names)
+
+
+@pytest.mark.parametrize("rounded", [False, True])
+def test_every_array_with_coded_networks(rounded, monkeypatch):
+    """With noise, and with the error of rounding in its place, as straight-through assumes."""
+    p, design, fixed, view, u = setting(changes=dict(coded=True), seed=2)
+    layout = coded_networks.Layout(p, design.layers())
+    v = None if rounded else np.random.default_rng(3).random(len(layout.tensor)) - 0.5
+    fixed = fixed._replace(coded=(layout, v), lambda_networks=0.3)
+    names = check(p, design, fixed, view, u, monkeypatch)
+    assert set(names) == set(p.arrays)
 
 
 def test_exact_settings_give_the_same_gradient():

@@ -55,6 +55,7 @@ def test_paper_presets_hold_the_numbers_that_the_paper_prints():
             lr_grid=0.0016,
             lr_p=0.005,
             lr_q=0.005,
+            lr_step=0,
         )
 
 

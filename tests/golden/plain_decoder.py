@@ -131,36 +131,73 @@ def read_header(body, size, version):
         raise ValueError("header", "a field that is missing, unknown or out of range") from error
 
 
-def read_networks(sections, h, widths):
+def read_networks(sections, h, widths, version):
     """The numbers of every section {name: numbers}, and (widths, numbers) of psi_p and psi_q."""
     geometry = h["d"] + 4 * ("view_geometry" in h["effects"])
     color = h["d"] + 4 * ("view_color" in h["effects"])
-    time = [1 + 2 * h["L_t"], *h.get("time_net", [])]
-    encoded = 3 * (1 + 2 * h["L_x"]) + time[-1]
-    heads = sum(HEADS.get(effect, 0) for effect in h["effects"])
-    features = len(h["grid"]) * h["F"]
     outputs = ((geometry, 1), (color, 3), (geometry, 4), (geometry, 3))  # per child
-    anchor_mlps = [(inputs, *h["hidden"], n * h["k"]) for inputs, n in outputs]
-    context_mlps = [(features, *h["context"], n) for n in (2 * sum(widths), 4)]
-    # Three heads side by side have as many numbers as one with all their outputs.
-    deformation_mlp = [(encoded, *h["deformation"], heads), time] if heads else []
-    if heads and h.get("skip"):
-        # `encoded` more rows of one layer, and no bias: the numbers of a layer with one input less.
-        deformation_mlp.append((encoded - 1, h["deformation"][len(h["deformation"]) // 2 + 1]))
+    features = len(h["grid"]) * h["F"]
+    nets = {
+        "anchor_mlps": [(inputs, *h["hidden"], n * h["k"]) for inputs, n in outputs],
+        "context_mlps": [(features, *h["context"], n) for n in (2 * sum(widths), 4)],
+    }
+    layers = {
+        name: [layer for net in of for layer in zip(net, net[1:])] for name, of in nets.items()
+    }
+    layers["deformation_mlp"] = layers_of_deformation(h)
     numbers = {}
-    for name, networks in (
-        ("anchor_mlps", anchor_mlps),
-        ("deformation_mlp", deformation_mlp),
-        ("context_mlps", context_mlps),
-    ):
-        counts = [sum((I + 1) * J for I, J in zip(net, net[1:])) for net in networks]
+    for name in layers:
+        counts = [(I + 1) * J for I, J in layers[name]]
         body = sections.get(name, b"")
-        valid = (name in sections) == bool(networks) and len(body) == 2 * sum(counts)
-        need(valid, name, "length")
-        numbers[name] = struct.unpack(f"<{sum(counts)}e", body)
+        need((name in sections) == bool(counts), name, "presence")
+        if version == 2:
+            numbers[name] = read_weights(body, layers[name], name) if counts else []
+        else:
+            need(len(body) == 2 * sum(counts), name, "length")
+            numbers[name] = struct.unpack(f"<{sum(counts)}e", body)
         need(all(map(isfinite, numbers[name])), name, "a weight is not finite")
-    of_psi_p, of_psi_q = numbers[name][: counts[0]], numbers[name][counts[0] :]
-    return numbers, (context_mlps[0], of_psi_p), (context_mlps[1], of_psi_q)
+    of_psi_p, of_psi_q = nets["context_mlps"]
+    end = sum((I + 1) * J for I, J in zip(of_psi_p, of_psi_p[1:]))
+    context = numbers["context_mlps"]
+    return numbers, (of_psi_p, context[:end]), (of_psi_q, context[end:])
+
+
+def layers_of_deformation(h):
+    """(inputs, outputs) of the layers of psi_d, whose heads are the last, and of psi_t."""
+    heads = [n for effect, n in HEADS.items() if effect in h["effects"]]
+    if not heads:
+        return []
+    time = [1 + 2 * h["L_t"], *h.get("time_net", [])]
+    inputs = 3 * (1 + 2 * h["L_x"]) + time[-1]
+    rows = [inputs, *h["deformation"]]
+    layers = [*zip(rows, rows[1:]), *((rows[-1], n) for n in heads)]
+    if h.get("skip"):
+        after = len(h["deformation"]) // 2 + 1
+        layers[after] = inputs + layers[after][0], layers[after][1]
+    return layers + [*zip(time, time[1:])]
+
+
+def read_weights(body, layers, section):
+    """The numbers of a section of networks in version 2."""
+    count = 4 * len(layers)
+    need(len(body) >= count, section, "steps and levels")
+    units = [(16 + s % 16) * 2.0 ** (s // 16 - 19) for s in body[:count:2]]
+    levels = [t - 8 for t in body[1:count:2]]
+    need(max(levels) <= 19, section, "level")
+    cum, n, lowest, _ = gaussian(0, 0)
+    codes, at = read_message(body, count, [(cum, n + 1)] * sum(map(sum, layers)), section)
+    need(max(codes) < n, section, "a code outside its table")
+    codes = [lowest + code for code in codes][::-1]
+    pairs, steps = [], []
+    for i, (I, J) in enumerate(layers):
+        rows, columns = ([codes.pop() for _ in range(size)] for size in (I, J))
+        scales = [levels[2 * i] + r + c for r in rows for c in columns]
+        pairs += [(0, clip(16 * scale, -128, 319)) for scale in scales]
+        pairs += [(0, 16 * levels[2 * i + 1])] * J
+        steps += [units[2 * i]] * (I * J) + [units[2 * i + 1]] * J
+    symbols = read_gaussian(body[at:], pairs, section)
+    need(max(map(abs, symbols)) <= 32767, section, "a symbol beyond 32767")
+    return [symbol * step for symbol, step in zip(symbols, steps)]
 
 
 def run_network(x, widths, numbers):
@@ -386,7 +423,7 @@ def decode(data):
     """Every array of a file, {name: flat list}, row by row."""
     sections = read_container(data)
     h, T, widths = read_header(sections["header"], sum(map(len, sections.values())), data[8])
-    numbers, psi_p, psi_q = read_networks(sections, h, widths)
+    numbers, psi_p, psi_q = read_networks(sections, h, widths, data[8])
     A, k, n, F = h["anchors"], h["k"], sum(widths), h["F"]
     body = sections["positions"]
     need(len(body) >= 24, "positions", "length")

@@ -1,0 +1,146 @@
+"""The networks of version 2: integers times a step, coded with scales of rows and columns (B1).
+
+A tensor is the weights W (I rows, J columns) or the biases b of a layer; b is a matrix of J rows
+and one column. A section has the tensors of its networks in the order of version 1: W and b of the
+first layer, W and b of the second, and so on; heads without outputs are left out. It consists of
+
+    2 bytes each    for every tensor its step s, 0 to 255, and its level t plus 8, 0 to 27
+    a message       (`rans.py`) of the row codes r (I numbers) and then the column codes c (J) of
+                    every W, tensor by tensor. They are whole numbers from -13 to 13, each coded
+                    with the table of mu_units = 0 and sigma_units = 0 (`gaussian_table.py`) and
+                    never with its escape
+    a stream        (`streams.py`, Gaussian) of the symbols n of all tensors, from -32767 to 32767,
+                    row by row
+
+A symbol of row i and column j is coded with
+
+    mu_units = 0        sigma_units = clip(16 (t + r_i + c_j), -128, 319)
+
+so its deviation is 2^(t + r_i + c_j). Biases have no codes; r and c are 0 there. The number is
+
+    n (16 + s mod 16) 2^(floor(s / 16) - 19)
+
+which is exact: n has 15 bits and the step 5. Only these numbers are computed further; whatever is
+said about the float16 numbers of version 1 holds for them.
+
+An encoder may choose t, r and c. This one changes them in turn, four times each, to those that need
+the fewest bits, with r and c from -6 to 6.
+
+Worked numbers. s = 186 is the step 26 2^-8 = 0.1015625, and the symbol -3 is -0.3046875. With
+t = 1, r = -1 and c = 2 its sigma_units are 32: a deviation of 4 symbols.
+"""
+
+from functools import cache
+
+import numpy as np
+
+from ..model import step_of_code
+from . import rans
+from .container import require
+from .gaussian_table import SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, gaussian_model
+from .quantise import MOST_STEPS
+from .streams import decode_symbols, encode_gaussian, find_entries, ideal_bits_gaussian
+
+LEVELS = np.arange(SIGMA_MIN >> SIGMA_BITS, (SIGMA_MAX >> SIGMA_BITS) + 1)
+CODES = np.arange(-6, 7)  # that the encoder tries
+SWEEPS = 4
+MOST = 1024  # magnitudes whose cost the encoder knows; larger ones count as the largest of them
+
+
+def write_weights(networks, steps):
+    """The section of networks whose numbers are multiples of their tensors' steps.
+
+    `networks` and `steps` are some of `Model.networks` and `Model.steps`.
+    """
+    head, codes, scales, symbols = [], [], [], []
+    layers = [layer for name in networks for layer in zip(*networks[name], *steps[name])]
+    for W, b, step_W, step_b in layers:
+        for a, step in ((W, step_W), (b[:, None], step_b)):
+            n = np.rint(a / step_of_code(step)).astype(np.int64)
+            t, r, c = fit(n, a is W)
+            head += [step, t - LEVELS[0]] if a.size else []
+            codes += [r, c] if a is W and a.size else []
+            scales.append((t + r[:, None] + c).ravel())
+            symbols.append(n.ravel())
+    codes, scales, symbols = (np.concatenate(parts) for parts in (codes, scales, symbols))
+    tables = gaussian_model(0 * codes, 0 * codes)
+    message = rans.encode(find_entries(codes, tables)[0], tables.keys)
+    return bytes(head) + message + encode_gaussian(symbols, 0 * symbols, sigma_units(scales))
+
+
+def read_weights(data, section, shapes):
+    """The networks in a section and the codes of their steps, from the shapes of their layers.
+
+    Raises BitstreamError for data that `write_weights` does not write.
+    """
+    layers = [layer for network in shapes.values() for layer in network]
+    full = np.array([J > 0 for _, J in layers])
+    start = 4 * int(full.sum())
+    require(len(data) >= start, section, len(data), "the data end before the last level")
+    raw = np.frombuffer(data, np.uint8, start)
+    at = 2 * int((raw[1::2] < len(LEVELS)).argmin()) + 1
+    require(raw[at] < len(LEVELS), section, at, f"expected levels of at most {len(LEVELS) - 1}")
+    head = np.zeros((len(layers), 2, 2), np.int64)  # step and level of W and b
+    head[full] = raw.reshape(-1, 2, 2)
+    steps, levels = head[:, :, 0], head[:, :, 1] + LEVELS[0]
+
+    lengths = [length for I, J in layers for length in (I if J else 0, J)]
+    zeros = np.zeros(sum(lengths), np.int64)
+    tables = gaussian_model(zeros, zeros)
+    entries, at = rans.decode(data, tables.table, tables.keys, start, section)
+    require((entries < tables.blocks[0]).all(), section, start, "a code beyond +-13")
+    codes = iter(np.split(tables.lowest + entries, np.cumsum(lengths)))
+    scales = []
+    for (_, J), (t_W, t_b) in zip(layers, levels):
+        scales += [(t_W + next(codes)[:, None] + next(codes)).ravel(), np.full(J, t_b)]
+    sigma = sigma_units(np.concatenate(scales))
+    symbols = decode_symbols(data, gaussian_model(0 * sigma, sigma), section, at=at)
+    require(
+        np.abs(symbols).max(initial=0) <= MOST_STEPS,
+        section,
+        at,
+        f"expected symbols within +-{MOST_STEPS}",
+    )
+    sizes = [len(part) for part in scales]
+    numbers = symbols * np.repeat(step_of_code(steps.ravel()), sizes)
+    arrays = iter(np.split(numbers, np.cumsum(sizes)))
+    of_network = iter(np.split(steps.T, np.cumsum([len(v) for v in shapes.values()]), axis=1))
+    networks = {}
+    for name, network in shapes.items():
+        pairs = [(next(arrays).reshape(shape), next(arrays)) for shape in network]
+        networks[name] = [W for W, _ in pairs], [b for _, b in pairs]
+    return networks, {name: tuple(next(of_network)) for name in shapes}
+
+
+def sigma_units(scales):
+    """The sigma_units of symbols from the binary logarithms of their deviations, integers."""
+    return np.clip(scales << SIGMA_BITS, SIGMA_MIN, SIGMA_MAX)
+
+
+@cache
+def costs():
+    """Bits, in units of 1/256, of magnitudes at every level [28, MOST] and of CODES [13]."""
+    scales = np.repeat(LEVELS, MOST)
+    magnitudes = np.tile(np.arange(MOST), len(LEVELS))
+    bits = ideal_bits_gaussian(magnitudes, 0 * scales, sigma_units(scales)).reshape(-1, MOST)
+    price = ideal_bits_gaussian(CODES, 0 * CODES, 0 * CODES)
+    return np.rint(256 * bits), np.rint(256 * price)  # whole numbers: their sums are exact
+
+
+def fit(symbols, coded):
+    """The level, row codes [I] and column codes [J] of symbols [I, J]; only 0 unless `coded`."""
+    bits, price = costs()
+    magnitudes = np.minimum(np.abs(symbols), MOST - 1)
+
+    def cost(scales):
+        return bits[np.clip(scales, LEVELS[0], LEVELS[-1]) - LEVELS[0], magnitudes]
+
+    r, c = (np.zeros(length, np.int64) for length in symbols.shape)
+    for _ in range(SWEEPS):
+        t = LEVELS[np.argmin([cost(t + r[:, None] + c).sum() for t in LEVELS])]
+        if coded:
+            of_rows = [cost(t + code + 0 * r[:, None] + c).sum(axis=1) for code in CODES]
+            r = CODES[np.argmin(of_rows + price[:, None], axis=0)]
+            of_columns = [cost(t + r[:, None] + code + 0 * c).sum(axis=0) for code in CODES]
+            c = CODES[np.argmin(of_columns + price[:, None], axis=0)]
+    return int(t), r, c

@@ -1,0 +1,100 @@
+"""Networks that pay for their bits, from stage 4 of training on (B1).
+
+A tensor is the weights or the biases of a layer. Each has a step, whose logarithm is learned. At
+first its numbers get noise of that step, later they are rounded to multiples of it. Both are
+Eq. (7): the error of rounding takes the place of the noise, and gradients pass straight through it.
+Equation `weight_bits` says what the numbers cost, and `scales` under which densities.
+"""
+
+import numpy as np
+
+from ..equations import noise, weight_bits
+from ..model import first_steps, step_code, step_of_code
+from .parameters import Parameters
+
+SHARED = 4.0  # the mean of a tensor counts like so many numbers of each row and column
+LEAST_SCALE = 0.4  # of a density, in steps: the pull towards 0 is at most 1 / LEAST_SCALE a step
+
+
+class Layout:
+    """Where the networks are in Parameters, and room for what noise or rounding makes of them."""
+
+    def __init__(self, p, names):
+        arrays = {name: a for name, a in p.arrays.items() if name.startswith("psi_")}
+        self.noisy = Parameters(arrays, p.vector.dtype)
+        self.networks = {name: self.noisy.network(name) for name in names}
+        self.part = p.part("psi_")
+        # Biases [J] are a matrix of one column.
+        shapes = [(*a.shape, 1)[:2] for a in arrays.values()]
+        self.tensor = np.repeat(np.arange(len(shapes)), [I * J for I, J in shapes])
+        self.row, self.column, rows, columns = [], [], 0, 0
+        for I, J in shapes:
+            self.row.append(np.repeat(np.arange(rows, rows + I), J))
+            self.column.append(np.tile(np.arange(columns, columns + J), I))
+            rows, columns = rows + I, columns + J
+        self.row, self.column = np.concatenate(self.row), np.concatenate(self.column)
+
+
+def first_log_steps(networks):
+    """Logarithms [T] of the steps before they are learned, tensors in the order of Parameters."""
+    codes = [np.stack(pair, axis=1).ravel() for pair in first_steps(networks).values()]
+    return np.log(step_of_code(np.concatenate(codes)))
+
+
+def learned_steps(log_step, networks):
+    """The codes of learned steps in the form of `Model.steps`."""
+    ends = np.cumsum([2 * len(weights) for weights, _ in networks.values()])
+    codes = np.split(step_code(np.exp(log_step)), ends[:-1])
+    return {name: (part[::2], part[1::2]) for name, part in zip(networks, codes)}
+
+
+def steps_of(log_step):
+    """The steps that a file can hold next to the learned ones; the gradient passes straight."""
+    return step_of_code(step_code(np.exp(log_step)))
+
+
+def means(a, index, mean):
+    """The mean of the magnitudes a [n] that share an index, together with SHARED times `mean`."""
+    count = np.bincount(index) + SHARED
+    return (np.bincount(index, a)[index] + SHARED * mean) / count[index]
+
+
+def scales(k, layout):
+    """The scale [n] of the density of each weight k [n], in steps.
+
+    It is r c / m with the mean magnitudes m of the tensor, r of the weight's row and c of its
+    column. It is an estimate, through which no gradient flows: the best scale has none.
+    """
+    a = np.abs(k)
+    m = (np.bincount(layout.tensor, a) / np.maximum(np.bincount(layout.tensor), 1))[layout.tensor]
+    r, c = means(a, layout.row, m), means(a, layout.column, m)
+    return np.maximum(r * c / np.maximum(m, 1e-9), LEAST_SCALE).astype(k.dtype)
+
+
+def forward(p, layout, u=None):
+    """Return the bits of all networks, the networks with noise u [n], and what `backward` needs.
+
+    Without noise they are rounded.
+    """
+    w = p.vector[layout.part]
+    step = steps_of(p["log_step"])[layout.tensor].astype(w.dtype)
+    if u is None:
+        u = np.rint(w / step) - w / step
+    noisy, saved_noise = noise.forward(w[:, None], u[:, None], step[:, None])
+    layout.noisy.vector[:] = noisy[:, 0]
+    w = layout.noisy.vector
+    bits, saved_bits = weight_bits.forward(w, step, scales(w / step, layout))
+    return bits.sum(dtype=np.float64), layout.networks, (layout, step, saved_noise, saved_bits)
+
+
+def backward(saved, gradients, R_networks_bar):
+    """Turn the gradients of the noisy networks into those of p, and add those of the bits."""
+    layout, step, saved_noise, saved_bits = saved
+    of_bits = weight_bits.backward(saved_bits, np.full_like(step, R_networks_bar))
+    noisy_bar = gradients.vector[layout.part] + of_bits["w"]
+    bars = noise.backward(saved_noise, noisy_bar[:, None])
+    gradients.vector[layout.part] = bars["f"][:, 0]
+    log_step_bar = (bars["q"][:, 0] + of_bits["step"]) * step
+    gradients["log_step"][...] = np.bincount(
+        layout.tensor, log_step_bar, len(gradients["log_step"])
+    )
