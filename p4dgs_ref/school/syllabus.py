@@ -58,6 +58,7 @@ TUTORIALS = (
     Tutorial("25_effects", lit=("view", "color", "deformation", "deformed", "compositing")),
     Tutorial("26_video_codec_analogy"),
     Tutorial("27_rate_distortion", lit=("total_loss", "rate_loss", "file")),
+    Tutorial("28_four_ways_to_move", lit=("offsets", "deformation", "deformed", "file")),
 )
 
 
