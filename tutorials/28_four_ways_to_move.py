@@ -5,7 +5,7 @@
 # what one picture costs, and where each of them fails, and you can read a rate-distortion
 # comparison without being misled. **Before it:** `07_noise_and_rounding`, `08_step`,
 # `10_prior_and_likelihood`, `15_compositing`, `16_pipeline_by_hand`. **Takes** fifteen seconds on
-# two cores, 50 minutes of reading and 30 of exercises.
+# two cores, 60 minutes of reading and 30 of exercises.
 #
 # **Files:** [deformation.py](../p4dgs_ref/equations/deformation.py),
 # [deformation_d3dgs.py](../p4dgs_ref/equations/deformation_d3dgs.py),
@@ -16,13 +16,11 @@
 # [rate_distortion.py](../p4dgs_ref/studies/rate_distortion.py).
 
 # %%
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from p4dgs_ref import baselines, load_scene, oracle
+from p4dgs_ref import load_scene, oracle
 from p4dgs_ref.baselines import (
     conditional,
     d3dgs,
@@ -55,7 +53,7 @@ architecture.show("28_four_ways_to_move")
 #
 # | method | each Gaussian stores | all Gaussians share | its motion |
 # |---|---|---|---|
-# | P-4DGS | a share of an anchor, coded | networks, hash grid, $\psi_d$ | a curve that $\psi_d$ gives |
+# | P-4DGS | a share of an anchor | networks, hash grid, $\psi_d$ | a curve that $\psi_d$ gives |
 # | D3DGS | 59 numbers | $\psi_d$, larger than ours | likewise |
 # | 4DHexPlane | 59 numbers | six planes, a small network | a curve from node to node |
 # | 4DGS | 161 numbers | nothing | a straight line, seen for a short time |
