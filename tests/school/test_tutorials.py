@@ -480,4 +480,4 @@ def test_gallery_that_grows_too_large_is_refused(tmp_path, monkeypatch):
 
 def test_unknown_tutorial_is_refused():
     with pytest.raises(SystemExit, match="expected numbers of tutorials"):
-        syllabus.main(["28"])
+        syllabus.main(["29"])
