@@ -277,7 +277,7 @@ _ROWS = (
 EQUATIONS: dict[str, Equation] = {row.key: row for row in _ROWS}
 
 
-def rows():
+def rows(equations=EQUATIONS):
     """One row {number, key, file, formula} for every equation."""
     return [
         {
@@ -286,14 +286,14 @@ def rows():
             "file": eq.module.replace(".", "/") + ".py",
             "formula": eq.formula,
         }
-        for eq in EQUATIONS.values()
+        for eq in equations.values()
     ]
 
 
-def table():
+def table(equations=EQUATIONS):
     """The table as Markdown, as tutorials/reference.md shows it."""
     lines = ["| no. | key | file | formula |", "|---|---|---|---|"]
-    for row in rows():
+    for row in rows(equations):
         formula = row["formula"].replace("|", "\\|")  # a bare bar would end the column
         lines.append(f"| {row['number']} | `{row['key']}` | `{row['file']}` | `{formula}` |")
     return "\n".join(lines)

@@ -423,10 +423,11 @@ def write_heat(arguments, data, folder):
 
 
 def equations(arguments):
-    """Print the table of equations."""
+    """Print the table of equations, the baselines' too."""
     from .. import table
+    from ..baselines.table import ALL_EQUATIONS
 
-    show(arguments, {"equations": table.rows()}, table.table())
+    show(arguments, {"equations": table.rows(ALL_EQUATIONS)}, table.table(ALL_EQUATIONS))
 
 
 def presets(arguments):

@@ -507,7 +507,9 @@ ORACLE = {
                 choices=("L0", "L1", "L2", "L3", "L4"),
                 help="check only this level; may be repeated",
             ),
-            several("--only", "NAME", "check only this equation or subject; may be repeated"),
+            several(
+                "--only", "NAME", "check only this equation, subject or group; may be repeated"
+            ),
             VECTORS,
             option(
                 "--strict",

@@ -7,7 +7,7 @@ import numpy as np
 from . import doctor, printed, published
 from .compare import Result, compare, expected, precision
 from .ports import FunctionPort, PortError
-from .published import FOLDER, LEVELS
+from .published import FOLDER, GROUPS, LEVELS
 from .report import text
 
 
@@ -28,10 +28,10 @@ class Report(NamedTuple):
         return next((r for r in wrong if r.findings), next(iter(wrong), None))
 
     def levels(self):
-        """Return {level: {passed, acceptable, of, says}} of the required cases."""
+        """Return {level or group: {passed, acceptable, of, says}} of the required cases."""
         found = {}
-        for level, says in LEVELS.items():
-            rows = [r for r in self.results if r.level == level and r.required]
+        for level, says in {**LEVELS, **GROUPS}.items():
+            rows = [r for r in self.results if (r.group or r.level) == level and r.required]
             if rows:
                 verdicts = [r.verdict for r in rows]
                 found[level] = {
@@ -69,7 +69,7 @@ def check_port(
 ):
     """Return a Report on a port, in the order in which data flows.
 
-    `levels` and `only` (subjects or equations) choose cases; empty, they choose all. `version` is
+    `levels` and `only` (subjects, equations or groups) choose cases; empty, all. `version` is
     that of the vectors: cases that joined later are left out. `strict` is that of `check`.
     """
     only = {only} if isinstance(only, str) else set(only)
@@ -84,7 +84,8 @@ def check_port(
             progress("codec")
             results += streams.check(port, {row["name"] for row in manifest["streams"]})
         for subject in manifest["subjects"]:
-            chosen = not only or {subject["key"], subject["equation"]} & only
+            names = {subject["key"], subject["equation"], subject.get("group")}
+            chosen = not only or names & only
             if subject["level"] == level and chosen:
                 progress(subject["key"])
                 results += check_subject(published.read(subject, folder), port, strict=strict)
@@ -92,13 +93,18 @@ def check_port(
 
 
 def check_subject(cases, port, roles=("out.", "in_bar."), strict=False):
-    """Return the results of one subject's cases. Wrong answers are explained by the doctor."""
+    """Return the results of one subject's cases. Wrong answers are explained by the doctor.
+
+    A port may leave out a subject of a group, but not some of its cases.
+    """
     results, answers = [], []
     for case in cases:
         result, got = judge(case, port, roles, strict)
         results.append(result)
         if got is not None and result.verdict in ("pass", "fail") and not result.recipe:
             answers.append(evidence(case, got, result))
+    if cases[0].group and all(r.verdict in ("skipped", "missing", "unasked") for r in results):
+        return [r._replace(required=False) for r in results]
     if not any(r.findings and not r.recipe for r in results):
         return results
     diagnoses = doctor.diagnose(cases[0].subject, answers)
@@ -112,7 +118,8 @@ def judge(case, port, roles=("out.", "in_bar."), strict=False):
     except PortError as error:
         required = case.record["result"] == "valid" and error.kind != "unasked"
         said = printable(str(error))
-        return Result(case.id, case.equation, case.level, error.kind, required, (), said), None
+        found = Result(case.id, case.equation, case.level, error.kind, required, (), said)
+        return found._replace(group=case.group), None
     return judge_answer(case, got, roles, strict), got
 
 
@@ -130,7 +137,8 @@ def judge_answer(case, got, roles=("out.", "in_bar."), strict=False):
         verdict = "fail" if is_valid and (mistaken or strict) else "acceptable"
     said = tuple(mistaken or findings), "", ""  # no explanation and no hint yet
     required = is_valid and bool(names)
-    return Result(case.id, case.equation, case.level, verdict, required, *said, unasked, recipe)
+    place = case.id, case.equation, case.level
+    return Result(*place, verdict, required, *said, unasked, recipe, case.group)
 
 
 def findings_of(case, got, names):

@@ -44,6 +44,7 @@ class Result(NamedTuple):
     hint: str = ""  # a known mistake that agrees with most of the wrong answers, not with all
     unasked: tuple = ()  # names of tensors that are not checked in this precision
     recipe: str = ""  # of the digits that an answer lacks which is as near as the printed formula
+    group: str = ""  # of subjects that a port may leave out
 
     @property
     def wrong(self):

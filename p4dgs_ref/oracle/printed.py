@@ -31,6 +31,10 @@ SSIM = (
     "1 - SSIM = mean(l + s - l s) with e = image - truth, l = mu_e^2 / (mu_x^2 + mu_y^2 + C1), "
     "s = var_e / (var_x + var_y + C2)"
 )
+CONDITIONAL = (
+    "Sigma_t = Y Y^T, where the rows of Y are those of R diag(s) for x, y and z without their "
+    "components along its last row"
+)
 RECIPES = {
     "tanh": TANH,
     "sigmoid": SIGMOID,
@@ -45,6 +49,9 @@ RECIPES = {
     "step": STEP,
     "ssim": SSIM,
     "render_loss": SSIM,
+    "activations": f"{SIGMOID}; {UNIT}",
+    "rotation_4d": UNIT,
+    "conditional": CONDITIONAL,
 }
 
 

@@ -23,6 +23,7 @@ LEVELS = {
     "L3": "the codec",
     "L4": "the pipeline",
 }
+GROUPS = {"baselines": "level L1"}  # of subjects that a port may leave out, with their level
 
 
 class Golden(NamedTuple):
@@ -35,6 +36,7 @@ class Golden(NamedTuple):
     level: str
     record: dict  # the case's record in the manifest
     tensors: dict  # {"in.x_a": array, "out.x": array, "scale.out.x": array, ...}
+    group: str = ""  # "baselines" where a port may leave the subject out
 
     def inputs(self):
         """Return the keyword arguments of forward: tensors, lists of tensors and settings."""
@@ -100,13 +102,14 @@ def subjects():
 
 
 def equations():
-    """Return the keys of all equations, in the order in which data flows."""
-    return [key for key, subject in subjects().items() if subject["level"] == "L1"]
+    """Return the keys of the paper's equations, in the order in which data flows."""
+    rows = subjects().items()
+    return [key for key, row in rows if row["level"] == "L1" and "group" not in row]
 
 
 def names():
-    """Return all names that `oracle check --only` accepts: every subject, and the codec."""
-    return sorted([*subjects(), "codec"])
+    """Return all names that `oracle check --only` accepts: subjects, groups, and the codec."""
+    return sorted([*subjects(), *GROUPS, "codec"])
 
 
 def cases(key):
@@ -145,6 +148,7 @@ def read(subject, folder=FOLDER):
                 subject["level"],
                 case,
                 tensors,
+                subject.get("group", ""),
             )
         )
     return found

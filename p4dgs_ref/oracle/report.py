@@ -3,7 +3,7 @@
 import json
 from collections import Counter
 
-from .published import subjects
+from .published import GROUPS, subjects
 
 SHOWN = 8  # names of failing cases of a subject, at most
 REASONS = 3  # explanations of a subject, at most
@@ -11,8 +11,10 @@ FEWER = "right formula, fewer digits here; the recipe is"
 
 
 def name_of(equation):
-    """Return `Eq. (11) likelihood`, or the key alone where the paper prints no number."""
+    """Return `Eq. (11) likelihood`, `D1 activations`, or the key alone where there is no number."""
     subject = subjects().get(equation)
+    if subject and "group" in subject:
+        return f"{subject['number']} {equation}"
     numbered = subject is not None and subject["number"][:1].isdigit()
     return f"Eq. ({subject['number']}) {equation}" if numbered else equation
 
@@ -22,7 +24,12 @@ def text(report):
     lines = []
     for level, row in report.levels().items():
         also = f", {row['acceptable']} acceptable" if row["acceptable"] else ""
-        lines.append(f"{level} {row['says']:<15} {row['passed']:>4} of {row['of']}{also}")
+        lines.append(f"{f'{level} ' + row['says']:<18} {row['passed']:>4} of {row['of']}{also}")
+    for group in GROUPS:
+        left = {r.id.split("/")[0] for r in report.results if r.group == group and not r.required}
+        left -= {r.id.split("/")[0] for r in report.results if r.required}
+        if left:
+            lines.append(f"{group}: {len(left)} equations left out, which is allowed")
     unasked = sum(r.verdict == "unasked" for r in report.results)
     tensors = sum(len(r.unasked) for r in report.results if r.verdict != "unasked")
     if unasked or tensors:

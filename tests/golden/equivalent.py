@@ -6,6 +6,10 @@ CULLED = (
     "because its results are replaced by zeros"
 )
 SYMMETRIC = "Sigma is symmetric in the domain, so its transpose is itself"
+ONE = "an array of ones is divided by instead of multiplied"
+DEGREES = "the number of coefficients is 1, 4, 9 or 16"
+LAST = "on and beyond the upper face both nodes of a cell are the last one, so its slope is 0"
+COUNTED = "the equation takes only the number of heads from here, their widths from the weights"
 BORDER = "at the border both formulas have all their digits"
 
 EQUIVALENT = {
@@ -35,5 +39,30 @@ EQUIVALENT = {
     "projection:backward:no-transpose:5": SYMMETRIC,
     "projection:backward:swap-arguments:10": SYMMETRIC,
     "compositing:alphas:int:5": "positive by rounding alone, which is part of every S",
+    "sh_color:backward:gte-gt:1": (
+        "differs where the colour is exactly 0, which the last digit of a constant decides"
+    ),
+    "sh_color:basis:mult-div:1": ONE,
+    "sh_color:basis:mult-div:3": ONE,
+    "sh_color:basis:mult-div:5": ONE,
+    "sh_color:basis:mult-div:7": ONE,
+    "sh_color:basis:gt-gte:1": DEGREES,
+    "sh_color:basis:int:1": DEGREES,
+    "sh_color:basis:gt-gte:2": DEGREES,
+    "sh_color:basis:int:8": DEGREES,
+    "deformation_d3dgs:skip_layer:int:2": "the skip comes after the middle, so never to layer 1",
+    "deformation_d3dgs:backward:true-false:3": (
+        "a product that `needs_x=False` saves is computed, but not used"
+    ),
+    "plane_features:forward:int:1": "all planes have the same number of features",
+    "plane_features:forward:int:13": "the size is a multiple of 4, and so is the last start",
+    "plane_features:forward:lt-lte:1": LAST,
+    "plane_features:forward:int:19": LAST,
+    "plane_decoder:HEADS:swap-items:1": COUNTED,
+    "plane_decoder:HEADS:int:1": COUNTED,
+    "plane_decoder:HEADS:int:2": COUNTED,
+    "plane_decoder:HEADS:int:3": COUNTED,
+    "plane_losses:forward:int:2": "all planes have the same precision",
+    "spherindrical:backward:true-false:1": ORDER,
     "window:WINDOW:sub-add:1": "two more zeros at the end of every row, which no slice reaches",
 }

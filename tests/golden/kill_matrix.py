@@ -19,12 +19,13 @@ from unittest.mock import patch
 import numpy as np
 import scipy.sparse
 
+from p4dgs_ref.baselines import plane_features
+from p4dgs_ref.baselines.table import ALL_EQUATIONS
 from p4dgs_ref.equations import grid_nodes, likelihood
 from p4dgs_ref.oracle import checker, doctor, published
 from p4dgs_ref.oracle.compare import compare
 from p4dgs_ref.splatting import compositing
 from p4dgs_ref.studies.precision import cast
-from p4dgs_ref.table import EQUATIONS
 from tests.golden.equivalent import EQUIVALENT
 from tests.golden.mistakes import MISTAKES
 from tests.golden.mistakes.place import in_place
@@ -74,6 +75,7 @@ def laboratory():
         np.errstate(all="ignore"),
         deadline(PATIENCE),
         patch.object(grid_nodes, "csr_matrix", checked_matrix),
+        patch.object(plane_features, "csr_matrix", checked_matrix),
     ):
         warnings.simplefilter("ignore")
         yield
@@ -188,8 +190,8 @@ def differs(case, got, dtype=np.float64):
 
 def of_mistake(judge, mistake):
     """Return (killed, named, explained) of a known mistake."""
-    if mistake.subject in EQUATIONS:
-        places = {(EQUATIONS[mistake.subject].module, "forward")}
+    if mistake.subject in ALL_EQUATIONS:
+        places = {(ALL_EQUATIONS[mistake.subject].module, "forward")}
     else:
         stage = subjects()[mistake.subject].vjp
         places = {(stage.__module__, stage.__name__)}

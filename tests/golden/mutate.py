@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import p4dgs_ref
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.baselines.table import ALL_EQUATIONS
 
 ROOT = Path(p4dgs_ref.__file__).parent
 # Files that serve an equation, or several.
@@ -110,7 +110,7 @@ class Mutation(NamedTuple):
 
 def files():
     """Return [(module, its equation)] of all files that are mutated."""
-    found = [(eq.module, key) for key, eq in EQUATIONS.items()]
+    found = [(eq.module, key) for key, eq in ALL_EQUATIONS.items()]
     return found + [(f"p4dgs_ref.equations.{name}", key) for name, key in HELPERS.items()]
 
 

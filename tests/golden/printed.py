@@ -19,6 +19,7 @@ from functools import partial
 
 import numpy as np
 
+from p4dgs_ref.baselines.rotation_4d import product
 from p4dgs_ref.oracle import published, safetensors
 from p4dgs_ref.oracle.compare import IMAGES, deviations
 from p4dgs_ref.oracle.printed import FILE
@@ -133,6 +134,36 @@ def render_loss(image, truth, lambda_ssim):
     return {"L_render": loss, "L1": L1, "D_SSIM": D_SSIM}
 
 
+def activations(log_s, raw_r, logit_alpha):
+    return {"s": log_s.exp(), "r": unit(raw_r), "alpha": logit_alpha.sigmoid()}
+
+
+def rotation_4d(raw_l, raw_r):
+    N = len(raw_l.array)
+    left, right = (
+        (unit(q) @ product(np.eye(4), side).reshape(4, 16)).reshape(N, 4, 4)
+        for q, side in ((raw_l, 1), (raw_r, -1))
+    )
+    return {"R": left @ right}
+
+
+def conditional(x, mu_t, s, R, t):
+    """The Schur complement A - b b^T / var_t."""
+    N = len(x.array)
+    M = R * s.reshape(N, 1, 4)
+    Sigma = M @ M.transposed()
+    space, time = np.eye(4)[:3], np.eye(4)[3:]
+    block = Sigma.of(space) @ Sigma @ space.T
+    b = Sigma.of(space) @ Sigma @ time.T
+    var_t = Sigma.of(time) @ Sigma @ time.T + 1e-24
+    moved = (b / var_t).reshape(N, 3) * (t - mu_t).reshape(N, 1)
+    return {
+        "x_t": x + moved,
+        "Sigma_t": block - b @ b.transposed() / var_t,
+        "var_t": var_t.reshape(N),
+    }
+
+
 FORMULAS = {
     "tanh": lambda y: {"alpha": y.tanh()},
     "sigmoid": lambda y: {"color": y.sigmoid().reshape(y.array.shape[0], 1, -1)},
@@ -147,6 +178,9 @@ FORMULAS = {
     "step": step,
     "ssim": ssim,
     "render_loss": render_loss,
+    "activations": activations,
+    "rotation_4d": rotation_4d,
+    "conditional": conditional,
 }
 
 

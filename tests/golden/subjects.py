@@ -1,12 +1,13 @@
 """All subjects of the vectors, in the order in which data flows.
 
-A subject is an equation of the table, or something that is called like one: a scalar function, a
-stage of several equations, the pipeline.
+A subject is an equation of the paper or of a baseline, or something that is called like one: a
+scalar function, a stage of several equations, the pipeline.
 """
 
 from functools import cache
 from typing import Callable, NamedTuple
 
+from p4dgs_ref.baselines.table import ALL_EQUATIONS, BASELINE_EQUATIONS
 from p4dgs_ref.oracle import tolerance
 from p4dgs_ref.table import EQUATIONS
 from tests.golden.cases import cases_of
@@ -65,6 +66,7 @@ class Subject(NamedTuple):
     steady: tuple = ()  # inputs that decide something, and are not changed to measure S
     even: tuple = ()  # tensors in which all numbers have the S of the largest
     twins: tuple = ()  # like `answer`: other right evaluations, whose errors are allowed too
+    group: str = ""  # of subjects that a port may leave out
 
     def __call__(self, **inputs):
         """Return {output: array}."""
@@ -81,8 +83,8 @@ def no_pullback(**cotangents):
 
 
 def equation(key):
-    """Return the subject of an equation of the table."""
-    row = EQUATIONS[key]
+    """Return the subject of an equation of the paper or of a baseline."""
+    row = ALL_EQUATIONS[key]
 
     def cases():
         yield from cases_of(key)
@@ -99,6 +101,7 @@ def equation(key):
         row.vjp,
         cases,
         CONSTANTS.get(key, {}),
+        group="baselines" if key in BASELINE_EQUATIONS else "",
     )
 
 
@@ -119,7 +122,7 @@ def subjects():
     found = [
         *scalars.SUBJECTS,
         *scalars_coding.SUBJECTS,
-        *(equation(key) for key in FLOW),
+        *(equation(key) for key in (*FLOW, *BASELINE_EQUATIONS)),
         *stages.SUBJECTS,
         *stages_coding.SUBJECTS,
         *kernel.SUBJECTS,

@@ -70,6 +70,11 @@ class Value:
         root = self.made(np.sqrt(self.array), (self, lambda bar: bar / (2 * root.array)))
         return root
 
+    def exp(self):
+        """Return the exponential."""
+        power = self.made(np.exp(self.array), (self, lambda bar: bar * power.array))
+        return power
+
     def tanh(self):
         """Return tanh, with the slope 1 - tanh**2."""
 
@@ -113,6 +118,10 @@ class Value:
     def mean(self):
         """Return the mean over everything."""
         return self.sum() / float(self.array.size)
+
+    def transposed(self):
+        """Return the matrices with their two axes exchanged."""
+        return self.made(self.array.swapaxes(-1, -2), (self, lambda bar: bar.swapaxes(-1, -2)))
 
     def reshape(self, *shape):
         """Return the value in another shape."""

@@ -34,6 +34,9 @@ WRITTEN = ("README.md", "LICENSE", "example_adapter.py", "model.p4dgs")
 IDS = Path(__file__).parent / "data" / "oracle_ids.csv"  # every case, its hash, since when
 # Cases in which another answer is defensible: they are reported, but not required.
 ACCEPTABLE = {
+    "sh_color/at_the_clamp": (
+        "the last digit of 0.28209479177387814 decides whether the colour is 0 or a little less"
+    ),
     "frames/paper_settings": (
         "the published kernel's rule: tiles of three sigma, mask at 1/255, stop before the splat"
     ),
@@ -102,9 +105,13 @@ def joining(id):
 
 
 def settings(inputs):
-    """Return the inputs that are no tensors: Python's numbers, strings and tuples."""
+    """Return the inputs that are no tensors: numbers, strings, tuples, and lists without arrays."""
     tensors = (list, np.ndarray, np.generic)
-    return {name: value for name, value in inputs.items() if not isinstance(value, tensors)}
+    return {
+        name: value
+        for name, value in inputs.items()
+        if not isinstance(value, tensors) or isinstance(value, list) and not value
+    }
 
 
 def says(case):
@@ -135,6 +142,7 @@ def subject_file(subject, kept):
     row = {
         "key": subject.key,
         "level": subject.level,
+        **({"group": subject.group} if subject.group else {}),
         "equation": subject.equation,
         "number": subject.number,
         "formula": subject.formula,

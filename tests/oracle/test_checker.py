@@ -144,6 +144,47 @@ def test_nothing_checked_is_not_success():
     assert not checker.Report([]).ok and "no required case" in str(checker.Report([]))
 
 
+# --- the group that a port may leave out --------------------------------------------------------
+def test_a_port_may_leave_out_a_baseline_but_not_some_of_its_cases(tmp_path):
+    port = ports.FolderPort(tmp_path)
+    (tmp_path / "activations.safetensors").write_bytes(safetensors.dump(answers("activations"))[0])
+    found = checker.check_port(port, ["L1"], "baselines")
+    passed = len(published.cases("activations"))
+    assert found.ok and found.levels().keys() == {"baselines"}
+    assert found.levels()["baselines"]["passed"] == found.levels()["baselines"]["of"] == passed
+    assert f"baselines level L1    {passed} of {passed}\n" in str(found)
+    assert "baselines: 9 equations left out, which is allowed" in str(found)
+    assert {r.verdict for r in found.results} == {"pass", "missing"}
+    got = {n: a for n, a in answers("marginal").items() if not n.startswith("flashes/")}
+    found = judge_folder(tmp_path, "marginal", got)
+    assert [r.id for r in found.results if r.wrong] == ["marginal/flashes"]
+
+
+def test_a_port_without_any_baseline_passes(tmp_path):
+    for key in published.equations():
+        (tmp_path / f"{key}.safetensors").write_bytes(safetensors.dump(answers(key))[0])
+    found = checker.check_port(ports.FolderPort(tmp_path), ["L1"])
+    assert found.ok and found.levels().keys() == {"L1"}
+    assert "baselines: 10 equations left out" in str(found) and found.first is None
+    (tmp_path / "view.safetensors").unlink()
+    assert checker.check_port(ports.FolderPort(tmp_path), ["L1"]).first.equation == "view"
+
+
+def test_a_process_may_skip_a_baseline():
+    class Skips:
+        def run(self, case):
+            raise ports.PortError("skipped", "not written yet")
+
+    assert not any(r.wrong for r in checker.check_subject(published.cases("marginal"), Skips()))
+    assert all(r.wrong for r in checker.check_subject(published.cases("view"), Skips()))
+
+
+def test_a_wrong_baseline_is_named_by_its_number(tmp_path):
+    got = broken("marginal", "ordinary/out.weight", lambda a: a + 1)
+    found = judge_folder(tmp_path, "marginal", got)
+    assert not found.ok and "first divergence: G3 marginal" in str(found)
+
+
 def test_the_first_divergence_is_where_data_flows_first(tmp_path):
     for key in ("offsets", "total_loss", "likelihood"):
         change = broken(

@@ -52,3 +52,12 @@ def cases():
         cotangents={"alpha_bar": np.ones(1)},
         expected={"alpha": np.ones(1), "logit_alpha_bar": np.exp([-50.0])},
     )
+    yield Case(
+        "far_logits",
+        dict(
+            log_s=np.array([[-30.0, 0, 30], [0, 0, 0], [1, 2, 3]]),
+            raw_r=np.array([[1e-9, 3e-9, 4e-9, -2e-9], [1e9, -1e9, 1, 2], [1, 2, -3, 0.1]]),
+            logit_alpha=np.array([40.0, -40, 0]),
+        ),
+        ("saturated", "extreme", "normalise"),
+    )

@@ -52,7 +52,7 @@ def cases():
     )
     yield Case(
         "lasting",
-        {**inputs, "var_t": np.full(5, 1e20)},
+        {**inputs, "var_t": np.full(5, 1e14)},
         ("extreme",),
         expected={"alpha_t": inputs["alpha"], "weight": np.ones(5)},
     )

@@ -18,25 +18,25 @@ def inputs(hidden, seed=24, N=5):
 
 
 def cases():
-    yield Case("ordinary", inputs((7,)))
-    yield Case("deeper", inputs((8, 9, 7)))
-    yield Case("no_gaussians", inputs((7,), N=0), ("empty",))
+    yield Case("ordinary", inputs((5,)))
+    yield Case("deeper", inputs((3, 4, 2)))
+    yield Case("no_gaussians", inputs((2,), N=0), ("empty",))
     hands = [np.array([[1.0, -1]]), *(np.eye(2), np.array([[1.0, 2, 3], [4, 5, 6]])) * 2]
     hands += [np.eye(2), np.array([[1.0, 2, 3, 4], [5, 6, 7, 8]])]
     yield Case(
-        "by_hand",  # h is (2, 0) and (0, 1): each row sees one row of the last weights
+        "by_hand",  # h is (2, 0), (0, 1) and (0, 0): a row sees one row of the last weights
         dict(
-            features=np.array([[2.0], [-1]]),
+            features=np.array([[2.0], [-1], [0]]),
             weights=hands,
             biases=[np.zeros(W.shape[1]) for W in hands],
         ),
         ("kink", "single"),  # the other hidden unit of every head is at the kink of its ReLU
         smooth=False,
-        cotangents={"delta_raw_r_bar": np.ones((2, 4))},
+        cotangents={"delta_raw_r_bar": np.ones((3, 4))},
         expected={
-            "delta_x": np.array([[2.0, 4, 6], [4, 5, 6]]),
-            "delta_log_s": np.array([[2.0, 4, 6], [4, 5, 6]]),
-            "delta_raw_r": np.array([[2.0, 4, 6, 8], [5, 6, 7, 8]]),
-            "features_bar": np.array([[10.0], [-26]]),
+            "delta_x": np.array([[2.0, 4, 6], [4, 5, 6], [0, 0, 0]]),
+            "delta_log_s": np.array([[2.0, 4, 6], [4, 5, 6], [0, 0, 0]]),
+            "delta_raw_r": np.array([[2.0, 4, 6, 8], [5, 6, 7, 8], [0, 0, 0, 0]]),
+            "features_bar": np.array([[10.0], [-26], [0]]),
         },
     )

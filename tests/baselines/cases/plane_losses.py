@@ -7,20 +7,22 @@ from tests.golden.cases import Case
 
 def cases():
     rng = np.random.default_rng(25)
-    shapes = [(3, 4), (3, 5), (4, 5), (3, 6), (4, 6), (5, 6), (7, 8), (7, 9), (8, 9)] + [(5, 4)] * 3
+    shapes = [(2, 3), (2, 4), (3, 4), (2, 5), (3, 5), (4, 5), (3, 2), (3, 4), (2, 4)] + [(2, 3)] * 3
     ordinary = [rng.normal(size=(*shape, 2)) + 1 for shape in shapes]
     yield Case("ordinary", dict(planes=ordinary))
-    short = [np.array([[[3.0]]])] * 3 + [np.array([[[1.5], [4.0]]])] * 3
+    pair, one = np.array([[[3.0], [5.0]]]), np.array([[[3.0]]])
+    short = [pair, one, one] + [np.array([[[1.5], [4.0]]])] * 3
+    no_slopes = [np.zeros_like(plane) for plane in short]
     yield Case(
         "too_short",
         dict(planes=short),
         ("single",),
         cotangents={"L_space_bar": np.array(1.0), "L_time_bar": np.array(1.0)},
         expected={
-            "L_space": np.array(0.0),
+            "L_space": np.array(4.0),
             "L_time": np.array(0.0),
             "L_one": np.array(3 * 1.75),
-            "planes_bar": [np.zeros_like(plane) for plane in short],
+            "planes_bar": [np.array([[[-4.0], [4.0]]]), *no_slopes[1:]],
         },
     )
     i, j = np.indices((4, 5))

@@ -7,7 +7,7 @@ from tests.golden.cases import Case
 
 def cases():
     rng = np.random.default_rng(34)
-    inputs = dict(sh=rng.normal(size=(5, 3, 4, 16)), mu_t=rng.uniform(size=5), t=0.37)
+    inputs = dict(sh=rng.normal(size=(2, 3, 4, 9)), mu_t=rng.uniform(size=2), t=0.37)
     yield Case("ordinary", inputs)
     yield Case("no_gaussians", dict(sh=inputs["sh"][:0], mu_t=np.zeros(0), t=0.37), ("empty",))
     yield Case(
@@ -30,7 +30,18 @@ def cases():
         },
     )
     yield Case(
+        "at_its_mean",  # all waves at their crest: no slope along time
+        dict(sh=sh, mu_t=np.array([0.37]), t=0.37),
+        ("single", "zero"),
+        cotangents={"sh_t_bar": bar},
+        expected={
+            "sh_t": sh.sum(axis=2),
+            "sh_bar": bar[:, :, None] * np.ones((3, 1)),
+            "mu_t_bar": np.zeros(1),
+        },
+    )
+    yield Case(
         "a_whole_period",
-        {**inputs, "mu_t": np.full(5, -0.63)},
+        {**inputs, "mu_t": np.full(2, -0.63)},
         expected={"sh_t": inputs["sh"].sum(axis=2)},
     )

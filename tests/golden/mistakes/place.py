@@ -7,7 +7,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.baselines.table import ALL_EQUATIONS
 from tests.golden.mistakes.kit import NotApplicable
 from tests.golden.subjects import subjects
 
@@ -18,11 +18,11 @@ def in_place(mistake):
 
     The definition of a mistake may call the right functions; it always gets those.
     """
-    if mistake.subject not in EQUATIONS:
+    if mistake.subject not in ALL_EQUATIONS:
         with patch.dict(subjects(), {mistake.subject: mistaken_subject(mistake)}):
             yield
         return
-    module = import_module(EQUATIONS[mistake.subject].module)
+    module = import_module(ALL_EQUATIONS[mistake.subject].module)
     right = {"forward": module.forward, "backward": module.backward}
     wrong = mistaken_functions(mistake, module, right)
     with patch.multiple(module, **wrong):
@@ -49,7 +49,7 @@ def mistaken_subject(mistake):
 
 def mistaken_functions(mistake, module, right):
     """Return forward and backward of an equation with the mistake."""
-    eq = EQUATIONS[mistake.subject]
+    eq = ALL_EQUATIONS[mistake.subject]
     forward_signature, backward_signature = map(signature, right.values())
 
     def forward(*arguments, **keywords):
@@ -61,10 +61,11 @@ def mistaken_functions(mistake, module, right):
         return values if len(values) > 1 else values[0], (inputs, outputs, pullback)
 
     def backward(*arguments, **keywords):
+        saved, *_ = arguments
         given = backward_signature.bind(*arguments, **keywords).arguments
         bars = {n: bar for n, bar in given.items() if n.endswith("_bar") and bar is not None}
         with patch.multiple(module, **right):
-            return answered(mistake, *given["saved"], bars)[1]
+            return answered(mistake, *saved, bars)[1]
 
     forward.__signature__, backward.__signature__ = forward_signature, backward_signature
     return {"forward": forward, "backward": backward}

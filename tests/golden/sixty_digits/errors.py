@@ -5,7 +5,7 @@ from decimal import Decimal
 
 import numpy as np
 
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.baselines.table import ALL_EQUATIONS
 
 from .floats import to_float, wrapped
 from .functions import working
@@ -20,7 +20,7 @@ def error(key, case, dtype=np.float64, scale=None, samples=None):
     integer, a mask, an infinity or a shape is wrong. `samples` limits the elements of each gradient
     array. Raises OverflowError where inputs leave the range of `dtype`.
     """
-    eq, eps = EQUATIONS[key], float(np.finfo(dtype).eps)
+    eq, eps = ALL_EQUATIONS[key], float(np.finfo(dtype).eps)
     inputs = cast(case.inputs, dtype)
     outputs, pullback = eq.vjp(**inputs)
     got, want = flat(outputs, "out."), flat(value(key, inputs), "out.")

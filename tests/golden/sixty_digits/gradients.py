@@ -12,12 +12,17 @@ from decimal import Decimal
 
 import numpy as np
 
-from . import images, prediction, rates
+from . import baselines, images, prediction, rates
 from .floats import exact, wrapped
 from .functions import WORKING, working
 
 GRADIENT_DIGITS = 50  # trusted, relative to the largest term of the gradient
-FORMULAS = {**prediction.FORMULAS, **rates.FORMULAS, **images.FORMULAS}
+FORMULAS = {
+    **prediction.FORMULAS,
+    **rates.FORMULAS,
+    **images.FORMULAS,
+    **baselines.FORMULAS,
+}
 # Their `grids` pass a sign: it is held, while the clipped parameter moves.
 STRAIGHT_THROUGH = ("hash_grid", "hash_rate")
 # Settings that have the precision of the input that they are compared with.
@@ -25,6 +30,11 @@ MEETS = {
     "deformation": ("t", "x"),
     "masking": ("tau_alpha", "alpha"),
     "compositing": ("alpha_max", "alpha"),
+    "deformation_d3dgs": ("t", "x"),
+    "plane_features": ("t", "x"),
+    "conditional": ("t", "mu_t"),
+    "marginal": ("t", "mu_t"),
+    "spherindrical": ("t", "mu_t"),
 }
 
 NAN = Decimal("NaN")

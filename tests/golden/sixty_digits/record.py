@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.baselines.table import ALL_EQUATIONS
 from tests.golden.cases import cases_of
 
 from .errors import error
@@ -77,12 +77,14 @@ def text(errors):
 
 
 def main(keys):
-    unknown = [key for key in keys if key not in EQUATIONS]
+    unknown = [key for key in keys if key not in ALL_EQUATIONS]
     if unknown:
-        sys.exit(f"equation {unknown[0]!r}: expected one of {', '.join(EQUATIONS)}")
+        sys.exit(f"equation {unknown[0]!r}: expected one of {', '.join(ALL_EQUATIONS)}")
     kept = json.loads(FILE.read_text(encoding="utf-8"))["errors"] if keys else {}
-    found = {**kept, **record(keys or EQUATIONS)}
-    FILE.write_text(text({key: found[key] for key in EQUATIONS if key in found}), encoding="utf-8")
+    found = {**kept, **record(keys or ALL_EQUATIONS)}
+    FILE.write_text(
+        text({key: found[key] for key in ALL_EQUATIONS if key in found}), encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":
