@@ -294,7 +294,6 @@ ALLOWED = {
     "likelihood/edge_of_a_wide_bin": 64,
     "sh_color/at_the_clamp": 2**53,
     "conditional/round_in_the_plane": 2**53,
-    "spherindrical/a_whole_period": 2**53,
 }
 REASONS = {
     "projection/needle": "the determinant cancels: length over width, squared, is 3e8",
@@ -305,7 +304,6 @@ REASONS = {
     "likelihood/edge_of_a_wide_bin": "slopes: tails by difference",
     "sh_color/at_the_clamp": "the last digit of a constant decides on which side it is",
     "conditional/round_in_the_plane": "the velocity is 0 but for the rounding of the inputs",
-    "spherindrical/a_whole_period": "the slope along time is 0 but for the rounding of the inputs",
 }
 
 

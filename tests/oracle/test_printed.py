@@ -25,6 +25,7 @@ MISSED = {
     *("opacity/H-S1.tanh", "color/H-S1.color", "scale/H-S1.scale"),
     *("deformed/H-G5.nearly_w", "deformed/H-P2.zero", "deformed/H-P2.negative"),
     *("view/far", "view/near"),
+    *("activations/saturated", "activations/far_logits", "conditional/lasting"),
 }
 
 

@@ -89,7 +89,7 @@ def cases():
         smooth=False,
         cotangents={
             "x_t_bar": np.array([[1.0, 10, 100]]),
-            "Sigma_t_bar": np.ones((1, 3, 3)),
+            "Sigma_t_bar": np.arange(9.0).reshape(1, 3, 3),
             "var_t_bar": np.ones(1),
         },
         expected={

@@ -35,10 +35,10 @@ def cases():
         "at_its_mean",
         {**inputs, "mu_t": np.full(5, 0.37)},
         ("zero",),
-        cotangents={"alpha_t_bar": np.ones(5)},
+        cotangents={"alpha_t_bar": np.arange(1.0, 6)},
         expected={
             "alpha_t": inputs["alpha"],
-            "alpha_bar": np.ones(5),
+            "alpha_bar": np.arange(1.0, 6),
             "mu_t_bar": np.zeros(5),
             "var_t_bar": np.zeros(5),
         },
@@ -47,7 +47,7 @@ def cases():
         "flashes",
         {**inputs, "var_t": np.full(5, 1e-24)},
         ("extreme", "zero"),
-        cotangents={"alpha_t_bar": np.ones(5), "weight_bar": np.ones(5)},
+        cotangents={"alpha_t_bar": np.arange(1.0, 6), "weight_bar": np.arange(5.0)},
         expected={name: np.zeros(5) for name in ("alpha_t", "weight", "mu_t_bar", "var_t_bar")},
     )
     yield Case(

@@ -23,20 +23,21 @@ def cases():
     yield Case("no_gaussians", inputs((2,), N=0), ("empty",))
     hands = [np.array([[1.0, -1]]), *(np.eye(2), np.array([[1.0, 2, 3], [4, 5, 6]])) * 2]
     hands += [np.eye(2), np.array([[1.0, 2, 3, 4], [5, 6, 7, 8]])]
+    zeros = [np.zeros(W.shape[1]) for W in hands]
     yield Case(
-        "by_hand",  # h is (2, 0), (0, 1) and (0, 0): a row sees one row of the last weights
+        "by_hand",  # h is (2, 0), (0, 1) and (0, 0), where phi is at its kink
         dict(
             features=np.array([[2.0], [-1], [0]]),
             weights=hands,
-            biases=[np.zeros(W.shape[1]) for W in hands],
+            biases=[*zeros[:5], np.array([1.0, 0]), zeros[6]],
         ),
         ("kink", "single"),  # the other hidden unit of every head is at the kink of its ReLU
         smooth=False,
-        cotangents={"delta_raw_r_bar": np.ones((3, 4))},
+        cotangents={"delta_raw_r_bar": np.ones((3, 1)) * [1, -1, 1, -1]},
         expected={
             "delta_x": np.array([[2.0, 4, 6], [4, 5, 6], [0, 0, 0]]),
             "delta_log_s": np.array([[2.0, 4, 6], [4, 5, 6], [0, 0, 0]]),
-            "delta_raw_r": np.array([[2.0, 4, 6, 8], [5, 6, 7, 8], [0, 0, 0, 0]]),
-            "features_bar": np.array([[10.0], [-26], [0]]),
+            "delta_raw_r": np.array([[3.0, 6, 9, 12], [6, 8, 10, 12], [1, 2, 3, 4]]),
+            "features_bar": np.array([[-2.0], [2], [0]]),
         },
     )

@@ -62,10 +62,10 @@ def cases():
         ),
         ("kink", "outside"),  # the faces, an inner node, and beyond
         smooth=False,
-        cotangents={"features_bar": np.ones((4, 1))},
+        cotangents={"features_bar": np.array([[1.0], [2], [3], [4]])},
         expected={
             "features": np.array([[1.0], [2], [7], [7]]),
-            "x_bar": np.array([[0.0, 0, 0], [5, 0, 0], [0, 0, 0], [0, 0, 0]]),
+            "x_bar": np.array([[0.0, 0, 0], [10, 0, 0], [0, 0, 0], [0, 0, 0]]),
         },
     )
     ramp = np.array([1.0, 2, 7])[None, :, None] * np.ones((3, 1, 1))
@@ -80,6 +80,6 @@ def cases():
         ),
         ("zero", "outside"),
         smooth=False,
-        cotangents={"features_bar": np.ones((2, 1))},
+        cotangents={"features_bar": np.array([[1.0], [2]])},
         expected={"features": np.array([[1.0], [7]]), "x_bar": np.zeros((2, 3))},
     )

@@ -41,7 +41,13 @@ def cases():
         },
     )
     yield Case(
-        "a_whole_period",
-        {**inputs, "mu_t": np.full(2, -0.63)},
-        expected={"sh_t": inputs["sh"].sum(axis=2)},
+        "a_period_and_a_quarter",
+        dict(sh=sh, mu_t=np.array([-0.75]), t=0.5),
+        ("single", "negative"),
+        cotangents={"sh_t_bar": bar},
+        expected={
+            "sh_t": sh[:, :, 0] - sh[:, :, 2],
+            "sh_bar": bar[:, :, None] * np.array([1.0, 0, -1])[:, None],
+            "mu_t_bar": 2 * np.pi * np.array([(sh[:, :, 1] * bar).sum()]),
+        },
     )
