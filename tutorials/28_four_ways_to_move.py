@@ -301,7 +301,7 @@ fitted = {
 }
 errors = {name: error(way, bounce) for name, way in fitted.items()}
 print("error of the path in scene units:", {n: f"{e:.3f}" for n, e in errors.items()})
-assert errors["network"] < 0.05 and errors["planes"] < 0.1 < errors["4D Gaussians"] < 0.25
+assert errors["network"] < 0.08 and errors["planes"] < 0.12 < errors["4D Gaussians"] < 0.25
 
 # %%
 figure, rows = plt.subplots(
@@ -325,10 +325,10 @@ rows[1, 2].legend(loc="upper right", fontsize=12)
 lessons.show(figure, "28_four_ways_to_move")
 
 # %% [markdown]
-# The network and the planes move *one* Gaussian along the whole path. The error of the planes is
-# largest at the two bounces on the ground, which fall between nodes. The eight 4D Gaussians are
-# eight straight lines that fade into each other. Together they are seen most of the time, but two
-# of them overlap where one should be, and the arcs have become polygons.
+# The network and the planes move *one* Gaussian along the whole path. That of the planes is bent in
+# places where the readings pass a node, such as $t = 2/7$ and $5/7$, and both round the bounces.
+# The eight 4D Gaussians are eight straight lines that fade into each other. About as much is seen
+# of them as of the ball, but the arcs have become polygons.
 #
 # **What each stores.** The table counts all numbers of the tiny presets and of those that the
 # authors use, by the arrays that each method really begins with, at 4 bytes a number and before any
@@ -515,7 +515,7 @@ in_time = plane_features.backward(saved[0], features_bar)["planes"][3:]
 assert [list(np.flatnonzero(bar.any(axis=(0, 2)))) for bar in in_time] == 3 * [[2, 3]]
 far = np.abs(DENSE - 0.3) > 0.2
 mean_move = {name: np.abs(move[far]).mean() for name, move in moves.items()}
-assert mean_move["network"] > mean_move["planes"] > 2 * mean_move["4D Gaussians"]
+assert min(mean_move["network"], mean_move["planes"]) > 2 * mean_move["4D Gaussians"]
 
 figure, axes = plt.subplots(figsize=(9, 4.6), layout="constrained")
 for name, moved in moves.items():
@@ -531,8 +531,8 @@ lessons.show(figure, "28_four_ways_to_move_influence")
 
 # %% [markdown]
 # A step of the network moves all times: every picture teaches every time, for better or worse. The
-# planes, whose small network is shared, move other times less than half as much, and the 4D
-# Gaussians move only the times at which they are seen.
+# planes alone would move the times around two nodes, but the small network that reads them is
+# shared and moves the others, too. 4D Gaussians move only at the times at which they are seen.
 #
 # ## Break it
 # Five situations, each of which breaks at least one of the ways.
