@@ -363,7 +363,12 @@ COMMANDS = {
                 metavar="X,X",
                 help="values of the preset's field (default 1e-4,1e-3,3e-3,1e-2,3e-2)",
             ),
-            several("--method", "NAME", "also this baseline; may be repeated", dest="methods"),
+            several(
+                "--method",
+                "NAME",
+                "also this baseline, or p4dgs_coded; may be repeated",
+                dest="methods",
+            ),
             CAPS,
             option(
                 "--point",

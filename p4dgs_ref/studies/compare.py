@@ -68,7 +68,7 @@ def compare(
         methods.require_test_views(scene)
         length = iterations or methods.preset_of(Task(scene, OURS, 0, folder)).iterations
         tasks = [Task(scene, name, 0, folder, length) for name in chosen]
-        tasks += [Task(scene, name, 0, folder, length, cap) for name in chosen[1:] for cap in caps]
+        tasks += [task._replace(most=cap) for task in tasks if not task.own for cap in caps]
         if equal_time:
             progress(f"{scene.name}: times of short trainings")
             tasks = methods.equal_times(tasks)

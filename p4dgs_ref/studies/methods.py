@@ -10,7 +10,7 @@ from .. import baselines
 from ..codec.file import decode, encode
 from ..scenes import Scene
 from ..scenes.output import write_atomically
-from ..training.presets import choose
+from ..training.presets import TINY_REAL, choose
 from ..training.trainer import Trainer
 from .clock import alternate, clocked
 from .effect_ledger import shortened
@@ -18,6 +18,8 @@ from .evaluate import evaluate
 from .inspect import components
 
 OURS = "p4dgs"
+CODED = "p4dgs_coded"  # with coded networks and positions, beyond the paper
+OWN = {OURS: "tiny", CODED: "tiny_coded"}  # their presets
 # The fields of the baselines' presets that are counted in iterations.
 DATES = (
     "iterations",
@@ -51,6 +53,11 @@ class Task(NamedTuple):
     changes: dict = {}  # of the preset
 
     @property
+    def own(self):
+        """Whether it is one of our designs, not a baseline."""
+        return self.method in OWN
+
+    @property
     def name(self):
         """The name of the file, without its ending."""
         parts = [self.scene.name, self.method, *map(str, self.changes.values())]
@@ -60,16 +67,19 @@ class Task(NamedTuple):
     @property
     def path(self):
         """The file."""
-        return Path(self.folder) / f"{self.name}.{'p4dgs' if self.method == OURS else 'ply'}"
+        return Path(self.folder) / f"{self.name}.{'p4dgs' if self.own else 'ply'}"
 
 
 def known(names):
-    """The names of methods in the order of the tables. Raises StudyError for an unknown one."""
-    methods = (OURS, *baselines.METHODS)
+    """The names of methods in the order of the tables; of none, all that the paper compares.
+
+    Raises StudyError for an unknown one.
+    """
+    methods = (*OWN, *baselines.METHODS)
     for name in names:
         if name not in methods:
             raise StudyError(f"method {name!r}: expected one of {', '.join(methods)}")
-    return [name for name in methods if name in names] if names else list(methods)
+    return [name for name in methods if (name in names if names else name != CODED)]
 
 
 def require_test_views(scene):
@@ -84,9 +94,10 @@ def preset_of(task):
     All dates of its schedule are shortened or stretched alike. Raises StudyError.
     """
     try:
-        if task.method == OURS:
-            name = "tiny" if task.scene.points is None else "tiny_real"
-            ours = choose(name, task.changes)
+        if task.own:
+            # As in `tiny_real`: points know their depth, and anchors keep it.
+            real = {} if task.scene.points is None else {"lr_x": TINY_REAL.lr_x}
+            ours = choose(OWN[task.method], {**real, **task.changes})
             return shortened(ours, (task.iterations or ours.iterations) / ours.iterations)
         size = {"gaussians": task.most, "most": task.most} if task.most else {}
         theirs = baselines.choose(task.method, None, {**size, **task.changes})
@@ -100,7 +111,7 @@ def preset_of(task):
 def fit(task):
     """The trained model of a task."""
     kind = Trainer
-    if task.method != OURS:
+    if not task.own:
         kind = baselines.module_of(task.method)[0].Trainer
     with np.errstate(all="ignore"):  # the trainers look for non-finite values themselves
         return kind(task.scene, preset_of(task), task.seed).run()
@@ -109,7 +120,7 @@ def fit(task):
 def train(task):
     """Train and write the file: its bytes by kind, and the processor seconds of the training."""
     model, (seconds, _) = clocked(fit, task)
-    if task.method == OURS:
+    if task.own:
         data = encode(model)
         write_atomically(task.path, lambda file: file.write(data))
         sizes = kinds(components(data))
@@ -142,7 +153,7 @@ def kinds(sizes):
 
 def load(task):
     """The model in the file of a task."""
-    return decode(task.path.read_bytes()) if task.method == OURS else baselines.load(task.path)
+    return decode(task.path.read_bytes()) if task.own else baselines.load(task.path)
 
 
 def measure(tasks):

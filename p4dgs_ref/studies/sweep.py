@@ -16,9 +16,9 @@ from . import methods
 from .evaluate import evaluate, json_safe
 from .inspect import ledger
 from .jobs import in_processes
-from .methods import OURS, StudyError, Task, spread
+from .methods import CODED, OURS, StudyError, Task, spread
 from .rate_distortion import bd_rate
-from .report import BLUE, RED, STACK, pyplot, save_figure, write_csv
+from .report import BLUE, LIGHT_BLUE, RED, STACK, pyplot, save_figure, write_csv
 
 VERSION = 1
 COLUMNS = ("lambda_rate", "seed", "estimated_bytes", "bytes", "psnr_db", "ssim")
@@ -30,7 +30,8 @@ def plan(scene, folder, lambdas=LAMBDAS, seeds=3, iterations=None, names=(), cap
     """All points of a sweep, as Tasks, and the values for its sweep.json.
 
     `names` are baselines, which are drawn as points, each also with every number of Gaussians in
-    `caps`. A folder that holds another sweep, or one of another version, raises StudyError.
+    `caps`; our coded design among them has a curve of its own. A folder that holds another sweep,
+    or one of another version, raises StudyError.
     """
     if not lambdas:
         raise StudyError("lambda_rate: an empty sweep; expected at least one value")
@@ -57,9 +58,12 @@ def plan(scene, folder, lambdas=LAMBDAS, seeds=3, iterations=None, names=(), cap
                 )
     base = [Task(scene, OURS, seed, points, iterations) for seed in range(seeds)]
     tasks = [task._replace(changes={"lambda_rate": v}) for v in lambdas for task in base]
+    if CODED in names:
+        tasks += [task._replace(method=CODED) for task in tasks]
     tasks += [
         task._replace(method=name, most=most)
         for name in names
+        if name != CODED
         for most in (None, *caps)
         for task in base
     ]
@@ -76,7 +80,7 @@ def make(task):
     row = {**methods.train(task), **task.changes}
     metrics, _, _ = evaluate(methods.load(task), task.scene)
     row.update({name: metrics[name] for name in ("psnr_db", "ssim", "anchors", "gaussians")})
-    if task.method == OURS:
+    if task.own:
         sections = ledger(task.path.read_bytes())
         row["estimated_bytes"] = round(sum(part["estimate_bytes"] for part in sections))
         coded = [part["bytes"] for part in sections if part["name"] in CODED_OF_ANCHORS]
@@ -105,16 +109,16 @@ def collect(tasks, folder):
         raise StudyError(f"{folder}: an empty sweep; expected at least one point with lambda_rate")
     others = [row for row in rows if row["method"] != OURS]
     curve = [mean_point(ours, "lambda_rate", at) for at in sorted({r["lambda_rate"] for r in ours})]
-    points = {
-        name: [
-            mean_point([row for row in others if row["method"] == name], "most", most)
-            for most in dict.fromkeys(row["most"] for row in others if row["method"] == name)
-        ]
-        for name in dict.fromkeys(row["method"] for row in others)
-    }
+    points = {}
+    for name in dict.fromkeys(row["method"] for row in others):
+        own = [row for row in others if row["method"] == name]
+        knob = "lambda_rate" if name == CODED else "most"
+        points[name] = [mean_point(own, knob, at) for at in dict.fromkeys(r[knob] for r in own)]
     write_csv(folder / "sweep.csv", [[row[name] for name in COLUMNS] for row in ours], COLUMNS)
     if others:
-        write_csv(folder / "baselines.csv", others)
+        columns = list(dict.fromkeys(key for row in others for key in row))
+        table = [[row.get(column) for column in columns] for row in others]
+        write_csv(folder / "baselines.csv", table, columns)
     draw(folder / "sweep.png", ours, curve, points)
     return {
         "scene": ours[0]["scene"],
@@ -155,7 +159,7 @@ def draw(path, rows, curve, points):
     for point in curve:
         at = point["bytes"], point["psnr_db"]
         ax.annotate(f" {point['lambda_rate']:g}", at, fontsize=9, va="top")
-    for color, (name, found) in zip((*STACK[1:], RED), points.items()):
+    for color, (name, found) in zip((*STACK[1:], RED, LIGHT_BLUE), points.items()):
         ax.plot(*zip(*sorted(pairs(found))), "D-", color=color, label=name)
     ax.set(
         xscale="log",

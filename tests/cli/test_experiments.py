@@ -91,7 +91,7 @@ MISTAKES = [
     ("sweep bouncing --lambda-rate 1,-2 -o out", ("--lambda-rate", "'-2'")),
     ("sweep bouncing --point 1 -o out", ("--point", "I/N")),
     ("sweep bouncing --method nerf -o out", ("method 'nerf'",)),
-    ("compare --method nerf -o out", ("method 'nerf'", "p4dgs, d3dgs")),
+    ("compare --method nerf -o out", ("method 'nerf'", "p4dgs, p4dgs_coded, d3dgs")),
     ("compare nowhere -o out", ("nowhere", "packaged")),
     ("compare --caps 10,x -o out", ("--caps", "'x'")),
     ("compare --iterations 0 -o out", ("--iterations", "'0'")),

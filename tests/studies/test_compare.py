@@ -188,8 +188,16 @@ def test_only_scenes_that_move_are_compared():
     assert not {"static", "orientation"} & names
 
 
+def test_the_coded_design_is_compared_where_it_is_named():
+    five = [OURS, "d3dgs", "d3dgs_small", "hexplane", "gaussian4d"]
+    assert methods.known([]) == five
+    assert methods.known(["hexplane", methods.CODED, OURS]) == [OURS, methods.CODED, "hexplane"]
+
+
 def test_mistakes_are_named(scene, tmp_path):
-    with pytest.raises(StudyError, match="method 'nerf': expected one of p4dgs, d3dgs"):
+    with pytest.raises(
+        StudyError, match="method 'nerf': expected one of p4dgs, p4dgs_coded, d3dgs"
+    ):
         study.compare([scene], tmp_path, ["nerf"])
     empty = SimpleNamespace(name="empty", test=())
     with pytest.raises(StudyError, match="scene empty: split 'test'"):

@@ -13,13 +13,13 @@ from p4dgs_ref.baselines import METHODS
 from p4dgs_ref.studies import sweep as study
 from p4dgs_ref.studies.evaluate import evaluate
 from p4dgs_ref.studies.inspect import ledger
-from p4dgs_ref.studies.methods import StudyError
+from p4dgs_ref.studies.methods import CODED, StudyError
 
 SETTINGS = {
     "lambdas": (0.0, 300.0),
     "seeds": 2,
     "iterations": 12,
-    "names": ["d3dgs_small"],
+    "names": ["d3dgs_small", "p4dgs_coded"],
 }
 
 
@@ -65,7 +65,9 @@ def test_the_csv_has_the_columns_and_rows_of_the_contract(swept, scene):
         estimate = sum(part["estimate_bytes"] for part in ledger(data))
         assert abs(int(row["estimated_bytes"]) - estimate) <= 0.5
         assert 0.9 < int(row["estimated_bytes"]) / int(row["bytes"]) < 1
-    assert len(table(folder / "baselines.csv")) == 2
+    others = table(folder / "baselines.csv")
+    assert [row["method"] for row in others] == 4 * ["p4dgs_coded"] + 2 * ["d3dgs_small"]
+    assert [row["lambda_rate"] for row in others] == ["0.0", "0.0", "300.0", "300.0", "", ""]
     assert iio.imread(folder / "sweep.png").std() > 5
 
 
@@ -73,7 +75,16 @@ def test_the_rate_is_paid_for(swept):
     _, _, result = swept
     free, dear = result["curve"]
     assert free["lambda_rate"] == 0 and dear["anchor_bytes"] < 0.99 * free["anchor_bytes"]
-    assert result["points"] == 6 and result["missing"] == 0 and free["seeds"] == 2
+    assert result["points"] == 10 and result["missing"] == 0 and free["seeds"] == 2
+
+
+def test_the_coded_design_has_a_curve_of_its_own(swept):
+    _, tasks, result = swept
+    free, dear = result["baselines"]["p4dgs_coded"]
+    assert (free["lambda_rate"], dear["lambda_rate"], free["seeds"]) == (0, 300, 2)
+    assert dear["bytes"] < free["bytes"] < 0.6 * result["curve"][0]["bytes"]
+    designs = [p4.decode(task.path.read_bytes()).design for task in tasks[4:8]]
+    assert all(design.coded for design in designs)
 
 
 def test_a_curve_of_few_points_has_a_reason_instead_of_a_bd_rate(swept):
@@ -92,7 +103,7 @@ def test_what_has_arrived_is_drawn(swept, tmp_path):
         place.write_bytes(study.record(task).read_bytes())
     moved = [task._replace(folder=tmp_path / "points") for task in tasks]
     result = study.collect(moved, tmp_path)
-    assert (result["points"], result["missing"]) == (2, 4)
+    assert (result["points"], result["missing"]) == (2, 8)
     assert [point["seeds"] for point in result["curve"]] == [1, 1]
     assert not result["baselines"] and not (tmp_path / "baselines.csv").exists()
 
@@ -101,11 +112,12 @@ def test_every_baseline_is_drawn(swept, tmp_path, monkeypatch):
     _, tasks, result = swept
     figures = []
     monkeypatch.setattr(study, "save_figure", lambda figure, path: figures.append(figure))
-    points = {name: [{"bytes": 9e5, "psnr_db": 30.0}] for name in METHODS}
+    others = [CODED, *METHODS]
+    points = {name: [{"bytes": 9e5, "psnr_db": 30.0}] for name in others}
     rows = [json.loads(study.record(task).read_text()) for task in tasks[:4]]
     study.draw(tmp_path / "a.png", rows, result["curve"], points)
     labels = [text.get_text() for text in figures[0].axes[0].get_legend().get_texts()]
-    assert labels[3:] == list(METHODS)
+    assert labels[3:] == others
 
 
 def test_means_over_seeds(swept):
