@@ -17,6 +17,7 @@ PARTS = (
     "file",
     "header",
     "positions",
+    "weights",
     "context",
     "fixed_point",
     "gaussian_table",

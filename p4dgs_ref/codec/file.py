@@ -18,6 +18,9 @@ two kinds of streams in `streams.py`. A is the number of anchors.
     10  anchor_mlps      float16    psi_alpha, psi_c, psi_r, psi_s
     11  context_mlps     float16    psi_p, psi_q
 
+In version 2, `positions.py` says what follows the box in section 2, and `weights.py` what sections
+9 to 11 hold. All other sections are the same.
+
 All numbers are little-endian. A decoder needs the sections in another order: it reads header,
 positions, hash_grid and context_mlps and computes the coding context (`context.py`). It can then
 read the Gaussian sections in any order, but masks before offsets.
@@ -63,7 +66,7 @@ hidden widths in the header to its outputs:
                         With `skip`, the layer of psi_d after the middle one has the inputs of psi_d
                         before its others; of n widths it is number n // 2 + 1, counted from 0.
 
-Values. A position is lo + n ((hi - lo) / 65535), n being its uint16, and an attribute is its symbol
+Values. A position is lo + n ((hi - lo) / 65535), n being its 16 bits, and an attribute is its symbol
 times q, the step of its anchor and group. Each operation on doubles is rounded by itself (no fused
 multiply-add). The offsets of masked children are 0.
 
@@ -71,7 +74,8 @@ Encoding again. Encoding a decoded model gives the same bytes if this encoder wr
 Another valid file may give others, because this encoder writes the header without spaces, drops
 anchors without children (one always stays), stores 0 where the box has no extent, drops hidden
 units that are 0 for every anchor in scenes without view effects, and chooses the number of lanes,
-the length of the tail and the probability of a bit.
+the length of the tail and the probability of a bit. In version 2 it also sorts the anchors and
+chooses the base design, the raw bits of a gap, and the levels and codes of networks.
 
 Worked numbers. lo = -1.5, hi = 1.5 and n = 20000 give -1.5 + 20000 * (3 / 65535) =
 -0.5844586861982147. With d = 4, k = 2, hidden = [8] and both view effects, anchor_mlps holds
