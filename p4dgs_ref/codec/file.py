@@ -66,9 +66,9 @@ hidden widths in the header to its outputs:
                         With `skip`, the layer of psi_d after the middle one has the inputs of psi_d
                         before its others; of n widths it is number n // 2 + 1, counted from 0.
 
-Values. A position is lo + n ((hi - lo) / 65535), n being its 16 bits, and an attribute is its symbol
-times q, the step of its anchor and group. Each operation on doubles is rounded by itself (no fused
-multiply-add). The offsets of masked children are 0.
+Values. A position is lo + n ((hi - lo) / 65535), n being its 16 bits, and an attribute is its
+symbol times q, the step of its anchor and group. Each operation on doubles is rounded by itself (no
+fused multiply-add). The offsets of masked children are 0.
 
 Encoding again. Encoding a decoded model gives the same bytes if this encoder wrote the file.
 Another valid file may give others, because this encoder writes the header without spaces, drops
