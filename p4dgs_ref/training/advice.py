@@ -6,7 +6,7 @@ import numpy as np
 
 from .progress import psnr
 
-FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.4 dB against 48, 16 lose 3.8 (reference.md, Limits)
+FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.2 dB against 48, 16 far more (reference.md, Limits)
 LEAST_GAIN = 1.0  # dB above the best picture of one colour
 
 
