@@ -27,8 +27,8 @@ from tests.golden.kernel import single
 from tests.golden.pipeline import LOSSES, draw
 from tests.golden.subjects import Subject, no_pullback
 
-# The parameters: anchors, networks, grid. There is no psi_t.
-ARRAYS = tuple(name for name in LEARNING_RATES if name != "psi_t")
+# The parameters: anchors, networks, grid. There is no psi_t, and no step of coded networks.
+ARRAYS = tuple(name for name in LEARNING_RATES if name not in ("psi_t", "log_step"))
 ROLES = {"": "parameters", "m_": "first", "v_": "second"}
 SUMS = ("visits", "opacity", "gradient", "seen")
 GIVEN = ("W", "T", "focal", "center", "size", "times", "truth", "background")  # the views
@@ -92,6 +92,7 @@ PRESET = Preset(
 UNUSED = (
     *("name", "anchors", "extent", "feature_std", "opacity_bias", "upright"),
     *("deformation_gain", "sparse_share", "sparse_ssim", "sparse_lr_c"),
+    *("coded", "position_bits", "lambda_networks", "rounding_from", "lr_step"),
 )
 SETTINGS = {name: value for name, value in PRESET._asdict().items() if name not in UNUSED}
 
