@@ -181,12 +181,58 @@ def _version_2():
             "stream",
         ),
         ("coded_anchors_more", "twenty anchors, two stored", changed(anchors=20)),
+        *_coded_networks(sections),
     ]
     places = {"coded_anchors_more": ("positions", None, "stream")}
     return [row if len(row) == 6 else (*row, *places.get(row[0], _IN_HEADER)) for row in rows]
 
 
 _IN_HEADER = ("header", 0, "header")
+
+
+def _coded_networks(sections):
+    """Defects of a section of coded networks: psi_p and psi_q of one hidden layer each."""
+    name, body = "context_mlps", sections["context_mlps"]
+
+    def networks(data):
+        return write_container({**sections, name: data}, 2)
+
+    def stream(codes, symbols):
+        """The section with other row and column codes, and symbols whose deviation is 1."""
+        zeros = np.zeros(len(codes), np.int64)
+        entries, _ = find_entries(codes, tables := gaussian_model(zeros, zeros))
+        deviations = np.zeros(len(symbols), np.int64)
+        message = rans.encode(entries, tables.keys)
+        return bytes([96, 8] * 8) + message + encode_gaussian(symbols, deviations, deviations)
+
+    I, J, H = 4, 28, 4  # features, outputs of psi_p, hidden units
+    codes = np.zeros(2 * (I + H) + (H + J) + (H + 4), np.int64)
+    symbols = np.zeros(2 * (I + 1) * H + (H + 1) * (J + 4), np.int64)
+    escape, far = codes.copy(), symbols.copy()
+    escape[3], far[5] = 14, 32768
+    level = bytearray(body)
+    level[5] = 28
+    return [
+        ("coded_level", "a level of 28", networks(bytes(level)), name, 5, "number"),
+        ("coded_no_level", "the last level is missing", networks(body[:15]), name, 15, "length"),
+        (
+            "coded_escape",
+            "a row code of 14",
+            networks(stream(escape, symbols)),
+            name,
+            None,
+            "stream",
+        ),
+        ("coded_far", "a weight of 2^15 steps", networks(stream(codes, far)), name, None, "number"),
+        (
+            "coded_weights_left",
+            "a byte is left over after the last weight",
+            networks(body + b"\0"),
+            name,
+            None,
+            "stream",
+        ),
+    ]
 
 
 def _frames(sections):

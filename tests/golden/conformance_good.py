@@ -3,6 +3,8 @@
 The texts of SAYS are published in the manifest.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from p4dgs_ref.codec.context import coding_context
@@ -42,6 +44,11 @@ class Draw:
             self.state = (self.state * 6364136223846793005 + 1442695040888963407) % 2**64
             numbers.append(least + (self.state >> 32) % (most - least + 1))
         return np.array(numbers, np.int64).reshape(shape)
+
+
+def steps_of(layers):
+    """The codes of 1/512 for the weights and of 1/1024 for the biases of so many layers."""
+    return np.full(len(layers), 96), np.full(len(layers), 80)
 
 
 class Parts:
@@ -99,9 +106,12 @@ class Parts:
         symbols = np.where(kept, symbols, 0)
         f, s, l, O = split(symbols * np.repeat(ctx.q, self.design.widths, axis=1), self.design)
         anchors = Anchors(unsnap(self.positions, *self.box), f, s, l, O, self.mask)
-        model = Model(
-            self.design, anchors, self.networks, self.grids, self.box, np.array([0.25, 0.5, 1.0])
-        )
+        background = np.array([0.25, 0.5, 1.0])
+        model = Model(self.design, anchors, self.networks, self.grids, self.box, background)
+        if self.design.coded:
+            model = replace(
+                model, steps={name: steps_of(W) for name, (W, _) in self.networks.items()}
+            )
         return Quantised(model, self.positions, symbols, kept, ctx)
 
 
