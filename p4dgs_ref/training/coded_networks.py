@@ -1,8 +1,8 @@
 """Networks that pay for their bits, from stage 4 of training on (B1).
 
-A tensor is the weights or the biases of a layer. Each has a step, whose logarithm is learned. At
-first its numbers get noise of that step, later they are rounded to multiples of it. Both are
-Eq. (7): the error of rounding takes the place of the noise, and gradients pass straight through it.
+A tensor is the weights or the biases of a layer. Each has a step, whose logarithm is learned, and
+its numbers are rounded to multiples of that step. This is Eq. (7) with the error of rounding in the
+place of the noise, so the gradient passes straight through to the numbers and reaches the step.
 Equation `weight_bits` says what the numbers cost, and `scales` under which densities.
 """
 
@@ -17,12 +17,12 @@ LEAST_SCALE = 0.4  # of a density, in steps: the pull towards 0 is at most 1 / L
 
 
 class Layout:
-    """Where the networks are in Parameters, and room for what noise or rounding makes of them."""
+    """Where the networks are in Parameters, and room for the rounded networks."""
 
     def __init__(self, p, names):
         arrays = {name: a for name, a in p.arrays.items() if name.startswith("psi_")}
-        self.noisy = Parameters(arrays, p.vector.dtype)
-        self.networks = {name: self.noisy.network(name) for name in names}
+        self.rounded = Parameters(arrays, p.vector.dtype)
+        self.networks = {name: self.rounded.network(name) for name in names}
         self.part = p.part("psi_")
         # Biases [J] are a matrix of one column.
         shapes = [(*a.shape, 1)[:2] for a in arrays.values()]
@@ -49,7 +49,7 @@ def learned_steps(log_step, networks):
 
 
 def steps_of(log_step):
-    """The steps that a file can hold next to the learned ones; the gradient passes straight."""
+    """The steps that a file can hold, nearest to the learned ones; the gradient ignores this."""
     return step_of_code(step_code(np.exp(log_step)))
 
 
@@ -71,30 +71,23 @@ def scales(k, layout):
     return np.maximum(r * c / np.maximum(m, 1e-9), LEAST_SCALE).astype(k.dtype)
 
 
-def forward(p, layout, u=None):
-    """Return the bits of all networks, the networks with noise u [n], and what `backward` needs.
-
-    Without noise they are rounded.
-    """
-    w = p.vector[layout.part]
-    step = steps_of(p["log_step"])[layout.tensor].astype(w.dtype)
-    if u is None:
-        u = np.rint(w / step) - w / step
-    noisy, saved_noise = noise.forward(w[:, None], u[:, None], step[:, None])
-    layout.noisy.vector[:] = noisy[:, 0]
-    w = layout.noisy.vector
+def forward(p, layout):
+    """Return the rounded networks, their bits, and what `backward` needs."""
+    w, step = p.vector[layout.part], steps_of(p["log_step"])[layout.tensor].astype(p.vector.dtype)
+    error = np.rint(w / step) - w / step
+    rounded, saved_noise = noise.forward(w[:, None], error[:, None], step[:, None])
+    layout.rounded.vector[:] = w = rounded[:, 0]
     bits, saved_bits = weight_bits.forward(w, step, scales(w / step, layout))
-    return bits.sum(dtype=np.float64), layout.networks, (layout, step, saved_noise, saved_bits)
+    return layout.networks, bits.sum(dtype=np.float64), (layout, step, saved_noise, saved_bits)
 
 
 def backward(saved, gradients, R_networks_bar):
-    """Turn the gradients of the noisy networks into those of p, and add those of the bits."""
+    """Turn the gradients of the rounded networks into those of p, and add those of the bits."""
     layout, step, saved_noise, saved_bits = saved
     of_bits = weight_bits.backward(saved_bits, np.full_like(step, R_networks_bar))
-    noisy_bar = gradients.vector[layout.part] + of_bits["w"]
-    bars = noise.backward(saved_noise, noisy_bar[:, None])
+    rounded_bar = gradients.vector[layout.part] + of_bits["w"]
+    bars = noise.backward(saved_noise, rounded_bar[:, None])
     gradients.vector[layout.part] = bars["f"][:, 0]
     log_step_bar = (bars["q"][:, 0] + of_bits["step"]) * step
-    gradients["log_step"][...] = np.bincount(
-        layout.tensor, log_step_bar, len(gradients["log_step"])
-    )
+    tensors = len(gradients["log_step"])
+    gradients["log_step"][...] = np.bincount(layout.tensor, log_step_bar, tensors)

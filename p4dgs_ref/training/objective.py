@@ -50,8 +50,9 @@ class Fixed(NamedTuple):
     lambda_ssim: float
     lambda_volume: float  # weight of Scaffold-GS's volume term (Q25)
     settings: object  # of the renderer
-    coded: tuple | None = None  # Layout of coded networks and their noise (B1), in stage 4
-    lambda_networks: float = 1.0  # price of a bit of a network beside one of an anchor
+    # Only of the coded design, in stage 4 (B1):
+    coded: coded_networks.Layout | None = None
+    network_price: float = 1.0  # of a bit of a network, in bits of an anchor
 
 
 class Losses(NamedTuple):
@@ -88,7 +89,7 @@ def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
     """
     R_networks, saved_networks = 0.0, None
     if fixed.coded is not None:
-        R_networks, networks, saved_networks = coded_networks.forward(p, *fixed.coded)
+        networks, R_networks, saved_networks = coded_networks.forward(p, fixed.coded)
     values = linear_values(p)
     steps, ctx, saved_context = None, None, None
     if fixed.located is not None:
@@ -113,7 +114,7 @@ def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
     )
     bits, L_rate, saved_rate = 0.0, 0.0, None
     if ctx is not None:
-        R_networks *= fixed.lambda_networks
+        R_networks *= fixed.network_price
         (bits, L_rate), saved_rate = rate_forward(noisy, ctx, grids, fixed.mask, design, R_networks)
     L_total, saved_total = total_loss.forward(
         np.float64(L_render), np.float64(L_rate), fixed.lambda_rate
@@ -165,8 +166,8 @@ def backward(saved):
     for name, network_gradients in networks.items():
         gradients.fill(name, network_gradients)
     if saved_networks is not None:
-        price = fixed.lambda_networks * losses_bar["L_rate"] / values.size
-        coded_networks.backward(saved_networks, gradients, price)
+        R_networks_bar = fixed.network_price * losses_bar["L_rate"] / values.size
+        coded_networks.backward(saved_networks, gradients, R_networks_bar)
     return gradients, bars["mean2d"]
 
 
@@ -188,7 +189,8 @@ def noise_backward(saved, noisy_bar, design):
 def rate_forward(noisy, ctx, grids, mask, design, R_networks=0.0):
     """Return (bits, L_rate) of the noisy attributes and the grids, and what `rate_backward` needs.
 
-    Eqs. (11), (13), (14) and (17). The rate is per coded number (Q12).
+    Eqs. (11), (13), (14) and (17), with the bits of coded networks as one more term of the last
+    (B1). The rate is per coded number of the anchors (Q12).
     """
     q = np.repeat(ctx.q, design.widths, axis=1)  # all numbers of a group share its step
     bits, saved_bits = likelihood.forward(noisy, ctx.mu, ctx.sigma, q)

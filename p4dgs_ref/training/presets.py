@@ -52,8 +52,7 @@ class Preset(NamedTuple):
     lambda_rate: float = 1e-3
     coded: bool = False  # the coded design, in a file of version 2; it goes beyond the paper
     position_bits: int = 16  # of an anchor's position, per axis; fewer only in the coded design
-    lambda_networks: float = 1.0  # price of a bit of a coded network beside one of an anchor (B1)
-    rounding_from: int = 0  # before, coded networks get noise; from here on they are rounded
+    network_ramp: int = 0  # iterations of stage 4 in which bits of coded networks reach full price
     # stages and loss
     stage_ends: tuple[int, ...] = (3000, 5000, 10_000, 40_000)
     lambda_ssim: float = 0.2
@@ -115,7 +114,7 @@ SOURCES = {
     **dict.fromkeys(("opacity_bias", "upright", "deformation_gain"), "off, as the parents (Q28)"),
     "lambda_rate": "HAC (Q12)",
     "coded": "off, as the paper",
-    **dict.fromkeys(("lambda_networks", "rounding_from", "lr_step"), "unused, as the paper"),
+    **dict.fromkeys(("network_ramp", "lr_step"), "unused, as the paper"),
     "position_bits": "ours (Q14)",
     "lambda_ssim": "3DGS (Q13)",
     **dict.fromkeys(("sparse_share", "sparse_ssim", "sparse_lr_c"), "off, as the paper (Q13)"),
@@ -199,8 +198,7 @@ TINY_CODED = TINY._replace(
     name="tiny_coded",
     coded=True,
     position_bits=10,
-    lambda_networks=0.5,
-    rounding_from=2700,
+    network_ramp=1000,
     lr_step=(0.02, 0.002),
 )
 # The points of a real scene know its depth, which few cameras cannot measure: anchors keep it.

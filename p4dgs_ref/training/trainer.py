@@ -126,6 +126,12 @@ class Trainer(Loop):
         )
         return rate * self.preset.sparse_lr_c if name == "psi_c" and self.starts_sparse else rate
 
+    @property
+    def network_price(self):
+        """The price of a bit of a coded network, which rises from 0 to 1 in stage 4."""
+        done = self.iteration - self.preset.stage_ends[2]
+        return min(done / max(self.preset.network_ramp, 1), 1.0)
+
     def fixed(self):
         """The inputs of the next iteration that are not parameters."""
         preset, stage = self.preset, self.stage
@@ -139,21 +145,9 @@ class Trainer(Loop):
             lambda_ssim=preset.sparse_ssim if self.starts_sparse else preset.lambda_ssim,
             lambda_volume=preset.lambda_volume,
             settings=self.settings,
-            coded=self.coded(),
-            lambda_networks=preset.lambda_networks,
+            coded=self.layout if stage == 4 else None,
+            network_price=self.network_price,
         )
-
-    def coded(self):
-        """The layout of coded networks and their noise, which is None where they are rounded."""
-        if self.layout is None or self.stage < 4:
-            return None
-        if self.iteration >= self.preset.rounding_from:
-            return self.layout, None
-        return self.layout, self.noise(len(self.layout.tensor))
-
-    def noise(self, *shape):
-        """Uniform noise in [-1/2, 1/2)."""
-        return self.rng.random(shape, np.float32) - np.float32(0.5)
 
     def gradients_of(self, view):
         """The Losses of a view, what was Seen, and the gradients of parameters and of mean2d.
@@ -165,7 +159,7 @@ class Trainer(Loop):
             if self.design.coded:
                 self.parameters["log_step"][...] = coded_networks.first_log_steps(self.networks)
         p = self.parameters
-        u = self.noise(len(self.mask), sum(self.design.widths))
+        u = self.rng.random((len(self.mask), sum(self.design.widths)), np.float32) - np.float32(0.5)
         moments = self.moments_of(view)
         inputs = (p, self.design, self.networks, self.grids, self.fixed(), view, u, moments)
         losses, seen, saved = objective.forward(*inputs)

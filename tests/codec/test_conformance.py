@@ -24,7 +24,7 @@ NETWORKS_OF_SECTION = {
     "deformation_mlp": ("psi_d", "psi_t"),
 }
 KINDS = {
-    "length": r"total length|at least 18 bytes|add up to|expected \d+ bytes",
+    "length": r"total length|at least 18 bytes|add up to|expected \d+ bytes|last level",
     "magic": "wrong magic",
     "version": "version 3",
     "checksum": "checksum",
@@ -32,10 +32,10 @@ KINDS = {
     "missing": "section is missing",
     "unexpected": "no effect that needs",
     "header": "expected",
-    "number": "finite",
+    "number": "finite|expected levels|expected symbols",
     "stream": (
         r"left over|the data end before|state \d+|lane|tail|probability|symbol|an escape"
-        r"|raw bits per gap|gaps that add up"
+        r"|raw bits per gap|gaps that add up|a code beyond"
     ),
 }
 

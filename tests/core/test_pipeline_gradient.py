@@ -105,11 +105,11 @@ def hold(p, design, fixed, view, u, monkeypatch):
     smooth_rate, (_, saved_rate) = surrogate(base), hash_rate.forward(base)
     coding = {}
     if fixed.coded:  # scales carry no gradient, and steps move off their lattice
-        layout, log_step = fixed.coded[0], p["log_step"].copy()
+        layout, log_step = fixed.coded, p["log_step"].copy()
         steps = coded_networks.steps_of(log_step)
         step = steps[layout.tensor]
         w = p.vector[layout.part]
-        b = coded_networks.scales(layout.noisy.vector / step, layout)
+        b = coded_networks.scales(layout.rounded.vector / step, layout)
         error = np.rint(w / step) - w / step
         coding = {
             (coded_networks, "scales"): lambda k, layout: b,
@@ -195,13 +195,11 @@ def test_every_array_with_the_time_net_and_skip_of_d3dgs(monkeypatch):
     assert {"psi_d.W2", "psi_t.W0", "psi_t.b1"} <= set(names)
 
 
-@pytest.mark.parametrize("rounded", [False, True])
-def test_every_array_with_coded_networks(rounded, monkeypatch):
-    """With noise, and with the error of rounding in its place, as straight-through assumes."""
+def test_every_array_with_coded_networks(monkeypatch):
+    """The errors of rounding are held, as straight-through assumes."""
     p, design, fixed, view, u = setting(changes=dict(coded=True), seed=2)
     layout = coded_networks.Layout(p, design.layers())
-    v = None if rounded else np.random.default_rng(3).random(len(layout.tensor)) - 0.5
-    fixed = fixed._replace(coded=(layout, v), lambda_networks=0.3)
+    fixed = fixed._replace(coded=layout, network_price=0.3)
     names = check(p, design, fixed, view, u, monkeypatch)
     assert set(names) == set(p.arrays)
 
