@@ -6,8 +6,10 @@ from importlib import import_module
 import numpy as np
 
 from ..splatting import fast
-from ..table import EQUATIONS
+from ..table import BEYOND, EQUATIONS
 from . import objective
+
+TRAINED = {**EQUATIONS, **BEYOND}
 
 
 class NotFinite(ArithmeticError):
@@ -48,10 +50,10 @@ def check(where, arrays):
 def intercepted(wrap):
     """Within this context, `wrap(key, name, function)` replaces every forward and backward.
 
-    These are the functions of the 26 equations and of the fast renderer, which has the key
+    These are the functions of the 27 equations and of the fast renderer, which has the key
     "compositing, fast".
     """
-    modules = {key: import_module(equation.module) for key, equation in EQUATIONS.items()}
+    modules = {key: import_module(equation.module) for key, equation in TRAINED.items()}
     modules["compositing, fast"] = fast
     kept = {key: (module.forward, module.backward) for key, module in modules.items()}
     try:
@@ -69,7 +71,7 @@ def watched():
     running = []  # the equations that are running; psi_d's network runs inside Eq. (5)
 
     def watch(key, name, function):
-        equation = EQUATIONS[key.split(",")[0]]
+        equation = TRAINED[key.split(",")[0]]
 
         def run(*args, **kwargs):
             running.append(key)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.equations import likelihood
-from p4dgs_ref.table import EQUATIONS, Equation
+from p4dgs_ref.table import BEYOND, EQUATIONS, Equation
 from tests.core import adjoint, shape_comments
 from tests.core.adjoint import EPS, cast, close, draw_cotangents, is_float, leaves
 from tests.golden.cases import FLAGS, cases_of
@@ -21,11 +21,11 @@ from tests.golden.cases import FLAGS, cases_of
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 ALL = [
     pytest.param(eq, case, id=f"{key}-{case.name}")
-    for key, eq in EQUATIONS.items()
+    for key, eq in {**EQUATIONS, **BEYOND}.items()
     for case in cases_of(key)
 ]
 EVERY = pytest.mark.parametrize("eq, case", ALL)
-EACH = pytest.mark.parametrize("eq", EQUATIONS.values(), ids=EQUATIONS)
+EACH = pytest.mark.parametrize("eq", [*EQUATIONS.values(), *BEYOND.values()], ids=lambda eq: eq.key)
 
 
 def run(eq, inputs):
