@@ -92,7 +92,7 @@ PRESET = Preset(
 UNUSED = (
     *("name", "anchors", "extent", "feature_std", "opacity_bias", "upright"),
     *("deformation_gain", "sparse_share", "sparse_ssim", "sparse_lr_c"),
-    *("coded", "position_bits", "lambda_networks", "rounding_from", "lr_step"),
+    *("coded", "position_bits", "network_ramp", "lr_step"),
 )
 SETTINGS = {name: value for name, value in PRESET._asdict().items() if name not in UNUSED}
 
