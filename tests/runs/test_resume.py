@@ -48,7 +48,11 @@ def scene():
     return p4.load_scene("bouncing", downscale=4)
 
 
-@pytest.fixture(scope="module", params=[LIVELY, SCAFFOLD], ids=["reseed", "scaffold"])
+CODED = {**LIVELY, "coded": True, "position_bits": 10, "network_ramp": 9, "lr_step": (0.02, 0.01)}
+KINDS = {"reseed": LIVELY, "scaffold": SCAFFOLD, "coded": CODED}
+
+
+@pytest.fixture(scope="module", params=KINDS.values(), ids=KINDS)
 def whole(request, scene):
     """Settings, and the bytes and the history of an uninterrupted training."""
     trainer = fit(scene, **request.param)
