@@ -14,9 +14,10 @@ first layer, W and b of the second, and so on; heads without outputs are left ou
 
 A symbol of row i and column j is coded with
 
-    mu_units = 0        sigma_units = clip(16 (t + r_i + c_j), -128, 319)
+    mu_units = 0        sigma_units = 16 clip(t + r_i + c_j, -8, 19)
 
-so its deviation is 2^(t + r_i + c_j). Biases have no codes; r and c are 0 there. The number is
+so its deviation is 2^(t + r_i + c_j) where that is in range. Biases have no codes: r and c are 0
+there. The number is
 
     n (16 + s mod 16) 2^(floor(s / 16) - 19)
 
@@ -63,7 +64,7 @@ def write_weights(networks, steps):
             scales.append((t + r[:, None] + c).ravel())
             symbols.append(n.ravel())
     codes, scales, symbols = (np.concatenate(parts) for parts in (codes, scales, symbols))
-    tables = gaussian_model(0 * codes, 0 * codes)
+    tables = tables_of(0 * codes)
     message = rans.encode(find_entries(codes, tables)[0], tables.keys)
     return bytes(head) + message + encode_gaussian(symbols, 0 * symbols, sigma_units(scales))
 
@@ -85,16 +86,15 @@ def read_weights(data, section, shapes):
     steps, levels = head[:, :, 0], head[:, :, 1] + LEVELS[0]
 
     lengths = [length for I, J in layers for length in (I if J else 0, J)]
-    zeros = np.zeros(sum(lengths), np.int64)
-    tables = gaussian_model(zeros, zeros)
+    tables = tables_of(np.zeros(sum(lengths), np.int64))
     entries, at = rans.decode(data, tables.table, tables.keys, start, section)
-    require((entries < tables.blocks[0]).all(), section, start, "a code beyond +-13")
-    codes = iter(np.split(tables.lowest + entries, np.cumsum(lengths)))
+    codes = tables.lowest + entries - tables.first[tables.table]
+    require((codes <= -tables.lowest).all(), section, start, "a code beyond +-13")
+    codes = iter(np.split(codes, np.cumsum(lengths)))
     scales = []
     for (_, J), (t_W, t_b) in zip(layers, levels):
         scales += [(t_W + next(codes)[:, None] + next(codes)).ravel(), np.full(J, t_b)]
-    sigma = sigma_units(np.concatenate(scales))
-    symbols = decode_symbols(data, gaussian_model(0 * sigma, sigma), section, at=at)
+    symbols = decode_symbols(data, tables_of(np.concatenate(scales)), section, at=at)
     require(
         np.abs(symbols).max(initial=0) <= MOST_STEPS,
         section,
@@ -114,7 +114,20 @@ def read_weights(data, section, shapes):
 
 def sigma_units(scales):
     """The sigma_units of symbols from the binary logarithms of their deviations, integers."""
-    return np.clip(scales << SIGMA_BITS, SIGMA_MIN, SIGMA_MAX)
+    return np.clip(scales, LEVELS[0], LEVELS[-1]) << SIGMA_BITS
+
+
+@cache
+def tables_of_levels():
+    """The model of one symbol at every level; `gaussian_model` orders tables by deviation."""
+    return gaussian_model(0 * LEVELS, sigma_units(LEVELS))
+
+
+def tables_of(scales):
+    """`gaussian_model` of symbols, from the binary logarithms of their deviations."""
+    levels = tables_of_levels()
+    i = np.clip(scales, LEVELS[0], LEVELS[-1]) - LEVELS[0]
+    return levels._replace(table=levels.table[i], lowest=levels.lowest[i])
 
 
 @cache
