@@ -26,6 +26,7 @@ MISSED = {
     *("deformed/H-G5.nearly_w", "deformed/H-P2.zero", "deformed/H-P2.negative"),
     *("view/far", "view/near"),
     *("activations/saturated", "activations/far_logits", "conditional/lasting"),
+    *("rotation_4d/identity", "rotation_4d/left_by_i", "rotation_4d/right_by_minus_i"),
 }
 
 
@@ -127,7 +128,7 @@ def test_the_formulas_as_printed_are_acceptable(dtype):
     assert found.ok, str(found)
     acceptable = {r.id for r in found.results if r.recipe}
     assert {"ssim/flat", "tanh/tails", "deformed/H-G5.nearly_w"} <= acceptable
-    assert len(acceptable) < 20 and sum(r.verdict == "pass" for r in found.results) > 280
+    assert len(acceptable) < 30 and sum(r.verdict == "pass" for r in found.results) > 340
 
 
 def test_the_report_says_so(textbook, capsys):
