@@ -423,11 +423,12 @@ def write_heat(arguments, data, folder):
 
 
 def equations(arguments):
-    """Print the table of equations, the baselines' too."""
+    """Print the table of equations, also the baselines' and those beyond the paper."""
     from .. import table
     from ..baselines.table import ALL_EQUATIONS
 
-    show(arguments, {"equations": table.rows(ALL_EQUATIONS)}, table.table(ALL_EQUATIONS))
+    every = {**ALL_EQUATIONS, **table.BEYOND}
+    show(arguments, {"equations": table.rows(every)}, table.table(every))
 
 
 def presets(arguments):
