@@ -15,7 +15,8 @@ objects:
            header (its content), number (a weight or the box), stream (an entropy-coded message).
 
 The streams whose names begin with `coded_` have version 2. Their `header` is the JSON as it stands
-in the file, without what the base design says.
+in the file, without what the base design says. A port must read version 1. It may refuse or skip
+all files of version 2, but if it reads one of the valid ones, it must read all of them.
 
 Types are u8, u16, i32, i64, f32, f64, and bit: eight to a byte, the lowest bit first, the last byte
 filled with zeros. Symbols reach 2^31 and mu_units 2^34; they are stored as i64 where i32 is too

@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.codec import published
-from p4dgs_ref.oracle import export, safetensors, streams
+from p4dgs_ref.oracle import checker, export, safetensors, streams
 from p4dgs_ref.oracle.adapter import Adapter
-from p4dgs_ref.oracle.ports import FolderPort
+from p4dgs_ref.oracle.ports import FolderPort, PortError
 from tests.golden.vectors import stream_records
 
 ROWS = streams.read_rows()
 GOOD, BAD = ([row["name"] for row in ROWS[key]] for key in ("good", "bad"))
+VERSION_2 = [name for name in GOOD + BAD if name.startswith("coded_")]
+VALID_2 = [name for name in VERSION_2 if name in GOOD]
 
 DECODER = """
 import base64, json, sys
@@ -59,8 +61,8 @@ def check(folder):
     """{name: Result} of those that do not pass."""
     results = streams.check(FolderPort(folder))
     assert [r.id for r in results] == [f"codec/{name}" for name in GOOD + BAD]
-    assert all(r.level == "L3" and r.required for r in results)
-    return {r.id[6:]: r for r in results if r.verdict != "pass"}
+    assert all(r.level == "L3" and (r.required or r.id[6:] in VERSION_2) for r in results)
+    return {r.id[6:]: r for r in results if r.verdict != "pass" and r.required}
 
 
 def change(folder, name, **arrays):
@@ -72,6 +74,13 @@ def change(folder, name, **arrays):
 
 def read(folder, name):
     return safetensors.load((folder / "codec" / f"{name}.safetensors").read_bytes())
+
+
+def test_the_names_tell_the_version():
+    """The ninth byte of a file is its version; `wrong_version` has the table of version 1."""
+    rows = [row for row in ROWS["good"] + ROWS["bad"] if row["name"] != "wrong_version"]
+    version = {row["name"]: (published.FOLDER / row["file"]).read_bytes()[8:9] for row in rows}
+    assert [name for name, byte in version.items() if byte == b"\2"] == VERSION_2
 
 
 def test_our_own_answers_pass(ours):
@@ -194,9 +203,9 @@ def test_what_is_not_there_or_damaged(folder):
     assert {name: r.verdict for name, r in wrong.items()} == {"full": "missing", "ties": "damaged"}
     assert "codec/full.safetensors" in wrong["full"].explanation
     shutil.rmtree(folder / "codec")
-    assert {r.verdict for r in check(folder).values()} == {"missing"} and len(check(folder)) == len(
-        GOOD + BAD
-    )
+    wrong = check(folder)
+    assert {r.verdict for r in wrong.values()} == {"missing"}
+    assert [*wrong] == [name for name in GOOD + BAD if name not in VERSION_2]
 
 
 def test_refusals(folder):
@@ -224,6 +233,55 @@ def test_refusals(folder):
         assert {r.verdict for r in check(folder).values()} == {"damaged"}
 
 
+def forget(folder, names, why=None):
+    """Take answers away. With `why`, the port refuses these streams."""
+    file = folder / "codec" / "refusals.json"
+    reasons = {n: w for n, w in json.loads(file.read_text()).items() if n not in names}
+    file.write_text(json.dumps(reasons | dict.fromkeys(names, why) if why else reasons))
+    for name in names:
+        (folder / "codec" / f"{name}.safetensors").unlink(missing_ok=True)
+
+
+@pytest.mark.parametrize("why", ["version 2", None])
+def test_a_port_may_leave_out_version_2(folder, why):
+    """Refused or without an answer: the valid streams, or the whole version."""
+    forget(folder, VALID_2, why)
+    found = checker.check_port(FolderPort(folder), only="codec")
+    assert found.ok and found.levels()["L3"]["of"] == len(GOOD + BAD) - len(VALID_2)
+    assert "version 2: 6 streams left out, which is allowed" in str(found)
+    assert {r.id[6:] for r in found.results if not r.required} == set(VALID_2)
+    assert {r.verdict for r in found.results if not r.required} == {"skipped"}
+    forget(folder, VERSION_2, why)
+    found = checker.check_port(FolderPort(folder), only="codec")
+    left = VALID_2 if why else VERSION_2  # invalid streams that are refused count as passes
+    assert found.ok and {r.id[6:] for r in found.results if not r.required} == set(left)
+    assert f"version 2: {len(left)} streams left out" in str(found)
+
+
+@pytest.mark.parametrize("why", ["version 2", None])
+def test_a_port_that_reads_some_of_version_2_must_read_all(folder, why):
+    forget(folder, VALID_2[1:], why)
+    wrong = check(folder)
+    assert [*wrong] == VALID_2[1:]
+    assert {r.verdict for r in wrong.values()} == {"fail" if why else "missing"}
+    change(folder, VALID_2[0], q=None)  # read, but not right
+    assert [*check(folder)] == VALID_2
+
+
+def test_version_2_left_out_excuses_nothing_else(folder):
+    """Neither an invalid stream that is accepted, nor one of version 1, nor a damaged answer."""
+    forget(folder, [*VALID_2, "full"], "no")
+    file = folder / "codec" / "refusals.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"coded_far": None}))
+    assert {n: r.verdict for n, r in check(folder).items()} == {"full": "fail", "coded_far": "fail"}
+    forget(folder, ["coded_far"])
+    (folder / "codec" / f"{VALID_2[2]}.safetensors").write_bytes(b"no tensors")
+    forget(folder, ["full"])
+    forget(folder, VALID_2[:2] + VALID_2[3:], "no")
+    file.write_text(json.dumps(json.loads(file.read_text()) | {VALID_2[2]: None}))
+    assert {*check(folder)} == {"full", "coded_far", *VALID_2}
+
+
 @pytest.mark.parametrize("option, failing", [("", []), ("--lenient", BAD), ("--strict", GOOD)])
 def test_through_a_process(tmp_path, option, failing):
     script = tmp_path / "decoder.py"
@@ -236,8 +294,27 @@ def test_through_a_process(tmp_path, option, failing):
     ]
     with Adapter(shlex.join(command), timeout=60) as port:
         results = streams.check(port)
-    assert {r.verdict for r in results} <= {"pass", "fail"} and len(results) == len(GOOD + BAD)
-    assert [r.id[6:] for r in results if r.verdict == "fail"] == failing
+    assert {r.verdict for r in results if r.required} <= {"pass", "fail"}
+    assert [r.id[6:] for r in results] == GOOD + BAD
+    left = [r.id[6:] for r in results if not r.required]
+    assert left == (VALID_2 if option == "--strict" else [])
+    assert [r.id[6:] for r in results if r.verdict == "fail"] == [
+        n for n in failing if n not in left
+    ]
+
+
+def test_a_process_may_skip_version_2(ours):
+    """A port that looks at the version alone skips `wrong_version` too, but has to refuse it."""
+
+    class Skips(streams.StreamFolder):
+        def decode(self, name, data):
+            if data[8:9] == b"\2":
+                raise PortError("skipped", "not written yet")
+            return super().decode(name, data)
+
+    found = checker.Report(streams.check(Skips(ours)))
+    assert {r.id[6:] for r in found.results if not r.required} == set(VERSION_2)
+    assert [r.id for r in found.results if r.wrong] == ["codec/wrong_version"]
 
 
 def test_the_manifest_says_where_and_what(tmp_path):
