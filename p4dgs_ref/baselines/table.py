@@ -4,7 +4,7 @@ D belongs to D3DGS, H to 4DHexPlane, G to 4DGS. What a method takes from the pap
 method has no second row.
 """
 
-from ..table import EQUATIONS, Equation
+from ..table import BEYOND, EQUATIONS, Equation
 
 _ROWS = (
     Equation(
@@ -90,4 +90,4 @@ _ROWS = (
 )
 
 BASELINE_EQUATIONS: dict[str, Equation] = {row.key: row for row in _ROWS}
-ALL_EQUATIONS = {**EQUATIONS, **BASELINE_EQUATIONS}
+ALL_EQUATIONS = {**EQUATIONS, **BASELINE_EQUATIONS, **BEYOND}

@@ -427,8 +427,8 @@ def equations(arguments):
     from .. import table
     from ..baselines.table import ALL_EQUATIONS
 
-    every = {**ALL_EQUATIONS, **table.BEYOND}
-    show(arguments, {"equations": table.rows(every)}, table.table(every))
+    rows = {"equations": table.rows(ALL_EQUATIONS)}
+    show(arguments, rows, table.table(ALL_EQUATIONS))
 
 
 def presets(arguments):

@@ -23,7 +23,8 @@ LEVELS = {
     "L3": "the codec",
     "L4": "the pipeline",
 }
-GROUPS = {"baselines": "level L1"}  # of subjects that a port may leave out, with their level
+# Groups of subjects that a port may leave out, with their level.
+GROUPS = {"baselines": "level L1", "beyond": "level L1"}
 
 
 class Golden(NamedTuple):
@@ -36,7 +37,7 @@ class Golden(NamedTuple):
     level: str
     record: dict  # the case's record in the manifest
     tensors: dict  # {"in.x_a": array, "out.x": array, "scale.out.x": array, ...}
-    group: str = ""  # "baselines" where a port may leave the subject out
+    group: str = ""  # of GROUPS, where a port may leave the subject out
 
     def inputs(self):
         """Return the keyword arguments of forward: tensors, lists of tensors and settings."""

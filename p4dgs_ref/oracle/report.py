@@ -29,7 +29,9 @@ def text(report):
         left = {r.id.split("/")[0] for r in report.results if r.group == group and not r.required}
         left -= {r.id.split("/")[0] for r in report.results if r.required}
         if left:
-            lines.append(f"{group}: {len(left)} equations left out, which is allowed")
+            lines.append(
+                f"{group}: {len(left)} equation{'s' * (len(left) > 1)} left out, which is allowed"
+            )
     left = sum(r.level == "L3" and not r.required for r in report.results)
     if left:
         lines.append(f"version 2: {left} streams left out, which is allowed")

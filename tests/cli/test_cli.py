@@ -15,7 +15,6 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref.baselines.table import ALL_EQUATIONS
 from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.table import BEYOND
 
 ROOT = Path(p4.__file__).resolve().parents[1]
 COMMANDS = (
@@ -265,7 +264,7 @@ def test_simulate(run):
 
 def test_tables(run):
     listed = run("equations --json")["equations"]
-    assert [row["key"] for row in listed] == [*ALL_EQUATIONS, *BEYOND]
+    assert [row["key"] for row in listed] == [*ALL_EQUATIONS]
     assert all(f"`{row['key']}`" in run("equations") for row in (listed[0], listed[-1]))
     differs = run("presets tiny --json")["tiny"]["differs"]
     assert {"field": "anchors", "paper": 10000, "here": 200} in differs

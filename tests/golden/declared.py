@@ -41,6 +41,7 @@ SHAPES = {
         "biases": "*J",
         "s": "A k 3",
     },
+    "weight_bits": {"w": "n", "step": "n", "b": "n", "bits": "n"},
     "masking": {
         "alpha": "A k -> N",
         "mask": "A k",

@@ -25,6 +25,7 @@ EQUIVALENT = {
     ),
     "likelihood:rate:int:3": "between 0 and 1 sigma both formulas have all their digits",
     "likelihood:narrow_bin:int:11": "three millionths of a term that is at most 4e-11",
+    "weight_bits:forward:lt-lte:1": BORDER,
     "hash_rate:forward:swap-arguments:1": "the entropy of two counts is symmetric in them",
     "mlp:backward:gt-gte:1": "a product that `needs_x=False` saves is computed, but not used",
     "projection:forward:float:4": CULLED,

@@ -1,7 +1,7 @@
 """All subjects of the vectors, in the order in which data flows.
 
-A subject is an equation of the paper or of a baseline, or something that is called like one: a
-scalar function, a stage of several equations, the pipeline.
+A subject is an equation of the paper, of a baseline or of the coded design, or something that is
+called like one: a scalar function, a stage of several equations, the pipeline.
 """
 
 from functools import cache
@@ -9,7 +9,7 @@ from typing import Callable, NamedTuple
 
 from p4dgs_ref.baselines.table import ALL_EQUATIONS, BASELINE_EQUATIONS
 from p4dgs_ref.oracle import tolerance
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.table import BEYOND, EQUATIONS
 from tests.golden.cases import cases_of
 from tests.golden.declared import CONSTANTS, FORMULAS, GRADIENTS, SHAPES
 from tests.golden.hard_cases import catalogue
@@ -44,6 +44,7 @@ FLOW = (
     "rate_loss",
     "total_loss",
 )
+OPTIONAL = {"baselines": BASELINE_EQUATIONS, "beyond": BEYOND}  # a port may leave them out
 
 
 class Subject(NamedTuple):
@@ -83,7 +84,7 @@ def no_pullback(**cotangents):
 
 
 def equation(key):
-    """Return the subject of an equation of the paper or of a baseline."""
+    """Return the subject of an equation of a table."""
     row = ALL_EQUATIONS[key]
 
     def cases():
@@ -101,7 +102,7 @@ def equation(key):
         row.vjp,
         cases,
         CONSTANTS.get(key, {}),
-        group="baselines" if key in BASELINE_EQUATIONS else "",
+        group=next((group for group, table in OPTIONAL.items() if key in table), ""),
     )
 
 
@@ -122,7 +123,7 @@ def subjects():
     found = [
         *scalars.SUBJECTS,
         *scalars_coding.SUBJECTS,
-        *(equation(key) for key in (*FLOW, *BASELINE_EQUATIONS)),
+        *(equation(key) for key in (*FLOW, *BASELINE_EQUATIONS, *BEYOND)),
         *stages.SUBJECTS,
         *stages_coding.SUBJECTS,
         *kernel.SUBJECTS,

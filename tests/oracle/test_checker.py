@@ -166,6 +166,7 @@ def test_a_port_without_any_baseline_passes(tmp_path):
     found = checker.check_port(ports.FolderPort(tmp_path), ["L1"])
     assert found.ok and found.levels().keys() == {"L1"}
     assert "baselines: 10 equations left out" in str(found) and found.first is None
+    assert "beyond: 1 equation left out" in str(found)
     (tmp_path / "view.safetensors").unlink()
     assert checker.check_port(ports.FolderPort(tmp_path), ["L1"]).first.equation == "view"
 

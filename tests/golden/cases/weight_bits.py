@@ -23,7 +23,7 @@ def cases():
     yield Case("narrow", steps([0, 0.25, -3, 1e6], [1e3, 1e5, 1e9, 1e12]), ("narrow", "zero"))
     yield Case(
         "wide",
-        steps([0, 0.1, -0.2], 1 / 1024),
+        steps([0, 0.1, -0.2], 1 / 4096),
         ("wide",),
         expected={"bits": np.zeros(3), "w_bar": np.zeros(3)},
     )
@@ -40,6 +40,7 @@ def cases():
             "step_bar": -np.array([2, 2]) / b / math.log(2),
         },
     )
+    yield Case("beside_the_edge", steps([0.502, -0.498], [0.3, 0.02]), ("negative",))
     yield Case("tiny_steps", {**ordinary, "w": ordinary["w"] * 2.0**-30, "step": step * 2.0**-30})
     at_zero = -math.log2(1 - math.exp(-0.5 / 0.8))
     at_two = 1.5 / 0.8 / math.log(2) + 1 - math.log2(1 - math.exp(-1 / 0.8))

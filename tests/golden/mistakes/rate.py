@@ -309,6 +309,58 @@ LIKELIHOOD = [
 ]
 
 
+# --- B1 -----------------------------------------------------------------------------------------
+def laplace_density(given, cotangents):
+    w, step, b = given["w"], given["step"], given["b"]
+    k, bits_bar = w / step, cotangents["bits_bar"] / LOG_2
+    slope = bits_bar * np.sign(k) / b / step
+    bits = (np.abs(k) / b + np.log(2 * b)) / LOG_2
+    return {"bits": bits}, {"w": slope, "step": -slope * k}
+
+
+WEIGHT_BITS = [
+    known(
+        "weight_bits",
+        "weight-bits-no-step",
+        "the weights are not divided by the step",
+        inputs={"step": np.ones_like},
+        inputs_bar={"step": no_gradient},
+    ),
+    known(
+        "weight_bits",
+        "weight-bits-whole-step",
+        "the bin reaches from k - 1 to k + 1",
+        inputs={"step": lambda step: 2 * step, "b": lambda b: b / 2},
+        inputs_bar={"step": lambda bar, _: 2 * bar},
+    ),
+    known(
+        "weight_bits",
+        "weight-bits-nats",
+        "the bits are nats: the natural logarithm for that to base 2",
+        outputs={"bits": lambda bits: bits * LOG_2},
+        outputs_bar={"bits": lambda bar, _: bar * LOG_2},
+    ),
+    surgery(
+        "weight_bits",
+        "weight-bits-density",
+        "the density at k for the mass of the bin",
+        laplace_density,
+    ),
+    known(
+        "weight_bits",
+        "weight-bits-no-gradient-of-step",
+        "no gradient flows to the step",
+        inputs_bar={"step": no_gradient},
+    ),
+    known(
+        "weight_bits",
+        "weight-bits-sign-of-step",
+        "the gradient of the step has the wrong sign",
+        inputs_bar={"step": lambda bar, _: -bar},
+    ),
+]
+
+
 # --- Eq. (12) -----------------------------------------------------------------------------------
 def deviations(value):
     """A head whose sigma is `value(raw) -> sigma, slope`."""
@@ -557,4 +609,4 @@ ANCHOR_RATE = [
     ),
 ]
 
-MISTAKES = [*NOISE, *STEP, *ROUNDING, *LIKELIHOOD, *PRIOR, *ANCHOR_RATE]
+MISTAKES = [*NOISE, *STEP, *ROUNDING, *LIKELIHOOD, *WEIGHT_BITS, *PRIOR, *ANCHOR_RATE]
