@@ -33,11 +33,11 @@ def cases():
         steps([0.5, -0.5], b),
         ("kink", "negative"),
         smooth=False,
-        cotangents={"bits_bar": np.ones(2)},
+        cotangents={"bits_bar": np.array([1.0, 3.0])},
         expected={
             "bits": 1 - np.log2(1 - np.exp(-1 / b)),
-            "w_bar": np.array([4, -4]) / b / math.log(2),
-            "step_bar": -np.array([2, 2]) / b / math.log(2),
+            "w_bar": np.array([4, -12]) / b / math.log(2),
+            "step_bar": -np.array([2, 6]) / b / math.log(2),
         },
     )
     yield Case("beside_the_edge", steps([0.502, -0.498], [0.3, 0.02]), ("negative",))
