@@ -605,6 +605,11 @@ def loss(p, shot, u, stage, weights=None, relaxed=None):
     if stage == 4:
         number_bits, back_bits = likelihood(noisy, mu, sigma, q[:, GROUP])
         bits = number_bits.sum() + hash_bits  # Eq. (13) is the sum, Eq. (17) adds the grid
+        # Only the networks pay nothing. A few lines change that and go beyond the paper (B1): give
+        # every array of WEIGHTS a step, learned as its logarithm; add noise of this step with
+        # `noise` before `network` reads the array, and at last round; divide by the step, and add
+        # the bits of the result under a density around 0 to `bits`. LAMBDA_RATE then shrinks the
+        # networks, too (beyond_networks.py).
     L_rate = bits / values.size  # bits per number (Q12)
 
     def back():
