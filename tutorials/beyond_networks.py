@@ -236,7 +236,7 @@ left.axhline(0, color="gray", lw=1)
 left.set(
     xlabel="size, share of the paper's", ylabel="PSNR, difference in dB", title="same lambda_rate"
 )
-left.legend(fontsize=10)
+left.legend(fontsize=10, loc="upper right")
 swept = Counter(key[:2] for key in coded).most_common(1)[0][0]  # with the most lambda_rates
 print("\n{}, seed {}   lambda_rate   bytes   psi_d      dB".format(*swept))
 for label, rows in (("the paper's design", paper), ("coded networks", coded)):
