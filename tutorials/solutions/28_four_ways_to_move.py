@@ -24,16 +24,20 @@ lessons.number("28.1", [d3dgs, gaussian4d], [12.4 + 2.08912, 57.96])
 # and G3, whose scales and rotation come from the eigenvalues and eigenvectors of the covariance.
 
 # %%
-by_hand = [1 + 0.75 * 0.2, 0.05 - 0.0009 / 0.04, np.exp(-0.04 / 0.08)]
+moved = 1 + 0.75 * 0.2
+variance = 0.05 - 0.0009 / 0.04
+faded = np.exp(-0.04 / 0.08)
 variances, axes = np.linalg.eigh([[0.05, 0.03], [0.03, 0.04]])
 R = np.eye(4)[None].copy()
 R[0][np.ix_([0, 3], [0, 3])] = axes
 s = np.ones((1, 4))
 s[0, [0, 3]] = np.sqrt(variances)
-x, mu_t = np.array([[1.0, 0, 0]]), np.array([0.5])
+x = np.array([[1.0, 0, 0]])
+mu_t = np.array([0.5])
 (x_t, Sigma_t, var_t), _ = conditional.forward(x, mu_t, s, R, 0.7)
 (_, weight), _ = marginal.forward(np.ones(1), mu_t, var_t, 0.7)
-lessons.number("28.2", by_hand, [x_t[0, 0], Sigma_t[0, 0, 0], weight[0]])
+by_equations = [x_t[0, 0], Sigma_t[0, 0, 0], weight[0]]
+lessons.number("28.2", [moved, variance, faded], by_equations)
 
 # %% [markdown]
 # **28.3** The nodes are at 0, 0.25, 0.5, 0.75 and 1. The picture at 0.1 reads the first two nodes
@@ -43,12 +47,17 @@ lessons.number("28.2", by_hand, [x_t[0, 0], Sigma_t[0, 0, 0], weight[0]])
 
 # %%
 by_hand = [0.6, 0.4 - 1.6, -0.4 + 3, 2, 0]
-planes = [np.ones((2, 5 if i > 2 else 2, 1)) for i in range(6)]
-x, lo, hi = np.zeros((1, 3)), np.zeros(3), np.ones(3)
+in_space = [np.ones((2, 2, 1)) for _ in range(3)]
+in_time = [np.ones((2, 5, 1)) for _ in range(3)]
+planes = in_space + in_time
+x = np.zeros((1, 3))
+lo = np.zeros(3)
+hi = np.ones(3)
 p_bar = np.zeros(5)
 for t, x_bar in ((0.1, 1), (0.3, -2), (0.6, 5)):
     _, saved = plane_features.forward(x, t, lo, hi, planes)
-    bars = plane_features.backward(saved, np.array([[float(x_bar)]]))["planes"]
+    features_bar = np.array([[float(x_bar)]])
+    bars = plane_features.backward(saved, features_bar)["planes"]
     p_bar += bars[5].sum(axis=(0, 2))
 lessons.number("28.3", by_hand, p_bar)
 
