@@ -16,7 +16,7 @@ TUTORIALS = sorted((ROOT / "tutorials").rglob("*.py"))
 FILES = [*PACKAGE_FILES, *TESTS, *TUTORIALS]
 
 BUDGET = {"equations": 600, "core": 4000, "package": 10900}
-TOKENS = {"tokens_per_line": 10, "tutorial_tokens_per_line": 11}
+TOKENS = {"tokens_per_line": 10, "tutorial_tokens_per_line": 11.1}
 WIDTH = 100
 
 # A room imports itself and the rooms before it.
