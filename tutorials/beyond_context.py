@@ -142,7 +142,7 @@ for form, (attributes, rest) in forms.items():
     right.bar(form, attributes, color=lessons.COLORS[0])
     right.bar(form, rest, bottom=attributes, color=lessons.COLORS[1])
     right.text(form, attributes + rest, f"{attributes + rest:,}", ha="center", va="bottom")
-right.set(ylabel="bytes", title="attributes and prediction", ylim=(0, 9000))
+right.set(ylabel="bytes", title="attributes and prediction", ylim=(0, 10_500))
 right.legend(["attributes", "grid and networks, or moments"], fontsize=10)
 lessons.show(figure, "beyond_context")
 
