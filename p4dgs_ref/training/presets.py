@@ -114,7 +114,7 @@ SOURCES = {
     **dict.fromkeys(("opacity_bias", "upright", "deformation_gain"), "off, as the parents (Q28)"),
     "lambda_rate": "HAC (Q12)",
     "coded": "off, as the paper",
-    **dict.fromkeys(("network_ramp", "lr_step"), "unused, as the paper"),
+    **dict.fromkeys(("network_ramp", "lr_step"), "off, as the paper"),
     "position_bits": "ours (Q14)",
     "lambda_ssim": "3DGS (Q13)",
     **dict.fromkeys(("sparse_share", "sparse_ssim", "sparse_lr_c"), "off, as the paper (Q13)"),

@@ -24,6 +24,12 @@ from p4dgs_ref.training.fit import fit
 ROOT = Path(p4.__file__).resolve().parents[1]
 
 
+def with_a_flipped_number(data):
+    """A checkpoint with one bit of its features flipped, well behind the header of their array."""
+    at = data.index(b"p/f_a.npy") + 200
+    return data[:at] + bytes([data[at] ^ 8]) + data[at + 1 :]
+
+
 @pytest.fixture(scope="module")
 def original(tmp_path_factory):
     """A folder with a scene, a run of it, a file, and damaged versions of these."""
@@ -60,10 +66,7 @@ def original(tmp_path_factory):
         ("cut", lambda b: b[:-50]),
         ("empty", lambda b: b""),
         ("text", lambda b: b"hello" * 99),
-        (
-            "flipped",
-            lambda b: b[: len(b) // 2] + bytes([b[len(b) // 2] ^ 8]) + b[len(b) // 2 + 1 :],
-        ),
+        ("flipped", with_a_flipped_number),
     ):
         (place / f"run_{name}").mkdir()
         (place / f"run_{name}" / "checkpoint.npz").write_bytes(

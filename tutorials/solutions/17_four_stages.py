@@ -34,7 +34,7 @@ late = {
     "psi_q": 4,
     "grid": 4,
 }
-first = [late.get(stem, 1) for stem in LEARNING_RATES if stem != "psi_t"]
+first = [late.get(stem, 1) for stem in LEARNING_RATES if stem not in ("psi_t", "log_step")]
 assert PRESETS["paper_real"].lr_x == (0, 0)
 lessons.number("17.2", first, 9 * [1] + [3, 4, 4, 4])
 

@@ -36,7 +36,7 @@ class SampledRate:
     def __init__(self, share, seed=0):
         self.share, self.rng = share, np.random.default_rng(seed)
 
-    def forward(self, noisy, ctx, grids, mask, design):
+    def forward(self, noisy, ctx, grids, mask, design, R_networks=0.0):
         """Eqs. (11), (13), (14), (17) on some rows."""
         A = len(noisy)
         rows = np.sort(self.rng.choice(A, sampled(A, self.share), replace=False))
@@ -46,7 +46,7 @@ class SampledRate:
         R_anchor, saved_anchors = anchor_rate.forward(*split(bits, design), mask[rows])
         (R_hash, _, _), saved_grid = hash_rate.forward(grids)
         scaled = R_anchor * noisy.dtype.type(A / len(rows))
-        output, saved = rate_loss.forward(scaled, R_hash, noisy.size)
+        output, saved = rate_loss.forward(scaled, R_hash + R_networks, noisy.size)
         return output, ((saved_bits, saved_anchors, saved_grid, saved), rows, A)
 
     def backward(self, saved, L_rate_bar, design, full):
