@@ -87,6 +87,8 @@ def frame(true, decoded, t, colors):
     figure.canvas.draw()
     pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()
     pyplot().close(figure)
+    grey = (pixels == pixels[..., :1]).all(axis=2)  # letters: 16 greys leave colours for the rest
+    pixels[grey] = np.rint(pixels[grey] / 17) * 17
     return pixels
 
 
