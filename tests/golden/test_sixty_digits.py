@@ -294,6 +294,7 @@ ALLOWED = {
     "likelihood/edge_of_a_wide_bin": 64,
     "sh_color/at_the_clamp": 2**53,
     "conditional/round_in_the_plane": 2**53,
+    "spherindrical/a_period_and_a_quarter": 32,
 }
 REASONS = {
     "projection/needle": "the determinant cancels: length over width, squared, is 3e8",
@@ -304,6 +305,7 @@ REASONS = {
     "likelihood/edge_of_a_wide_bin": "slopes: tails by difference",
     "sh_color/at_the_clamp": "the last digit of a constant decides on which side it is",
     "conditional/round_in_the_plane": "the velocity is 0 but for the rounding of the inputs",
+    "spherindrical/a_period_and_a_quarter": "a zero of the cosine: the angle 5 pi is rounded",
 }
 
 
