@@ -305,7 +305,7 @@ REASONS = {
     "likelihood/edge_of_a_wide_bin": "slopes: tails by difference",
     "sh_color/at_the_clamp": "the last digit of a constant decides on which side it is",
     "conditional/round_in_the_plane": "the velocity is 0 but for the rounding of the inputs",
-    "spherindrical/a_period_and_a_quarter": "a zero of the cosine: the angle 5 pi is rounded",
+    "spherindrical/a_period_and_a_quarter": "a zero of the cosine: the angle of 2.5 pi is rounded",
 }
 
 
