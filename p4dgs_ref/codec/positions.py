@@ -86,7 +86,7 @@ def read_gaps(data, start, count, box, bits):
     gamma, end = read_gammas(data, end, count, name)
     rest = raw_bits(data, end, min(end + 8, 8 * len(data)))
     require(len(rest) < 8 and not rest.any(), name, end // 8, "bits left over")
-    # A gap beyond all codes is cut to the first number that is none, so that no sum overflows.
+    # A gap larger than every code is cut to the first number beyond them: no sum overflows.
     codes = np.cumsum((np.minimum(gamma - 1, 1 << most - r) << r) + low)
     require((codes >> most == 0).all(), name, start, f"gaps that add up to 2^{most} or more")
     m = np.zeros((count, 3), np.int64)
