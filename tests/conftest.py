@@ -2,6 +2,12 @@
 
 import pytest
 
+import p4dgs_ref
+
+# Before NumPy loads, as every command does it: processes that a test starts inherit this setting,
+# and with another number of BLAS threads the last digits differ.
+p4dgs_ref.prepare()
+
 
 def pytest_addoption(parser):
     help_text = "run only the I-th of N equal shares of the chosen tests"

@@ -56,8 +56,8 @@ def read_file(path):
         raise UsageError(f"{path}: {error}") from None
 
 
-def estimate(scene, preset, arguments, points=None):
-    """Time the first steps of a long training; more than an hour needs --yes."""
+def estimate(scene, preset, arguments, points=None, trainings=1):
+    """Time the first steps of long trainings; more than an hour needs --yes."""
     from ..training.trainer import Trainer
 
     points = scene.points if points is None else points
@@ -69,9 +69,10 @@ def estimate(scene, preset, arguments, points=None):
     while steps < min(3, preset.iterations) and time.perf_counter() - start < 60:
         trainer.step()
         steps += 1
-    minutes = (time.perf_counter() - start) / steps * preset.iterations / 60
+    iterations = trainings * preset.iterations
+    minutes = (time.perf_counter() - start) / steps * iterations / 60
     say(
-        f"preset {preset.name}: about {minutes:.0f} minutes for {preset.iterations} iterations, "
+        f"preset {preset.name}: about {minutes:.0f} minutes for {iterations} iterations, "
         f"judging by the first {steps} (later stages cost more)"
     )
     if minutes > 60 and not arguments.yes:
@@ -84,7 +85,7 @@ def demo(arguments):
     from ..studies.main_job import main_job
 
     preset, scene = read_preset(arguments), read_test_scene(arguments)
-    estimate(scene, preset, arguments)
+    estimate(scene, preset, arguments, trainings=1 + preset.coded)
     metrics = main_job(
         scene, preset, arguments.seed, arguments.output, arguments.start, log(arguments)
     )

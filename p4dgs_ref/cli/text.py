@@ -32,9 +32,23 @@ def metrics(m, folder):
         f"{m['anchors']} anchors, {m['gaussians']} Gaussians\n"
         f"  decoded file on the test views: {quality(m)}\n"
         f"  {size(m)}\n"
+        f"{beside(m)}"
         f"  train {m['train_seconds']:.1f} s ({m['ms_per_step']:.1f} ms per step), {times(m)}, "
         f"total {m['seconds']:.1f} s\n"
         f"  report in {folder}"
+    )
+
+
+def beside(m):
+    """What a preset beyond the paper gains and loses against the paper's design."""
+    paper = m["paper_design"]
+    if paper["bytes"] == m["bytes"]:
+        return ""
+    return (
+        f"  the paper's design: PSNR {paper['psnr_db']:.2f} dB, SSIM {paper['ssim']:.4f}, file "
+        f"{paper['bytes']:,} bytes\n"
+        f"  against it: {m['psnr_db'] - paper['psnr_db']:+.2f} dB, "
+        f"{m['bytes'] / paper['bytes']:.3f} of the bytes\n"
     )
 
 

@@ -99,5 +99,6 @@ def compression(model, data, gaussians):
 
 def json_safe(metrics):
     """The metrics for JSON: where decibels are infinite they are null, and "exact" is true."""
+    metrics = {key: json_safe(a) if isinstance(a, dict) else a for key, a in metrics.items()}
     infinite = [key for key, a in metrics.items() if isinstance(a, float) and np.isinf(a)]
     return {**metrics, **dict.fromkeys(infinite), "exact": True} if infinite else metrics

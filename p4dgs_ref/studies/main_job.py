@@ -6,50 +6,80 @@ import time
 from ..codec.file import decode, encode
 from ..scenes.output import filled
 from ..training.fit import fit
-from ..training.presets import PRESETS, differences
+from ..training.presets import PRESETS, choose, differences, paper_design
+from . import report
 from .evaluate import compression, evaluate, json_safe, timed
-from .report import write_report
 
 
-def main_job(scene, preset="tiny", seed=0, folder="report", start=None, stream=None, **changes):
+def one_design(scene, preset, seed, path, stream):
+    """Train, write the file, decode it and measure the decoded model.
+
+    Returns metrics, the rows and images of the views, the model, and the history of the training.
+    """
+    trainer, train_seconds = timed(lambda: fit(scene, preset, seed, stream=stream))
+    data, encode_seconds = timed(encode, trainer.model())
+    path.write_bytes(data)
+    model, decode_seconds = timed(decode, path.read_bytes())
+    metrics, rows, images = evaluate(model, scene)
+    metrics = {
+        **metrics,
+        **compression(model, data, metrics["gaussians"]),
+        "train_seconds": train_seconds,
+        "ms_per_step": 1e3 * train_seconds / preset.iterations,
+        "encode_seconds": encode_seconds,
+        "decode_seconds": decode_seconds,
+    }
+    return metrics, rows, images, model, trainer.history
+
+
+def main_job(
+    scene, preset="tiny_coded", seed=0, folder="report", start=None, stream=None, **changes
+):
     """Run everything, write the report into `folder` and return the metrics.
 
-    Pictures and metrics are those of the decoded model. The folder gets all files at the end, or
-    none. `start` is the `time.perf_counter()` from which the seconds of the whole job count; the
-    other arguments are those of `train`. Raises the errors of `train`, ValueError for a scene
-    without test views, and OutputError for a folder that cannot be written.
+    A preset that goes beyond the paper is trained a second time without what does. Pictures and
+    metrics are those of the preset's own decoded model; `paper_design` has the others. The folder
+    gets all files at the end, or none. `start` is the `time.perf_counter()` from which the seconds
+    of the whole job count; the other arguments are those of `train`. Raises the errors of `train`,
+    ValueError for a scene without test views, and OutputError for a folder that cannot be written.
     """
     start = time.perf_counter() if start is None else start
+    chosen, name = choose(preset, changes), scene.name.replace("/", "_")
     if not scene.test:
         raise ValueError(
             f"scene {scene.name}: split 'test': no views; expected at least one to measure on"
         )
     with filled(folder) as beside:
-        trainer, train_seconds = timed(lambda: fit(scene, preset, seed, stream=stream, **changes))
-        data, encode_seconds = timed(encode, trainer.model())
-        path = beside / f"{scene.name.replace('/', '_')}.p4dgs"
-        path.write_bytes(data)
-        model, decode_seconds = timed(decode, path.read_bytes())
-        metrics, rows, images = evaluate(model, scene)
-        chosen = trainer.preset
+        paper = None
+        if chosen.coded:
+            announce(stream, "1 of 2 trainings: the paper's design, for comparison")
+            path = beside / f"{name}_paper_design.p4dgs"
+            paper, *_ = one_design(scene, paper_design(chosen), seed, path, stream)
+            announce(stream, f"2 of 2 trainings: preset {chosen.name}")
+        own, *shown, model, history = one_design(
+            scene, chosen, seed, beside / f"{name}.p4dgs", stream
+        )
         metrics = {
             "scene": scene.name,
             "preset": chosen.name,
             "seed": seed,
-            **metrics,
-            **compression(model, data, metrics["gaussians"]),
-            "train_seconds": train_seconds,
-            "ms_per_step": 1e3 * train_seconds / chosen.iterations,
-            "encode_seconds": encode_seconds,
-            "decode_seconds": decode_seconds,
+            **own,
+            "paper_design": {key: (paper or own)[key] for key in ("bytes", "psnr_db", "ssim")},
             "effects": list(scene.effects),
             "changes": {
                 field: here for field, _, here in differences(chosen, PRESETS[chosen.name])
             },
         }
-        write_report(
-            beside, model, scene, rows, images, metrics, trainer.history, chosen.stage_ends
-        )
+        report.write_comparison(beside, scene, *shown)
+        report.write_motion(beside / "motion.gif", model, scene.test[0].camera)
+        report.write_size(beside, own, paper)
+        report.write_training(beside, history, chosen.stage_ends)
         metrics["seconds"] = time.perf_counter() - start
         (beside / "metrics.json").write_text(json.dumps(json_safe(metrics), indent=1) + "\n")
     return metrics
+
+
+def announce(stream, what):
+    """A line between two trainings."""
+    if stream is not None:
+        print(what, file=stream)

@@ -113,20 +113,31 @@ def write_motion(path, model, camera, frames=24, zoom=4):
     write_gif(path, [image.repeat(zoom, 0).repeat(zoom, 1) for image in images])
 
 
-def draw_size(path, components, explicit):
-    """Bytes by component; the title compares the file with the same Gaussians as float32."""
-    names = sorted(components, key=components.get)
-    values = [components[name] for name in names]
-    total = sum(values)
-    figure, ax = pyplot().subplots(figsize=(8.5, 5))
-    bars = ax.barh([LABELS[name] for name in names], values, color=BLUE)
-    ax.bar_label(bars, [f" {v:,} ({100 * v / total:.1f} %)" for v in values])
-    ax.set(xlabel="bytes in the file", xlim=(0, 1.35 * max(values)))
+def draw_size(path, designs, explicit):
+    """Bytes by component of designs {label: {component: bytes}}, of which the first is the file.
+
+    The title compares the file with the same Gaussians as float32.
+    """
+    sizes = {label: sum(components.values()) for label, components in designs.items()}
+    file, *others = designs
+    names = sorted(designs[file], key=designs[others[0] if others else file].get)
+    largest = max(max(components.values()) for components in designs.values())
+    figure, ax = pyplot().subplots(figsize=(8.5, 2.5 + 2.75 * len(designs)))
+    height = 0.8 / len(designs)
+    for i, (color, (label, components)) in enumerate(zip(STACK, designs.items())):
+        values = [components[name] for name in names]
+        bars = ax.barh(np.arange(len(names)) - i * height, values, height, color=color, label=label)
+        ax.bar_label(bars, [f" {v:,} ({100 * v / sizes[label]:.1f} %)" for v in values])
+    ax.set_yticks(np.arange(len(names)) - (len(others) * height) / 2, map(LABELS.get, names))
+    ax.set(xlabel="bytes in the file", xlim=(0, 1.35 * largest))
     ax.xaxis.set_major_formatter("{x:,.0f}")
     ax.locator_params(axis="x", nbins=5)
+    beside = "".join(f"; {label}: {sizes[label]:,} bytes" for label in others)
+    if others:
+        ax.legend(loc="lower right", frameon=False)
     figure.suptitle(
-        f"file: {total:,} bytes\nthe same Gaussians as float32: {explicit:,} bytes, "
-        f"{explicit / total:.1f} times as many",
+        f"{file}: {sizes[file]:,} bytes{beside}\nthe same Gaussians as float32: "
+        f"{explicit:,} bytes, {explicit / sizes[file]:.1f} times as many as in the file",
         fontsize=14,
     )
     save_figure(figure, path)
@@ -237,13 +248,12 @@ def write_training(folder, history, stage_ends):
     write_csv(folder / "training.csv", history, COLUMNS)
 
 
-def write_report(folder, model, scene, rows, images, metrics, history, stage_ends):
-    """Write all pictures and tables of a run into a folder."""
-    write_comparison(folder, scene, rows, images)
-    write_motion(folder / "motion.gif", model, scene.test[0].camera)
-    draw_size(folder / "size.png", metrics["components"], metrics["explicit_bytes"])
-    write_csv(
-        folder / "size.csv",
-        [{"component": name, "bytes": n} for name, n in metrics["components"].items()],
-    )
-    write_training(folder, history, stage_ends)
+def write_size(folder, own, paper=None):
+    """Write size.png and .csv from the metrics of a file and of the paper's design beside it."""
+    designs = {"file": own["components"]}
+    if paper is not None:
+        designs["the paper's design"] = paper["components"]
+    draw_size(folder / "size.png", designs, own["explicit_bytes"])
+    columns = ["component", "bytes", "paper_design_bytes"][: 1 + len(designs)]
+    rows = [[name, *(of[name] for of in designs.values())] for name in own["components"]]
+    write_csv(folder / "size.csv", rows, columns)

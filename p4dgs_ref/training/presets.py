@@ -192,7 +192,8 @@ TINY = Preset(
     collect_from=0,
     mask_from=1800,
 )
-# It goes beyond the paper: its networks and positions pay for their bits (B1, B2).
+BEYOND_THE_PAPER = ("coded", "position_bits", "network_ramp", "lr_step")
+# Its networks and positions pay for their bits (B1, B2).
 TINY_CODED = TINY._replace(
     name="tiny_coded",
     coded=True,
@@ -316,6 +317,11 @@ def differences(preset, against=PAPER_SYNTHETIC):
         for field, value in preset._asdict().items()
         if field != "name" and getattr(against, field) != value
     ]
+
+
+def paper_design(preset):
+    """The preset without what goes beyond the paper (B1, B2)."""
+    return preset._replace(**{field: getattr(PAPER_SYNTHETIC, field) for field in BEYOND_THE_PAPER})
 
 
 def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Preset:

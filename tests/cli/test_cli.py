@@ -47,6 +47,7 @@ METRICS = {
     "anchors": int,
     "gaussians": int,
     "components": dict,
+    "paper_design": dict,
 }
 COMPONENTS = {
     "header",
@@ -118,6 +119,8 @@ def test_demo_metrics(reports):
     assert {key: type(metrics[key]) for key in METRICS} == METRICS
     assert (metrics["scene"], metrics["preset"], metrics["seed"]) == ("bouncing", "smoke", 3)
     assert metrics["changes"] == {"Q_f": 0.5}
+    paper = {key: metrics[key] for key in ("bytes", "psnr_db", "ssim")}
+    assert metrics["paper_design"] == paper  # the preset itself is the paper's design
     assert set(metrics["components"]) == COMPONENTS
     files = list(folder.glob("*.p4dgs"))
     assert (

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+import sys
 
 import imageio.v3 as iio
 import numpy as np
@@ -142,9 +143,33 @@ def test_equal_images(tmp_path):
         and written["exact"] is True
         and written["ssim"] == pytest.approx(1)
     )
+    assert written["paper_design"]["psnr_db"] is None and written["paper_design"]["exact"] is True
     assert "PSNR inf dB, SSIM 1.0000" in text.metrics(metrics, tmp_path)
     assert [row["psnr_db"] for row in table(tmp_path / "comparison.csv")] == ["inf"] * 3
     assert {path.name for path in tmp_path.glob("*.png")} == PICTURES - {"motion.gif"}
+
+
+def test_a_coded_preset_is_compared_with_the_paper_design(scene, done, tmp_path, capsys):
+    """The paper's design beside it has the same changes, and is what its own preset trains."""
+    coded = {"coded": True, "network_ramp": 10, "lr_step": (0.02, 0.002)}
+    metrics = p4.main_job(scene, "smoke", 2, tmp_path, stream=sys.stderr, Q_O=0.2, **coded)
+    folder, paper = done
+    own = {key: paper[key] for key in ("bytes", "psnr_db", "ssim")}
+    assert metrics["paper_design"] == own == paper["paper_design"]
+    files = {path.name: path.read_bytes() for path in tmp_path.glob("*.p4dgs")}
+    assert files.keys() == {"bouncing.p4dgs", "bouncing_paper_design.p4dgs"}
+    assert files["bouncing_paper_design.p4dgs"] == (folder / "bouncing.p4dgs").read_bytes()
+    assert len(files["bouncing.p4dgs"]) == metrics["bytes"] < 0.6 * own["bytes"]
+    sizes = table(tmp_path / "size.csv")
+    assert {row["component"]: int(row["bytes"]) for row in sizes} == metrics["components"]
+    beside = {row["component"]: int(row["paper_design_bytes"]) for row in sizes}
+    assert beside == paper["components"]
+    lines = [line for line in capsys.readouterr().err.splitlines() if "trainings" in line]
+    assert [line[:6] for line in lines] == ["1 of 2", "2 of 2"] and "paper" in lines[0]
+    said = text.metrics(metrics, tmp_path)
+    assert f"file {own['bytes']:,} bytes" in said and f"file {metrics['bytes']:,} bytes" in said
+    assert f"{metrics['bytes'] / own['bytes']:.3f} of the bytes" in said
+    assert "against it" not in text.metrics(paper, folder)
 
 
 def test_json_safe():
