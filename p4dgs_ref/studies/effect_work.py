@@ -10,9 +10,10 @@ from contextlib import contextmanager
 import numpy as np
 
 from .. import effects as fx
-from ..codec.file import decode
+from ..codec.file import NETWORK_SECTIONS, decode, network_numbers
 from ..model import ANCHOR_NETWORKS
 from ..training.finite import intercepted
+from .inspect import components
 
 VIEW = ("view_color", "view_geometry")
 SEES = {
@@ -100,17 +101,25 @@ def counted():
 
 
 def effect_bytes(data):
-    """{effect: bytes of its weights in a file}; effects without weights have none."""
-    model = decode(data)
-    design, sizes = model.design, Counter()
+    """{effect: bytes of its weights in a file}; effects without weights have none.
+
+    Every weight has the mean size of its section: two bytes, unless networks are coded (B1).
+    """
+    model, parts = decode(data), components(data)
+    design, sizes, each = model.design, Counter(), {}
+    for section, members in NETWORK_SECTIONS.items():
+        networks = {name: model.networks[name] for name in members if name in model.networks}
+        if networks:
+            each[section] = parts[section] / network_numbers(networks).size
     for net in ANCHOR_NETWORKS:
         inputs, units = model.networks[net][0][0].shape
         effect = "view_color" if net == "psi_c" else "view_geometry"
-        sizes[effect] += 2 * (inputs - design.d) * units
+        sizes[effect] += each["anchor_mlps"] * (inputs - design.d) * units
     if "psi_d" in model.networks:
         numbers = [W.size + b.size for W, b in zip(*model.networks["psi_d"])]
         heads = {effect: n for effect, n in zip(fx.MOTION, numbers[-3:]) if n}
         time_net = [W.size + b.size for W, b in zip(*model.networks.get("psi_t", ((), ())))]
         shared = sum(numbers[:-3] + time_net) / len(heads)
-        sizes.update({effect: 2 * (count + shared) for effect, count in heads.items()})
+        each_weight = each["deformation_mlp"]
+        sizes.update({effect: each_weight * (n + shared) for effect, n in heads.items()})
     return sizes

@@ -296,6 +296,7 @@ def test_the_paper_presets_say_where_each_value_comes_from(run):
     assert "lambda_rate" in shown and sources["lambda_rate"] == "HAC (Q12)"
 
 
+@pytest.mark.slow
 def test_bench(run):
     measured = run("bench --quick --json")
     assert measured["renderer"][0]["ratio"] > 1 and measured["step_ms"]["whole step"] > 0

@@ -48,6 +48,7 @@ def test_the_catalogue_is_complete():
     assert set(catalogue.ROWS) <= {id.split(".")[0] for id in catalogue.ENTRIES}
 
 
+@pytest.mark.slow
 def test_no_procedure_is_beyond_its_bound(procedures):
     """The hard cases of codec, rendering and training, really run in both precisions."""
     assert len(procedures) == 2 * 29
@@ -56,6 +57,7 @@ def test_no_procedure_is_beyond_its_bound(procedures):
     assert not [f"{row['id']} {row['dtype']}: {row['error']}" for row in failed]
 
 
+@pytest.mark.slow
 def test_the_usual_shortcuts_fail_where_procedures_say(procedures):
     literal = {(row["id"], row["dtype"]): row["literal"] for row in procedures}
     assert literal["H-E9.int16", "float64"] == -32768

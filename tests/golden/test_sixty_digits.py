@@ -19,6 +19,7 @@ from tests.golden.sixty_digits.errors import cotangents
 from tests.golden.sixty_digits.floats import exact
 from tests.golden.sixty_digits.gradients import FORMULAS
 from tests.golden.sixty_digits.record import SAMPLES, measure, text
+from tests.sampling import few
 
 DATA = Path(__file__).with_name("data")
 RECORDED = json.loads((DATA / "reference_errors.json").read_text(encoding="utf-8"))["errors"]
@@ -234,6 +235,7 @@ def test_gradients_have_fifty_digits():
         agree(far, (1 - drop) / (f.mills(low) - drop * f.mills(low + 1)) / f.log(Decimal(2)), 50)
 
 
+@pytest.mark.slow
 def test_kinks_have_no_gradient_and_everything_else_has():
     kink = dict(
         x=np.array([[0.0], [-1.0], [1e-300]]),
@@ -330,7 +332,7 @@ def compare(key, name, dtype, samples):
         )
 
 
-@pytest.mark.parametrize("key, name", CASES)
+@pytest.mark.parametrize("key, name", few(CASES, 60))
 def test_reference(key, name):
     """Four elements of each gradient; the slow test takes all."""
     compare(key, name, "float64", 4)

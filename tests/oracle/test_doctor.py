@@ -14,7 +14,7 @@ MISTAKES = [mistake for key in published.subjects() for mistake in doctor.known(
 EVERY = pytest.mark.parametrize(
     "mistake",
     [
-        pytest.param(mistake, id=mistake.id, marks=[pytest.mark.slow] if i % 8 else [])
+        pytest.param(mistake, id=mistake.id, marks=[pytest.mark.slow] if i % 16 else [])
         for i, mistake in enumerate(MISTAKES)
     ],
 )

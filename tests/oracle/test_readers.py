@@ -317,6 +317,7 @@ def test_precision_is_that_of_the_answers(tmp_path):
         assert report.ok and {r.verdict for r in report.results} == verdicts
 
 
+@pytest.mark.slow
 def test_printed_commands_run(tmp_path, monkeypatch, capsys):
     need("python3")  # runs the example adapter
     (block,) = re.findall(

@@ -45,6 +45,7 @@ def test_answers_to_the_first_version_still_check(answers):
     assert report.ok and {r.id for r in report.results} == ids(FIRST)
 
 
+@pytest.mark.slow
 def test_what_joined_since_is_missing_from_them(answers):
     report = checked(answers, LAST)
     levels = [s for s in published.read_manifest()["subjects"] if s["level"] != "L3"]

@@ -15,6 +15,7 @@ from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.scenes.output import OutputError
 from p4dgs_ref.training.checkpoint import CHECKPOINT, RunError, load
 from p4dgs_ref.training.fit import fit, load_model
+from tests.sampling import few
 
 pytestmark = pytest.mark.filterwarnings("ignore:scene bouncing")  # nine steps learn nothing
 # Seven of nine iterations, so that the box is fixed and a window is half full.
@@ -241,7 +242,7 @@ def both_refuse(folder, run, words, capsys):
     assert sorted((path, path.stat().st_mtime_ns) for path in folder.rglob("*")) == before
 
 
-@pytest.mark.parametrize("edit", EDITS)
+@pytest.mark.parametrize("edit", few(EDITS, 20))
 def test_an_edited_checkpoint_is_refused(edited, run, capsys, edit):
     change, words = EDITS[edit]
     both_refuse(edited(change), run, words, capsys)

@@ -9,6 +9,7 @@ from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
+from tests.sampling import few
 
 EYES = ((1.5, -2.5, 1.0), (-0.4, 2.8, 0.6), (2.4, 1.1, -0.5))
 
@@ -88,7 +89,7 @@ STARTS = {
 }
 
 
-@pytest.mark.parametrize("name", STARTS)
+@pytest.mark.parametrize("name", few(STARTS, 5))
 def test_a_hard_start_ends_finite_with_a_file(name):
     """From the first step to the decoded picture, NumPy's overflows and NaNs are errors."""
     data, changes, spoil, points = STARTS[name]

@@ -397,6 +397,7 @@ def check_page(folder, result):
     json.dumps(result)
 
 
+@pytest.mark.slow
 def test_chosen_studies_make_a_page(tmp_path, overlapping):
     said = []
     result = report.run(["gradients", "coder"], tmp_path, True, said.append)

@@ -71,10 +71,10 @@ def test_two_processes_train_the_builds_that_one_trains():
 
 
 def test_bytes_of_motion_are_those_of_its_section():
-    """Also with D3DGS's time net and skip."""
+    """Also with D3DGS's time net and skip, and where networks are coded (B1)."""
     scene = load_scene("figure", downscale=4)
     options = dict(deformation=(6, 5, 4), time_net=(7, 3), skip=True)
-    for changes in ({}, options):
+    for changes in ({}, options, dict(coded=True)):
         data = encode(Trainer(scene, SHORT._replace(**changes)).model())
         sizes = effect_ledger.effect_bytes(data)
         assert round(sum(sizes[e] for e in MOTION)) == components(data)["deformation_mlp"]
