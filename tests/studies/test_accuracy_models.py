@@ -22,7 +22,6 @@ from p4dgs_ref.studies.accuracy import (
     quantisation,
     report,
     size,
-    storage,
     training,
 )
 from p4dgs_ref.studies.inspect import components
@@ -183,39 +182,6 @@ def test_the_net_bytes_count_grid_and_networks_and_say_from_where_on_they_pay(mo
     assert hash_grid.pays_from(measured(2, 3, 5)) == pytest.approx(1000 + 1000 * 1000 / 7000)
     assert hash_grid.pays_from(measured(2, 1, 1)) == pytest.approx(4000)
     assert hash_grid.says(measured(2, 1, 1)).endswith("about 4,000 anchors on, extrapolated")
-
-
-# --- storage of weights and positions ------------------------------------------------------------
-def test_rounded_weights_are_on_a_grid_that_float16_holds():
-    array = np.random.default_rng(5).normal(size=(40, 7))
-    for bits in storage.WEIGHT_BITS[1:]:
-        symbols, step = storage.rounded(array, bits)
-        assert np.abs(symbols).max() < 2 ** (bits - 1) and np.log2(step) % 1 == 0
-        assert np.abs(symbols * step - array).max() <= step / 2 + step * (np.abs(array).max() > 4)
-        assert np.array_equal((symbols * step).astype(np.float16), symbols * step)
-    assert not storage.rounded(np.zeros((0, 3)), 8)[0].size
-    assert storage.coded_bytes(np.zeros((0, 3), np.int64)) == 0
-
-
-def test_fewer_bits_take_fewer_bytes_and_move_weights_and_positions_more(model):
-    sizes, gaps = [], []
-    for bits in storage.WEIGHT_BITS:
-        changed, plain, coded = storage.weights_at(model, bits)
-        count = sum(a.size for pair in model.networks.values() for arrays in pair for a in arrays)
-        assert plain - count * bits / 8 == 2 * sum(
-            len(arrays) for pair in model.networks.values() for arrays in pair
-        )
-        old, new = (m.networks["psi_c"][0][0] for m in (model, changed))
-        sizes.append(coded)
-        gaps.append(np.abs(old - new).max())
-        assert coded < plain + 200
-    assert sizes == sorted(sizes, reverse=True) and gaps == sorted(gaps) and gaps[-1] > 0.01
-    lo, hi = model.box
-    for bits in storage.POSITION_BITS:
-        changed, size_ = storage.positions_at(model, bits)
-        assert size_ == 3 * bits * len(model.anchors.x_a) / 8
-        gap = np.abs(changed.anchors.x_a - model.anchors.x_a).max(axis=0)
-        assert np.all(gap <= (hi - lo) / (2**bits - 1) / 1.99) and (bits == 16 or gap.max() > 0)
 
 
 # --- more knobs of a training --------------------------------------------------------------------

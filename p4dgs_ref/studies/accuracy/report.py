@@ -15,7 +15,6 @@ from . import (
     quantisation,
     rendering,
     size,
-    storage,
     training,
 )
 from .diagram import number
@@ -27,7 +26,6 @@ STUDIES = {
     "likelihood": likelihood.run,
     "coder": coder.run,
     "quantisation": quantisation.run,
-    "storage": storage.run,
     "training": training.run,
     "hash_grid": hash_grid.run,
     "gradients": gradients.run,
