@@ -39,6 +39,7 @@ def refused(line, words, place, capsys):
     assert sorted(place.rglob("*")) == before
 
 
+@pytest.mark.slow
 def test_compare_quick_has_one_row_a_method(place, capsys):
     code, out, err = run(f"compare --quick -o out --json {SHORT}", capsys)
     assert (code, err) == (0, "")

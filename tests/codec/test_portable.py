@@ -34,6 +34,7 @@ from p4dgs_ref.model import split
 from p4dgs_ref.studies.inspect import float_context, ledger
 from tests.codec.models import DECODE_AND_PRINT, MAKE, changed, digest, random_model
 from tests.golden.sample_model import sample_model
+from tests.sampling import few
 
 ROOT = Path(__file__).resolve().parents[2]
 SEVERAL = dict(
@@ -310,6 +311,7 @@ def trained():
     return p4.train(p4.load_scene("bouncing"), preset="tiny", stage_ends=stages, anchors=80)
 
 
+@pytest.mark.slow
 def test_the_integer_context_costs_a_trained_model_nothing(trained, record_property):
     """It changes the bits by less than 0.1 %, and the whole coder by less than 0.3 %."""
     q = quantise(trained)
@@ -370,7 +372,7 @@ SIZED = {
 }
 
 
-@pytest.mark.parametrize("name", [*SIZED, "trained longer"])
+@pytest.mark.parametrize("name", few([*SIZED, "trained longer"], 8))
 def test_every_section_has_the_size_of_its_entropy(name, request):
     """It is at most 0.3 % and 16 bytes above the entropy under the float64 model.
 

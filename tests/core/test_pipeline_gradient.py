@@ -17,6 +17,7 @@ from p4dgs_ref.training.initial import design_of, initial_parameters
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import SMOKE
 from tests.golden.cases.hash_rate import surrogate
+from tests.sampling import few
 
 WIDTH, HEIGHT = 16, 12
 
@@ -177,11 +178,14 @@ def test_every_array_of_every_stage(stage, without_gradient, monkeypatch):
 
 @pytest.mark.parametrize(
     "effects, moves",
-    [
-        (("occlusion", "background"), False),
-        (("translation", "view_color", "background"), True),
-        (("rotation", "scaling", "occlusion", "view_geometry"), True),
-    ],
+    few(
+        [
+            (("occlusion", "background"), False),
+            (("translation", "view_color", "background"), True),
+            (("rotation", "scaling", "occlusion", "view_geometry"), True),
+        ],
+        1,
+    ),
 )
 def test_every_array_with_effects_off(effects, moves, monkeypatch):
     p, design, fixed, view, u = setting(effects, seed=1)

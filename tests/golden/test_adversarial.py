@@ -14,9 +14,10 @@ from tests.golden.cases import cases_of
 from tests.golden.checks import altered
 from tests.golden.promises import LEAST, PROMISES
 from tests.golden.sixty_digits import gradient, value
+from tests.sampling import few
 
 DTYPES = {"float64": np.float64, "float32": np.float32}
-COUNT, MANY = 100_000, 1_000_000
+COUNT, MANY = 20_000, 1_000_000
 BOTH = pytest.mark.parametrize("dtype", [np.float64, np.float32])
 
 
@@ -32,7 +33,7 @@ def test_every_equation_has_an_arena_and_a_promise():
 
 def test_the_search_finds_nothing():
     found = search.run(COUNT, seed=0)
-    assert sum(f.inputs for f in found) >= COUNT and min(f.inputs for f in found) >= 100
+    assert sum(f.inputs for f in found) >= COUNT and min(f.inputs for f in found) >= COUNT / 1000
     assert not complaints(found)
 
 
@@ -77,13 +78,16 @@ def squared_view(x_a, x_c):
 @BOTH
 @pytest.mark.parametrize(
     "key, changes",
-    [
-        ("view", dict(forward=view.forward, backward=textbook_view)),
-        ("view", dict(forward=squared_view, backward=view.backward)),
-        ("opacity", dict(forward=opacity.forward, backward=textbook_opacity)),
-        ("likelihood", dict(forward=formulas.literal)),
-        ("likelihood", dict(forward=formulas.hac)),
-    ],
+    few(
+        [
+            ("view", dict(forward=view.forward, backward=textbook_view)),
+            ("view", dict(forward=squared_view, backward=view.backward)),
+            ("opacity", dict(forward=opacity.forward, backward=textbook_opacity)),
+            ("likelihood", dict(forward=formulas.literal)),
+            ("likelihood", dict(forward=formulas.hac)),
+        ],
+        2,
+    ),
 )
 def test_formulas_that_lose_digits_are_caught(key, changes, dtype, monkeypatch):
     """The printed formulas; their truth is asked from the sound ones."""

@@ -23,7 +23,7 @@ NOISE = 1e-16  # what is left of a sum that is exactly zero
 EVERY = pytest.mark.parametrize(
     "mistake",
     [
-        pytest.param(mistake, id=mistake.id, marks=[pytest.mark.slow] if i % 8 else [])
+        pytest.param(mistake, id=mistake.id, marks=[pytest.mark.slow] if i % 16 else [])
         for i, mistake in enumerate(MISTAKES)
     ],
 )

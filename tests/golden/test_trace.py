@@ -123,6 +123,7 @@ def test_first_losses_are_those_of_an_evaluation_by_stages(inputs, trace):
 PLAIN = ("f_a", "log_s", "psi_alpha", "psi_c", "psi_r", "psi_s", "psi_d", "psi_p")
 
 
+@pytest.mark.slow
 def test_gradient_norms_are_those_of_finite_differences(inputs, trace):
     checked = 0
     for column, name in enumerate(inputs["arrays"]):

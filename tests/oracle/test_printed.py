@@ -16,6 +16,7 @@ from p4dgs_ref.studies.precision import cast
 from p4dgs_ref.table import EQUATIONS
 from tests.golden import printed
 from tests.golden.subjects import subjects
+from tests.sampling import few
 
 PRECISIONS = (np.float64, np.float32)
 # Cases that a port on stock automatic differentiation missed when it was checked without mercy.
@@ -107,7 +108,7 @@ def judged(port, strict=False, keys=()):
 
 
 # --- right formulas -----------------------------------------------------------------------------
-@pytest.mark.parametrize("dtype", PRECISIONS)
+@pytest.mark.parametrize("dtype", few(PRECISIONS, 1))
 def test_textbook_slopes_are_acceptable_and_fail_strictly(textbook, dtype):
     found, strictly = judged(Stock(dtype, ours)), judged(Stock(dtype, ours), strict=True)
     assert found.ok and found.first is None, str(found)

@@ -40,6 +40,7 @@ def checked(folder, version):
     return checker.check_port(FolderPort(folder), levels, version=version)
 
 
+@pytest.mark.slow
 def test_answers_to_the_first_version_still_check(answers):
     report = checked(answers, FIRST)
     assert report.ok and {r.id for r in report.results} == ids(FIRST)

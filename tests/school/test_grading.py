@@ -20,6 +20,7 @@ from p4dgs_ref.school.guard import copies
 from p4dgs_ref.school.removal import functions_of, without_bodies
 from p4dgs_ref.school.room import TEACHER, parts_asked, source_of, text_of
 from p4dgs_ref.school.syllabus import TUTORIALS
+from tests.sampling import few
 
 KEYS = published.equations()
 RIGHT = "x = x_a[:, None, :] + O_a * l_a[:, None, :]\n"
@@ -191,15 +192,18 @@ def test_same_seed_same_report_another_seed_other_inputs(room):
 # --- what students cannot break -------------------------------------------------------------------
 @pytest.mark.parametrize(
     "body, said",
-    [
-        ("while True:\n    pass", "hung"),
-        ("import os\nos._exit(3)", "exit code 3"),
-        ("import sys\nsys.exit(0)", "SystemExit"),
-        ("return forward(x_a, O_a, l_a)", "RecursionError"),
-        ("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)", "signal 9"),
-        ("return np.array(['x']), None", "out.x: missing"),
-        ("input()", "EOFError"),
-    ],
+    few(
+        [
+            ("while True:\n    pass", "hung"),
+            ("import os\nos._exit(3)", "exit code 3"),
+            ("import sys\nsys.exit(0)", "SystemExit"),
+            ("return forward(x_a, O_a, l_a)", "RecursionError"),
+            ("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)", "signal 9"),
+            ("return np.array(['x']), None", "out.x: missing"),
+            ("input()", "EOFError"),
+        ],
+        2,
+    ),
 )
 def test_forward_that_misbehaves_costs_only_itself(room, body, said):
     school.classroom(room, ["view"])
@@ -325,7 +329,7 @@ def test_files_as_handed_out_are_no_copies(key):
         assert copies(stub, key, asked) == []
 
 
-@pytest.mark.parametrize("path", [WHOLE_PAPER, *SOLUTIONS], ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", few([WHOLE_PAPER, *SOLUTIONS], 5), ids=lambda path: path.stem)
 def test_answers_written_independently_are_far_from_copies(path, monkeypatch):
     monkeypatch.setattr(guard, "ALIKE", guard.ALIKE / 2)
     keys = next((t.keys for t in TUTORIALS if t.name == path.stem), ()) or KEYS

@@ -378,6 +378,7 @@ def test_file_is_one_page_made_from_the_sources_of_today():
     assert b"/CreationDate" not in data
 
 
+@pytest.mark.slow
 def test_file_is_the_same_in_every_run(tmp_path):
     for name in ("a.pdf", "b.pdf"):
         handout.save(tmp_path / name)

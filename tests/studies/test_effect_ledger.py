@@ -33,6 +33,7 @@ def trained(name, *forced):
     return trainer
 
 
+@pytest.mark.slow
 def test_ledger(tmp_path):
     scene, told = load_scene("bouncing"), []
     rows = effect_ledger.ledger(scene, "smoke", share=1, progress=told.append, jobs=2)

@@ -41,6 +41,7 @@ def test_two_processes_train_what_one_trains():
     assert alone == together and alone[0]["psnr_db"] != alone[1]["psnr_db"]
 
 
+@pytest.mark.slow
 def test_quantisation_is_the_same_in_two_processes():
     alone, together = (
         quantisation.measure(8, (1.0,), (0.5,), lambda line: None, jobs) for jobs in (1, 2)
