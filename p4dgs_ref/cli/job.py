@@ -87,7 +87,13 @@ def demo(arguments):
     preset, scene = read_preset(arguments), read_test_scene(arguments)
     estimate(scene, preset, arguments, trainings=1 + preset.coded)
     metrics = main_job(
-        scene, preset, arguments.seed, arguments.output, arguments.start, log(arguments)
+        scene,
+        preset,
+        arguments.seed,
+        arguments.output,
+        arguments.start,
+        log(arguments),
+        arguments.jobs,
     )
     show(arguments, json_safe(metrics), text.metrics(metrics, arguments.output))
 

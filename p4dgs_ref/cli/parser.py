@@ -179,6 +179,13 @@ COMMANDS = {
                 "paper's design is trained beside it)",
             ),
             *SETTINGS,
+            option(
+                "--jobs",
+                type=whole(1),
+                default=os.cpu_count() or 1,
+                metavar="N",
+                help="2 or more train both designs at once (default: one for every core)",
+            ),
             output("folder of the report (default report)", default="report"),
         ),
     ),

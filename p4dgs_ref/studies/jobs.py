@@ -1,8 +1,28 @@
-"""Independent trainings in several processes. Times are never taken in them."""
+"""Independent trainings in several processes. No study takes times in them."""
 
 import multiprocessing
 import signal
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+
+
+@contextmanager
+def processes(jobs):
+    """A pool of processes, which end with this context, also where it is left early."""
+    others = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(
+        jobs,
+        multiprocessing.get_context("spawn"),
+        # Ctrl-C reaches all processes of a terminal; this one stops the others.
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_IGN),
+    )
+    try:
+        yield pool
+    finally:
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
+        pool.shutdown(cancel_futures=True)
 
 
 def in_processes(function, tasks, jobs):
@@ -15,17 +35,5 @@ def in_processes(function, tasks, jobs):
     if min(jobs, len(tasks)) <= 1:
         yield from map(function, tasks)
         return
-    others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(
-        min(jobs, len(tasks)),
-        multiprocessing.get_context("spawn"),
-        # Ctrl-C reaches all processes of a terminal; this one stops the others.
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),
-    )
-    try:
+    with processes(min(jobs, len(tasks))) as pool:
         yield from pool.map(function, tasks)
-    finally:
-        for process in set(multiprocessing.active_children()) - others:
-            process.terminate()
-        pool.shutdown(cancel_futures=True)

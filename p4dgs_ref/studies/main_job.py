@@ -2,6 +2,7 @@
 
 import json
 import time
+import warnings
 
 from ..codec.file import decode, encode
 from ..scenes.output import filled
@@ -9,6 +10,7 @@ from ..training.fit import fit
 from ..training.presets import PRESETS, choose, differences, paper_design
 from . import report
 from .evaluate import compression, evaluate, json_safe, timed
+from .jobs import processes
 
 
 def one_design(scene, preset, seed, path, stream):
@@ -32,16 +34,46 @@ def one_design(scene, preset, seed, path, stream):
     return metrics, rows, images, model, trainer.history
 
 
+def unwatched(*task):
+    """The metrics of a design that is trained beside another, which gives the same warnings."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return one_design(*task, stream=None)[0]
+
+
+def both_designs(scene, preset, seed, path, stream, jobs):
+    """The metrics of the paper's design, and what `one_design` returns for the preset itself."""
+    beside = path.with_name(f"{path.stem}_paper_design{path.suffix}")
+    paper = scene, paper_design(preset), seed, beside
+    if jobs > 1:
+        announce(stream, f"preset {preset.name}; the paper's design is trained beside it")
+        with processes(1) as pool:
+            waiting = pool.submit(unwatched, *paper)
+            own = one_design(scene, preset, seed, path, stream)
+            return waiting.result(), own
+    announce(stream, "1 of 2 trainings: the paper's design, for comparison")
+    metrics, *_ = one_design(*paper, stream)
+    announce(stream, f"2 of 2 trainings: preset {preset.name}")
+    return metrics, one_design(scene, preset, seed, path, stream)
+
+
+def announce(stream, what):
+    """A line before a training."""
+    if stream is not None:
+        print(what, file=stream)
+
+
 def main_job(
-    scene, preset="tiny_coded", seed=0, folder="report", start=None, stream=None, **changes
+    scene, preset="tiny_coded", seed=0, folder="report", start=None, stream=None, jobs=1, **changes
 ):
     """Run everything, write the report into `folder` and return the metrics.
 
-    A preset that goes beyond the paper is trained a second time without what does. Pictures and
-    metrics are those of the preset's own decoded model; `paper_design` has the others. The folder
-    gets all files at the end, or none. `start` is the `time.perf_counter()` from which the seconds
-    of the whole job count; the other arguments are those of `train`. Raises the errors of `train`,
-    ValueError for a scene without test views, and OutputError for a folder that cannot be written.
+    A preset that goes beyond the paper is trained a second time without what does, beside it if
+    `jobs` allows two processes. Pictures and metrics are those of the preset's own decoded model;
+    `paper_design` has the others. The folder gets all files at the end, or none. `start` is the
+    `time.perf_counter()` from which the seconds of the whole job count; the other arguments are
+    those of `train`. Raises the errors of `train`, ValueError for a scene without test views, and
+    OutputError for a folder that cannot be written.
     """
     start = time.perf_counter() if start is None else start
     chosen, name = choose(preset, changes), scene.name.replace("/", "_")
@@ -50,15 +82,12 @@ def main_job(
             f"scene {scene.name}: split 'test': no views; expected at least one to measure on"
         )
     with filled(folder) as beside:
-        paper = None
+        task, paper = (scene, chosen, seed, beside / f"{name}.p4dgs", stream), None
         if chosen.coded:
-            announce(stream, "1 of 2 trainings: the paper's design, for comparison")
-            path = beside / f"{name}_paper_design.p4dgs"
-            paper, *_ = one_design(scene, paper_design(chosen), seed, path, stream)
-            announce(stream, f"2 of 2 trainings: preset {chosen.name}")
-        own, *shown, model, history = one_design(
-            scene, chosen, seed, beside / f"{name}.p4dgs", stream
-        )
+            paper, found = both_designs(*task, jobs)
+        else:
+            found = one_design(*task)
+        own, rows, images, model, history = found
         metrics = {
             "scene": scene.name,
             "preset": chosen.name,
@@ -70,16 +99,10 @@ def main_job(
                 field: here for field, _, here in differences(chosen, PRESETS[chosen.name])
             },
         }
-        report.write_comparison(beside, scene, *shown)
+        report.write_comparison(beside, scene, rows, images)
         report.write_motion(beside / "motion.gif", model, scene.test[0].camera)
         report.write_size(beside, own, paper)
         report.write_training(beside, history, chosen.stage_ends)
         metrics["seconds"] = time.perf_counter() - start
         (beside / "metrics.json").write_text(json.dumps(json_safe(metrics), indent=1) + "\n")
     return metrics
-
-
-def announce(stream, what):
-    """A line between two trainings."""
-    if stream is not None:
-        print(what, file=stream)

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+import multiprocessing
 import sys
 
 import imageio.v3 as iio
@@ -167,6 +168,11 @@ def test_a_coded_preset_is_compared_with_the_paper_design(scene, done, tmp_path,
     assert beside == paper["components"]
     lines = [line for line in capsys.readouterr().err.splitlines() if "trainings" in line]
     assert [line[:6] for line in lines] == ["1 of 2", "2 of 2"] and "paper" in lines[0]
+    at_once = p4.main_job(scene, "smoke", 2, tmp_path / "two", jobs=2, Q_O=0.2, **coded)
+    assert at_once["paper_design"] == own and at_once["bytes"] == metrics["bytes"]
+    for name, data in files.items():
+        assert (tmp_path / "two" / name).read_bytes() == data
+    assert not multiprocessing.active_children()
     said = text.metrics(metrics, tmp_path)
     assert f"file {own['bytes']:,} bytes" in said and f"file {metrics['bytes']:,} bytes" in said
     assert f"{metrics['bytes'] / own['bytes']:.3f} of the bytes" in said
