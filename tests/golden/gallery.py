@@ -19,7 +19,7 @@ from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.output import filled, write_atomically
 from p4dgs_ref.studies.accuracy import diagram, heatmap, likelihood, rendering, report
 from p4dgs_ref.studies.main_job import main_job
-from p4dgs_ref.studies.report import draw_comparison
+from p4dgs_ref.studies.report import draw_comparison, draw_size
 
 from . import animation
 
@@ -43,6 +43,11 @@ PICTURES = {
         "demo",
         "comparison.png",
         "The demo on test views that were not used for training: truth, decoded picture, error",
+    ),
+    "demo_size.png": Picture(
+        "demo",
+        "size.png",
+        "The bytes of the demo's file by part, and those of the paper's design",
     ),
     "demo.gif": Picture(
         "demo",
@@ -108,6 +113,7 @@ PICTURES = {
 
 DRAW = {  # what draws the pictures that come from no tutorial
     "demo.png": (draw_comparison,),
+    "demo_size.png": (draw_size,),
     "demo.gif": (animation,),
     "accuracy_rendering.png": (rendering.run, diagram.lines, diagram.place_labels),
     "accuracy_likelihood.png": (likelihood.draw_map, heatmap),
@@ -184,11 +190,11 @@ def stale():
 
 
 def draw_demo(out):
-    """Run the demo, and leave its picture and the animation of its file in the folder `out`."""
+    """Run the demo, and leave its pictures and the animation of its file in the folder `out`."""
     with tempfile.TemporaryDirectory() as report:
-        main_job(load_scene("bouncing"), "tiny", 0, report)
-        figure = PICTURES["demo.png"].figure
-        (Path(out) / figure).write_bytes((Path(report) / figure).read_bytes())
+        main_job(load_scene("bouncing"), folder=report)
+        for figure in (PICTURES["demo.png"].figure, PICTURES["demo_size.png"].figure):
+            (Path(out) / figure).write_bytes((Path(report) / figure).read_bytes())
         model = decode((Path(report) / "bouncing.p4dgs").read_bytes())
     animation.draw(Path(out) / PICTURES["demo.gif"].figure, model)
 
