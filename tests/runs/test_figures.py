@@ -1,4 +1,7 @@
-"""The promised quality of decoded files on the tiny scenes, at the default settings."""
+"""The promised quality of decoded files on the tiny scenes, at the default settings.
+
+The file of `bouncing` is judged by the demo's figures, in `test_readme.py`.
+"""
 
 import pytest
 
@@ -10,7 +13,6 @@ from p4dgs_ref.studies.inspect import components
 @pytest.mark.parametrize(
     "name, psnr_db, ssim, most_bytes",
     [
-        ("bouncing", 30.0, 0.978, 50_000),
         ("figure", 30.5, 0.978, 50_000),
         ("glossy", 32.0, 0.978, 50_000),
         ("static", 33.0, 0.978, 30_000),

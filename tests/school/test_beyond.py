@@ -1,6 +1,7 @@
 """The records of decisions beyond the paper run, and their lines keep the form of tutorials."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -30,6 +31,18 @@ def test_a_record_runs_as_it_stands(path, tmp_path):
     assert flaws(path.read_text(encoding="utf-8")) == []
     run(path, tmp_path)
     assert (tmp_path / f"{path.stem}.png").stat().st_size > 10_000
+
+
+def test_the_decision_about_networks_quotes_the_table(tmp_path):
+    path = FOLDER / "beyond_networks.py"
+    decision = path.read_text(encoding="utf-8").split("# ## Decision")[1]
+    reference = (FOLDER / "reference.md").read_text(encoding="utf-8")
+    prices = re.findall(r"^ +0\.\d{5} +9 +(\S+) +(\S+) +(\S+)$", run(path, tmp_path), re.M)
+    assert len(prices) == 3  # with nine pairs each
+    for share, gain, worst in prices:
+        for page in (decision, reference):
+            assert share in page and gain in page
+        assert worst in reference
 
 
 def test_positions_of_other_files(tmp_path):
