@@ -42,8 +42,8 @@ def metrics(m, folder):
 def beside(m):
     """What a preset beyond the paper gains and loses against the paper's design."""
     paper = m["paper_design"]
-    if paper["bytes"] == m["bytes"]:
-        return ""
+    if all(m[key] == value for key, value in paper.items()):
+        return ""  # it is the paper's design
     return (
         f"  the paper's design: PSNR {paper['psnr_db']:.2f} dB, SSIM {paper['ssim']:.4f}, file "
         f"{paper['bytes']:,} bytes\n"

@@ -18,6 +18,7 @@ from p4dgs_ref.studies import main_job as job
 from p4dgs_ref.studies import report
 from p4dgs_ref.studies.evaluate import decibel, explicit_bytes, json_safe, score
 from p4dgs_ref.training.fit import fit
+from p4dgs_ref.training.presets import TINY, TINY_CODED, paper_design
 from p4dgs_ref.training.progress import COLUMNS
 from tests.sampling import few
 
@@ -153,6 +154,7 @@ def test_equal_images(tmp_path):
 
 def test_a_coded_preset_is_compared_with_the_paper_design(scene, done, tmp_path, capsys):
     """The paper's design beside it has the same changes, and is what its own preset trains."""
+    assert paper_design(TINY_CODED)._replace(name="tiny") == TINY
     coded = {"coded": True, "network_ramp": 10, "lr_step": (0.02, 0.002)}
     metrics = p4.main_job(scene, "smoke", 2, tmp_path, stream=sys.stderr, Q_O=0.2, **coded)
     folder, paper = done
