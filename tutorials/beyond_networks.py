@@ -24,6 +24,7 @@ from p4dgs_ref.codec.weights import write_weights
 from p4dgs_ref.equations import mlp, noise, positional_encoding, weight_bits
 from p4dgs_ref.model import step_code, step_of_code
 from p4dgs_ref.school import lessons
+from p4dgs_ref.studies.rate_distortion import bd_rate
 from p4dgs_ref.training import coded_networks
 from p4dgs_ref.training.adam import Adam
 from p4dgs_ref.training.parameters import Parameters, random_layers
@@ -253,16 +254,20 @@ left.set(
 left.legend(fontsize=10, loc="lower right")
 swept = Counter(key[:2] for key in coded).most_common(1)[0][0]  # with the most lambda_rates
 print("\n{}, seed {}   lambda_rate   bytes   psi_d      dB".format(*swept))
+curves = []
 for label, rows in (("the paper's design", paper), ("coded networks", coded)):
     line = [rows[key] for key in sorted(rows) if key[:2] == swept]
     for row in line:
         print("{:20}{lambda_rate:10.5f}{bytes:8,.0f}".format(label, **row), end="")
         print("{deformation_bytes:8,.0f}{psnr_db:8.2f}".format(**row))
+    curves.append([(row["bytes"], row["psnr_db"]) for row in line])
     x, y = ([row[name] for row in line] for name in ("lambda_rate", "deformation_bytes"))
     right.loglog(x, y, "o-", label=label)
 right.set(xlabel="lambda_rate", ylabel="bytes of psi_d", ylim=(300, 30_000), title=swept[0])
 right.legend(fontsize=10)
 lessons.show(figure, "beyond_networks")
+rate, reason = bd_rate(curves[1], curves[0])
+print("BD-rate of coded networks:", reason or f"{rate:+.1f} % of the bytes at equal PSNR")
 
 # %% [markdown]
 # ## Decision

@@ -135,6 +135,7 @@ def test_training_keeps_a_checkpoint_and_says_how_to_go_on(tmp_path, number):
     assert [path.name for path in (tmp_path / "run").iterdir()] == ["checkpoint.npz"]
 
 
+@pytest.mark.slow
 def test_a_second_training_is_refused_while_the_first_one_lives(tmp_path):
     argv = ["train", "bouncing", "-o", "run", "--downscale", "4", "--quiet"]
     first = start(f"import sys; {CONSOLE_SCRIPT.format(argv=argv)}", tmp_path)

@@ -20,6 +20,7 @@ from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
 from tests.codec.models import MAKE, arrays_of, points_in_a_plane, random_model
 from tests.golden import plain_decoder
+from tests.sampling import few
 
 # An overflow or a NaN on the way is a failure, too.
 pytestmark = pytest.mark.filterwarnings("error")
@@ -51,7 +52,7 @@ MODELS = {
 }
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", few(MODELS, 4))
 def test_decoding_gives_the_quantised_model_and_encoding_again_the_file(name):
     model = MODELS[name]()
     data, quantised = encode(model), quantise(model)
@@ -64,7 +65,7 @@ def test_decoding_gives_the_quantised_model_and_encoding_again_the_file(name):
     assert encode(decode(data)) == data
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", few(MODELS, 4))
 def test_the_plain_decoder_reads_the_same_numbers(name):
     data = encode(MODELS[name]())
     found, quantised = plain_decoder.decode(data), quantised_of(read_container(data), 2)

@@ -162,12 +162,15 @@ def check(p, design, fixed, view, u, monkeypatch, limit=1e-5):
 
 @pytest.mark.parametrize(
     "stage, without_gradient",
-    [
-        (1, {"psi_d", "psi_p", "psi_q", "grid"}),
-        (2, {"psi_d", "psi_p", "psi_q", "grid"}),
-        (3, {"psi_p", "psi_q", "grid"}),
-        (4, set()),
-    ],
+    few(
+        [
+            (4, set()),
+            (1, {"psi_d", "psi_p", "psi_q", "grid"}),
+            (2, {"psi_d", "psi_p", "psi_q", "grid"}),
+            (3, {"psi_p", "psi_q", "grid"}),
+        ],
+        1,
+    ),
 )
 def test_every_array_of_every_stage(stage, without_gradient, monkeypatch):
     p, design, fixed, view, u = setting(stage=stage)
@@ -193,6 +196,7 @@ def test_every_array_with_effects_off(effects, moves, monkeypatch):
     assert any(name.startswith("psi_d") for name in names) == moves
 
 
+@pytest.mark.slow
 def test_every_array_with_the_time_net_and_skip_of_d3dgs(monkeypatch):
     options = dict(deformation=(9, 8, 7), time_net=(6, 4), skip=True)
     names = check(*setting(changes=options), monkeypatch)

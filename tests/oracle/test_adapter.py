@@ -18,6 +18,7 @@ from p4dgs_ref.oracle.adapter import Adapter, AdapterError
 from p4dgs_ref.oracle.checker import judge
 from p4dgs_ref.oracle.ports import PortError
 from p4dgs_ref.oracle.published import Golden
+from tests.sampling import few
 
 # A port of y = x. It answers case n rightly unless the lines that are put into it change that.
 PORT = """
@@ -221,13 +222,16 @@ def test_a_death_costs_one_case(port, twist, words):
 
 @pytest.mark.parametrize(
     "twist",
-    [
-        "if n == 2: time.sleep(60)",
-        "if n == 2: send(json.dumps(answer)); time.sleep(60)",  # never ends its line
-        "while n == 2: print('still at it', file=sys.stderr)",
-        "if n == 2: subprocess.Popen(['sleep', '60']).wait()",
-        "if n == 2: signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)",
-    ],
+    few(
+        [
+            "if n == 2: time.sleep(60)",
+            "if n == 2: send(json.dumps(answer)); time.sleep(60)",  # never ends its line
+            "while n == 2: print('still at it', file=sys.stderr)",
+            "if n == 2: subprocess.Popen(['sleep', '60']).wait()",
+            "if n == 2: signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)",
+        ],
+        2,
+    ),
 )
 def test_a_port_that_hangs_is_stopped(port, twist):
     ask, started = port(twist, timeout=1.5), time.monotonic()

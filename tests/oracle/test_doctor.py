@@ -14,7 +14,7 @@ MISTAKES = [mistake for key in published.subjects() for mistake in doctor.known(
 EVERY = pytest.mark.parametrize(
     "mistake",
     [
-        pytest.param(mistake, id=mistake.id, marks=[pytest.mark.slow] if i % 16 else [])
+        pytest.param(mistake, id=mistake.id, marks=[pytest.mark.slow] if i % 32 else [])
         for i, mistake in enumerate(MISTAKES)
     ],
 )
@@ -367,7 +367,7 @@ def times(quantity, factor):
 @pytest.mark.parametrize(
     "i, key, quantity",
     [
-        pytest.param(i, *row, id=" ".join(row), marks=[pytest.mark.slow] if i % 4 else [])
+        pytest.param(i, *row, id=" ".join(row), marks=[pytest.mark.slow] if i % 8 else [])
         for i, row in enumerate(QUANTITIES)
     ],
 )

@@ -122,7 +122,7 @@ def test_textbook_slopes_are_acceptable_and_fail_strictly(textbook, dtype):
     assert all(r.recipe == scales.RECIPES[r.id.split("/")[0]] for r in found.results if r.recipe)
 
 
-@pytest.mark.parametrize("dtype", PRECISIONS)
+@pytest.mark.parametrize("dtype", few(PRECISIONS, 1))
 def test_the_formulas_as_printed_are_acceptable(dtype):
     """They are differentiated by a tape; SSIM and its loss are among them."""
     found = judged(Stock(dtype, as_printed))
@@ -193,6 +193,7 @@ def test_a_wrong_formula_fails(key, dtype):
     assert not judged(Stock(dtype, as_printed, WRONG[key]), keys=[key]).ok
 
 
+@pytest.mark.slow
 def test_known_mistakes_are_never_acceptable_alone():
     """Every known mistake fails some case that is not merely acceptable."""
     for key in printed.FORMULAS:

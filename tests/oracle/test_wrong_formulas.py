@@ -81,8 +81,8 @@ def of_one_equation():
 
 
 def test_mutations_of_our_code(judge):
-    counts = survey(judge, random.Random(11).sample(of_one_equation(), 40))
-    assert counts.total() >= 20 and counts["silent"] > counts["explained"]
+    counts = survey(judge, random.Random(11).sample(of_one_equation(), 20))
+    assert counts.total() >= 10 and counts["silent"] > counts["explained"]
 
 
 @pytest.mark.slow

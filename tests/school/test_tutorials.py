@@ -25,7 +25,7 @@ FOLDER = ROOT / "tutorials"
 NAMES = {tutorial.name for tutorial in TUTORIALS}
 INDEX = (FOLDER / "README.md").read_text(encoding="utf-8")
 SHORT_SECONDS = 2  # a tutorial that takes less is not marked slow,
-ALL_SHORT_SECONDS = 6  # as long as the short ones together take less than this
+ALL_SHORT_SECONDS = 3  # as long as the short ones together take less than this
 LEGIBLE = 8  # pixels: the size of the smallest text of a picture that is gallery.WIDTH wide
 RUN = """
 import json, runpy, sys

@@ -60,6 +60,7 @@ def test_ledger(tmp_path):
         effect_ledger.ledger(replace(scene, test=()), "smoke")
 
 
+@pytest.mark.slow
 def test_two_processes_train_the_builds_that_one_trains():
     scene = load_scene("bouncing", downscale=4)
     builds = {"listed": scene, "without": effect_ledger.switched(scene, "translation")}

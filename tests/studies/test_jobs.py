@@ -64,6 +64,7 @@ def test_results_keep_the_order_of_their_tasks():
     assert {process for _, process in in_processes(place, [0.0, 0.0], 1)} == {os.getpid()}
 
 
+@pytest.mark.slow
 def test_no_process_is_left_behind():
     before = set(multiprocessing.active_children())
     results, start = in_processes(place, [0.0, 300.0, 300.0], 2), time.monotonic()

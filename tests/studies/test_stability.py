@@ -229,6 +229,7 @@ def test_the_map_is_red_where_the_literal_formula_fails(tmp_path):
         assert errors("HAC, floor 1e-6", dtype).max() > -2
 
 
+@pytest.mark.slow
 def test_the_map_and_the_study_share_axes_and_colours(tmp_path, monkeypatch):
     """The panels that both pictures have are equal, and so is everything around them."""
     figures = {}
