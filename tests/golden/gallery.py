@@ -109,6 +109,11 @@ PICTURES = {
         "27_rate_distortion.png",
         "Rate against distortion, in bytes of real files",
     ),
+    "beyond_networks.png": Picture(
+        "tutorial",
+        "beyond_networks.png",
+        "Beyond the paper: networks that pay for their bits, against the paper's design",
+    ),
 }
 
 DRAW = {  # what draws the pictures that come from no tutorial
@@ -167,7 +172,9 @@ def code_hash(name):
     if name in DRAW:
         text = "".join(inspect.getsource(source) for source in DRAW[name])
     else:
-        (file,) = TUTORIALS.glob(f"{PICTURES[name].figure[:2]}_*.py")
+        figure = Path(PICTURES[name].figure)
+        own = TUTORIALS / f"{figure.stem}.py"
+        (file,) = [own] if own.is_file() else TUTORIALS.glob(f"{figure.stem[:2]}_*.py")
         text = file.read_text(encoding="utf-8").split("# ## Exercises")[0]
     lines = text.splitlines()
     code = [line.rstrip() for line in lines if line.strip() and not line.startswith("#")]

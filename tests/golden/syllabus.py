@@ -281,7 +281,7 @@ def draw_architecture(file):
 
 
 # --- measuring ------------------------------------------------------------------------------------
-def run(tutorial, out, folder=FOLDER):
+def run(name, out, folder=FOLDER):
     """Run a tutorial without a display, figures in `out`; return the seconds and the process."""
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
     environment = {
@@ -293,7 +293,7 @@ def run(tutorial, out, folder=FOLDER):
     }
     start = time.perf_counter()
     done = subprocess.run(
-        [sys.executable, str(Path(folder) / f"{tutorial.name}.py")],
+        [sys.executable, str(Path(folder) / f"{name}.py")],
         env=environment,
         capture_output=True,
         text=True,
@@ -304,22 +304,32 @@ def run(tutorial, out, folder=FOLDER):
 
 def main(chosen):
     """Run what is chosen (everything if nothing is), renew its pictures, and write the index."""
-    known = {"demo", "accuracy", "index", "00", *(tutorial.name[:2] for tutorial in TUTORIALS)}
+    known = {
+        "demo",
+        "accuracy",
+        "beyond",
+        "index",
+        "00",
+        *(tutorial.name[:2] for tutorial in TUTORIALS),
+    }
     unknown = sorted(set(chosen) - known)
     if unknown:
         sys.exit(
-            f"{' '.join(unknown)}: expected numbers of tutorials, 'demo', 'accuracy' or 'index'"
+            f"{' '.join(unknown)}: expected numbers of tutorials, 'demo', 'accuracy', 'beyond' "
+            "or 'index'"
         )
     seconds = measured_before()
     with tempfile.TemporaryDirectory() as out:
         for tutorial in TUTORIALS:
             if not chosen or tutorial.name[:2] in chosen:
-                seconds[tutorial.name[:2]], done = run(tutorial, out)
+                seconds[tutorial.name[:2]], done = run(tutorial.name, out)
                 if done.returncode:
                     sys.exit(f"{tutorial.name}.py: {done.stderr.strip().splitlines()[-1]}")
                 print(f"{tutorial.name}: {seconds[tutorial.name[:2]]:.1f} s", flush=True)
         if not chosen or "00" in chosen:
             runpy.run_path(str(FOLDER / "00_whole_paper.py"))["main"](folder=Path(out))
+        if not chosen or "beyond" in chosen:
+            run("beyond_networks", out)
         if not chosen or "demo" in chosen:
             gallery.draw_demo(out)
         if not chosen or "accuracy" in chosen:
