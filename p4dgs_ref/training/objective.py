@@ -22,6 +22,7 @@ from ..equations import (
     render_loss,
     total_loss,
 )
+from ..equations.numerics import in_precision_of
 from ..model import (
     Anchors,
     beside,
@@ -196,7 +197,8 @@ def rate_forward(noisy, ctx, grids, mask, design, R_networks=0.0):
     bits, saved_bits = likelihood.forward(noisy, ctx.mu, ctx.sigma, q)
     R_anchor, saved_anchors = anchor_rate.forward(*split(bits, design), mask)
     (R_hash, _, _), saved_grids = hash_rate.forward(grids)
-    rates, saved_rates = rate_loss.forward(R_anchor, R_hash + R_networks, noisy.size)
+    R_rest = R_hash + in_precision_of(R_hash, R_networks)
+    rates, saved_rates = rate_loss.forward(R_anchor, R_rest, noisy.size)
     return rates, (saved_bits, saved_anchors, saved_grids, saved_rates)
 
 
