@@ -17,7 +17,10 @@ def pytest_addoption(parser):
 @pytest.hookimpl(trylast=True)  # after -m and -k have chosen
 def pytest_collection_modifyitems(config, items):
     part, parts = map(int, config.getoption("--share").split("/"))
+    if not 1 <= part <= parts:
+        raise pytest.UsageError("--share: expected I/N with I from 1 to N")
     # Neighbours take about as long as each other, so the shares take turns.
     kept = items[part - 1 :: parts]
-    config.hook.pytest_deselected(items=[item for item in items if item not in set(kept)])
+    chosen = set(kept)
+    config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
     items[:] = kept

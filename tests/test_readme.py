@@ -457,8 +457,8 @@ def test_readme_quotes_the_figures_of_the_reference():
     share = re.search(r"networks are (\d+ %) of the file", REFERENCE)[1]
     assert f"the demo's file of {m['bytes']:,.0f} bytes" in text
     assert f"The demo's file is {m['ratio']} times smaller" in text
-    assert f"the paper's design only {paper['ratio']} times" in text
-    assert f"networks are {share} of the file" in text
+    assert f"that of the paper's design only {paper['ratio']} times" in text
+    assert f"they are {share} of the file" in text
 
 
 def test_demo_bytes_add_up():

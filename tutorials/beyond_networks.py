@@ -36,17 +36,17 @@ plt = lessons.pyplot()
 # ## Hypothesis
 # The paper lets anchors pay for their bits and stores its networks as float16. Its last section
 # names the consequence: the deformation network has a fixed size, 27 to 48 % of a file, whatever
-# $\lambda_{\text{rate}}$ is. In a scene of our size networks are 87 % of the file.
+# $\lambda_{\text{rate}}$ is. In our scenes networks are 87 to 89 % of the file.
 #
 # The remedy is to treat weights as the paper treats attributes. Every tensor gets a step $s$, which
 # is learned. Weights are rounded to multiples of their step, and their bits join $L_{\text{rate}}$
 # at the price that the anchors pay. One $\lambda_{\text{rate}}$ then shrinks all of them.
 #
 # The preset `tiny` has 16,759 weights in 33,518 bytes. Rounding them after training needed 5.6 bits
-# a weight for the same PSNR (five networks of `bouncing`). Prototypes that trained with the rate
-# needed 2.8 bits a weight at -0.1 dB on average. With ten bits for a position ([B2](
-# beyond_positions.py)) they predict a file 0.27 times as large: about 10,600 bytes for `bouncing`
-# instead of 38,671.
+# a weight for the same PSNR (`bouncing`, the networks without the context's). Prototypes that
+# trained with the rate needed 2.8 bits a weight at -0.1 dB on average. With ten bits for a position
+# ([B2](beyond_positions.py)) they predict a file 0.27 times as large: about 10,600 bytes for
+# `bouncing` instead of 38,671.
 #
 # ## The equation on a small network
 # The network below learns the height of a bouncing ball over time. It has the form of $\psi_d$, but
@@ -228,8 +228,10 @@ for part in ("deformation", "networks", "anchors", "positions", "other"):
 
 
 # %% [markdown]
-# Other prices give other files. All are compared with the same files of `tiny`. One scene was
-# trained with more prices, by `p4dgs-ref sweep bouncing --seeds 1 --method p4dgs_coded`.
+# Other prices give other files. Each is compared with the file of `tiny` of the same scene and
+# seed, at the usual $\lambda_{\text{rate}}$. One scene was trained with more prices:
+#
+#     p4dgs-ref sweep bouncing --seeds 1 --method p4dgs_coded
 
 # %%
 counts = Counter(rate for *_, rate in coded)
@@ -270,7 +272,8 @@ right.set(xlabel="lambda_rate", ylabel="bytes of psi_d", ylim=(300, 30_000), tit
 right.legend(fontsize=10)
 lessons.show(figure, "beyond_networks")
 rate, reason = bd_rate(curves[1], curves[0])
-print("BD-rate of coded networks:", reason or f"{rate:+.1f} % of the bytes at equal PSNR")
+found = reason or f"{rate:+.1f} % of the bytes at equal PSNR"
+print("BD-rate of coded networks, {}, seed {}:".format(*swept), found)
 
 # %% [markdown]
 # ## Decision
@@ -279,9 +282,10 @@ print("BD-rate of coded networks:", reason or f"{rate:+.1f} % of the bytes at eq
 # - **Bytes.** 0.225 of the paper's design on average (0.207 to 0.237), where 0.27 was predicted.
 #   `bouncing`, seed 0, takes 9,026 bytes instead of 38,671.
 # - **PSNR.** -0.46 dB on average, where -0.1 was predicted: -0.30 to -0.52 dB, and -1.10 for seed 2
-#   of `figure`. A bit of a weight cost half of an anchor's in the prototype, and its learning rates
-#   and cheaper anchors alone would have given the paper's design 0.3 to 0.4 dB. `tiny` has these
-#   now, and is what we compare with.
+#   of `figure`. The prediction was too good for two reasons. In the prototype a bit of a weight
+#   cost half as much as a bit of an anchor. Its learning rates and its lower
+#   $\lambda_{\text{rate}}$ would also have improved the paper's design, by 0.3 to 0.4 dB; `tiny`
+#   now has both.
 # - **Price.** With half the $\lambda_{\text{rate}}$ the files have 0.264 of the bytes at -0.24 dB
 #   (-0.44 at worst), with 2.4 times 0.181 at -1.49 dB.
 # - **Rate.** From the lowest to the highest $\lambda_{\text{rate}}$ of the sweep, $\psi_d$ of
@@ -294,7 +298,8 @@ print("BD-rate of coded networks:", reason or f"{rate:+.1f} % of the bytes at eq
 #
 # ## Tried, and not worth it
 # In a prototype: `bouncing`, seed 0, B1 from iteration 1,900 of 3,800, bytes of the networks as
-# entropies, one training each. Two equal trainings differ by up to 0.15 dB. The standard is
+# entropies, one training each. Trainings that differ in the last bits of one step end up to 0.15 dB
+# apart. The standard is
 # 6,733 bytes at 32.86 dB, with noise to the end and 0.3 of an anchor's price.
 #
 # | variant | bytes | PSNR | |
@@ -306,12 +311,14 @@ print("BD-rate of coded networks:", reason or f"{rate:+.1f} % of the bytes at eq
 # | the whole price of an anchor, with noise | 4,055 | 32.03 dB | rounding and a ramp lose less |
 # | 24, 16 hidden units instead of 32, 0.5 of the price | 5,626, 4,841 | 32.50, 31.88 dB | worse |
 #
+# These come from later prototypes, each compared with its own standard:
+#
 # - **Frozen steps** (learned, but not in the last 30 %) waste about 1 kB: 5,734 against 4,607
 #   bytes, for 0.12 dB.
 # - **A late start** (iteration 2,400 instead of 1,800) costs 7,390 instead of 5,449 bytes.
 # - **Noise** lost 1 to 1.5 dB of `figure` with some seeds, at 0.4 of the price and more. Rounding
 #   from the start of stage 4, while the price rises over 1,000 iterations, did not.
-# - **Rounding after training alone**, with a step searched for every tensor: 10,350 bytes for five
-#   networks at no loss. This needs no training, but takes twice the bytes.
-# - **A higher price** (1.5 and 2 times an anchor's) gives 0.20 and 0.18 of the size at -1.4 and
-#   -1.9 dB, means of three scenes.
+# - **Rounding after training alone**, with a step searched for every tensor: 10,350 bytes for the
+#   networks without the context's, at no loss. This needs no training, but takes twice the bytes.
+# - **A higher price for networks alone** (1.5 and 2 times an anchor's) gave 0.20 and 0.18 of the
+#   size at -1.4 and -1.9 dB, means of three scenes.

@@ -56,7 +56,7 @@ def read_file(path):
         raise UsageError(f"{path}: {error}") from None
 
 
-def estimate(scene, preset, arguments, points=None, trainings=1):
+def estimate(scene, preset, arguments, trainings=1, points=None):
     """Time the first steps of long trainings; more than an hour needs --yes."""
     from ..training.trainer import Trainer
 
@@ -85,7 +85,7 @@ def demo(arguments):
     from ..studies.main_job import main_job
 
     preset, scene = read_preset(arguments), read_test_scene(arguments)
-    estimate(scene, preset, arguments, trainings=1 + preset.coded)
+    estimate(scene, preset, arguments, 2 if preset.coded and arguments.jobs == 1 else 1)
     metrics = main_job(
         scene,
         preset,
@@ -129,7 +129,7 @@ def train(arguments):
         raise UsageError("--points: not allowed with --resume; the checkpoint holds the anchors")
     points = read_points_for(scene, arguments.points) if arguments.points else None
     if not arguments.resume:
-        estimate(scene, preset, arguments, points)
+        estimate(scene, preset, arguments, points=points)
     start = time.perf_counter()
     with made(arguments.output) as folder:
         if not arguments.resume and "effects" not in read_description(scene.source):

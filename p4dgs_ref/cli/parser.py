@@ -175,8 +175,8 @@ COMMANDS = {
             option(
                 "--preset",
                 default="tiny_coded",
-                help="settings of the training (default tiny_coded, which is beyond the paper; its "
-                "paper's design is trained beside it)",
+                help="settings of the training (default tiny_coded, which goes beyond the paper; "
+                "the paper's design is then trained too, for comparison)",
             ),
             *SETTINGS,
             option(

@@ -27,23 +27,24 @@ def times(m):
 
 def metrics(m, folder):
     """The metrics of the main job in a few lines."""
+    at_once = " (two trainings at once)" if m["trained_at_once"] else ""
     return (
         f"scene {m['scene']}, preset {m['preset']}, seed {m['seed']}: "
         f"{m['anchors']} anchors, {m['gaussians']} Gaussians\n"
         f"  decoded file on the test views: {quality(m)}\n"
         f"  {size(m)}\n"
-        f"{beside(m)}"
+        f"{against_the_paper(m)}"
         f"  train {m['train_seconds']:.1f} s ({m['ms_per_step']:.1f} ms per step), {times(m)}, "
-        f"total {m['seconds']:.1f} s\n"
+        f"total {m['seconds']:.1f} s{at_once}\n"
         f"  report in {folder}"
     )
 
 
-def beside(m):
-    """What a preset beyond the paper gains and loses against the paper's design."""
+def against_the_paper(m):
+    """What a preset beyond the paper gains and loses; nothing for the paper's design itself."""
     paper = m["paper_design"]
     if all(m[key] == value for key, value in paper.items()):
-        return ""  # it is the paper's design
+        return ""
     return (
         f"  the paper's design: PSNR {paper['psnr_db']:.2f} dB, SSIM {paper['ssim']:.4f}, file "
         f"{paper['bytes']:,} bytes\n"

@@ -1,4 +1,4 @@
-"""Independent trainings in several processes. No study takes times in them."""
+"""Independent trainings in several processes. Studies never take times in them."""
 
 import multiprocessing
 import signal

@@ -35,7 +35,7 @@ def one_design(scene, preset, seed, path, stream):
 
 
 def unwatched(*task):
-    """The metrics of a design that is trained beside another, which gives the same warnings."""
+    """The metrics of a design that is trained beside another; its warnings are dropped."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return one_design(*task, stream=None)[0]
@@ -43,8 +43,8 @@ def unwatched(*task):
 
 def both_designs(scene, preset, seed, path, stream, jobs):
     """The metrics of the paper's design, and what `one_design` returns for the preset itself."""
-    beside = path.with_name(f"{path.stem}_paper_design{path.suffix}")
-    paper = scene, paper_design(preset), seed, beside
+    paper_path = path.with_name(f"{path.stem}_paper_design{path.suffix}")
+    paper = scene, paper_design(preset), seed, paper_path
     if jobs > 1:
         announce(stream, f"preset {preset.name}; the paper's design is trained beside it")
         with processes(1) as pool:
@@ -68,12 +68,13 @@ def main_job(
 ):
     """Run everything, write the report into `folder` and return the metrics.
 
-    A preset that goes beyond the paper is trained a second time without what does, beside it if
-    `jobs` allows two processes. Pictures and metrics are those of the preset's own decoded model;
-    `paper_design` has the others. The folder gets all files at the end, or none. `start` is the
-    `time.perf_counter()` from which the seconds of the whole job count; the other arguments are
-    those of `train`. Raises the errors of `train`, ValueError for a scene without test views, and
-    OutputError for a folder that cannot be written.
+    A preset with coded networks is trained twice: as it is, and as the paper's design; at once if
+    `jobs` is at least 2, and then times are those of two processes that share the machine. Pictures
+    and metrics are those of the preset's own decoded model; `paper_design` has bytes, PSNR and SSIM
+    of the other, or of the same model where the preset is the paper's design. The folder gets all
+    files at the end, or none. `start` is the `time.perf_counter()` from which the seconds of the
+    whole job count; the other arguments are those of `train`. Raises the errors of `train`,
+    ValueError for a scene without test views, and OutputError for a folder that cannot be written.
     """
     start = time.perf_counter() if start is None else start
     chosen, name = choose(preset, changes), scene.name.replace("/", "_")
@@ -82,11 +83,11 @@ def main_job(
             f"scene {scene.name}: split 'test': no views; expected at least one to measure on"
         )
     with filled(folder) as beside:
-        task, paper = (scene, chosen, seed, beside / f"{name}.p4dgs", stream), None
+        path, paper = beside / f"{name}.p4dgs", None
         if chosen.coded:
-            paper, found = both_designs(*task, jobs)
+            paper, found = both_designs(scene, chosen, seed, path, stream, jobs)
         else:
-            found = one_design(*task)
+            found = one_design(scene, chosen, seed, path, stream)
         own, rows, images, model, history = found
         metrics = {
             "scene": scene.name,
@@ -94,6 +95,7 @@ def main_job(
             "seed": seed,
             **own,
             "paper_design": {key: (paper or own)[key] for key in ("bytes", "psnr_db", "ssim")},
+            "trained_at_once": chosen.coded and jobs > 1,
             "effects": list(scene.effects),
             "changes": {
                 field: here for field, _, here in differences(chosen, PRESETS[chosen.name])
@@ -101,7 +103,7 @@ def main_job(
         }
         report.write_comparison(beside, scene, rows, images)
         report.write_motion(beside / "motion.gif", model, scene.test[0].camera)
-        report.write_size(beside, own, paper)
+        report.write_size(beside, chosen.name, own, paper)
         report.write_training(beside, history, chosen.stage_ends)
         metrics["seconds"] = time.perf_counter() - start
         (beside / "metrics.json").write_text(json.dumps(json_safe(metrics), indent=1) + "\n")

@@ -114,13 +114,14 @@ def write_motion(path, model, camera, frames=24, zoom=4):
 
 
 def draw_size(path, designs, explicit):
-    """Bytes by component of designs {label: {component: bytes}}, of which the first is the file.
+    """Bytes by component of one or two designs {label: {component: bytes}}.
 
-    The title compares the file with the same Gaussians as float32.
+    Bars are sorted by the last design. The title compares the first one with the same Gaussians as
+    float32.
     """
     sizes = {label: sum(components.values()) for label, components in designs.items()}
-    file, *others = designs
-    names = sorted(designs[file], key=designs[others[0] if others else file].get)
+    first, last = list(designs)[0], list(designs)[-1]
+    names = sorted(designs[last], key=designs[last].get)
     largest = max(max(components.values()) for components in designs.values())
     figure, ax = pyplot().subplots(figsize=(8.5, 2.5 + 2.75 * len(designs)))
     height = 0.8 / len(designs)
@@ -128,16 +129,17 @@ def draw_size(path, designs, explicit):
         values = [components[name] for name in names]
         bars = ax.barh(np.arange(len(names)) - i * height, values, height, color=color, label=label)
         ax.bar_label(bars, [f" {v:,} ({100 * v / sizes[label]:.1f} %)" for v in values])
-    ax.set_yticks(np.arange(len(names)) - (len(others) * height) / 2, map(LABELS.get, names))
+    middle = (len(designs) - 1) * height / 2
+    ax.set_yticks(np.arange(len(names)) - middle, map(LABELS.get, names))
     ax.set(xlabel="bytes in the file", xlim=(0, 1.35 * largest))
     ax.xaxis.set_major_formatter("{x:,.0f}")
     ax.locator_params(axis="x", nbins=5)
-    beside = "".join(f"; {label}: {sizes[label]:,} bytes" for label in others)
-    if others:
+    if len(designs) > 1:
         ax.legend(loc="lower right", frameon=False)
     figure.suptitle(
-        f"{file}: {sizes[file]:,} bytes{beside}\nthe same Gaussians as float32: "
-        f"{explicit:,} bytes, {explicit / sizes[file]:.1f} times as many as in the file",
+        "; ".join(f"{label}: {size:,} bytes" for label, size in sizes.items())
+        + f"\nthe Gaussians of {first} as float32: {explicit:,} bytes, "
+        f"{explicit / sizes[first]:.1f} times as many",
         fontsize=14,
     )
     save_figure(figure, path)
@@ -248,12 +250,12 @@ def write_training(folder, history, stage_ends):
     write_csv(folder / "training.csv", history, COLUMNS)
 
 
-def write_size(folder, own, paper=None):
-    """Write size.png and .csv from the metrics of a file and of the paper's design beside it."""
-    designs = {"file": own["components"]}
+def write_size(folder, preset, own, paper=None):
+    """Write size.png and .csv from the metrics of a preset's file and of the paper's design."""
+    designs, columns = {preset: own["components"]}, ["component", "bytes"]
     if paper is not None:
         designs["the paper's design"] = paper["components"]
+        columns.append("paper_design_bytes")
     draw_size(folder / "size.png", designs, own["explicit_bytes"])
-    columns = ["component", "bytes", "paper_design_bytes"][: 1 + len(designs)]
     rows = [[name, *(of[name] for of in designs.values())] for name in own["components"]]
     write_csv(folder / "size.csv", rows, columns)

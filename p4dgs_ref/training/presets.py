@@ -1,4 +1,4 @@
-"""Every constant of training by name: the two settings of the paper and three small ones.
+"""Every constant of training by name: the two settings of the paper and four small ones.
 
 A value of `paper_synthetic` and `paper_real` comes from the paper or, where the paper gives none,
 from the methods that it builds on or from us: `SOURCES` says from which. `differences(preset)`
@@ -192,8 +192,9 @@ TINY = Preset(
     collect_from=0,
     mask_from=1800,
 )
+# The fields that a preset beyond the paper changes.
 BEYOND_THE_PAPER = ("coded", "position_bits", "network_ramp", "lr_step")
-# Its networks and positions pay for their bits (B1, B2).
+# Its networks pay for their bits (B1), and its positions have fewer of them (B2).
 TINY_CODED = TINY._replace(
     name="tiny_coded",
     coded=True,
@@ -320,7 +321,7 @@ def differences(preset, against=PAPER_SYNTHETIC):
 
 
 def paper_design(preset):
-    """The preset without what goes beyond the paper (B1, B2)."""
+    """The preset without what goes beyond the paper (B1, B2), under the same name."""
     return preset._replace(**{field: getattr(PAPER_SYNTHETIC, field) for field in BEYOND_THE_PAPER})
 
 
