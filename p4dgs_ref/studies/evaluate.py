@@ -5,7 +5,9 @@ import time
 import numpy as np
 
 from ..equations import ssim
-from ..splatting.settings import FAST
+from ..model import Model
+from ..scenes.scene import Scene
+from ..splatting.settings import FAST, Settings
 from .inspect import components
 
 # D3DGS stores 3 numbers of position, 3 of scale, 4 of rotation, 1 of opacity and 48 of colour.
@@ -46,7 +48,9 @@ def score(image, view):
     }
 
 
-def evaluate(model, scene, settings=FAST, split="test"):
+def evaluate(
+    model: Model, scene: Scene, settings: Settings = FAST, split: str = "test"
+) -> tuple[dict, list[dict], list[np.ndarray]]:
     """Measure a model on a scene's views.
 
     Returns (metrics, rows, images). metrics are the means over the views, {psnr_db, psnr_fg_db,

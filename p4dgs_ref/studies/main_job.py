@@ -3,11 +3,14 @@
 import json
 import time
 import warnings
+from pathlib import Path
+from typing import Any, TextIO
 
 from ..codec.file import decode, encode
 from ..scenes.output import filled
+from ..scenes.scene import Scene
 from ..training.fit import fit
-from ..training.presets import PRESETS, choose, differences, paper_design
+from ..training.presets import PRESETS, Preset, choose, differences, paper_design
 from . import report
 from .evaluate import compression, evaluate, json_safe, timed
 from .jobs import processes
@@ -64,8 +67,15 @@ def announce(stream, what):
 
 
 def main_job(
-    scene, preset="tiny_coded", seed=0, folder="report", start=None, stream=None, jobs=1, **changes
-):
+    scene: Scene,
+    preset: str | Preset = "tiny_coded",
+    seed: int = 0,
+    folder: str | Path = "report",
+    start: float | None = None,
+    stream: TextIO | None = None,
+    jobs: int = 1,
+    **changes: Any,
+) -> dict:
     """Run everything, write the report into `folder` and return the metrics.
 
     A preset with coded networks is trained twice: as it is, and as the paper's design; at once if
