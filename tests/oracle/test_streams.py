@@ -14,7 +14,6 @@ from p4dgs_ref.oracle import checker, export, safetensors, streams
 from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.oracle.ports import FolderPort, PortError
 from tests.golden.vectors import stream_records
-from tests.sampling import few
 
 ROWS = streams.read_rows()
 GOOD, BAD = ([row["name"] for row in ROWS[key]] for key in ("good", "bad"))
@@ -119,7 +118,8 @@ def test_other_types_for_the_same_numbers(folder):
     assert not check(folder)
 
 
-@pytest.mark.parametrize("name", few(["static", "full", "escapes"], 1))
+@pytest.mark.parametrize("name", ["static", "full", "escapes"])
+@pytest.mark.slow
 def test_every_array_counts(folder, name):
     """The smallest change of one number of any array is found and blamed on what makes it."""
     for array, value in read(folder, name).items():
