@@ -200,7 +200,7 @@ def draw_heat(path, image, bits, limits):
 
 
 def draw_training(path, history, stage_ends):
-    """PSNR of the training views and bits per coded number over the iterations and four stages."""
+    """PSNR of the training views and L_rate over the iterations and four stages."""
     table = dict(zip(COLUMNS, np.array(history, float).T))
     figure, (top, bottom) = pyplot().subplots(
         2, 1, figsize=(8.5, 6), sharex=True, layout="constrained"
@@ -218,7 +218,7 @@ def draw_training(path, history, stage_ends):
     bottom.plot(at[rated], table["bits_per_parameter"][rated], color=RED)
     stages = ", ".join(f"{i} {name}" for i, name in enumerate(STAGE_NAMES, 1))
     bottom.set(
-        ylabel="bits per coded number",
+        ylabel="L_rate (bits per coded number)",
         ylim=(0, None),
         xlim=(0, stage_ends[-1]),
         xlabel=f"iteration (stages: {stages})",
