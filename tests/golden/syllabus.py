@@ -282,7 +282,7 @@ def draw_architecture(file):
 
 # --- measuring ------------------------------------------------------------------------------------
 def run(name, out, folder=FOLDER):
-    """Run a tutorial without a display, figures in `out`; return the seconds and the process."""
+    """Run a tutorial without a display, figures in `out`; return its seconds, exit if it fails."""
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
     environment = {
         **os.environ,
@@ -299,7 +299,9 @@ def run(name, out, folder=FOLDER):
         text=True,
         cwd=out,
     )
-    return time.perf_counter() - start, done
+    if done.returncode:
+        sys.exit(f"{name}.py: {done.stderr.strip().splitlines()[-1]}")
+    return time.perf_counter() - start
 
 
 def main(chosen):
@@ -322,9 +324,7 @@ def main(chosen):
     with tempfile.TemporaryDirectory() as out:
         for tutorial in TUTORIALS:
             if not chosen or tutorial.name[:2] in chosen:
-                seconds[tutorial.name[:2]], done = run(tutorial.name, out)
-                if done.returncode:
-                    sys.exit(f"{tutorial.name}.py: {done.stderr.strip().splitlines()[-1]}")
+                seconds[tutorial.name[:2]] = run(tutorial.name, out)
                 print(f"{tutorial.name}: {seconds[tutorial.name[:2]]:.1f} s", flush=True)
         if not chosen or "00" in chosen:
             runpy.run_path(str(FOLDER / "00_whole_paper.py"))["main"](folder=Path(out))

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...equations import anchor_rate, hash_rate, likelihood, rate_loss
+from ...equations.numerics import in_precision_of
 from ...model import Context, split
 from ...scenes import load_scene
 from ...training import objective
@@ -46,7 +47,8 @@ class SampledRate:
         R_anchor, saved_anchors = anchor_rate.forward(*split(bits, design), mask[rows])
         (R_hash, _, _), saved_grid = hash_rate.forward(grids)
         scaled = R_anchor * noisy.dtype.type(A / len(rows))
-        output, saved = rate_loss.forward(scaled, R_hash + R_networks, noisy.size)
+        R_rest = R_hash + in_precision_of(R_hash, R_networks)
+        output, saved = rate_loss.forward(scaled, R_rest, noisy.size)
         return output, ((saved_bits, saved_anchors, saved_grid, saved), rows, A)
 
     def backward(self, saved, L_rate_bar, design, full):
