@@ -57,12 +57,13 @@ def test_missing_low_bits_are_refused():
     assert all(is_refused(data[:n], mu, sigma) for n in range(len(data)))
 
 
-def test_flipped_bits_never_pass_the_coder(message):
+@pytest.mark.parametrize("count", [300, pytest.param(1000, marks=pytest.mark.slow)])
+def test_flipped_bits_never_pass_the_coder(message, count):
     _, mu, sigma, data = message
     rng, model = np.random.default_rng(5), gaussian_model(mu, sigma)
     _, raw = rans.decode(data, model.table, model.keys)
     seen = set()
-    for _ in range(300):
+    for _ in range(count):
         at = int(rng.integers(len(data)))
         bad = bytearray(data)
         bad[at] ^= 1 << int(rng.integers(8))
