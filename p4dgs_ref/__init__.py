@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from .codec.container import BitstreamError
     from .codec.file import decode, encode
     from .model import Model
+    from .report.evaluate import evaluate
+    from .report.main_job import main_job
     from .scenes.load import load_scene
     from .scenes.scene import Scene, SceneError, View
     from .scenes.simulator.simulate import simulate
     from .splatting.camera import Camera, look_at
     from .splatting.settings import SETTINGS
-    from .studies.evaluate import evaluate
-    from .studies.main_job import main_job
     from .table import EQUATIONS
     from .training.fit import train
     from .training.presets import PRESETS
@@ -70,10 +70,10 @@ _HOME = {
     "View": "scenes.scene",
     "decode": "codec.file",
     "encode": "codec.file",
-    "evaluate": "studies.evaluate",
+    "evaluate": "report.evaluate",
     "load_scene": "scenes.load",
     "look_at": "splatting.camera",
-    "main_job": "studies.main_job",
+    "main_job": "report.main_job",
     "prepare": "__main__",
     "simulate": "scenes.simulator.simulate",
     "train": "training.fit",

@@ -17,14 +17,14 @@ import pytest
 from p4dgs_ref import table
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.equations import numerics, prior, step
-from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene, packaged_scenes
-from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
-from p4dgs_ref.studies.evaluate import (
+from p4dgs_ref.report.evaluate import (
     FLOATS_PER_GAUSSIAN,
     FLOATS_WITHOUT_SH_REST,
     evaluate,
     explicit_bytes,
 )
+from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene, packaged_scenes
+from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
 from p4dgs_ref.training import adam
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, TINY
@@ -206,7 +206,7 @@ def test_check_fails_where_a_test_fails_and_leaves_nothing(tmp_path, tests, slow
 @pytest.mark.slow
 def test_shares_divide_the_slow_tests():
     """Both halves together are the whole, as they are collected in the house of the studies."""
-    asked = [sys.executable, "-m", "pytest", "tests/studies", "-m", "slow", "--collect-only", "-q"]
+    asked = [sys.executable, "-m", "pytest", "tests/lab", "-m", "slow", "--collect-only", "-q"]
     found = []
     for share in ("1/2", "2/2", "1/1"):
         done = subprocess.run(

@@ -11,8 +11,9 @@
 import numpy as np
 
 from p4dgs_ref.equations import offsets
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.school.lessons import close, inner, moved, random_like
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("01_offsets")

@@ -13,10 +13,11 @@ import numpy as np
 from p4dgs_ref import EQUATIONS, effects
 from p4dgs_ref.equations import mlp, view
 from p4dgs_ref.equations.numerics import perpendicular
+from p4dgs_ref.lab.random_inputs import random_network
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.lessons import close, inner
 from p4dgs_ref.model import bounding_box, snap
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.school.lessons import close, inner
-from p4dgs_ref.studies.random_inputs import random_network
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("02_view")

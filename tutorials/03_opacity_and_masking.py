@@ -14,9 +14,10 @@ import numpy as np
 
 from p4dgs_ref.equations import masking, mlp, opacity, view
 from p4dgs_ref.equations.numerics import tanh_slope
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.school.lessons import close, inner, moved, random_like
-from p4dgs_ref.studies.random_inputs import random_anchor_network, random_network
+from p4dgs_ref.lab.random_inputs import random_anchor_network, random_network
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("03_opacity_and_masking")

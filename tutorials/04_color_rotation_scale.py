@@ -16,10 +16,11 @@ from matplotlib.patches import Ellipse
 
 from p4dgs_ref.equations import anchor_network, color, rotation, scale
 from p4dgs_ref.equations.numerics import normalise, normalise_backward, sigmoid_slope
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.school.lessons import close, inner
+from p4dgs_ref.lab.random_inputs import random_anchor_network
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.lessons import close, inner
 from p4dgs_ref.splatting import covariance
-from p4dgs_ref.studies.random_inputs import random_anchor_network
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("04_color_rotation_scale")

@@ -14,10 +14,11 @@ import numpy as np
 
 from p4dgs_ref import PRESETS
 from p4dgs_ref.equations import deformation, deformed, mlp, positional_encoding
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.school.lessons import close, inner, random_like
-from p4dgs_ref.studies.random_inputs import random_field
+from p4dgs_ref.lab.random_inputs import random_field
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.lessons import close, inner, random_like
 from p4dgs_ref.training.initial import design_of
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("05_positional_encoding_and_deformation")

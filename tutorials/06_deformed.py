@@ -14,10 +14,11 @@ from matplotlib.patches import Ellipse
 
 from p4dgs_ref import PRESETS, effects
 from p4dgs_ref.equations import deformed, numerics
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.school.lessons import close, inner, moved, random_like
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
 from p4dgs_ref.splatting import covariance
 from p4dgs_ref.training.initial import design_of
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("06_deformed")

@@ -14,8 +14,9 @@ from scipy.special import ndtr
 
 from p4dgs_ref import EQUATIONS
 from p4dgs_ref.equations import noise, rounding
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.school.lessons import close, inner
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.lessons import close, inner
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("07_noise_and_rounding")

@@ -16,10 +16,11 @@ from scipy.special import expit as sigmoid
 
 from p4dgs_ref import decode, oracle
 from p4dgs_ref.equations import mlp, rounding, step
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.school.lessons import close, inner, moved, random_like
-from p4dgs_ref.studies.inspect import float_context
-from p4dgs_ref.studies.random_inputs import random_network
+from p4dgs_ref.lab.random_inputs import random_network
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
+from p4dgs_ref.report.inspect import float_context
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("08_step")

@@ -14,10 +14,11 @@ import numpy as np
 
 from p4dgs_ref import EQUATIONS, oracle
 from p4dgs_ref.equations import grid_nodes, hash_grid
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
 from p4dgs_ref.model import LATTICE, bounding_box, snap
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.school.lessons import close, inner, moved, random_like
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("09_hash_grid")

@@ -18,9 +18,10 @@ from scipy.special import erfcx, ndtr
 from p4dgs_ref import EQUATIONS, oracle
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.equations import likelihood, mlp, prior
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.school.lessons import close, inner, moved
-from p4dgs_ref.studies.random_inputs import random_network
+from p4dgs_ref.lab.random_inputs import random_network
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.lessons import close, inner, moved
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("10_prior_and_likelihood")

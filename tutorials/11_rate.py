@@ -15,9 +15,10 @@ import numpy as np
 
 from p4dgs_ref import EQUATIONS, oracle
 from p4dgs_ref.equations import anchor_rate, hash_rate, rate_loss
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.school.lessons import close, inner, moved, random_like
-from p4dgs_ref.studies.inspect import ledger
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
+from p4dgs_ref.report.inspect import ledger
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("11_rate")

@@ -15,8 +15,9 @@ from scipy.ndimage import gaussian_filter
 
 from p4dgs_ref import load_scene, oracle
 from p4dgs_ref.equations import render_loss, ssim, total_loss, window
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.school.lessons import close, inner
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.lessons import close, inner
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("12_losses")

@@ -12,9 +12,10 @@ import numpy as np
 
 from p4dgs_ref import oracle
 from p4dgs_ref.equations.numerics import normalise, normalise_backward
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.school.lessons import close, moved, random_like
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.lessons import close, moved, random_like
 from p4dgs_ref.splatting import covariance
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("13_covariance")

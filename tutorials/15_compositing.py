@@ -12,9 +12,10 @@
 import numpy as np
 
 from p4dgs_ref import SETTINGS, oracle
-from p4dgs_ref.school import architecture, lessons
+from p4dgs_ref.lab.random_inputs import random_splats
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.splatting import compositing, loop
-from p4dgs_ref.studies.random_inputs import random_splats
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("15_compositing")

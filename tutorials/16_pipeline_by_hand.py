@@ -16,12 +16,13 @@ import numpy as np
 from p4dgs_ref import SETTINGS, Camera, Model, View, decode, encode, oracle
 from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.equations import deformation, hash_grid
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import Anchors, Design, context, predict, predict_backward
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.splatting import covariance, projection, render
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.parameters import Parameters
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("16_pipeline_by_hand")

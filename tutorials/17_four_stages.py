@@ -16,13 +16,14 @@ import numpy as np
 
 from p4dgs_ref import PRESETS, SETTINGS, decode, encode, evaluate, load_scene, oracle
 from p4dgs_ref.equations import rounding
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import Context
-from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.progress import psnr
 from p4dgs_ref.training.trainer import LEARNING_RATES, Trainer
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("17_four_stages")

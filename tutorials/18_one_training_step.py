@@ -13,14 +13,15 @@ import numpy as np
 
 from p4dgs_ref import SETTINGS, Camera, View, load_scene, oracle
 from p4dgs_ref.equations import hash_grid, likelihood, noise, render_loss, total_loss
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import Anchors, context, groups, predict, predict_backward, split
-from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.splatting import render
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.adam import BETA_1, BETA_2, EPSILON, Adam
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("18_one_training_step")

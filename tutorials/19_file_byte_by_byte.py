@@ -24,9 +24,10 @@ from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.codec.streams import ideal_bits_gaussian
 from p4dgs_ref.equations import likelihood
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.oracle import streams
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.studies import inspect
+from p4dgs_ref.report import inspect
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("19_file_byte_by_byte")

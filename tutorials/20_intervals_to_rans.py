@@ -26,9 +26,10 @@ from p4dgs_ref.codec import container, rans
 from p4dgs_ref.codec import streams as sections
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.gaussian_table import gaussian_model
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.oracle import streams
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.studies import inspect
+from p4dgs_ref.report import inspect
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("20_intervals_to_rans")

@@ -24,9 +24,10 @@ from p4dgs_ref.codec import container, context, fixed_point, published
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
 from p4dgs_ref.codec.quantise import dequantise
 from p4dgs_ref.equations import hash_grid, prior
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.oracle import streams
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.studies import inspect
+from p4dgs_ref.report import inspect
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("21_desync")

@@ -21,11 +21,12 @@ from p4dgs_ref import look_at, oracle
 from p4dgs_ref.codec import container
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
 from p4dgs_ref.equations import likelihood, noise
+from p4dgs_ref.lab.accuracy import formulas
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import Context
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.studies import inspect
-from p4dgs_ref.studies.accuracy import formulas
+from p4dgs_ref.report import inspect
 from p4dgs_ref.training import objective
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("22_five_questions_about_bits")

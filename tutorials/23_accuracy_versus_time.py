@@ -5,9 +5,9 @@
 # choose a setting by it. **Before it:** `10_prior_and_likelihood`, `15_compositing`. **Takes** five
 # seconds on two cores, 25 minutes of reading and 45 of exercises.
 #
-# **Files:** [formulas.py](../p4dgs_ref/studies/accuracy/formulas.py),
-# [rendering.py](../p4dgs_ref/studies/accuracy/rendering.py),
-# [diagram.py](../p4dgs_ref/studies/accuracy/diagram.py).
+# **Files:** [formulas.py](../p4dgs_ref/lab/accuracy/formulas.py),
+# [rendering.py](../p4dgs_ref/lab/accuracy/rendering.py),
+# [diagram.py](../p4dgs_ref/lab/accuracy/diagram.py).
 
 # %%
 import math
@@ -19,10 +19,11 @@ from p4dgs_ref import oracle
 from p4dgs_ref.codec import streams
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.equations import likelihood
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.studies import clock
-from p4dgs_ref.studies.accuracy import diagram, formulas, rendering
-from p4dgs_ref.studies.accuracy import likelihood as study
+from p4dgs_ref.lab import clock
+from p4dgs_ref.lab.accuracy import diagram, formulas, rendering
+from p4dgs_ref.lab.accuracy import likelihood as study
+from p4dgs_ref.lab.school import lessons
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("23_accuracy_versus_time")

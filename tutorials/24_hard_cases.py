@@ -6,8 +6,8 @@
 # `12_losses`, `15_compositing`. **Takes** four seconds on two cores, 25 minutes of reading and 30
 # of exercises.
 #
-# **Files:** [table.py](../p4dgs_ref/studies/hard_cases/table.py),
-# [map.py](../p4dgs_ref/studies/hard_cases/map.py),
+# **Files:** [table.py](../p4dgs_ref/lab/stability/table.py),
+# [map.py](../p4dgs_ref/lab/stability/map.py),
 # [numerics.py](../p4dgs_ref/equations/numerics.py).
 
 # %%
@@ -19,11 +19,12 @@ from scipy.special import expit, ndtr
 
 from p4dgs_ref import oracle
 from p4dgs_ref.equations import hash_rate, ssim, step
-from p4dgs_ref.school import architecture, lessons
+from p4dgs_ref.lab.accuracy import heatmap
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.stability import map as stability_map
+from p4dgs_ref.lab.stability import table
 from p4dgs_ref.splatting import compositing, projection
-from p4dgs_ref.studies.accuracy import heatmap
-from p4dgs_ref.studies.hard_cases import map as stability_map
-from p4dgs_ref.studies.hard_cases import table
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("24_hard_cases")
@@ -86,7 +87,7 @@ assert round((near + far) / (near - far), 1) == 1.1
 
 # %% [markdown]
 # ## In code
-# `p4dgs_ref.studies.hard_cases` is a catalogue of such inputs. Each of them is computed in the
+# `p4dgs_ref.lab.stability` is a catalogue of such inputs. Each of them is computed in the
 # printed or usual way (`literal`) and by this project (`ours`), and is compared with the true
 # value, which has been computed with far more digits. Some rows are shown below;
 # `p4dgs-ref stability` prints all of them. The last columns are the relative errors of `ours` and

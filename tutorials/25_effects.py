@@ -7,7 +7,7 @@
 # 35 of exercises.
 #
 # **Files:** [effects.py](../p4dgs_ref/effects.py),
-# [effect_ledger.py](../p4dgs_ref/studies/effect_ledger.py).
+# [effect_ledger.py](../p4dgs_ref/lab/effects/ledger.py).
 
 # %%
 from dataclasses import replace
@@ -19,17 +19,18 @@ from p4dgs_ref import effects as fx
 from p4dgs_ref import oracle
 from p4dgs_ref.codec import published
 from p4dgs_ref.equations import color, deformation, deformed, positional_encoding
+from p4dgs_ref.lab.effects.ledger import describe, ledger
+from p4dgs_ref.lab.effects.suggest import paired, verdict
+from p4dgs_ref.lab.effects.work import counted
+from p4dgs_ref.lab.random_inputs import random_field
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.school import architecture, lessons
 from p4dgs_ref.splatting import compositing
-from p4dgs_ref.studies.effect_ledger import describe, ledger
-from p4dgs_ref.studies.effect_work import counted
-from p4dgs_ref.studies.inspect import components
-from p4dgs_ref.studies.random_inputs import random_field
-from p4dgs_ref.studies.suggest import paired, verdict
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, choose
 from p4dgs_ref.training.trainer import Trainer
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("25_effects")

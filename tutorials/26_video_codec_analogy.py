@@ -18,15 +18,16 @@ import p4dgs_ref as p4
 from p4dgs_ref import oracle
 from p4dgs_ref.codec import published
 from p4dgs_ref.equations import deformation
+from p4dgs_ref.lab.accuracy import fits
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import predict, predict_backward
+from p4dgs_ref.report.evaluate import decibel, evaluate, squared_error
+from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator.description import describe
 from p4dgs_ref.scenes.simulator.simulate import place_cameras
 from p4dgs_ref.scenes.simulator.trace import trace
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.studies.accuracy import fits
-from p4dgs_ref.studies.evaluate import decibel, evaluate, squared_error
-from p4dgs_ref.studies.inspect import components
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("26_video_codec_analogy")

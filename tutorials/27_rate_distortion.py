@@ -15,11 +15,12 @@ import numpy as np
 
 from p4dgs_ref import decode, encode, evaluate, load_scene, oracle
 from p4dgs_ref.equations import likelihood, rate_loss, total_loss
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import context
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.studies.inspect import components
+from p4dgs_ref.report.inspect import components
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("27_rate_distortion")

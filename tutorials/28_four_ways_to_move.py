@@ -9,11 +9,11 @@
 #
 # **Files:** [deformation.py](../p4dgs_ref/equations/deformation.py),
 # [deformation_d3dgs.py](../p4dgs_ref/equations/deformation_d3dgs.py),
-# [plane_features.py](../p4dgs_ref/baselines/plane_features.py),
-# [plane_decoder.py](../p4dgs_ref/baselines/plane_decoder.py),
-# [conditional.py](../p4dgs_ref/baselines/conditional.py),
-# [marginal.py](../p4dgs_ref/baselines/marginal.py),
-# [rate_distortion.py](../p4dgs_ref/studies/rate_distortion.py).
+# [plane_features.py](../p4dgs_ref/lab/baselines/plane_features.py),
+# [plane_decoder.py](../p4dgs_ref/lab/baselines/plane_decoder.py),
+# [conditional.py](../p4dgs_ref/lab/baselines/conditional.py),
+# [marginal.py](../p4dgs_ref/lab/baselines/marginal.py),
+# [rate_distortion.py](../p4dgs_ref/lab/tables/rate_distortion.py).
 
 # %%
 from dataclasses import replace
@@ -21,7 +21,9 @@ from dataclasses import replace
 import numpy as np
 
 from p4dgs_ref import load_scene, oracle
-from p4dgs_ref.baselines import (
+from p4dgs_ref.codec import published
+from p4dgs_ref.equations import deformation, mlp, positional_encoding
+from p4dgs_ref.lab.baselines import (
     conditional,
     d3dgs,
     gaussian4d,
@@ -31,18 +33,17 @@ from p4dgs_ref.baselines import (
     plane_features,
     rotation_4d,
 )
-from p4dgs_ref.codec import published
-from p4dgs_ref.equations import deformation, mlp, positional_encoding
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.tables.rate_distortion import bd_rate, bytes_at
 from p4dgs_ref.model import declared_numbers, deformation_layers
+from p4dgs_ref.report.evaluate import decibel, score
+from p4dgs_ref.report.inspect import ledger
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.school import architecture, lessons
-from p4dgs_ref.studies.evaluate import decibel, score
-from p4dgs_ref.studies.inspect import ledger
-from p4dgs_ref.studies.rate_distortion import bd_rate, bytes_at
 from p4dgs_ref.training.adam import Adam, exponential
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.parameters import Parameters, random_layers
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
+from tutorials.tools import architecture
 
 plt = lessons.pyplot()
 architecture.show("28_four_ways_to_move")

@@ -7,7 +7,7 @@
 #
 #     python tutorials/beyond_context.py report/bouncing.p4dgs
 #
-# **Files:** [hash_grid.py](../p4dgs_ref/studies/accuracy/hash_grid.py) (the study whose functions
+# **Files:** [hash_grid.py](../p4dgs_ref/lab/accuracy/hash_grid.py) (the study whose functions
 # are used here), [beyond_networks.py](beyond_networks.py) (coded networks, B1).
 
 # %%
@@ -19,17 +19,11 @@ import numpy as np
 
 from p4dgs_ref import decode
 from p4dgs_ref.codec.quantise import quantise
+from p4dgs_ref.lab.accuracy.hash_grid import COMMON, ContextFit, pays_from, without_context, written
+from p4dgs_ref.lab.accuracy.quantisation import fixed
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import Anchors
-from p4dgs_ref.school import lessons
-from p4dgs_ref.studies.accuracy.hash_grid import (
-    COMMON,
-    ContextFit,
-    pays_from,
-    without_context,
-    written,
-)
-from p4dgs_ref.studies.accuracy.quantisation import fixed
-from p4dgs_ref.studies.inspect import components
+from p4dgs_ref.report.inspect import components
 
 plt = lessons.pyplot()
 named = [name for name in sys.argv[1:] if name.endswith(".p4dgs")]

@@ -20,8 +20,8 @@ import numpy as np
 
 from p4dgs_ref import decode, oracle
 from p4dgs_ref.codec.positions import codes_of, write_gaps
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import snap
-from p4dgs_ref.school import lessons
 
 plt = lessons.pyplot()
 named = [name for name in sys.argv[1:] if name.endswith(".p4dgs")]

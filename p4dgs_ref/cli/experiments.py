@@ -21,8 +21,8 @@ def run(arguments, study, job):
 
 def compare(arguments):
     """Train all methods on scenes and print the paper's Tables 1 and 2 in form."""
-    from ..studies import compare as study
-    from ..studies.methods import known
+    from ..lab.tables import compare as study
+    from ..lab.tables.methods import known
 
     known(arguments.methods)
     names, seeds, caps = arguments.scenes, arguments.seeds, arguments.caps
@@ -41,8 +41,8 @@ def compare(arguments):
 
 def sweep(arguments):
     """Make the points of a rate-distortion curve, or one of them, and draw what is there."""
+    from ..lab.tables import sweep as study
     from ..scenes.output import made
-    from ..studies import sweep as study
 
     scene = scene_of(arguments, arguments.scene)
     seeds, length = arguments.seeds, arguments.iterations
@@ -59,7 +59,7 @@ def sweep(arguments):
 
 def make_point(arguments, tasks, values):
     """Make one point of a sweep, counted from 1."""
-    from ..studies.sweep import make_missing, record
+    from ..lab.tables.sweep import make_missing, record
 
     i, count = arguments.point
     if count != len(tasks) or not 1 <= i <= count:
@@ -74,7 +74,7 @@ def make_point(arguments, tasks, values):
 
 def ablate(arguments):
     """Print the paper's Table 3 in form, and the method with one part left out at a time."""
-    from ..studies import ablate as study
+    from ..lab.tables import ablate as study
 
     scene = scene_of(arguments, arguments.scene)
     options = arguments.seeds, arguments.iterations
@@ -87,7 +87,7 @@ def ablate(arguments):
 
 def composition(arguments):
     """Print the paper's Table 4 in form."""
-    from ..studies import composition as study
+    from ..lab.tables import composition as study
 
     scene = scene_of(arguments, arguments.scene)
     options = arguments.low, arguments.high, arguments.iterations, arguments.seed

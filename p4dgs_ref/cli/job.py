@@ -81,8 +81,8 @@ def estimate(scene, preset, arguments, trainings=1, points=None):
 
 def demo(arguments):
     """Run the main job and write its report."""
-    from ..studies.evaluate import json_safe
-    from ..studies.main_job import main_job
+    from ..report.evaluate import json_safe
+    from ..report.main_job import main_job
 
     preset, scene = read_preset(arguments), read_test_scene(arguments)
     estimate(scene, preset, arguments, 2 if preset.coded and arguments.jobs == 1 else 1)
@@ -115,9 +115,9 @@ def simulate(arguments):
 
 def train(arguments):
     """Fit a scene into a run folder."""
+    from ..report.figures import write_training
     from ..scenes.load import read_description, read_points_for
     from ..scenes.output import made
-    from ..studies.report import write_training
     from ..training.checkpoint import CHECKPOINT
     from ..training.fit import fit
 
@@ -280,8 +280,8 @@ def render(arguments):
     import imageio.v3 as iio
     import numpy as np
 
+    from ..report.figures import write_gif
     from ..splatting.settings import SETTINGS
-    from ..studies.report import write_gif
 
     require_known("--settings", [arguments.settings], SETTINGS)
     _, model, _ = read_file(arguments.file)
@@ -369,8 +369,8 @@ def evaluate(arguments):
     """Score a file on the test views of a scene."""
     from ..codec.file import encode as encode_model
     from ..codec.quantise import EncodeError
-    from ..studies import evaluate as study
-    from ..studies.report import write_comparison
+    from ..report import evaluate as study
+    from ..report.figures import write_comparison
 
     data, model, seconds = read_file(arguments.file)
     scene = read_test_scene(arguments)
@@ -399,8 +399,8 @@ def evaluate(arguments):
 
 def inspect(arguments):
     """List the sections of a file."""
-    from ..studies.inspect import GAPS, ledger
-    from ..studies.report import draw_ledger, write_csv
+    from ..report.figures import draw_ledger, write_csv
+    from ..report.inspect import GAPS, ledger
 
     if arguments.heat and not arguments.output:
         raise UsageError("--heat: expected -o FOLDER, where the picture is written")
@@ -417,9 +417,9 @@ def inspect(arguments):
 
 def write_heat(arguments, data, folder):
     """Write heat.png, the scene in colours that show the bits of its anchors, and heat.csv."""
-    from ..studies.heat import heat_image
-    from ..studies.inspect import anchor_bits
-    from ..studies.report import HEAT, draw_heat, write_csv
+    from ..report.figures import HEAT, draw_heat, write_csv
+    from ..report.heat import heat_image
+    from ..report.inspect import anchor_bits
 
     model, bits = anchor_bits(data)
     limits = bits.min(), bits.max()
@@ -432,7 +432,7 @@ def write_heat(arguments, data, folder):
 def equations(arguments):
     """Print the table of equations, also the baselines' and those beyond the paper."""
     from .. import table
-    from ..baselines.table import ALL_EQUATIONS
+    from ..lab.baselines.table import ALL_EQUATIONS
 
     rows = {"equations": table.rows(ALL_EQUATIONS)}
     show(arguments, rows, table.table(ALL_EQUATIONS))
@@ -461,7 +461,7 @@ def presets(arguments):
 
 def bench(arguments):
     """Time the renderer, a training step and the coder."""
-    from ..studies import bench as study
+    from ..lab import bench as study
 
     result = study.bench(arguments.quick)
     show(arguments, result, study.describe(result))

@@ -573,12 +573,12 @@ def user_errors():
     """The exceptions that mean a user's mistake or a damaged file."""
     from ..codec.container import BitstreamError
     from ..codec.quantise import EncodeError
+    from ..lab.school import ClassroomError
+    from ..lab.tables.methods import StudyError
     from ..oracle.adapter import AdapterError
     from ..oracle.safetensors import TensorError
     from ..scenes.output import OutputError
     from ..scenes.scene import SceneError
-    from ..school import ClassroomError
-    from ..studies.methods import StudyError
     from ..training.checkpoint import RunError
 
     return (

@@ -5,7 +5,7 @@ from .base import Line, report_folder, show
 
 def classroom(arguments):
     """Write the equations without their bodies, and the key."""
-    from ..school import classroom as write
+    from ..lab.school import classroom as write
 
     done = write(arguments.folder, arguments.only or None, arguments.backward_only)
     kept = f"; kept as they were: {', '.join(done['kept'])}" if done["kept"] else ""
@@ -19,7 +19,7 @@ def classroom(arguments):
 
 def grade(arguments):
     """Judge what students wrote."""
-    from .. import school
+    from ..lab import school
 
     with report_folder(arguments.output) as beside, Line(arguments) as line:
         reports = school.grade(

@@ -7,7 +7,7 @@ from .base import Line, UsageError, report_folder, require_known, show
 
 def accuracy(arguments):
     """Run the studies of accuracy against time, or print their summary."""
-    from ..studies.accuracy.report import STUDIES, describe, run, summary
+    from ..lab.accuracy.report import STUDIES, describe, run, summary
 
     if arguments.summary:
         if arguments.only or arguments.quick:
@@ -22,8 +22,8 @@ def accuracy(arguments):
 
 def stability(arguments):
     """Print the hard cases and draw the map; exit code 1 if a hard case is beyond its bound."""
-    from ..studies.hard_cases.map import draw_map
-    from ..studies.hard_cases.table import describe, rows
+    from ..lab.stability.map import draw_map
+    from ..lab.stability.table import describe, rows
 
     with Line(arguments) as line, report_folder(arguments.output) as beside:
         found = rows(arguments.only, lambda row: line(f"{row['id']} {row['dtype']}"))
@@ -41,7 +41,7 @@ def stability(arguments):
 
 def effects(arguments):
     """Train with and without each effect, or say which effects the pictures call for."""
-    from ..studies.effect_ledger import describe, draw_ledger, ledger
+    from ..lab.effects.ledger import describe, draw_ledger, ledger
     from .job import read_test_scene
 
     if arguments.full and arguments.quick:
@@ -64,8 +64,8 @@ def effects(arguments):
 
 def suggest_effects(arguments):
     """Say which effects the pictures call for; with --apply write the list to scene.json."""
+    from ..lab.effects.suggest import suggest
     from ..scenes.load import list_effects, packaged_folder
-    from ..studies.suggest import suggest
     from .job import read_scene
 
     if arguments.output or arguments.quick or arguments.full:

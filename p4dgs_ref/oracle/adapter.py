@@ -35,8 +35,8 @@ import time
 
 import numpy as np
 
-from ..studies.precision import cast
 from .ports import PortError
+from .precision import cast
 from .safetensors import DTYPES, NAMES
 
 VERSION = 1

@@ -22,8 +22,8 @@ import zlib
 
 import numpy as np
 
-from ..studies.precision import change_floats
 from .compare import IMAGES
+from .precision import change_floats
 from .published import flatten
 
 PROBES = 12

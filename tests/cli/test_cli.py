@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.baselines.table import ALL_EQUATIONS
 from p4dgs_ref.cli import parser as cli
+from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
 
 ROOT = Path(p4.__file__).resolve().parents[1]
 COMMANDS = (

@@ -6,9 +6,9 @@ import time
 
 import pytest
 
-from p4dgs_ref.baselines import METHODS
 from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.studies import methods
+from p4dgs_ref.lab.baselines import METHODS
+from p4dgs_ref.lab.tables import methods
 
 # Outside of pytest Python hides them; matplotlib 3.8 causes some with a new pyparsing.
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")

@@ -10,7 +10,7 @@ from p4dgs_ref.codec.container import SECTIONS, BitstreamError, layout, read_con
 from p4dgs_ref.codec.file import decode, encode, quantised_of
 from p4dgs_ref.codec.published import FOLDER
 from p4dgs_ref.model import join
-from p4dgs_ref.studies.inspect import ledger
+from p4dgs_ref.report.inspect import ledger
 from tests.golden import conformance
 
 MANIFEST = json.loads((FOLDER / "manifest.json").read_text())

@@ -18,9 +18,9 @@ from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.codec.streams import decode_bits
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.model import ANCHOR_NETWORKS, Anchors, join
+from p4dgs_ref.report.inspect import components, ledger
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting.camera import look_at
-from p4dgs_ref.studies.inspect import components, ledger
 from p4dgs_ref.training.presets import SMOKE, TINY
 from tests.codec.models import (
     DECODE_AND_PRINT,

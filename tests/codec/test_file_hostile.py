@@ -13,8 +13,8 @@ from p4dgs_ref.codec.gaussian_table import MU_LIMIT
 from p4dgs_ref.codec.header import MOST_NUMBERS, check_work, declared_numbers, read_header
 from p4dgs_ref.codec.quantise import EncodeError, quantise
 from p4dgs_ref.codec.streams import encode_bits
+from p4dgs_ref.report.inspect import ledger
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.studies.inspect import ledger
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PRESETS
 from tests.codec.models import MAKE, changed, random_model

@@ -31,7 +31,7 @@ from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.codec.streams import ideal_bits_gaussian
 from p4dgs_ref.equations import hash_grid, likelihood, mlp, prior, step
 from p4dgs_ref.model import split
-from p4dgs_ref.studies.inspect import float_context, ledger
+from p4dgs_ref.report.inspect import float_context, ledger
 from tests.codec.models import DECODE_AND_PRINT, MAKE, changed, digest, random_model
 from tests.golden.sample_model import sample_model
 from tests.sampling import few

@@ -15,7 +15,7 @@ from p4dgs_ref.codec.header import BASES, read_header, write_header
 from p4dgs_ref.codec.positions import read_gaps, write_gaps
 from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.model import join, on_lattice, snap
-from p4dgs_ref.studies import inspect
+from p4dgs_ref.report import inspect
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
 from tests.codec.models import MAKE, arrays_of, points_in_a_plane, random_model

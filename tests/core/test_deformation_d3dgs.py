@@ -5,8 +5,8 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.equations import deformation, deformation_d3dgs
+from p4dgs_ref.lab.random_inputs import random_network
 from p4dgs_ref.scenes import MODEL_EFFECTS
-from p4dgs_ref.studies.random_inputs import random_network
 from p4dgs_ref.table import Equation
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, choose

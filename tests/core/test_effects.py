@@ -11,12 +11,12 @@ import pytest
 from p4dgs_ref.codec import quantise
 from p4dgs_ref.codec.file import encode
 from p4dgs_ref.effects import MOTION
+from p4dgs_ref.lab.effects.work import counted, effect_bytes
 from p4dgs_ref.model import Anchors, predict, predict_backward
+from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS
 from p4dgs_ref.splatting import covariance, projection, render
 from p4dgs_ref.splatting.settings import EXACT, FAST
-from p4dgs_ref.studies.effect_work import counted, effect_bytes
-from p4dgs_ref.studies.inspect import components
 from p4dgs_ref.training.initial import design_of, initial_parameters
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import SMOKE

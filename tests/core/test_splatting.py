@@ -7,11 +7,11 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from p4dgs_ref.lab.random_inputs import random_splats
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting import compositing, fast, loop, render, tiles
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
-from p4dgs_ref.studies.random_inputs import random_splats
 from p4dgs_ref.training.presets import SMOKE
 from p4dgs_ref.training.trainer import Trainer
 

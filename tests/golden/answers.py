@@ -1,4 +1,4 @@
-"""The answers to short exercises: p4dgs_ref/school/answers.json, made from the solutions.
+"""The answers to short exercises: p4dgs_ref/lab/school/answers.json, made from the solutions.
 
 python -m tests.golden.answers
 
@@ -16,10 +16,9 @@ from unittest import mock
 
 import numpy as np
 
-from p4dgs_ref.school import lessons
-from p4dgs_ref.school.syllabus import TUTORIALS
-
-from .syllabus import FOLDER, name_of_check, write_text
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.syllabus import TUTORIALS
+from tutorials.tools.syllabus import FOLDER, name_of_check, write_text
 
 FROM_DATA = {  # compared with arrays of the golden data or of a file, or with counts in the text
     "10.1",

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from p4dgs_ref.studies.random_inputs import random_field
+from p4dgs_ref.lab.random_inputs import random_field
 
 
 class Arena(NamedTuple):

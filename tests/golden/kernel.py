@@ -22,10 +22,10 @@ from typing import NamedTuple
 import numpy as np
 
 from p4dgs_ref import model
+from p4dgs_ref.oracle.precision import cast
 from p4dgs_ref.oracle.published import flatten
 from p4dgs_ref.splatting import covariance, fast, projection, render
 from p4dgs_ref.splatting.settings import PAPER
-from p4dgs_ref.studies.precision import cast
 from tests.golden.cases import Case
 from tests.golden.flat import CAMERA_SHAPES, camera_of, described
 from tests.golden.pipeline import FRONT, golden_model

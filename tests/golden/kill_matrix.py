@@ -19,13 +19,13 @@ from unittest.mock import patch
 import numpy as np
 import scipy.sparse
 
-from p4dgs_ref.baselines import plane_features
-from p4dgs_ref.baselines.table import ALL_EQUATIONS
 from p4dgs_ref.equations import grid_nodes, likelihood
+from p4dgs_ref.lab.baselines import plane_features
+from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
 from p4dgs_ref.oracle import checker, doctor, published
 from p4dgs_ref.oracle.compare import compare
+from p4dgs_ref.oracle.precision import cast
 from p4dgs_ref.splatting import compositing
-from p4dgs_ref.studies.precision import cast
 from tests.golden.equivalent import EQUIVALENT
 from tests.golden.mistakes import MISTAKES
 from tests.golden.mistakes.place import in_place

@@ -10,7 +10,7 @@ import json
 
 import numpy as np
 
-from p4dgs_ref.studies.accuracy.likelihood import DIGITS, plane
+from p4dgs_ref.lab.accuracy.likelihood import DIGITS, plane
 
 from .sixty_digits import gradient, value
 

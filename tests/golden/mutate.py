@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import p4dgs_ref
-from p4dgs_ref.baselines.table import ALL_EQUATIONS
+from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
 
 ROOT = Path(p4dgs_ref.__file__).parent
 # Files that serve an equation, or several.

@@ -4,12 +4,12 @@ import numpy as np
 
 from p4dgs_ref import model
 from p4dgs_ref.equations import deformation, deformed
+from p4dgs_ref.lab.random_inputs import random_field, random_network
 from p4dgs_ref.model import ANCHOR_NETWORKS, Anchors
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting import covariance, projection, render
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT
-from p4dgs_ref.studies.random_inputs import random_field, random_network
 from tests.golden.cases import Case
 from tests.golden.flat import (
     CAMERA_SHAPES,

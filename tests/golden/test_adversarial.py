@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.equations import anchor_network, opacity, view
-from p4dgs_ref.studies.accuracy import formulas
+from p4dgs_ref.lab.accuracy import formulas
 from p4dgs_ref.table import EQUATIONS
 from tests.golden import search
 from tests.golden.arenas import ARENAS

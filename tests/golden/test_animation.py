@@ -4,12 +4,12 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
+from p4dgs_ref.report.evaluate import decibel, squared_error
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.load import DESCRIPTION, find_scene
 from p4dgs_ref.scenes.simulator.description import describe
-from p4dgs_ref.studies.evaluate import decibel, squared_error
 from tests.budget import ROOT
-from tests.golden import animation
+from tutorials.tools import animation
 
 SIDE = 64
 

@@ -7,10 +7,10 @@ import pytest
 
 from p4dgs_ref.oracle import checker, published, report
 from p4dgs_ref.oracle.compare import compare, expected
+from p4dgs_ref.oracle.precision import cast
 from p4dgs_ref.splatting import fast, loop
 from p4dgs_ref.splatting.settings import PAPER
 from p4dgs_ref.splatting.tiles import bin_splats
-from p4dgs_ref.studies.precision import cast
 from tests.core import adjoint
 from tests.golden import kernel
 from tests.golden.sixty_digits.functions import exp, working

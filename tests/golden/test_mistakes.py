@@ -8,10 +8,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from p4dgs_ref.baselines.table import ALL_EQUATIONS
+from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
 from p4dgs_ref.oracle import doctor, published, safetensors
 from p4dgs_ref.oracle.compare import expected
-from p4dgs_ref.studies.precision import cast
+from p4dgs_ref.oracle.precision import cast
 from tests.golden.mistakes import MISTAKES, NotApplicable
 from tests.golden.mistakes.__main__ import answers, files
 from tests.golden.mistakes.place import in_place

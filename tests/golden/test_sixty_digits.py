@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tests.golden.sixty_digits as sixty
-from p4dgs_ref.baselines.table import ALL_EQUATIONS
+from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
 from tests.golden.cases import Case, cases_of
 from tests.golden.checks import altered
 from tests.golden.sixty_digits import functions as f

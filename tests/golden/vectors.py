@@ -21,9 +21,9 @@ import scipy
 from p4dgs_ref import __version__
 from p4dgs_ref.oracle import published, safetensors, streams, tolerance
 from p4dgs_ref.oracle.export import copy_streams, write_expected
+from p4dgs_ref.oracle.precision import cast
 from p4dgs_ref.oracle.published import FOLDER, flatten, read_manifest
 from p4dgs_ref.scenes.output import filled
-from p4dgs_ref.studies.precision import cast
 from tests.golden import independent, measured
 from tests.golden.cases import FLAGS
 from tests.golden.subjects import subjects

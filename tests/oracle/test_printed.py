@@ -12,7 +12,7 @@ from p4dgs_ref.equations import numerics
 from p4dgs_ref.oracle import checker, doctor, published, report, safetensors
 from p4dgs_ref.oracle import printed as scales
 from p4dgs_ref.oracle.compare import expected
-from p4dgs_ref.studies.precision import cast
+from p4dgs_ref.oracle.precision import cast
 from p4dgs_ref.table import EQUATIONS
 from tests.golden import printed
 from tests.golden.subjects import subjects

@@ -11,10 +11,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from p4dgs_ref.baselines.table import ALL_EQUATIONS
+from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
 from p4dgs_ref.oracle import checker, published, report, safetensors
 from p4dgs_ref.oracle.export import export
-from p4dgs_ref.studies.precision import cast
+from p4dgs_ref.oracle.precision import cast
 from tests.golden.cases import FLAGS
 from tests.golden.subjects import subjects
 from tests.golden.vectors import IDS, WRITTEN, damaged, listed

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from scipy.special import erfcx, ndtr
 
-from p4dgs_ref.baselines import table
 from p4dgs_ref.cli import parser as cli
+from p4dgs_ref.lab.baselines import table
 from p4dgs_ref.oracle import published, safetensors
 from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.oracle.checker import check, check_port

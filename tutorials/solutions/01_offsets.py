@@ -4,7 +4,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 x_a = np.array([1, 2, 0])
 l_a = np.array([0.5, 0.5, 2])

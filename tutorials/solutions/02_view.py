@@ -5,7 +5,7 @@
 import numpy as np
 
 from p4dgs_ref.equations import view
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 x_a = np.array([3.0, -1, 7])
 x_c = np.array([1.0, 2, 1])

@@ -5,7 +5,7 @@
 import numpy as np
 
 from p4dgs_ref.equations import masking
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **03.1** The slope of $\tanh$ is $1 - 0.6^2 = 0.64$, so $\bar\psi = 2\cdot 0.64$.

@@ -6,7 +6,7 @@ import numpy as np
 
 from p4dgs_ref.equations import anchor_network
 from p4dgs_ref.equations.numerics import normalise, normalise_backward
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 
 def network(f_a, delta_vc, d_vc, weights, biases, width):

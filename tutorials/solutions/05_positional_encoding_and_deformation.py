@@ -5,7 +5,7 @@
 import numpy as np
 
 from p4dgs_ref.equations import positional_encoding
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **05.1** At zero every cosine is one and every sine is zero, so $\bar p = 1 + 1 + 2 = 4$.

@@ -6,7 +6,7 @@ import numpy as np
 
 from p4dgs_ref.equations import deformed
 from p4dgs_ref.equations.numerics import normalise, normalise_backward
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **06.1** The sum is $(1, 0, 0, 1)$, and dividing by its length gives the real part $1/\sqrt 2$.

@@ -5,7 +5,7 @@
 import numpy as np
 
 from p4dgs_ref.equations import noise, rounding
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **07.1** The quotients are $2.5$, $-1.2$, $0.5$ and $4.4$. The first and the third are ties, and

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import expit as sigmoid
 
 from p4dgs_ref.equations import mlp, step
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **08.1** From $1 + \tanh u = \frac{1}{2}$ follows $\tanh u = -\frac{1}{2}$. In the sigmoid form,

@@ -5,7 +5,7 @@
 import numpy as np
 
 from p4dgs_ref.equations import grid_nodes, hash_grid
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **09.1** The anchor lies at three quarters along $x$ and one quarter along $y$. The weights are

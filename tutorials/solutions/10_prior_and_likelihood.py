@@ -8,8 +8,8 @@ import numpy as np
 from scipy.special import erfcx, log_ndtr
 
 from p4dgs_ref.equations import likelihood, mlp, prior
-from p4dgs_ref.school import lessons
-from p4dgs_ref.school.lessons import close
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.lessons import close
 
 # %% [markdown]
 # **10.1** The mirrored bin has $p = \Phi(-low) - \Phi(-high) = \Phi(-low)\,(1 - r)$, where $r$ is

@@ -5,7 +5,7 @@
 import numpy as np
 
 from p4dgs_ref.equations import hash_rate
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **11.1** A sum gives its cotangent to every term. A masked offset is not a term of the sum.

@@ -5,7 +5,7 @@
 import numpy as np
 
 from p4dgs_ref.equations import ssim, window
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **12.1** The loss is $10^{-3}\cdot 2.4 + 0.07$. Its cotangent goes to $\mathcal{L}_{render}$ with

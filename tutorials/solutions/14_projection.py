@@ -4,7 +4,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **14.1** $J = (80/8, -80\cdot 1/8^2) = (10, -1.25)$, so the variance is

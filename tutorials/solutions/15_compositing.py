@@ -4,7 +4,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.splatting import compositing
 
 # %% [markdown]

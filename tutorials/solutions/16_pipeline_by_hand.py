@@ -6,9 +6,9 @@ import numpy as np
 
 from p4dgs_ref import SETTINGS, Camera
 from p4dgs_ref.equations import color, masking, offsets, opacity, rotation, scale, view
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import Anchors, Design, predict
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.school import lessons
 from p4dgs_ref.splatting import render
 
 # %% [markdown]

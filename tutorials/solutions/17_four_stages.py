@@ -6,10 +6,10 @@ import numpy as np
 
 from p4dgs_ref import PRESETS
 from p4dgs_ref.equations import hash_grid, likelihood
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import context, context_backward
 from p4dgs_ref.oracle import published
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.school import lessons
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.trainer import LEARNING_RATES
 

@@ -5,7 +5,7 @@
 import numpy as np
 
 from p4dgs_ref.equations import deformation, deformed, render_loss
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.training.adam import Adam
 from p4dgs_ref.training.parameters import Parameters
 

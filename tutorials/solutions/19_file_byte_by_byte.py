@@ -9,8 +9,8 @@ import numpy as np
 
 from p4dgs_ref import oracle
 from p4dgs_ref.codec import container, published
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.oracle import streams
-from p4dgs_ref.school import lessons
 
 # %% [markdown]
 # **19.1** The section holds a box of six `float32`, then three `uint16` for each anchor.

@@ -7,7 +7,7 @@ import numpy as np
 from p4dgs_ref import oracle
 from p4dgs_ref.codec import container, streams
 from p4dgs_ref.codec.file import quantised_of
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 sections = container.read_container((oracle.path() / "model.p4dgs").read_bytes())
 model = quantised_of(sections).model

@@ -7,8 +7,8 @@ import numpy as np
 from p4dgs_ref.codec import container, fixed_point, published
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.equations import prior
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.oracle import streams
-from p4dgs_ref.school import lessons
 
 # %% [markdown]
 # **21.1** We have $1001 = 62\cdot 16 + 9$. With nine slots for $A$, slot $9$ is the first one of

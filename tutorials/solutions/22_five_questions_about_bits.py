@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from p4dgs_ref.equations import likelihood
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **22.1** The density is $1/(\sigma\sqrt{2\pi})$, about $20$. The bin is narrow, so the mass is

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.special import ndtr, roots_legendre
 
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **23.1** The error must decrease by the factor $10^8$. It decreases as $n^{-4}$, so $n$ must

@@ -5,7 +5,7 @@
 import numpy as np
 from scipy.special import expit
 
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **24.1** We have $1 + \tanh u = 2/(1 + e^{-2u})$. For $u = -19$ this is $2e^{-38}$, up to a term

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.special import expit
 
 from p4dgs_ref.equations import mlp
+from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.school import lessons
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC
 

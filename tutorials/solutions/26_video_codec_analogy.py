@@ -5,7 +5,7 @@
 import numpy as np
 
 from p4dgs_ref.equations import mlp, positional_encoding
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **26.1** Intra takes $30\cdot 5000\cdot 8$ bits in each second. The inter file takes

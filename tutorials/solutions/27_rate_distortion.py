@@ -4,7 +4,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **27.1** From $6\lambda + 0.01 = 3\lambda + 0.05$, the price is the reduction of the error

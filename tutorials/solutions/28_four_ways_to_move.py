@@ -4,9 +4,9 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.baselines import conditional, marginal, plane_features
 from p4dgs_ref.equations import positional_encoding
-from p4dgs_ref.school import lessons
+from p4dgs_ref.lab.baselines import conditional, marginal, plane_features
+from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **28.1** A player of D3DGS needs the Gaussians and the network. The normals are counted because

@@ -1,13 +1,13 @@
 """The named inputs on which every equation is tested and from which its vectors are published.
 
 One module an equation, `cases/<key>.py`, with a function `cases()` that yields `Case`s. Those of
-the baselines are in `tests/baselines/cases`.
+the baselines are in `tests/lab/baselines/cases`.
 """
 
 from importlib import import_module
 from typing import NamedTuple
 
-from p4dgs_ref.baselines.table import BASELINE_EQUATIONS
+from p4dgs_ref.lab.baselines.table import BASELINE_EQUATIONS
 
 # The bug that each flag hunts. A case names only words of this table. Its texts are published with
 # the vectors.
@@ -68,5 +68,5 @@ def without_view(inputs):
 
 def cases_of(key):
     """The cases of the equation with that key."""
-    room = "tests.baselines.cases" if key in BASELINE_EQUATIONS else __name__
+    room = "tests.lab.baselines.cases" if key in BASELINE_EQUATIONS else __name__
     return list(import_module(f"{room}.{key}").cases())

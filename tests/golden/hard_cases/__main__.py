@@ -2,7 +2,7 @@
 
 import sys
 
-from p4dgs_ref.studies.hard_cases import table
+from p4dgs_ref.lab.stability import table
 
 from .measured import procedure_rows
 

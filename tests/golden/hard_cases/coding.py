@@ -27,7 +27,7 @@ from p4dgs_ref.codec.rans import PRECISION
 from p4dgs_ref.codec.streams import decode_gaussian, encode_gaussian, ideal_bits_gaussian
 from p4dgs_ref.equations import rounding
 from p4dgs_ref.model import LATTICE, join, snap
-from p4dgs_ref.studies.inspect import float_context
+from p4dgs_ref.report.inspect import float_context
 from tests.golden.sample_model import sample_model
 
 from .verdicts import exact, refuses

@@ -7,7 +7,7 @@ table shows, or the array that holds it.
 import numpy as np
 
 from p4dgs_ref.equations import mlp, positional_encoding
-from p4dgs_ref.studies.accuracy import formulas
+from p4dgs_ref.lab.accuracy import formulas
 
 
 # --- rate and quantiser --------------------------------------------------------------------------

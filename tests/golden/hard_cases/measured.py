@@ -1,6 +1,6 @@
 """Runs the hard cases that are procedures, in the form of the package's table."""
 
-from p4dgs_ref.studies.hard_cases.table import judged
+from p4dgs_ref.lab.stability.table import judged
 
 from .catalogue import ENTRIES
 from .coding import CODING

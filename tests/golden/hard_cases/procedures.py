@@ -6,14 +6,14 @@ import numpy as np
 
 from p4dgs_ref.equations import anchor_rate, deformed, likelihood, rate_loss
 from p4dgs_ref.equations.likelihood import FAR, NARROW
+from p4dgs_ref.lab.accuracy import formulas
+from p4dgs_ref.lab.random_inputs import random_splats
+from p4dgs_ref.lab.stability.judge import Measured, number, relative
+from p4dgs_ref.oracle.precision import cast
 from p4dgs_ref.scenes.scene import Scene, SceneError
 from p4dgs_ref.splatting import compositing, covariance, fast, projection
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, FAST
-from p4dgs_ref.studies.accuracy import formulas
-from p4dgs_ref.studies.hard_cases.judge import Measured, number, relative
-from p4dgs_ref.studies.precision import cast
-from p4dgs_ref.studies.random_inputs import random_splats
 from p4dgs_ref.training.adam import BETA_1, BETA_2, EPSILON, Adam
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.progress import psnr

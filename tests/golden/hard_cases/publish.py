@@ -9,9 +9,9 @@ import json
 
 import numpy as np
 
-from p4dgs_ref.studies.hard_cases.cases import FILE
-from p4dgs_ref.studies.hard_cases.judge import number, pick
-from p4dgs_ref.studies.precision import cast
+from p4dgs_ref.lab.stability.cases import FILE
+from p4dgs_ref.lab.stability.judge import number, pick
+from p4dgs_ref.oracle.precision import cast
 
 from . import literals
 from .catalogue import ENTRIES

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from p4dgs_ref.baselines.plane_features import AXES
 from p4dgs_ref.equations import mlp
 from p4dgs_ref.equations.deformation_d3dgs import skip_layer
+from p4dgs_ref.lab.baselines.plane_features import AXES
 from tests.golden.mistakes.kit import (
     NotApplicable,
     bars_of,

@@ -5,7 +5,7 @@ from decimal import Decimal
 
 import numpy as np
 
-from p4dgs_ref.baselines.table import ALL_EQUATIONS
+from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
 
 from .floats import to_float, wrapped
 from .functions import working

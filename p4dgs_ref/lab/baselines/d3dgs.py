@@ -1,0 +1,160 @@
+"""D3DGS (Yang et al. 2024): explicit Gaussians and a network that moves each of them.
+
+    (s, r, alpha) = D1(log_s, raw_r, logit_alpha)               `activations`
+    (delta_x, delta_s, delta_r) = psi_d(E(x), psi_t(E(t)))      D3, `equations.deformation_d3dgs`
+    x_t = x + delta_x, s_t = s + delta_s, r_t = r + delta_r     Eq. (6)
+    color = D2(x_t - x_c, sh)                                   `sh_color`
+
+No gradient flows from E(x) back into x. The authors leave r_t at the length that the sum has, and
+their renderer takes it for a unit quaternion, so that a turn also shears the Gaussian. That is a
+mistake; Eq. (6) normalises.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...equations import deformation_d3dgs, deformed
+from ...model import Gaussians, deformation_layers
+from ...training.adam import exponential
+from ...training.parameters import random_layers
+from . import activations, explicit, trainer
+
+HEADS = (3, 3, 4)  # of psi_d: delta_x, delta_s, delta_r
+
+
+@dataclass(frozen=True)
+class Preset(explicit.Preset):
+    """Further constants; all values are those of the authors' code for synthetic scenes."""
+
+    iterations: int = 40_000
+    warm_up: int = 3000  # the first iteration in which the Gaussians move
+    gaussians: int = 100_000
+    deformation: tuple[int, ...] = (256,) * 8
+    time_net: tuple[int, ...] = (256, 30)
+    skip: bool = True
+    L_x: int = 10
+    L_t: int = 6
+    deformation_gain: float = 1.0  # the heads of psi_d start smaller by this factor
+    time_noise: float = 0.0  # annealed noise of the time, in steps between views; real scenes: 0.1
+    noise_until: int = 20_000
+    x_until: int = 30_000  # when lr_x reaches its last value
+    lr_x: tuple[float, ...] = (8e-4, 8e-6)  # 1.6e-4, times the 5 that the code takes for the extent
+    lr_d: tuple[float, ...] = (8e-4, 1.6e-6)
+
+    def stage(self, iteration):
+        """1 before the Gaussians move, then 2."""
+        return 1 + (iteration >= self.warm_up)
+
+
+PAPER_SYNTHETIC = Preset()
+PAPER_REAL = replace(
+    PAPER_SYNTHETIC, name="paper_real", time_net=(), L_t=10, iterations=20_000, time_noise=0.1
+)
+TINY = replace(
+    PAPER_SYNTHETIC,
+    **explicit.TINY,
+    L_x=4,
+    L_t=4,
+    deformation_gain=0.01,
+    warm_up=200,
+    x_until=3800,
+    lr_x=(0.002, 2e-4),
+    lr_d=(6e-4, 3e-5),
+)
+# The network of our own preset `tiny`: two layers of 64, no time net, no skip.
+TINY_SMALL = replace(
+    TINY, name="tiny_small", deformation=(64, 64), time_net=(), skip=False, lr_d=(0.002, 1e-4)
+)
+PRESETS = {p.name: p for p in (PAPER_SYNTHETIC, PAPER_REAL, TINY, TINY_SMALL)}
+
+
+class D3DGS(explicit.Explicit):
+    """A model of D3DGS, ready to render or to be saved."""
+
+    METHOD = "d3dgs"
+    DEFAULT = PAPER_SYNTHETIC
+    FORM = ("sh_degree", "L_x", "L_t")
+
+    @staticmethod
+    def initial(preset, rng, points=None):
+        """The first arrays: the Gaussians of 3DGS, and networks as PyTorch starts them."""
+        arrays = explicit.start(preset, rng, points)
+        layers = deformation_layers(
+            preset.L_x, preset.L_t, preset.deformation, HEADS, preset.time_net, preset.skip
+        )
+        for name, shapes in layers.items():
+            arrays.update(random_layers(rng, name, shapes))
+        trunk = len(preset.deformation)
+        for i in range(trunk, trunk + len(HEADS)):
+            arrays[f"psi_d.W{i}"] *= preset.deformation_gain
+            arrays[f"psi_d.b{i}"] *= preset.deformation_gain
+        return arrays
+
+    def predict(self, t, x_c, iteration=None):
+        """See `Explicit`; before `warm_up` nothing moves."""
+        p, preset = self.parameters, self.preset
+        (s, r, alpha), saved_activations = activations.forward(
+            p["log_s"], p["raw_r"], p["logit_alpha"]
+        )
+        x, saved_motion = p["x"], None
+        if iteration is None or iteration >= preset.warm_up:
+            deltas, saved_psi_d = deformation_d3dgs.forward(
+                x, t, *p.network("psi_d"), *p.network("psi_t"), preset.L_x, preset.L_t
+            )
+            (x, s, r), saved_deformed = deformed.forward(x, s, r, *deltas)
+            saved_motion = saved_psi_d, saved_deformed
+        color, saved_color = explicit.colors(p, x, x_c, explicit.degree_at(preset, iteration))
+        saved = saved_activations, saved_motion, saved_color
+        return Gaussians(x, s, r, alpha, color, np.arange(len(x))), saved
+
+    def predict_backward(self, saved, x_bar, s_bar, r_bar, alpha_bar, color_bar):
+        """See `Explicit`."""
+        saved_activations, saved_motion, saved_color = saved
+        networks, colors = {}, explicit.colors_backward(saved_color, color_bar)
+        x_bar = x_bar + colors.pop("x")
+        if saved_motion:
+            saved_psi_d, saved_deformed = saved_motion
+            at_t = deformed.backward(saved_deformed, x_bar, s_bar, r_bar)
+            s_bar, r_bar = at_t["s"], at_t["r"]
+            psi_d = deformation_d3dgs.backward(
+                saved_psi_d, at_t["delta_x"], at_t["delta_s"], at_t["delta_r"], needs_x=False
+            )
+            psi_t = {"weights": psi_d["time_weights"], "biases": psi_d["time_biases"]}
+            networks = {"psi_d": psi_d, "psi_t": psi_t}
+        return {
+            "x": x_bar,
+            **activations.backward(saved_activations, s_bar, r_bar, alpha_bar),
+            **colors,
+        }, networks
+
+
+MODEL = D3DGS
+
+
+class Trainer(trainer.Trainer):
+    """Fits one scene by D3DGS."""
+
+    kind = MODEL
+    RATES = {**trainer.Trainer.RATES, "psi_d": "lr_d", "psi_t": "lr_d"}
+
+    def rate_of(self, name):
+        """The current learning rate of an array; networks have none before `warm_up`."""
+        preset = self.preset
+        if name.startswith("psi") and self.iteration < preset.warm_up:
+            return 0.0
+        if name == "x":
+            return exponential(self.iteration, *preset.lr_x, preset.x_until)
+        return super().rate_of(name)
+
+    def time_of(self, view):
+        """The time of a view with noise that fades (AST), so that motion between views is smooth.
+
+        A step between views is 1 over their number. The authors divide by the number of views that
+        are still to be visited in this round, so that the last ones get noise of any size.
+        """
+        preset = self.preset
+        if not preset.time_noise:
+            return view.time
+        fading = max(0.0, 1 - self.iteration / preset.noise_until)
+        return view.time + self.rng.normal() * preset.time_noise * fading / len(self.scene.train)

@@ -1,0 +1,218 @@
+"""4DGS (Yang et al. 2023): Gaussians in space and time, without a network.
+
+    R = G1(raw_l, raw_r)                                            `rotation_4d`
+    (x_t, Sigma_t, var_t) = G2(x, mu_t, exp(log_s), R, t)           `conditional`
+    (alpha_t, weight) = G3(sigmoid(logit_alpha), mu_t, var_t, t)    `marginal`
+    color = D2(x_t - x_c, G4(sh, mu_t, t))                          `spherindrical`, `sh_color`
+
+A Gaussian moves along a straight line and fades in and out around mu_t. Those whose weight is at
+most LEAST_WEIGHT at t are not rendered.
+
+The direction of view is that of the moved Gaussian, x_t - x_c. The authors' kernel takes the mean x
+in its forward pass and x_t in its backward pass, which is a mistake.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ...equations.numerics import sigmoid, sigmoid_slope
+from ...splatting import render
+from . import conditional, density, explicit, marginal, rotation_4d, spherindrical, trainer
+
+LEAST_WEIGHT = 0.05
+
+
+@dataclass(frozen=True)
+class Preset(explicit.Preset):
+    """Further constants; all values are those of the authors' code for D-NeRF.
+
+    The rates of positions are per extent of the cameras. The authors render up to 24 views in one
+    iteration, here it is one.
+    """
+
+    gaussians: int = 300_000
+    waves: int = 2  # the highest frequency of the colours in time, in periods per scene
+    start_s_t: float = 0.2**0.5  # standard deviation in time before training
+    lr_t: tuple[float, ...] = (1.6e-4, 1.6e-4)  # of mu_t
+
+    def stage(self, iteration):
+        """There is one stage."""
+        return 1
+
+
+PAPER_SYNTHETIC = Preset()
+# Without a network, motion takes more Gaussians than in the other methods, which grow for longer.
+ITS_OWN = {
+    "gaussians": 2000,
+    "most": 2000,
+    "grow_until": 2400,
+    "lr_x": (5e-4, 5e-5),
+    "lr_t": (5e-4, 5e-5),
+    "lr_s": (0.015, 0.0015),
+}
+TINY = replace(PAPER_SYNTHETIC, **(explicit.TINY | ITS_OWN))
+PRESETS = {p.name: p for p in (PAPER_SYNTHETIC, TINY)}
+
+
+class GaussiansAt(NamedTuple):
+    """The Gaussians at one time; the fields are those of `model.Gaussians`, with covariances."""
+
+    x: np.ndarray  # [N, 3]
+    Sigma: np.ndarray  # [N, 3, 3]
+    alpha: np.ndarray  # [N]
+    color: np.ndarray  # [N, 3]
+    index: np.ndarray  # [N]  the rows of the stored Gaussians
+
+
+class Gaussian4D(explicit.Explicit):
+    """A model of 4DGS, ready to render or to be saved: 161 numbers a Gaussian.
+
+    The authors save a checkpoint with Adam's moments, three times as large; here it is the
+    parameters alone.
+    """
+
+    METHOD = "gaussian4d"
+    DEFAULT = PAPER_SYNTHETIC
+    FORM = ("sh_degree", "waves")
+    PROPERTIES = {
+        "x": "x y z",
+        "mu_t": "t",
+        "sh_dc": "f_dc_*",
+        "sh_rest": "f_rest_*",  # with the waves in time after the harmonics of 3DGS
+        "logit_alpha": "opacity",
+        "log_s": "scale_*",
+        "log_s_t": "scale_t",
+        "raw_l": "rot_l_*",
+        "raw_r": "rot_r_*",
+    }
+
+    @staticmethod
+    def initial(preset, rng, points=None):
+        """The first Gaussians of 3DGS, at random times in and around those of the scene."""
+        arrays = explicit.start(preset, rng, points)
+        N, K = len(arrays["x"]), (preset.sh_degree + 1) ** 2
+        return {
+            **arrays,
+            "mu_t": rng.uniform(-0.1, 1.1, N),
+            "sh_rest": np.zeros((N, 3, (preset.waves + 1) * K - 1)),
+            "log_s_t": np.full((N, 1), np.log(preset.start_s_t)),
+            "raw_l": arrays["raw_r"],
+        }
+
+    def predict(self, t, x_c, iteration=None):
+        """See `Explicit`; only the Gaussians with a weight above LEAST_WEIGHT are returned."""
+        p = self.parameters
+        s = four_scales(p)
+        R, saved_R = rotation_4d.forward(p["raw_l"], p["raw_r"])
+        (x, Sigma, var_t), saved_conditional = conditional.forward(p["x"], p["mu_t"], s, R, t)
+        (alpha, weight), saved_marginal = marginal.forward(
+            sigmoid(p["logit_alpha"]), p["mu_t"], var_t, t
+        )
+        color, saved_color = self.colors(x, x_c, t, iteration)
+        seen = np.flatnonzero(weight > LEAST_WEIGHT)
+        g = GaussiansAt(x[seen], Sigma[seen], alpha[seen], color[seen], seen)
+        return g, (seen, s, saved_R, saved_conditional, saved_marginal, saved_color)
+
+    def predict_backward(self, saved, x_bar, Sigma_bar, alpha_bar, color_bar):
+        """See `Explicit`."""
+        seen, s, saved_R, saved_conditional, saved_marginal, saved_color = saved
+        x_bar, Sigma_bar, alpha_bar, color_bar = (
+            self.of_all(seen, bar) for bar in (x_bar, Sigma_bar, alpha_bar, color_bar)
+        )
+        colors = self.colors_backward(saved_color, color_bar)
+        fading = marginal.backward(saved_marginal, alpha_bar, np.zeros_like(alpha_bar))
+        moving = conditional.backward(
+            saved_conditional, x_bar + colors.pop("x"), Sigma_bar, fading["var_t"]
+        )
+        log_s_bar = moving["s"] * s
+        return {
+            **colors,
+            "x": moving["x"],
+            "mu_t": moving["mu_t"] + fading["mu_t"] + colors["mu_t"],
+            "logit_alpha": fading["alpha"] * sigmoid_slope(self.parameters["logit_alpha"]),
+            "log_s": log_s_bar[:, :3],
+            "log_s_t": log_s_bar[:, 3:],
+            **rotation_4d.backward(saved_R, moving["R"]),
+        }, {}
+
+    def of_all(self, seen, bar):
+        """The cotangent of all Gaussians, zero for those that are not rendered."""
+        full = np.zeros((self.primitives, *bar.shape[1:]), bar.dtype)
+        full[seen] = bar
+        return full
+
+    def colors(self, x, x_c, t, iteration):
+        """D2 of G4. The waves in time become active one by one once all of space is."""
+        p, preset = self.parameters, self.preset
+        degree, waves = preset.sh_degree, preset.waves
+        if iteration is not None:
+            steps = iteration // preset.sh_every
+            degree, waves = min(steps, degree), min(max(steps - degree, 0), waves)
+        stored = np.concatenate([p["sh_dc"], p["sh_rest"]], axis=2)
+        sh = stored.reshape(len(x), 3, preset.waves + 1, -1)[:, :, : waves + 1]
+        sh_t, saved_sh = spherindrical.forward(sh, p["mu_t"], t)
+        at_t = {"sh_dc": sh_t[:, :, :1], "sh_rest": sh_t[:, :, 1:]}
+        color, saved_color = explicit.colors(at_t, x, x_c, degree)
+        return color, (saved_sh, saved_color)
+
+    def colors_backward(self, saved, color_bar):
+        """Gradients of x_t, mu_t, sh_dc and sh_rest."""
+        saved_sh, saved_color = saved
+        bars = explicit.colors_backward(saved_color, color_bar)
+        sh_t_bar = np.concatenate([bars["sh_dc"], bars["sh_rest"]], axis=2)
+        series = spherindrical.backward(saved_sh, sh_t_bar)
+        active = series["sh"].reshape(len(color_bar), 3, -1)
+        sh_rest_bar = np.zeros_like(self.parameters["sh_rest"])
+        sh_rest_bar[:, :, : active.shape[2] - 1] = active[:, :, 1:]
+        return {
+            "x": bars["x"],
+            "mu_t": series["mu_t"],
+            "sh_dc": active[:, :, :1],
+            "sh_rest": sh_rest_bar,
+        }
+
+    def draw(self, g, camera, settings, keep=True):
+        """See `Explicit`."""
+        looks = camera, self.background, settings, self.occlusion, keep
+        return render.draw(g.x, g.Sigma, g.alpha, g.color, *looks)
+
+    def draw_backward(self, saved, image_bar):
+        """See `Explicit`."""
+        return render.draw_backward(saved, image_bar)
+
+
+def four_scales(p):
+    """The standard deviations [N, 4] along the axes of space and time."""
+    return np.exp(np.concatenate([p["log_s"], p["log_s_t"]], axis=1))
+
+
+MODEL = Gaussian4D
+
+
+class Trainer(trainer.Trainer):
+    """Fits one scene by 4DGS."""
+
+    kind = MODEL
+    RATES = {
+        **trainer.Trainer.RATES,
+        "mu_t": "lr_t",
+        "log_s_t": "lr_s",
+        "raw_l": "lr_r",
+    }
+
+    def rate_of(self, name):
+        """The current learning rate of an array; those of positions follow the scene's size."""
+        size = self.extent if name in ("x", "mu_t") else 1.0
+        return size * super().rate_of(name)
+
+    def scatter(self, children):
+        """Move children to points drawn from their parent in space and time, and shrink them."""
+        R, _ = rotation_4d.forward(children["raw_l"], children["raw_r"])
+        s = four_scales(children)
+        drawn = np.einsum("nij,nj->ni", R, s * self.rng.normal(size=s.shape))
+        children["x"] += drawn[:, :3]
+        children["mu_t"] += drawn[:, 3]
+        children["log_s"] -= np.log(density.SHRINK)
+        children["log_s_t"] -= np.log(density.SHRINK)

@@ -1,0 +1,1 @@
+"""What each effect of a scene costs in time and bytes, and what it is worth in quality."""

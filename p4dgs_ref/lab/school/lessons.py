@@ -1,0 +1,195 @@
+"""What the tutorials share: figures, checks of gradients, and exercises that check themselves."""
+
+import json
+import os
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from ...oracle import published
+from ...oracle.ports import FunctionPort
+from ...scenes.output import write_atomically
+from . import feedback
+
+# The colours of Okabe and Ito, which colour-blind readers can tell apart.
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+STYLE = {
+    "figure.figsize": (8, 4.5),
+    "figure.dpi": 120,
+    "font.size": 12,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "lines.linewidth": 2,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+RESULTS = {}  # exercise -> whether it is solved, for tests that run a tutorial or its solutions
+ASKED = {}  # exercise -> how many hints were asked for
+
+
+# --- figures --------------------------------------------------------------------------------------
+def pyplot():
+    """Return matplotlib.pyplot in the style of the tutorials.
+
+    It opens windows only in a notebook or at an interactive prompt.
+    """
+    import matplotlib
+
+    if not interactive():
+        matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    plt.rcParams.update({**STYLE, "axes.prop_cycle": plt.cycler(color=COLORS)})
+    return plt
+
+
+def interactive():
+    """Whether this is a notebook or an interactive prompt."""
+    return hasattr(sys, "ps1") or "ipykernel" in sys.modules
+
+
+def out():
+    """Return the folder for figures, which is `out` beside the tutorial that runs.
+
+    The environment variable P4DGS_TUTORIALS_OUT names another one.
+    """
+    script = Path(sys.argv[0]).resolve().parent
+    beside = script if script.name in ("tutorials", "solutions") else Path.cwd()
+    folder = Path(os.environ.get("P4DGS_TUTORIALS_OUT") or beside / "out")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def show(figure, name):
+    """Save a figure as out/NAME.png, and show it in a notebook or at an interactive prompt."""
+    place = out() / f"{name}.png"
+    write_atomically(place, lambda file: figure.savefig(file, bbox_inches="tight"))
+    print(f"figure: {place.parent.name}/{place.name}")
+    if interactive():
+        pyplot().show(block=False)
+    else:
+        pyplot().close(figure)
+
+
+# --- checks of gradients --------------------------------------------------------------------------
+def random_like(rng, values):
+    """Return normal random numbers in the shape of an array, a list of arrays or a dictionary."""
+    if isinstance(values, dict):
+        return {name: random_like(rng, value) for name, value in values.items()}
+    if isinstance(values, list):
+        return [random_like(rng, value) for value in values]
+    return rng.normal(size=np.shape(values))
+
+
+def moved(values, directions, h):
+    """Return values + h * directions, for an array, a list of arrays or a dictionary.
+
+    Entries of a dictionary that have no direction stay as they are.
+    """
+    if isinstance(values, dict):
+        return values | {name: moved(values[name], d, h) for name, d in directions.items()}
+    if isinstance(values, list):
+        return [moved(value, d, h) for value, d in zip(values, directions)]
+    return values + h * directions
+
+
+def inner(a, b):
+    """Return the sum of all products of entries; of dictionaries, over the names in b."""
+    if isinstance(b, dict):
+        return sum(inner(a[name], b[name]) for name in b)
+    if isinstance(b, (list, tuple)):
+        return sum(inner(x, y) for x, y in zip(a, b))
+    return float(np.sum(a * b))
+
+
+def close(a, b, tolerance=1e-12):
+    """Whether a and b agree, up to a fraction of the largest number in b."""
+    off = np.abs(np.asarray(a) - b).max(initial=0)
+    return bool(off <= tolerance * np.abs(b).max(initial=0))
+
+
+# --- exercises ------------------------------------------------------------------------------------
+def golden(id):
+    """Return the tensors of one case of the golden vectors: golden("offsets/ordinary")["out.x"]."""
+    key, name = id.split("/")
+    return next(case for case in published.cases(key) if case.name == name).tensors
+
+
+def number(exercise, mine, want=None, digits=6):
+    """Check an exercise whose answer is a number or an array; Ellipsis stands for no answer.
+
+    Without `want`, the answer is compared with the one that is stored for the exercise.
+    """
+    if mine is None or mine is Ellipsis:
+        return settle(exercise, "no answer yet")
+    try:
+        mine = np.asarray(mine, float)
+    except (TypeError, ValueError):
+        return settle(exercise, "expected a number")
+    want = np.asarray(stored("answers")[exercise] if want is None else want, float)
+    if mine.shape != want.shape:
+        return settle(exercise, f"shape {mine.shape}, expected {want.shape}")
+    off = np.abs(mine - want).max(initial=0) / max(np.abs(want).max(initial=0), 1e-300)
+    if off <= 10.0**-digits:
+        return settle(exercise, "")
+    if off <= 0.01:
+        return settle(exercise, f"nearly right, but {digits} right digits are expected")
+    return settle(exercise, feedback.of_number(mine, want))
+
+
+def forward(exercise, mine, key):
+    """Check a forward: `mine(**inputs)` returns one array, a tuple or a dictionary of outputs."""
+    return against(exercise, key, FunctionPort(mine), "out.")
+
+
+def backward(exercise, mine, key, *wanted):
+    """Check a backward: `mine(inputs, cotangents)` returns {input name: gradient}.
+
+    `wanted` names the gradients to check; without it all are checked.
+    """
+
+    def vjp(inputs, cotangents):
+        made = mine(inputs, cotangents)
+        return {name: made[name] for name in wanted or made}
+
+    return against(exercise, key, FunctionPort(lambda **inputs: {}, vjp), "in_bar.", wanted)
+
+
+def against(exercise, key, port, role, wanted=()):
+    """Compare the answers of a port with the golden cases of a subject."""
+    cases = []
+    for case in published.cases(key):
+        tensors = {
+            name: a
+            for name, a in case.tensors.items()
+            if not (wanted and name.startswith(role)) or name.split(".")[1] in wanted
+        }
+        cases.append(case._replace(tensors=tensors))
+    problem = feedback.of_port(cases, port, (role,))
+    return settle(exercise, "no answer yet" if "NotImplementedError" in problem else problem)
+
+
+def settle(exercise, problem):
+    """Record and print whether an exercise is solved."""
+    RESULTS[exercise] = not problem
+    print(f"exercise {exercise}: " + (f"not solved: {problem}" if problem else "solved"))
+    if problem:
+        print(f'  lessons.hint("{exercise}") gives a hint')
+
+
+def hint(exercise):
+    """Print the first hint on an exercise, and the second one when it is asked for again."""
+    hints = stored("hints").get(exercise)
+    if hints is None:
+        raise ValueError(f"exercise {exercise!r}: expected a number such as '01.2'")
+    ASKED[exercise] = min(ASKED.get(exercise, 0) + 1, len(hints))
+    print(f"hint {ASKED[exercise]} of {len(hints)}: {hints[ASKED[exercise] - 1]}")
+
+
+@cache
+def stored(name):
+    """Return what is stored by exercise: `answers` or `hints`."""
+    path = Path(__file__).with_name(f"{name}.json")
+    return json.loads(path.read_text(encoding="utf-8"))

@@ -1,0 +1,1 @@
+"""Tables and curves of methods: compare, sweep, ablate, composition."""

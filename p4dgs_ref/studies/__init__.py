@@ -1,1 +1,0 @@
-"""What is measured and drawn: evaluation, the report of a run, the benchmark."""

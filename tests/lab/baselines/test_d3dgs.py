@@ -1,0 +1,324 @@
+"""D3DGS: its pipeline and gradients, training, presets, and its file."""
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.lab import baselines
+from p4dgs_ref.lab.baselines import d3dgs
+from p4dgs_ref.report.evaluate import evaluate
+from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.splatting.settings import EXACT
+from p4dgs_ref.training.finite import NotFinite
+from p4dgs_ref.training.parameters import Parameters
+
+SMALL = replace(
+    d3dgs.TINY_SMALL,
+    gaussians=40,
+    deformation=(9, 8, 7),
+    skip=True,
+    time_net=(6, 5),
+    deformation_gain=1.0,
+    L_x=1,
+    L_t=2,
+    iterations=30,
+    warm_up=10,
+    sh_every=10,
+    x_until=30,
+    grow_from=5,
+    grow_every=10,
+    grow_until=25,
+    reset_every=20,
+)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("bouncing", downscale=4)
+
+
+@pytest.fixture(scope="module")
+def trained(scene):
+    return d3dgs.Trainer(scene, SMALL, seed=1).run()
+
+
+def random_parameters(seed=0, N=7):
+    """Parameters in float64 in which every array matters; psi_d does not read E(x)."""
+    rng = np.random.default_rng(seed)
+    p = Parameters(d3dgs.D3DGS.initial(replace(SMALL, gaussians=N), rng), np.float64)
+    p["sh_dc"][...] = rng.normal(size=(N, 3, 1))
+    p["sh_rest"][...] = 0.3 * rng.normal(size=(N, 3, 15))
+    p["raw_r"][...] = rng.normal(size=(N, 4))
+    p["logit_alpha"][...] = rng.normal(size=N)
+    width = 3 * (1 + 2 * SMALL.L_x)
+    p["psi_d.W0"][:width] = 0  # no gradient flows from E(x) into x, so E(x) must not matter
+    p["psi_d.W2"][:width] = 0
+    return p
+
+
+def model_of(p):
+    return d3dgs.D3DGS(p, SMALL, np.ones(3))
+
+
+# --- pipeline ---
+@pytest.mark.parametrize("iteration", [None, 0, 10])
+def test_gradients_of_the_pipeline(iteration):
+    """Static with degree 0, moving with degree 1, and finished: against differences."""
+    rng, p, x_c = np.random.default_rng(5), random_parameters(), np.array([0.3, -3.0, 1.0])
+    g, saved = model_of(p).predict(0.4, x_c, iteration)
+    bars = [rng.normal(size=a.shape) for a in g[:5]]
+    arrays, networks = model_of(p).predict_backward(saved, *bars)
+    gradients = p.zeros()
+    for name, gradient in arrays.items():
+        gradients[name][...] = gradient
+    for name, gradient in networks.items():
+        gradients.fill(name, gradient)
+    moves = iteration is None or iteration >= SMALL.warm_up
+    for name in p.arrays:
+        d, h = rng.normal(size=p[name].shape), 1e-5
+
+        def value(step):
+            moved = Parameters(p.arrays, np.float64)
+            moved[name][...] += step * d
+            out, _ = model_of(moved).predict(0.4, x_c, iteration)
+            return sum(float((bar * a).sum()) for bar, a in zip(bars, out[:5]))
+
+        ours = float((gradients[name] * d).sum())
+        theirs = (value(h) - value(-h)) / (2 * h)
+        assert ours == pytest.approx(theirs, rel=1e-6, abs=1e-8), name
+        if name == "sh_rest":
+            used = {None: 15, 0: 0, 10: 3}[iteration]
+            assert np.any(gradients[name][:, :, :used]) == (used > 0)
+            assert not np.any(gradients[name][:, :, used:])
+        else:
+            assert np.any(gradients[name]) == (moves or not name.startswith("psi")), name
+
+
+def test_the_pipeline_against_a_loop():
+    """Gaussian by Gaussian, from the formulas at the head of the module."""
+    p, x_c, t = random_parameters(3), np.array([2.0, 1.0, -1.0]), 0.7
+    g = model_of(p).predict(t, x_c)[0]
+    time = [t, np.sin(t), np.cos(t), np.sin(2 * t), np.cos(2 * t)]
+    W, b = p.network("psi_t")
+    for n, x in enumerate(p["x"]):
+        seen = np.maximum(time @ W[0] + b[0], 0) @ W[1] + b[1]
+        inputs = np.concatenate([x, np.sin(x), np.cos(x), seen])
+        V, c = p.network("psi_d")
+        hidden = np.maximum(inputs @ V[0] + c[0], 0)
+        hidden = np.maximum(hidden @ V[1] + c[1], 0)
+        hidden = np.maximum(np.concatenate([inputs, hidden]) @ V[2] + c[2], 0)
+        delta_x, delta_s, delta_r = (hidden @ V[i] + c[i] for i in (3, 4, 5))
+        r = p["raw_r"][n] / np.linalg.norm(p["raw_r"][n]) + delta_r
+        assert g.x[n] == pytest.approx(x + delta_x, rel=1e-12)
+        assert g.s[n] == pytest.approx(np.exp(p["log_s"][n]) + delta_s, rel=1e-12)
+        assert g.r[n] == pytest.approx(r / np.linalg.norm(r), rel=1e-12)
+        assert g.alpha[n] == pytest.approx(1 / (1 + np.exp(-p["logit_alpha"][n])), rel=1e-12)
+
+
+def test_no_gradient_flows_from_the_encoding_into_positions():
+    p = random_parameters()
+    p["psi_d.W0"][:9] = 1  # now E(x) matters
+    g, saved = model_of(p).predict(0.4, np.zeros(3))
+    bars = [np.zeros_like(a) for a in g[:5]]
+    bars[0][...] = 1
+    assert np.array_equal(model_of(p).predict_backward(saved, *bars)[0]["x"], bars[0])
+
+
+def test_gradients_of_the_loss(scene):
+    """One view from parameters to the loss, in float64 and with the exact renderer."""
+    trainer = d3dgs.Trainer(scene, SMALL, settings=EXACT)
+    trainer.start(random_parameters(4))
+    trainer.iteration, p, view = 20, trainer.parameters, scene.train[3]
+    p["log_s"][...] = -1.5
+    losses, seen, gradients, _ = trainer.gradients_of(view)
+    assert losses.L_total == losses.L_render > 0 and seen.alpha.shape == (7, 1)
+    rng = np.random.default_rng(6)
+    for name in ("x", "sh_dc", "log_s", "raw_r", "logit_alpha", "psi_d.W1", "psi_t.b0"):
+        d, h, start = rng.normal(size=p[name].shape), 1e-6, p[name].copy()
+        values = []
+        for step in (h, -h):
+            p[name][...] = start + step * d
+            values.append(trainer.gradients_of(view)[0].L_total)
+        p[name][...] = start
+        ours = float((gradients[name] * d).sum())
+        assert ours == pytest.approx((values[0] - values[1]) / (2 * h), rel=2e-5, abs=1e-9), name
+
+
+# --- training ---
+def test_stages_of_training(scene):
+    """Networks wait for the warm-up, harmonics for their degree."""
+    trainer = d3dgs.Trainer(scene, replace(SMALL, grow_from=10**9))
+    starts = {}
+    for wanted in range(30):
+        starts[wanted] = {name: a.copy() for name, a in trainer.parameters.arrays.items()}
+        trainer.step()
+    for name in starts[0]:
+        for first, last in ((0, 10), (10, 29)):
+            same = np.array_equal(starts[first][name], starts[last][name])
+            waits = name.startswith("psi") or name == "sh_rest"
+            assert same == (waits and last == 10), (name, first)
+    rest = trainer.parameters["sh_rest"]
+    assert np.any(rest[:, :, 3:8]) and not np.any(rest[:, :, 8:])
+
+
+def test_training_is_repeatable_and_learns(scene, trained):
+    again = d3dgs.Trainer(scene, SMALL, seed=1).run()
+    assert np.array_equal(again.parameters.vector, trained.parameters.vector)
+    start = d3dgs.Trainer(scene, SMALL, seed=1).model()
+    ends = [evaluate(model, scene)[0]["psnr_db"] for model in (start, trained)]
+    assert ends[1] > ends[0] + 1
+
+
+def test_a_number_that_is_not_finite_is_named(scene):
+    trainer = d3dgs.Trainer(scene, SMALL)
+    trainer.parameters["sh_dc"][3] = np.nan
+    with np.errstate(all="ignore"), pytest.raises(NotFinite, match="iteration 0: .*is nan"):
+        trainer.step()
+
+
+def test_rates(scene):
+    preset = replace(d3dgs.PAPER_SYNTHETIC, gaussians=10, deformation=(4, 4, 4), time_net=(4, 3))
+    trainer = d3dgs.Trainer(scene, preset)
+    assert trainer.rate_of("x") == pytest.approx(8e-4) and trainer.rate_of("psi_d") == 0
+    trainer.iteration = 15_000
+    assert trainer.rate_of("x") == pytest.approx(8e-5) and trainer.rate_of("sh_dc") == 0.0025
+    trainer.iteration = 20_000
+    assert trainer.rate_of("psi_d") == trainer.rate_of("psi_t")
+    assert trainer.rate_of("psi_d") == pytest.approx((8e-4 * 1.6e-6) ** 0.5)
+    trainer.iteration = 39_999
+    assert trainer.rate_of("x") == pytest.approx(8e-6)
+
+
+def test_annealed_noise_of_the_time(scene):
+    """None on synthetic scenes; on real ones it fades to none."""
+    view, count = scene.train[0], len(scene.train)
+    quiet = d3dgs.Trainer(scene, SMALL)
+    assert quiet.time_of(view) == view.time
+    noisy = d3dgs.Trainer(scene, replace(SMALL, time_noise=0.1, noise_until=20))
+    for iteration, size in ((0, 0.1), (10, 0.05), (20, 0), (25, 0)):
+        noisy.iteration = iteration
+        drawn = [noisy.time_of(view) - view.time for _ in range(2000)]
+        assert np.std(drawn) == pytest.approx(size / count, rel=0.06)
+        assert abs(np.mean(drawn)) <= 0.1 * size / count
+
+
+class Pulled(d3dgs.D3DGS):
+    """D3DGS with a further term of the loss, 3 times the sum of all coordinates."""
+
+    def regularise(self, gradients, iteration):
+        gradients["x"][...] += 3
+        return 3 * float(self.parameters["x"].sum())
+
+
+def test_a_further_term_of_the_loss(scene):
+    plain, pulled = d3dgs.Trainer(scene, SMALL), d3dgs.Trainer(scene, SMALL)
+    pulled.kind = Pulled
+    before, _, gradients, _ = plain.gradients_of(scene.train[0])
+    after, _, more, _ = pulled.gradients_of(scene.train[0])
+    added = 3 * float(plain.parameters["x"].sum())
+    assert after.L_total == pytest.approx(before.L_total + added)
+    assert after.L_render == before.L_render
+    assert np.allclose(more["x"], gradients["x"] + 3)
+
+
+def test_training_by_name(scene):
+    """The same model as from the Trainer, and a progress line that calls things by their names."""
+    stream = io.StringIO()
+    changes = dict(gaussians="30", iterations=12, warm_up=4)
+    model = baselines.train(scene, "d3dgs_small", seed=2, stream=stream, **changes)
+    preset = replace(d3dgs.TINY_SMALL, gaussians=30, iterations=12, warm_up=4)
+    wanted = d3dgs.Trainer(scene, preset, 2).run()
+    assert np.array_equal(model.parameters.vector, wanted.parameters.vector)
+    lines = stream.getvalue().splitlines()
+    assert "stage 1" in lines[0] and "stage 2" in lines[-1]
+    assert all("30 stored  30 Gaussians" in line for line in lines)
+
+
+# --- presets ---
+def test_the_network_has_the_size_of_the_authors():
+    """522,280 parameters for synthetic scenes."""
+    p = Parameters(
+        d3dgs.D3DGS.initial(replace(d3dgs.PAPER_SYNTHETIC, gaussians=5), np.random.default_rng(0))
+    )
+    assert sum(a.size for name, a in p.arrays.items() if name.startswith("psi")) == 522_280
+    assert sum(p[name].size for name in p.arrays if not name.startswith("psi")) == 5 * 59
+
+
+@pytest.mark.parametrize(
+    "method, preset, changes, words",
+    [
+        ("gsplat", None, {}, "method 'gsplat': expected one of d3dgs"),
+        ("d3dgs", "huge", {}, "preset 'huge': expected one of paper_synthetic"),
+        ("d3dgs", None, {"anchors": 3}, "field 'anchors' of preset tiny"),
+        ("d3dgs", None, {"name": "x"}, "field 'name' of preset tiny"),
+        ("d3dgs", None, {"gaussians": 2.5}, "field 'gaussians': expected a value like"),
+    ],
+)
+def test_unknown_names_and_values(method, preset, changes, words):
+    with pytest.raises(ValueError, match=words) as caught:
+        baselines.choose(method, preset, changes)
+    assert "\n" not in str(caught.value)
+
+
+def test_presets_by_method():
+    tiny, small = (baselines.choose(method) for method in ("d3dgs", "d3dgs_small"))
+    assert tiny.deformation == (256,) * 8 and small.deformation == (64, 64)
+    changed = baselines.choose("d3dgs_small", "paper_real", {"lr_x": "0.1,0.01", "skip": "false"})
+    assert changed.time_noise == 0.1 and changed.lr_x == (0.1, 0.01) and not changed.skip
+
+
+# --- file ---
+def test_the_file_is_read_back(scene, trained, tmp_path):
+    sizes = trained.save(tmp_path / "a.ply")
+    assert sum(sizes.values()) == (tmp_path / "a.ply").stat().st_size
+    assert sizes["gaussians"] == 248 * trained.primitives
+    assert sizes["network"] == 4 * sum(
+        a.size for name, a in trained.parameters.arrays.items() if name.startswith("psi")
+    )
+    assert sizes["other"] < 3000
+    model = baselines.load(tmp_path / "a.ply")
+    assert set(model.parameters.arrays) == set(trained.parameters.arrays)
+    for name, a in trained.parameters.arrays.items():
+        assert np.array_equal(model.parameters[name], a), name
+    view = scene.test[0]
+    images = [m.render(view.camera, view.time) for m in (trained, model)]
+    assert np.array_equal(*images)
+    assert np.array_equal(model.background, scene.background)
+
+
+def test_the_vertices_are_those_of_3dgs(trained, tmp_path):
+    """62 floats in the order of the authors, the harmonics colour by colour."""
+    trained.save(tmp_path / "a.ply")
+    head, _, body = (tmp_path / "a.ply").read_bytes().partition(b"end_header\n")
+    lines = head.decode().splitlines()
+    names = [line.split()[2] for line in lines if line.startswith("property")][:62]
+    assert names[:9] == ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
+    assert names[9:54] == [f"f_rest_{i}" for i in range(45)]
+    assert names[54:] == [
+        "opacity",
+        *(f"scale_{i}" for i in range(3)),
+        *(f"rot_{i}" for i in range(4)),
+    ]
+    N, p = trained.primitives, trained.parameters
+    rows = np.frombuffer(body, "<f4", 62 * N).reshape(N, 62)
+    assert np.array_equal(rows[:, :3], p["x"]) and not np.any(rows[:, 3:6])
+    assert np.array_equal(rows[:, 9 + 15 + 2], p["sh_rest"][:, 1, 2])
+    assert np.array_equal(rows[:, 54], p["logit_alpha"])
+    assert np.array_equal(rows[:, 58:], p["raw_r"])
+
+
+def test_bad_files(trained, tmp_path):
+    path = tmp_path / "a.ply"
+    trained.save(path)
+    data = path.read_bytes()
+    wrong = data.replace(b'"method": "d3dgs"', b'"method": "xxxxx"')
+    for bad in (b"", b"ply\n", data[:-1], data + b"1234", data[:600], b"x" + data, wrong):
+        path.write_bytes(bad)
+        with pytest.raises(ValueError, match="a.ply|method 'xxxxx'") as caught:
+            baselines.load(path)
+        assert "\n" not in str(caught.value)
+    path.write_bytes(wrong)
+    with pytest.raises(ValueError, match="expected 'd3dgs'"):
+        d3dgs.D3DGS.load(path)

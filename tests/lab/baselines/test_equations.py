@@ -1,0 +1,227 @@
+"""Every equation of the baselines: gradients, closed forms, shapes, purity, precision, twins."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import lpmv
+
+from p4dgs_ref.lab.baselines import conditional, rotation_4d, sh_color, spherindrical
+from p4dgs_ref.lab.baselines.table import BASELINE_EQUATIONS
+from p4dgs_ref.splatting.covariance import rotation_matrix
+from p4dgs_ref.table import Equation
+from tests.core import adjoint, shape_comments
+from tests.core.adjoint import EPS, cast, close, draw_cotangents, leaves
+from tests.golden.cases import cases_of
+
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+ALL = [
+    pytest.param(eq, case, id=f"{key}-{case.name}")
+    for key, eq in BASELINE_EQUATIONS.items()
+    for case in cases_of(key)
+]
+EVERY = pytest.mark.parametrize("eq, case", ALL)
+
+
+def case_of(key, name="ordinary"):
+    return next(case for case in cases_of(key) if case.name == name)
+
+
+def test_the_table_names_every_equation_of_the_room():
+    keys = {eq.key for eq in BASELINE_EQUATIONS.values()}
+    assert keys == set(BASELINE_EQUATIONS)
+    for eq in BASELINE_EQUATIONS.values():
+        assert isinstance(eq, Equation) and eq.formula and eq.module.rpartition(".")[2] == eq.key
+        assert eq.number[0] in "DHG" and eq.number[1:].isdigit()
+    numbers = [eq.number for eq in BASELINE_EQUATIONS.values()]
+    assert len(set(numbers)) == len(numbers)
+
+
+@EVERY
+def test_backward_is_the_adjoint_of_the_derivative(eq, case):
+    if case.smooth:
+        adjoint.check_adjoint(eq, case, eq)
+    else:
+        assert case.expected, "on a kink only a closed form says what holds"
+
+
+@pytest.mark.parametrize("eq, case", [p for p in ALL if p.values[1].expected])
+def test_closed_forms(eq, case):
+    outputs, pullback = eq.vjp(**case.inputs)
+    gradients = pullback(**case.cotangents)
+    got = {**outputs, **{name + "_bar": a for name, a in gradients.items()}}
+    for name, want in case.expected.items():
+        close(got[name], want, case.tolerance, f"{eq.key}, case {case.name}, {name}")
+
+
+@pytest.mark.parametrize("eq, case", [p for p in ALL if ".baselines." in p.values[0].module])
+def test_comments_tell_the_shapes(eq, case):
+    arguments = shape_comments.arguments(eq.forward)
+    outputs = shape_comments.outputs(eq.forward, eq.outputs)
+    named = {**case.inputs, **{f"output {name}": a for name, a in eq(**case.inputs).items()}}
+    specs = {**arguments, **{f"output {name}": spec for name, spec in outputs.items()}}
+    lengths, numbers, _ = shape_comments.compare(specs, named, False)
+    if "ordinary" in case.flags:
+        axes = [*lengths.values(), *(n for n in numbers if n > 1)]
+        assert len(set(axes)) == len(axes), f"axes of equal length {lengths}"
+
+
+@EVERY
+def test_gradients_are_pure_linear_and_keep_the_precision(eq, case):
+    rng = np.random.default_rng(3)
+    before = {name: [b.tobytes() for b in leaves(a)] for name, a in case.inputs.items()}
+    outputs, pullback = eq.vjp(**case.inputs)
+    u, v = (draw_cotangents(outputs, rng.standard_normal) for _ in range(2))
+    of_u, of_v, again = pullback(**u), pullback(**v), pullback(**u)
+    of_both = pullback(**{name: np.asarray(0.7 * u[name] - 1.9 * v[name]) for name in u})
+    after = {name: [b.tobytes() for b in leaves(a)] for name, a in case.inputs.items()}
+    assert before == after
+    assert set(of_u) == set(eq.gradients)
+    for name in eq.gradients:
+        inputs = leaves(case.inputs[name])
+        parts = (leaves(g[name]) for g in (of_u, of_v, of_both, again))
+        for x, y, both, repeated, given in zip(*parts, inputs, strict=True):
+            assert x.shape == given.shape and np.array_equal(x, repeated), name
+            largest = np.abs([x, y]).max(initial=0)
+            assert np.all(np.abs(0.7 * x - 1.9 * y - both) <= 1e-10 * largest + EPS), name
+    single = {name: cast(a, np.float32) for name, a in case.inputs.items()}
+    outputs, pullback = eq.vjp(**single)
+    gradients = pullback(**draw_cotangents(outputs, rng.standard_normal))
+    for a in [*outputs.values(), *gradients.values()]:
+        assert all(b.dtype == np.float32 for b in leaves(a))
+
+
+def test_activations_against_the_math_module():
+    inputs = case_of("activations").inputs
+    (s, r, alpha), _ = BASELINE_EQUATIONS["activations"].forward(**inputs)
+    for n, (log_s, raw_r, logit) in enumerate(zip(*inputs.values())):
+        assert s[n] == pytest.approx([math.exp(v) for v in log_s], rel=1e-15)
+        norm = math.hypot(*raw_r)
+        assert r[n] == pytest.approx([v / norm for v in raw_r], rel=1e-14)
+        assert alpha[n] == pytest.approx(1 / (1 + math.exp(-logit)), rel=1e-14)
+
+
+def harmonic(l, m, x, y, z):
+    """The real spherical harmonic from SciPy's Legendre functions, with their sign (-1)^m."""
+    n = abs(m)
+    norm = math.sqrt((2 * l + 1) / (4 * math.pi) * math.factorial(l - n) / math.factorial(l + n))
+    wave = math.cos(m * math.atan2(y, x)) if m >= 0 else math.sin(n * math.atan2(y, x))
+    return norm * lpmv(n, l, z) * wave * (math.sqrt(2) if m else 1)
+
+
+def test_harmonics_against_legendre_functions():
+    orders = [(l, m) for l in range(4) for m in range(-l, l + 1)]
+    d = case_of("sh_color").inputs["d"]
+    Y, _ = sh_color.basis(d, 16)
+    for row, direction in zip(Y, d):
+        assert row == pytest.approx([harmonic(l, m, *direction) for l, m in orders], abs=1e-14)
+
+
+def test_harmonics_are_orthonormal_on_the_sphere():
+    """By a quadrature that is exact for polynomials of degree 6."""
+    z, weights = np.polynomial.legendre.leggauss(4)
+    phi = 2 * np.pi * np.arange(8) / 8
+    ring = np.sqrt(1 - z * z)
+    d = np.stack(
+        [np.outer(ring, np.cos(phi)), np.outer(ring, np.sin(phi)), np.outer(z, np.ones(8))], axis=2
+    ).reshape(-1, 3)
+    Y, _ = sh_color.basis(d, 16)
+    area = np.repeat(weights, 8) * 2 * np.pi / 8
+    assert (Y.T * area) @ Y == pytest.approx(np.eye(16), abs=1e-14)
+
+
+def hamilton(p, q):
+    """The product of two quaternions (w, x, y, z), from its scalar and vector parts."""
+    vector = p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:])
+    return np.array([p[0] * q[0] - p[1:] @ q[1:], *vector])
+
+
+def test_4d_rotations_against_products_of_quaternions():
+    inputs = case_of("rotation_4d").inputs
+    R, _ = rotation_4d.forward(**inputs)
+    for matrix, l, r in zip(R, *inputs.values()):
+        l, r = (q / np.linalg.norm(q) for q in (l, r))
+        for axis in range(4):
+            v = np.roll(np.eye(4)[axis], 1)  # (t, x, y, z)
+            turned = hamilton(hamilton(l, v), r * [1, -1, -1, -1])
+            assert matrix[:, axis] == pytest.approx(np.roll(turned, -1), abs=1e-15)
+
+
+def test_4d_rotations_are_rotations():
+    """Orthogonal with determinant 1; the same for (-l, -r); of space alone where l = r."""
+    inputs = case_of("rotation_4d").inputs
+    R, _ = rotation_4d.forward(**inputs)
+    assert R @ R.transpose(0, 2, 1) == pytest.approx(np.tile(np.eye(4), (5, 1, 1)), abs=1e-15)
+    assert np.linalg.det(R) == pytest.approx(np.ones(5), abs=1e-14)
+    assert np.array_equal(R, rotation_4d.forward(-inputs["raw_l"], -inputs["raw_r"])[0])
+    r = inputs["raw_r"]
+    space = np.tile(np.eye(4), (5, 1, 1))
+    space[:, :3, :3] = rotation_matrix(r / np.linalg.norm(r, axis=1, keepdims=True))
+    assert rotation_4d.forward(r, r)[0] == pytest.approx(space, abs=1e-15)
+
+
+@pytest.mark.parametrize("name", ["ordinary", "by_hand", "at_its_mean"])
+def test_conditional_gaussians_against_the_inverse_matrix(name):
+    """The precision of (x, y, z) given t is a block of the inverse of the 4 x 4 covariance."""
+    x, mu_t, s, R, t = case_of("conditional", name).inputs.values()
+    (x_t, Sigma_t, var_t), _ = conditional.forward(x, mu_t, s, R, t)
+    for n in range(len(x)):
+        Sigma = R[n] @ np.diag(s[n] ** 2) @ R[n].T
+        precision = np.linalg.inv(Sigma)
+        block = np.linalg.inv(precision[:3, :3])
+        assert Sigma_t[n] == pytest.approx(block, rel=1e-11, abs=1e-13)
+        mean = x[n] - block @ precision[:3, 3] * (t - mu_t[n])
+        assert x_t[n] == pytest.approx(mean, rel=1e-11)
+        assert var_t[n] == pytest.approx(Sigma[3, 3], rel=1e-13)
+
+
+def test_conditional_and_marginal_against_an_integral():
+    """The 4D density on the slice t: its integral, mean and covariance, by sums over a grid."""
+    x, mu_t, s, R, t = case_of("conditional").inputs.values()
+    (x_t, Sigma_t, var_t), _ = conditional.forward(x, mu_t, s, R, t)
+    weight = BASELINE_EQUATIONS["marginal"](alpha=np.ones(5), mu_t=mu_t, var_t=var_t, t=t)["weight"]
+    steps = np.linspace(-7, 7, 41)
+    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    for n in range(5):
+        precision = np.linalg.inv(R[n] @ np.diag(s[n] ** 2) @ R[n].T)
+        # A grid in which the slice is a round Gaussian; any affine map integrates the same.
+        root = np.linalg.cholesky(np.linalg.inv(precision[:3, :3]))
+
+        def slice_at(time, middle):
+            points = middle + grid @ root.T
+            v = np.concatenate([points - x[n], np.full((len(grid), 1), time - mu_t[n])], axis=1)
+            return points, np.exp(-0.5 * np.einsum("pi,ij,pj->p", v, precision, v))
+
+        points, density = slice_at(t, x_t[n])
+        _, at_mean = slice_at(mu_t[n], x[n])
+        assert weight[n] == pytest.approx(density.sum() / at_mean.sum(), rel=1e-9)
+        mean = density @ points / density.sum()
+        assert mean == pytest.approx(x_t[n], rel=1e-9)
+        spread = (points - mean).T * density @ (points - mean) / density.sum()
+        assert spread == pytest.approx(Sigma_t[n], rel=1e-8, abs=1e-10)
+
+
+def test_a_lasting_gaussian_keeps_its_shape_in_float32():
+    """Where A and b b^T / var_t agree to all digits but a few, Sigma_t has full precision."""
+    _, mu_t, s, R, t = case_of("conditional").inputs.values()
+    inputs = [np.zeros((5, 3)), mu_t, s * [1e-3, 1e-3, 1e-3, 1e5], R]
+    (_, exact, _), _ = conditional.forward(*inputs, t)
+    (_, Sigma_t, _), _ = conditional.forward(*(a.astype(np.float32) for a in inputs), t)
+    assert np.all(np.abs(Sigma_t - exact) <= 1e-6 * exact.max(axis=(1, 2), keepdims=True))
+    M = (R * inputs[2][:, None]).astype(np.float32)
+    Sigma = M @ M.transpose(0, 2, 1)
+    naive = Sigma[:, :3, :3] - Sigma[:, :3, 3:] * Sigma[:, 3:, :3] / Sigma[:, 3:, 3:]
+    assert np.abs(naive - exact).max() > exact.max()
+
+
+def test_waves_in_time_against_a_loop():
+    """Term by term; and one wave is orthogonal to the others over a period."""
+    sh, mu_t, t = case_of("spherindrical").inputs.values()
+    sh_t, _ = spherindrical.forward(sh, mu_t, t)
+    for n in range(len(sh)):
+        waves = [math.cos(2 * math.pi * k * (t - mu_t[n])) for k in range(4)]
+        assert sh_t[n] == pytest.approx(sum(w * sh[n, :, k] for k, w in enumerate(waves)))
+    unit = np.eye(3).reshape(3, 1, 3, 1).repeat(3, axis=1)
+    times = np.arange(8) / 8
+    values = np.array([spherindrical.forward(unit, np.zeros(3), t)[0][:, 0, 0] for t in times])
+    assert values.T @ values / 8 == pytest.approx(np.diag([1, 0.5, 0.5]), abs=1e-15)

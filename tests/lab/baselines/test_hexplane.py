@@ -1,0 +1,295 @@
+"""4DHexPlane: its equations against twins, its pipeline and gradients, its stages and its file."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+from p4dgs_ref.lab import baselines
+from p4dgs_ref.lab.baselines import hexplane, plane_features, plane_losses
+from p4dgs_ref.report.evaluate import evaluate
+from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.splatting.settings import EXACT
+from p4dgs_ref.training.parameters import Parameters
+from tests.golden.cases import cases_of
+
+SMALL = replace(
+    hexplane.TINY,
+    gaussians=40,
+    iterations=30,
+    coarse=10,
+    sh_every=10,
+    nodes=3,
+    time_nodes=4,
+    features=2,
+    hidden=(5, 6),
+    deformation_gain=1.0,
+    grow_from=5,
+    grow_every=10,
+    grow_until=25,
+    reset_every=100,
+)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("bouncing", downscale=4)
+
+
+@pytest.fixture(scope="module")
+def trained(scene):
+    return hexplane.Trainer(scene, SMALL, seed=1).run()
+
+
+def random_parameters(seed=0, N=7, dtype=np.float64):
+    """Parameters in which every array matters, in a box that leaves some Gaussians outside."""
+    rng = np.random.default_rng(seed)
+    p = Parameters(hexplane.HexPlane.initial(replace(SMALL, gaussians=N), rng), dtype)
+    p["sh_dc"][...] = rng.normal(size=(N, 3, 1))
+    p["sh_rest"][...] = 0.3 * rng.normal(size=(N, 3, 15))
+    p["raw_r"][...] = rng.normal(size=(N, 4))
+    p["logit_alpha"][...] = rng.normal(size=N)
+    p["box"][...] *= 0.9  # no point is exactly on a face, where the slope jumps
+    for i in range(12):
+        p[f"planes.{i}"][...] = rng.normal(size=p[f"planes.{i}"].shape) + 1
+    return p
+
+
+def model_of(p):
+    return hexplane.HexPlane(p, SMALL, np.ones(3))
+
+
+# --- equations ---
+def by_loop(x, t, lo, hi, planes):
+    """H1 point by point, plane by plane and feature by feature, by SciPy's interpolation."""
+    rows = []
+    for point in x:
+        u = [(a - b) / (c - b) for a, b, c in zip(point, lo, hi)] + [t]
+        u = np.clip(u, 0, 1)
+        row = []
+        for start in range(0, len(planes), 6):
+            product = np.ones(planes[0].shape[2])
+            pairs = ["xy", "xz", "yz", "xt", "yt", "zt"]
+            for pair, plane in zip(pairs, planes[start : start + 6]):
+                at = [[u["xyzt".index(a)] * (n - 1)] for a, n in zip(pair, plane.shape)]
+                for f in range(len(product)):
+                    product[f] *= map_coordinates(plane[:, :, f], at, order=1)[0]
+            row += [*product]
+        rows.append(row)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("name", ["ordinary", "first_and_last_time", "outside", "zeros"])
+def test_features_against_scipy(name):
+    (case,) = (case for case in cases_of("plane_features") if case.name == name)
+    features, _ = plane_features.forward(**case.inputs)
+    assert features == pytest.approx(by_loop(**case.inputs), rel=1e-12, abs=1e-12)
+
+
+def test_features_on_nodes_are_products_of_nodes():
+    """Each node is reached, those of the time at t = j / (T - 1): none is out of reach."""
+    (case,) = (case for case in cases_of("plane_features") if case.name == "ordinary")
+    lo, hi, planes = (case.inputs[name] for name in ("lo", "hi", "planes"))
+    n = 2, 3, 4, 5
+    where = np.indices(n).reshape(4, -1).T
+    for j in range(5):
+        nodes = where[where[:, 3] == j]
+        x = lo + (hi - lo) * nodes[:, :3] / (np.array(n[:3]) - 1)
+        features, _ = plane_features.forward(x, j / 4, lo, hi, planes[:6])
+        product = np.ones_like(features)
+        for plane, (a, b) in zip(planes, plane_features.AXES):
+            product *= plane[nodes[:, a], nodes[:, b]]
+        assert features == pytest.approx(product, rel=1e-12)
+
+
+def test_losses_against_a_loop():
+    (case,) = (case for case in cases_of("plane_losses") if case.name == "ordinary")
+    losses, planes = [0.0, 0.0, 0.0], case.inputs["planes"]
+    for i, P in enumerate(planes):
+        I, J, F = P.shape
+        if i in (0, 1, 2, 6, 7, 8):
+            down = [(P[a + 1, b, f] - P[a, b, f]) ** 2 for a, b, f in np.ndindex(I - 1, J, F)]
+            right = [(P[a, b + 1, f] - P[a, b, f]) ** 2 for a, b, f in np.ndindex(I, J - 1, F)]
+            losses[0] += np.mean(down) + np.mean(right)
+        else:
+            jerks = [
+                P[a, b + 1, f] - 2 * P[a, b, f] + P[a, b - 1, f]
+                for a, b, f in np.ndindex(I, J, F)
+                if 0 < b < J - 1
+            ]
+            losses[1] += np.mean(np.square(jerks))
+            losses[2] += np.mean([abs(v - 1) for v in P.ravel()])
+    assert plane_losses.forward(planes)[0] == pytest.approx(losses, rel=1e-12)
+
+
+# --- pipeline ---
+def test_nothing_depends_on_the_time_at_the_start():
+    """Planes in time are 1, so that the features are those of the planes in space."""
+    p = Parameters(hexplane.HexPlane.initial(SMALL, np.random.default_rng(0)), np.float64)
+    x_c = np.array([0.3, -3.0, 1.0])
+    first, last = (model_of(p).predict(t, x_c)[0] for t in (0.0, 0.9))
+    for a, b in zip(first, last):
+        assert a == pytest.approx(b, rel=1e-12)
+
+
+@pytest.mark.parametrize("iteration", [None, 0, 10])
+def test_gradients_of_the_pipeline(iteration):
+    """Static with degree 0, moving with degree 1, and finished: against differences."""
+    rng, p, x_c = np.random.default_rng(5), random_parameters(), np.array([0.3, -3.0, 1.0])
+    g, saved = model_of(p).predict(0.4, x_c, iteration)
+    bars = [rng.normal(size=a.shape) for a in g[:5]]
+    arrays, networks = model_of(p).predict_backward(saved, *bars)
+    gradients = p.zeros()
+    for name, gradient in arrays.items():
+        gradients[name][...] = gradient
+    for name, gradient in networks.items():
+        gradients.fill(name, gradient)
+    moves = iteration is None or iteration >= SMALL.coarse
+    for name in p.arrays:
+        if name == "box":
+            assert not np.any(gradients[name])
+            continue
+        d, h = rng.normal(size=p[name].shape), 1e-6
+
+        def value(step):
+            moved = Parameters(p.arrays, np.float64)
+            moved[name][...] += step * d
+            out, _ = model_of(moved).predict(0.4, x_c, iteration)
+            return sum(float((bar * a).sum()) for bar, a in zip(bars, out[:5]))
+
+        ours = float((gradients[name] * d).sum())
+        theirs = (value(h) - value(-h)) / (2 * h)
+        assert ours == pytest.approx(theirs, rel=1e-6, abs=1e-7), name
+        if name != "sh_rest":
+            waits = name.startswith(("psi", "planes"))
+            assert np.any(gradients[name]) == (moves or not waits), name
+
+
+def test_the_pipeline_against_a_loop():
+    """Gaussian by Gaussian, from the formulas at the head of the module."""
+    p, x_c, t = random_parameters(3), np.array([2.0, 1.0, -1.0]), 0.7
+    g = model_of(p).predict(t, x_c)[0]
+    features = by_loop(p["x"], t, *p["box"], p.listed("planes"))
+    W, b = p.network("psi")
+    assert [w.shape for w in W[:2]] == [(4, 5), (5, 6)] and len(W) == 8
+    for n, x in enumerate(p["x"]):
+        h = np.maximum(np.maximum(features[n] @ W[0] + b[0], 0) @ W[1] + b[1], 0)
+        delta_x, delta_log_s, delta_raw_r = (
+            np.maximum(h @ W[i] + b[i], 0) @ W[i + 1] + b[i + 1] for i in (2, 4, 6)
+        )
+        r = p["raw_r"][n] + delta_raw_r
+        assert g.x[n] == pytest.approx(x + delta_x, rel=1e-12)
+        assert g.s[n] == pytest.approx(np.exp(p["log_s"][n] + delta_log_s), rel=1e-12)
+        assert g.r[n] == pytest.approx(r / np.linalg.norm(r), rel=1e-12)
+        assert g.alpha[n] == pytest.approx(1 / (1 + np.exp(-p["logit_alpha"][n])), rel=1e-12)
+
+
+@pytest.mark.parametrize("iteration", [5, 20])
+def test_gradients_of_the_loss(scene, iteration):
+    """One view from parameters to the loss with the terms of the planes, in float64."""
+    preset = replace(SMALL, lambda_planes=(0.3, 0.2, 0.1))
+    trainer = hexplane.Trainer(scene, preset, settings=EXACT)
+    trainer.start(random_parameters(4))
+    trainer.iteration, p, view = iteration, trainer.parameters, scene.train[3]
+    p["log_s"][...] = -1.5
+    losses, _, gradients, _ = trainer.gradients_of(view)
+    terms = plane_losses.forward(p.listed("planes"))[0]
+    wanted = np.dot((0.3, 0.2, 0.1), terms) if iteration >= preset.coarse else 0
+    assert losses.L_total - losses.L_render == pytest.approx(wanted)
+    rng = np.random.default_rng(6)
+    for name in ("x", "sh_dc", "log_s", "raw_r", "psi.W0", "psi.b4", "planes.0", "planes.10"):
+        d, h, start = rng.normal(size=p[name].shape), 1e-6, p[name].copy()
+        values = []
+        for step in (h, -h):
+            p[name][...] = start + step * d
+            values.append(trainer.gradients_of(view)[0].L_total)
+        p[name][...] = start
+        ours = float((gradients[name] * d).sum())
+        assert ours == pytest.approx((values[0] - values[1]) / (2 * h), rel=2e-5, abs=1e-9), name
+
+
+# --- training ---
+def test_stages_of_training(scene):
+    """The planes and psi wait for the fine stage, which starts with new moments."""
+    trainer = hexplane.Trainer(scene, replace(SMALL, grow_from=10**9))
+    starts = {}
+    for wanted in range(30):
+        starts[wanted] = {name: a.copy() for name, a in trainer.parameters.arrays.items()}
+        if wanted == 11:
+            assert trainer.adam.steps["x"] == 1
+        trainer.step()
+    assert [SMALL.stage(i) for i in (0, 9, 10, 29)] == [1, 1, 2, 2]
+    for name in starts[0]:
+        for first, last in ((0, 10), (10, 29)):
+            same = np.array_equal(starts[first][name], starts[last][name])
+            waits = name.startswith(("psi", "planes")) or name == "sh_rest"
+            assert same == (name == "box" or waits and last == 10), (name, first)
+
+
+def test_training_is_repeatable_and_learns(scene, trained):
+    again = hexplane.Trainer(scene, SMALL, seed=1).run()
+    assert np.array_equal(again.parameters.vector, trained.parameters.vector)
+    start = hexplane.Trainer(scene, SMALL, seed=1).model()
+    ends = [evaluate(model, scene)[0]["psnr_db"] for model in (start, trained)]
+    assert ends[1] > ends[0] + 1
+
+
+def test_rates(scene):
+    """They start anew with the fine stage; some are multiples of the extent of the cameras."""
+    preset = replace(hexplane.PAPER_SYNTHETIC, gaussians=10, nodes=3, time_nodes=3)
+    trainer = hexplane.Trainer(scene, preset)
+    extent = trainer.extent
+    assert 4 < extent < 5 and trainer.rate_of("planes") == trainer.rate_of("psi") == 0
+    for iteration, x in ((0, 1.6e-4), (3000, 1.6e-4), (13_000, 1.6e-5), (22_999, 1.6e-6)):
+        trainer.iteration = iteration
+        assert trainer.rate_of("x") == pytest.approx(x * extent, rel=1e-3), iteration
+    trainer.iteration = 13_000
+    assert trainer.rate_of("planes") == pytest.approx(1.6e-4 * extent)
+    assert trainer.rate_of("psi") == pytest.approx(1.6e-5 * extent)
+    assert trainer.rate_of("sh_dc") == 0.0025 and trainer.rate_of("box") == 0
+
+
+# --- presets and file ---
+def test_the_planes_have_the_size_of_the_authors():
+    preset = replace(hexplane.PAPER_SYNTHETIC, gaussians=5)
+    p = Parameters(hexplane.HexPlane.initial(preset, np.random.default_rng(0)))
+    sizes = [p[f"planes.{i}"].shape for i in range(12)]
+    assert (
+        sizes
+        == [(64, 64, 32)] * 3 + [(64, 100, 32)] * 3 + [(128, 128, 32)] * 3 + [(128, 100, 32)] * 3
+    )
+    assert [W.shape for W in p.network("psi")[0]] == [
+        (64, 64),
+        *((64, 64), (64, 3)) * 2,
+        *((64, 64), (64, 4)),
+    ]
+    space, time = p["planes.1"], p["planes.3"]
+    assert space.min() >= 0.1 and space.max() <= 0.5 and np.std(space) > 0.1
+    assert np.all(time == 1)
+    bound = np.sqrt(6 / 67)
+    assert 0.95 * bound < np.abs(p["psi.W2"]).max() <= bound
+
+
+def test_the_first_deltas_shrink_with_their_gain():
+    gains = [1.0, 0.01]
+    psis = [hexplane.first_network(np.random.default_rng(0), 4, (5,), gain) for gain in gains]
+    for name, full in psis[0].items():
+        last = name[5:] in ("2", "4", "6")  # phi is layer 0, each head has two
+        assert psis[1][name] == pytest.approx(full * (0.01 if last else 1)), name
+
+
+def test_the_file_is_read_back(scene, trained, tmp_path):
+    """With all planes and the box; another scene's points give another box."""
+    sizes = trained.save(tmp_path / "a.ply")
+    assert sum(sizes.values()) == (tmp_path / "a.ply").stat().st_size
+    assert sizes["gaussians"] == 248 * trained.primitives
+    others = ("psi", "planes", "box")
+    floats = sum(a.size for n, a in trained.parameters.arrays.items() if n.startswith(others))
+    assert sizes["network"] == 4 * floats
+    model = baselines.load(tmp_path / "a.ply")
+    assert isinstance(model, hexplane.HexPlane)
+    for name, a in trained.parameters.arrays.items():
+        assert np.array_equal(model.parameters[name], a), name
+    view = scene.test[0]
+    assert np.array_equal(*(m.render(view.camera, view.time) for m in (trained, model)))

@@ -1,0 +1,37 @@
+"""What a figure shows: the texts that matplotlib really draws, and which of them overlap."""
+
+from itertools import combinations
+
+from matplotlib.text import Text
+
+from p4dgs_ref.lab.bench import replaced
+
+
+def texts(figure):
+    """[(text, box in pixels)] of all texts that are drawn."""
+    found, draw = [], Text.draw
+
+    def watched(text, renderer):
+        if text.get_visible() and text.get_text().strip():
+            found.append((text.get_text(), Text.get_window_extent(text, renderer)))
+        draw(text, renderer)
+
+    with replaced(Text, draw=watched):
+        figure.canvas.draw()
+    return found
+
+
+def smallest(figure):
+    """The size in pixels of the smallest text of a figure that has been drawn."""
+    shown = [text for text in figure.findobj(Text) if text.get_visible()]
+    sizes = [text.get_fontsize() for text in shown if text.get_text().strip()]
+    return min(sizes) * figure.dpi / 72
+
+
+def overlaps(figure):
+    """The pairs of texts that cover each other by more than a pixel."""
+    return [
+        (one, other)
+        for (one, a), (other, b) in combinations(texts(figure), 2)
+        if a.padded(-1).overlaps(b.padded(-1))
+    ]

@@ -1,0 +1,195 @@
+"""Checks notebooks: format 4.5, pictures, and mathematics and links of the prose."""
+
+import base64
+import binascii
+import json
+import re
+import struct
+import tempfile
+from pathlib import Path
+
+from tutorials.tools import notebooks
+
+KEYS = {
+    "notebook": {"cells", "metadata", "nbformat", "nbformat_minor"},
+    "markdown": {"cell_type", "id", "metadata", "source"},
+    "code": {"cell_type", "id", "metadata", "source", "outputs", "execution_count"},
+    "stream": {"output_type", "name", "text"},
+    "display_data": {"output_type", "data", "metadata"},
+    "execute_result": {"output_type", "data", "metadata", "execution_count"},
+}
+# Folders of this machine, which no output may name.
+HERE = tuple(map(str, (tempfile.gettempdir(), Path.home(), Path(__file__).resolve().parents[3])))
+SIDES = range(60, 2401)  # pixels of a picture
+LARGEST_PICTURE = 600_000  # bytes
+LONGEST_TEXT = 6_000  # characters that one cell prints
+ITEM = r"(\d+\.|[-+*]) "
+
+
+# --- what differs from the tutorials --------------------------------------------------------------
+def problems(folder):
+    """The notebooks that are missing, stale or without a tutorial, one line each."""
+    known = {source.stem: source for source in notebooks.tutorials(folder)}
+    files = {file.stem: file for file in (folder / "notebooks").glob("*.ipynb")}
+    found = [f"{name}: no such tutorial" for name in sorted(files.keys() - known.keys())]
+    for name, source in known.items():
+        if name not in files:
+            found.append(f"{name}: missing")
+        elif without_outputs(load(files[name])) != notebooks.unrun(source):
+            found.append(f"{name}: stale")
+    return found
+
+
+def load(file):
+    return json.loads(file.read_text(encoding="utf-8"))
+
+
+def without_outputs(notebook):
+    """The notebook as the maker has it before it runs the cells."""
+    return {
+        **notebook,
+        "cells": [
+            {**cell, "outputs": []} if cell["cell_type"] == "code" else cell
+            for cell in notebook["cells"]
+        ],
+    }
+
+
+# --- the format -----------------------------------------------------------------------------------
+def flaws(notebook):
+    """What breaks the rules of format 4.5 or of this project, one line each."""
+    if set(notebook) != KEYS["notebook"]:
+        return [f"keys {sorted(notebook)}"]
+    found = []
+    if (notebook["nbformat"], notebook["nbformat_minor"]) != (4, 5):
+        found.append("not format 4.5")
+    metadata = notebook["metadata"]
+    for part, names in {"kernelspec": ("name", "display_name"), "language_info": ("name",)}.items():
+        if not all(isinstance(metadata.get(part, {}).get(name), str) for name in names):
+            found.append(f"metadata: {part}")
+    ids = [cell.get("id") for cell in notebook["cells"]]
+    if len(set(ids)) != len(ids):
+        found.append("ids are not unique")
+    counts = [c.get("execution_count") for c in notebook["cells"] if c.get("cell_type") == "code"]
+    if counts != list(range(1, len(counts) + 1)):
+        found.append(f"execution counts {counts}")
+    for cell in notebook["cells"]:
+        found += [f"{cell.get('id')}: {flaw}" for flaw in cell_flaws(cell)]
+    return found
+
+
+def cell_flaws(cell):
+    kind = cell.get("cell_type")
+    if kind not in ("markdown", "code") or set(cell) != KEYS[kind]:
+        return [f"cell of type {kind} with keys {sorted(cell)}"]
+    found = []
+    if not re.fullmatch(r"[a-zA-Z0-9-_]{1,64}", str(cell["id"])):
+        found.append("id")
+    if cell["metadata"] != {}:
+        found.append("metadata")
+    if not cell["source"] or not lines_of_text(cell["source"]):
+        found.append("source: expected lines")
+    for output in cell.get("outputs", ()):
+        found += output_flaws(output, cell["execution_count"])
+    return found
+
+
+def lines_of_text(lines):
+    """Whether these are lines that all but the last end with a line break."""
+    if not isinstance(lines, list) or not all(isinstance(line, str) for line in lines):
+        return False
+    return "".join(lines).splitlines(keepends=True) == lines
+
+
+def output_flaws(output, count):
+    kind = output.get("output_type")
+    if set(output) != KEYS.get(kind):
+        return [f"output of type {kind} with keys {sorted(output)}"]
+    if kind == "stream":
+        return text_flaws(output["text"]) + (
+            [] if output["name"] in ("stdout", "stderr") else [f"stream {output['name']}"]
+        )
+    found = [] if output["metadata"] == {} else ["metadata of an output"]
+    if output.get("execution_count", count) != count:
+        found.append("execution count of an output")
+    if not set(output["data"]) <= {"text/plain", "image/png"} or "text/plain" not in output["data"]:
+        return [*found, f"mime bundle {sorted(output['data'])}"]
+    found += text_flaws(output["data"]["text/plain"])
+    if "image/png" in output["data"]:
+        found += picture_flaws(output["data"]["image/png"])
+    return found
+
+
+def text_flaws(text):
+    if not isinstance(text, str) or not text:
+        return ["text: expected a string"]
+    found = []
+    path = re.search(r"(?<![\w.])/(tmp|work|home|root|usr|Users)/|site-packages|[A-Z]:\\", text)
+    here = [folder for folder in HERE if folder in text]
+    if path or here or "Traceback" in text:
+        found.append(f"path or traceback in the output: {text[:80]!r}")
+    if re.search(r" at 0x[0-9a-f]{6}", text):
+        found.append(f"an address in the output: {text[:80]!r}")
+    if len(text) > LONGEST_TEXT:
+        found.append(f"{len(text):,} characters in one output")
+    return found
+
+
+def picture_flaws(picture):
+    try:
+        data = base64.b64decode(picture, validate=True)
+    except (binascii.Error, TypeError, ValueError):
+        return ["picture: not base64"]
+    if data[:16] != b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" or data[-8:-4] != b"IEND":
+        return ["picture: not a PNG"]
+    width, height = struct.unpack(">II", data[16:24])
+    if width not in SIDES or height not in SIDES or len(data) > LARGEST_PICTURE:
+        return [f"picture: {width}x{height}, {len(data):,} bytes"]
+    return []
+
+
+def picture(output):
+    """The bytes of the picture of an output."""
+    return base64.b64decode(output["data"]["image/png"])
+
+
+# --- the prose ------------------------------------------------------------------------------------
+def links(notebook):
+    """The relative links of the prose."""
+    prose = ("".join(c["source"]) for c in notebook["cells"] if c["cell_type"] == "markdown")
+    return [link.split("#")[0] for text in prose for link in notebooks.LINK.findall(text)]
+
+
+def prose_flaws(text):
+    """Mathematics and marks that the viewers of notebooks show in another way than intended.
+
+    MathJax knows the macros of amsmath. The viewers look for formulas before they look for other
+    marks, except for code between backticks, and end a formula at an empty line.
+    """
+    found = []
+    text = re.sub(r"```.*?```|`[^`\n]*`", "code", text, flags=re.S)
+    displayed = re.findall(r"\$\$(.*?)\$\$", text, flags=re.S)
+    text = re.sub(r"\$\$.*?\$\$", "formula", text, flags=re.S)
+    inline = re.findall(r"\$(.+?)\$", text, flags=re.S)
+    text = re.sub(r"\$.+?\$", "formula", text, flags=re.S)
+    for formula in displayed + inline:
+        if "\n\n" in formula or "`" in formula:
+            found.append(f"empty line or backtick in a formula: {formula[:50]!r}")
+        if re.search(r"\\(label|ref|eqref|require|newcommand|def|bm|mbox|SI|unit)\b", formula):
+            found.append(f"macro that MathJax does not know: {formula[:50]!r}")
+        inner = re.sub(r"\\begin\{(\w+\*?)\}.*?\\end\{\1\}", "", formula, flags=re.S)
+        if formula.count(r"\tag") > 1 or r"\tag" in formula and r"\tag" not in inner:
+            found.append(f"tags within a formula: {formula[:50]!r}")
+        if formula.count("{") != formula.count("}"):
+            found.append(f"braces: {formula[:50]!r}")
+    if any(r"\tag" in formula for formula in inline):
+        found.append("a tag in a formula of a line")
+    if "$" in text:
+        found.append("a dollar sign without its partner")
+    for mark in re.findall(r"</?[a-zA-Z!][^\n]{0,20}", text):
+        found.append(f"HTML: {mark}")
+    lines = text.splitlines()
+    for before, line in zip(lines, lines[1:]):
+        if re.match(ITEM, line) and not re.match(rf"$|  |{ITEM}", before):
+            found.append(f"a list without an empty line before it: {line[:50]!r}")
+    return found

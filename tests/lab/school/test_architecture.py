@@ -1,0 +1,134 @@
+"""The drawing of the architecture: complete, legible, and the same for every run."""
+
+import numpy as np
+import pytest
+from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
+
+from p4dgs_ref.lab.school.syllabus import TUTORIALS
+from p4dgs_ref.table import EQUATIONS
+from tutorials.tools import architecture
+
+BOXES = [box for frame in architecture.FRAMES for box in frame.boxes]
+BEYOND_THE_TABLE = {"entropy_coder", "file"}
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """The drawing, all its texts with their extents, and the extents of its boxes."""
+    figure = architecture.draw()
+    figure.canvas.draw()
+    (axes,) = figure.axes
+    texts = {text: extents(text) for text in axes.texts if text.get_text()}
+    boxes = [extents(patch) for patch in axes.findobj(FancyBboxPatch)]
+    arrows = axes.findobj(FancyArrowPatch)
+    return figure, texts, boxes, [arrow.get_path() for arrow in arrows]
+
+
+def extents(artist):
+    """Left, bottom, right, top in pixels."""
+    return artist.get_window_extent().extents
+
+
+def apart(a, b, gap=0.0):
+    """Whether two rectangles have at least `gap` pixels between them."""
+    return bool(max(np.max(a[:2] - b[2:]), np.max(b[:2] - a[2:])) >= gap)
+
+
+def inside(a, b):
+    """Whether rectangle a lies within rectangle b."""
+    return bool(np.all(a[:2] >= b[:2]) and np.all(a[2:] <= b[2:]))
+
+
+def test_every_equation_has_one_box_with_its_number():
+    keys = [box.key for box in BOXES]
+    assert len(keys) == len(set(keys))
+    assert set(keys) == {*EQUATIONS, *BEYOND_THE_TABLE}
+    for box in BOXES:
+        number = EQUATIONS[box.key].number if box.key in EQUATIONS else ""
+        assert box.number == (f"({number.rstrip(chr(39))})" if number else ""), box.key
+
+
+def test_texts_stay_within_the_drawing_and_do_not_overlap(drawn):
+    figure, texts, _, _ = drawn
+    named = list(texts.items())
+    for i, (text, place) in enumerate(named):
+        assert inside(place, figure.bbox.extents), text.get_text()
+        for other, its_place in named[i + 1 :]:
+            assert apart(place, its_place), (text.get_text(), other.get_text())
+
+
+def test_texts_lie_within_one_box_or_outside_all(drawn):
+    _, texts, boxes, _ = drawn
+    for text, place in texts.items():
+        for box in boxes:
+            assert inside(place, box) or apart(place, box), text.get_text()
+
+
+def test_arrows_begin_and_end_at_boxes_icons_or_their_names(drawn):
+    figure, texts, boxes, _ = drawn
+    transform = figure.axes[0].transData.transform
+    icons = []
+    for icon in architecture.ICONS:
+        half = np.array([4.2, 4.2])
+        icons.append(np.concatenate(transform([[icon.x, icon.y] - half, [icon.x, icon.y] + half])))
+        icons += [place for text, place in texts.items() if text.get_text() == icon.text]
+    for arrow in architecture.ARROWS:
+        for point in transform([arrow.points[0], arrow.points[-1]]):
+            spot = np.concatenate([point, point])
+            near = [not apart(spot, place, 8.0) for place in (*boxes, *icons)]
+            assert any(near), (arrow, point)
+        # The last stretch stops at the edge of its box and does not run into it.
+        end = transform(arrow.points[-1])
+        assert not any(strictly_within(end, box, 2.0) for box in boxes), arrow
+
+
+def strictly_within(point, box, margin):
+    return bool(np.all(point > box[:2] + margin) and np.all(point < box[2:] - margin))
+
+
+def test_arrows_run_between_the_boxes_and_beside_the_texts(drawn):
+    figure, texts, boxes, _ = drawn
+    transform = figure.axes[0].transData.transform
+    for arrow in architecture.ARROWS:
+        corners = transform(arrow.points)
+        for a, b in zip(corners, corners[1:]):
+            stretch = np.concatenate([np.minimum(a, b), np.maximum(a, b)])
+            for text, place in texts.items():
+                # a pixel of tolerance: versions of matplotlib measure letters differently
+                assert apart(stretch, place, -1.0), (arrow, text.get_text())
+            for box in boxes:
+                assert apart(stretch, box, -2.0), arrow
+
+
+def test_lit_boxes_stand_out_and_the_others_are_grey():
+    figure = architecture.draw(("step", "file"))
+    dark = {
+        text.get_text() for text in figure.axes[0].texts if text.get_color() == architecture.INK
+    }
+    frames = {text for text in dark if text in {frame.title for frame in architecture.FRAMES}}
+    assert {"step $q$", "10110…"} <= dark
+    assert {box.text for box in BOXES} & dark == {"step $q$", "10110…"}
+    assert frames == {"context", "file"}
+    thick = [p for p in figure.axes[0].findobj(FancyBboxPatch) if p.get_linewidth() > 1]
+    assert len(thick) == 2
+
+
+def test_each_tutorial_lights_known_boxes():
+    keys = {box.key for box in BOXES}
+    for tutorial in TUTORIALS:
+        assert set(tutorial.lit) <= keys, tutorial.name
+        assert not (tutorial.lit and tutorial.keys), tutorial.name
+    whole = [tutorial.name for tutorial in TUTORIALS if not (tutorial.lit or tutorial.keys)]
+    assert whole == ["16_pipeline_by_hand", "26_video_codec_analogy"]
+
+
+def test_drawing_is_the_same_in_every_run():
+    first, again = (pixels(architecture.draw(("noise",))) for _ in range(2))
+    assert np.array_equal(first, again)
+    assert first.shape[1] == 900
+    assert not np.array_equal(first, pixels(architecture.draw()))
+
+
+def pixels(figure):
+    figure.canvas.draw()
+    return np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()

@@ -1,0 +1,202 @@
+"""What the tutorials share: checks of gradients, and exercises that check themselves."""
+
+import numpy as np
+import pytest
+
+from p4dgs_ref import EQUATIONS, oracle
+from p4dgs_ref.equations import offsets
+from p4dgs_ref.lab.school import lessons
+
+
+@pytest.fixture(autouse=True)
+def results(monkeypatch):
+    monkeypatch.setattr(lessons, "RESULTS", {})
+
+
+def right_backward(inputs, cotangents):
+    _, saved = offsets.forward(**inputs)
+    return offsets.backward(saved, **cotangents)
+
+
+def test_moved_and_inner_follow_lists_and_dictionaries():
+    rng = np.random.default_rng(1)
+    values = {"x": np.ones((2, 3)), "weights": [np.zeros(4), np.ones((2, 2))], "L": 3}
+    directions = lessons.random_like(rng, {name: values[name] for name in ("x", "weights")})
+    moved = lessons.moved(values, directions, 2.0)
+    assert moved["L"] == 3
+    assert np.array_equal(moved["x"], 1 + 2 * directions["x"])
+    assert np.array_equal(moved["weights"][0], 2 * directions["weights"][0])
+    product = sum((np.asarray(a) ** 2).sum() for a in (directions["x"], *directions["weights"]))
+    assert np.isclose(lessons.inner(directions, directions), product)
+
+
+def test_close_is_relative_to_the_largest_number():
+    assert lessons.close([1e6, 1e-9], [1e6, 0])
+    assert not lessons.close([1.0, 1e-9], [1.0, 0])
+    assert lessons.close([1.0, 1e-9], [1.0, 0], 1e-8)
+    assert lessons.close([0.0], [0.0]) and not lessons.close([1e-300], [0.0])
+    assert not lessons.close([np.nan], [1.0])
+
+
+@pytest.mark.parametrize(
+    "mine, said",
+    [
+        (..., "no answer yet"),
+        (None, "no answer yet"),
+        ([1, 2], "solved"),
+        ([1, 2.00001], "not solved: nearly right, but 6 right digits are expected"),
+        (
+            [-2, -4],
+            "not solved: all 2 numbers are too large by a factor of 2 and of the opposite sign",
+        ),
+        ([0, 0], "not solved: all 2 numbers are zero"),
+        ([1, 5], "not solved: 1 of 2 numbers are wrong"),
+        (3, "not solved: shape (), expected (2,)"),
+        ("two", "not solved: expected a number"),
+    ],
+)
+def test_numbers(mine, said, capsys):
+    assert lessons.number("01.1", mine, [1, 2]) is None  # a notebook would print a value
+    assert lessons.RESULTS == {"01.1": said == "solved"}
+    assert said in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "mine, said",
+    [
+        (7, "solved"),
+        (-7, "it is of the opposite sign"),
+        (14, "by a factor of 2"),
+        (8, "it is wrong"),
+    ],
+)
+def test_short_answers_are_stored_and_not_given_away(mine, said, capsys):
+    lessons.number("20.1", mine)
+    printed = capsys.readouterr().out
+    assert said in printed
+    assert said == "solved" or "7" not in printed.replace("20.1", "")
+
+
+def test_hints_come_one_after_the_other(capsys, monkeypatch):
+    monkeypatch.setattr(lessons, "ASKED", {})
+    first, second = lessons.stored("hints")["07.3"]
+    for said in (f"1 of 2: {first}", f"2 of 2: {second}", f"2 of 2: {second}"):
+        lessons.hint("07.3")
+        assert capsys.readouterr().out == f"hint {said}\n"
+    with pytest.raises(ValueError, match="'7.3': expected a number such as '01.2'"):
+        lessons.hint("7.3")
+
+
+def test_a_problem_is_followed_by_the_offer_of_a_hint(capsys):
+    lessons.number("01.1", ...)
+    assert capsys.readouterr().out == (
+        'exercise 01.1: not solved: no answer yet\n  lessons.hint("01.1") gives a hint\n'
+    )
+    lessons.number("01.1", [1, 4, -1])
+    assert capsys.readouterr().out == "exercise 01.1: solved\n"
+
+
+def unwritten(**inputs):
+    raise NotImplementedError
+
+
+@pytest.mark.parametrize(
+    "mine, said",
+    [
+        (lambda x_a, O_a, l_a: x_a[:, None] + O_a * l_a[:, None], "exercise 01.2: solved"),
+        (lambda **inputs: {"x": offsets.forward(**inputs)[0]}, "exercise 01.2: solved"),
+        (unwritten, "not solved: no answer yet"),
+        (lambda x_a, O_a, l_a: x_a[:, None] + O_a, "the output x: 60 of 60 numbers are wrong"),
+        (lambda x_a, O_a, l_a: x_a, "the output x: shape: (5, 3), expected (5, 4, 3)"),
+        (lambda x_a, O_a, l_a: 1 / 0, "your function raised ZeroDivisionError: division by zero"),
+    ],
+)
+def test_forwards(mine, said, capsys):
+    assert lessons.forward("01.2", mine, "offsets") is None
+    assert said in capsys.readouterr().out
+
+
+def test_backwards(capsys):
+    def without_sum(inputs, cotangents):
+        return {**right_backward(inputs, cotangents), "x_a": cotangents["x_bar"][:, -1]}
+
+    def one_missing(inputs, cotangents):
+        gradients = right_backward(inputs, cotangents)
+        return {name: gradients[name] for name in ("x_a", "O_a")}
+
+    def solved(mine, *wanted):
+        assert lessons.backward("01.3", mine, "offsets", *wanted) is None
+        return lessons.RESULTS["01.3"]
+
+    assert solved(right_backward)
+    assert not solved(without_sum)
+    assert solved(without_sum, "O_a", "l_a")
+    assert not solved(one_missing)
+    assert "the gradient of l_a: missing: expected float64" in capsys.readouterr().out
+
+
+def wrong_in_q(change):
+    """A backward of Eq. (7) whose gradient of q is changed."""
+
+    def backward(inputs, cotangents):
+        f_bar = cotangents["f_noisy_bar"]
+        q_bar = (f_bar * inputs["u"]).sum(axis=1, keepdims=True)
+        return {"f": f_bar, "q": change(q_bar, f_bar)}
+
+    return backward
+
+
+def said_of(change, capsys):
+    lessons.backward("07.3", wrong_in_q(change), "noise")
+    return capsys.readouterr().out
+
+
+def test_feedback_names_the_mistake_that_the_oracle_names(capsys):
+    def mean(q_bar, f_bar):
+        return q_bar / f_bar.shape[1]
+
+    said = said_of(mean, capsys)
+    by_oracle = oracle.check(EQUATIONS["noise"], "noise", wrong_in_q(mean)).first.explanation
+    assert "mean over the channels instead of the sum" in by_oracle
+    assert said.splitlines()[:3] == [
+        "exercise 07.3: not solved: "
+        "the gradient of q: all 6 numbers are too small by a factor of 5",
+        f"  It looks like this: {by_oracle}",
+        "  Case noise/ordinary: [3, 0] is 0.135502324406, not 0.677511622031",
+    ]
+    assert "eps S" not in said
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (lambda q_bar, f_bar: 0 * q_bar, "the gradient of q: all 6 numbers are zero\n"),
+        (
+            lambda q_bar, f_bar: q_bar / -3,
+            "are too small by a factor of 3 and of the opposite sign\n",
+        ),
+        (lambda q_bar, f_bar: 7 * q_bar, "are too large by a factor of 7\n"),
+        (lambda q_bar, f_bar: -q_bar, "are of the opposite sign\n"),
+        (lambda q_bar, f_bar: q_bar**3 + 1, "q: 6 of 6 numbers are wrong\n"),
+        (lambda q_bar, f_bar: q_bar * np.nan, "q: 6 of 6 numbers are wrong\n"),
+        (lambda q_bar, f_bar: q_bar * (1 + 1e-9), "too few right digits: its error is 4.5"),
+    ],
+)
+def test_feedback_in_plain_words(change, said, capsys):
+    assert said in said_of(change, capsys)
+
+
+def test_feedback_on_integers(capsys):
+    def floored(f, q):
+        symbols = np.floor(f / q).astype(int)
+        return symbols, symbols * q
+
+    lessons.forward("07.2", floored, "rounding")
+    said = capsys.readouterr().out
+    assert "the output symbols: " in said and " numbers are wrong\n" in said
+
+
+def test_measure_of_accuracy_is_explained_where_digits_are_missing_and_nowhere_else(capsys):
+    few = said_of(lambda q_bar, f_bar: q_bar * (1 + 1e-9), capsys)
+    assert few.count("eps S") == 2 and "eps is the distance from 1 to the next float" in few
+    assert "eps S" not in said_of(lambda q_bar, f_bar: q_bar + f_bar[:, :1], capsys)

@@ -1,0 +1,370 @@
+"""The committed notebooks are whole and belong to the tutorials; the maker works on small files."""
+
+import copy
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+from tests.lab.school import notebook_form as form
+from tutorials.tools import notebooks
+
+ROOT = Path(__file__).resolve().parents[3]
+FOLDER = ROOT / "tutorials"
+SOURCES = notebooks.tutorials(FOLDER)
+FILES = sorted((FOLDER / "notebooks").glob("*.ipynb"))
+EACH = pytest.mark.parametrize("file", FILES, ids=[file.stem for file in FILES])
+LARGEST = 10_000_000  # bytes of all notebooks together
+
+
+# --- the committed notebooks ----------------------------------------------------------------------
+def test_every_tutorial_has_a_notebook_that_is_up_to_date():
+    assert form.problems(FOLDER) == [], "run `python -m tutorials.tools.notebooks NAME`"
+
+
+def test_notebooks_are_small_and_alone():
+    found = [file for file in (FOLDER / "notebooks").rglob("*") if "out" not in file.parts]
+    assert [f for f in sorted(found) if ".ipynb_checkpoints" not in f.parts] == FILES
+    assert 0 < sum(file.stat().st_size for file in FILES) <= LARGEST
+
+
+@EACH
+def test_notebook_follows_the_format_and_shows_figures(file):
+    notebook = form.load(file)
+    assert form.flaws(notebook) == []
+    outputs = [o for cell in notebook["cells"] for o in cell.get("outputs", ())]
+    assert any("image/png" in o.get("data", ()) for o in outputs)
+    assert any(o.get("name") == "stdout" for o in outputs)
+
+
+@EACH
+def test_links_lead_somewhere(file):
+    found = form.links(form.load(file))
+    assert len(found) >= 3
+    assert [link for link in found if not (file.parent / link).exists()] == []
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=[source.stem for source in SOURCES])
+def test_cells_are_those_of_the_tutorial(source):
+    text = source.read_text(encoding="utf-8")
+    joined = ""
+    for cell in notebooks.unrun(source)["cells"][1:]:
+        own = "".join(cell["source"])
+        if cell["cell_type"] == "markdown":
+            own = re.sub(r"\[(`\d\d_\w+`)\]\(\d\d_\w+\.ipynb\)", r"\1", own)
+            own = re.sub(r"(?<=\]\()(?!https:)(\.\./)?([^)\s]+?)(\.ipynb)?(?=\))", back, own)
+            own = re.sub(r"^(?=.)", "# ", own, flags=re.M)
+            own = "[markdown]\n" + re.sub(r"^$", "#", own, flags=re.M)
+        joined += f"# %% {own}\n" if cell["cell_type"] == "markdown" else f"# %%\n{own}\n"
+    assert joined.split("\n") == re.sub(r"\n{2,}(?=# %%)", "\n", text).split("\n")
+
+
+def back(link):
+    """A link of a notebook as the tutorial has it."""
+    return f"{link[2]}.py" if link[3] else link[2]
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=[source.stem for source in SOURCES])
+def test_prose_can_be_shown_by_viewers_of_notebooks(source):
+    cells = notebooks.cells(source.read_text(encoding="utf-8"))
+    found = {cell.line: form.prose_flaws(cell.text) for cell in cells if cell.prose}
+    assert {line: flaws for line, flaws in found.items() if flaws} == {}
+
+
+# --- the checker ----------------------------------------------------------------------------------
+def set_key(*path, to):
+    def change(notebook):
+        for step in path[:-1]:
+            notebook = notebook[step]
+        notebook[path[-1]] = to
+
+    return change
+
+
+PNG = ("cells", 3, "outputs", 1, "data", "image/png")
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (lambda n: n.pop("nbformat"), "keys"),
+        (set_key("nbformat_minor", to=4), "not format 4.5"),
+        (set_key("metadata", "kernelspec", to={"name": "python3"}), "metadata: kernelspec"),
+        (lambda n: n["metadata"].pop("language_info"), "metadata: language_info"),
+        (set_key("cells", 1, "id", to="01-links"), "ids are not unique"),
+        (set_key("cells", 1, "id", to="a b"), "id"),
+        (set_key("cells", 1, "source", to="a string"), "expected lines"),
+        (set_key("cells", 1, "source", to=["two\nlines"]), "expected lines"),
+        (set_key("cells", 1, "outputs", to=[]), "cell of type markdown"),
+        (lambda n: n["cells"][2].pop("outputs"), "cell of type code"),
+        (set_key("cells", 3, "execution_count", to=1), "execution counts [1, 1"),
+        (set_key("cells", 2, "outputs", 0, "output_type", to="error"), "output of type error"),
+        (set_key("cells", 2, "outputs", 0, "name", to="log"), "stream log"),
+        *(
+            (set_key("cells", 2, "outputs", 0, "text", to=f"in {folder}/a"), "path or traceback")
+            for folder in form.HERE
+        ),
+        (set_key("cells", 2, "outputs", 0, "text", to="Traceback (most"), "path or traceback"),
+        (set_key("cells", 2, "outputs", 0, "text", to="<f at 0x7f0012345678>"), "an address"),
+        (set_key("cells", 2, "outputs", 0, "text", to="x" * 6001), "6,001 characters"),
+        (set_key("cells", 2, "outputs", 2, "execution_count", to=9), "count of an output"),
+        (set_key("cells", 2, "outputs", 2, "data", to={"text/html": "<b>"}), "mime bundle"),
+        (set_key(*PNG, to="%%%"), "not base64"),
+        (set_key(*PNG, to="aGFsbG8="), "not a PNG"),
+    ],
+)
+def test_checker_notices(change, said, small_notebook):
+    notebook = copy.deepcopy(small_notebook)
+    assert form.flaws(notebook) == []
+    change(notebook)
+    assert said in " | ".join(form.flaws(notebook))
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("$a$ and `$` cost \\tag", ""),
+        ("$$a \\tag{1}$$\nafter", ""),
+        ("$$\\begin{aligned} a \\end{aligned} \\tag{1}$$", ""),
+        ("$$\\begin{aligned} a \\tag{1} \\end{aligned}$$", "tags within"),
+        ("$$a \\tag{1} b \\tag{2}$$", "tags within"),
+        ("$a \\tag{1}$", "a tag in a formula of a line"),
+        ("it costs 5$ a day", "without its partner"),
+        ("$a$$", "without its partner"),
+        ("$$a\n\nb$$", "empty line"),
+        ("$\\bm x$", "macro"),
+        ("$\\frac{1}{2$", "braces"),
+        ("a <b>word</b>", "HTML: <b>"),
+        ("1 < 2 and $a<b$", ""),
+        ("Items:\n\n- one\n- two\n  more", ""),
+        ("its symbol is\n0. And", "a list without"),
+    ],
+)
+def test_checker_of_prose(text, said):
+    found = " | ".join(form.prose_flaws(text))
+    assert said in found if said else found == ""
+
+
+# --- the maker ------------------------------------------------------------------------------------
+SMALL = r"""# %% [markdown]
+# # A title, $x^2$
+# [next](02_next.py), [here](#a), [web](https://example.org/a.py), [code](../p4dgs_ref/table.py)
+# Then `02_next` and [`02_next`](02_next.py).
+
+# %%
+import sys
+
+print("printed")
+print("warned", file=sys.stderr)
+__name__, [len(sys.argv) > 1, "__file__" in globals()]
+
+# %%
+import matplotlib.pyplot as plt
+
+from p4dgs_ref.lab.school import lessons
+
+figure, axes = lessons.pyplot().subplots(figsize=(4, 3))
+axes.plot([1, 2])
+lessons.show(figure, "01_small")
+print("between")
+plt.figure(figsize=(2, 2))
+plt.plot([2, 1])
+plt.show()
+print("after")
+
+# %%
+plt.figure(figsize=(3, 3))
+None
+"""
+
+
+def write_small(folder):
+    """Write two tutorials into a folder; return the first."""
+    (folder / "solutions").mkdir(parents=True)
+    (folder / "01_small.py").write_text(SMALL)
+    (folder / "solutions" / "01_small.py").write_text("")
+    (folder / "02_next.py").write_text('# %%\n"last"\n')
+    return folder / "01_small.py"
+
+
+@pytest.fixture
+def small(tmp_path):
+    return write_small(tmp_path / "tutorials")
+
+
+@pytest.fixture(scope="module")
+def small_notebook(tmp_path_factory):
+    return form.load(notebooks.make(write_small(tmp_path_factory.mktemp("made") / "tutorials")))
+
+
+def test_outputs_of_a_small_tutorial(small):
+    target = notebooks.make(small)
+    notebook = form.load(target)
+    assert form.flaws(notebook) == []
+    assert notebook["metadata"]["kernelspec"]["name"] == "python3"
+    head, title, first, second, third = notebook["cells"]
+    assert "".join(head["source"]).startswith(
+        "Made from [01_small.py](../01_small.py) · [solutions](../solutions/01_small.py) · "
+        "next: [02_next](02_next.ipynb) · [all tutorials](../README.md)\n\n"
+        "To run it, install the package: `pip install .` in"
+    )
+    assert title["source"] == [
+        "# A title, $x^2$\n",
+        "[next](02_next.ipynb), [here](#a), [web](https://example.org/a.py), "
+        "[code](../../p4dgs_ref/table.py)\n",
+        "Then [`02_next`](02_next.ipynb) and [`02_next`](02_next.ipynb).",
+    ]
+    assert first["outputs"] == [
+        {"output_type": "stream", "name": "stdout", "text": "printed\n"},
+        {"output_type": "stream", "name": "stderr", "text": "warned\n"},
+        {
+            "output_type": "execute_result",
+            "execution_count": 1,
+            "data": {"text/plain": "('__main__', [True, False])"},
+            "metadata": {},
+        },
+    ]
+    kinds = [output.get("text") or set(output["data"]) for output in second["outputs"]]
+    picture = {"image/png", "text/plain"}
+    assert kinds == ["figure: out/01_small.png\n", picture, "between\n", picture, "after\n"]
+    assert [output["output_type"] for output in third["outputs"]] == ["display_data"]
+    assert [c["execution_count"] for c in (first, second, third)] == [1, 2, 3]
+    before = target.read_bytes()
+    assert notebooks.make(small).read_bytes() == before
+    assert sorted(file.name for file in target.parent.iterdir()) == ["01_small.ipynb"]
+
+
+def test_last_notebook_links_the_one_before_and_no_solution(small):
+    notebook = form.load(notebooks.make(small.parent / "02_next.py"))
+    assert "".join(notebook["cells"][0]["source"]) == (
+        "Made from [02_next.py](../02_next.py) · previous: [01_small](01_small.ipynb) · "
+        "[all tutorials](../README.md)\n\n"
+        "To run it, install what it imports: `pip install numpy scipy matplotlib`."
+    )
+    assert notebook["cells"][1]["outputs"][0]["data"] == {"text/plain": "'last'"}
+
+
+def test_missing_stale_and_orphaned_notebooks_are_found(small):
+    folder = small.parent
+    assert form.problems(folder) == ["01_small: missing", "02_next: missing"]
+    (folder / "notebooks").mkdir()
+    for source in notebooks.tutorials(folder):
+        file = folder / "notebooks" / f"{source.stem}.ipynb"
+        file.write_text(json.dumps(notebooks.unrun(source)))
+    assert form.problems(folder) == []
+    small.write_text(SMALL + "\n")  # the cells are the same, the hash is not
+    assert form.problems(folder) == ["01_small: stale"]
+    small.write_text(SMALL)
+    (folder / "notebooks" / "03_gone.ipynb").write_text("{}")
+    assert form.problems(folder) == ["03_gone: no such tutorial"]
+
+
+@pytest.mark.parametrize(
+    "code, said",
+    [
+        ("x = 1\n\n\ndef f():\n    return x / 0\n\n\nf()", "line 8: ZeroDivisionError: division"),
+        ("x = 1\nx = = 2", "line 5: SyntaxError: invalid syntax"),
+        ("raise ValueError('two\\nlines')", "line 4: ValueError: two lines"),
+        ("raise SystemExit(3)", "line 4: SystemExit: 3"),
+        ("import os\n\nos._exit(7)", "exit code 7"),
+    ],
+)
+def test_error_names_tutorial_cell_and_line(code, said, small, monkeypatch, capsys):
+    folder = small.parent
+    monkeypatch.setattr(notebooks, "FOLDER", folder)
+    (folder / "notebooks").mkdir()
+    (folder / "notebooks" / "01_small.ipynb").write_text("as before")
+    small.write_text(f"# %%\n1\n# %%\n{code}\n")
+    assert notebooks.main(["01"]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("01_small.py, ") and said in error
+    assert error.count("\n") == 1 and ("cell at line 3" in error or "exit code" in said)
+    assert (folder / "notebooks" / "01_small.ipynb").read_text() == "as before"
+    assert len(list((folder / "notebooks").iterdir())) == 1
+
+
+def test_failed_write_keeps_the_old_notebook(small, monkeypatch):
+    folder = small.parent / "notebooks"
+    folder.mkdir()
+    (folder / "02_next.ipynb").write_text("as before")
+
+    def full(*paths):
+        raise OSError("no space left")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(OSError, match="no space left"):
+        notebooks.make(small.parent / "02_next.py")
+    assert [file.read_text() for file in folder.iterdir()] == ["as before"]
+
+
+def test_command_makes_what_is_named(small, monkeypatch, capsys):
+    monkeypatch.setattr(notebooks, "FOLDER", small.parent)
+    assert notebooks.main(["02"]) == 0
+    assert re.fullmatch(r"02_next: [\d,]+ bytes\n", capsys.readouterr().out)
+    assert notebooks.main(["01_small", "9"]) == 2
+    assert capsys.readouterr().err == "9: expected the name or the number of a tutorial\n"
+    assert [file.name for file in (small.parent / "notebooks").iterdir()] == ["02_next.ipynb"]
+    shutil.rmtree(small.parent / "notebooks")
+    (small.parent / "notebooks").write_text("a file")
+    assert notebooks.main(["02"]) == 2
+    assert "notebooks: expected a folder that can be written to" in capsys.readouterr().err
+    monkeypatch.setattr(notebooks, "FOLDER", small.parent / "none")
+    assert notebooks.main([]) == 2
+    assert "expected the tutorials of a checkout" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_maker_leaves_nothing(number, small, tmp_path):
+    mark = tmp_path / "mark"  # grows while the tutorial runs
+    small.write_text(
+        "# %%\nimport time\n\nfor _ in range(1000):\n"
+        f"    print('x', file=open({str(mark)!r}, 'a'))\n    time.sleep(0.05)\n"
+    )
+    start = (
+        "import sys; from pathlib import Path; from tutorials.tools import notebooks; "
+        "notebooks.FOLDER = Path(sys.argv[1]); sys.exit(notebooks.main([]))"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", start, str(small.parent)],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    until = time.monotonic() + 60
+    while not mark.exists() and time.monotonic() < until:
+        time.sleep(0.05)
+    process.send_signal(number)
+    _, error = process.communicate(timeout=60)
+    assert (process.returncode, error) == (130, "stopped; the remaining notebooks are as before\n")
+    assert not (small.parent / "notebooks").exists()
+    size = mark.stat().st_size
+    time.sleep(0.3)
+    assert mark.stat().st_size == size
+
+
+@pytest.mark.slow
+def test_a_committed_notebook_is_what_the_maker_makes(tmp_path):
+    for source in SOURCES:
+        shutil.copy(source, tmp_path)
+    shutil.copytree(FOLDER / "solutions", tmp_path / "solutions")
+    name = "06_deformed"
+    ours = form.load(FOLDER / "notebooks" / f"{name}.ipynb")
+    made = form.load(notebooks.make(tmp_path / f"{name}.py"))
+    assert form.without_outputs(made) == form.without_outputs(ours)
+    for a, b in zip(ours["cells"], made["cells"], strict=True):
+        for mine, theirs in zip(a.get("outputs", ()), b.get("outputs", ()), strict=True):
+            assert mine.get("text") == theirs.get("text")
+            if "image/png" in mine.get("data", ()):
+                one, two = (iio.imread(form.picture(o)) for o in (mine, theirs))
+                # Other versions of matplotlib draw other pixels and cut other borders.
+                assert np.abs(np.subtract(one.shape, two.shape)).max() <= 8
+                assert abs(one.mean() - two.mean()) < 3

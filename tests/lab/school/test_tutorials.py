@@ -1,0 +1,485 @@
+"""The tutorials run, have the form that they share, and explain every equation."""
+
+import ast
+import json
+import os
+import re
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.syllabus import TUTORIALS, tutorial_of
+from p4dgs_ref.oracle import read_manifest
+from p4dgs_ref.table import EQUATIONS
+from tests.golden import answers
+from tests.lab.school import tutorial_form as form
+from tutorials.tools import gallery, syllabus
+
+ROOT = Path(__file__).resolve().parents[3]
+FOLDER = ROOT / "tutorials"
+NAMES = {tutorial.name for tutorial in TUTORIALS}
+INDEX = (FOLDER / "README.md").read_text(encoding="utf-8")
+SHORT_SECONDS = 2  # a tutorial that takes less is not marked slow,
+ALL_SHORT_SECONDS = 3  # as long as the short ones together take less than this
+LEGIBLE = 8  # pixels: the size of the smallest text of a picture that is gallery.WIDTH wide
+RUN = """
+import json, runpy, sys
+from p4dgs_ref.lab.school import lessons
+from tests.lab import drawn
+show, texts = lessons.show, {}
+def watched(figure, name):
+    show(figure, name)
+    texts[name + ".png"] = drawn.smallest(figure)
+lessons.show = watched
+for path in sys.argv[2:]:
+    runpy.run_path(path, run_name="__main__")
+json.dump(lessons.RESULTS, open(sys.argv[1], "w"))
+json.dump(texts, open("texts.json", "w"))
+"""
+
+
+def short():
+    """The names of the tutorials that are not marked slow, by the times in the index."""
+    seconds = syllabus.measured_before()
+    chosen, total = set(), 0.0
+    for tutorial in sorted(TUTORIALS, key=lambda t: seconds.get(t.name[:2], 1e9)):
+        own = seconds.get(tutorial.name[:2], 1e9)
+        total += own
+        if own < SHORT_SECONDS and total < ALL_SHORT_SECONDS:
+            chosen.add(tutorial.name)
+    return chosen
+
+
+SHORT = short()
+EACH = pytest.mark.parametrize("tutorial", TUTORIALS, ids=[t.name for t in TUTORIALS])
+EACH_RUN = pytest.mark.parametrize(
+    "tutorial",
+    [
+        pytest.param(t, marks=() if t.name in SHORT else pytest.mark.slow, id=t.name)
+        for t in TUTORIALS
+    ],
+)
+
+
+def source(tutorial, solution=False):
+    folder = FOLDER / "solutions" if solution else FOLDER
+    return (folder / f"{tutorial.name}.py").read_text(encoding="utf-8")
+
+
+def run(paths, out):
+    """Run files without a display in one process; return what they print, and lessons.RESULTS."""
+    environment = {
+        **os.environ,
+        "MPLBACKEND": "Agg",
+        "P4DGS_TUTORIALS_OUT": str(out),
+        "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONPATH": str(ROOT),
+        "PYTHONIOENCODING": "utf-8",
+    }
+    python = [sys.executable, "-W", "error::RuntimeWarning"]
+    done = subprocess.run(
+        [*python, "-c", RUN, str(out / "results.json"), *map(str, paths)],
+        env=environment,
+        cwd=out,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stdout, json.loads((out / "results.json").read_text())
+
+
+# --- running --------------------------------------------------------------------------------------
+@EACH_RUN
+def test_tutorial_runs_with_figures_and_its_exercises_unsolved(tutorial, tmp_path):
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    out, results = run([FOLDER / f"{tutorial.name}.py"], tmp_path)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    print(f"{tutorial.name}: {seconds:.1f} s")  # depends on the machine: recorded, not asserted
+    assert results and not any(results.values())
+    assert "eps S" not in out  # explained to a student where digits are missing, and only there
+    assert set(results) == set(syllabus.facts(tutorial).exercises)
+    written = [file for file in tmp_path.iterdir() if file.suffix != ".json"]
+    assert all(file.name.startswith(tutorial.name[:2] + "_") for file in written)
+    figures = sorted(tmp_path.glob("*.png"))
+    assert f"{tutorial.name[:2]}_map.png" in {file.name for file in figures}
+    assert len(figures) >= 2  # the drawing of the architecture and the tutorial's own
+    for file in figures:
+        image = iio.imread(file)
+        assert image.shape[1] >= 600 and image[..., :3].std() > 5, file.name
+    texts = json.loads((tmp_path / "texts.json").read_text())
+    shown = {picture.figure for picture in gallery.PICTURES.values()} & texts.keys()
+    for name in (*shown, f"{tutorial.name[:2]}_map.png"):
+        width = iio.improps(tmp_path / name).shape[1]
+        assert texts[name] * gallery.WIDTH / width >= LEGIBLE, name
+
+
+def test_all_solutions_pass(tmp_path):
+    paths = [FOLDER / "solutions" / f"{tutorial.name}.py" for tutorial in TUTORIALS]
+    out, results = run(paths, tmp_path)
+    asked = [exercise for tutorial in TUTORIALS for exercise in syllabus.facts(tutorial).exercises]
+    assert [exercise for exercise in asked if results.get(exercise) is not True] == [], out
+    assert sorted(results) == sorted(asked)
+
+
+def test_stored_answers_are_those_of_the_solutions():
+    """Where it fails, `python -m tests.golden.answers` makes them anew."""
+    made, stored = answers.answers(), lessons.stored("answers")
+    assert set(made) == set(stored)
+    for exercise, answer in made.items():
+        assert np.allclose(answer, stored[exercise], rtol=1e-9, atol=0), exercise
+
+
+@pytest.mark.parametrize("nodes", [10, 13, 16, 20, 24, 32, 40])
+def test_23_3_is_solved_as_its_text_says(nodes, monkeypatch):
+    """Eight pieces with 10 to 40 nodes each pass all golden bins."""
+    monkeypatch.setattr(lessons, "RESULTS", {})
+    solution = next(t for t in TUTORIALS if t.name.startswith("23"))
+    text = source(solution, solution=True)
+    assert text.count("roots_legendre(10)") == 1
+    exec(text.replace("roots_legendre(10)", f"roots_legendre({nodes})"), {})
+    assert lessons.RESULTS["23.3"]
+
+
+@pytest.mark.slow
+@EACH
+def test_solution_runs_alone(tutorial, tmp_path):
+    _, results = run([FOLDER / "solutions" / f"{tutorial.name}.py"], tmp_path)
+    assert results and all(results.values())
+
+
+# --- form -----------------------------------------------------------------------------------------
+@EACH
+def test_headings_and_first_cell(tutorial):
+    text = source(tutorial)
+    first_cell = text.split("\n# %%", 1)[0]
+    assert form.headings(text) == form.HEADINGS
+    assert re.match(r"# %% \[markdown\]\n# # \S.*\n#\n# \*\*Promise\.\*\* ", text)
+    assert "**Before it:**" in first_cell and "**Takes**" in first_cell
+
+
+@EACH
+@pytest.mark.parametrize("solution", [False, True], ids=["tutorial", "solution"])
+def test_lines_fit_and_prose_is_commented(tutorial, solution):
+    assert form.flaws(source(tutorial, solution)) == []
+
+
+@EACH
+@pytest.mark.parametrize("solution", [False, True], ids=["tutorial", "solution"])
+def test_imports_paths_and_functions(tutorial, solution):
+    text = source(tutorial, solution)
+    imported = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            imported.add(node.module or "")
+        elif isinstance(node, ast.FunctionDef):
+            assert node.end_lineno - node.lineno < 60
+    allowed = {"numpy", "scipy", "matplotlib", "imageio", "p4dgs_ref", *sys.stdlib_module_names}
+    assert {name.split(".")[0] for name in imported} <= allowed
+    absolute_path = r"""["'(\s](/(tmp|home|work|usr|root|Users|opt|mnt)\b|[A-Z]:\\)"""
+    assert not re.search(absolute_path, text)
+
+
+@EACH
+def test_exercises_are_two_or_three_and_have_solutions(tutorial):
+    asked = list(syllabus.facts(tutorial).exercises)
+    # A tutorial of three equations has an exercise for each of them and a number.
+    most = 4 if len(tutorial.keys) > 2 else 3
+    assert asked == [f"{tutorial.name[:2]}.{i + 1}" for i in range(len(asked))]
+    assert 2 <= len(asked) <= most
+    solved = syllabus.exercises(source(tutorial, solution=True), tutorial.keys)
+    assert list(solved) == asked
+    section = source(tutorial).split("# ## Exercises\n", 1)[1].split("# ## Check your port", 1)[0]
+    assert re.findall(r"\*\*(\d\d\.\d)\*\*", section) == asked
+
+
+@EACH
+def test_answers_do_not_stand_below_their_blanks(tutorial):
+    asked = source(tutorial).split("# ## Exercises\n", 1)[1].split("# ## Check your port", 1)[0]
+    for exercise, right in re.findall(r'lessons\.number\(\s*"([^"]+)", \w+(.*)\)', asked):
+        assert exercise in lessons.stored("answers") or exercise in answers.FROM_DATA
+        assert not right.removeprefix(", digits=15") or exercise in answers.FROM_DATA
+
+
+@EACH
+def test_checks_of_ports_call_the_package(tutorial):
+    """So they print no formula that an exercise asks for."""
+    port = ast.parse(source(tutorial).split("# ## Check your port", 1)[1])
+    called = {"forward", "backward", "vjp", "rate_forward", "decoded", "render"}
+    checked = set()
+    for node in ast.walk(port):
+        if isinstance(node, ast.Call) and ast.unparse(node.func).startswith("oracle.check"):
+            checked |= {argument.id for argument in node.args if isinstance(argument, ast.Name)}
+    for function in port.body:
+        if isinstance(function, ast.FunctionDef) and function.name in checked:
+            calls = {n.attr for n in ast.walk(function) if isinstance(n, ast.Attribute)}
+            assert calls & called, function.name
+
+
+@EACH
+def test_every_exercise_has_two_hints(tutorial):
+    for exercise in syllabus.facts(tutorial).exercises:
+        hints = lessons.stored("hints")[exercise]
+        assert len(hints) == 2
+        assert all(hint.endswith((".", "?")) and 20 < len(hint) < 250 for hint in hints), exercise
+
+
+def test_hints_belong_to_exercises():
+    every = {exercise for t in TUTORIALS for exercise in syllabus.facts(t).exercises}
+    assert set(lessons.stored("hints")) == every
+
+
+@EACH
+def test_figures_are_shown_under_the_tutorials_number(tutorial):
+    shown = re.findall(r'lessons\.show\(\w+, f?"([^"]+)"\)', source(tutorial))
+    assert shown and len(set(shown)) == len(shown)
+    assert all(name.startswith(tutorial.name[:2] + "_") for name in shown)
+
+
+@EACH
+def test_first_code_cell_shows_the_drawing_of_the_architecture(tutorial):
+    first_code = next(cell for cell in form.cells(source(tutorial)) if not cell.prose)
+    assert first_code.lines.count(f'architecture.show("{tutorial.name}")') == 1
+    assert source(tutorial).count("architecture.show(") == 1
+
+
+@EACH
+def test_first_cell_links_the_files_of_its_equations(tutorial):
+    head = form.cells(source(tutorial))[0].text.strip().replace("\n", " ")
+    line = re.search(r"\*\*Files?:\*\* (.*)\.$", head)[1]
+    linked = {}
+    for number, name, path in re.findall(r"(?:Eq\. \((\d+)\) )?\[([^]]+)\]\(([^)]+)\)", line):
+        file = (FOLDER / path).resolve()
+        assert file.is_file() and file.name == name, path
+        linked[file] = number
+    for key in tutorial.keys:
+        equation = EQUATIONS[key]
+        assert linked[ROOT / f"{equation.module.replace('.', '/')}.py"] == equation.number.rstrip(
+            "'"
+        )
+
+
+@EACH
+def test_tutorials_named_before_it_come_before_it(tutorial):
+    head = source(tutorial).split("\n# %%", 1)[0].split("**Before it:**", 1)[1]
+    named = re.findall(r"`(\d\d_\w+)", head)
+    assert set(named) <= {t.name for t in TUTORIALS if t.name[:2] < tutorial.name[:2]}
+
+
+@EACH
+def test_port_is_checked_against_the_equations_of_the_tutorial(tutorial):
+    section = source(tutorial).split("# ## Check your port\n", 1)[1]
+    assert "oracle" in section
+    assert [key for key in tutorial.keys if not re.search(rf"\b{key}\b", section)] == []
+
+
+def test_files_and_table_agree():
+    names = [t.name for t in TUTORIALS]
+    numbered = FOLDER.glob("[0-9]*.py")  # the others record decisions beyond the paper
+    files = {file.stem for file in numbered} - {"00_whole_paper"}  # has its own form
+    assert names == sorted(files)
+    assert names == sorted(file.stem for file in (FOLDER / "solutions").glob("*.py"))
+
+
+# --- the checker of the form ----------------------------------------------------------------------
+SAMPLE = """# %% [markdown]
+# # Eq. (1): a sample
+#
+# Prose.
+
+# %%
+assert 2.5 * 2 == 5
+
+# %% [markdown]
+# ## Claim
+# It is 0.63 at t = 12.
+
+# %%
+x = 12
+"""
+
+
+def test_form_finds_headings_wide_lines_and_code_in_prose():
+    assert form.headings(SAMPLE) == ["Claim"]
+    assert form.flaws(SAMPLE) == []
+    wide = SAMPLE.replace("# It is", "# It is " + "very " * 17)
+    assert form.flaws(wide) == ["line 11: 109 characters, at most 100"]
+    wide_code = SAMPLE.replace("x = 12", "x = 12  # " + "very " * 20)
+    assert form.flaws(wide_code) == ["line 14: 110 characters, at most 100"]
+    uncommented = SAMPLE.replace("# It is", "It is")
+    assert form.flaws(uncommented) == ["line 11: code in a cell of prose"]
+
+
+# --- index and coverage ---------------------------------------------------------------------------
+def test_index_is_the_generated_one():
+    assert syllabus.index(syllabus.measured_before()) == INDEX
+
+
+def test_index_has_measured_times_within_the_limit():
+    seconds = syllabus.measured_before()
+    assert set(seconds) == {t.name[:2] for t in TUTORIALS}
+    assert max(seconds.values()) < 20
+
+
+def test_index_gives_every_equation_in_the_order_of_the_table():
+    table = syllabus.equations_table()
+    assert table in INDEX
+    rows = table.splitlines()[2:]
+    for line, (key, equation) in zip(rows, EQUATIONS.items(), strict=True):
+        number, name, file, *_ = (cell.strip() for cell in line.strip("|").split("|"))
+        assert (number, name) == (equation.number, f"`{key}`")
+        assert equation.module.replace(".", "/") in file
+        for link in re.findall(r"\]\(([^)]+)\)", line):
+            assert (FOLDER / link).resolve().is_file(), link
+
+
+@pytest.mark.parametrize("key", list(EQUATIONS))
+def test_every_equation_has_tutorial_vector_and_exercise(key):
+    tutorial = tutorial_of(key)
+    own = syllabus.facts(tutorial)
+    assert any(s["key"] == key and s["cases"] for s in read_manifest()["subjects"])
+    assert sum(key in t.keys for t in TUTORIALS) == 1
+    assert any(key in about for about in own.exercises.values())
+    number = EQUATIONS[key].number
+    if number:
+        assert f"({number.rstrip(chr(39))})" in own.title
+    if number and not number.endswith("'"):  # the paper does not print those by analogy
+        assert rf"\tag{{{number}" in source(tutorial)
+
+
+def test_links_of_the_index_lead_somewhere():
+    for link in set(re.findall(r"\]\(([^)#]+)\)", INDEX)):
+        assert link.startswith("https://") or (FOLDER / link).exists(), link
+    for heading in re.findall(r"\]\(#([^)]+)\)", INDEX):
+        assert f"\n## {heading.replace('-', ' ').capitalize()}\n" in INDEX, heading
+
+
+@EACH
+def test_first_cell_states_the_measured_minutes(tutorial):
+    own = syllabus.facts(tutorial)
+    assert (own.reading, own.doing) == syllabus.minutes(tutorial.name)
+
+
+def test_minutes_follow_their_rule(tmp_path):
+    prose = "# %% [markdown]\n# # Title\n#\n# " + "word " * (8 * syllabus.WORDS - 2) + "\n"
+    code = "\n# %%\nimport numpy\n\n" + "x = 1\n" * (2 * syllabus.LINES) + "\n# %% [markdown]\n"
+    asked = "# ## Exercises\n# **01.1** a\n#\n# **01.2** b\n#\n# **Predict, then run.** c\n"
+    solution = "# %%\n" + "x = 1\n" * (9 * syllabus.WRITTEN - 1)
+    (tmp_path / "solutions").mkdir()
+    (tmp_path / "sample.py").write_text(prose + code + asked, encoding="utf-8")
+    (tmp_path / "solutions" / "sample.py").write_text(solution, encoding="utf-8")
+    assert syllabus.minutes("sample", tmp_path) == (10, 20)  # 3 times 4 and 9 are 21
+
+
+def test_path_of_four_hours_and_all_hours_are_those_of_the_headers():
+    assert 225 <= sum(syllabus.minutes(name)[0] for name in syllabus.PATH) <= 265
+    own = [syllabus.facts(tutorial) for tutorial in TUTORIALS]
+    reading, doing = (
+        round(sum(minutes) / 60) for minutes in zip(*((o.reading, o.doing) for o in own))
+    )
+    for file in (ROOT / "README.md", FOLDER / "README.md"):
+        said = " ".join(file.read_text(encoding="utf-8").split())
+        assert f"about {reading} hours of reading and {doing} of exercises" in said
+
+
+@EACH
+def test_exercises_end_with_a_question_that_the_solutions_answer(tutorial):
+    asked = source(tutorial).split("# ## Exercises\n", 1)[1].split("# ## Check your port", 1)[0]
+    prose = form.cells("# %% [markdown]\n" + asked)[0].text
+    question = re.split(r"\n\n(?=\*\*)", prose.strip())[-1]
+    assert asked.count("**Predict, then run.** ") == 1
+    assert question.startswith("**Predict, then run.** ") and "?" in question
+    answered, tested = form.cells(source(tutorial, solution=True))[-2:]
+    assert answered.text.strip().startswith("**Predict, then run.** ")
+    assert not tested.prose and "assert " in "\n".join(tested.lines)
+
+
+def test_gallery_is_complete_small_and_moves():
+    files = {file.name: file.stat().st_size for file in (FOLDER / "pictures").iterdir()}
+    assert set(files) == {*gallery.PICTURES, syllabus.DRAWING}
+    assert sum(files.values()) < gallery.LARGEST == 2_500_000
+    moving = [name for name in files if name.endswith(".gif")]
+    assert len(moving) >= 2
+    assert all(len(iio.imread(FOLDER / "pictures" / name)) > 10 for name in moving)
+    assert all(f"pictures/{name}" in INDEX for name in files)
+
+
+def test_pictures_are_those_of_the_tutorials_as_they_are():
+    """Where it fails, `python -m tutorials.tools.syllabus NUMBER` draws a tutorial's pictures."""
+    assert not gallery.stale()
+
+
+def test_picture_of_changed_code_is_stale(tmp_path, monkeypatch):
+    for picture in gallery.PICTURES.values():
+        for file in FOLDER.glob(f"{picture.figure[:2]}*.py"):
+            (tmp_path / file.name).write_bytes(file.read_bytes())
+    monkeypatch.setattr(gallery, "TUTORIALS", tmp_path)
+    monkeypatch.setattr(gallery, "DRAWN", tmp_path / "gallery.json")
+    gallery.record(gallery.PICTURES)
+    assert not gallery.stale()
+    changed = tmp_path / "15_compositing.py"
+    text = changed.read_text(encoding="utf-8")
+    changed.write_text(text + "\n# another comment\n", encoding="utf-8")
+    assert not gallery.stale()
+    changed.write_text(text + "\nanswer_4 = ...\n", encoding="utf-8")
+    assert not gallery.stale()
+    with_scale = text.replace("# ## Exercises", "scale = 5\n# ## Exercises")
+    changed.write_text(with_scale, encoding="utf-8")
+    assert gallery.stale() == ["compositing.png"]
+    gallery.record(["demo.png"])
+    assert gallery.stale() == ["compositing.png"]
+    monkeypatch.setitem(gallery.DRAW, "demo.png", (test_picture_of_changed_code_is_stale,))
+    assert gallery.stale() == ["demo.png", "compositing.png"]
+    gallery.record(["demo.png"])
+    gallery.record(["compositing.png"])
+    assert not gallery.stale()
+
+
+def test_pictures_are_made_small_and_keep_what_they_show(tmp_path):
+    rng = np.random.default_rng(1)
+    patches = rng.integers(0, 256, (9, 16, 3), dtype=np.uint8)
+    image = patches.repeat(100, axis=0).repeat(100, axis=1)
+    iio.imwrite(tmp_path / "large.png", image)
+    gallery.shrink(tmp_path / "large.png", tmp_path / "small.png")
+    small = iio.imread(tmp_path / "small.png")
+    assert small.shape == (360, gallery.WIDTH, 3)
+    assert np.array_equal(small[20::40, 20::40], patches)  # the centres
+    shares = gallery.shares(7, 3)
+    assert np.allclose(shares.sum(axis=1), 1)
+    assert np.allclose(shares.sum(axis=0), 3 / 7)
+
+
+def test_animations_with_repeated_pixels_are_halved(tmp_path):
+    fine = np.zeros((11, 8, 12, 3), np.uint8)
+    fine[np.arange(11), :, np.arange(11)] = 255
+    coarse = fine.repeat(2, axis=1).repeat(2, axis=2)
+    for frames in (fine, coarse):
+        iio.imwrite(tmp_path / "given.gif", frames, extension=".gif", duration=70, loop=0)
+        gallery.shrink_animation(tmp_path / "given.gif", tmp_path / "made.gif")
+        made = iio.imread(tmp_path / "made.gif")
+        assert made.shape[:3] == (11, 8, 12)
+        assert np.array_equal(made > 127, fine > 127)
+
+
+def test_gallery_that_grows_too_large_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "pictures" / "old.png").write_bytes(b"x" * 900)
+    (tmp_path / "comparison.png").write_bytes(b"x" * 200)
+    monkeypatch.setattr(gallery, "LARGEST", 1000)
+    with pytest.raises(ValueError, match="at most 1,000 bytes of pictures, got 1,100"):
+        gallery.take(tmp_path, tmp_path / "pictures")
+    assert [file.name for file in (tmp_path / "pictures").iterdir()] == ["old.png"]
+
+
+def test_unknown_tutorial_is_refused():
+    with pytest.raises(SystemExit, match="expected numbers of tutorials"):
+        syllabus.main(["29"])

@@ -1,0 +1,163 @@
+"""The ledger of effects, hidden units that are always zero, and a scene with all effects on."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.codec import quantise
+from p4dgs_ref.codec.file import decode, encode
+from p4dgs_ref.effects import MOTION
+from p4dgs_ref.lab.effects import ledger as effect_ledger
+from p4dgs_ref.model import ANCHOR_NETWORKS, without_silent_units
+from p4dgs_ref.report.inspect import components
+from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
+from p4dgs_ref.training.presets import SMOKE
+from p4dgs_ref.training.trainer import Trainer, assemble
+from tests.lab import pairs
+
+EPS = np.finfo(float).eps
+VIEW = ("view_color", "view_geometry")
+SHORT = SMOKE._replace(stage_ends=(1, 2, 3, 5))  # every stage, in five steps
+
+
+def trained(name, *forced):
+    """A trainer after five steps on a scene, with some effects forced on."""
+    scene = load_scene(name)
+    effects = [effect for effect in MODEL_EFFECTS if effect in (*scene.effects, *forced)]
+    trainer = Trainer(replace(scene, effects=tuple(effects)), SHORT)
+    for _ in range(SHORT.iterations):
+        trainer.step()
+    return trainer
+
+
+@pytest.mark.slow
+def test_ledger(tmp_path):
+    scene, told = load_scene("bouncing"), []
+    rows = effect_ledger.ledger(scene, "smoke", share=1, progress=told.append, jobs=2)
+    assert [row["effect"] for row in rows] == list(MODEL_EFFECTS)
+    assert len(told) == 2 + len(MODEL_EFFECTS)
+    assert json.loads(json.dumps(rows)) == rows
+    for row in rows:
+        listed = row["effect"] in scene.effects
+        assert row["called_for"] == listed and row["ms_on"] > 0 and row["ms_off"] > 0
+        assert row["work_on"] > 0 == row["work_off"]
+        assert row["bytes_on"] >= 0 == row["bytes_off"]
+        assert (row["sorted_on"] > 0) == (row["effect"] == "occlusion") and row["sorted_off"] == 0
+        assert (row["bytes_on"] > 0) == (row["effect"] in (*MOTION, *VIEW))
+        assert (row["psnr_lost_when_off"] is not None) == listed
+        assert (row["psnr_gained_when_forced"] is None) == listed
+    assert rows[MODEL_EFFECTS.index("background")]["psnr_lost_when_off"] > 0.5
+    text = effect_ledger.describe(rows)
+    assert all(row["evidence"] in text for row in rows)
+    effect_ledger.draw_ledger(tmp_path / "ledger.png", rows)
+    with open(tmp_path / "ledger.csv", newline="") as file:
+        assert [row["effect"] for row in csv.DictReader(file)] == list(MODEL_EFFECTS)
+    assert (tmp_path / "ledger.png").stat().st_size > 10_000
+    with pytest.raises(ValueError, match="'test'"):
+        effect_ledger.ledger(replace(scene, test=()), "smoke")
+
+
+@pytest.mark.slow
+def test_two_processes_train_the_builds_that_one_trains():
+    scene = load_scene("bouncing", downscale=4)
+    builds = {"listed": scene, "without": effect_ledger.switched(scene, "translation")}
+    alone, together = (effect_ledger.train_all(builds, SHORT, 3, jobs=jobs) for jobs in (1, 2))
+    for name in builds:
+        assert alone[name]["data"] == together[name]["data"]
+        works = [[vars(work) for work in built[name]["work"]] for built in (alone, together)]
+        assert works[0] == works[1] and len(works[0]) == effect_ledger.COUNTED
+    assert alone["listed"]["data"] != alone["without"]["data"]
+
+
+def test_bytes_of_motion_are_those_of_its_section():
+    """Also with D3DGS's time net and skip, and where networks are coded (B1)."""
+    scene = load_scene("figure", downscale=4)
+    options = dict(deformation=(6, 5, 4), time_net=(7, 3), skip=True)
+    for changes in ({}, options, dict(coded=True)):
+        data = encode(Trainer(scene, SHORT._replace(**changes)).model())
+        sizes = effect_ledger.effect_bytes(data)
+        assert round(sum(sizes[e] for e in MOTION)) == components(data)["deformation_mlp"]
+
+
+def test_a_switched_build_differs_in_one_effect_only():
+    scene = load_scene("glossy")
+    for effect in MODEL_EFFECTS:
+        assert set(effect_ledger.switched(scene, effect).effects) ^ set(scene.effects) == {effect}
+    short = effect_ledger.shortened(SMOKE, 0.01)
+    assert short.stage_ends == (1, 2, 3, 4)
+
+
+@pytest.mark.parametrize("name", ["static", "figure"])
+def test_silent_units_change_no_picture(name, monkeypatch):
+    """A model without the units that are always zero is the same function, and its file smaller."""
+    trainer = trained(name, "occlusion")
+    scene, p = trainer.scene, trainer.parameters
+    for i, net in enumerate(ANCHOR_NETWORKS):
+        p[f"{net}.b0"][[i, i + 1]] = -100
+        p[f"{net}.b1"][i : i + 3 + i] = -100
+    whole = assemble(p, trainer.design, trainer.mask, trainer.box, scene.background)
+    with monkeypatch.context() as unslimmed:
+        unslimmed.setattr(quantise, "without_silent_units", lambda model: model)
+        data = encode(whole)
+    model = decode(data)
+    slim = without_silent_units(model)
+    # Two and three units are zero in all networks; training may have silenced more.
+    first, second = slim.design.hidden
+    assert first <= SMOKE.hidden[0] - 2 and second <= SMOKE.hidden[1] - 3
+    again = encode(whole)
+    assert again == encode(slim) == encode(decode(again))
+    assert len(again) < len(data) - 100
+    assert components(again)["features"] == components(data)["features"]
+    for view in scene.test[:3]:
+        models = slim, model, decode(again)
+        for a, b, c in zip(*(m.gaussians(view.time, view.camera) for m in models)):
+            assert np.array_equal(a, c)
+            assert np.abs(a - b).max() <= 64 * EPS * max(np.abs(b).max(), 1)
+    seeing = decode(encode(trained(name, "view_color").model()))
+    assert without_silent_units(seeing) is seeing
+
+
+def test_one_unit_is_kept_where_all_are_silent():
+    trainer = trained("static", "occlusion")
+    model = trainer.model()
+    for net in ANCHOR_NETWORKS:
+        for b in model.networks[net][1][:-1]:
+            b[:] = -100
+    slim = without_silent_units(model)
+    assert slim.design.hidden == (1, 1)
+    view = trainer.scene.test[0]
+    assert np.array_equal(slim.render(view.camera, 0), model.render(view.camera, 0))
+
+
+# --- as listed against all effects ---------------------------------------------------------------
+def test_pairs_of_builds():
+    """Two seeds of each build, and the comparison of made-up rows."""
+    rows = pairs.static_pair((0, 3), "smoke")
+    builds = [(row["seed"], row["build"]) for row in rows]
+    assert builds == [(seed, build) for seed in (0, 3) for build in (pairs.LISTED, pairs.ALL)]
+    for few, full in zip(rows[::2], rows[1::2]):
+        assert few["bytes"] < full["bytes"] and 0 < few["work"] < full["work"]
+    changes = zip((2, 5, 4, 10), (60, 105, 55, 105), (30.0, 31.0, 32.0, 31.5))
+    made = [
+        {**row, "ms_per_step": ms, "bytes": size, "psnr_db": psnr}
+        for row, (ms, size, psnr) in zip(rows, changes)
+    ]
+    result = pairs.compare(made)
+    assert result["speedup"] == 2.5 and result["psnr_lost"] == 0.25 and result["seed_spread"] == 2
+    assert result["bytes_saved"] == pytest.approx(1 - 55 / 105 / 2 - 60 / 105 / 2)
+
+
+@pytest.mark.slow
+def test_static_needs_less_than_with_everything_on():
+    """Bytes and counted work of `static`, half a training; the times are printed only."""
+    rows = pairs.static_pair((0, 1), share=0.5)
+    result = pairs.compare(rows)
+    print(f"\na step is {result['speedup']:.2f} times as fast")
+    assert result["bytes_saved"] >= 0.4
+    assert result["psnr_lost"] <= max(result["seed_spread"], 1.0)
+    for few, full in zip(rows[::2], rows[1::2]):
+        assert few["build"] == pairs.LISTED and full["build"] == pairs.ALL
+        assert full["work"] > 3 * few["work"] and full["bytes"] > 1.5 * few["bytes"]

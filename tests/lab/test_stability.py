@@ -1,0 +1,290 @@
+"""The table of hard cases, the accuracy of Eq. (11), and the stability map."""
+
+import csv
+import json
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.__main__ import main
+from p4dgs_ref.equations import likelihood, view
+from p4dgs_ref.lab.accuracy import diagram, formulas, heatmap
+from p4dgs_ref.lab.accuracy import likelihood as likelihood_study
+from p4dgs_ref.lab.accuracy.timing import special_calls
+from p4dgs_ref.lab.stability import judge, table
+from p4dgs_ref.lab.stability import map as stability_map
+from p4dgs_ref.lab.stability.cases import hard_cases
+from p4dgs_ref.table import EQUATIONS
+from tests.golden import quadrature
+from tests.golden.checks import altered
+from tests.golden.hard_cases import catalogue
+
+DATA = Path(__file__).parents[1] / "golden" / "data" / "gaussian_bin_constants.json"
+BINS = json.loads(DATA.read_text(encoding="utf-8"))["rows"]
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return table.rows()
+
+
+# --- the table -----------------------------------------------------------------------------------
+def test_every_case_of_an_equation_is_there_in_both_precisions(rows):
+    entries = [entry.id for entry in catalogue.ENTRIES.values() if entry.case is not None]
+    assert len(entries) == 85
+    for dtype in ("float64", "float32"):
+        assert [row["id"] for row in rows if row["dtype"] == dtype] == entries
+
+
+def test_nothing_is_beyond_its_bound(rows):
+    failed = [row for row in rows if row["verdict"] != "ok"]
+    assert not [
+        f"{row['id']} {row['dtype']}: {row['error']}, {row['grad_error']}" for row in failed
+    ]
+
+
+def test_rows_are_as_scripts_expect(rows):
+    wanted = {
+        "id",
+        "equation",
+        "dtype",
+        "literal",
+        "ours",
+        "true",
+        "error",
+        "grad_error",
+        "verdict",
+    }
+    assert json.loads(json.dumps(rows, allow_nan=False)) == rows
+    assert all(wanted <= set(row) for row in rows)
+    assert all(row["error"] >= 0 and row["bound"] <= 1e-3 for row in rows)
+    text = table.describe(rows)
+    assert text.splitlines()[-1] == f"{len(rows)} rows, 0 beyond their bounds"
+    assert "H-R1.9sigma" in text
+
+
+def test_only_selects_a_case_or_a_row():
+    assert {row["id"] for row in table.rows("H-P4.L10")} == {"H-P4.L10"}
+    assert {row["id"] for row in table.rows("H-P4")} == {"H-P4.L10", "H-P4.L16", "H-P4.L20"}
+    assert table.rows("H-P") == []
+
+
+def test_literal_formulas_fail_where_the_literature_says(rows):
+    literal = {(row["id"], row["dtype"]): row["literal"] for row in rows}
+    assert literal["H-R1.6sigma", "float32"] == "inf" == literal["H-R1.9sigma", "float64"]
+    assert literal["H-R1.6sigma", "float64"] == pytest.approx(25.6533, abs=1e-4)
+    assert literal["H-R2.40sigma", "float64"] == "nan"
+    assert literal["H-R4.u-10", "float32"] == 0 == literal["H-R4.u-19", "float64"]
+    assert literal["H-R6.positive", "float64"] == "nan"
+    assert literal["H-G3.1e4px", "float32"] in ("inf", "-inf")
+    assert literal["H-Q1.q1", "float64"] == 3
+    assert literal["H-P1.inside", "float32"] == "nan"
+
+
+def wrong_gradients(saved, bits_bar):
+    right = likelihood.backward(saved, bits_bar)
+    return {name: 1.001 * gradient for name, gradient in right.items()}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        dict(forward=formulas.literal, backward=likelihood.backward),
+        dict(forward=formulas.hac, backward=likelihood.backward),
+        dict(forward=likelihood.forward, backward=wrong_gradients),
+    ],
+)
+def test_a_formula_that_is_worse_fails(changes, monkeypatch):
+    case = hard_cases()["H-R1.9sigma"]
+    assert table.judged(judge.measure(case, "float64"))["verdict"] == "ok"
+    worse = altered(EQUATIONS["likelihood"], **changes)
+    monkeypatch.setitem(EQUATIONS, "likelihood", worse)
+    with np.errstate(all="ignore"):
+        judged = table.judged(judge.measure(case, "float64"))
+    assert judged["verdict"] == "fails"
+    row = {"id": case.id, "equation": "", "dtype": "float64", **judged}
+    assert "H-R1.9sigma float64" in table.describe([row])
+
+
+@pytest.mark.parametrize(
+    "got, want, each, error",
+    [
+        (np.array([1.0, 2.2]), [1.0, 2.0], True, 0.1),
+        (np.array([1.2, 20.0]), [1.0, 20.0], False, 0.01),
+        (np.array([0.5]), [0.0], True, 0.5),
+        (np.zeros((2, 1)), [[0.0]], True, math.inf),
+        (np.array([np.nan, 1]), [1.0, 1], True, math.inf),
+        (np.array([7.0, 1]), [np.nan, 1], True, 0),
+        ([np.ones(2), np.array([3.0])], [[1.0, 1], [2.0]], True, 0.5),
+    ],
+)
+def test_errors_are_relative_to_the_right_number(got, want, each, error):
+    assert judge.relative(got, want, each) == pytest.approx(error)
+
+
+# --- Eq. (11) ------------------------------------------------------------------------------------
+def draw(n, seed):
+    """Inputs over the whole domain of Eq. (11), as one row."""
+    rng = np.random.default_rng(seed)
+    z = 10.0 ** rng.uniform(-4, 3, n) * rng.choice([-1, 1], n)
+    w = 10.0 ** rng.uniform(-12, 6, n)
+    sigma = 10.0 ** rng.uniform(-6, 2.6, n)
+    return [a[None] for a in (sigma * z, 0 * z, sigma, sigma * w)]
+
+
+@pytest.mark.parametrize("dtype, relative", [(np.float64, 1e-12), (np.float32, 2e-6)])
+def test_likelihood_keeps_its_accuracy_over_the_plane(dtype, relative):
+    arrays = [a.astype(dtype) for a in draw(4000, 5)]
+    inputs = dict(zip(("f_noisy", "mu", "sigma", "q"), arrays))
+    bits, saved = likelihood.forward(**inputs)
+    bar = np.ones_like(bits)
+    true, true_slopes = quadrature.likelihood(inputs, {"bits_bar": bar})
+    true_bits = true["bits"].astype(float)
+    slopes = {name: a.astype(float) for name, a in true_slopes.items()}
+    names = ("f_noisy", "sigma", "q")
+    terms = {name: np.abs(np.asarray(inputs[name], float) * slopes[name]) for name in names}
+    # The rounding of the inputs changes the bits by this much.
+    condition = 4 * np.finfo(float).eps * sum(terms.values())
+    judged = true_bits > 1e-6
+    allowed = np.maximum(relative * true_bits, condition)
+    assert judged.mean() > 0.5
+    assert np.all(np.abs(bits - true_bits)[judged] <= allowed[judged])
+    grad_relative = 1e-9 if dtype == np.float64 else 2e-6
+    for name, got in likelihood.backward(saved, bar).items():
+        largest = 2 * np.abs(slopes["q"])
+        if name == "sigma":
+            largest = sum(terms.values()) / np.asarray(inputs["sigma"], float)
+        assert np.all(np.abs(got - slopes[name]) <= grad_relative * largest + 1e-37), name
+
+
+def test_the_quadrature_agrees_with_mpmath():
+    z, w, bits, bits_x, bits_q = (np.array(column)[None] for column in zip(*BINS))
+    inputs = dict(f_noisy=z, mu=0 * z, sigma=0 * z + 1, q=w)
+    got, slopes = quadrature.likelihood(inputs, {"bits_bar": 0 * z + 1})
+    assert np.all(np.abs(got["bits"] - bits) <= 2e-15 * bits + 1e-300)
+    assert np.all(np.abs(slopes["q"] - bits_q) <= 1e-14 * np.abs(bits_q) + 1e-300)
+    assert np.all(np.abs(slopes["f_noisy"] - bits_x) <= 1e-14 * np.abs(bits_q) + 1e-300)
+
+
+@pytest.mark.parametrize(
+    "formula, comes_back",
+    [(likelihood.forward, True), (formulas.hac, False), (formulas.literal, False)],
+)
+def test_an_outlier_comes_back(formula, comes_back):
+    """H-R2: a value 40 sigma away, moved by the gradient alone in a thousand small steps."""
+    x, one = np.array([[40.0]]), np.ones((1, 1))
+    for _ in range(1000):
+        with np.errstate(all="ignore"):
+            _, saved = formula(x, 0 * one, one, 0.5 * one)
+            slope = likelihood.backward(saved, one)["f_noisy"]
+        x = x - 0.01 * np.nan_to_num(slope, nan=0, posinf=0, neginf=0)
+    assert bool(abs(x[0, 0]) < 1) is comes_back and bool(x[0, 0] == 40) is not comes_back
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_stable_does_at_most_three_times_the_work_of_the_literal_formula(dtype):
+    """Values of special functions are counted; times depend on the machine and are printed."""
+    inputs = [np.tile(a.astype(dtype), (100, 1)) for a in draw(600, 6)]
+    ratios = []
+    for _ in range(5):
+        spent = {likelihood.forward: [], formulas.literal: []}
+        for _ in range(9):
+            for formula, times in spent.items():
+                start = time.perf_counter()
+                likelihood.backward(formula(*inputs)[1], inputs[0])
+                times.append(time.perf_counter() - start)
+        medians = [np.median(times) for times in spent.values()]
+        ratios.append(medians[0] / medians[1])
+    name = np.dtype(dtype).name
+    print(f"\n{name}: {min(ratios):.2f} to {max(ratios):.2f} times the literal formula's time")
+    ours = special_calls(likelihood, lambda: likelihood.forward(*inputs))
+    printed = special_calls(formulas, lambda: formulas.literal(*inputs))
+    assert printed > 0 and 0 < ours <= 3 * printed
+
+
+# --- the map -------------------------------------------------------------------------------------
+def test_the_map_is_red_where_the_literal_formula_fails(tmp_path):
+    from imageio.v3 import imread
+
+    stability_map.draw_map(tmp_path / "map.png")
+    image = imread(tmp_path / "map.png")[:, :, :3].astype(int)
+    assert image.shape[1] > 800
+    red = (image[:, :, 0] > 250) & (image[:, :, 1:].max(axis=2) < 5)
+    left, right = np.array_split(red, [image.shape[1] * 3 // 10], axis=1)
+    assert left.mean() > 0.2 > right[:, : -image.shape[1] // 8].mean()
+    with open(tmp_path / "map.csv", encoding="utf-8") as file:
+        found = list(csv.DictReader(file))
+
+    def errors(formula, dtype):
+        chosen = [row for row in found if (row["formula"], row["dtype"]) == (formula, dtype)]
+        return np.array([float(row["log10_error"]) for row in chosen])
+
+    for dtype, worst in (("float64", -12), ("float32", math.log10(2e-6))):
+        assert errors("stable", dtype).max() <= worst
+        assert np.isinf(errors("literal", dtype)).mean() > 0.2
+        assert errors("HAC, floor 1e-6", dtype).max() > -2
+
+
+@pytest.mark.slow
+def test_the_map_and_the_study_share_axes_and_colours(tmp_path, monkeypatch):
+    """The panels that both pictures have are equal, and so is everything around them."""
+    figures = {}
+    for module in (stability_map, diagram):
+        monkeypatch.setattr(module, "save_figure", lambda fig, path: figures.update({path: fig}))
+    stability_map.draw_map(tmp_path / "map.png")
+    z, w = np.meshgrid(*heatmap.plane(), indexing="ij")
+    maps = {}
+    for name, formula in formulas.FORMULAS.items():
+        found = likelihood_study.errors(formula, z.ravel(), w.ravel(), "float64")
+        maps[name, "float64"] = [error.reshape(z.shape) for error in found]
+    likelihood_study.draw_map(tmp_path / "bits.png", *heatmap.plane(), maps, "bits")
+
+    ours, study = (figures[tmp_path / name] for name in ("map.png", "bits.png"))
+    panels = {ax.get_title().removesuffix(", float64"): ax for ax in ours.axes}
+    shared = [ax for ax in study.axes if ax.get_title() in stability_map.FORMULAS]
+    assert [ax.get_title() for ax in shared] == list(stability_map.FORMULAS)
+    for ax in shared:
+        own, (mesh,) = panels[ax.get_title()], ax.collections
+        (own_mesh,) = own.collections
+        assert own.get_xlim() == ax.get_xlim() == (w.min(), w.max())
+        assert own.get_ylim() == ax.get_ylim() == (z.min(), z.max())
+        assert own.get_xscale() == own.get_yscale() == "log"
+        assert np.array_equal(own_mesh.get_array(), mesh.get_array())
+        assert np.array_equal(own_mesh.to_rgba([-99, -9, 99]), mesh.to_rgba([-99, -9, 99]))
+        assert own_mesh.get_clim() == mesh.get_clim() == heatmap.LEVELS
+    for text in ("get_supxlabel", "get_supylabel"):
+        assert getattr(ours, text)() == getattr(study, text)()
+    assert ours.axes[-1].get_ylabel() == study.axes[-1].get_ylabel()  # of the bar
+    for figure in (ours, study):
+        stability_map.pyplot().close(figure)
+
+
+# --- what the search found, in numbers that a reader can follow ----------------------------------
+def test_a_direction_nearly_along_an_axis():
+    """x = (1, h, 0): to first order the gradient along x is h (h v_x - v_y), which is not 0.
+
+    1 - d_x^2 cannot tell it from 0.
+    """
+    h, bar = 2.0**-20, np.array([[3.0, -2, 5]])
+    for dtype in (np.float64, np.float32):
+        _, saved = view.forward(np.array([[1, h, 0]], dtype), np.zeros(3, dtype))
+        gradients = view.backward(saved, np.zeros((1, 1), dtype), bar.astype(dtype))
+        assert gradients["x_a"][0, 0] == pytest.approx(h * (h * 3 + 2), rel=1e-5)
+
+
+# --- the command ---------------------------------------------------------------------------------
+def test_the_command_fails_where_a_case_fails(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(stability_map, "draw_map", lambda path: path.write_bytes(b""))
+    arguments = ["stability", "--quiet", "--json", "-o", str(tmp_path), "--only"]
+    assert main([*arguments, "H-R1.9sigma"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {row["id"] for row in found["cases"]} == {"H-R1.9sigma"}
+    assert main([*arguments, "H-R99"]) == 2
+    assert "H-R99" in capsys.readouterr().err
+    worse = altered(EQUATIONS["likelihood"], forward=formulas.hac, backward=likelihood.backward)
+    monkeypatch.setitem(EQUATIONS, "likelihood", worse)
+    assert main([*arguments, "H-R1.9sigma"]) == 1

@@ -1,0 +1,219 @@
+"""What the pictures of a scene say about the effects in it."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.cli import parser as cli
+from p4dgs_ref.effects import MOTION
+from p4dgs_ref.lab.effects import suggest
+from p4dgs_ref.scenes import MODEL_EFFECTS, SIMULATOR_EFFECTS, Scene, load_scene
+from p4dgs_ref.scenes.load import packaged_folder
+from p4dgs_ref.scenes.simulator import trace
+from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.simulate import place_cameras
+from tests.core.effect_scenes import described
+
+VIEWS = 24
+
+
+def suggested(scene, **options):
+    return {row["effect"]: row for row in suggest.suggest(scene, **options)}
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """No training: every view gains what this dictionary says of its effect, give or take 0.1."""
+    gains = dict.fromkeys(("translation", *suggest.VIEW, "occlusion"), 0.0)
+    noise = np.linspace(-0.1, 0.1, 8)
+    monkeypatch.setattr(suggest, "paired", lambda task: gains[task[2]] + noise)
+    return gains
+
+
+@pytest.mark.parametrize(
+    "gain, spread, said",
+    [
+        (3.0, 0.1, "yes"),
+        (0.5, 0.1, "yes"),
+        (0.5, 1.0, "cannot tell"),
+        (0.2, 0.1, "cannot tell"),
+        (0.0, 0.1, "no"),
+        (-2.0, 0.1, "no"),
+        (0.0, 1.0, "cannot tell"),
+    ],
+)
+def test_verdict_asks_for_more_than_the_spread(gain, spread, said):
+    gains = [gain + spread * np.resize([-1, 1], 8)] * 2
+    found, evidence = suggest.verdict("translation", gains, 48)
+    assert found == said
+    assert evidence.startswith(f"{gain:+.2f} ± ") and "dB on 16 views" in evidence
+
+
+def test_verdict_asks_for_more_than_trainings_differ_by():
+    assert suggest.verdict("view_color", [np.full(8, 1.0), np.full(8, 1.1)], 48)[0] == "yes"
+    assert (
+        suggest.verdict("view_color", [np.full(8, 0.0), np.full(8, -1.5)], 48)[0] == "cannot tell"
+    )
+
+
+def test_every_effect_has_a_verdict_and_a_number(quick):
+    scene = load_scene("bouncing")
+    quick.update(translation=4.0, view_color=0.2, occlusion=9.0)
+    rows = suggested(scene)
+    assert tuple(rows) == MODEL_EFFECTS
+    assert {effect: row["verdict"] for effect, row in rows.items()} == {
+        "translation": "yes",
+        "rotation": "cannot tell",
+        "scaling": "cannot tell",
+        "view_color": "cannot tell",
+        "view_geometry": "no",
+        "occlusion": "yes",
+        "background": "yes",
+    }
+    for row in rows.values():
+        assert any(c.isdigit() for c in row["evidence"]) and "\n" not in row["evidence"]
+        assert row["called_for"] == (row["verdict"] != "no")
+    quick.update(translation=0.0)
+    assert not any(suggested(scene)[effect]["called_for"] for effect in MOTION)
+    quick.update(translation=0.2)  # undecided: all three for the same reason
+    rows = suggested(scene)
+    assert {rows[effect]["verdict"] for effect in MOTION} == {"cannot tell"}
+    assert all("+0.20 ± " in rows[effect]["evidence"] for effect in MOTION)
+
+
+def test_one_time_and_few_views(quick):
+    scene = load_scene("bouncing")
+    frozen = suggested(replace(scene, train=[replace(view, time=0.5) for view in scene.train]))
+    assert {frozen[effect]["verdict"] for effect in MOTION} == {"no"}
+    assert "0.5" in frozen["translation"]["evidence"]
+    few = suggested(replace(scene, train=scene.train[:11]))
+    assert {row["verdict"] for name, row in few.items() if name != "background"} == {"cannot tell"}
+    assert "11 views" in few["occlusion"]["evidence"]
+
+
+def test_background_is_read_from_the_pixels(quick):
+    scene = load_scene("bouncing")
+    black = replace(scene, background=np.zeros(3))
+    assert suggested(black)["background"]["verdict"] == "no"
+    filled = [replace(v, alpha=None, image=np.full_like(v.image, 0.5)) for v in scene.train]
+    assert suggested(replace(scene, train=filled))["background"]["verdict"] == "no"
+    plain = [replace(v, alpha=None) for v in scene.train]
+    assert suggested(replace(scene, train=plain))["background"]["verdict"] == "yes"
+
+
+def test_dealt_out_values_are_those_of_other_views():
+    views = load_scene("bouncing").train
+    dealt = suggest.shuffled(views, "translation", 0)
+    assert sorted(v.time for v in dealt) == sorted(v.time for v in views)
+    assert sum(a.time != b.time for a, b in zip(dealt, views)) > 40
+    assert all(a.image is b.image and a.camera is b.camera for a, b in zip(dealt, views))
+    dealt = suggest.shuffled(views, "view_color", 0)
+    moved = [a.camera.center - b.camera.center for a, b in zip(dealt, views)]
+    assert np.count_nonzero(np.linalg.norm(moved, axis=1)) > 40
+    assert all(np.array_equal(a.camera.T, b.camera.T) for a, b in zip(dealt, views))
+    assert all(a.time == b.time and a.image is b.image for a, b in zip(dealt, views))
+
+
+def still(**changes):
+    """A variation of the scene `static`, drawn anew."""
+    description = describe({**described("static", SIMULATOR_EFFECTS), **changes})
+    posed = place_cameras(description, "train")
+    return Scene.from_arrays(
+        [np.rint(trace.trace(description, c, t) * 255).astype(np.uint8) for c, t in posed],
+        [c for c, _ in posed],
+        [t for _, t in posed],
+    )
+
+
+def bodies(**changes):
+    return [{**body, **changes} for body in described("static", ())["bodies"]]
+
+
+def rods(radius):
+    """Six thin rods that stand still, white background."""
+    ends = np.random.default_rng(2).uniform(-0.8, 0.8, (6, 2, 3))
+    return [
+        {
+            "name": f"rod {i}",
+            "shape": {
+                "kind": "capsule",
+                "radius": radius,
+                "start": a.tolist(),
+                "end": b.tolist(),
+            },
+            "color": [0.8, 0.2, 0.1],
+        }
+        for i, (a, b) in enumerate(ends)
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "changes, said",
+    [
+        ({}, "no"),
+        ({"bodies": rods(0.03)}, "no"),
+        ({"bodies": bodies(motion=[{"kind": "line", "by": [0.04, 0, 0]}])}, "yes"),
+        ({"bodies": bodies(motion=[{"kind": "spin", "axis": [0, 0, 1], "degrees": 20}])}, "yes"),
+    ],
+    ids=["still", "thin rods", "one pixel", "slow turn"],
+)
+def test_motion_is_judged_right_on_thin_slow_and_textured_things(changes, said):
+    """Silhouettes called rods of one to three pixels moving, and missed a motion of one pixel."""
+    scene = still(**changes)
+    gains = [suggest.paired((scene, MOTION, "translation", fold, 600)) for fold in range(2)]
+    found, evidence = suggest.verdict("translation", gains, len(scene.train))
+    assert found == said, evidence
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A copy of a packaged scene without a list of effects."""
+    copy = tmp_path / "scene"
+    shutil.copytree(packaged_folder() / "static", copy)
+    (copy / "scene.json").unlink()
+    return copy
+
+
+def run(line):
+    return cli.run(line.split(), 0.0)
+
+
+def test_apply_writes_the_list_beside_what_the_file_holds(folder, quick, capsys):
+    quick.update(occlusion=9.0)
+    assert run(f"effects {folder} --suggest --apply --jobs 1 --quiet") == 0
+    assert "written to" in capsys.readouterr().out
+    listed = ("occlusion", "background")
+    assert json.loads((folder / "scene.json").read_text()) == {"effects": list(listed)}
+    assert load_scene(folder).effects == listed
+    described_as = {"title": "mine", "effects": ["background", "texture"], "bodies": []}
+    (folder / "scene.json").write_text(json.dumps(described_as))
+    assert run(f"effects {folder} --suggest --apply --jobs 1 --quiet") == 0
+    kept = {**described_as, "effects": [*listed, "texture"]}
+    assert json.loads((folder / "scene.json").read_text()) == kept
+
+
+@pytest.mark.parametrize(
+    "line, word",
+    [
+        ("effects static --apply", "--suggest"),
+        ("effects static --suggest --apply --jobs 1", "packaged"),
+        ("effects static --suggest --full", "--full"),
+    ],
+)
+def test_apply_is_refused_in_one_line(line, word, quick, capsys):
+    assert run(line) == 2
+    error = capsys.readouterr().err
+    assert word in error and error.count("\n") == 1
+
+
+def test_train_points_to_the_suggestion_where_no_effects_are_listed(folder, tmp_path, capsys):
+    line = f"train {folder} --preset smoke --set stage_ends=1,1,2,2 --set mask_from=2 --quiet"
+    assert run(f"{line} -o {tmp_path / 'run'}") == 0
+    assert "--suggest --apply" in capsys.readouterr().err
+    (folder / "scene.json").write_text('{"effects": ["occlusion", "background"]}')
+    assert run(f"{line} -o {tmp_path / 'other'}") == 0
+    assert "--suggest" not in capsys.readouterr().err

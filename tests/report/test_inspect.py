@@ -1,0 +1,172 @@
+"""The size ledger, the heat picture, and the format page."""
+
+import dataclasses
+import json
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from matplotlib import colormaps
+
+import p4dgs_ref as p4
+from p4dgs_ref.codec import container, file, published
+from p4dgs_ref.codec.__main__ import page
+from p4dgs_ref.codec.container import SECTIONS, layout, read_container
+from p4dgs_ref.codec.file import quantised_of
+from p4dgs_ref.codec.fixed_point import table
+from p4dgs_ref.equations import grid_nodes
+from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.splatting.camera import look_at
+from p4dgs_ref.report import figures as report
+from p4dgs_ref.report.heat import heat_image
+from p4dgs_ref.report.inspect import anchor_bits, components, ledger, symbol_bits
+from tests.codec.models import MAKE
+
+
+@pytest.fixture(scope="module")
+def data():
+    scene, stages = load_scene("bouncing"), (20, 30, 60, 100)
+    return p4.encode(p4.train(scene, "smoke", anchors=60, stage_ends=stages))
+
+
+@pytest.fixture(scope="module", params=MAKE)
+def anything(request):
+    return p4.encode(MAKE[request.param]())
+
+
+def test_every_byte_is_accounted_for(anything):
+    rows = ledger(anything)
+    assert sum(row["bytes"] for row in rows) == len(anything)
+    assert [row["name"] for row in rows] == ["container", *read_container(anything)]
+    for row in rows:
+        assert row["payload_bytes"] + row["header_bytes"] == row["bytes"]
+        assert min(row["header_bytes"], row["payload_bytes"]) >= 0
+    frame = sum(size for name, size in layout(anything) if name not in SECTIONS)
+    assert rows[0]["bytes"] == rows[0]["header_bytes"] == frame
+
+
+def test_gaps_have_the_sizes_that_are_claimed(anything):
+    """A payload is at most a byte below the integer entropy, or 0.3 % and 12 bytes above it."""
+    for row in ledger(anything):
+        gap = row["payload_bytes"] - row["integer_bytes"]
+        assert -1 <= gap <= 0.003 * row["integer_bytes"] + 12, row
+
+
+def test_coded_size_is_within_three_per_mille_of_the_float_entropy(data):
+    for row in ledger(data):
+        if row["name"] not in ("container", "header", "positions"):
+            assert row["bytes"] <= 1.003 * row["estimate_bytes"] + 16, row
+
+
+def test_anchor_bits_add_up_to_the_cost_of_all_anchors(data):
+    model, bits = anchor_bits(data)
+    rows = {row["name"]: row for row in ledger(data)}
+    parts = ("positions", "features", "scales", "offset_scales", "offsets", "masks")
+    total = sum(rows[name]["integer_bytes"] for name in parts)
+    assert bits.sum() / 8 == pytest.approx(total, rel=1e-4)
+    q = quantised_of(read_container(data))
+    assert symbol_bits(q).shape == q.symbols.shape
+    assert not symbol_bits(q)[~q.kept].any()
+    assert sum(components(data).values()) == len(data)
+
+
+def test_heat_follows_the_bits(data):
+    """Equal bits give one colour; an anchor with more bits changes it where its Gaussians are."""
+    model, bits = anchor_bits(data)
+    camera = look_at((2.5, 2.0, 2.2), (0, 0, 0), 60, 60, 40, 40)
+    settings = (camera, 0.5, (0.0, 200.0), "viridis")
+    equal = np.full_like(bits, 100.0)
+    flat = heat_image(model, equal, *settings)
+    seen = np.unique(model.gaussians(0.5, camera).index // model.design.k)
+    assert len(seen) > 3
+    assert np.ptp(flat.reshape(-1, 3), axis=0).max() > 0.05  # the scene is visible over white
+    more = equal.copy()
+    more[seen[0]] = 200.0
+    difference = np.abs(heat_image(model, more, *settings) - flat).max(axis=2)
+    alone = model.anchors.mask & (np.arange(len(bits)) == seen[0])[:, None]
+    anchors = model.anchors._replace(mask=alone)
+    only = dataclasses.replace(model, anchors=anchors, background=np.zeros(3))
+    covered = heat_image(only, more, *settings).min(axis=2) < 0.999
+    assert difference[~covered].max(initial=0) <= 1e-3
+
+
+def test_the_bar_of_the_heat_picture_spans_the_bits(tmp_path, monkeypatch):
+    """Bar and histogram have the data's range and one scale of colours; both name the unit."""
+    saved = []
+    monkeypatch.setattr(report, "save_figure", lambda figure, path: saved.append(figure))
+    bits = np.random.default_rng(3).gamma(4, 30, 200)
+    limits = bits.min(), bits.max()
+    report.draw_heat(tmp_path / "heat.png", np.ones((8, 8, 3)), bits, limits)
+    (figure,) = saved
+    figure.canvas.draw()
+    _, histogram, bar = figure.axes
+    assert bar.get_ylim() == limits
+    ticks = bar.get_yticks()
+    assert (ticks[0], ticks[-1]) == limits
+    assert [text.get_text() for text in bar.get_yticklabels()] == [f"{tick:.0f}" for tick in ticks]
+    assert "bits" in bar.get_ylabel() and "bits" in histogram.get_xlabel()
+    columns = histogram.patches
+    assert sum(column.get_height() for column in columns) == len(bits)
+    assert (columns[0].get_x(), columns[-1].get_x() + columns[-1].get_width()) == limits
+    for column in columns:
+        middle = column.get_x() + column.get_width() / 2
+        share = (middle - limits[0]) / (limits[1] - limits[0])
+        assert column.get_facecolor() == pytest.approx(colormaps[report.HEAT](share), abs=0.02)
+    report.pyplot().close(figure)
+
+
+def test_the_format_page_is_complete():
+    text = page()
+    for words in (
+        "89 50 34 44 0D 0A 1A 0A",
+        "offset_scales",
+        "65535",
+        "2654435761",
+        "Elias",
+        "L LANES",
+        "phi",
+        "sigmoid",
+        "12582912",
+        "least integer with max |W|",
+    ):
+        assert words in text, words
+    words = " ".join(text.split())
+    for name in ("phi", "exp2", "sigmoid", "log2"):
+        assert " ".join(map(str, table(name).tolist())) in words
+
+
+def test_the_format_page_lists_sections_in_the_order_of_the_file():
+    """The table of sections on the page has the ids and the order that files have."""
+    row = r"^ +(\d+) +(\w+) +(?:JSON|plain|Gaussian|bits|float16) "
+    rows = re.findall(row, file.__doc__, re.M)
+    assert file.__doc__.strip() in page()
+    assert rows == [(str(number), name) for number, name in enumerate(SECTIONS, 1)]
+    ids = re.findall(r"\b(\d+) (" + "|".join(SECTIONS) + r")\b", container.__doc__)
+    assert ids == rows
+
+
+def test_the_format_page_has_what_a_decoder_needs_and_leaves_out_the_rest():
+    words = " ".join(page().split())
+    # the vocabulary of errors, and where the expected numbers stand
+    assert published.__doc__.strip() in page()
+    for row in json.loads((published.FOLDER / "manifest.json").read_text())["bad"]:
+        assert row["kind"] in words.split("`kind` is one of")[1].split("Types are")[0]
+    for sentence in (
+        "The tail must have taken every word that step 2 put on the stack.",
+        "The header promises at most 2^22 + 2^4 n numbers.",
+        "All anchors together need at most 2^34 + 2^15 n multiplications.",
+        "the largest coordinate is the float32 below it, 9.999999394896025e29",
+        "Encoding a decoded model gives the same bytes if this encoder wrote the file.",
+    ):
+        assert sentence in words
+    assert float(np.nextafter(np.float32(1e30), np.float32(0))) == 9.999999394896025e29
+    assert grid_nodes.__doc__.strip() not in page() and "grid_nodes" not in words
+
+
+def test_python_m_codec_prints_the_page():
+    done = subprocess.run(
+        [sys.executable, "-m", "p4dgs_ref.codec"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == page()

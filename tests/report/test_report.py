@@ -1,0 +1,269 @@
+"""The report of a run: measures against independent sums, pictures, all files or none."""
+
+import csv
+import io
+import json
+import math
+import multiprocessing
+import sys
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+import p4dgs_ref as p4
+from p4dgs_ref.cli import text
+from p4dgs_ref.scenes.output import OutputError, filled, write_atomically
+from p4dgs_ref.report import main_job as job
+from p4dgs_ref.report import figures as report
+from p4dgs_ref.report.evaluate import decibel, explicit_bytes, json_safe, score
+from p4dgs_ref.training.fit import fit
+from p4dgs_ref.training.presets import TINY, TINY_CODED, paper_design
+from p4dgs_ref.training.progress import COLUMNS
+from tests.sampling import few
+
+PICTURES = {"comparison.png", "motion.gif", "size.png", "training.png"}
+TABLES = {"comparison.csv", "size.csv", "training.csv"}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return p4.load_scene("bouncing", downscale=4)
+
+
+@pytest.fixture(scope="module")
+def done(scene, tmp_path_factory):
+    """A report and the metrics that the job returned."""
+    folder = tmp_path_factory.mktemp("place") / "deep" / "report"
+    return folder, p4.main_job(scene, "smoke", 2, folder, Q_O=0.2)
+
+
+def table(path):
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_files_and_tables(done, scene):
+    folder, metrics = done
+    assert {path.name for path in folder.iterdir()} == PICTURES | TABLES | {
+        "metrics.json",
+        "bouncing.p4dgs",
+    }
+    rows = table(folder / "comparison.csv")
+    assert [row["name"] for row in rows] == [view.name for view in scene.test]
+    for key in ("psnr_db", "psnr_fg_db", "ssim"):  # means over views, of the decoded file
+        assert np.mean([float(row[key]) for row in rows]) == pytest.approx(metrics[key], rel=1e-12)
+    sizes = {row["component"]: int(row["bytes"]) for row in table(folder / "size.csv")}
+    assert (
+        sizes == metrics["components"]
+        and sum(sizes.values()) == (folder / "bouncing.p4dgs").stat().st_size
+    )
+    history = table(folder / "training.csv")
+    assert tuple(history[0]) == COLUMNS and [int(row["iteration"]) for row in history] == list(
+        range(1, 46)
+    )
+    assert [int(row["stage"]) for row in history] == [1] * 10 + [2] * 5 + [3] * 15 + [4] * 15
+    assert all((float(row["bits_per_parameter"]) > 0) == (row["stage"] == "4") for row in history)
+    assert metrics["changes"] == {"Q_O": 0.2} and metrics == json.loads(
+        (folder / "metrics.json").read_text()
+    )
+
+
+def test_pictures(done, scene):
+    folder, _ = done
+    for name in PICTURES - {"motion.gif"}:
+        height, width = iio.imread(folder / name).shape[:2]
+        assert 500 < width < 1400 and 300 < height < 1200, name
+    film = iio.imread(folder / "motion.gif")
+    decoded, view = p4.decode((folder / "bouncing.p4dgs").read_bytes()), scene.test[0]
+    want = np.clip(decoded.render(view.camera, 0.0), 0, 1).repeat(4, 0).repeat(4, 1)
+    assert np.abs(film[0] / 255 - want).mean() < 0.01
+
+
+def test_motion_runs_forth_and_back(tmp_path):
+    class Clock:
+        def render(self, camera, t):
+            return np.full((3, 5, 3), (1.2, t, -0.1))
+
+    report.write_motion(tmp_path / "motion.gif", Clock(), None, frames=4, zoom=2)
+    film = iio.imread(tmp_path / "motion.gif")
+    assert film.shape == (6, 6, 10, 3)
+    np.testing.assert_array_equal(
+        film[:, 0, 0], [[255, round(255 * t), 0] for t in (0, 1 / 3, 2 / 3, 1, 2 / 3, 1 / 3)]
+    )
+    assert np.ptp(film, axis=(1, 2)).max() == 0
+
+
+def test_measures_against_sums_by_hand(scene):
+    rng, view = np.random.default_rng(0), scene.test[1]
+    image = view.image + rng.normal(size=view.image.shape) * 0.2
+    square = [
+        [
+            (min(max(float(image[i, j, c]), 0), 1) - float(view.image[i, j, c])) ** 2
+            for c in range(3)
+        ]
+        for i in range(16)
+        for j in range(16)
+    ]
+    inside = [sum(s) / 3 for s, a in zip(square, view.alpha.ravel()) if a > 0.5]
+    got = score(image, view)
+    assert got["psnr_db"] == pytest.approx(-10 * math.log10(sum(map(sum, square)) / 768), rel=1e-9)
+    assert got["psnr_fg_db"] == pytest.approx(-10 * math.log10(sum(inside) / len(inside)), rel=1e-9)
+    same = score(view.image, view)
+    assert same["psnr_db"] == same["psnr_fg_db"] == math.inf and same["ssim"] == pytest.approx(1)
+    assert decibel(0.0) == math.inf and decibel(0.01) == pytest.approx(20)
+
+
+def test_bytes_of_the_plain_gaussians(done):
+    folder, metrics = done
+    model = p4.decode((folder / "bouncing.p4dgs").read_bytes())
+    weights = sum(np.size(a) for arrays in model.networks["psi_d"] for a in arrays)
+    assert metrics["explicit_bytes"] == 4 * (59 * metrics["gaussians"] + weights)
+    assert explicit_bytes(model, 10, 14) == 4 * (140 + weights)
+    assert metrics["ratio"] == metrics["explicit_bytes"] / metrics["bytes"]
+    assert (
+        metrics["ratio_without_sh"] == 4 * (14 * metrics["gaussians"] + weights) / metrics["bytes"]
+    )
+
+
+def test_equal_images(tmp_path):
+    """A white scene and a threshold that keeps no Gaussian: the images are exact."""
+    source = p4.load_scene("bouncing", downscale=4)
+    views = [
+        view.__class__(view.name, np.ones_like(view.image), None, view.camera, view.time)
+        for view in source.train
+    ]
+    scene = p4.Scene("white", views[:4], views[4:7])
+    metrics = p4.main_job(scene, "smoke", 0, tmp_path, tau_alpha=1.0)
+    assert (
+        metrics["psnr_db"] == math.inf
+        and metrics["gaussians"] == 0
+        and metrics["psnr_fg_db"] is None
+    )
+    written = json.loads((tmp_path / "metrics.json").read_text())
+    assert (
+        written["psnr_db"] is None
+        and written["exact"] is True
+        and written["ssim"] == pytest.approx(1)
+    )
+    assert written["paper_design"]["psnr_db"] is None and written["paper_design"]["exact"] is True
+    assert "PSNR inf dB, SSIM 1.0000" in text.metrics(metrics, tmp_path)
+    assert [row["psnr_db"] for row in table(tmp_path / "comparison.csv")] == ["inf"] * 3
+    assert {path.name for path in tmp_path.glob("*.png")} == PICTURES - {"motion.gif"}
+
+
+def test_a_coded_preset_is_compared_with_the_paper_design(scene, done, tmp_path, capsys):
+    """The paper's design beside it has the same changes, and is what its own preset trains."""
+    assert paper_design(TINY_CODED)._replace(name="tiny") == TINY
+    coded = {"coded": True, "network_ramp": 10, "lr_step": (0.02, 0.002)}
+    metrics = p4.main_job(scene, "smoke", 2, tmp_path, stream=sys.stderr, Q_O=0.2, **coded)
+    folder, paper = done
+    own = {key: paper[key] for key in ("bytes", "psnr_db", "ssim")}
+    assert metrics["paper_design"] == own == paper["paper_design"]
+    files = {path.name: path.read_bytes() for path in tmp_path.glob("*.p4dgs")}
+    assert files.keys() == {"bouncing.p4dgs", "bouncing_paper_design.p4dgs"}
+    assert files["bouncing_paper_design.p4dgs"] == (folder / "bouncing.p4dgs").read_bytes()
+    assert len(files["bouncing.p4dgs"]) == metrics["bytes"] < 0.6 * own["bytes"]
+    sizes = table(tmp_path / "size.csv")
+    assert {row["component"]: int(row["bytes"]) for row in sizes} == metrics["components"]
+    beside = {row["component"]: int(row["paper_design_bytes"]) for row in sizes}
+    assert beside == paper["components"]
+    lines = [line for line in capsys.readouterr().err.splitlines() if "trainings" in line]
+    assert [line[:6] for line in lines] == ["1 of 2", "2 of 2"] and "paper" in lines[0]
+    at_once = p4.main_job(scene, "smoke", 2, tmp_path / "two", jobs=2, Q_O=0.2, **coded)
+    assert at_once["paper_design"] == own and at_once["bytes"] == metrics["bytes"]
+    for name, data in files.items():
+        assert (tmp_path / "two" / name).read_bytes() == data
+    assert not multiprocessing.active_children()
+    said = text.metrics(metrics, tmp_path)
+    assert f"file {own['bytes']:,} bytes" in said and f"file {metrics['bytes']:,} bytes" in said
+    assert f"{metrics['bytes'] / own['bytes']:.3f} of the bytes" in said
+    assert "against it" not in text.metrics(paper, folder)
+
+
+def test_json_safe():
+    assert json_safe({"psnr_db": 20.0, "psnr_fg_db": None}) == {"psnr_db": 20.0, "psnr_fg_db": None}
+    assert json_safe({"psnr_db": math.inf, "ssim": 1.0}) == {
+        "psnr_db": None,
+        "ssim": 1.0,
+        "exact": True,
+    }
+
+
+@pytest.mark.parametrize("broken", few(["draw_comparison", "write_motion", "draw_training"], 1))
+def test_a_failed_report_leaves_nothing(scene, tmp_path, monkeypatch, broken):
+    def fail(*args):
+        raise RuntimeError("no ink")
+
+    monkeypatch.setattr(report, broken, fail)
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "metrics.json").write_text("{}")
+    for name in ("old", "new/deep"):
+        with pytest.raises(RuntimeError, match="no ink"):
+            p4.main_job(scene, "smoke", 0, tmp_path / name)
+    assert sorted(path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")) == [
+        "old",
+        "old/metrics.json",
+    ]
+    assert (tmp_path / "old" / "metrics.json").read_text() == "{}"
+
+
+def test_folder_is_tried_before_the_work(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(job, "fit", lambda *args, **kwargs: pytest.fail("trained for nothing"))
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(OutputError, match="file/report: expected a folder"):
+        p4.main_job(scene, "smoke", 0, tmp_path / "file" / "report")
+
+
+def test_filled_and_written_atomically(tmp_path):
+    with filled(tmp_path / "a" / "b") as beside:
+        (beside / "x").write_text("new")
+        assert [path for path in (tmp_path / "a" / "b").iterdir() if path.is_file()] == []
+    assert [path.name for path in (tmp_path / "a" / "b").iterdir()] == ["x"]
+
+    def half(file):
+        file.write(b"half")
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        write_atomically(tmp_path / "a" / "b" / "x", half)
+    assert (tmp_path / "a" / "b" / "x").read_text() == "new"
+    assert [path.name for path in (tmp_path / "a" / "b").iterdir()] == ["x"]
+
+
+def test_a_few_views_and_a_short_training(scene, tmp_path):
+    trainer = fit(scene, "smoke", 0, stage_ends=(1, 1, 1, 2))
+    report.write_training(tmp_path, trainer.history, trainer.preset.stage_ends)
+    metrics, rows, images = p4.evaluate(trainer.model(), scene)
+    one = p4.Scene("one", scene.train, scene.test[:1])
+    report.write_comparison(tmp_path, one, rows[:1], images[:1])
+    assert (
+        len(table(tmp_path / "training.csv")) == 2 and len(table(tmp_path / "comparison.csv")) == 1
+    )
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_progress_on_a_terminal(scene, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "60")
+    stream = Terminal()
+    fit(scene, "smoke", 0, stream=stream)
+    lines = stream.getvalue().split("\r")
+    assert (
+        lines[0] == "" and stream.getvalue().count("\n") == 1 and stream.getvalue().endswith("\n")
+    )
+    assert all(len(line.split("\x1b")[0].rstrip("\n")) <= 59 for line in lines)
+    assert lines[-1].startswith("45/45  0 s left  stage 4  loss ")
+
+
+def test_progress_shows_what_history_keeps(scene):
+    stream = io.StringIO()
+    trainer = fit(scene, "smoke", 0, stream=stream)
+    assert fit(scene, "smoke", 0).history == trainer.history
+    last, final = stream.getvalue().splitlines()[-1], trainer.history[-1]
+    assert f"{final[4]:.2f} bits/parameter  {final[5]} anchors  {final[6]} Gaussians" in last
+    losses = [row[2] for row in trainer.history]
+    assert f"loss {np.mean(losses):.4f}" in last and len(losses) == 45

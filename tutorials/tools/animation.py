@@ -1,0 +1,110 @@
+"""The animation of the README: the truth beside the decoded picture beside its error, over time.
+
+The ray tracer draws the truth from the scene's own description, with the camera and the time of the
+decoded picture. The camera swings slowly, at times that no training view has, and the animation
+plays forwards and backwards.
+"""
+
+import math
+
+import imageio.v3 as iio
+import numpy as np
+from scipy.cluster.vq import kmeans2, vq
+
+from p4dgs_ref.report.evaluate import decibel, squared_error
+from p4dgs_ref.report.figures import LARGEST_ERROR, pyplot
+from p4dgs_ref.scenes.load import DESCRIPTION, find_scene
+from p4dgs_ref.scenes.scene import over_background
+from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.simulate import camera_at
+from p4dgs_ref.scenes.simulator.trace import trace
+
+FRAMES = 24
+MILLISECONDS = 80  # a frame
+AZIMUTHS = (0, 60)  # degrees, of the first and the last frame
+ELEVATION = 35  # degrees
+ZOOM = 4  # every pixel of a picture becomes ZOOM x ZOOM
+GAP = 12  # pixels between panels and around them
+HEAD = 34  # pixels for the titles
+FOOT = 46  # pixels for the scale of the error
+# A GIF has 256 colours in a frame. The error and the letters need theirs exactly.
+PICTURE_COLORS, ERROR_COLORS = 176, 32
+
+
+# --- pictures -------------------------------------------------------------------------------------
+def views(description):
+    """The (camera, time) of every frame."""
+    path = np.radians(np.linspace(*AZIMUTHS, FRAMES))
+    return [
+        (camera_at(description, azimuth, math.radians(ELEVATION)), (i + 0.5) / FRAMES)
+        for i, azimuth in enumerate(path)
+    ]
+
+
+def truth(description, camera, t, background):
+    """The picture [H, W, 3] that the ray tracer draws, in the 8 bits that a scene's files have."""
+    pixels = np.rint(trace(description, camera, t) * 255).astype(np.uint8)
+    return over_background(pixels / 255, background)[0]
+
+
+def palette(pictures, background):
+    """The background and PICTURE_COLORS colours [M, 3] that stand for those of all pictures."""
+    colors = np.unique(np.rint(np.concatenate(pictures).reshape(-1, 3) * 255), axis=0)
+    chosen = kmeans2(colors, PICTURE_COLORS, minit="++", seed=0)[0]
+    return np.concatenate([[background], np.rint(chosen) / 255])
+
+
+def with_palette(picture, colors):
+    """The picture with the nearest colour of the palette in each pixel."""
+    return colors[vq(picture.reshape(-1, 3), colors)[0]].reshape(picture.shape)
+
+
+# --- frames ---------------------------------------------------------------------------------------
+def frame(true, decoded, t, colors):
+    """One frame [height, width, 3] in 8 bits: three panels with titles, the scale of the error."""
+    error = np.abs(decoded - true).mean(axis=2)
+    psnr = decibel(squared_error(decoded, true))
+    panels = (
+        (f"truth, t = {t:.2f}", with_palette(true, colors)),
+        (f"decoded, PSNR {psnr:.1f} dB", with_palette(decoded, colors)),
+        (f"absolute error, mean {error.mean():.3f}", error_colors(error)),
+    )
+    side = ZOOM * true.shape[1]
+    width, height = 3 * side + 4 * GAP, HEAD + ZOOM * true.shape[0] + FOOT
+    figure = pyplot().figure(figsize=(width / 100, height / 100), dpi=100)
+
+    def write(text, x, y, align):
+        figure.text(x / width, y / height, text, ha=align, va="center", fontsize=11)
+
+    for i, (title, picture) in enumerate(panels):
+        left = GAP + i * (side + GAP)
+        figure.figimage(picture.repeat(ZOOM, 0).repeat(ZOOM, 1), left, FOOT, origin="upper")
+        write(title, left + side / 2, height - HEAD / 2, "center")
+    ramp = error_colors(np.tile(np.linspace(0, LARGEST_ERROR, side // 2), (12, 1)))
+    figure.figimage(ramp, left + side // 4, FOOT // 2 - 6, origin="upper")
+    write("0 ", left + side // 4, FOOT / 2, "right")
+    write(f" ≥ {LARGEST_ERROR}", left + 3 * side // 4, FOOT / 2, "left")
+    figure.canvas.draw()
+    pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()
+    pyplot().close(figure)
+    grey = (pixels == pixels[..., :1]).all(axis=2)  # letters: 16 greys leave colours for the rest
+    pixels[grey] = np.rint(pixels[grey] / 17) * 17
+    return pixels
+
+
+def error_colors(error):
+    """The colours of errors [H, W] from 0 to LARGEST_ERROR, in ERROR_COLORS steps."""
+    return pyplot().get_cmap("magma", ERROR_COLORS)(error / LARGEST_ERROR)[..., :3]
+
+
+def draw(path, model, scene="bouncing"):
+    """Write the animation of a decoded model of a packaged scene to a GIF."""
+    description = describe(find_scene(scene) / DESCRIPTION)
+    shown = [
+        (truth(description, camera, t, model.background), np.clip(model.render(camera, t), 0, 1), t)
+        for camera, t in views(description)
+    ]
+    pictures = [picture for true, decoded, _ in shown for picture in (true, decoded)]
+    colors = palette(pictures, model.background)
+    frames = [frame(*one, colors) for one in shown]
+    iio.imwrite(path, frames + frames[-2:0:-1], extension=".gif", duration=MILLISECONDS, loop=0)

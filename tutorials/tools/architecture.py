@@ -1,0 +1,286 @@
+"""One drawing of P-4DGS: from anchors to the picture, and from anchors to the bits of the file.
+
+    figure = architecture.draw()  # everything lit
+    figure = architecture.draw(("step", "prior"))  # two equations lit, the others grey
+
+Positions are literal, in hundredths of the drawing's width.
+"""
+
+from typing import NamedTuple
+
+from matplotlib.patches import Ellipse, FancyArrowPatch, FancyBboxPatch
+from matplotlib.path import Path
+
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.syllabus import TUTORIALS
+
+BLUE, RED, GREEN, PINK, ORANGE, SKY, BLACK = lessons.COLORS
+INK, DARK, GREY, WHITE = "#1a1a1a", "#606060", "#9a9a9a", "#ffffff"
+WIDTH, HEIGHT = 100, 54.5
+INCHES = 9.0  # of the width: 900 pixels at 100 dots an inch
+ROW = 3.6  # from one box of a frame to the next
+TITLE = 3.4  # height of a frame's title
+GAP, MARGIN = 0.6, 0.7  # between the boxes of a frame, and around them
+CENTRED = {"ha": "center", "va": "center_baseline"}
+
+
+class Box(NamedTuple):
+    """One equation of a frame."""
+
+    key: str  # of p4dgs_ref.table, or of its own where the table has none
+    number: str
+    text: str
+
+
+class Frame(NamedTuple):
+    """A part of the method: a title over boxes."""
+
+    title: str
+    color: str
+    left: float
+    top: float
+    width: float
+    boxes: tuple
+
+
+class Icon(NamedTuple):
+    """What flows between the frames."""
+
+    text: str
+    x: float  # the centre
+    y: float
+    ellipses: tuple  # (x, y, width, height, angle, colour) about the centre
+    framed: bool = False
+
+
+class Arrow(NamedTuple):
+    """A line through points, with its head at the last one."""
+
+    points: tuple
+    text: str = ""
+    at: tuple = (0, 0)  # the centre of the text
+
+
+FRAMES = (
+    Frame(
+        "spatial prediction",
+        BLUE,
+        13,
+        54,
+        19,
+        (
+            Box("offsets", "(1)", r"$x = x_a + O_a \cdot l_a$"),
+            Box("view", "(2)", r"view $\delta_{vc},\ d_{vc}$"),
+            Box("mlp", "", r"networks $\psi(f_a, \delta_{vc}, d_{vc})$"),
+            Box("opacity", "(3)", r"opacity $\alpha$"),
+            Box("color", "(3)", r"colour $c$"),
+            Box("rotation", "(3)", r"rotation $r$"),
+            Box("scale", "(4)", r"scale $s$"),
+            Box("masking", "", r"mask, $\alpha \geq \tau_\alpha$"),
+        ),
+    ),
+    Frame(
+        "temporal prediction",
+        GREEN,
+        43,
+        45,
+        19,
+        (
+            Box("positional_encoding", "", r"encoding $E(x),\ E(t)$"),
+            Box("deformation", "(5)", r"$\psi_d$: $\Delta x, \Delta s, \Delta r$"),
+            Box("deformed", "(6)", r"$x + \Delta x$, …"),
+        ),
+    ),
+    Frame(
+        "splatting",
+        SKY,
+        73,
+        45,
+        12.5,
+        (
+            Box("covariance", "", r"covariance $\Sigma$"),
+            Box("projection", "", "projection"),
+            Box("compositing", "", "compositing"),
+        ),
+    ),
+    Frame(
+        "loss",
+        DARK,
+        86.5,
+        27.5,
+        13,
+        (
+            Box("ssim", "", "SSIM"),
+            Box("render_loss", "(16)", r"$L_{render}$"),
+            Box("total_loss", "(15)", r"$L_{total}$"),
+        ),
+    ),
+    Frame(
+        "context",
+        ORANGE,
+        13,
+        15.2,
+        15,
+        (
+            Box("hash_grid", "(9)", r"hash grid $h$"),
+            Box("step", "(8)", r"step $q$"),
+            Box("prior", "(12)", r"prior $\mu,\ \sigma$"),
+        ),
+    ),
+    Frame(
+        "quantisation",
+        RED,
+        34,
+        15.2,
+        17,
+        (
+            Box("noise", "(7)", r"training: noise"),
+            Box("rounding", "(10)", r"file: rounding"),
+        ),
+    ),
+    Frame(
+        "rate",
+        PINK,
+        58,
+        18.8,
+        13,
+        (
+            Box("likelihood", "(11)", r"$-\log_2 p$"),
+            Box("anchor_rate", "(13)", r"$R_{anchor}$"),
+            Box("hash_rate", "(14)", r"$R_{hash}$"),
+            Box("rate_loss", "(17)", r"$L_{rate}$"),
+        ),
+    ),
+    Frame("coding", DARK, 75.5, 8.8, 13.5, (Box("entropy_coder", "", "entropy coder"),)),
+    Frame("file", DARK, 92, 8.8, 7.5, (Box("file", "", "10110…"),)),
+)
+GAUSSIANS = (
+    (-1.6, 1.2, 3.6, 1.6, 30, BLUE),
+    (1.6, 1.5, 1.6, 2.6, 20, RED),
+    (0.0, -1.0, 4.2, 1.5, -20, GREEN),
+    (2.4, -1.2, 1.5, 2.2, 0, ORANGE),
+)
+MOVED = (
+    (-1.2, 1.9, 3.6, 1.6, 70, BLUE),
+    (2.2, 0.9, 1.6, 2.6, -15, RED),
+    (-0.6, -0.8, 4.2, 1.2, 15, GREEN),
+    (2.2, -1.8, 1.5, 1.6, 0, ORANGE),
+)
+ANCHORS = (
+    (-2.2, 1.6, 1.1, 1.1, 0, BLACK),
+    (-3.1, 2.3, 0.6, 0.6, 0, BLUE),
+    (-1.1, 2.4, 0.6, 0.6, 0, BLUE),
+    (-2.6, 0.5, 0.6, 0.6, 0, BLUE),
+    (1.6, 0.9, 1.1, 1.1, 0, BLACK),
+    (2.8, 1.4, 0.6, 0.6, 0, BLUE),
+    (1.2, 2.2, 0.6, 0.6, 0, BLUE),
+    (2.1, -0.2, 0.6, 0.6, 0, BLUE),
+    (-0.4, -1.8, 1.1, 1.1, 0, BLACK),
+    (-1.7, -1.7, 0.6, 0.6, 0, BLUE),
+    (0.3, -2.9, 0.6, 0.6, 0, BLUE),
+    (0.8, -1.4, 0.6, 0.6, 0, BLUE),
+)
+ICONS = (
+    Icon("anchors", 5, 35.5, ANCHORS),
+    Icon("canonical\nGaussians", 37.5, 37.5, GAUSSIANS),
+    Icon("Gaussians\nat time $t$", 67.5, 37.5, MOVED),
+    Icon("image", 93, 37.5, MOVED, True),
+)
+ARROWS = (
+    Arrow(((9.2, 37.5), (13, 37.5)), "$x_a$", (11, 38.8)),
+    Arrow(((32, 37.5), (34.5, 37.5))),
+    Arrow(((40.6, 37.5), (43, 37.5))),
+    Arrow(((62, 37.5), (64.5, 37.5))),
+    Arrow(((70.6, 37.5), (73, 37.5))),
+    Arrow(((85.5, 37.5), (89, 37.5))),
+    Arrow(((93, 31), (93, 27.5))),
+    Arrow(((5, 29.5), (5, 9), (13, 9)), "$x_a$", (11, 10.3)),
+    Arrow(((6.5, 29.5), (6.5, 17.4), (39, 17.4), (39, 15.2)), "$f_a, s_a, l_a, O_a$", (14.3, 18.7)),
+    Arrow(
+        ((46, 15.2), (46, 19.6), (22, 19.6), (22, 21.2)),
+        r"$\tilde f_a, \tilde s_a, \tilde l_a, \tilde O_a$",
+        (39, 20.9),
+    ),
+    Arrow(((28, 9), (34, 9)), "$q$", (31, 10.2)),
+    Arrow(((28, 2.4), (58, 2.4)), r"$\mu,\ \sigma$", (31, 3.6)),
+    Arrow(((51, 9), (58, 9))),
+    Arrow(((71, 14.5), (86.5, 14.5)), "bits per value", (78.5, 15.6)),
+    Arrow(((71, 4.5), (75.5, 4.5)), "$p$", (73.2, 5.7)),
+    Arrow(((89, 4.5), (92, 4.5))),
+)
+
+
+def show(name):
+    """Show the drawing of a tutorial, and save it as out/NUMBER_map.png."""
+    tutorial = next(tutorial for tutorial in TUTORIALS if tutorial.name == name)
+    lessons.show(draw(tutorial.lit or tutorial.keys), f"{name[:2]}_map")
+
+
+def draw(lit=(), dpi=100):
+    """Return a figure of the method in which the boxes of the keys `lit` stand out, or all."""
+    size = (INCHES, INCHES * HEIGHT / WIDTH)
+    figure = lessons.pyplot().figure(figsize=size, dpi=dpi)
+    paint(figure.add_axes((0, 0, 1, 1)), lit)
+    return figure
+
+
+def paint(axes, lit=()):
+    """Draw on axes that are WIDTH : HEIGHT."""
+    axes.set(xlim=(0, WIDTH), ylim=(0, HEIGHT))
+    axes.set_axis_off()
+    for arrow in ARROWS:
+        line = FancyArrowPatch(path=Path(arrow.points), arrowstyle="-|>", mutation_scale=8)
+        line.set(color=DARK, linewidth=1.2)
+        axes.add_artist(line)
+        write(axes, *arrow.at, arrow.text)
+    for icon in ICONS:
+        paint_icon(axes, icon, 0.3 if lit else 0.8)
+    for frame in FRAMES:
+        paint_frame(axes, frame, lit)
+
+
+def paint_icon(axes, icon, alpha):
+    if icon.framed:
+        rounded(axes, icon.x - 4, icon.y - 4, 8, 8, WHITE, GREY)
+    for x, y, width, height, angle, color in icon.ellipses:
+        place = (icon.x + x, icon.y + y)
+        axes.add_artist(Ellipse(place, width, height, angle=angle, color=color, alpha=alpha, lw=0))
+    write(axes, icon.x, icon.y - 4.4, icon.text, va="top")
+
+
+def paint_frame(axes, frame, lit):
+    keys = {box.key for box in frame.boxes}
+    on = not lit or not keys.isdisjoint(lit)
+    color, ink = (frame.color, INK) if on else (GREY, GREY)
+    height = TITLE + ROW * len(frame.boxes) + MARGIN
+    bottom = frame.top - height
+    rounded(axes, frame.left, bottom, frame.width, height, pale(color, 0.08), color)
+    middle = frame.left + frame.width / 2
+    write(axes, middle, frame.top - TITLE / 2, frame.title, color=ink, weight="bold")
+    for i, box in enumerate(frame.boxes):
+        on = not lit or box.key in lit
+        color, ink = (frame.color, INK) if on else (GREY, GREY)
+        y = frame.top - TITLE - ROW * (i + 1) + GAP / 2
+        edge = 1.8 if lit and on else 0.8
+        inner = frame.left + MARGIN, y, frame.width - 2 * MARGIN, ROW - GAP
+        rounded(axes, *inner, pale(color, 0.3) if on else WHITE, color, edge)
+        y += (ROW - GAP) / 2
+        left = frame.left + 2 * MARGIN
+        write(axes, left, y, box.number, color=ink, weight="bold", ha="left")
+        write(axes, middle + 1.6 * bool(box.number), y, box.text, color=ink)
+
+
+def write(axes, x, y, text, size=8.5, color=INK, **style):
+    axes.text(x, y, text, size=size, color=color, **{**CENTRED, **style})
+
+
+def rounded(axes, x, y, width, height, face, edge, linewidth=0.9):
+    shape = "round,pad=0,rounding_size=0.6"
+    box = FancyBboxPatch((x, y), width, height, boxstyle=shape, fc=face, ec=edge, lw=linewidth)
+    axes.add_artist(box)
+
+
+def pale(color, share):
+    """A colour "#rrggbb" mixed with white."""
+    parts = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    return tuple(1 - share * (1 - part) for part in parts)

@@ -1,0 +1,243 @@
+"""The pictures of tutorials/README.md, which come from the demo, two studies and the tutorials.
+
+`python -m tutorials.tools.syllabus` draws them anew and reduces them in size. Which code drew a
+picture is recorded in gallery.json, so that a test notices pictures that are out of date.
+"""
+
+import hashlib
+import inspect
+import json
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import imageio.v3 as iio
+import numpy as np
+
+from p4dgs_ref.codec.file import decode
+from p4dgs_ref.lab.accuracy import diagram, heatmap, likelihood, rendering, report
+from p4dgs_ref.report.figures import draw_comparison, draw_size
+from p4dgs_ref.report.main_job import main_job
+from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.scenes.output import filled, write_atomically
+
+from . import animation
+
+TUTORIALS = Path(__file__).resolve().parents[2] / "tutorials"
+DRAWN = Path(__file__).with_name("gallery.json")  # {picture: hash of the code that drew it}
+
+WIDTH = 640  # pixels of a figure
+LARGEST = 2_500_000  # bytes of all pictures together
+
+
+class Picture(NamedTuple):
+    """One picture of the gallery."""
+
+    drawn_by: str  # "demo" and "accuracy" are commands of p4dgs-ref
+    figure: str  # the file that this command or tutorial writes
+    caption: str
+
+
+PICTURES = {
+    "demo.png": Picture(
+        "demo",
+        "comparison.png",
+        "The demo on test views that were not used for training: truth, decoded picture, error",
+    ),
+    "demo_size.png": Picture(
+        "demo",
+        "size.png",
+        "The bytes of the demo's file by part, and those of the paper's design",
+    ),
+    "demo.gif": Picture(
+        "demo",
+        "animation.gif",
+        "The demo's file over time, seen by a moving camera: truth, decoded picture, error",
+    ),
+    "whole_paper.png": Picture(
+        "tutorial",
+        "00_whole_paper.png",
+        "The paper in one file: unseen views, the decoded pictures, their error, and the bytes",
+    ),
+    "deformed.png": Picture(
+        "tutorial",
+        "06_deformed.png",
+        "Eq. (6): one canonical Gaussian is moved, stretched and rotated over time",
+    ),
+    "hash_grid.png": Picture(
+        "tutorial",
+        "09_hash_grid.png",
+        "Eq. (9): a grid that stores only signs, and nodes that share table entries",
+    ),
+    "covariance.png": Picture(
+        "tutorial",
+        "13_covariance.png",
+        "From a quaternion and three scales to an ellipsoid",
+    ),
+    "compositing.png": Picture(
+        "tutorial",
+        "15_compositing.png",
+        "The backward of compositing: every pixel pulls at the splats that cover it",
+    ),
+    "file.png": Picture(
+        "tutorial",
+        "19_file_byte_by_byte.png",
+        "A whole model, byte by byte",
+    ),
+    "intervals.gif": Picture(
+        "tutorial",
+        "20_intervals_to_rans.gif",
+        "Entropy coding: every symbol narrows the interval",
+    ),
+    "desync.png": Picture(
+        "tutorial",
+        "21_desync.png",
+        "An error of one unit in the last place makes the decoder reconstruct another model",
+    ),
+    "accuracy_rendering.png": Picture(
+        "accuracy",
+        "rendering.png",
+        "Rendering: error against time for different cuts, boxes and precisions",
+    ),
+    "accuracy_likelihood.png": Picture(
+        "accuracy",
+        "likelihood_bits.png",
+        "Six ways to compute Eq. (11), over distance and bin width; failures are red",
+    ),
+    "rate_distortion.png": Picture(
+        "tutorial",
+        "27_rate_distortion.png",
+        "Rate against distortion, in bytes of real files",
+    ),
+    "beyond_networks.png": Picture(
+        "tutorial",
+        "beyond_networks.png",
+        "Beyond the paper: networks that pay for their bits, against the paper's design",
+    ),
+}
+
+DRAW = {  # what draws the pictures that come from no tutorial
+    "demo.png": (draw_comparison,),
+    "demo_size.png": (draw_size,),
+    "demo.gif": (animation,),
+    "accuracy_rendering.png": (rendering.run, diagram.lines, diagram.place_labels),
+    "accuracy_likelihood.png": (likelihood.draw_map, heatmap),
+}
+
+
+def gallery():
+    """The pictures as Markdown."""
+    return "\n\n".join(
+        f"![{picture.caption}](pictures/{name})\n{picture.caption}."
+        for name, picture in PICTURES.items()
+    )
+
+
+def take(out, pictures):
+    """Renew those pictures of the gallery whose figures are in the folder `out`; keep the others.
+
+    Returns the names of those that were renewed. Raises ValueError if the gallery would become too
+    large.
+    """
+    renewed = []
+    with filled(pictures) as beside:
+        for name, picture in PICTURES.items():
+            source = Path(out) / picture.figure
+            if not source.is_file():
+                continue
+            renewed.append(name)
+            if name.endswith(".gif"):
+                shrink_animation(source, beside / name)
+            elif picture.drawn_by == "demo":
+                (beside / name).write_bytes(source.read_bytes())
+            else:
+                shrink(source, beside / name)
+        sizes = {}
+        for folder in (Path(pictures), beside):
+            files = [file for file in folder.iterdir() if file.is_file()]
+            sizes.update({file.name: file.stat().st_size for file in files})
+        total = sum(sizes.values())
+        if total > LARGEST:
+            raise ValueError(
+                f"{pictures}: expected at most {LARGEST:,} bytes of pictures, got {total:,}"
+            )
+    return renewed
+
+
+def code_hash(name):
+    """A hash of the code, without prose and comments, that draws a picture.
+
+    The code of a tutorial ends where the exercises begin, which draw nothing.
+    """
+    if name in DRAW:
+        text = "".join(inspect.getsource(source) for source in DRAW[name])
+    else:
+        figure = Path(PICTURES[name].figure)
+        own = TUTORIALS / f"{figure.stem}.py"
+        (file,) = [own] if own.is_file() else TUTORIALS.glob(f"{figure.stem[:2]}_*.py")
+        text = file.read_text(encoding="utf-8").split("# ## Exercises")[0]
+    lines = text.splitlines()
+    code = [line.rstrip() for line in lines if line.strip() and not line.startswith("#")]
+    return hashlib.sha256("\n".join(code).encode()).hexdigest()[:16]
+
+
+def record(names):
+    """Note in gallery.json that the code as it is drew these pictures."""
+    drawn = json.loads(DRAWN.read_text(encoding="utf-8")) if DRAWN.is_file() else {}
+    for name in names:
+        drawn[name] = code_hash(name)
+    text = json.dumps(drawn, indent=1, sort_keys=True) + "\n"
+    write_atomically(DRAWN, lambda file: file.write(text.encode()))
+
+
+def stale():
+    """Names of the pictures that other code than today's has drawn."""
+    drawn = json.loads(DRAWN.read_text(encoding="utf-8"))
+    return [name for name in PICTURES if drawn.get(name) != code_hash(name)]
+
+
+def draw_demo(out):
+    """Run the demo, and leave its pictures and the animation of its file in the folder `out`."""
+    with tempfile.TemporaryDirectory() as report:
+        main_job(load_scene("bouncing"), folder=report)
+        for figure in (PICTURES["demo.png"].figure, PICTURES["demo_size.png"].figure):
+            (Path(out) / figure).write_bytes((Path(report) / figure).read_bytes())
+        model = decode((Path(report) / "bouncing.p4dgs").read_bytes())
+    animation.draw(Path(out) / PICTURES["demo.gif"].figure, model)
+
+
+def draw_accuracy(out):
+    """Run the two studies whose pictures are shown, and leave these in the folder `out`."""
+    report.run(["rendering", "likelihood"], out)
+
+
+def shrink(source, target):
+    """Write the image `source` to `target`, at most WIDTH pixels wide."""
+    image = iio.imread(source)[..., :3].astype(float)
+    height, width = image.shape[:2]
+    if width > WIDTH:
+        rows = shares(height, round(height * WIDTH / width))
+        columns = shares(width, WIDTH)
+        image = np.einsum("ih,hwc,jw->ijc", rows, image, columns, optimize=True)
+    pixels = image.round().clip(0, 255).astype(np.uint8)
+    iio.imwrite(target, pixels, extension=".png", optimize=True)
+
+
+def shares(n, m):
+    """The share of each of n old pixels in each of m new ones (m, n); every row sums to 1."""
+    edges = np.linspace(0, n, m + 1)
+    low, high = edges[:-1, None], edges[1:, None]
+    overlap = np.minimum(high, np.arange(1, n + 1)) - np.maximum(low, np.arange(n))
+    return np.clip(overlap, 0, None) * m / n
+
+
+def shrink_animation(source, target):
+    """Write the GIF `source` to `target`, halved if all pixels come in 2 x 2 blocks."""
+    frames = iio.imread(source)
+    half = frames[:, ::2, ::2]
+    even = frames.shape[1] % 2 == frames.shape[2] % 2 == 0
+    if even and np.array_equal(half.repeat(2, 1).repeat(2, 2), frames):
+        duration = iio.immeta(source).get("duration", 60)
+        iio.imwrite(target, half, extension=".gif", duration=duration, loop=0)
+    else:
+        Path(target).write_bytes(Path(source).read_bytes())

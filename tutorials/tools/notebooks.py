@@ -1,0 +1,276 @@
+"""`python -m tutorials.tools.notebooks [NAME ...]` makes tutorials/notebooks/*.ipynb.
+
+A notebook (format 4.5) holds the cells of a tutorial and, below each of them, what it printed and
+drew when the file ran once, in order, in a process of its own. NAME is a tutorial of the checkout
+or its number; without a name all are made.
+
+The metadata hold the SHA-256 of the tutorial, by which a test finds notebooks that are stale. The
+hash does not cover the package: where a change of its code moves what tutorials print, make the
+notebooks again.
+"""
+
+import ast
+import base64
+import hashlib
+import io
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import traceback
+import types
+from pathlib import Path
+from typing import NamedTuple
+
+import imageio.v3 as iio
+import numpy as np
+
+from p4dgs_ref.scenes.output import OutputError, made, write_atomically
+from p4dgs_ref.signals import handled, interrupt
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "tutorials"
+DPI = 100  # of the figures: most are 800 pixels wide
+COLOR_STEP = 5  # of 255; rounding the colours saves a third of the bytes, and nobody sees it
+PROSE, CODE = "# %% [markdown]", "# %%"
+NAME = re.compile(r"(?<!\[)`(\d\d_\w+)`")  # of a tutorial in the prose, unless it is linked already
+LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)[^)\s]+")  # a target without https: and the like
+START = "import sys; from tutorials.tools.notebooks import record; record(*sys.argv[1:])"
+PACKAGE = "To run it, install the package: `pip install .` in the folder above `tutorials/`."
+WITHOUT = "To run it, install what it imports: `pip install numpy scipy matplotlib`."
+METADATA = {
+    "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+    "language_info": {
+        "file_extension": ".py",
+        "mimetype": "text/x-python",
+        "name": "python",
+        "pygments_lexer": "ipython3",
+    },
+}
+
+
+class InputError(ValueError):
+    """A name or a file that the maker cannot use."""
+
+
+class RunError(RuntimeError):
+    """A tutorial that raised an error."""
+
+
+# --- reading a tutorial ---------------------------------------------------------------------------
+class Cell(NamedTuple):
+    """One cell: the number of its first line in the file, and its lines without that first one."""
+
+    line: int
+    prose: bool
+    lines: list
+
+    @property
+    def text(self):
+        """The code, or the prose without the comment signs."""
+        text = "\n".join(self.lines).strip("\n")
+        return re.sub(r"^# ?", "", text, flags=re.M) if self.prose else text
+
+
+def cells(text):
+    """Return the cells of a percent file."""
+    found = []
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.startswith(CODE):
+            found.append(Cell(number, line.strip() == PROSE, []))
+        elif found:
+            found[-1].lines.append(line)
+    return found
+
+
+def tutorials(folder):
+    """Return the tutorials of a folder in their order."""
+    return sorted(folder.glob("[0-9][0-9]_*.py"))
+
+
+# --- the notebook without its outputs -------------------------------------------------------------
+def unrun(source):
+    """Return the notebook of a tutorial with empty outputs, as a dictionary."""
+    number, count = source.stem[:2], 0
+    parts = [notebook_cell(f"{number}-links", "markdown", links(source))]
+    for cell in cells(source.read_text(encoding="utf-8")):
+        id = f"{number}-{len(parts):02d}"
+        if cell.prose:
+            text = NAME.sub(r"[`\1`](\1.py)", cell.text)
+            parts.append(notebook_cell(id, "markdown", LINK.sub(moved, text)))
+        else:
+            count += 1
+            parts.append(notebook_cell(id, "code", cell.text, execution_count=count, outputs=[]))
+    digest = hashlib.sha256(source.read_bytes()).hexdigest()
+    metadata = {**METADATA, "p4dgs_ref": {"source_sha256": digest}}
+    return {"cells": parts, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
+
+
+def notebook_cell(id, kind, text, **more):
+    """Return a cell of a notebook."""
+    lines = text.splitlines(keepends=True)
+    return {"cell_type": kind, "id": id, "metadata": {}, "source": lines, **more}
+
+
+def links(source):
+    """Return the text of the first cell, which links what belongs to the tutorial."""
+    names = [file.stem for file in tutorials(source.parent)]
+    i = names.index(source.stem)
+    parts = [f"Made from [{source.name}](../{source.name})"]
+    if (source.parent / "solutions" / source.name).is_file():
+        parts.append(f"[solutions](../solutions/{source.name})")
+    parts += [f"previous: [{name}]({name}.ipynb)" for name in names[max(i - 1, 0) : i]]
+    parts += [f"next: [{name}]({name}.ipynb)" for name in names[i + 1 : i + 2]]
+    package = re.search(r"^(from|import) p4dgs_ref\b", source.read_text(encoding="utf-8"), re.M)
+    install = PACKAGE if package else WITHOUT
+    return " · ".join([*parts, "[all tutorials](../README.md)"]) + f"\n\n{install}"
+
+
+def moved(link):
+    """Return a link of a tutorial as seen from the folder of the notebooks."""
+    tutorial = re.fullmatch(r"(\d\d_\w+)\.py", link[0])
+    return f"{tutorial[1]}.ipynb" if tutorial else f"../{link[0]}"
+
+
+# --- running a tutorial ---------------------------------------------------------------------------
+def make(source):
+    """Run a tutorial in a process of its own and write its notebook, whose path is returned."""
+    notebook = unrun(source)
+    code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    with made(source.parent / "notebooks") as folder:
+        for cell, outputs in zip(code, outputs_of(source), strict=True):
+            cell["outputs"] = outputs
+        text = json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+        target = folder / f"{source.stem}.ipynb"
+        write_atomically(target, lambda file: file.write(text.encode()))
+    return target
+
+
+def outputs_of(source):
+    """Run a tutorial in a process of its own; return the outputs of every cell of code."""
+    with tempfile.TemporaryDirectory() as folder:
+        result = Path(folder) / "outputs.json"
+        environment = {
+            **os.environ,
+            "MPLBACKEND": "Agg",
+            "OPENBLAS_NUM_THREADS": "1",
+            "P4DGS_TUTORIALS_OUT": str(Path(folder) / "out"),
+            "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+            "PYTHONUTF8": "1",
+        }
+        call = [sys.executable, "-c", START, str(source.resolve()), str(result)]
+        done = subprocess.run(
+            call, env=environment, cwd=folder, capture_output=True, encoding="utf-8"
+        )
+        if done.returncode:
+            said = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+            raise RunError(f"{source.name}, {said[-1]}")
+        return json.loads(result.read_text(encoding="utf-8"))
+
+
+class Stream(io.TextIOBase):
+    """A text stream that adds to the outputs of a cell."""
+
+    def __init__(self, name, outputs):
+        self.name, self.outputs = name, outputs
+
+    def write(self, text):
+        if not self.outputs or self.outputs[-1].get("name") != self.name:
+            self.outputs.append({"output_type": "stream", "name": self.name, "text": ""})
+        self.outputs[-1]["text"] += text
+        return len(text)
+
+
+def record(source, result):
+    """Run the cells of a tutorial in this process; write their outputs to the file `result`.
+
+    The cells find what they would find in a notebook: the arguments of its kernel, an interactive
+    prompt, no `__file__`, and figures that appear at `plt.show` or at the end of the cell.
+    """
+    import matplotlib.pyplot as plt
+
+    source, outputs, every, terminal = Path(source), [], [], sys.stderr
+    sys.argv, sys.ps1 = ["kernel", "-f", "kernel.json"], ">>> "
+    sys.stdout, sys.stderr = Stream("stdout", outputs), Stream("stderr", outputs)
+    sys.modules["__main__"] = main = types.ModuleType("__main__")
+    plt.show = lambda *args, **settings: outputs.extend(figures(plt))
+    code = [cell for cell in cells(source.read_text(encoding="utf-8")) if not cell.prose]
+    for count, cell in enumerate(code, 1):
+        try:
+            value = run(cell, source.name, vars(main))
+        except BaseException as error:
+            print(where(cell, source.name, error), file=terminal)
+            sys.exit(1)
+        if value is not None:
+            data = {"data": {"text/plain": repr(value)}, "metadata": {}}
+            outputs.append({"output_type": "execute_result", "execution_count": count, **data})
+        plt.show()
+        every.append(outputs.copy())
+        outputs.clear()
+    Path(result).write_text(json.dumps(every), encoding="utf-8")
+
+
+def run(cell, name, namespace):
+    """Run a cell; return the value of its last statement if that is an expression."""
+    # With empty lines before the cell, errors and warnings give the line in the file.
+    tree = ast.parse("\n" * cell.line + "\n".join(cell.lines), name)
+    last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
+    exec(compile(tree, name, "exec"), namespace)
+    return eval(compile(ast.Expression(last.value), name, "eval"), namespace) if last else None
+
+
+def where(cell, name, error):
+    """Return one line: the cell, the line of the file that raised the error, and the error."""
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if frame.filename == name]
+    line = error.lineno if isinstance(error, SyntaxError) else lines[-1]
+    message = " ".join(str(error).split())
+    return f"cell at line {cell.line}, line {line}: {type(error).__name__}: {message}"
+
+
+def figures(plt):
+    """Close the open figures of pyplot; return them as outputs of a cell."""
+    shown = []
+    for number in plt.get_fignums():
+        figure, file = plt.figure(number), io.BytesIO()
+        figure.savefig(file, format="png", dpi=DPI, bbox_inches="tight")
+        plt.close(figure)
+        pixels = np.rint(iio.imread(file.getvalue())[..., :3] / COLOR_STEP) * COLOR_STEP
+        png = iio.imwrite("<bytes>", pixels.astype(np.uint8), extension=".png", optimize=True)
+        data = {"image/png": base64.b64encode(png).decode(), "text/plain": str(figure)}
+        shown.append({"output_type": "display_data", "data": data, "metadata": {}})
+    return shown
+
+
+# --- the command ----------------------------------------------------------------------------------
+def chosen(names):
+    """Return the tutorials with these names or numbers, or all."""
+    every = tutorials(FOLDER)
+    if not every:
+        raise InputError(f"{FOLDER}: expected the tutorials of a checkout")
+    for name in names:
+        if not any(name in (source.stem, source.stem[:2]) for source in every):
+            raise InputError(f"{name}: expected the name or the number of a tutorial")
+    return [s for s in every if not names or s.stem in names or s.stem[:2] in names]
+
+
+def main(names):
+    """Make the notebooks of these tutorials, or of all; return the exit code."""
+    try:
+        with handled(interrupt):
+            for source in chosen(names):
+                target = make(source)
+                print(f"{source.stem}: {target.stat().st_size:,} bytes", flush=True)
+    except (InputError, OutputError, RunError) as error:
+        print(error, file=sys.stderr)
+        return 1 if isinstance(error, RunError) else 2
+    except KeyboardInterrupt:
+        print("stopped; the remaining notebooks are as before", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,350 @@
+"""The index of the tutorials: tutorials/README.md with its tables, its graph and its pictures.
+
+python -m tutorials.tools.syllabus               run all tutorials, draw all, write the index
+python -m tutorials.tools.syllabus 00 06 demo    only these tutorials and the pictures of the demo
+python -m tutorials.tools.syllabus accuracy      only the pictures of the two studies of accuracy
+python -m tutorials.tools.syllabus index         only the index, with the times it already holds
+
+Each of these also draws the architecture anew and writes the glossary and the handout.
+"""
+
+import ast
+import hashlib
+import os
+import re
+import runpy
+import subprocess
+import sys
+import tempfile
+import time
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school.syllabus import TUTORIALS, tutorial_of
+from p4dgs_ref.oracle import read_manifest
+from p4dgs_ref.scenes.output import write_atomically
+from p4dgs_ref.table import EQUATIONS
+from tutorials.tools import architecture
+from tutorials.tools.notebooks import cells
+
+from . import gallery, glossary, handout
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "tutorials"
+DRAWING = "architecture.png"  # in tutorials/pictures
+PATH = (  # for four hours of reading
+    "00_whole_paper",
+    "01_offsets",
+    "03_opacity_and_masking",
+    "07_noise_and_rounding",
+    "10_prior_and_likelihood",
+    "15_compositing",
+    "16_pipeline_by_hand",
+    "20_intervals_to_rans",
+)
+WORDS, LINES = 120, 12  # of prose and of code that are read in a minute: formulas take time
+EACH = 4  # minutes to think about an exercise or a question
+WRITTEN = 3  # lines of a solution that are written in a minute
+
+
+# --- the facts that a tutorial states about itself ------------------------------------------------
+class Facts(NamedTuple):
+    """The facts that are read from a tutorial's file."""
+
+    title: str
+    after: tuple  # numbers of the tutorials that a reader should know
+    reading: int  # minutes
+    doing: int  # minutes for the exercises
+    exercises: dict  # "01.2" -> keys of the equations that it is about
+
+
+def facts(tutorial, folder=FOLDER):
+    """The Facts of a tutorial. Raises ValueError naming the file if its first cell lacks one."""
+    path = Path(folder) / f"{tutorial.name}.py"
+    source = path.read_text(encoding="utf-8")
+    title = re.match(r"# %% \[markdown\]\n# # (.*)\n", source)
+    first_cell = source.split("\n# %%", 1)[0].splitlines()
+    head = " ".join(line.lstrip("# ").strip() for line in first_cell[2:])
+    said = re.search(
+        r"\*\*Before it:\*\*(.*?)\*\*Takes\*\*.*? two cores, "
+        r"(\d+) minutes of reading and (\d+) of exercises\.",
+        head,
+    )
+    if not title or not said:
+        raise ValueError(
+            f"{path.name}: expected a title, then "
+            "**Before it:** ... **Takes** ... on two cores, "
+            "... minutes of reading and ... of exercises."
+        )
+    after, minutes = prerequisites(said[1]), map(int, said.groups()[1:])
+    return Facts(title[1], after, *minutes, exercises(source, tutorial.keys))
+
+
+def minutes(name, folder=FOLDER):
+    """The minutes that it takes to read a tutorial and to do its exercises, measured in its files.
+
+    Reading ends at the exercises. Both are rounded to five minutes.
+    """
+    source = (Path(folder) / f"{name}.py").read_text(encoding="utf-8")
+    taught, _, asked = source.partition("# ## Exercises")
+    solution = Path(folder) / "solutions" / f"{name}.py"
+    doing = time_to_read(f"# %% [markdown]\n#{asked}")
+    doing += EACH * len(re.findall(r"\*\*(\d\d\.\d|Predict, then run\.)\*\*", asked))
+    if solution.is_file():
+        doing += len(code_lines(solution.read_text(encoding="utf-8"))) / WRITTEN
+    return tuple(5 * max(1, round(time / 5)) for time in (time_to_read(taught), doing))
+
+
+def time_to_read(source):
+    """Minutes to read the prose and the code of some cells."""
+    words = sum(len(cell.text.split()) for cell in cells(source) if cell.prose)
+    return words / WORDS + len(code_lines(source)) / LINES
+
+
+def code_lines(source):
+    """The lines of the cells of code, without imports and without blank ones."""
+    lines = [line for cell in cells(source) if not cell.prose for line in cell.lines]
+    return [line for line in lines if line.strip() and not line.startswith(("from ", "import "))]
+
+
+def prerequisites(text):
+    """The numbers of the tutorials that a text names.
+
+    "`01_offsets` to `15_compositing`" also names all tutorials between the two.
+    """
+    named = []
+    for first, last in re.findall(r"`(\d\d)\w*`(?: to `(\d\d)\w*`)?", text):
+        named += [t.name[:2] for t in TUTORIALS if first <= t.name[:2] <= (last or first)]
+    return tuple(dict.fromkeys(named))
+
+
+def exercises(source, keys):
+    """{exercise: keys of its equations} in the source of a tutorial or of its solutions.
+
+    An exercise whose check names none of the tutorial's equations is about all of them.
+    """
+    found = {}
+    for node in ast.walk(ast.parse(source)):
+        check = name_of_check(node)
+        if check == "number":
+            about = {name.id for name in ast.walk(node) if isinstance(name, ast.Name)}
+        elif check in ("forward", "backward"):
+            about = {equation_of(node.args[2].value)}
+        else:
+            continue
+        found[node.args[0].value] = tuple(key for key in keys if key in about) or keys
+    return dict(sorted(found.items()))
+
+
+def name_of_check(node):
+    """The name of the function of `lessons` that a syntax node calls, or None."""
+    called = node.func if isinstance(node, ast.Call) else None
+    if isinstance(called, ast.Attribute) and isinstance(called.value, ast.Name):
+        return called.attr if called.value.id == "lessons" else None
+    return None
+
+
+def equation_of(subject):
+    """The key of the equation that a subject of the published vectors belongs to."""
+    return equations_of_subjects()[subject]
+
+
+@cache
+def equations_of_subjects():
+    return {subject["key"]: subject["equation"] for subject in read_manifest()["subjects"]}
+
+
+# --- tables ---------------------------------------------------------------------------------------
+def equations_table(folder=FOLDER):
+    """A Markdown table with one row for each equation."""
+    about = {}
+    for tutorial in TUTORIALS:
+        for exercise, keys in facts(tutorial, folder).exercises.items():
+            for key in keys:
+                about.setdefault(key, []).append(exercise)
+    lines = ["| no. | key | file | vectors | tutorial | exercises |", "|---|---|---|---|---|---|"]
+    for key, equation in EQUATIONS.items():
+        file = equation.module.replace(".", "/") + ".py"
+        name = tutorial_of(key).name
+        cells = (
+            equation.number,
+            f"`{key}`",
+            f"[`{file}`](../{file})",
+            f"[`{key}.safetensors`](../p4dgs_ref/oracle/v1/{key}.safetensors)",
+            f"[{name}](notebooks/{name}.ipynb)",
+            ", ".join(about.get(key, [])),
+        )
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def path_table(folder=FOLDER):
+    """A Markdown table of the path of four hours."""
+    titles = {tutorial.name: facts(tutorial, folder).title for tutorial in TUTORIALS}
+    titles["00_whole_paper"] = "Eq. (1) to Eq. (17): the whole paper in one file"
+    lines = ["| tutorial | what it is about | minutes |", "|---|---|---|"]
+    for name in PATH:
+        lines.append(f"| {both_forms(name)} | {titles[name]} | {minutes(name, folder)[0]} |")
+    return "\n".join(lines)
+
+
+def both_forms(name):
+    """Links to the notebook of a tutorial and to its source."""
+    return f"[{name}](notebooks/{name}.ipynb) ([source]({name}.py))"
+
+
+def order_table(seconds, folder=FOLDER):
+    """A Markdown table of the tutorials in order; `seconds` is {number: measured}."""
+    lines = [
+        "| tutorial | what it is about | after | exercises | seconds | minutes |",
+        "|---|---|---|---|---|---|",
+    ]
+    for tutorial in TUTORIALS:
+        own = facts(tutorial, folder)
+        measured = f"{seconds[tutorial.name[:2]]:.1f}" if tutorial.name[:2] in seconds else ""
+        lines.append(
+            f"| {both_forms(tutorial.name)} | {own.title} | {listed(own.after)} | "
+            f"{len(own.exercises)} | {measured} | {own.reading} + {own.doing} |"
+        )
+    return "\n".join(lines)
+
+
+def listed(numbers):
+    """ "07, 10", or "01 to 15" if no tutorial between the first and the last is missing."""
+    if len(numbers) > 2:
+        between = [t.name[:2] for t in TUTORIALS if numbers[0] <= t.name[:2] <= numbers[-1]]
+        if list(numbers) == between:
+            return f"{numbers[0]} to {numbers[-1]}"
+    return ", ".join(numbers)
+
+
+def graph(folder=FOLDER):
+    """The prerequisites as a Mermaid graph, without arrows that follow from two others."""
+    before = {tutorial.name[:2]: set(facts(tutorial, folder).after) for tutorial in TUTORIALS}
+    reach = {}
+    for number, direct in before.items():  # a prerequisite has a lower number
+        reach[number] = direct.union(*(reach[n] for n in direct))
+    lines = ["```mermaid", "graph LR"]
+    for tutorial in TUTORIALS:
+        number = tutorial.name[:2]
+        lines.append(f'    t{number}["{number} {tutorial.name[3:].replace("_", " ")}"]')
+        for n in sorted(before[number]):
+            if not any(n in reach[other] for other in before[number]):
+                lines.append(f"    t{n} --> t{number}")
+    return "\n".join([*lines, "```"])
+
+
+def measured_before(folder=FOLDER):
+    """{number: seconds} as README.md states them."""
+    path = Path(folder) / "README.md"
+    text = path.read_text(encoding="utf-8") if path.is_file() else ""
+    found = re.findall(r"^\| \[(\d\d)_.*\| (\d+\.\d) \| [^|]* \|$", text, re.M)
+    return {number: float(seconds) for number, seconds in found}
+
+
+def index(seconds, folder=FOLDER):
+    """The text of README.md with new tables.
+
+    Only the text between a mark such as <!-- order --> and the next <!-- end --> is replaced.
+    """
+    text = (Path(folder) / "README.md").read_text(encoding="utf-8")
+    sections = {
+        "architecture": drawing_of_the_architecture(),
+        "path": path_table(folder),
+        "order": order_table(seconds, folder),
+        "graph": graph(folder),
+        "equations": equations_table(folder),
+        "gallery": gallery.gallery(),
+    }
+    for name, made in sections.items():
+        mark = f"<!-- {name} -->\n"
+        before, after = text.split(mark, 1)
+        rest = after.split("<!-- end -->", 1)[1]
+        text = f"{before}{mark}{made}\n<!-- end -->{rest}"
+    return text
+
+
+# --- the drawing ----------------------------------------------------------------------------------
+def drawing_of_the_architecture():
+    """The drawing as Markdown, with a hash of its source, by which a test finds an old drawing."""
+    source = Path(architecture.__file__).read_bytes()
+    caption = "The architecture of P-4DGS; numbers are those of the paper's equations"
+    return f"![{caption}](pictures/{DRAWING})\n<!-- {hashlib.sha256(source).hexdigest()[:12]} -->"
+
+
+def draw_architecture(file):
+    """Write the drawing as a PNG, without matplotlib's version in it."""
+    figure = architecture.draw(dpi=150)
+    figure.savefig(file, metadata={"Software": None})
+    lessons.pyplot().close(figure)
+
+
+# --- measuring ------------------------------------------------------------------------------------
+def run(name, out, folder=FOLDER):
+    """Run a tutorial without a display, figures in `out`; return its seconds, exit if it fails."""
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+    environment = {
+        **os.environ,
+        "MPLBACKEND": "Agg",
+        "P4DGS_TUTORIALS_OUT": str(out),
+        "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONPATH": path,
+    }
+    start = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, str(Path(folder) / f"{name}.py")],
+        env=environment,
+        capture_output=True,
+        text=True,
+        cwd=out,
+    )
+    if done.returncode:
+        sys.exit(f"{name}.py: {done.stderr.strip().splitlines()[-1]}")
+    return time.perf_counter() - start
+
+
+def main(chosen):
+    """Run what is chosen (everything if nothing is), renew its pictures, and write the index."""
+    known = {
+        "demo",
+        "accuracy",
+        "beyond",
+        "index",
+        "00",
+        *(tutorial.name[:2] for tutorial in TUTORIALS),
+    }
+    unknown = sorted(set(chosen) - known)
+    if unknown:
+        sys.exit(
+            f"{' '.join(unknown)}: expected numbers of tutorials, 'demo', 'accuracy', 'beyond' "
+            "or 'index'"
+        )
+    seconds = measured_before()
+    with tempfile.TemporaryDirectory() as out:
+        for tutorial in TUTORIALS:
+            if not chosen or tutorial.name[:2] in chosen:
+                seconds[tutorial.name[:2]] = run(tutorial.name, out)
+                print(f"{tutorial.name}: {seconds[tutorial.name[:2]]:.1f} s", flush=True)
+        if not chosen or "00" in chosen:
+            runpy.run_path(str(FOLDER / "00_whole_paper.py"))["main"](folder=Path(out))
+        if not chosen or "beyond" in chosen:
+            run("beyond_networks", out)
+        if not chosen or "demo" in chosen:
+            gallery.draw_demo(out)
+        if not chosen or "accuracy" in chosen:
+            gallery.draw_accuracy(out)
+        gallery.record(gallery.take(out, FOLDER / "pictures"))
+    write_atomically(FOLDER / "pictures" / DRAWING, draw_architecture)
+    handout.save(FOLDER / "handout.pdf")
+    write_text(FOLDER / "glossary.md", glossary.glossary())
+    write_text(FOLDER / "README.md", index(seconds))
+
+
+def write_text(path, text):
+    write_atomically(path, lambda file: file.write(text.encode()))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
