@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.equations import opacity
 from p4dgs_ref.training.checkpoint import load
-from p4dgs_ref.training.finite import NotFinite
 from p4dgs_ref.training.fit import fit
 from tests.sampling import few
 
@@ -56,7 +54,7 @@ def original(scene, tmp_path_factory):
     return place
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def place(original, tmp_path, monkeypatch):
     """A copy of `original` to work in."""
     shutil.copytree(original, tmp_path / "place")
@@ -363,13 +361,9 @@ LINES = [
 
 
 @pytest.mark.parametrize("line, words", LINES, ids=[line or "nothing" for line, _ in LINES])
-def test_mistakes_on_the_command_line(refused, line, words):
+def test_mistakes_on_the_command_line(original, refused, monkeypatch, line, words):
+    monkeypatch.chdir(original)  # not a copy: nothing is written
     refused(line, words)
-
-
-def test_a_report_over_a_folder_of_the_same_name(place, refused):
-    (place / "out/size.png").mkdir(parents=True)
-    refused("inspect good.p4dgs -o out", ("out/size.png", "folder"))
 
 
 def test_no_test_views():
@@ -413,7 +407,7 @@ def test_out_of_memory(place, run, monkeypatch):
     assert sorted(place.rglob("*")) == before
 
 
-def test_a_bug_is_no_mistake_of_the_user(run, monkeypatch):
+def test_a_bug_is_no_mistake_of_the_user(place, run, monkeypatch):
     """Only errors that the package itself defines are told in one line."""
 
     def wrong(*arguments):
@@ -424,51 +418,47 @@ def test_a_bug_is_no_mistake_of_the_user(run, monkeypatch):
         run("inspect good.p4dgs")
 
 
-def odd_places(place):
-    """A pipe, a device, a folder and links to them in the place of every file that is written."""
-    names = ("x.p4dgs", "motion.gif", "size.csv", "comparison.png", "model.json", "run.json")
-    for kind in ("pipe", "device", "folder", "link"):
-        (place / kind).mkdir()
-        for name in names:
-            if kind == "pipe":
-                os.mkfifo(place / kind / name)
-            elif kind == "folder":
-                (place / kind / name).mkdir()
-            elif kind == "link":
-                (place / kind / name).symlink_to(f"../pipe/{name}")
-            elif hasattr(os, "geteuid") and os.geteuid() == 0:
-                os.mknod(place / kind / name, 0o20600, os.makedev(1, 3))  # ours, like /dev/null
+def link_to_a_pipe(path):
+    os.mkfifo(path.with_suffix(".pipe"))
+    path.symlink_to(path.with_suffix(".pipe").name)
 
 
-@pytest.mark.parametrize("kind", few(["pipe", "device", "folder", "link"], 1))
+ODD = {
+    "pipe": os.mkfifo,
+    "device": lambda path: os.mknod(path, 0o20600, os.makedev(1, 3)),  # ours, like /dev/null
+    "folder": os.mkdir,
+    "link": link_to_a_pipe,
+}
+WRITING = {
+    "encode run -o {}/x.p4dgs": "x.p4dgs",
+    "render good.p4dgs -o {} --frames 2 --size 4": "motion.gif",
+    "inspect good.p4dgs -o {}": "size.csv",
+    "evaluate good.p4dgs scene -o {}": "comparison.png",
+    "decode good.p4dgs -o {}": "model.json",
+    "train scene -o {} --preset smoke --resume --quiet": "run.json",
+}
+
+
+@pytest.mark.parametrize("kind", few(ODD, 1))
 def test_outputs_that_are_no_files(place, run, kind):
+    """Something else in the place of a file that would be written stays as it is."""
+    shutil.copytree(place / "run", place / kind)
     try:
-        odd_places(place)
+        for name in WRITING.values():
+            ODD[kind](place / kind / name)
     except PermissionError:
         pytest.skip("only root may make a device node")
-    if not any((place / kind).iterdir()):
-        pytest.skip("only root may make a device node")
-    lines = {
-        "encode run -o {}/x.p4dgs": "x.p4dgs",
-        "render good.p4dgs -o {} --frames 2 --size 4": "motion.gif",
-        "inspect good.p4dgs -o {}": "size.csv",
-        "evaluate good.p4dgs scene -o {}": "comparison.png",
-        "decode good.p4dgs -o {}": "model.json",
-    }
-    nodes = {path: os.lstat(path) for path in place.rglob("*")}
-    for line, name in lines.items():
+
+    def nodes():
+        found = {path: os.lstat(path) for path in place.rglob("*")}
+        return {path: (node.st_mode, node.st_rdev) for path, node in found.items()}
+
+    before = nodes()
+    for line, name in WRITING.items():
         code, _, err = run(line.format(kind))
         assert code == 2 and err.count("\n") == 1, err
         assert f"{kind}/{name}: expected a regular file or nothing, found" in err
-    shutil.copy(place / "run" / "checkpoint.npz", place / kind)
-    nodes[place / kind] = os.lstat(place / kind)
-    nodes[place / kind / "checkpoint.npz"] = os.lstat(place / kind / "checkpoint.npz")
-    code, _, err = run(f"train scene -o {kind} --preset smoke --resume --quiet")
-    assert code == 2 and f"{kind}/run.json: expected a regular file" in err
-    after = {path: os.lstat(path) for path in place.rglob("*")}
-    assert set(after) == set(nodes)
-    for path, node in nodes.items():
-        assert (after[path].st_mode, after[path].st_rdev) == (node.st_mode, node.st_rdev), path
+    assert nodes() == before
 
 
 def test_a_checkpoint_that_is_a_pipe(place, run):
@@ -492,22 +482,3 @@ def test_names_reach_the_terminal_without_their_control_characters(place, run):
         code, out, err = run(line)
         assert code == 0 and out and (out + err).replace("\n", "").isprintable(), line
         assert line.startswith("evaluate") or "r\\x1b[2J" in out
-
-
-def test_nan_in_an_equation_is_named(place, monkeypatch):
-    forward, calls = opacity.forward, []
-
-    def broken(*inputs):
-        alpha, saved = forward(*inputs)
-        calls.append(None)
-        if len(calls) > 20:
-            alpha[3, 1] = np.nan
-        return alpha, saved
-
-    monkeypatch.setattr(opacity, "forward", broken)
-    (place / "new").mkdir()
-    with pytest.raises(
-        NotFinite, match=r"iteration 20: equation 'opacity', forward: alpha\[3, 1\] is nan"
-    ):
-        p4.train(p4.load_scene("scene"), "smoke", folder=place / "new", save_every=0)
-    assert load(place / "new")[1]["iteration"] == 20

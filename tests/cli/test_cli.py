@@ -25,37 +25,6 @@ from tests.budget import subcommands
 ROOT = Path(p4.__file__).resolve().parents[1]
 HEADINGS = ["The main job", "Files", "Ports", "Measure", "Teach"]
 DATA = "demo evaluate inspect presets accuracy stability effects compare sweep ablate bench grade"
-METRICS = {
-    "scene": str,
-    "preset": str,
-    "seed": int,
-    "psnr_db": float,
-    "psnr_fg_db": float,
-    "ssim": float,
-    "bytes": int,
-    "seconds": float,
-    "train_seconds": float,
-    "encode_seconds": float,
-    "decode_seconds": float,
-    "render_fps": float,
-    "anchors": int,
-    "gaussians": int,
-    "components": dict,
-    "paper_design": dict,
-}
-COMPONENTS = {
-    "header",
-    "positions",
-    "features",
-    "scales",
-    "offset_scales",
-    "offsets",
-    "masks",
-    "hash_grid",
-    "deformation_mlp",
-    "anchor_mlps",
-    "context_mlps",
-}
 
 
 def start(*argv, cwd=None):
@@ -70,18 +39,16 @@ def start(*argv, cwd=None):
     )
 
 
+DEMO = "demo --preset smoke --downscale 2 --seed 3 --set Q_f=0.5"
+
+
 @pytest.fixture(scope="module")
-def reports(tmp_path_factory):
-    """The (report, stdout, stderr) of the same demo in this process and in one of its own."""
-    folders = [tmp_path_factory.mktemp(name) / "report" for name in ("one", "two")]
-    options = shlex.split("demo --preset smoke --downscale 2 --seed 3 --set Q_f=0.5")
-    process = start(*options, "--quiet", cwd=folders[1].parent)  # `report` is the default
-    out, err = io.StringIO(), io.StringIO()
+def report(tmp_path_factory):
+    """The folder that a demo fills, and what it prints to stdout and stderr."""
+    folder, out, err = tmp_path_factory.mktemp("demo") / "report", io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
-        assert cli.run([*options, "--json", "-o", str(folders[0])], time.perf_counter()) == 0
-    other = process.communicate(timeout=120)
-    assert process.returncode == 0, other
-    return [(folders[0], out.getvalue(), err.getvalue()), (folders[1], *other)]
+        assert cli.run(shlex.split(f"{DEMO} --json -o {folder}"), time.perf_counter()) == 0
+    return folder, out.getvalue(), err.getvalue()
 
 
 @pytest.fixture
@@ -97,22 +64,20 @@ def ok(run, monkeypatch, tmp_path):
     return ok
 
 
-def test_demo_metrics(reports):
-    folder, out, err = reports[0]
+def names_in(folder):
+    return sorted(path.name for path in Path(folder).iterdir())
+
+
+def test_demo(report):
+    folder, out, err = report
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics == json.loads(out)
-    assert {key: type(metrics[key]) for key in METRICS} == METRICS
     assert (metrics["scene"], metrics["preset"], metrics["seed"]) == ("bouncing", "smoke", 3)
     assert metrics["changes"] == {"Q_f": 0.5}
     paper = {key: metrics[key] for key in ("bytes", "psnr_db", "ssim")}
     assert metrics["paper_design"] == paper  # the preset itself is the paper's design
-    assert set(metrics["components"]) == COMPONENTS
-    files = list(folder.glob("*.p4dgs"))
-    assert (
-        [file.stat().st_size for file in files]
-        == [metrics["bytes"]]
-        == [sum(metrics["components"].values())]
-    )
+    assert (folder / "bouncing.p4dgs").stat().st_size == metrics["bytes"]
+    assert metrics["bytes"] == sum(metrics["components"].values())
     spent = [metrics[key] for key in ("train_seconds", "encode_seconds", "decode_seconds")]
     assert 0 < min(spent) and sum(spent) < metrics["seconds"]
     assert 5 < metrics["psnr_fg_db"] < metrics["psnr_db"] < 30 and 0 < metrics["ssim"] < 1
@@ -122,38 +87,28 @@ def test_demo_metrics(reports):
     assert [word for word in words if word not in lines[-1]] == []
 
 
-def test_demo_twice_is_the_same_to_the_byte(reports):
-    (one, *_), (two, out, err) = reports
-    assert err == "" and "report in report" in out  # --quiet
-    names = sorted(path.name for path in one.iterdir())
-    assert names == [
-        "bouncing.p4dgs",
-        "comparison.csv",
-        "comparison.png",
-        "metrics.json",
-        "motion.gif",
-        "size.csv",
-        "size.png",
-        "training.csv",
-        "training.png",
-    ]
-    for name in set(names) - {"metrics.json"}:
-        assert (one / name).read_bytes() == (two / name).read_bytes(), name
+@pytest.mark.slow
+def test_demo_twice_is_the_same_to_the_byte(report, tmp_path):
+    process = start(*shlex.split(DEMO), "--quiet", cwd=tmp_path)
+    out, err = process.communicate(timeout=120)
+    assert (process.returncode, err) == (0, "") and "report in report" in out
+    names = "bouncing.p4dgs comparison.csv comparison.png metrics.json motion.gif size.csv size.png"
+    assert names_in(tmp_path / "report") == [*names.split(), "training.csv", "training.png"]
+    for file in report[0].iterdir():
+        same = file.read_bytes() == (tmp_path / "report" / file.name).read_bytes()
+        assert same or file.name == "metrics.json", file.name
 
 
-def test_inspect_and_evaluate_agree_with_the_demo(reports, ok):
-    file = next(reports[0][0].glob("*.p4dgs"))
-    metrics = json.loads((reports[0][0] / "metrics.json").read_text())
+def test_inspect_and_evaluate_agree_with_the_demo(report, ok):
+    file, metrics = report[0] / "bouncing.p4dgs", json.loads(report[1])
     listed = ok(f"inspect {file} --json")
     assert sum(row["bytes"] for row in listed["sections"]) == listed["bytes"] == file.stat().st_size
     assert all(row["name"] and row["bytes"] >= 0 for row in listed["sections"])
     scored = ok(f"evaluate {file} bouncing --downscale 2 --json -o scored")
-    for key in ("psnr_db", "psnr_fg_db", "ssim"):
-        assert scored[key] == pytest.approx(metrics[key], rel=1e-6)
-    for key in ("bytes", "explicit_bytes", "ratio", "components", "anchors", "gaussians"):
-        assert scored[key] == metrics[key]
-    assert min(scored["encode_seconds"], scored["decode_seconds"]) > 0
+    same = "psnr_db psnr_fg_db ssim bytes explicit_bytes ratio components anchors gaussians".split()
+    assert {key: scored[key] for key in same} == {key: metrics[key] for key in same}
     assert len(scored["views"]) == 10
+    assert min(scored["encode_seconds"], scored["decode_seconds"]) > 0
     assert names_in("scored") == ["comparison.csv", "comparison.png"]
     shown = ok(f"evaluate {file} bouncing --downscale 2")
     assert f"mean of 10: PSNR {metrics['psnr_db']:.2f} dB" in shown
@@ -164,10 +119,6 @@ def test_inspect_and_evaluate_agree_with_the_demo(reports, ok):
     assert all(why in table for why in listed["gaps"].values())
     assert names_in("sizes") == ["heat.csv", "heat.png", "size.csv", "size.png"]
     assert len(Path("sizes/heat.csv").read_text().splitlines()) == metrics["anchors"] + 1
-
-
-def names_in(folder):
-    return sorted(path.name for path in Path(folder).iterdir())
 
 
 def test_train_encode_decode_render(ok):
@@ -200,11 +151,11 @@ def test_train_encode_decode_render(ok):
 
 
 def test_train_on_the_layout_of_nerf_ds(ok):
-    options = "--preset smoke --downscale 2 --quiet"
+    options = "--preset smoke --downscale 4 --quiet"
     assert "200 anchors" in ok(f"train twocams -o run {options}")
     ok("encode run -o twocams.p4dgs")
-    assert ok("evaluate twocams.p4dgs twocams --downscale 2 --json")["scene"] == "twocams"
-    assert "12 images" in ok("render twocams.p4dgs -o views --scene twocams --downscale 2")
+    assert ok("evaluate twocams.p4dgs twocams --downscale 4 --json")["scene"] == "twocams"
+    assert "12 images" in ok("render twocams.p4dgs -o views --scene twocams --downscale 4")
     assert Path("views/000002_right.png").is_file()
     assert "view 000002_right" in ok("export-ply twocams.p4dgs --camera 0")
     lines = [f"{i} {i} 0 0 0 0 0 0 1 1" for i in range(3)]
@@ -314,16 +265,7 @@ def test_long_trainings_need_a_yes(run, monkeypatch, tmp_path):
     assert not Path("run").exists()
 
 
-def test_python_face():
-    scene = p4.load_scene("bouncing", downscale=2)
-    model = p4.train(scene, preset="smoke", seed=1, Q_f=0.5)
-    assert model.design.Q_0[0] == 0.5
-    decoded = p4.decode(p4.encode(model))
-    metrics, rows, images = p4.evaluate(decoded, scene)
-    view = scene.test[0]
-    np.testing.assert_array_equal(images[0], decoded.render(view.camera, view.time))
-    assert rows[0]["name"] == view.name and images[0].shape == (32, 32, 3)
-    assert metrics["gaussians"] <= len(decoded.anchors.x_a) * 2
+def test_python_face_has_every_name():
     assert all(getattr(p4, name) is not None for name in p4.__all__)
     assert set(p4.__all__) <= set(dir(p4))
     with pytest.raises(AttributeError, match="no attribute 'teleport'"):
