@@ -189,8 +189,8 @@ def held_camera(model, azimuth, elevation, distance, size):
 
 def views_to_render(arguments, model):
     """The (name, camera, time) of every picture: views of a scene, or times of a held camera."""
-    given = {name: getattr(arguments, name) for name in (*CAMERA, "frames")}
-    given = {name: value for name, value in given.items() if value is not None}
+    options = {name: getattr(arguments, name) for name in (*CAMERA, "frames")}.items()
+    given = {name: value for name, value in options if value is not None}
     if arguments.scene:
         expect(
             not given,

@@ -525,11 +525,6 @@ def how_to_resume(argv, arguments):
     return f"; the last checkpoint is kept, go on with: {shlex.join(['p4dgs-ref', *again])}"
 
 
-def show_warning(message, *place):
-    """Print a warning as one line; the place in the code means nothing to a user."""
-    say(f"warning: {message}")
-
-
 def run(argv, start):
     """Parse and run a command; returns the exit code.
 
@@ -544,7 +539,8 @@ def run(argv, start):
     module, name = arguments.function.split(".")
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = show_warning
+            # in one line; the place in the code means nothing to a user
+            warnings.showwarning = lambda message, *place: say(f"warning: {message}")
             return getattr(import_module(f".{module}", __package__), name)(arguments) or 0
     except KeyboardInterrupt:
         code, message = 130, f"stopped{how_to_resume(argv, arguments)}"

@@ -81,7 +81,8 @@ def ledger(rows, gaps):
             share, each = row["bytes"] / file["bytes"], row["bits_per_symbol"]
             symbols = "" if row["symbols"] is None else row["symbols"]
             last = f"{100 * share:.1f}%", symbols, "" if each is None else f"{each:.3f}"
-        lines.append(LEDGER.format(row["name"], f"{estimate:.1f}", f"{integer:.1f}", *rest, *last))
+        cells = f"{estimate:.1f}", f"{integer:.1f}", *rest, *last
+        lines.append(LEDGER.format(row["name"], *cells).rstrip())
     lines += ["", "In bytes. The columns differ because of:"]
     return "\n".join([*lines, *(f"  {BETWEEN[name]:20} {why}" for name, why in gaps.items())])
 
