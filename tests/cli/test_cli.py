@@ -102,52 +102,65 @@ def test_demo_twice_is_the_same_to_the_byte(report, tmp_path):
 def test_inspect_and_evaluate_agree_with_the_demo(report, ok):
     file, metrics = report[0] / "bouncing.p4dgs", json.loads(report[1])
     listed = ok(f"inspect {file} --json")
-    assert sum(row["bytes"] for row in listed["sections"]) == listed["bytes"] == file.stat().st_size
+    assert sum(row["bytes"] for row in listed["sections"]) == listed["bytes"] == metrics["bytes"]
     assert all(row["name"] and row["bytes"] >= 0 for row in listed["sections"])
-    scored = ok(f"evaluate {file} bouncing --downscale 2 --json -o scored")
+    scored = ok(f"evaluate {file} bouncing --downscale 2 --json")
     same = "psnr_db psnr_fg_db ssim bytes explicit_bytes ratio components anchors gaussians".split()
     assert {key: scored[key] for key in same} == {key: metrics[key] for key in same}
-    assert len(scored["views"]) == 10
     assert min(scored["encode_seconds"], scored["decode_seconds"]) > 0
-    assert names_in("scored") == ["comparison.csv", "comparison.png"]
     shown = ok(f"evaluate {file} bouncing --downscale 2")
     assert f"mean of 10: PSNR {metrics['psnr_db']:.2f} dB" in shown
-    assert f"{metrics['bytes']:,} bytes" in shown
-    table = ok(f"inspect {file} -o sizes --heat")
+    assert f"{metrics['bytes']:,} bytes" in shown and len(scored["views"]) == 10
+    table = ok(f"inspect {file}")
     (total,) = (line.split() for line in table.splitlines() if line.startswith("file "))
     assert total[-1] == str(metrics["bytes"])
     assert all(why in table for why in listed["gaps"].values())
-    assert names_in("sizes") == ["heat.csv", "heat.png", "size.csv", "size.png"]
-    assert len(Path("sizes/heat.csv").read_text().splitlines()) == metrics["anchors"] + 1
 
 
-def test_train_encode_decode_render(ok):
-    options = "--preset smoke --downscale 4 --set k=3 --background 0.2,0.3,0.4"
-    assert ok(f"train bouncing -o run {options} --quiet").startswith("run: 45 iterations, 20 anch")
-    written = json.loads(Path("run/run.json").read_text())
-    assert (written["iterations"], written["anchors"], written["output"]) == (45, 20, "run")
-    assert names_in("run") == ["checkpoint.npz", "run.json", "training.csv", "training.png"]
-    said = ok("encode run -o out/scene.p4dgs")
-    data = Path("out/scene.p4dgs").read_bytes()
-    assert said.startswith(f"out/scene.p4dgs: {len(data):,} bytes, from iteration 45, ")
+# What a command prints first, and the files in its folder.
+WRITTEN = {
+    "train bouncing -o run --preset smoke --downscale 4 --set k=3 --background .2,.3,.4 --quiet": (
+        "run: 45 iterations, 20 anchors, ",
+        "checkpoint.npz run.json training.csv training.png",
+    ),
+    "encode run -o out/x.p4dgs": ("out/x.p4dgs: ", "x.p4dgs"),
+    "decode out/x.p4dgs -o arrays": ("arrays: model.npz with 59 arrays", "model.json model.npz"),
+    "render out/x.p4dgs -o held --frames 3 --size 20 --azimuth -50": (
+        "held: 3 images, ",
+        "motion.gif t_000.png t_001.png t_002.png",
+    ),
+    "render out/x.p4dgs --scene bouncing --downscale 4 --settings exact -o views": (
+        "views: 10 images, ",
+        " ".join(f"test_r_{i:03d}.png" for i in range(10)),
+    ),
+    "evaluate out/x.p4dgs bouncing -o scored --downscale 4": (
+        "test/r_000  t 0.050  PSNR ",
+        "comparison.csv comparison.png",
+    ),
+    "inspect out/x.p4dgs -o sizes --heat": ("section ", "heat.csv heat.png size.csv size.png"),
+}
+
+
+def test_from_a_scene_to_a_file_and_back(ok):
+    for line, (said, names) in WRITTEN.items():
+        assert ok(line).startswith(said)
+        folder = Path(line.split("-o ")[1].split()[0])
+        assert names_in(folder.parent if folder.is_file() else folder) == names.split()
+    run, data = json.loads(Path("run/run.json").read_text()), Path("out/x.p4dgs").read_bytes()
+    assert (run["iterations"], run["anchors"], run["output"]) == (45, 20, "run")
     model = p4.decode(data)
     np.testing.assert_allclose(model.background, [0.2, 0.3, 0.4], rtol=1e-6)
-    said = ok("decode out/scene.p4dgs -o arrays")
     with np.load("arrays/model.npz") as arrays:
-        assert f"model.npz with {len(arrays.files)} arrays" in said
-        assert arrays["O_a"].shape == (20, 3, 3)
+        assert len(arrays.files) == 59 and arrays["O_a"].shape == (20, 3, 3)
         np.testing.assert_array_equal(arrays["psi_c.W0"], model.networks["psi_c"][0][0])
         np.testing.assert_array_equal(arrays["psi_c.b1"], model.networks["psi_c"][1][1])
         np.testing.assert_array_equal(arrays["f_a"], model.anchors.f_a)
     assert json.loads(Path("arrays/model.json").read_text())["k"] == 3
-    said = ok("render out/scene.p4dgs -o held --frames 3 --size 20 --azimuth -50")
-    assert said.startswith("held: 3 images, ")
     assert iio.imread("held/motion.gif").shape == (4, 20, 20, 3)  # 0, 1, 2, 1
-    assert names_in("held") == ["motion.gif", "t_000.png", "t_001.png", "t_002.png"]
-    ok("render out/scene.p4dgs -o views --scene bouncing --downscale 4 --settings exact")
     view = p4.load_scene("bouncing", downscale=4).test[2]
     want = np.clip(model.render(view.camera, view.time, p4.SETTINGS["exact"]), 0, 1)
     np.testing.assert_allclose(iio.imread("views/test_r_002.png") / 255, want, atol=0.501 / 255)
+    assert len(Path("sizes/heat.csv").read_text().splitlines()) == run["anchors"] + 1
 
 
 def test_train_on_the_layout_of_nerf_ds(ok):
@@ -216,7 +229,7 @@ def every_command(parser):
 
 def test_help_has_five_groups_and_fits_a_screen(monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
-    parser = cli.parser()
+    parser, printing = cli.parser(), set()
     lines = parser.format_help().splitlines()
     groups = [line for line in lines if line.endswith(":") and "," in line]
     assert [line.split(",")[0] for line in groups] == HEADINGS
@@ -225,17 +238,15 @@ def test_help_has_five_groups_and_fits_a_screen(monkeypatch):
     for name, command in every_command(parser).items():
         help = command.format_help().splitlines()
         assert len(help) <= 24 and max(map(len, [*help, *lines])) <= 100, name
+        printing |= {name for line in help if line.startswith("  --json ")}
+    assert printing == {*DATA.split(), "oracle check"}
 
 
-def test_every_command_has_its_function_and_those_that_print_data_have_json():
-    printing = set()
-    for name, command in every_command(cli.parser()).items():
+def test_every_command_has_its_function():
+    for command in every_command(cli.parser()).values():
         if not subcommands(command):
             module, function = command.get_default("function").split(".")
             assert callable(getattr(import_module(f"p4dgs_ref.cli.{module}"), function))
-        if "--json" in command.format_help():
-            printing.add(name)
-    assert printing == {*DATA.split(), "oracle check"}
 
 
 def test_a_reader_that_goes_away_is_no_error():
