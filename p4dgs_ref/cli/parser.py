@@ -16,6 +16,7 @@ from importlib import import_module
 from pathlib import Path
 
 from .. import __version__
+from ..signals import deferred
 from .base import say
 
 
@@ -531,9 +532,10 @@ def run(argv, start):
     Exit codes: 0 success, 1 failed training or check, 2 invalid input, 130 interrupted. Every
     ValueError that this package defines means invalid input; another one is a bug.
     """
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # escape characters that the terminal cannot show
-            stream.reconfigure(errors="backslashreplace")
+    with deferred():  # an interrupted `reconfigure` would leave a stream that cannot be written
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):  # escape what the terminal cannot show
+                stream.reconfigure(errors="backslashreplace")
     arguments = parser().parse_args(argv)
     arguments.start = start
     module, name = arguments.function.split(".")
