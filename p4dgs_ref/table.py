@@ -4,7 +4,7 @@
     outputs, pullback = EQUATIONS["offsets"].vjp(x_a=x_a, O_a=O_a, l_a=l_a)
     gradients = pullback(x_bar=x_bar)
 
-`p4dgs-ref equations` prints it. An equation's module is imported when it is first used.
+`p4dgs-ref oracle equations` prints it. An equation's module is imported when it is first used.
 """
 
 from importlib import import_module

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+import p4dgs_ref as p4
 from p4dgs_ref import table
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.equations import numerics, prior, step
@@ -28,6 +29,7 @@ from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
 from p4dgs_ref.training import adam
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, TINY
+from tests.budget import subcommands
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -108,42 +110,44 @@ def test_five_lines_run_and_print_the_figures_of_the_demo():
     """With another preset, which takes a second; the demo's own figures are measured below."""
     program, output = FIVE_LINES
     m = demo(PAPER_DESIGN)
-    shown = f"{m['psnr_db']:.2f} dB on 10 test views from {m['bytes']:,.0f} bytes\n"
-    assert output == shown
-    assert program.startswith("import p4dgs_ref as p4\n\n")
-    assert len(program.splitlines()[2:]) == 5
+    assert output == f"{m['psnr_db']:.2f} dB on 10 test views from {m['bytes']:,.0f} bytes\n"
+    assert program.startswith("import p4dgs_ref as p4\n\n") and program.count("\n") == 7
+    assert SMOKE_INSTEAD[0] in program
     done = run(program.replace(*SMOKE_INSTEAD))
-    form = re.sub(r"\d[\d,.]*", "N", output)
-    assert SMOKE_INSTEAD[0] in program and done.stderr == ""
-    assert re.sub(r"\d[\d,.]*", "N", done.stdout) == form
+    forms = [re.sub(r"\d[\d,.]*", "N", text) for text in (done.stdout, output)]
+    assert forms[0] == forms[1] and done.stderr == ""
 
 
 def test_one_equation_is_shown_as_its_file_has_it():
-    (shown,) = re.findall(r"```python\n(.*?)```", section("One equation", README), re.DOTALL)
+    shown = section("One equation", README)
     file = ROOT / "p4dgs_ref" / "equations" / "offsets.py"
-    docstring, body = file.read_text(encoding="utf-8").split("\n\n\n", 1)
-    assert shown == body
-    assert f"`{table.EQUATIONS['offsets'].formula}`" in section("One equation", README)
+    body = file.read_text(encoding="utf-8").split("\n\n\n", 1)[1]
+    assert re.findall(r"```python\n(.*?)```", shown, re.DOTALL) == [body]
+    assert f"`{table.EQUATIONS['offsets'].formula}`" in shown
 
 
 def test_table_of_equations_is_the_printed_one():
     assert table.table() in section("The equations")
 
 
+def declared():
+    """The options of setup.cfg."""
+    parser = configparser.ConfigParser()
+    parser.read(ROOT / "setup.cfg")
+    return parser
+
+
 def test_two_commands_are_those_of_the_check():
-    commands = re.search(r"```sh\n(.*?)```", section("Two commands", README), re.DOTALL)[1]
-    first, second = commands.splitlines()
+    shown = section("Two commands", README)
+    first, second = re.search(r"```sh\n(.*?)```", shown, re.DOTALL)[1].splitlines()
     *install, main_job = first.split(" && ")
     script = (ROOT / ".ci" / "run").read_text().replace('"$room"/', "")
     lines = [line.strip() for line in script.splitlines()]
     assert main_job == ".venv/bin/p4dgs-ref demo" and install[0] == "python3 -m venv .venv"
     assert [line for line in lines if line in (*install, second)] == [*install, second]
-    declared = configparser.ConfigParser()
-    declared.read(ROOT / "setup.cfg")
-    oldest = declared["options"]["python_requires"].removeprefix(">=")
-    assert f"Python {oldest} or newer" in section("Two commands", README)
-    python = second.removesuffix(" -m pytest")
-    assert f"`{second} -m slow`" in README and f"halves {python} -m slow tests" in lines
+    oldest = declared()["options"]["python_requires"].removeprefix(">=")
+    assert f"Python {oldest} or newer" in shown and f"`{second} -m slow`" in README
+    assert f"halves {second.removesuffix(' -m pytest')} -m slow tests" in lines
 
 
 # Stands for python3: makes an "environment" whose programs record their calls and exit as told.
@@ -166,9 +170,7 @@ esac
     "tests, slow, code", [(0, 0, 0), (0, 5, 0), (1, 0, 1), (5, 0, 5), (0, 1, 1), (0, 2, 1)]
 )
 def test_check_fails_where_a_test_fails_and_leaves_nothing(tmp_path, tests, slow, code):
-    programs = tmp_path / "programs"
-    temporary = tmp_path / "temporary"
-    log = tmp_path / "log"
+    programs, temporary, log = (tmp_path / name for name in ("programs", "temporary", "log"))
     programs.mkdir()
     temporary.mkdir()
     for name, text in (("python3", STUB), ("recorder", PROGRAM)):
@@ -184,19 +186,16 @@ def test_check_fails_where_a_test_fails_and_leaves_nothing(tmp_path, tests, slow
         "TESTS": str(tests),
         "SLOW": str(slow),
     }
-    done = subprocess.run(
-        [ROOT / ".ci" / "run"], env=environment, stdin=subprocess.DEVNULL, capture_output=True
-    )
+    quiet = {"stdin": subprocess.DEVNULL, "capture_output": True}
+    done = subprocess.run([ROOT / ".ci" / "run"], env=environment, **quiet)
     assert done.returncode == code, done.stderr
-    declared = configparser.ConfigParser()
-    declared.read(ROOT / "setup.cfg")
-    floors = declared["options"]["install_requires"].split()
-    floors += declared["options.extras_require"]["test"].split()
+    options, extras = declared()["options"], declared()["options.extras_require"]
+    floors = options["install_requires"].split() + extras["test"].split()
     lowest = " ".join(floor.replace(">=", "==") for floor in floors)
     calls = ["pip install .[test]", "python -m pytest", f"pip install .[test] {lowest}"]
-    called = log.read_text().splitlines()
     for chosen in ("tests", "-m slow tests"):
         calls += [f"python -m pytest {chosen} --share {i}/2" for i in (1, 2)]
+    called = log.read_text().splitlines()
     # two processes: either half may come first
     assert sorted(called) == sorted(calls[:2] if tests else calls)
     assert called[:3] == calls[: len(called[:3])]
@@ -238,24 +237,19 @@ def test_readme_fits_a_few_screens_and_begins_with_the_paper_in_one_file():
 
 @pytest.mark.parametrize("page", PAGES)
 def test_links_and_pictures_exist(page):
-    folder = (ROOT / page).parent
     links = re.findall(r"\]\(([^)\s]+)\)", PAGES[page])
-    assert links
-    for link in links:
-        if link.startswith("https://"):
-            continue
-        path, _, anchor = link.partition("#")
-        target = (folder / path).resolve() if path else ROOT / page
-        assert target.exists() and target.is_relative_to(ROOT), link
-        if anchor:
-            assert anchor in anchors(target.read_text(encoding="utf-8")), link
+    inside = [link.partition("#") for link in links if not link.startswith("https://")]
+    assert inside
+    for path, _, anchor in inside:
+        target = ((ROOT / page).parent / path).resolve() if path else ROOT / page
+        assert target.exists() and target.is_relative_to(ROOT), path
+        assert not anchor or anchor in anchors(target.read_text(encoding="utf-8")), anchor
 
 
 def test_contents_list_all_sections_of_the_reference():
     listed = re.findall(r"^- \[(.*)\]\(#(.*)\)$", REFERENCE, re.MULTILINE)
     sections = re.findall(r"^## (.*)$", REFERENCE, re.MULTILINE)
-    assert [title for title, _ in listed] == sections
-    assert [anchor for _, anchor in listed] == anchors(REFERENCE)[1:]
+    assert listed == list(zip(sections, anchors(REFERENCE)[1:], strict=True))
     assert len(set(sections)) == len(sections) >= 19
 
 
@@ -266,29 +260,24 @@ def test_pictures_of_the_pages_are_small():
     assert {"LICENSE", "CHANGELOG.md"} <= set(re.findall(r"\]\(([^)#]+)\)", README))
 
 
-def choices(parser):
-    """The parser of every command: {name: parser}."""
-    return parser._subparsers._group_actions[0].choices
-
-
 def test_commands_and_options_are_those_of_the_parser():
-    commands = choices(cli.parser())
-    listed = re.findall(r"`p4dgs-ref ([\w-]+)`", section("What each command does"))
-    assert sorted(listed) == sorted(commands)
-    for name, rest in re.findall(r"p4dgs-ref ([\w-]+)([^`\n]*)`", BOTH):
-        arguments = commands[name].parse_args(rest.split()) if rest.strip() else None
-        assert arguments is None or arguments.function
-    deep = [*commands.values(), *choices(commands["oracle"]).values()]
+    parser = cli.parser()
+    commands = subcommands(parser)
+    table_of_commands = section("What each command does")
+    assert re.findall(r"`p4dgs-ref ([\w-]+)`", table_of_commands) == [*commands]
+    headings = [heading.split(",")[0] for heading in cli.GROUPS]
+    assert re.findall(r"^\| \*\*(.*)\*\* \|", table_of_commands, re.MULTILINE) == headings
+    for line in re.findall(r"p4dgs-ref ([\w-]+ [^`\n]+)`", BOTH):
+        assert parser.parse_args(line.split()).function
+    deep = [*commands.values(), *subcommands(commands["oracle"]).values()]
     every = {option for command in deep for option in command._option_string_actions}
     ours = re.sub(r"`python -m tests[^`]*`", "", BOTH)  # tools of a checkout have other options
     assert set(re.findall(r"(?<![\w-])--[a-z]+(?:-[a-z]+)*", ours)) <= every
 
 
 def test_names_exist():
-    assert set(re.findall(r"^\| `(\w+)", section("Effects"), re.MULTILINE)) <= set(
-        SIMULATOR_EFFECTS
-    )
-    assert set(SIMULATOR_EFFECTS) <= set(re.findall(r"`(\w+)`", section("Effects")))
+    listed = set(re.findall(r"^\| `(\w+)", section("Effects"), re.MULTILINE))
+    assert listed <= set(SIMULATOR_EFFECTS) <= set(re.findall(r"`(\w+)`", section("Effects")))
     assert "bouncing" in packaged_scenes()
 
 
@@ -386,37 +375,19 @@ def test_choices_are_numbered_and_hold_the_code_s_values():
             assert fact in rows[key][2], f"{key}: expected {fact!r}"
 
 
+SHARED = (
+    "deformation L_x grow_every grow_from grow_until gradient_threshold grow_init grow_hierarchy "
+    "grow_depth min_opacity success lambda_ssim tau_alpha lambda_volume"
+)
+
+
 def test_what_facts_share_is_shared():
     """Where a row quotes one preset for several, the others agree."""
-    for field in (
-        "deformation",
-        "L_x",
-        "grow_every",
-        "grow_from",
-        "grow_until",
-        "gradient_threshold",
-        "grow_init",
-        "grow_hierarchy",
-        "grow_depth",
-        "min_opacity",
-        "success",
-        "lambda_ssim",
-        "tau_alpha",
-        "lambda_volume",
-    ):
+    for field in SHARED.split():
         assert getattr(PAPER_REAL, field) == getattr(PAPER_SYNTHETIC, field), field
-    for preset in (PAPER_SYNTHETIC, PAPER_REAL, TINY):
-        assert (preset.grow_every, preset.success, preset.lambda_ssim, preset.tau_alpha) == (
-            100,
-            0.8,
-            0.2,
-            0,
-        )
-        assert (
-            preset.lr_s == preset.lr_l
-            and preset.lr_r == preset.lr_psi_s
-            and preset.lr_p == preset.lr_q
-        )
+    for p in (PAPER_SYNTHETIC, PAPER_REAL, TINY):
+        assert (p.grow_every, p.success, p.lambda_ssim, p.tau_alpha) == (100, 0.8, 0.2, 0)
+        assert p.lr_s == p.lr_l and p.lr_r == p.lr_psi_s and p.lr_p == p.lr_q
     assert PAPER_SYNTHETIC.lr_x == PAPER_REAL.lr_x == (0, 0) and min(TINY.lr_x) > 0
     assert (PAPER_REAL.grow, TINY.grow, SMOKE.grow) == ("scaffold", "reseed", "off")
 
@@ -433,48 +404,41 @@ def test_every_choice_that_the_code_cites_exists():
 @pytest.mark.parametrize("column", [CODED, PAPER_DESIGN])
 def test_demo_figures_agree_with_each_other(column):
     m = demo(column)
-    design = design_of(TINY, load_scene("bouncing").effects)
-    weights = sum((rows + 1) * columns for rows, columns in design.layers()["psi_d"])
-    plain_float32 = {
-        floats: 4 * (m["gaussians"] * floats + weights)
+    layers = design_of(TINY, load_scene("bouncing").effects).layers()["psi_d"]
+    weights = sum((rows + 1) * columns for rows, columns in layers)
+    every, without_sh = (
+        4 * (m["gaussians"] * floats + weights)
         for floats in (FLOATS_PER_GAUSSIAN, FLOATS_WITHOUT_SH_REST)
-    }
-    assert m["explicit_bytes"] == plain_float32[59]
-    assert m["ratio"] == round(plain_float32[59] / m["bytes"], 1)
-    assert m["ratio_without_sh"] == round(plain_float32[14] / m["bytes"], 1)
+    )
+    assert m["explicit_bytes"] == every and m["ratio"] == round(every / m["bytes"], 1)
+    assert m["ratio_without_sh"] == round(without_sh / m["bytes"], 1)
 
 
 def test_readme_quotes_the_figures_of_the_reference():
     m, paper = demo(CODED), demo(PAPER_DESIGN)
     figures = section("The demo's figures")
     (seconds,) = numbers(re.search(r"The whole command took (.*) s\.", figures)[1])
-    demo_row = (
-        f"{m['psnr_db']:.2f} dB from {m['bytes']:,.0f} bytes; the paper's design "
-        f"{paper['psnr_db']:.2f} dB from {paper['bytes']:,.0f} bytes | {seconds:.0f} s |"
-    )
-    assert demo_row in README
-    text = " ".join(README.split())
     share = re.search(r"networks are (\d+ %) of the file", REFERENCE)[1]
-    assert f"the demo's file of {m['bytes']:,.0f} bytes" in text
-    assert f"The demo's file is {m['ratio']} times smaller" in text
-    assert f"that of the paper's design only {paper['ratio']} times" in text
-    assert f"they are {share} of the file" in text
+    quoted = (
+        f"{m['psnr_db']:.2f} dB from {m['bytes']:,.0f} bytes; the paper's design "
+        f"{paper['psnr_db']:.2f} dB from {paper['bytes']:,.0f} bytes | {seconds:.0f} s |",
+        f"the demo's file of {m['bytes']:,.0f} bytes",
+        f"The demo's file is {m['ratio']} times smaller",
+        f"that of the paper's design only {paper['ratio']} times",
+        f"they are {share} of the file",
+    )
+    text = " ".join(README.split())
+    assert [words for words in quoted if words not in text] == []
 
 
 def test_demo_bytes_add_up():
     text, m = section("Reading the demo's compression"), demo(PAPER_DESIGN)
-    parts = [n for row in cells(text) for n in numbers(row[PAPER_DESIGN])]
-    assert sum(n for row in cells(text) for n in numbers(row[CODED])) == demo(CODED)["bytes"]
-    networks, coded = parts[:2]
-    design = design_of(TINY, load_scene("bouncing").effects)
-    weights = sum(
-        (rows + 1) * columns for layers in design.layers().values() for rows, columns in layers
-    )
-    assert sum(parts) == m["bytes"] and networks == 2 * weights
-    assert (
-        f"networks are {100 * networks / m['bytes']:.0f} % of the file" in text
-        and f"{coded:,.0f} bytes" in text
-    )
+    coded, parts = ([n for row in cells(text) for n in numbers(row[i])] for i in (CODED, 2))
+    assert sum(coded) == demo(CODED)["bytes"] and sum(parts) == m["bytes"]
+    layers = design_of(TINY, load_scene("bouncing").effects).layers().values()
+    assert parts[0] == 2 * sum((rows + 1) * columns for each in layers for rows, columns in each)
+    assert f"networks are {100 * parts[0] / m['bytes']:.0f} % of the file" in text
+    assert f"{parts[1]:,.0f} bytes" in text
     assert f"give {m['ratio']}; the other 14 give {m['ratio_without_sh']}" in text
     assert round(100 * (0.241 + 0.038) / 0.506) == 55 and round(100 * (0.241 + 0.038) / 0.893) == 31
 
@@ -483,8 +447,6 @@ def test_demo_bytes_add_up():
 @pytest.mark.parametrize("column, preset", [(CODED, "tiny_coded"), (PAPER_DESIGN, "tiny")])
 def test_demo_figures_are_those_of_the_demo(column, preset):
     """Trained anew. Other last bits on another machine lead to another model, hence the slack."""
-    import p4dgs_ref as p4
-
     scene = load_scene("bouncing")
     data = p4.encode(p4.train(scene, preset=preset, seed=0))
     model = p4.decode(data)
@@ -506,13 +468,7 @@ def test_demo_figures_are_those_of_the_demo(column, preset):
 
 def test_changelog_puts_numbers_before_code():
     versions = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").split("\n## ")[1:]
-    assert versions and p4dgs_version() in versions[0].splitlines()[0]
+    assert versions and p4.__version__ in versions[0].splitlines()[0]
+    assert p4.__version__ == declared()["metadata"]["version"]
     for version in versions:
         assert re.findall(r"^### (.*)$", version, re.MULTILINE) == ["Numbers", "Code"]
-
-
-def p4dgs_version():
-    import p4dgs_ref
-
-    assert f"\nversion = {p4dgs_ref.__version__}\n" in (ROOT / "setup.cfg").read_text()
-    return p4dgs_ref.__version__

@@ -850,11 +850,11 @@ lessons.number("28.3", answer_3)
 
 # %% [markdown]
 # ## Check your port
-# `p4dgs-ref equations` lists the equations of the other methods below the paper's, with the numbers
-# D1 to D3, H1 to H3 and G1 to G4. Eq. (5) is checked with `p4dgs-ref oracle check DIR --only
-# deformation`. Typical mistakes of ports of the others: the time from 0 to 1 is given to planes
-# that expect -1 to 1, so that half of the nodes are never read; the sum $r + \Delta r$ is not
-# normalised, so that a turn also shears; and G3 takes the standard deviation for the variance.
+# `p4dgs-ref oracle equations` lists the equations of the other methods below the paper's, with the
+# numbers D1 to D3, H1 to H3 and G1 to G4. Eq. (5) is checked with `p4dgs-ref oracle check DIR
+# --only deformation`. Typical mistakes of ports of the others: the time from 0 to 1 is given to
+# planes that expect -1 to 1, so that half of the nodes are never read; the sum $r + \Delta r$ is
+# not normalised, so that a turn also shears; and G3 takes the standard deviation for the variance.
 
 
 # %%

@@ -1,77 +1,70 @@
-"""The commands of the golden oracle: list, export and find the vectors, check a port with them."""
+"""The commands for ports: list, export and find the golden vectors, check a port with them."""
 
 from contextlib import closing
 from pathlib import Path
 
-from .base import Line, UsageError, show
+from ..lab.baselines.table import ALL_EQUATIONS
+from ..oracle import published
+from ..oracle.adapter import Adapter
+from ..oracle.checker import check_port
+from ..oracle.export import export
+from ..oracle.ports import FolderPort, require_known
+from ..oracle.report import as_json, listing
+from ..table import table
+from .base import expect, progress, show, tell
 
 
-def oracle_list(arguments):
+def list_cases(arguments):
     """List the cases."""
-    from ..oracle.published import read_manifest
-    from ..oracle.report import listing
-
-    manifest = read_manifest(version=arguments.vectors)
-    show(arguments, {name: manifest[name] for name in ("subjects", "streams")}, listing(manifest))
+    tell(listing(published.read_manifest(version=arguments.vectors)))
 
 
-def oracle_path(arguments):
+def list_equations(arguments):
+    """Print the table of equations, also the baselines' and those beyond the paper."""
+    tell(table(ALL_EQUATIONS))
+
+
+def path(arguments):
     """Print where the vectors are installed."""
-    from ..oracle.published import path
-
-    show(arguments, {"path": str(path())}, path())
+    tell(published.path())
 
 
-def oracle_export(arguments):
+def export_vectors(arguments):
     """Write the vectors into a folder."""
-    from ..oracle.export import export
-
     done = export(arguments.folder, arguments.vectors)
-    show(
-        arguments,
-        done,
-        f"{done['output']}: {done['files']} files, {done['bytes']:,} bytes, {done['cases']} cases",
-    )
+    tell(f"{done['output']}: {done['files']} files, {done['bytes']:,} bytes, {done['cases']} cases")
 
 
-def oracle_check(arguments):
-    """Judge the answers of a port; exit code 1 if a required case does not pass."""
-    from ..oracle.adapter import Adapter
-    from ..oracle.checker import check_port
-    from ..oracle.ports import FolderPort, require_known
-    from ..oracle.published import names
-    from ..oracle.report import as_json
-
+def port_of(arguments):
+    """The port that answers: a folder of answers, or a running program."""
     folder, command = arguments.folder, arguments.adapter
-    if (folder is None) == (command is None):
-        raise UsageError(
-            "oracle check: expected either a folder of a port's answers or --adapter CMD"
-        )
-    if folder and not Path(folder).is_dir():
-        raise UsageError(f"{folder}: expected a folder of a port's answers")
-    if folder and (arguments.dtype or arguments.timeout):
-        raise UsageError(
-            "--dtype, --timeout: these apply to --adapter only; "
-            "the precision of a folder is that of its tensors"
-        )
-    for name in arguments.only:
-        require_known(name, names(), "--only")
-    port = (
-        FolderPort(folder)
-        if folder
-        else Adapter(command, arguments.timeout or 10.0, arguments.dtype or "float64")
+    expect(
+        (folder is None) != (command is None),
+        "oracle check: expected either a folder of a port's answers or --adapter CMD",
     )
-    with Line(arguments) as line, closing(port):
-        report = check_port(
-            port,
-            arguments.level,
-            arguments.only,
-            progress=line,
-            version=arguments.vectors,
-            strict=arguments.strict,
-        )
-    if not report.results:
-        asked = f"--level {' '.join(arguments.level)} --only {' '.join(arguments.only)}"
-        raise UsageError(f"{asked}: no such case; `p4dgs-ref oracle list` lists them")
+    if command:
+        return Adapter(command, arguments.timeout or 10.0, arguments.dtype or "float64")
+    expect(Path(folder).is_dir(), f"{folder}: expected a folder of a port's answers")
+    expect(
+        not (arguments.dtype or arguments.timeout),
+        "--dtype, --timeout: these apply to --adapter only; "
+        "the precision of a folder is that of its tensors",
+    )
+    return FolderPort(folder)
+
+
+def check(arguments):
+    """Judge the answers of a port; exit code 1 if a required case does not pass."""
+    level, only = arguments.level, arguments.only
+    for name in only:
+        require_known(name, published.names(), "--only")
+    options = {"version": arguments.vectors, "strict": arguments.strict}
+    with closing(port_of(arguments)) as port:
+        report = check_port(port, level, only, progress=progress, **options)
+    expect(
+        report.results,
+        f"--level {' '.join(level)} --only {' '.join(only)}: no such case; "
+        "`p4dgs-ref oracle list` lists them",
+    )
     show(arguments, as_json(report), report)
     return 0 if report.ok else 1

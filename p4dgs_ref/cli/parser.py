@@ -1,16 +1,23 @@
-"""The command line: the table of all commands and their options, and how one is run."""
+"""The command line: the table of all commands and their options, and how one is run.
+
+A command is a function in a module of this room. The module is imported when the command runs, so
+that `p4dgs-ref --help` is quick and a mistake in an option is reported at once.
+"""
 
 import argparse
+import io
 import math
 import os
+import re
 import shlex
 import sys
 import warnings
+from importlib import import_module
 from pathlib import Path
 
 from .. import __version__
-from . import experiments, job, oracle, school, study
-from .base import UsageError, say
+from ..signals import deferred
+from .base import say
 
 
 class Parser(argparse.ArgumentParser):
@@ -21,19 +28,24 @@ class Parser(argparse.ArgumentParser):
         sys.exit(2)
 
 
-def number(kind, low, high, expected):
-    """A reader of a number from low to high; `expected` describes it for the user."""
+def reader(read, expected):
+    """A reader of a value: it refuses what `read` makes None or a ValueError, in these words."""
 
-    def read(text):
+    def checked(text):
         try:
-            value = kind(text)
+            value = read(text)
         except ValueError:
-            value = math.nan
-        if not low <= value <= high:
+            value = None
+        if value is None:
             raise argparse.ArgumentTypeError(f"expected {expected}, got {text!r}")
         return value
 
-    return read
+    return checked
+
+
+def number(kind, low, high, expected):
+    """A reader of a number from low to high; `expected` describes it for the user."""
+    return reader(lambda text: value if low <= (value := kind(text)) <= high else None, expected)
 
 
 def whole(low, high=math.inf):
@@ -47,34 +59,22 @@ def real(low, high):
     return number(float, low, high, f"a number in {low:g} ... {high:g}")
 
 
-def color(text):
-    """A reader of a background: a name or three numbers, which the scene will check."""
-    try:
-        return tuple(map(float, text.split(","))) if "," in text else text
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"expected white, black or r,g,b in 0 ... 1, got {text!r}"
-        ) from None
+def parts_of(text):
+    """The two numbers of I/N, or None."""
+    found = re.fullmatch(r"(\d+)/(\d+)", text)
+    return found and (int(found[1]), int(found[2]))
 
 
-def listed(read):
-    """A reader of numbers with commas between them."""
-    return lambda text: tuple(read(part) for part in text.split(",") if part.strip())
-
-
-def fraction(text):
-    """A reader of I/N."""
-    i, slash, count = text.partition("/")
-    if not slash or not (i + count).isdecimal():
-        raise argparse.ArgumentTypeError(f"expected I/N, like 3/15, got {text!r}")
-    return int(i), int(count)
-
-
-def place(text):
-    """A reader of a path. An empty one is refused, since it would mean the current folder."""
-    if not text:
-        raise argparse.ArgumentTypeError("expected a path, got nothing")
-    return text
+# A background: a name, which the scene will check, or three numbers.
+color = reader(
+    lambda text: tuple(map(float, text.split(","))) if "," in text else text,
+    "white, black or r,g,b in 0 ... 1",
+)
+rates = reader(
+    lambda text: tuple(map(real(0, 1e18), filter(None, text.split(",")))), "numbers like 0.001,0.01"
+)
+fraction = reader(parts_of, "I/N, like 3/15")
+place = reader(lambda text: text or None, "a path")  # an empty one would be the current folder
 
 
 def option(*names, **settings):
@@ -98,408 +98,59 @@ def output(help, **settings):
 
 
 JSON = switch("--json", "print JSON instead of text")
-QUIET = switch("--quiet", "no progress line")
 JOBS = option(
     "--jobs",
     type=whole(1),
     default=os.cpu_count() or 1,
     metavar="N",
-    help="processes for independent trainings (default: one for every core); times are never "
-    "taken beside them, and the results do not depend on it",
+    help="processes for independent trainings (default: one for every core)",
 )
-CHECK_FINITE = switch(
-    "--check-finite",
-    "stop at the first equation that makes a NaN or an infinity (training always does)",
-)
+SEED = option("--seed", type=whole(0), default=0, metavar="N", help="of everything random (0)")
 FILE = option("file", help="a .p4dgs file")
 NEW_FOLDER = output("folder to write to", required=True)
-VIEW = (
-    option(
-        "--background", type=color, default="white", help="white, black or r,g,b (default white)"
-    ),
-    option(
-        "--downscale", type=whole(1), default=1, help="divide the image size by this (default 1)"
-    ),
+BACKGROUND = option(
+    "--background", type=color, default="white", metavar="COLOR", help="white, black or r,g,b"
 )
+DOWNSCALE = option(
+    "--downscale", type=whole(1), default=1, metavar="N", help="divide the image size by this (1)"
+)
+VIEW = (BACKGROUND, DOWNSCALE)
 SCENE_HELP = "a D-NeRF, HyperNeRF or NeRF-DS folder, or the name of a packaged scene"
-SCENE = (option("scene", help=SCENE_HELP), *VIEW)
+SCENE = option("scene", help=SCENE_HELP)
 SETTINGS = (
-    option("--seed", type=whole(0), default=0, help="seed of everything random (default 0)"),
+    SEED,
     several("--set", "KEY=VALUE", "change a field of the preset; may be repeated", dest="changes"),
-    QUIET,
+    switch("--quiet", "no progress line"),
     switch("--yes", "go on although the estimate is over an hour"),
 )
-TRAINING = (
-    option("--preset", default="tiny", help="settings of the training (default tiny)"),
-    *SETTINGS,
-)
-SPLIT = option(
-    "--split",
-    default="test",
-    choices=("train", "test", "val"),
-    help="which views of the scene (default test)",
-)
-CAPS = option(
-    "--caps",
-    type=listed(whole(1)),
-    default=(),
-    metavar="N,N",
-    help="also train every baseline with these numbers of Gaussians, so that files of equal PSNR "
-    "can be compared",
-)
-LENGTH = option(
-    "--iterations", type=whole(4), help="of every training (default those of the preset)"
-)
 EXPERIMENT = (
-    *VIEW,
-    option("--seeds", type=whole(1, 1000), default=3, help="seeds 0 to N - 1 (default 3)"),
-    LENGTH,
+    JSON,
+    option("--seeds", type=whole(1, 1000), default=3, metavar="N", help="seeds 0 to N - 1 (3)"),
+    option(
+        "--iterations",
+        type=whole(4),
+        metavar="N",
+        help="of every training (default those of the preset)",
+    ),
     JOBS,
-    QUIET,
 )
-CAMERA = (  # without defaults, so that an option that does not apply can be refused
-    option("--azimuth", type=real(-360, 360), help="degrees about z (default 40)"),
-    option("--elevation", type=real(-89, 89), help="degrees (default 30)"),
-    option("--distance", type=real(1e-3, 1e6), help="from the middle of the anchors (default 3.6)"),
-    option("--fov", type=real(1, 170), help="horizontal, degrees (default 41)"),
-    option("--size", type=whole(1, 4096), help="pixels along each side (default 128)"),
-)
-# name: (function, help, arguments)
-COMMANDS = {
-    "demo": (
-        job.demo,
-        "the main job: fit a scene, compress, decode, render, measure, draw",
-        (
-            option("scene", nargs="?", default="bouncing", help=SCENE_HELP),
-            *VIEW,
-            option(
-                "--preset",
-                default="tiny_coded",
-                help="settings of the training (default tiny_coded, which goes beyond the paper; "
-                "the paper's design is then trained too, for comparison)",
-            ),
-            *SETTINGS,
-            option(
-                "--jobs",
-                type=whole(1),
-                default=os.cpu_count() or 1,
-                metavar="N",
-                help="2 or more train both designs at once (default: one for every core)",
-            ),
-            output("folder of the report (default report)", default="report"),
-        ),
-    ),
-    "simulate": (
-        job.simulate,
-        "draw the pictures of a scene.json",
-        (option("scene", help="a scene.json"), NEW_FOLDER, QUIET),
-    ),
-    "train": (
-        job.train,
-        "fit a scene",
-        (
-            *SCENE,
-            *TRAINING,
-            option(
-                "--points",
-                help="start from the points of a .npy or .ply file or of COLMAP's points3D.txt, in "
-                "the coordinates of the scene's files",
-            ),
-            output("run folder", required=True),
-            switch("--resume", "go on from the checkpoint in the run folder"),
-            option(
-                "--save-every",
-                type=real(0, 1e6),
-                default=20.0,
-                metavar="SECONDS",
-                help="between checkpoints (default 20)",
-            ),
-        ),
-    ),
-    "encode": (
-        job.encode,
-        "compress a run to a file",
-        (option("run", help="run folder of `train`"), output("file to write", required=True)),
-    ),
-    "decode": (
-        job.decode,
-        "write the arrays of a file as npz, its settings as JSON",
-        (FILE, NEW_FOLDER),
-    ),
-    "render": (
-        job.render,
-        "draw pictures of a file, from a held camera over time or from the cameras of a scene",
-        (
-            FILE,
-            NEW_FOLDER,
-            *CAMERA,
-            *VIEW,
-            option("--frames", type=whole(1, 10_000), help="times from 0 to 1 (default 24)"),
-            option("--scene", help="use the cameras and times of this scene"),
-            SPLIT,
-            option("--settings", default="fast", help="exact, paper or fast (default fast)"),
-            CHECK_FINITE,
-        ),
-    ),
-    "export-ply": (
-        job.export_ply,
-        "write a file's Gaussians of one time and view as a PLY file for splat viewers",
-        (
-            FILE,
-            option(
-                "--time",
-                type=real(0, 1),
-                default=0.0,
-                metavar="T",
-                help="the time to freeze (default 0); of --all-times the first",
-            ),
-            option(
-                "--all-times",
-                type=whole(1, 10_000),
-                metavar="N",
-                help="write N files, of even times from --time to 1, into a folder",
-            ),
-            option(
-                "--camera",
-                type=whole(0),
-                metavar="I",
-                help="freeze view I of --scene, counted from 0, instead of a held camera",
-            ),
-            option("--scene", help="whose view --camera is (default: what FILE is named after)"),
-            SPLIT,
-            *CAMERA[:3],
-            *VIEW,
-            output("file to write, or folder with --all-times (default beside FILE)"),
-        ),
-    ),
-    "evaluate": (
-        job.evaluate,
-        "score a file on the test views of a scene",
-        (
-            FILE,
-            *SCENE,
-            CHECK_FINITE,
-            output("folder for the comparison picture and table (optional)"),
-        ),
-    ),
-    "inspect": (
-        job.inspect,
-        "list the bytes of a file, section by section, beside their entropy",
-        (
-            FILE,
-            output("folder for the table and the picture (optional)"),
-            switch("--heat", "also draw the scene in colours that show what its anchors cost"),
-            option(
-                "--time", type=real(0, 1), default=0.5, help="of the --heat picture (default 0.5)"
-            ),
-            *CAMERA,
-        ),
-    ),
-    "equations": (job.equations, "the table of equations", ()),
-    "presets": (
-        job.presets,
-        "what each preset changes, beside the paper's values",
-        (option("preset", nargs="?", help="show all fields of this one only"),),
-    ),
-    "bench": (
-        job.bench,
-        "time the renderer, the parts of a training step and the coder",
-        (switch("--quick", "small sizes, a few seconds"),),
-    ),
-    "accuracy": (
-        study.accuracy,
-        "what accuracy costs in time: studies, each with diagrams, tables and a reading",
-        (
-            several("--only", "NAME", "only this study; may be repeated"),
-            switch("--quick", "small sizes, about a minute instead of ten"),
-            switch("--summary", "only error and time of the settings exact, paper and fast"),
-            JOBS,
-            QUIET,
-            output(
-                "folder of accuracy.md and its figures (default report/accuracy)",
-                default="report/accuracy",
-            ),
-        ),
-    ),
-    "stability": (
-        study.stability,
-        "hard cases: the literal formula, ours, the true value, errors; and the stability map",
-        (
-            option(
-                "--only",
-                metavar="ID",
-                help="only this case, or all cases of a group, like H-R1",
-            ),
-            QUIET,
-            output("folder of the map (default report)", default="report"),
-        ),
-    ),
-    "effects": (
-        study.effects,
-        "what each effect of a scene costs and is worth, by training with and without it",
-        (
-            *SCENE,
-            QUIET,
-            output("folder for the picture and the table (optional)"),
-            switch("--suggest", "only say which effects the pictures call for, and why"),
-            switch("--apply", "with --suggest: write the list to the scene's scene.json"),
-            switch("--full", "all iterations of the preset tiny instead of half"),
-            switch("--quick", "the preset smoke: seconds, too few steps to judge PSNR"),
-            option("--seed", type=whole(0), default=0, help="seed of the trainings (default 0)"),
-            JOBS,
-        ),
-    ),
-    "compare": (
-        experiments.compare,
-        "the paper's tables 1 and 2 on tiny scenes: P-4DGS and the methods it is compared with",
-        (
-            option("scenes", nargs="*", help=f"{SCENE_HELP} (default: all packaged that move)"),
-            several("--method", "NAME", "only ours and this one; may be repeated", dest="methods"),
-            switch("--quick", "one scene, one seed"),
-            option(
-                "--equal",
-                choices=("iterations", "time"),
-                default="iterations",
-                help="what all methods get the same of (default iterations)",
-            ),
-            CAPS,
-            *EXPERIMENT,
-            output("folder to write to (default report/compare)", default="report/compare"),
-        ),
-    ),
-    "sweep": (
-        experiments.sweep,
-        "rate-distortion: PSNR against estimated and written bytes over lambda_rate",
-        (
-            option("scene", help=SCENE_HELP),
-            option(
-                "--lambda-rate",
-                type=listed(real(0, 1e18)),
-                default=(1e-4, 1e-3, 3e-3, 1e-2, 3e-2),
-                metavar="X,X",
-                help="values of the preset's field (default 1e-4,1e-3,3e-3,1e-2,3e-2)",
-            ),
-            several(
-                "--method",
-                "NAME",
-                "also this baseline, or p4dgs_coded; may be repeated",
-                dest="methods",
-            ),
-            CAPS,
-            option(
-                "--point",
-                type=fraction,
-                metavar="I/N",
-                help="make only point I of all N of this sweep, as one job of an array does",
-            ),
-            switch("--collect", "make nothing, draw the points that are there"),
-            *EXPERIMENT,
-            output(
-                "folder of the sweep; points that it holds are kept (default report/sweep)",
-                default="report/sweep",
-            ),
-        ),
-    ),
-    "ablate": (
-        experiments.ablate,
-        "the paper's table 3: from D3DGS to P-4DGS step by step, then one part left out at a time",
-        (
-            option("scene", help=SCENE_HELP),
-            *EXPERIMENT,
-            output("folder to write to (default report/ablate)", default="report/ablate"),
-        ),
-    ),
-    "composition": (
-        experiments.composition,
-        "the paper's table 4: what a file consists of at a low and at a high rate",
-        (
-            option("scene", nargs="?", default="bouncing", help=SCENE_HELP),
-            *VIEW,
-            option(
-                "--low", type=real(0, 1e18), default=1e-2, help="lambda_rate of the low rate (0.01)"
-            ),
-            option(
-                "--high",
-                type=real(0, 1e18),
-                default=1e-4,
-                help="lambda_rate of the high rate (default 0.0001)",
-            ),
-            option("--seed", type=whole(0), default=0, help="seed of the trainings (default 0)"),
-            LENGTH,
-            JOBS,
-            QUIET,
-            output("folder to write to (default report/composition)", default="report/composition"),
-        ),
-    ),
-    "classroom": (
-        school.classroom,
-        "write the equations with bodies removed for students, and the key for their teacher",
-        (
-            option(
-                "folder",
-                type=place,
-                help="folder to write to; an existing classroom keeps what students wrote",
-            ),
-            several("--only", "KEY", "only this equation; may be repeated"),
-            switch("--backward-only", "leave the forwards as they are"),
-        ),
-    ),
-    "grade": (
-        school.grade,
-        "points by student and equation, from inputs that the students have not seen; copies of "
-        "the package are noticed by their text, and key/README.md says what remains possible",
-        (
-            option(
-                "folders",
-                nargs="+",
-                metavar="DIR",
-                type=place,
-                help="what a student handed in: a classroom, or the files of its folder student/",
-            ),
-            option(
-                "--classroom",
-                type=place,
-                metavar="DIR",
-                help="the classroom whose equations are asked for (default the first DIR)",
-            ),
-            option(
-                "--seed",
-                type=whole(0),
-                help="seed of the inputs; students must not know it (default: drawn and printed)",
-            ),
-            switch("--reveal", "print expected values, once grading is closed"),
-            option(
-                "--timeout",
-                type=real(0.1, 3600),
-                default=5.0,
-                metavar="SECONDS",
-                help="for one case (default 5)",
-            ),
-            QUIET,
-            output("folder for grades.txt, .json and .csv (optional)"),
-        ),
-    ),
-}
 VECTORS = option(
     "--vectors",
     choices=("1.0", "1.1"),
     default="1.1",
-    help="version of the vectors (default 1.1): cases that joined later are left out",
+    help="version of the vectors; 1.0 leaves out the cases that joined later",
 )
 ORACLE = {
-    "list": (oracle.oracle_list, "list all cases and what each of them tests", (VECTORS,)),
-    "path": (oracle.oracle_path, "print the folder in which the vectors are installed", ()),
+    "list": ("oracle.list_cases", "list all cases and what each of them tests", (VECTORS,)),
+    "equations": ("oracle.list_equations", "print the table of equations", ()),
+    "path": ("oracle.path", "print the folder in which the vectors are installed", ()),
     "export": (
-        oracle.oracle_export,
+        "oracle.export_vectors",
         "write the vectors into a folder",
-        (
-            option("folder", type=place, help="folder to write to"),
-            VECTORS,
-            QUIET,
-        ),
+        (option("folder", type=place, help="folder to write to"), VECTORS),
     ),
     "check": (
-        oracle.oracle_check,
+        "oracle.check",
         "judge the answers of a port; exit code 0 only if every required case passes",
         (
             option(
@@ -508,91 +159,361 @@ ORACLE = {
                 nargs="?",
                 help="folder of the port's answers, <subject>.safetensors or .npz",
             ),
+            JSON,
             option("--adapter", metavar="CMD", help="command of a port that answers lines of JSON"),
             option(
                 "--timeout",
                 type=real(0.01, 86400),
                 metavar="SECONDS",
-                help="time limit of each answer of the adapter, compilation included (default 10)",
+                help="for each answer of the adapter, compilation included (10)",
             ),
             option(
                 "--dtype",
                 choices=("float64", "float32"),
-                help="precision of the numbers sent to the adapter (default float64); half is not "
-                "judged",
-            ),
-            option(
-                "--level",
-                action="append",
-                default=[],
-                choices=("L0", "L1", "L2", "L3", "L4"),
-                help="check only this level; may be repeated",
+                help="precision of the numbers sent to the adapter (float64)",
             ),
             several(
-                "--only", "NAME", "check only this equation, subject or group; may be repeated"
+                "--level",
+                "LEVEL",
+                "only this level, L0 to L4; may be repeated",
+                choices=("L0", "L1", "L2", "L3", "L4"),
             ),
+            several("--only", "NAME", "only this equation, subject or group; may be repeated"),
             VECTORS,
-            option(
+            switch(
                 "--strict",
-                action="store_true",
-                help="fail the cases that are acceptable because the printed formula, with stock "
-                "slopes, has fewer digits there",
+                "demand all digits, also where the printed formula has fewer",
             ),
-            QUIET,
         ),
     ),
 }
+# {heading of a group, for whom it is: {name: (function, help, arguments)}}
+GROUPS = {
+    "The main job, for everyone who follows the paper": {
+        "demo": (
+            "job.demo",
+            "all of it: fit a scene, compress, decode, render, measure, draw",
+            (
+                option("scene", nargs="?", default="bouncing", help=SCENE_HELP),
+                JSON,
+                *VIEW,
+                option(
+                    "--preset",
+                    default="tiny_coded",
+                    help="of the training (tiny_coded; beside it the paper's design is trained)",
+                ),
+                *SETTINGS,
+                option(
+                    "--jobs",
+                    type=whole(1),
+                    default=os.cpu_count() or 1,
+                    metavar="N",
+                    help="2 or more train both designs at once (default: one for every core)",
+                ),
+                output("folder of the report (report)", default="report"),
+            ),
+        ),
+        "train": (
+            "job.train",
+            "fit a scene",
+            (
+                SCENE,
+                *VIEW,
+                option("--preset", default="tiny", help="of the training (tiny)"),
+                *SETTINGS,
+                option(
+                    "--points",
+                    metavar="FILE",
+                    help="start from points in scene coordinates: .npy, .ply or points3D.txt",
+                ),
+                output("run folder", required=True),
+                switch("--resume", "go on from the checkpoint in the run folder"),
+                option(
+                    "--save-every",
+                    type=real(0, 1e6),
+                    default=20.0,
+                    metavar="SECONDS",
+                    help="between checkpoints (20)",
+                ),
+            ),
+        ),
+        "encode": (
+            "job.encode",
+            "compress a run to a file",
+            (option("run", help="run folder of `train`"), output("file to write", required=True)),
+        ),
+        "decode": (
+            "job.decode",
+            "write the arrays of a file as npz, its settings as JSON",
+            (FILE, NEW_FOLDER),
+        ),
+        "render": (
+            "job.render",
+            "draw a file over time, from a held camera or from the test views of a scene",
+            (
+                FILE,
+                NEW_FOLDER,
+                # without defaults, so that an option that does not apply can be refused
+                option("--azimuth", type=real(-360, 360), metavar="A", help="degrees about z (40)"),
+                option("--elevation", type=real(-89, 89), metavar="A", help="degrees (30)"),
+                option(
+                    "--distance",
+                    type=real(1e-3, 1e6),
+                    metavar="D",
+                    help="from the middle of the anchors (3.6)",
+                ),
+                option(
+                    "--size", type=whole(1, 4096), metavar="N", help="pixels along a side (128)"
+                ),
+                option(
+                    "--frames", type=whole(1, 10_000), metavar="N", help="times in 0 ... 1 (24)"
+                ),
+                option("--scene", help="use the cameras and times of this scene instead"),
+                DOWNSCALE,
+                option(
+                    "--settings",
+                    default="fast",
+                    choices=("exact", "paper", "fast"),
+                    help="of the renderer (fast)",
+                ),
+            ),
+        ),
+        "evaluate": (
+            "job.evaluate",
+            "score a file on the test views of a scene",
+            (FILE, SCENE, JSON, *VIEW, output("folder for the comparison's picture and table")),
+        ),
+    },
+    "Files, for those who draw a scene or look into a file": {
+        "simulate": (
+            "job.simulate",
+            "draw the pictures of a scene.json",
+            (option("scene", help="a scene.json"), NEW_FOLDER),
+        ),
+        "inspect": (
+            "job.inspect",
+            "list the bytes of a file, section by section, beside their entropy",
+            (
+                FILE,
+                JSON,
+                output("folder for the table and the picture"),
+                switch("--heat", "also draw the scene in colours that show what its anchors cost"),
+            ),
+        ),
+        "export-ply": (
+            "job.export_ply",
+            "write a file's Gaussians of one time and view as a PLY file for splat viewers",
+            (
+                FILE,
+                option("--time", type=real(0, 1), default=0.0, metavar="T", help="to freeze (0)"),
+                option(
+                    "--camera",
+                    type=whole(0),
+                    metavar="I",
+                    help="test view I of --scene, from 0, instead of a held camera",
+                ),
+                option("--scene", help="of the camera (default: what FILE is named after)"),
+                output("file to write (default beside FILE)"),
+            ),
+        ),
+        "presets": (
+            "job.presets",
+            "what each preset changes, beside the paper's values",
+            (option("preset", nargs="?", help="show all fields of this one only"), JSON),
+        ),
+    },
+    "Ports, for authors of an implementation in another language": {
+        "oracle": ("", "golden vectors, and the checker that names the wrong equation", ORACLE),
+    },
+    "Measure, for those who ask what a choice costs": {
+        "accuracy": (
+            "study.accuracy",
+            "what accuracy costs in time: studies with diagrams and tables",
+            (
+                JSON,
+                several("--only", "NAME", "only this study; may be repeated"),
+                switch("--quick", "small sizes, about a minute instead of ten"),
+                JOBS,
+                output(
+                    "folder of accuracy.md and its figures (report/accuracy)",
+                    default="report/accuracy",
+                ),
+            ),
+        ),
+        "stability": (
+            "study.stability",
+            "hard cases: the literal formula, ours, the true value; and a map of errors",
+            (
+                JSON,
+                option("--only", metavar="ID", help="this case, or a group of cases, like H-R1"),
+                output("folder of the map (report)", default="report"),
+            ),
+        ),
+        "effects": (
+            "study.effects",
+            "what each effect of a scene costs and is worth, or which effects it needs",
+            (
+                SCENE,
+                JSON,
+                *VIEW,
+                switch("--suggest", "only say which effects the pictures call for, and why"),
+                switch("--apply", "with --suggest: write the list to the scene's scene.json"),
+                switch("--quick", "the preset smoke: seconds, too few steps to judge PSNR"),
+                SEED,
+                JOBS,
+                output("folder for the picture and the table"),
+            ),
+        ),
+        "compare": (
+            "experiments.compare",
+            "the paper's tables 1 and 2 on tiny scenes, with the methods compared there",
+            (
+                option("scenes", nargs="*", help=f"{SCENE_HELP} (default: all that move)"),
+                several("--method", "NAME", "ours and this one; may be repeated", dest="methods"),
+                switch("--quick", "one scene, one seed"),
+                *EXPERIMENT,
+                output("folder to write to (report/compare)", default="report/compare"),
+            ),
+        ),
+        "sweep": (
+            "experiments.sweep",
+            "rate-distortion: PSNR against bytes over lambda_rate",
+            (
+                SCENE,
+                option(
+                    "--lambda-rate",
+                    type=rates,
+                    default=(1e-4, 1e-3, 3e-3, 1e-2, 3e-2),
+                    metavar="X,X",
+                    help="values of the preset's field (1e-4,1e-3,3e-3,1e-2,3e-2)",
+                ),
+                several(
+                    "--method",
+                    "NAME",
+                    "also this baseline, or p4dgs_coded; may be repeated",
+                    dest="methods",
+                ),
+                option(
+                    "--point",
+                    type=fraction,
+                    metavar="I/N",
+                    help="make only point I of all N, as one job of an array does",
+                ),
+                switch("--collect", "make nothing, draw the points that are there"),
+                *EXPERIMENT,
+                output(
+                    "folder of the sweep; its points are kept (report/sweep)",
+                    default="report/sweep",
+                ),
+            ),
+        ),
+        "ablate": (
+            "experiments.ablate",
+            "the paper's table 3: from D3DGS to P-4DGS step by step, parts left out",
+            (
+                SCENE,
+                *EXPERIMENT,
+                output("folder to write to (report/ablate)", default="report/ablate"),
+            ),
+        ),
+        "bench": (
+            "study.bench",
+            "time the renderer, the parts of a training step and the coder",
+            (JSON, switch("--quick", "small sizes, a few seconds")),
+        ),
+    },
+    "Teach, for teachers and their students": {
+        "classroom": (
+            "school.classroom",
+            "write the equations with bodies removed for students, and the key",
+            (
+                option(
+                    "folder",
+                    type=place,
+                    help="folder to write to; an existing classroom keeps what students wrote",
+                ),
+                several("--only", "KEY", "only this equation; may be repeated"),
+            ),
+        ),
+        "grade": (
+            "school.grade",
+            "points by student and equation, on inputs that the students have not seen",
+            (
+                option(
+                    "folders",
+                    nargs="+",
+                    metavar="DIR",
+                    type=place,
+                    help="what a student handed in: a classroom, or the files of its student/",
+                ),
+                JSON,
+                option(
+                    "--classroom",
+                    type=place,
+                    metavar="DIR",
+                    help="the classroom whose equations are asked for (the first DIR)",
+                ),
+                option(
+                    "--seed",
+                    type=whole(0),
+                    metavar="N",
+                    help="of the inputs; students must not know it (drawn and printed)",
+                ),
+                switch("--reveal", "print expected values, once grading is closed"),
+                option(
+                    "--timeout",
+                    type=real(0.1, 3600),
+                    default=5.0,
+                    metavar="SECONDS",
+                    help="for one case (5)",
+                ),
+                output("folder for grades.txt, .json and .csv"),
+            ),
+        ),
+    },
+}
+
+
+def in_groups():
+    """The commands under the headings of their groups, for the top-level help."""
+    lines = ["P-4DGS in NumPy: fit, compress, decode and render tiny moving scenes."]
+    for heading, commands in GROUPS.items():
+        lines += ["", f"{heading}:"]
+        lines += [f"  {name:<11} {help}" for name, (_, help, _) in commands.items()]
+    return "\n".join(lines)
+
+
+def wide(prog):
+    """The form of a command's help, with a column for the longest option."""
+    return argparse.HelpFormatter(prog, max_help_position=28)
+
+
+def add_commands(parent, kind, table, **shown):
+    """Divide a parser into the commands of a table, a command perhaps into those of its own."""
+    named = {"dest": kind, "metavar": kind.upper(), "prog": parent.prog}
+    commands = parent.add_subparsers(required=True, **named, **shown)
+    for name, (function, help, arguments) in table.items():
+        entry = commands.add_parser(name, help=help, description=help, formatter_class=wide)
+        entry.set_defaults(function=function)
+        if isinstance(arguments, dict):
+            add_commands(entry, "action", arguments)
+            continue
+        for names, settings in arguments:
+            entry.add_argument(*names, **settings)
 
 
 def parser():
     """The parser of all commands."""
     top = Parser(
         prog="p4dgs-ref",
-        description="P-4DGS in NumPy: fit, compress, decode and render tiny moving scenes.",
+        usage="%(prog)s [-h] [--version] COMMAND ...",
+        description=in_groups(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     top.add_argument("--version", action="version", version=f"p4dgs_ref {__version__}")
-    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    add_commands(commands, COMMANDS)
-    actions = commands.add_parser(
-        "oracle", help="golden vectors for ports, and the checker that names the wrong equation"
-    ).add_subparsers(dest="action", required=True, metavar="ACTION")
-    add_commands(actions, ORACLE)
+    every = {name: row for commands in GROUPS.values() for name, row in commands.items()}
+    add_commands(top, "command", every, help=argparse.SUPPRESS)
     return top
-
-
-def add_commands(subparsers, table):
-    """Add the commands of a table."""
-    for name, (function, help, arguments) in table.items():
-        entry = subparsers.add_parser(name, help=help, description=help)
-        entry.set_defaults(function=function)
-        for names, settings in (JSON, *arguments):
-            entry.add_argument(*names, **settings)
-
-
-def user_errors():
-    """The exceptions that mean a user's mistake or a damaged file."""
-    from ..codec.container import BitstreamError
-    from ..codec.quantise import EncodeError
-    from ..lab.school import ClassroomError
-    from ..lab.tables.methods import StudyError
-    from ..oracle.adapter import AdapterError
-    from ..oracle.safetensors import TensorError
-    from ..scenes.output import OutputError
-    from ..scenes.scene import SceneError
-    from ..training.checkpoint import RunError
-
-    return (
-        BitstreamError,
-        EncodeError,
-        OutputError,
-        SceneError,
-        RunError,
-        TensorError,
-        AdapterError,
-        ClassroomError,
-        StudyError,
-        UsageError,
-    )
 
 
 def how_to_resume(argv, arguments):
@@ -605,37 +526,35 @@ def how_to_resume(argv, arguments):
     return f"; the last checkpoint is kept, go on with: {shlex.join(['p4dgs-ref', *again])}"
 
 
-def show_warning(message, *place):
-    """Print a warning as one line; the place in the code means nothing to a user."""
-    say(f"warning: {message}")
-
-
 def run(argv, start):
     """Parse and run a command; returns the exit code.
 
-    Exit codes: 0 success, 1 failed training or check, 2 invalid input, 130 interrupted.
+    Exit codes: 0 success, 1 failed training or check, 2 invalid input, 130 interrupted. Every
+    ValueError that this package defines means invalid input; another one is a bug.
     """
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # escape characters that the terminal cannot show
-            stream.reconfigure(errors="backslashreplace")
+    with deferred():  # an interrupted `reconfigure` would leave a stream that cannot be written
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):  # escape what the terminal cannot show
+                stream.reconfigure(errors="backslashreplace")
     arguments = parser().parse_args(argv)
     arguments.start = start
-
-    def fail(code, message):
-        say(message)
-        return code
-
+    module, name = arguments.function.split(".")
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = show_warning
-            return arguments.function(arguments) or 0
+            # in one line; the place in the code means nothing to a user
+            warnings.showwarning = lambda message, *place: say(f"warning: {message}")
+            return getattr(import_module(f".{module}", __package__), name)(arguments) or 0
     except KeyboardInterrupt:
-        return fail(130, f"stopped{how_to_resume(argv, arguments)}")
-    except user_errors() as error:
-        return fail(2, error)
-    except OSError as error:
-        return fail(2, f"{error.filename or 'output'}: {error.strerror or error}")
+        code, message = 130, f"stopped{how_to_resume(argv, arguments)}"
     except ArithmeticError as error:
-        return fail(1, error)
+        code, message = 1, error
     except MemoryError as error:
-        return fail(1, f"out of memory: {error}")
+        code, message = 1, f"out of memory: {error}"
+    except OSError as error:
+        code, message = 2, f"{error.filename or 'output'}: {error.strerror or error}"
+    except ValueError as error:
+        if not type(error).__module__.startswith("p4dgs_ref."):
+            raise
+        code, message = 2, error
+    say(message)
+    return code

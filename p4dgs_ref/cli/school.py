@@ -1,34 +1,29 @@
 """The commands of the classroom: write a copy for students, grade it."""
 
-from .base import Line, report_folder, show
+from ..lab import school
+from .base import progress, report_folder, show, tell
 
 
 def classroom(arguments):
     """Write the equations without their bodies, and the key."""
-    from ..lab.school import classroom as write
-
-    done = write(arguments.folder, arguments.only or None, arguments.backward_only)
+    done = school.classroom(arguments.folder, arguments.only or None)
     kept = f"; kept as they were: {', '.join(done['kept'])}" if done["kept"] else ""
-    show(
-        arguments,
-        done,
+    tell(
         f"{done['output']}: {done['functions']} functions of {len(done['equations'])} equations "
-        f"to write in student/; the key is in key/; README.md and key/README.md explain{kept}",
+        f"to write in student/; the key is in key/; README.md and key/README.md explain{kept}"
     )
 
 
 def grade(arguments):
     """Judge what students wrote."""
-    from ..lab import school
-
-    with report_folder(arguments.output) as beside, Line(arguments) as line:
+    with report_folder(arguments.output) as beside:
         reports = school.grade(
             *arguments.folders,
             classroom=arguments.classroom,
             seed=arguments.seed,
             timeout=arguments.timeout,
             reveal=arguments.reveal,
-            progress=line,
+            progress=progress,
         )
         if beside:
             school.write(reports, beside)

@@ -1,62 +1,56 @@
-"""The commands of the studies: accuracy against time, hard cases, effects."""
+"""The commands of the studies: accuracy against time, hard cases, effects, times of the parts."""
 
 from pathlib import Path
 
-from .base import Line, UsageError, report_folder, require_known, show
+from ..lab import bench as times
+from ..lab.accuracy import report
+from ..lab.effects import ledger
+from ..lab.effects.suggest import suggest
+from ..lab.stability import table
+from ..lab.stability.map import draw_map
+from ..scenes.load import find_scene, list_effects, packaged_folder
+from ..scenes.output import filled
+from .base import expect, expect_known, progress, report_folder, show
+from .job import read_scene
 
 
 def accuracy(arguments):
-    """Run the studies of accuracy against time, or print their summary."""
-    from ..lab.accuracy.report import STUDIES, describe, run, summary
-
-    if arguments.summary:
-        if arguments.only or arguments.quick:
-            raise UsageError("--summary: expected without --only and --quick; its size is fixed")
-        rows, lines = summary()
-        return show(arguments, {"settings": rows}, lines)
-    require_known("--only", arguments.only, STUDIES)
-    with Line(arguments) as line, report_folder(arguments.output) as beside:
-        result = run(arguments.only or None, beside, arguments.quick, line, arguments.jobs)
-    show(arguments, result, describe(result, arguments.output))
+    """Run the studies of accuracy against time."""
+    only = arguments.only
+    expect_known("--only", only, report.STUDIES)
+    with filled(arguments.output) as beside:
+        result = report.run(only or None, beside, arguments.quick, progress, arguments.jobs)
+    show(arguments, result, report.describe(result, arguments.output))
 
 
 def stability(arguments):
     """Print the hard cases and draw the map; exit code 1 if a hard case is beyond its bound."""
-    from ..lab.stability.map import draw_map
-    from ..lab.stability.table import describe, rows
-
-    with Line(arguments) as line, report_folder(arguments.output) as beside:
-        found = rows(arguments.only, lambda row: line(f"{row['id']} {row['dtype']}"))
-        if not found:
-            raise UsageError(
-                f"--only {arguments.only}: expected the id of a case, or its beginning up to a "
-                "dot, like H-R1"
-            )
-        line("drawing the map")
+    with filled(arguments.output) as beside:
+        rows = table.rows(arguments.only, lambda row: progress(f"{row['id']} {row['dtype']}"))
+        expect(
+            rows,
+            f"--only {arguments.only}: expected the id of a case, or its beginning up to a dot, "
+            "like H-R1",
+        )
+        progress("drawing the map")
         draw_map(beside / "stability.png")
-    text = describe(found) + f"\nmap: {Path(arguments.output) / 'stability.png'}"
-    show(arguments, {"cases": found}, text)
-    return int(any(row["verdict"] == "fails" for row in found))
+    text = f"{table.describe(rows)}\nmap: {Path(arguments.output) / 'stability.png'}"
+    show(arguments, {"cases": rows}, text)
+    return int(any(row["verdict"] == "fails" for row in rows))
 
 
 def effects(arguments):
     """Train with and without each effect, or say which effects the pictures call for."""
-    from ..lab.effects.ledger import describe, draw_ledger, ledger
-    from .job import read_test_scene
-
-    if arguments.full and arguments.quick:
-        raise UsageError("--quick: not allowed with --full; choose one")
-    if arguments.apply and not arguments.suggest:
-        raise UsageError("--apply: expected together with --suggest")
     if arguments.suggest:
         return suggest_effects(arguments)
-    scene = read_test_scene(arguments)
-    preset, share = ("smoke", 1) if arguments.quick else ("tiny", 1 if arguments.full else 0.5)
-    with Line(arguments) as line, report_folder(arguments.output) as beside:
-        rows = ledger(scene, preset, arguments.seed, share, line, arguments.jobs)
+    expect(not arguments.apply, "--apply: expected together with --suggest")
+    scene = read_scene(arguments, "test", "measure on")
+    preset, share = ("smoke", 1) if arguments.quick else ("tiny", 0.5)
+    with report_folder(arguments.output) as beside:
+        rows = ledger.ledger(scene, preset, arguments.seed, share, progress, arguments.jobs)
         if beside:
-            draw_ledger(beside / "effects.png", rows)
-    text = describe(rows)
+            ledger.draw_ledger(beside / "effects.png", rows)
+    text = ledger.describe(rows)
     if arguments.quick:
         text += "\n\n45 steps of the preset smoke: too few for the PSNR to mean anything"
     show(arguments, {"effects": rows}, text)
@@ -64,19 +58,21 @@ def effects(arguments):
 
 def suggest_effects(arguments):
     """Say which effects the pictures call for; with --apply write the list to scene.json."""
-    from ..lab.effects.suggest import suggest
-    from ..scenes.load import list_effects, packaged_folder
-    from .job import read_scene
-
-    if arguments.output or arguments.quick or arguments.full:
-        raise UsageError("--suggest: expected without -o, --quick and --full")
-    scene = read_scene(arguments)
-    if arguments.apply and packaged_folder() in scene.source.resolve().parents:
-        raise UsageError(f"--apply: {scene.source} is a packaged scene; expected a folder of yours")
-    with Line(arguments) as line:
-        rows = suggest(scene, progress=line, jobs=arguments.jobs)
+    expect(not (arguments.output or arguments.quick), "--suggest: expected without -o and --quick")
+    scene, folder = read_scene(arguments), find_scene(arguments.scene)
+    expect(
+        not arguments.apply or packaged_folder() not in folder.resolve().parents,
+        f"--apply: {folder} is a packaged scene; expected a folder of yours",
+    )
+    rows = suggest(scene, progress=progress, jobs=arguments.jobs)
     called = [row["effect"] for row in rows if row["called_for"]]
     lines = [f"{row['effect']:<14} {row['verdict']:<12} {row['evidence']}" for row in rows]
     if arguments.apply:
-        lines.append(f"written to {list_effects(scene.source, called)}: {', '.join(called)}")
+        lines.append(f"written to {list_effects(folder, called)}: {', '.join(called)}")
     show(arguments, {"effects": rows}, "\n".join(lines))
+
+
+def bench(arguments):
+    """Time the renderer, a training step and the coder."""
+    result = times.bench(arguments.quick)
+    show(arguments, result, times.describe(result))

@@ -53,24 +53,6 @@ def against_the_paper(m):
     )
 
 
-def training(run):
-    """The result of `train`."""
-    return (
-        f"{run['output']}: {run['iterations']} iterations, {run['anchors']} anchors, "
-        f"{run['seconds']:.1f} s"
-    )
-
-
-def encoding(done):
-    """The result of `encode`."""
-    lost = done["weights_rounded_to_zero"]
-    note = f"; {lost} network weights are too small for float16 and became 0" if lost else ""
-    return (
-        f"{done['output']}: {done['bytes']:,} bytes, from iteration {done['iteration']}, "
-        f"{done['seconds']:.3f} s{note}"
-    )
-
-
 def evaluation(m, rows):
     """One line a view, then the means."""
     width = max(len(row["name"]) for row in rows)
@@ -78,35 +60,31 @@ def evaluation(m, rows):
     return "\n".join([*lines, f"mean of {len(rows)}: {quality(m)}", size(m), times(m)])
 
 
+LEDGER = "{:16} {:>9} {:>9} {:>8} {:>8} {:>8} {:>7} {:>8} {:>9}"
+HEADS = "section entropy integers payload headers bytes share symbols"
+BYTES = ("estimate_bytes", "integer_bytes", "payload_bytes", "header_bytes", "bytes")
+BETWEEN = {
+    "model": "entropy to integers",
+    "coder": "integers to payload",
+    "headers": "payload to bytes",
+}
+
+
 def ledger(rows, gaps):
     """The sections of a file: bytes by the entropy, bytes in the file, and why they differ."""
-    total = sum(row["bytes"] for row in rows)
-    lines = [
-        f"{'section':16} {'entropy':>9} {'integers':>9} {'payload':>8} {'headers':>8} "
-        f"{'bytes':>8} {'share':>7} {'symbols':>8} {'bits each':>9}"
-    ]
-    for row in rows:
-        symbols = "" if row["symbols"] is None else row["symbols"]
-        each = "" if row["bits_per_symbol"] is None else f"{row['bits_per_symbol']:.3f}"
-        share = 100 * row["bytes"] / total
-        lines.append(f"{columns(row)} {share:6.1f}% {symbols:>8} {each:>9}")
-    sums = {key: sum(row[key] for row in rows) for key in BYTES}
-    lines += [columns({"name": "file", **sums}), "", "In bytes. The columns differ because of:"]
-    between = {
-        "model": "entropy to integers",
-        "coder": "integers to payload",
-        "headers": "payload to bytes",
-    }
-    return "\n".join([*lines, *(f"  {between[name]:20} {why}" for name, why in gaps.items())])
-
-
-BYTES = ("estimate_bytes", "integer_bytes", "payload_bytes", "header_bytes", "bytes")
-
-
-def columns(row):
-    """The name of a section and its five columns of bytes."""
-    estimate, integer, payload, header, total = (row[key] for key in BYTES)
-    return f"{row['name']:16} {estimate:9.1f} {integer:9.1f} {payload:8d} {header:8d} {total:8d}"
+    file = {"name": "file", **{key: sum(row[key] for row in rows) for key in BYTES}}
+    lines = [LEDGER.format(*HEADS.split(), "bits each")]
+    for row in [*rows, file]:
+        estimate, integer, *rest = (row[key] for key in BYTES)
+        last = ("", "", "")
+        if row is not file:
+            share, each = row["bytes"] / file["bytes"], row["bits_per_symbol"]
+            symbols = "" if row["symbols"] is None else row["symbols"]
+            last = f"{100 * share:.1f}%", symbols, "" if each is None else f"{each:.3f}"
+        cells = f"{estimate:.1f}", f"{integer:.1f}", *rest, *last
+        lines.append(LEDGER.format(row["name"], *cells).rstrip())
+    lines += ["", "In bytes. The columns differ because of:"]
+    return "\n".join([*lines, *(f"  {BETWEEN[name]:20} {why}" for name, why in gaps.items())])
 
 
 def setting(value):
@@ -125,11 +103,10 @@ def presets(chosen, paper, differences, sources, every_field):
     blocks = []
     for preset in chosen:
         changed = {field for field, *_ in differences(preset)}
-        count = f"{len(changed)} fields differ from {paper[0].name}; *: ours"
-        if preset in paper:
-            count = "the paper's values, and where it gives none those of the source"
-        lines = [f"{preset.name}: {count}"]
-        columns = [preset] * (preset not in paper) + list(paper)
+        columns, count = paper, "the paper's values, and where it gives none those of the source"
+        if preset not in paper:
+            columns = preset, *paper
+            count = f"{len(changed)} fields differ from {paper[0].name}; *: ours"
         table = [["  field", *(p.name for p in columns), "source of the paper presets"]]
         for field in preset._fields[1:]:
             if every_field or field in changed:
@@ -137,7 +114,6 @@ def presets(chosen, paper, differences, sources, every_field):
                 values = [setting(getattr(p, field)) for p in columns]
                 table.append([star + field, *values, sources[field]])
         widths = [max(map(len, column)) for column in zip(*table)]
-        for row in table if len(table) > 1 else []:
-            lines.append("  ".join(map(str.ljust, row, widths)).rstrip())
-        blocks.append("\n".join(lines))
+        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in table]
+        blocks.append("\n".join([f"{preset.name}: {count}", *(lines if len(table) > 1 else [])]))
     return "\n\n".join(blocks)

@@ -1,5 +1,6 @@
 """Ctrl-C and SIGTERM: one line, exit code 130, no half-written file, whenever they come."""
 
+import itertools
 import os
 import signal
 import subprocess
@@ -12,9 +13,11 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.signals import deferred, handled, interrupt
+from tests.sampling import few
 
 ROOT = Path(p4.__file__).resolve().parents[1]
-SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["INT", "TERM"])
+NUMBERS = {"INT": signal.SIGINT, "TERM": signal.SIGTERM}
+SIGNALS = pytest.mark.parametrize("name", few(NUMBERS, 1))
 # Before the import of a module, say so and wait, as a slow disk would.
 SLOW = """
 import sys, time
@@ -44,128 +47,91 @@ def start(code, cwd):
     )
 
 
-def quick(names, slow_names):
-    """Parameters of which some are run with the slow tests only."""
-    return [*names, *(pytest.param(name, marks=pytest.mark.slow) for name in slow_names)]
-
-
-def stop(process, number):
+def stop(process, name):
     """Send the signal and return what was printed to stderr; the exit code must be 130."""
-    process.send_signal(number)
+    process.send_signal(NUMBERS[name])
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
     return err
 
 
-@SIGNALS
-@pytest.mark.parametrize("way", [CONSOLE_SCRIPT, MODULE], ids=["console script", "python -m"])
-@pytest.mark.parametrize("module", quick(["numpy"], ["argparse", "scipy", "p4dgs_ref.scenes.load"]))
-def test_during_an_import(tmp_path, number, way, module):
+WAYS = {"console script": CONSOLE_SCRIPT, "python -m": MODULE}
+MODULES = ("argparse", "numpy", "scipy", "p4dgs_ref.scenes.load")
+
+
+@pytest.mark.parametrize("name, way, module", few(itertools.product(NUMBERS, WAYS, MODULES), 1))
+def test_during_an_import(tmp_path, name, way, module):
     argv = ["train", "bouncing", "-o", "run", "--preset", "smoke", "--quiet"]
-    code = SLOW.format(module=module, seconds=0.3) + way.format(argv=argv)
+    code = SLOW.format(module=module, seconds=0.3) + WAYS[way].format(argv=argv)
     process = start(code, tmp_path)
     assert process.stdout.readline() == "ready\n"
-    assert stop(process, number) == "p4dgs-ref: stopped\n" and not list(tmp_path.iterdir())
+    assert stop(process, name) == "p4dgs-ref: stopped\n" and not list(tmp_path.iterdir())
 
 
+RUN = "train bouncing -o run --downscale 4 --quiet"
+# Commands, and the file that is there when they are at work.
 LINES = {
-    "demo": ["demo", "bouncing", "-o", "out"],
-    "accuracy": ["accuracy", "-o", "out"],
-    "effects": ["effects", "bouncing", "-o", "out"],
-    "stability": ["stability", "-o", "out"],
-    "bench": ["bench"],
-    "simulate": ["simulate", str(ROOT / "tiny_scenes/bouncing/scene.json"), "-o", "out"],
+    RUN: "run/checkpoint.npz",
+    "render {files}/bouncing.p4dgs -o out --frames 10000 --size 64": "out/.part-*/t_002.png",
+    "demo bouncing -o out": "out/.part-*",
+    "evaluate {files}/bouncing.p4dgs bouncing -o out": "out/.part-*",
+    "accuracy -o out": "out/.part-*",
+    "effects bouncing -o out": "out/.part-*",
+    "stability -o out": "out/.part-*",
+    "bench": "",
+    f"simulate {ROOT}/tiny_scenes/bouncing/scene.json -o out": "out/.part-*",
 }
 
 
-def is_writing(cwd):
-    return any(cwd.glob("out/.part-*"))
-
-
-@SIGNALS
-@pytest.mark.parametrize("command", quick(["demo"], [name for name in LINES if name != "demo"]))
-def test_long_commands_stop_cleanly(tmp_path, number, command):
-    process = start(f"import sys; {CONSOLE_SCRIPT.format(argv=LINES[command])}", tmp_path)
-    deadline = time.monotonic() + 30
-    while not (is_writing(tmp_path) or command == "bench") and time.monotonic() < deadline:
+def at_work(line, cwd, pattern):
+    """Start a command and wait until it has begun to write."""
+    process = start(f"import sys; {CONSOLE_SCRIPT.format(argv=line.split())}", cwd)
+    while pattern and not any(cwd.glob(pattern)):
+        assert process.poll() is None
         time.sleep(0.02)
+    return process
+
+
+@pytest.mark.parametrize("line, name", few(itertools.product(LINES, NUMBERS), 3))
+def test_long_commands_stop_cleanly(tmp_path, files, line, name):
+    """Nothing is left behind, but for the checkpoint of a training, which says how to go on."""
+    process = at_work(line.format(files=files), tmp_path, LINES[line])
     time.sleep(0.5)
-    err = stop(process, number)
-    assert err.endswith("p4dgs-ref: stopped\n") and "Traceback" not in err
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.fixture(scope="module")
-def file(tmp_path_factory):
-    path = tmp_path_factory.mktemp("file") / "x.p4dgs"
-    path.write_bytes(p4.encode(p4.train(p4.load_scene("bouncing", downscale=8), "smoke")))
-    return path
-
-
-@SIGNALS
-def test_rendering_stops_cleanly(tmp_path, file, number):
-    argv = ["render", str(file), "-o", "out", "--frames", "10000", "--size", "64"]
-    process = start(f"import sys; {CONSOLE_SCRIPT.format(argv=argv)}", tmp_path)
-    while not any(tmp_path.glob("out/.part-*/t_002.png")):
-        assert process.poll() is None
-        time.sleep(0.02)
-    assert stop(process, number) == "p4dgs-ref: stopped\n" and not list(tmp_path.iterdir())
-
-
-@pytest.mark.slow
-@SIGNALS
-def test_evaluation_stops_cleanly(tmp_path, file, number):
-    argv = ["evaluate", str(file), "bouncing", "-o", "out"]
-    slow = SLOW.format(module="matplotlib", seconds=0.3)  # when everything has been measured
-    process = start(slow + CONSOLE_SCRIPT.format(argv=argv), tmp_path)
-    assert process.stdout.readline() == "ready\n"
-    assert stop(process, number) == "p4dgs-ref: stopped\n" and not list(tmp_path.iterdir())
-
-
-@SIGNALS
-def test_training_keeps_a_checkpoint_and_says_how_to_go_on(tmp_path, number):
-    argv = ["train", "bouncing", "-o", "run", "--downscale", "4", "--quiet"]
-    process = start(f"import sys; {CONSOLE_SCRIPT.format(argv=argv)}", tmp_path)
-    while not (tmp_path / "run/checkpoint.npz").exists():
-        assert process.poll() is None
-        time.sleep(0.02)
-    time.sleep(0.3)
-    err = stop(process, number)
-    assert err.startswith("p4dgs-ref: stopped; the last checkpoint is kept, go on with: p4dgs-ref")
-    assert [path.name for path in (tmp_path / "run").iterdir()] == ["checkpoint.npz"]
+    err = stop(process, name)
+    if line == RUN:
+        assert err.startswith("p4dgs-ref: stopped; the last checkpoint is kept, go on with: p4dgs")
+        assert [path.name for path in (tmp_path / "run").iterdir()] == ["checkpoint.npz"]
+    else:
+        assert err.endswith("p4dgs-ref: stopped\n") and "Traceback" not in err
+        assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow
 def test_a_second_training_is_refused_while_the_first_one_lives(tmp_path):
-    argv = ["train", "bouncing", "-o", "run", "--downscale", "4", "--quiet"]
-    first = start(f"import sys; {CONSOLE_SCRIPT.format(argv=argv)}", tmp_path)
-    while not (tmp_path / "run/checkpoint.npz").exists():
-        assert first.poll() is None
-        time.sleep(0.02)
-    again = [*argv, "--resume", "--set", "stage_ends=1,1,1,1"]
-    second = start(f"import sys; {CONSOLE_SCRIPT.format(argv=again)}", tmp_path)
-    out, err = second.communicate(timeout=60)
-    assert (second.returncode, out, err.count("\n")) == (2, "", 1), err
+    first = at_work(RUN, tmp_path, LINES[RUN])
+    again = f"{RUN} --resume --set stage_ends=1,1,1,1"
+    out, err = at_work(again, tmp_path, "").communicate(timeout=60)
+    assert (out, err.count("\n")) == ("", 1), err
     assert err.startswith("p4dgs-ref: run: another process is writing to it")
     first.kill()
     first.communicate()
-    third = start(f"import sys; {CONSOLE_SCRIPT.format(argv=again)}", tmp_path)
+    third = at_work(again, tmp_path, "")
     _, err = third.communicate(timeout=60)  # the lock is gone; the checkpoint is of other stages
     assert third.returncode == 2 and "field 'preset.stage_ends'" in err
 
 
 @pytest.mark.slow
 @SIGNALS
-def test_at_twenty_moments_of_the_start(tmp_path, number):
+def test_at_twenty_moments_of_the_start(tmp_path, name):
     argv = ["demo", "bouncing", "-o", "out", "--quiet"]
     # SIGTERM ends Python silently until the handlers are in place before the first import.
-    first = {signal.SIGINT: "p4dgs_ref.signals", signal.SIGTERM: "p4dgs_ref.cli"}[number]
+    first = {"INT": "p4dgs_ref.signals", "TERM": "p4dgs_ref.cli"}[name]
     code = SLOW.format(module=first, seconds=0) + CONSOLE_SCRIPT.format(argv=argv)
     for i in range(20):
         process = start(code, tmp_path)
         assert process.stdout.readline() == "ready\n"
         time.sleep(0.002 + 0.016 * i)
-        assert stop(process, number) == "p4dgs-ref: stopped\n" and not list(tmp_path.iterdir())
+        assert stop(process, name) == "p4dgs-ref: stopped\n" and not list(tmp_path.iterdir())
 
 
 def test_handlers_are_put_back_and_others_are_left_alone():

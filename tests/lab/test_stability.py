@@ -279,7 +279,7 @@ def test_a_direction_nearly_along_an_axis():
 # --- the command ---------------------------------------------------------------------------------
 def test_the_command_fails_where_a_case_fails(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(stability_map, "draw_map", lambda path: path.write_bytes(b""))
-    arguments = ["stability", "--quiet", "--json", "-o", str(tmp_path), "--only"]
+    arguments = ["stability", "--json", "-o", str(tmp_path), "--only"]
     assert main([*arguments, "H-R1.9sigma"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert {row["id"] for row in found["cases"]} == {"H-R1.9sigma"}

@@ -184,14 +184,14 @@ def run(line):
 
 def test_apply_writes_the_list_beside_what_the_file_holds(folder, quick, capsys):
     quick.update(occlusion=9.0)
-    assert run(f"effects {folder} --suggest --apply --jobs 1 --quiet") == 0
+    assert run(f"effects {folder} --suggest --apply --jobs 1") == 0
     assert "written to" in capsys.readouterr().out
     listed = ("occlusion", "background")
     assert json.loads((folder / "scene.json").read_text()) == {"effects": list(listed)}
     assert load_scene(folder).effects == listed
     described_as = {"title": "mine", "effects": ["background", "texture"], "bodies": []}
     (folder / "scene.json").write_text(json.dumps(described_as))
-    assert run(f"effects {folder} --suggest --apply --jobs 1 --quiet") == 0
+    assert run(f"effects {folder} --suggest --apply --jobs 1") == 0
     kept = {**described_as, "effects": [*listed, "texture"]}
     assert json.loads((folder / "scene.json").read_text()) == kept
 
@@ -201,7 +201,7 @@ def test_apply_writes_the_list_beside_what_the_file_holds(folder, quick, capsys)
     [
         ("effects static --apply", "--suggest"),
         ("effects static --suggest --apply --jobs 1", "packaged"),
-        ("effects static --suggest --full", "--full"),
+        ("effects static --suggest --quick", "--quick"),
     ],
 )
 def test_apply_is_refused_in_one_line(line, word, quick, capsys):

@@ -479,7 +479,7 @@ def test_seed_is_drawn_and_no_file_contains_it(room):
 
 def test_command_line_grades_and_refuses_in_one_line(room, capsys):
     write(room, "offsets", forward=WITHOUT_SCALING)
-    options = ["--seed", "3", "--quiet", "--reveal", "-o", str(room / "marks")]
+    options = ["--seed", "3", "--reveal", "-o", str(room / "marks")]
     assert run(["grade", str(room), str(room / "key"), *options], 0) == 0
     text = capsys.readouterr().out
     assert (room / "marks" / "grades.txt").read_text() == text
