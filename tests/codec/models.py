@@ -4,10 +4,12 @@ import dataclasses
 import hashlib
 
 import numpy as np
+from scipy.special import expit
 
 import p4dgs_ref as p4
 from p4dgs_ref.equations import hash_grid, prior
-from p4dgs_ref.model import context, split
+from p4dgs_ref.model import Gaussians, context, split
+from p4dgs_ref.scenes.ply import read_ply
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.training.initial import design_of, initial_parameters
 from p4dgs_ref.training.parameters import Parameters
@@ -103,6 +105,15 @@ def digest(model):
         (name, a.dtype.str, a.shape, a.tobytes()) for name, a in sorted(arrays_of(model).items())
     ]
     return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+
+def read_gaussians(path):
+    """The Gaussians of a PLY file of 3DGS, as float64; their spherical harmonics have degree 0."""
+    vertices = read_ply(path)[0]["vertex"]
+    columns = np.stack([vertices[name].astype(float) for name in vertices.dtype.names], axis=1)
+    x, _, f_dc, opacity, log_s, r = np.split(columns, [3, 6, 9, 10, 13], axis=1)
+    color = 0.5 + f_dc / (2 * np.sqrt(np.pi))
+    return Gaussians(x, np.exp(log_s), r, expit(opacity[:, 0]), color, np.arange(len(x)))
 
 
 # What another process runs to decode the file in its first argument.
