@@ -2,11 +2,14 @@
 
 import dataclasses
 import hashlib
+from functools import cache
 
 import numpy as np
+import pytest
 from scipy.special import expit
 
 import p4dgs_ref as p4
+from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.equations import hash_grid, prior
 from p4dgs_ref.model import Gaussians, context, split
 from p4dgs_ref.scenes.ply import read_ply
@@ -76,7 +79,7 @@ AS_D3DGS = dict(deformation=(7, 6, 5, 4), time_net=(8, 3), skip=True)
 TURNING = dict(deformation=(), grid_3d=(3, 4), grid_2d=())
 
 MAKE = {
-    "trained": lambda: p4.train(p4.load_scene("bouncing"), preset="smoke"),
+    "trained": cache(lambda: p4.train(p4.load_scene("bouncing"), preset="smoke")),
     "random": lambda: random_model(1),
     "many": lambda: random_model(2, **MANY),
     "static": lambda: random_model(3, ("view_color", "occlusion", "background")),
@@ -86,6 +89,27 @@ MAKE = {
     "as_d3dgs": lambda: random_model(8, **AS_D3DGS),
     "one_anchor": lambda: random_model(7, anchors=1, d=1, k=1),
 }
+
+
+def refusal(read, *arguments):
+    """The error by which damaged data are refused: one line, with the section and the byte."""
+    with pytest.raises(BitstreamError) as caught:
+        read(*arguments)
+    assert caught.value.offset >= 0 and "\n" not in str(caught.value)
+    return caught.value
+
+
+def prefixes(data):
+    """All truncations of some data."""
+    return [data[:n] for n in range(len(data))]
+
+
+def flips(data, step=1):
+    """The data with every bit flipped, one at a time, or with every bit in `step`."""
+    for at in range(0, 8 * len(data), step):
+        bad = bytearray(data)
+        bad[at // 8] ^= 1 << at % 8
+        yield bytes(bad)
 
 
 def arrays_of(model):

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.codec.container import read_container, write_container
-from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, decode, encode, quantised_of
+from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, NETWORK_SECTIONS, decode, encode, quantised_of
 from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.codec.streams import decode_bits
 from p4dgs_ref.equations import likelihood
@@ -36,11 +35,6 @@ from tests.sampling import few
 ROOT = Path(__file__).resolve().parents[2]
 EYES = ((1.5, -2.5, 1.0), (-0.4, 2.8, 0.6))
 CAMERAS = [look_at(eye, (0, 0, 0), 30.0, 28.0, 40, 24) for eye in EYES]
-NETWORKS_OF_SECTION = {
-    "anchor_mlps": ("psi_alpha", "psi_c", "psi_r", "psi_s"),
-    "context_mlps": ("psi_p", "psi_q"),
-    "deformation_mlp": ("psi_d", "psi_t"),
-}
 
 
 @pytest.fixture(scope="module", params=MAKE)
@@ -58,7 +52,7 @@ def model():
 
 def network_arrays(model, section):
     """The weights and biases of one section, in the order of the file."""
-    networks = [model.networks.get(name, ((), ())) for name in NETWORKS_OF_SECTION[section]]
+    networks = [model.networks.get(name, ((), ())) for name in NETWORK_SECTIONS[section]]
     return [array for network in networks for layer in zip(*network) for array in layer]
 
 
@@ -96,11 +90,14 @@ def test_encoding_again_gives_the_same_bytes(made):
 
 @pytest.mark.parametrize(
     "scene, preset",
-    [
-        ("static", SMOKE),
-        ("orientation", SMOKE._replace(hidden=(24, 40), d=8)),
-        ("glossy", TINY._replace(stage_ends=(4, 6, 12, 20), mask_from=12, anchors=60)),
-    ],
+    few(
+        [
+            ("static", SMOKE),
+            ("orientation", SMOKE._replace(hidden=(24, 40), d=8)),
+            ("glossy", TINY._replace(stage_ends=(4, 6, 12, 20), mask_from=12, anchors=60)),
+        ],
+        1,
+    ),
 )
 def test_files_of_trainings_encode_to_themselves(scene, preset):
     """The demo's scene with the preset smoke is among the models of the test above."""
@@ -125,12 +122,13 @@ def cancelling_model(seed, half):
 
 
 def test_units_that_hang_on_the_last_bit_are_removed_until_none_is_silent():
-    for seed in range(20):
+    for seed in range(8):
         data = encode(cancelling_model(seed, half=3 + seed % 13))
         assert encode(decode(data)) == data, seed
 
 
-@pytest.mark.parametrize("threads", few(["3", "1"], 1))
+@pytest.mark.slow
+@pytest.mark.parametrize("threads", ["3", "1"])
 def test_another_process_decodes_the_same(tmp_path, threads):
     for name in ("trained", "many"):
         path = tmp_path / f"{name}.p4dgs"
@@ -202,7 +200,7 @@ def test_sections_read_by_hand(model):
     assert np.array_equal(masks, decoded.anchors.mask.ravel())
     signs = decode_bits(sections["hash_grid"], 64 + 3 * 64)
     assert np.array_equal(signs, np.concatenate([g.ravel() for g in decoded.grids]) > 0)
-    for section in NETWORKS_OF_SECTION:
+    for section in NETWORK_SECTIONS:
         stored = np.frombuffer(sections[section], "<f2")
         arrays = network_arrays(decoded, section)
         assert np.array_equal(stored, np.concatenate([a.ravel() for a in arrays]))
@@ -230,7 +228,7 @@ def test_sizes_are_those_of_the_entropy(made):
     design, A = rounded.design, len(kept)
     assert rows["positions"]["bytes"] == 24 + 6 * A
     assert rows["container"]["bytes"] == 18 + 9 * len(sizes)
-    for section in NETWORKS_OF_SECTION:
+    for section in NETWORK_SECTIONS:
         arrays = network_arrays(rounded, section)
         assert 2 * sum(a.size for a in arrays) == sizes.get(section, 0)
 
@@ -245,23 +243,14 @@ def test_sizes_are_those_of_the_entropy(made):
         estimate[name] = -np.size(flags) * sum(p * np.log2(p) for p in shares if p)
     for name, ideal in estimate.items():
         assert abs(rows[name]["estimate_bytes"] - ideal / 8) <= 0.003 * ideal / 8 + 1, name
-        assert abs(rows[name]["bytes"] - ideal / 8) <= 0.01 * ideal / 8 + 64, name
+        bytes_of, row = rows[name]["bytes"], rows[name]
+        # An outlier may cost less than under the float model, whose tail has no escape.
+        assert row["integer_bytes"] - 1 <= bytes_of <= 1.003 * row["estimate_bytes"] + 16, name
     plain = sum(row["bytes"] for name, row in rows.items() if name not in estimate)
     total = sum(estimate.values()) / 8
     assert abs(len(data) - plain - total) <= 0.01 * total + 64
     symbols_of = [rows[name]["symbols"] for name in ATTRIBUTE_SECTIONS]
     assert symbols_of == [A * design.d, 3 * A, 3 * A, 3 * rounded.anchors.mask.sum()]
-
-
-def test_inspect_prints_sections_that_sum_to_the_file(model, tmp_path, capsys):
-    path = tmp_path / "model.p4dgs"
-    path.write_bytes(encode(model))
-    assert cli.run(["inspect", str(path), "--json"], 0.0) == 0
-    printed = json.loads(capsys.readouterr().out)
-    total = sum(row["bytes"] for row in printed["sections"])
-    assert total == printed["bytes"] == path.stat().st_size
-    names = {row["name"] for row in printed["sections"]}
-    assert {"header", "positions", "offsets", "context_mlps"} < names
 
 
 def test_masked_children_and_dead_anchors_leave_no_trace(model):
