@@ -44,13 +44,14 @@ def read_split(folder, file, color, downscale):
     frames, where = data.get("frames"), f"{file}: frames"
     require(isinstance(frames, list), where, "missing or not a list; expected the list of views")
     require(frames, where, "empty; expected at least one view")
-    lens = read_lens(data, file)
+    angle, fl_x, fl_y, cx, cy = read_lens(data, file)
     posed = [read_frame(frame, f"{where}[{i}]") for i, frame in enumerate(frames)]
     views = []
     for i, (name, time, R, T) in enumerate(posed):
         place = f"{where}[{i}].file_path"
         image = read_image(folder, name, place)
-        camera = make_camera(R, T, *lens, *image.shape[1::-1], downscale)
+        height, width = image.shape[:2]
+        camera = make_camera(R, T, angle, fl_x, fl_y, cx, cy, width, height, downscale)
         shown = name.removeprefix("./").removesuffix(".png")
         views.append(View(shown, *shrink(image, color, downscale, place), camera, time))
     return tuple(views)

@@ -27,7 +27,7 @@ import numpy as np
 
 from ..splatting.camera import Camera
 from .files import read_image, read_json, shrink
-from .limits import LARGEST_LENS, LEAST_LENS
+from .limits import FARTHEST, LARGEST_LENS, LEAST_LENS
 from .points import read_points
 from .scene import View, check_rotation, is_number, numbers, require, size_of
 
@@ -142,7 +142,10 @@ def place(folder, x):
     data = read_json(file, FULL)
     center = numbers(data.get("center"), f"{file}: center", (3,), -LARGEST_LENS, LARGEST_LENS)
     scale = numbers(data.get("scale"), f"{file}: scale", (), LEAST_LENS, LARGEST_LENS)
-    return numbers((x - center) * scale, f"{file}: scale, cameras and points", x.shape)
+    placed = (x - center) * scale
+    near = np.all(np.abs(placed) <= FARTHEST)  # False for NaN
+    require(near, f"{file}: scale", f"puts a camera or point beyond {FARTHEST:g}; expected less")
+    return placed
 
 
 def read_camera(folder, name):

@@ -61,7 +61,7 @@ def read_ply(path, expected=("vertex",)):
             found[name] = np.frombuffer(body, kind, count, at)
             at += found[name].nbytes
         else:
-            numbers = [tuple(map(float, row.split()[: len(kind)])) for row in islice(rows, count)]
+            numbers = [tuple(map(float, row.split()[: len(types)])) for row in islice(rows, count)]
             require(len(numbers) == count, path, f"expected {count} lines of the element {name}")
             found[name] = np.array(numbers, kind)
     comments = [line.decode("ascii").strip()[8:] for line in lines if line.startswith(b"comment ")]

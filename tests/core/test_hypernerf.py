@@ -243,7 +243,7 @@ VIEW = f"camera/{LEFT[1]}.json"
 MISTAKES = [
     ("scene.json", {"scale": None}, ("scene.json: scale", "a number")),
     ("scene.json", {"scale": 0}, ("scene.json: scale", "1e-09")),
-    ("scene.json", {"scale": 1e8}, ("scene.json: scale, cameras and points", "1e+06]")),
+    ("scene.json", {"scale": 1e8}, ("scene.json: scale", "camera or point beyond 1e+06")),
     ("scene.json", {"center": [0, 0]}, ("scene.json: center", "shape [3]")),
     ("scene.json", {"center": [0, 0, math.nan]}, ("scene.json: center", "shape [3]")),
     ("scene.json", {"effects": ["wind"]}, ("scene.json: effects", "wind")),
@@ -270,7 +270,7 @@ MISTAKES = [
         (f"{VIEW}: orientation", "determinant -1"),
     ),
     (VIEW, {"position": [1, 2]}, (f"{VIEW}: position", "shape [3]")),
-    (VIEW, {"position": [1, 2, 1e8]}, ("scene.json: scale, cameras and points", "1e+06]")),
+    (VIEW, {"position": [1, 2, 1e8]}, ("scene.json: scale", "camera or point beyond 1e+06")),
     (VIEW, {"focal_length": -5}, (f"{VIEW}: focal_length", "a number in [1e-09")),
     (VIEW, {"focal_length": "long"}, (f"{VIEW}: focal_length", "a number")),
     (VIEW, {"principal_point": 3}, (f"{VIEW}: principal_point", "shape [2]")),

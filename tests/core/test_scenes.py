@@ -333,7 +333,9 @@ def test_a_json_that_is_no_file(folder, name):
     (folder / name).mkdir()
     refuse((name, "directory, a device"), lambda: load_scene(folder))
     (folder / name).rmdir()
-    os.truncate(os.open(folder / name, os.O_CREAT | os.O_RDWR), 3 << 30)  # 3 GB that take no place on the disk
+    os.truncate(
+        os.open(folder / name, os.O_CREAT | os.O_RDWR), 3 << 30
+    )  # 3 GB that take no place on the disk
     refuse((name, "larger than"), lambda: load_scene(folder))
 
 
