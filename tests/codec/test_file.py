@@ -1,7 +1,6 @@
 """The file of a model decodes to the quantised model, bit for bit, and has its entropy's size."""
 
 import dataclasses
-import json
 import os
 import subprocess
 import sys
@@ -14,11 +13,9 @@ import p4dgs_ref as p4
 from p4dgs_ref.codec.container import read_container, write_container
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, NETWORK_SECTIONS, decode, encode, quantised_of
 from p4dgs_ref.codec.quantise import quantise
-from p4dgs_ref.codec.streams import decode_bits
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.model import ANCHOR_NETWORKS, Anchors, join
 from p4dgs_ref.report.inspect import components, ledger
-from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.training.presets import SMOKE, TINY
 from tests.codec.models import (
@@ -174,28 +171,6 @@ def test_the_integer_context_is_close_to_the_float_context(made):
     wanted = likelihood.forward(symbols * q, exact.mu, exact.sigma, q)[0][kept].sum()
     found = likelihood.forward(symbols * q, mu, sigma, q)[0][kept].sum()
     assert abs(found - wanted) <= 1e-3 * wanted
-
-
-def test_sections_read_by_hand(model):
-    """The numbers stand where the format page says."""
-    sections, decoded = read_container(encode(model)), decode(encode(model))
-    A, design = len(decoded.anchors.mask), decoded.design
-    header = json.loads(sections["header"])
-    assert header["anchors"] == A
-    assert header["grid"] == [["xyz", 4], ["xy", 8], ["xz", 8], ["yz", 8]]
-    assert header["background"] == decoded.background.tolist()
-    assert header["effects"] == list(MODEL_EFFECTS)
-    box = np.frombuffer(sections["positions"][:24], "<f4").astype(float).reshape(2, 3)
-    x = np.frombuffer(sections["positions"][24:], "<u2").reshape(A, 3) / 65535
-    assert np.allclose(box[0] + x * (box[1] - box[0]), decoded.anchors.x_a, rtol=0, atol=1e-12)
-    masks = decode_bits(sections["masks"], A * design.k)
-    assert np.array_equal(masks, decoded.anchors.mask.ravel())
-    signs = decode_bits(sections["hash_grid"], 64 + 3 * 64)
-    assert np.array_equal(signs, np.concatenate([g.ravel() for g in decoded.grids]) > 0)
-    for section in NETWORK_SECTIONS:
-        stored = np.frombuffer(sections[section], "<f2")
-        arrays = network_arrays(decoded, section)
-        assert np.array_equal(stored, np.concatenate([a.ravel() for a in arrays]))
 
 
 def test_a_scene_without_motion_has_no_section_for_it():

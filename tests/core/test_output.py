@@ -22,10 +22,6 @@ from p4dgs_ref.scenes.output import (
 SCENE = p4.load_scene("bouncing", downscale=16)
 
 
-def fifo(path):
-    os.mkfifo(path)
-
-
 def unix_socket(path):
     here = os.open(path.parent, os.O_RDONLY)  # the name of a socket has at most 108 bytes
     with socket.socket(socket.AF_UNIX) as server:
@@ -40,15 +36,13 @@ def device(path):
         pytest.skip("only root may make a device node")
 
 
-def folder(path):
-    path.mkdir()
-
-
-def looping_link(path):
-    path.symlink_to(path.name)
-
-
-KINDS = [fifo, unix_socket, device, folder, looping_link]
+KINDS = {
+    "pipe": os.mkfifo,
+    "socket": unix_socket,
+    "device": device,
+    "folder": os.mkdir,
+    "link to itself": lambda path: path.symlink_to(path.name),
+}
 
 
 def write_file(path):
@@ -62,14 +56,14 @@ def write_folder(path):
         (beside / path.name).write_bytes(b"new")
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("link", [False, True], ids=["itself", "through a link"])
 @pytest.mark.parametrize("write", [write_file, write_folder])
 def test_only_a_regular_file_is_replaced(tmp_path, kind, link, write):
     (tmp_path / "there").mkdir()
     (tmp_path / "out").mkdir()
     place = tmp_path / "there" / "x"
-    kind(place)
+    KINDS[kind](place)
     named = tmp_path / "out" / "x" if link else place
     if link:
         named.symlink_to(place)

@@ -252,24 +252,6 @@ def test_without_background_rays_that_miss_are_black_and_opaque():
     np.testing.assert_allclose(without[..., :3], with_it[..., :3] * with_it[..., 3:], atol=1e-15)
 
 
-@pytest.mark.parametrize("effect", SIMULATOR_EFFECTS)
-def test_every_effect_changes_the_picture(effect):
-    all_on, off = (
-        trace.trace(changed(effects=effects), camera(), 0.3)
-        for effects in (SIMULATOR_EFFECTS, [e for e in SIMULATOR_EFFECTS if e != effect])
-    )
-    assert np.abs(all_on - off).max() > 0.02
-
-
-def test_static_does_not_change_with_time():
-    description = describe(packaged_folder() / "static" / "scene.json")
-    eye = place_cameras(description, "test")[3][0]
-    one, other = (trace.trace(description, eye, t) for t in (0.1, 0.9))
-    np.testing.assert_array_equal(one, other)
-    moving = describe(packaged_folder() / "bouncing" / "scene.json")
-    assert np.abs(trace.trace(moving, eye, 0.1) - trace.trace(moving, eye, 0.9)).max() > 0.1
-
-
 def test_cameras_survive_the_way_through_the_file(tmp_path):
     calls = []
     simulate(FULL, tmp_path / "out", progress=lambda *call: calls.append(call))
