@@ -4,6 +4,7 @@ import json
 import os
 import warnings
 from contextlib import contextmanager
+from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
@@ -37,9 +38,10 @@ def read_image(folder, name, where):
     require(inside, where, f"{name!r} is outside; expected a picture in the folder {folder}")
     with reading(file, "a PNG of RGB or RGBA pixels", where), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a picture so large that it could be an attack
-        # a palette or a colour with an alpha
-        mode = "RGBA" if "transparency" in iio.immeta(file, plugin="pillow") else None
-        image = iio.imread(file, plugin="pillow", mode=mode)
+        picture: Any  # its class depends on the plugin
+        with iio.imopen(file, "r", plugin="pillow") as picture:
+            clear = "transparency" in picture.metadata()  # a palette or a colour with an alpha
+            image = picture.read(mode="RGBA" if clear else None)
     return as_float(image, f"{where}: {file}")
 
 

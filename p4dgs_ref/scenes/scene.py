@@ -207,18 +207,15 @@ def over_background(image, color):
 
 def numbers(value, where, shape=(), low=-FARTHEST, high=FARTHEST):
     """The numbers of a field as a float64 array of that shape, all of them from low to high."""
-    kind = f"numbers of shape {list(shape)}" if shape else "a number"
     try:
         entries = np.asarray(value, dtype=object)
         known = all(is_number(entry, int, float, *NUMPY_NUMBERS) for entry in entries.flat)
         found = entries.astype(float) if known and entries.shape == shape else np.array(np.nan)
     except (ValueError, OverflowError):  # rows of unequal lengths, or an integer of 400 digits
         found = np.array(np.nan)
-    require(
-        np.all((found >= low) & (found <= high)),  # False for NaN
-        where,
-        f"{shown(value)}; expected {kind} in [{low:g}, {high:g}]",
-    )
+    if not np.all((found >= low) & (found <= high)):  # nor for NaN
+        kind = f"numbers of shape {list(shape)}" if shape else "a number"
+        raise SceneError(where, f"{shown(value)}; expected {kind} in [{low:g}, {high:g}]")
     return found
 
 

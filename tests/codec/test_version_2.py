@@ -101,6 +101,16 @@ def code_of(point, bits, axes=(0, 1, 2)):
     return int("".join(digit for digits in zip(*texts) for digit in digits), 2)
 
 
+def test_anchors_of_one_code_keep_their_order():
+    model = coded(1, anchors=400)  # eight codes
+    alive = model.anchors.mask.any(axis=1)
+    x_a, mask = model.anchors.x_a[alive], model.anchors.mask[alive]
+    lo, hi = (corner.astype(float) for corner in model.box)
+    codes = [code_of(point, 1) for point in np.rint((x_a - lo) / (hi - lo)).astype(int)]
+    order = sorted(range(len(codes)), key=codes.__getitem__)  # a stable sort
+    assert np.array_equal(quantise(model).model.anchors.mask, mask[order])
+
+
 @pytest.mark.parametrize("bits", range(1, 17))
 def test_the_lattice_is_part_of_that_of_16_bits(bits):
     m = np.arange(2**bits)
