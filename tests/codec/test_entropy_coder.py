@@ -44,18 +44,6 @@ def draw(n, low, high, seed=0, offset=0.0):
     return symbols, mu_units, np.clip(sigma_units, SIGMA_MIN, SIGMA_MAX), float(bits.sum())
 
 
-def formula(n, spread):
-    """The inputs of the golden streams, made of integers alone."""
-    i = np.arange(n, dtype=np.int64)
-    scramble = i * 2654435761 % 2**32
-    sigma_units = SIGMA_MIN + scramble % (SIGMA_MAX - SIGMA_MIN + 1 - 160)
-    mu_units = (scramble >> 5) % 65536 - 32768
-    wobble = ((scramble >> 9) % 17 - 8) * spread >> 4
-    e = sigma_units >> SIGMA_BITS
-    symbols = (mu_units >> MU_BITS) + (wobble << np.maximum(e, 0) >> np.maximum(-e, 0))
-    return symbols, mu_units, sigma_units
-
-
 def constant(n, mu=0, sigma=0):
     """The same mean and deviation for n symbols."""
     return np.full(n, mu, np.int64), np.full(n, sigma, np.int64)
@@ -197,22 +185,6 @@ def test_many_equal_or_alternating_symbols(n, mu, period, bits):
     symbols, (mu, sigma) = np.arange(n) % period, constant(n, mu, SIGMA_MIN)
     data = encode_gaussian(symbols, mu, sigma)
     assert len(data) <= 1.001 * bits * n / 8 + 8
-    assert np.array_equal(decode_gaussian(data, mu, sigma), symbols)
-
-
-GOLDEN = {  # (symbols, spread, lanes) -> SHA-256 of the stream
-    (3000, 16, None): "c5f10d67288c316ece901d971fc199461266f89f6a63b6be15c99d145ab5764a",
-    (3000, 512, None): "57e0a108bccf77ddb0a4130658a497b72eabc0ea1e824ab8fa657b5551d014fd",
-    (3000, 16, 8): "f1bbbd49e929ff5d098b66cb6d17fc06216cd6a6fa22aa7990a96b18df3f853d",
-    (150_000, 16, None): "13ae677a3a5c0fcae910eacf69f878ced2971a0f9660bd95799cbc586bd2d5c0",
-}
-
-
-@pytest.mark.parametrize("n, spread, lanes", GOLDEN)
-def test_golden_bytes(n, spread, lanes):
-    symbols, mu, sigma = formula(n, spread)
-    data = encode_gaussian(symbols, mu, sigma, lanes)
-    assert hashlib.sha256(data).hexdigest() == GOLDEN[n, spread, lanes]
     assert np.array_equal(decode_gaussian(data, mu, sigma), symbols)
 
 
