@@ -91,6 +91,31 @@ MAKE = {
 }
 
 
+def coded(bits=10, **changes):
+    """A model of the coded design."""
+    return random_model(**{"seed": 1, **changes}, coded=True, position_bits=bits)
+
+
+def in_one_place():
+    return np.full((9, 3), 0.25)
+
+
+def on_a_line():
+    return np.random.default_rng(3).uniform(-1, 1, (11, 3)) * [0, 1, 0] + [0.5, 0, -0.3]
+
+
+CODED = {
+    **{f"{bits} bits": lambda bits=bits: coded(bits) for bits in (1, 2, 5, 10, 16)},
+    "duplicates": lambda: coded(1, anchors=50),
+    "one anchor": lambda: coded(anchors=1, d=1, k=1),
+    "in a plane": lambda: coded(points=points_in_a_plane(6)),
+    "on a line": lambda: coded(16, points=on_a_line()),
+    "static": lambda: coded(effects=("view_color", "occlusion", "background")),
+    "as d3dgs": lambda: coded(deformation=(7, 6, 5, 4), time_net=(8, 3), skip=True),
+    "without effects": lambda: coded(effects=()),
+}
+
+
 def refusal(read, *arguments):
     """The error by which damaged data are refused: one line, with the section and the byte."""
     with pytest.raises(BitstreamError) as caught:

@@ -13,10 +13,9 @@ from p4dgs_ref.codec.published import FOLDER
 from p4dgs_ref.model import join
 from p4dgs_ref.report.inspect import ledger
 from tests.codec.models import refusal
+from tests.codec.streams import BAD, GOOD, MANIFEST, arrays_of, read
 from tests.golden import conformance
 
-MANIFEST = json.loads((FOLDER / "manifest.json").read_text())
-GOOD, BAD = ({row["name"]: row for row in MANIFEST[key]} for key in ("good", "bad"))
 # The encoder writes other bytes for these: it drops an anchor, stores 0 where the box has no
 # extent, or chooses another number of lanes.
 NOT_OURS = {"all_masked_but_one", "one_anchor", "lanes"}
@@ -35,30 +34,6 @@ KINDS = {
         r"|raw bits per gap|gaps that add up|a code beyond"
     ),
 }
-
-
-def read(name):
-    return (FOLDER / name).read_bytes()
-
-
-def arrays_of(row):
-    """The expected arrays of a good stream, {name: array}, read as the manifest describes them."""
-    body, arrays, end = read(row["expected"]), {}, 0
-    for entry in row["arrays"]:
-        count, start = int(np.prod(entry["shape"])), entry["offset"]
-        assert start == end
-        if entry["type"] == "bit":
-            end += (count + 7) // 8
-            array = np.unpackbits(np.frombuffer(body[start:end], np.uint8), bitorder="little")
-            assert not array[count:].any()
-        else:
-            kind = np.dtype(f"<{entry['type'][0]}{int(entry['type'][1:]) // 8}")
-            end += count * kind.itemsize
-            array = np.frombuffer(body[start:end], kind)
-        assert hashlib.sha256(body[start:end]).hexdigest() == entry["sha256"], entry["name"]
-        arrays[entry["name"]] = array[:count].reshape(entry["shape"])
-    assert end == len(body)
-    return arrays
 
 
 def test_the_builder_writes_the_published_bytes(tmp_path, capsys):

@@ -10,9 +10,8 @@ import pytest
 from p4dgs_ref.codec import context, file, fixed_point
 from p4dgs_ref.codec.container import read_container
 from p4dgs_ref.codec.file import encode, quantised_of
-from tests.codec.models import MAKE
-from tests.codec.test_conformance import BAD, GOOD, arrays_of, read
-from tests.codec.test_version_2 import MODELS
+from tests.codec.models import CODED, MAKE
+from tests.codec.streams import BAD, GOOD, arrays_of, read
 from tests.golden import plain_decoder
 from tests.sampling import few
 
@@ -39,7 +38,7 @@ def test_bad_streams(row):
 PAPER = {name: MAKE[name] for name in ("random", "no_effects", "turning", "flat", "trained")}
 
 
-@pytest.mark.parametrize("make", few([*PAPER.values(), *MODELS.values()], 6))
+@pytest.mark.parametrize("make", few([*PAPER.values(), *CODED.values()], 6))
 def test_other_models(make):
     data = encode(make())
     found, quantised = plain_decoder.decode(data), quantised_of(read_container(data), data[8])

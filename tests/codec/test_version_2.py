@@ -16,7 +16,7 @@ from p4dgs_ref.model import on_lattice, snap
 from p4dgs_ref.report import inspect
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
-from tests.codec.models import MAKE, arrays_of, points_in_a_plane, random_model, refusal
+from tests.codec.models import CODED, MAKE, arrays_of, coded, random_model, refusal
 from tests.sampling import few
 
 # An overflow or a NaN on the way is a failure, too.
@@ -24,34 +24,9 @@ pytestmark = pytest.mark.filterwarnings("error")
 BOX = np.array([-1.5, -1.0, 0.25], np.float32), np.array([1.5, 2.0, 1.75], np.float32)
 
 
-def coded(bits=10, **changes):
-    """A model of the coded design."""
-    return random_model(**{"seed": 1, **changes}, coded=True, position_bits=bits)
-
-
-def in_one_place():
-    return np.full((9, 3), 0.25)
-
-
-def on_a_line():
-    return np.random.default_rng(3).uniform(-1, 1, (11, 3)) * [0, 1, 0] + [0.5, 0, -0.3]
-
-
-MODELS = {
-    **{f"{bits} bits": lambda bits=bits: coded(bits) for bits in (1, 2, 5, 10, 16)},
-    "duplicates": lambda: coded(1, anchors=50),
-    "one anchor": lambda: coded(anchors=1, d=1, k=1),
-    "in a plane": lambda: coded(points=points_in_a_plane(6)),
-    "on a line": lambda: coded(16, points=on_a_line()),
-    "static": lambda: coded(effects=("view_color", "occlusion", "background")),
-    "as d3dgs": lambda: coded(deformation=(7, 6, 5, 4), time_net=(8, 3), skip=True),
-    "without effects": lambda: coded(effects=()),
-}
-
-
-@pytest.mark.parametrize("name", few(MODELS, 4))
+@pytest.mark.parametrize("name", few(CODED, 4))
 def test_decoding_gives_the_quantised_model_and_encoding_again_the_file(name):
-    model = MODELS[name]()
+    model = CODED[name]()
     data, quantised = encode(model), quantise(model)
     assert data[8] == 2
     found, expected = arrays_of(decode(data)), arrays_of(quantised.model)
