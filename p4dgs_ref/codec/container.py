@@ -71,6 +71,8 @@ import os
 import struct
 import zlib
 
+from ..scenes.limits import MOST_FILE
+
 MAGIC = b"\x89P4D\r\n\x1a\n"
 VERSIONS = 1, 2
 SECTIONS = (  # an id is a position in this tuple, counted from 1
@@ -86,7 +88,6 @@ SECTIONS = (  # an id is a position in this tuple, counted from 1
     "anchor_mlps",
     "context_mlps",
 )
-MAX_LENGTH = 2**29
 FIXED = struct.Struct("<8sBBI")  # magic, version, S, total length
 ROW = struct.Struct("<BII")  # id, length, CRC-32
 CRC = struct.Struct("<I")
@@ -112,16 +113,13 @@ def require(holds, section, offset, message):
 def write_container(sections, version=1):
     """The file with these sections, {name: bytes} in any order.
 
-    Raises ValueError for an unknown section and for a file of more than 2^29 bytes.
+    Raises ValueError for a file of more than 2^29 bytes.
     """
-    unknown = sorted(set(sections) - set(SECTIONS))
-    if unknown:
-        raise ValueError(f"section {unknown[0]!r}: expected one of {', '.join(SECTIONS)}")
     rows = [(i, sections[name]) for i, name in enumerate(SECTIONS, 1) if name in sections]
     bodies = [body for _, body in rows]
     total = FIXED.size + ROW.size * len(rows) + CRC.size + sum(map(len, bodies))
-    if total > MAX_LENGTH:
-        raise ValueError(f"file of {total} bytes: expected at most {MAX_LENGTH}")
+    if total > MOST_FILE:
+        raise ValueError(f"file of {total} bytes: expected at most {MOST_FILE}")
     if version == 1:
         head = FIXED.pack(MAGIC, version, len(rows), total)
         head += b"".join(ROW.pack(i, len(body), zlib.crc32(body)) for i, body in rows)
@@ -219,10 +217,10 @@ def read_rows(data, size):
         f"total length {total}, but the file has {size} bytes",
     )
     require(
-        total <= MAX_LENGTH,
+        total <= MOST_FILE,
         "container",
         10,
-        f"total length {total}, expected at most {MAX_LENGTH}",
+        f"total length {total}, expected at most {MOST_FILE}",
     )
     end = FIXED.size + ROW.size * count
     require(
@@ -269,7 +267,7 @@ def read_lengths(data, size):
             rows.append((name, start, number - 1, None))
             start += number - 1
     require(
-        start == size <= MAX_LENGTH,
+        start == size <= MOST_FILE,
         "container",
         FIXED_2,
         f"the lengths of the sections add up to {start} of {size} bytes",

@@ -92,7 +92,7 @@ from .header import check_work, read_header, write_header
 from .positions import read_gaps, write_gaps
 from .quantise import BOX, EncodeError, Quantised, coded, dequantise, quantise, valid_box
 from .streams import decode_bits, decode_symbols, encode_bits, encode_gaussian
-from .weights import read_weights, write_weights
+from .weights import networks_of, read_weights, write_weights
 
 NETWORK_SECTIONS = {
     "anchor_mlps": ANCHOR_NETWORKS,
@@ -254,21 +254,10 @@ def read_grids(data, design):
 
 def read_networks(data, section, shapes):
     """The networks {name: (weights, biases)} of a section, float64, from their layers' shapes."""
-    pairs = [pair for network in shapes.values() for pair in network]
-    sizes = [size for rows, columns in pairs for size in (rows * columns, columns)]
-    require(
-        len(data) == 2 * sum(sizes),
-        section,
-        len(data),
-        f"expected {2 * sum(sizes)} bytes, found {len(data)}",
-    )
+    size = 2 * sum((I + 1) * J for network in shapes.values() for I, J in network)
+    require(len(data) == size, section, len(data), f"expected {size} bytes, found {len(data)}")
     numbers = np.frombuffer(data, "<f2").astype(float)
     wrong = np.flatnonzero(~np.isfinite(numbers))
-    if len(wrong):
-        raise BitstreamError(section, 2 * int(wrong[0]), "expected finite weights")
-    arrays = iter(np.split(numbers, np.cumsum(sizes)))
-    networks = {}
-    for name, network in shapes.items():
-        read = [(next(arrays).reshape(pair), next(arrays)) for pair in network]
-        networks[name] = [W for W, _ in read], [b for _, b in read]
-    return networks
+    at = 2 * int(wrong[0]) if len(wrong) else None
+    require(at is None, section, at, "expected finite weights")
+    return networks_of(numbers, shapes)

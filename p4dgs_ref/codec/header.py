@@ -60,10 +60,10 @@ from pathlib import Path
 import numpy as np
 
 from ..model import CONTEXT_NETWORKS, MOST_NUMBERS, Design, declared_numbers
+from ..scenes.limits import MOST_ANCHORS, MOST_ENTRIES, MOST_HEADER
 from ..scenes.scene import MODEL_EFFECTS
 from .container import require
 
-MOST_BYTES, MOST_ENTRIES = 2**14, 2**24
 # The base designs of version 2. Files name them, so none of them may ever change.
 BASES = json.loads(Path(__file__).with_name("bases.json").read_text())
 AXES = ("xyz", "xy", "xz", "yz")
@@ -102,7 +102,7 @@ def read_header(data, version=1):
 
     Raises BitstreamError for anything but an object with exactly the fields above, in their ranges.
     """
-    expect(len(data) <= MOST_BYTES, f"{len(data)} bytes, expected at most {MOST_BYTES}")
+    expect(len(data) <= MOST_HEADER, f"{len(data)} bytes, expected at most {MOST_HEADER}")
     try:
         pairs = json.loads(str(data, "ascii"), object_pairs_hook=tuple)
     except (ValueError, RecursionError):
@@ -170,7 +170,7 @@ def integer(most):
 
     def read(name, value):
         expect(
-            type(value) is int and 1 <= value <= most,  # type: a bool is not an integer here
+            type(value) is int and 1 <= value <= most,  # a bool has another type
             f"field {name!r}: expected a whole number from 1 to {most}",
         )
         return value
@@ -228,7 +228,7 @@ def true(name, value):
 
 WIDTHS = list_of(integer(2**14), 0, 8)  # of hidden layers
 FIELDS = {
-    "anchors": integer(2**22),
+    "anchors": integer(MOST_ANCHORS),
     "background": list_of(number(-(2.0**20), 2.0**20), 3, 3),
     "d": integer(4096),
     "k": integer(256),

@@ -18,14 +18,13 @@ from ..model import (
     step_of_code,
     without_silent_units,
 )
+from ..scenes.limits import LARGEST_BOX, MOST_STEPS
 from .container import BitstreamError
 from .context import CodingContext, coding_context
 from .header import read_header, write_header
 from .positions import codes_of
 
-MOST_STEPS = 2**15 - 1  # of a weight of the coded design
-LARGEST = 1e30  # coordinate of a box, so that extents are finite in float32
-BOX = f"lo <= hi, finite, within +-{LARGEST:g}"  # what the box of a file must be
+BOX = f"lo <= hi, finite, within +-{LARGEST_BOX:g}"  # what the box of a file must be
 
 
 class EncodeError(ValueError):
@@ -182,7 +181,7 @@ def round_box(box):
 def valid_box(lo, hi):
     """Whether a file may hold this box; False for NaN."""
     # The float32 next to 1e30 is larger than 1e30, hence < and not <=.
-    return (np.abs([lo, hi]) < np.float32(LARGEST)).all() and (lo <= hi).all()
+    return (np.abs([lo, hi]) < np.float32(LARGEST_BOX)).all() and (lo <= hi).all()
 
 
 def as_decoded(model):

@@ -36,12 +36,13 @@ The bits 1 1 1 0 have f = 12582912, and their stream is 00 00 C0 00  80 00 00 40
 
 import numpy as np
 
+from ..scenes.limits import MOST_SYMBOL
 from . import rans
 from .container import require
 from .fixed_point import bit_length
 from .gaussian_table import CHUNK, PRECISION, check_integers, gaussian_model
 
-MAX_SYMBOL, MAX_GAMMA = 1 << 31, 33
+MAX_GAMMA = 33
 CERTAIN = 1 << PRECISION  # probability one
 
 
@@ -92,7 +93,7 @@ def decode_symbols(data, model, section="stream", pop_rows=None, at=0):
         at += len(low)
         largest = np.abs(symbols[rows]).max()
         require(
-            largest <= MAX_SYMBOL,
+            largest <= MOST_SYMBOL,
             section,
             start,
             f"a symbol of magnitude {largest}, expected at most 2^31",
@@ -123,7 +124,7 @@ def ideal_bits_gaussian(symbols, mu_units, sigma_units):
 
 def find_entries(symbols, model):
     """The entry of every symbol in the model's tables, and v of the escapes."""
-    check_integers("symbols", symbols, model.table.shape, -MAX_SYMBOL, MAX_SYMBOL)
+    check_integers("symbols", symbols, model.table.shape, -MOST_SYMBOL, MOST_SYMBOL)
     place = (symbols >> model.low[model.table]) - model.lowest
     blocks = model.blocks[model.table]
     escaped = np.flatnonzero((place < 0) | (place >= blocks))

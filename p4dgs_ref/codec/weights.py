@@ -36,10 +36,10 @@ from functools import cache
 import numpy as np
 
 from ..model import step_of_code
+from ..scenes.limits import MOST_STEPS
 from . import rans
 from .container import require
 from .gaussian_table import SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, gaussian_model
-from .quantise import MOST_STEPS
 from .streams import decode_symbols, encode_gaussian, find_entries, ideal_bits_gaussian
 
 LEVELS = np.arange(SIGMA_MIN >> SIGMA_BITS, (SIGMA_MAX >> SIGMA_BITS) + 1)
@@ -101,15 +101,20 @@ def read_weights(data, section, shapes):
         at,
         f"expected symbols within +-{MOST_STEPS}",
     )
-    sizes = [len(part) for part in scales]
-    numbers = symbols * np.repeat(step_of_code(steps.ravel()), sizes)
-    arrays = iter(np.split(numbers, np.cumsum(sizes)))
-    of_network = iter(np.split(steps.T, np.cumsum([len(v) for v in shapes.values()]), axis=1))
-    networks = {}
+    numbers = symbols * np.repeat(step_of_code(steps.ravel()), [len(part) for part in scales])
+    ends = np.cumsum([len(network) for network in shapes.values()])
+    of_network = np.split(steps.T, ends[:-1], axis=1)
+    return networks_of(numbers, shapes), dict(zip(shapes, map(tuple, of_network)))
+
+
+def networks_of(numbers, shapes):
+    """The networks {name: (weights, biases)} whose numbers follow each other, as in version 1."""
+    sizes = [size for network in shapes.values() for I, J in network for size in (I * J, J)]
+    arrays, networks = iter(np.split(numbers, np.cumsum(sizes))), {}
     for name, network in shapes.items():
         pairs = [(next(arrays).reshape(shape), next(arrays)) for shape in network]
         networks[name] = [W for W, _ in pairs], [b for _, b in pairs]
-    return networks, {name: tuple(next(of_network)) for name in shapes}
+    return networks
 
 
 def sigma_units(scales):

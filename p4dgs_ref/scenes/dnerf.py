@@ -13,17 +13,17 @@ import numpy as np
 
 from ..splatting.camera import Camera
 from .files import read_image, read_json, shrink
-from .scene import (
-    FARTHEST,
-    LARGEST_LENS,
-    View,
-    as_array,
-    check_rotation,
-    check_time,
-    is_number,
-    require,
-)
+from .limits import LARGEST_LENS, LEAST_LENS
+from .scene import View, check_rotation, check_time, numbers, require
 
+# Least and largest value of the fields that describe the lens: radians, then pixels.
+LENS = {
+    "camera_angle_x": (1e-6, math.pi - 1e-6),
+    "fl_x": (LEAST_LENS, LARGEST_LENS),
+    "fl_y": (LEAST_LENS, LARGEST_LENS),
+    "cx": (-LARGEST_LENS, LARGEST_LENS),
+    "cy": (-LARGEST_LENS, LARGEST_LENS),
+}
 # Signs of the columns of a camera-to-world matrix: right stays, up becomes down, back forward.
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])
 
@@ -44,45 +44,31 @@ def read_split(folder, file, color, downscale):
     frames, where = data.get("frames"), f"{file}: frames"
     require(isinstance(frames, list), where, "missing or not a list; expected the list of views")
     require(frames, where, "empty; expected at least one view")
-    focal = read_focal(data, file)
+    angle, fl_x, fl_y, cx, cy = read_lens(data, file)
     posed = [read_frame(frame, f"{where}[{i}]") for i, frame in enumerate(frames)]
     views = []
     for i, (name, time, R, T) in enumerate(posed):
         place = f"{where}[{i}].file_path"
         image = read_image(folder, name, place)
-        camera = make_camera(R, T, *focal, *image.shape[1::-1], downscale)
+        height, width = image.shape[:2]
+        camera = make_camera(R, T, angle, fl_x, fl_y, cx, cy, width, height, downscale)
         shown = name.removeprefix("./").removesuffix(".png")
         views.append(View(shown, *shrink(image, color, downscale, place), camera, time))
     return tuple(views)
 
 
-def read_focal(data, file):
-    """The fields camera_angle_x, fl_x, fl_y, cx and cy; None for each that is absent.
-
-    One of the first two is required.
-    """
-
-    def number(name, low, high, expected):
-        value = data.get(name)
-        if value is None:
-            return None
-        require(
-            is_number(value, int, float) and low < value < high,
-            f"{file}: {name}",
-            f"{value!r}; expected {expected}",
-        )
-        return float(value)
-
-    angle = number("camera_angle_x", 0, math.pi, "an angle in radians between 0 and pi")
-    most, expected = LARGEST_LENS, "number of pixels"
-    fl_x, fl_y = (number(name, 0, most, f"a positive {expected}") for name in ("fl_x", "fl_y"))
-    cx, cy = (number(name, -most, most, f"a finite {expected}") for name in ("cx", "cy"))
+def read_lens(data, file):
+    """The fields of LENS; None for each that is absent. One of the first two is required."""
+    lens = [
+        None if data.get(name) is None else float(numbers(data[name], f"{file}: {name}", (), *ends))
+        for name, ends in LENS.items()
+    ]
     require(
-        angle is not None or fl_x is not None,
+        lens[:2] != [None, None],
         f"{file}: camera_angle_x",
         "missing; expected an angle in radians, or fl_x in pixels",
     )
-    return angle, fl_x, fl_y, cx, cy
+    return lens
 
 
 def read_frame(frame, where):
@@ -99,17 +85,12 @@ def read_frame(frame, where):
         f"{name!r}; expected the name of a picture, without control characters",
     )
     time = check_time(frame.get("time"), f"{where}.time")
-    c2w, place = as_array(frame.get("transform_matrix")), f"{where}.transform_matrix"
+    place = f"{where}.transform_matrix"
+    c2w = numbers(frame.get("transform_matrix"), place, (4, 4))
     require(
-        c2w.shape == (4, 4),
+        np.abs(c2w[3] - (0, 0, 0, 1)).max() <= 1e-6,
         place,
-        "missing or of another shape; expected 4 rows of 4 numbers",
-    )
-    require(
-        np.all(np.abs(c2w) <= FARTHEST) and np.abs(c2w[3] - (0, 0, 0, 1)).max() <= 1e-6,
-        place,
-        f"not finite or beyond {FARTHEST:g}, or the last row is not 0 0 0 1; expected a rigid "
-        "camera-to-world matrix",
+        "the last row is not 0 0 0 1; expected a rigid camera-to-world matrix",
     )
     check_rotation(c2w[:3, :3], place)
     R = (c2w[:3, :3] * OPENGL_TO_OPENCV).T

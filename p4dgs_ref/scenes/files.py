@@ -4,14 +4,13 @@ import json
 import os
 import warnings
 from contextlib import contextmanager
+from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
 
+from .limits import LARGEST_JSON
 from .scene import SceneError, as_float, over_background, require, size_of
-
-LARGEST_JSON = 2**27  # bytes; a view takes about 500
-
 
 FOLDERS = (
     "a D-NeRF folder with transforms_train.json and transforms_test.json, "
@@ -20,20 +19,11 @@ FOLDERS = (
 
 
 def read_json(file, expected=FOLDERS):
-    """The JSON object in a file; `expected` ends the message about a missing file."""
-    require(
-        not file.exists() or file.is_file() and file.stat().st_size <= LARGEST_JSON,
-        file,
-        f"a directory, a device or larger than {LARGEST_JSON} bytes; expected a JSON file",
-    )
-    try:
+    """The JSON object in a file; `expected` says what it should be."""
+    with reading(file, f"JSON in UTF-8, {expected}"):
+        size = file.stat().st_size
+        require(size <= LARGEST_JSON, file, f"larger than {LARGEST_JSON} bytes; expected JSON")
         data = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise SceneError(file, f"missing; expected {expected}") from None
-    except OSError as error:
-        raise SceneError(file, f"cannot be read ({error.strerror}); expected a JSON file") from None
-    except (ValueError, RecursionError) as error:
-        raise SceneError(file, f"malformed ({error}); expected JSON in UTF-8") from None
     require(isinstance(data, dict), file, f"a {type(data).__name__}; expected a JSON object")
     return data
 
@@ -46,16 +36,12 @@ def read_image(folder, name, where):
     require(os.path.isfile(file), where, f"no picture {name!r}; expected {file}")
     inside = file.resolve().is_relative_to(folder.resolve())
     require(inside, where, f"{name!r} is outside; expected a picture in the folder {folder}")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a picture so large that it could be an attack
-            with iio.imopen(file, "r", plugin="pillow") as picture:
-                clear = "transparency" in picture.metadata()  # a palette or a colour with an alpha
-                image = picture.read(mode="RGBA" if clear else None)
-    except Exception:  # a broken file can fail in any layer of the decoder
-        raise SceneError(
-            where, f"{file} cannot be read; expected a PNG of RGB or RGBA pixels"
-        ) from None
+    with reading(file, "a PNG of RGB or RGBA pixels", where), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a picture so large that it could be an attack
+        picture: Any  # its class depends on the plugin
+        with iio.imopen(file, "r", plugin="pillow") as picture:
+            clear = "transparency" in picture.metadata()  # a palette or a colour with an alpha
+            image = picture.read(mode="RGBA" if clear else None)
     return as_float(image, f"{where}: {file}")
 
 
@@ -85,12 +71,17 @@ def box_filter(image, s):
 
 
 @contextmanager
-def reading(path, what):
-    """Any error while the file at `path` is read becomes one line that says it should be `what`."""
-    require(path.is_file(), path, "no such file")
+def reading(file, expected, where=None):
+    """Any error while a file is read becomes one line that says what was expected.
+
+    `where` names the place that the file was found through.
+    """
+    place = f"{where}: {file}" if where else file
+    kind = "a directory, a device or a broken link" if os.path.lexists(file) else "missing"
+    require(os.path.isfile(file), place, f"{kind}; expected {expected}")
     try:
         yield
     except SceneError:
         raise
     except Exception as error:  # a broken file can fail in any layer of its reader
-        raise SceneError(path, f"expected {what}; reading it failed: {error}") from None
+        raise SceneError(place, f"cannot be read ({error}); expected {expected}") from None

@@ -21,39 +21,31 @@ both, and takes the principal point as the middle of the picture.
 """
 
 import re
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import numpy as np
 
 from ..splatting.camera import Camera
 from .files import read_image, read_json, shrink
+from .limits import FARTHEST, LARGEST_LENS, LEAST_LENS
 from .points import read_points
-from .scene import (
-    FARTHEST,
-    LARGEST_LENS,
-    View,
-    as_array,
-    check_rotation,
-    is_number,
-    require,
-    size_of,
-)
+from .scene import View, check_rotation, is_number, numbers, require, size_of
 
 SPLITS = "dataset.json"
 FULL = "the files of a HyperNeRF or NeRF-DS folder"
-# Of a camera file; older ones call the last field `tangential`.
-DEFAULTS = {"skew": 0, "pixel_aspect_ratio": 1, "radial_distortion": [0, 0, 0]}
-
-
-class Lens(NamedTuple):
-    """The intrinsics of a camera file, in pixels of the full picture, counted from its corner."""
-
-    focal: np.ndarray  # [2]  f_x, f_y
-    center: np.ndarray  # [2]  principal point
-    skew: float
-    radial: np.ndarray  # [3]  k
-    tangential: np.ndarray  # [2]  p
-    size: np.ndarray  # [2]  width and height of the full picture
+# Shape, least value and default of the fields of a camera file. Lengths are pixels of the full
+# picture, counted from its corner. Older files call the last field `tangential`.
+CAMERA = {
+    "orientation": ((3, 3), -LARGEST_LENS, None),
+    "position": ((3,), -LARGEST_LENS, None),
+    "focal_length": ((), LEAST_LENS, None),
+    "pixel_aspect_ratio": ((), LEAST_LENS, 1),
+    "principal_point": ((2,), -LARGEST_LENS, None),
+    "skew": ((), -LARGEST_LENS, 0),
+    "image_size": ((2,), 1, None),
+    "radial_distortion": ((3,), -LARGEST_LENS, [0, 0, 0]),
+    "tangential_distortion": ((2,), -LARGEST_LENS, [0, 0]),
+}
 
 
 def read(folder, color, downscale):
@@ -69,11 +61,11 @@ def read(folder, color, downscale):
     if ratios[0] * downscale in ratios:
         ratio, rest = ratios[0] * downscale, 1
     points = place(folder, read_points(folder / "points.npy"))
-    turns, positions, lenses = zip(*(read_camera(folder, name) for name in times))
-    centers = place(folder, np.stack(positions))
+    lenses = [read_camera(folder, name) for name in times]
+    centers = place(folder, np.stack([lens.position for lens in lenses]))
     views = {
-        name: read_view(folder, name, *camera, ratio, rest, color)
-        for name, *camera in zip(times, turns, centers, lenses, times.values())
+        name: read_view(folder, name, lens, center, time, ratio, rest, color)
+        for lens, center, (name, time) in zip(lenses, centers, times.items())
     }
     found = {split: tuple(views[name] for name in names) for split, names in splits.items()}
     return {**found, "points": points}
@@ -144,67 +136,51 @@ def picture_sizes(folder):
     return ratios
 
 
-def numbers(data, file, field, shape=(), least=-LARGEST_LENS):
-    """The numbers of a field as an array of that shape."""
-    values = as_array(data.get(field))
-    kind = f"numbers of shape {list(shape)}" if shape else "a number"
-    require(
-        values.shape == shape and np.all((values >= least) & (values <= LARGEST_LENS)),
-        f"{file}: {field}",
-        f"missing or something else; expected {kind} from {least:g} to {LARGEST_LENS:g}",
-    )
-    return values
-
-
 def place(folder, x):
     """Points [A, 3] in the coordinates of a folder's files, in scene units."""
     file = folder / "scene.json"
     data = read_json(file, FULL)
-    center = numbers(data, file, "center", (3,))
-    placed = (x - center) * numbers(data, file, "scale", least=1e-9)
-    near = np.all(np.abs(placed) <= FARTHEST)
+    center = numbers(data.get("center"), f"{file}: center", (3,), -LARGEST_LENS, LARGEST_LENS)
+    scale = numbers(data.get("scale"), f"{file}: scale", (), LEAST_LENS, LARGEST_LENS)
+    placed = (x - center) * scale
+    near = np.all(np.abs(placed) <= FARTHEST)  # False for NaN
     require(near, f"{file}: scale", f"puts a camera or point beyond {FARTHEST:g}; expected less")
     return placed
 
 
 def read_camera(folder, name):
-    """The orientation [3, 3], position [3] and Lens of a view."""
+    """The fields of a view's camera file, and `focal` [2]: the focal lengths f_x and f_y."""
     file = folder / "camera" / f"{name}.json"
     data = read_json(file, f"the camera of the view {name}")
-    data = {**DEFAULTS, "tangential_distortion": data.get("tangential", [0, 0]), **data}
-    R = numbers(data, file, "orientation", (3, 3))
-    check_rotation(R, f"{file}: orientation")
-    position = numbers(data, file, "position", (3,))
-    focal = numbers(data, file, "focal_length", least=1e-9)
-    lens = Lens(
-        focal * np.array([1, numbers(data, file, "pixel_aspect_ratio", least=1e-9)]),
-        numbers(data, file, "principal_point", (2,)),
-        float(numbers(data, file, "skew")),
-        numbers(data, file, "radial_distortion", (3,)),
-        numbers(data, file, "tangential_distortion", (2,)),
-        numbers(data, file, "image_size", (2,), least=1),
-    )
-    return R, position, lens
+    data = {"tangential_distortion": data.get("tangential", [0, 0]), **data}
+    lens = SimpleNamespace()
+    for field, (shape, least, default) in CAMERA.items():
+        value = numbers(data.get(field, default), f"{file}: {field}", shape, least, LARGEST_LENS)
+        setattr(lens, field, value)
+    check_rotation(lens.orientation, f"{file}: orientation")
+    lens.focal = lens.focal_length * np.array([1, lens.pixel_aspect_ratio])
+    return lens
 
 
-def read_view(folder, name, R, center, lens, time, ratio, downscale, color):
+def read_view(folder, name, lens, center, time, ratio, downscale, color):
     """One view from its picture in rgb/<ratio>x, whose sides are then divided by `downscale`."""
     file = f"rgb/{ratio}x/{name}.png"
     where = str(folder / file)
     image = read_image(folder, file, where)
     size = np.array(image.shape[1::-1])
     require(
-        np.all(np.abs(lens.size - ratio * size) < ratio),
+        np.all(np.abs(lens.image_size - ratio * size) < ratio),
         where,
         f"{size_of(image)} pixels; expected 1/{ratio} of image_size in camera/{name}.json",
     )
-    stride = lens.size / size  # not exactly `ratio` where it does not divide the sides
+    stride = lens.image_size / size  # not exactly `ratio` where it does not divide the sides
     pixels, alpha = shrink(
         image, color, downscale, where, lambda plane: straighten(plane, lens, stride, where)
     )
     stride = stride * downscale
     f_x, f_y = lens.focal / stride
-    c_x, c_y = lens.center / stride - 0.5  # the files count from the corner (Q20)
+    c_x, c_y = lens.principal_point / stride - 0.5  # the files count from the corner (Q20)
+    R = lens.orientation
     camera = Camera(
         R, -R @ center, float(f_x), float(f_y), float(c_x), float(c_y), *pixels.shape[1::-1]
     )
@@ -213,15 +189,16 @@ def read_view(folder, name, R, center, lens, time, ratio, downscale, color):
 
 def straighten(plane, lens, stride, where):
     """A picture as the lens without distortion and skew would show it."""
-    if not (lens.skew or lens.radial.any() or lens.tangential.any()):
+    radial, tangential = lens.radial_distortion, lens.tangential_distortion
+    if not (lens.skew or radial.any() or tangential.any()):
         return plane
     from scipy.ndimage import map_coordinates  # a tenth of a second that few scenes need
 
     v, u = np.indices(plane.shape[:2])
     pixel = np.stack([u, v], axis=-1) + 0.5
-    x, y = np.moveaxis((pixel * stride - lens.center) / lens.focal, -1, 0)
-    x, y = distorted(x, y, lens)
-    (f_x, f_y), (p_x, p_y) = lens.focal, lens.center
+    x, y = np.moveaxis((pixel * stride - lens.principal_point) / lens.focal, -1, 0)
+    x, y = distorted(x, y, radial, tangential)
+    (f_x, f_y), (p_x, p_y) = lens.focal, lens.principal_point
     u = (f_x * x + lens.skew * y + p_x) / stride[0] - 0.5
     v = (f_y * y + p_y) / stride[1] - 0.5
     ordered = np.all(np.diff(u, axis=1) > 0) and np.all(np.diff(v, axis=0) > 0)
@@ -231,9 +208,9 @@ def straighten(plane, lens, stride, where):
     return np.stack(moved, axis=-1).reshape(plane.shape)
 
 
-def distorted(x, y, lens):
+def distorted(x, y, k, p):
     """x' and y' of the module's docstring."""
-    (k_1, k_2, k_3), (p_1, p_2) = lens.radial, lens.tangential
+    (k_1, k_2, k_3), (p_1, p_2) = k, p
     r2 = x * x + y * y
     radial = 1 + r2 * (k_1 + r2 * (k_2 + r2 * k_3))
     x_t = 2 * p_1 * x * y + p_2 * (r2 + 2 * x * x)

@@ -4,6 +4,7 @@ import json
 import os
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,7 +48,7 @@ def load_scene(
     )
     color = background_color(background, effects, folder)
     read = hypernerf.read if is_hypernerf(folder) else dnerf.read
-    views = read(folder, color, int(downscale))
+    views: dict[str, Any] = read(folder, color, int(downscale))
     return Scene(folder.resolve().name, effects=effects, background=color, source=folder, **views)
 
 

@@ -1,7 +1,11 @@
-"""PLY files of point clouds and of Gaussians: the properties of their vertices."""
+"""PLY files: elements, such as the vertices of a point cloud, with one number for each property."""
+
+from itertools import islice
+from pathlib import Path
 
 import numpy as np
 
+from .output import write_atomically
 from .scene import require
 
 PLY_TYPES = {
@@ -10,44 +14,55 @@ PLY_TYPES = {
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
-LONGEST = 200  # bytes of a line of a header
+MOST_LINES, LONGEST_LINE = 1000, 2**16  # of a header
 
 
-def read_vertices(path, needed):
-    """The properties of the element `vertex` of a PLY file, {name: values}.
+def write_ply(path, elements, comments=()):
+    """Write float32 numbers as a binary file; returns the bytes of the header and every element.
 
-    It must be the first element, as in the files of COLMAP and of 3DGS, and have the properties
-    that are `needed`.
+    `elements` is {name: (names of its properties, rows [N, P])}. A comment is one line of ASCII.
+    """
+    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
+    for name, (properties, rows) in elements.items():
+        lines.append(f"element {name} {len(rows)}")
+        lines += [f"property float {of_element}" for of_element in properties]
+    header = "\n".join([*lines, "end_header\n"]).encode("ascii")
+    parts = [header, *(rows.astype("<f4").tobytes() for _, rows in elements.values())]
+    write_atomically(Path(path), lambda file: file.write(b"".join(parts)))
+    return [len(part) for part in parts]
+
+
+def read_ply(path, expected=("vertex",)):
+    """The first elements of a file, its comments, and the number of bytes that follow.
+
+    `expected` are the names of these elements. An element is a structured array [N], whose fields
+    are its properties. COLMAP and 3DGS write `vertex` first.
     """
     with open(path, "rb") as file:
-        lines = [file.readline(LONGEST).split()]
-        require(lines[0] == [b"ply"], path, "expected a first line 'ply'")
-        while lines[-1] != [b"end_header"]:
-            line = file.readline(LONGEST)
-            require(
-                line and len(lines) < 1000, path, "expected a header that ends with 'end_header'"
-            )
-            lines.append(line.split())
+        lines = [file.readline(LONGEST_LINE)]
+        require(lines[0].split() == [b"ply"], path, "expected a first line 'ply'")
+        while lines[-1].split() != [b"end_header"]:
+            lines.append(file.readline(LONGEST_LINE))
+            whole = lines[-1] and len(lines) <= MOST_LINES
+            require(whole, path, "expected a header that ends with 'end_header'")
         body = file.read()
-    words = [[word.decode("ascii") for word in line] for line in lines]
+    words = [line.decode("ascii").split() for line in lines]
     order = next(BYTE_ORDERS[line[1]] for line in words if line[:1] == ["format"])
-    starts = [i for i, line in enumerate(words) if line[:1] == ["element"]] + [len(words)]
-    require(
-        len(starts) > 1 and words[starts[0]][1] == "vertex",
-        path,
-        "expected 'vertex' as first element",
-    )
-    count = int(words[starts[0]][2])
-    properties = [line for line in words[starts[0] : starts[1]] if line[:1] == ["property"]]
-    kinds = [(line[-1], order + PLY_TYPES[line[1]]) for line in properties]
-    names = [name for name, _ in kinds]
-    for name in needed:
-        require(
-            name in names, path, f"expected properties {', '.join(needed)} of the element vertex"
-        )
-    if order:
-        vertices = np.frombuffer(body, np.dtype(kinds), count)
-        return {name: vertices[name] for name in names}
-    rows = [line.split() for line in body.splitlines()[:count]]
-    require(len(rows) == count, path, f"expected {count} lines of vertices")
-    return {name: np.array([float(row[i]) for row in rows]) for i, name in enumerate(names)}
+    starts = [i for i, line in enumerate(words) if line[:1] == ["element"]]
+    require(len(starts) >= len(expected), path, f"expected the elements {', '.join(expected)}")
+    found, at, rows = {}, 0, iter(() if order else body.splitlines())
+    for name, start, end in zip(expected, starts, [*starts[1:], len(words)]):
+        require(words[start][1] == name, path, f"expected {name!r}, not {words[start][1]!r}")
+        properties = [line for line in words[start:end] if line[:1] == ["property"]]
+        types = [order + PLY_TYPES[line[1]] if order else "f8" for line in properties]
+        kind = np.dtype([(line[-1], one) for line, one in zip(properties, types)])
+        count = int(words[start][2])
+        if order:
+            found[name] = np.frombuffer(body, kind, count, at)
+            at += found[name].nbytes
+        else:
+            numbers = [tuple(map(float, row.split()[: len(types)])) for row in islice(rows, count)]
+            require(len(numbers) == count, path, f"expected {count} lines of the element {name}")
+            found[name] = np.array(numbers, kind)
+    comments = [line.decode("ascii").strip()[8:] for line in lines if line.startswith(b"comment ")]
+    return found, comments, len(body) - at

@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from .files import reading
-from .ply import read_vertices
-from .scene import FARTHEST, require
-
-MOST_POINTS = 2**22  # a file may not hold more anchors
+from .limits import FARTHEST, MOST_ANCHORS
+from .ply import read_ply
+from .scene import require
 
 
 def read_points(path: str | Path) -> np.ndarray:
@@ -26,7 +25,7 @@ def read_points(path: str | Path) -> np.ndarray:
     require(
         fits, path, f"expected numbers of shape [A, 3]; found {points.dtype} {list(points.shape)}"
     )
-    require(len(points) <= MOST_POINTS, path, f"expected at most {MOST_POINTS} points")
+    require(len(points) <= MOST_ANCHORS, path, f"expected at most {MOST_ANCHORS} points")
     near = np.all(np.abs(points) <= FARTHEST)
     require(near, path, f"expected finite coordinates of at most {FARTHEST:g}")
     return points.astype(float)
@@ -37,9 +36,11 @@ def read_npy(path):
     return np.load(path, allow_pickle=False)
 
 
-def read_ply(path):
+def read_vertices(path):
     """The coordinates [A, 3] of the vertices of a PLY file."""
-    vertices = read_vertices(path, "xyz")
+    vertices = read_ply(path)[0]["vertex"]
+    named = {*"xyz"} <= {*vertices.dtype.names}
+    require(named, path, "expected properties x, y, z of the element vertex")
     return np.stack([vertices[axis] for axis in "xyz"], axis=1)
 
 
@@ -56,4 +57,4 @@ def read_colmap(path):
     return np.array([row[1:4] for row in rows], float)
 
 
-READERS = {".npy": read_npy, ".ply": read_ply, ".txt": read_colmap}
+READERS = {".npy": read_npy, ".ply": read_vertices, ".txt": read_colmap}

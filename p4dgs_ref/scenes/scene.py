@@ -6,11 +6,13 @@ Everything is checked when a scene is made, so that training and evaluation can 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from reprlib import repr as shown
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..splatting.camera import Camera
+from .limits import FARTHEST, LARGEST_LENS, LEAST_LENS
 
 # The closed lists of effects. The simulator knows the effects of the model and three of its own.
 MODEL_EFFECTS = (
@@ -27,9 +29,14 @@ SIMULATOR_EFFECTS = (*MODEL_EFFECTS, "texture", "diffuse", "specular")
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 # Files print six or seven digits. A scaled or mirrored matrix is further from a rotation than this.
 ROTATION_TOLERANCE = 1e-3
-FARTHEST = 1e6  # scene units from the origin to a camera, along any axis
-LARGEST_LENS = 1e9  # pixels of a focal length or principal point
 NUMPY_NUMBERS = (np.integer, np.floating)
+# Shape, least and largest value of the fields of a camera.
+FOCAL, PRINCIPAL = ((), LEAST_LENS, LARGEST_LENS), ((), -LARGEST_LENS, LARGEST_LENS)
+CAMERA = {
+    "R": ((3, 3), -FARTHEST, FARTHEST),
+    "T": ((3,), -FARTHEST, FARTHEST),
+    **{"f_x": FOCAL, "f_y": FOCAL, "c_x": PRINCIPAL, "c_y": PRINCIPAL},
+}
 
 
 class SceneError(ValueError):
@@ -162,24 +169,9 @@ def model_effects(names, where):
 
 def background_color(background, effects, where):
     """The background as three float32 in [0, 1]; black where the scene does not list the effect."""
-    numbers = BACKGROUNDS.get(background, ()) if isinstance(background, str) else background
-    color = as_array(numbers)
-    require(
-        color.shape == (3,) and np.all((color >= 0) & (color <= 1)),
-        f"{where}: background",
-        f"{background!r}; expected white, black or three numbers in [0, 1]",
-    )
+    color = BACKGROUNDS.get(background, background) if isinstance(background, str) else background
+    color = numbers(color, f"{where}: background, white, black or three numbers", (3,), 0, 1)
     return color.astype(np.float32) if "background" in effects else np.zeros(3, np.float32)
-
-
-def as_array(values):
-    """The values as a float64 array, an empty one where some of them are not numbers."""
-    try:
-        entries = np.asarray(values, dtype=object)
-        numbers = all(is_number(entry, int, float, *NUMPY_NUMBERS) for entry in entries.flat)
-        return entries.astype(float) if numbers else np.empty(0)
-    except (ValueError, OverflowError):
-        return np.empty(0)
 
 
 def size_of(image):
@@ -213,14 +205,23 @@ def over_background(image, color):
     return image[..., :3] * alpha[..., None] + color * (1 - alpha[..., None]), alpha
 
 
+def numbers(value, where, shape=(), low=-FARTHEST, high=FARTHEST):
+    """The numbers of a field as a float64 array of that shape, all of them from low to high."""
+    try:
+        entries = np.asarray(value, dtype=object)
+        known = all(is_number(entry, int, float, *NUMPY_NUMBERS) for entry in entries.flat)
+        found = entries.astype(float) if known and entries.shape == shape else np.array(np.nan)
+    except (ValueError, OverflowError):  # rows of unequal lengths, or an integer of 400 digits
+        found = np.array(np.nan)
+    if not np.all((found >= low) & (found <= high)):  # nor for NaN
+        kind = f"numbers of shape {list(shape)}" if shape else "a number"
+        raise SceneError(where, f"{shown(value)}; expected {kind} in [{low:g}, {high:g}]")
+    return found
+
+
 def check_time(time, where):
     """The time as a Python float in [0, 1]."""
-    require(
-        is_number(time, int, float, *NUMPY_NUMBERS) and 0 <= time <= 1,
-        where,
-        f"{time!r}; expected a number in [0, 1]",
-    )
-    return float(time)
+    return float(numbers(time, where, (), 0, 1))
 
 
 def is_number(value, *kinds):
@@ -230,18 +231,12 @@ def is_number(value, *kinds):
 
 def check_rotation(R, where):
     """Refuse a 3 x 3 matrix that is not a rotation: not orthonormal, or a mirror."""
-    most = 1 + ROTATION_TOLERANCE  # checked first, because products of huge entries overflow
-    require(np.all(np.abs(R) <= most), where, "an entry beyond 1, or NaN; expected a rotation")
-    error = np.abs(R @ R.T - np.eye(3)).max()
+    error, determinant = np.abs(R @ R.T - np.eye(3)).max(), np.linalg.det(R)
     require(
-        error <= ROTATION_TOLERANCE,
+        error <= ROTATION_TOLERANCE and determinant > 0,
         where,
-        f"off orthonormal by {error:.2g}; expected a rotation (to {ROTATION_TOLERANCE:g})",
-    )
-    require(
-        np.linalg.det(R) > 0,
-        where,
-        "determinant -1, a mirror image; expected a rotation, determinant +1",
+        f"off orthonormal by {error:.2g}, determinant {determinant:.2g}; expected a rotation "
+        f"(to {ROTATION_TOLERANCE:g}) with determinant +1",
     )
 
 
@@ -274,26 +269,7 @@ def check_view(view, first, where):
         f"{where}: alpha",
         f"another shape than the image; expected {image.shape[:2]}",
     )
-    R, T = as_array(camera.R), as_array(camera.T)
-    require(
-        R.shape == (3, 3) and T.shape == (3,),
-        f"{where}: camera",
-        f"R {R.shape}, T {T.shape}; expected numbers of shapes (3, 3), (3,)",
-    )
-    check_rotation(R, f"{where}: camera.R")
-    require(
-        np.all(np.abs(T) <= FARTHEST),
-        f"{where}: camera.T",
-        f"NaN or beyond {FARTHEST:g}; expected a camera in the scene",
-    )
-    require(
-        0 < camera.f_x <= LARGEST_LENS and 0 < camera.f_y <= LARGEST_LENS,
-        f"{where}: camera",
-        f"focal lengths {camera.f_x}, {camera.f_y}; expected positive numbers of pixels",
-    )
-    require(
-        abs(camera.c_x) <= LARGEST_LENS and abs(camera.c_y) <= LARGEST_LENS,
-        f"{where}: camera",
-        f"principal point {camera.c_x}, {camera.c_y}; expected numbers of pixels",
-    )
+    for name, allowed in CAMERA.items():
+        numbers(getattr(camera, name), f"{where}: camera.{name}", *allowed)
+    check_rotation(camera.R, f"{where}: camera.R")
     check_time(view.time, f"{where}: time")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..model import Model
-from ..scenes.output import locked, remove_leftovers
+from ..scenes.output import locked
 from ..scenes.scene import Scene
 from ..signals import deferred
 from ..splatting.settings import FAST, Settings
@@ -98,7 +98,6 @@ def keeper(trainer, folder, resume):
     """
     if folder is None:
         return lambda trainer: None
-    remove_leftovers(folder)
     common = checkpoint.identity(trainer)
     if resume:
         checkpoint.resume(trainer, folder, common)

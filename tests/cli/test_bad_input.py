@@ -121,7 +121,7 @@ SCENES = [
     (
         "3x4 matrix",
         edit_frame("train", transform_matrix=POSE[:3]),
-        ("train.json: frames[1].transform_matrix", "4 rows"),
+        ("train.json: frames[1].transform_matrix", "[4, 4]"),
     ),
     (
         "no rotation",
@@ -203,7 +203,7 @@ def without(name):
 @pytest.mark.parametrize(
     "mistake, words",
     [
-        (without("points.npy"), ("two/points.npy", "no such file")),
+        (without("points.npy"), ("two/points.npy", "missing")),
         (without("scene.json"), ("two/scene.json", "missing", "NeRF-DS")),
         (without("dataset.json"), ("transforms_train.json", "D-NeRF", "dataset.json")),
         (without("camera/000002_right.json"), ("camera/000002_right.json", "missing")),
@@ -220,7 +220,7 @@ def test_mistakes_in_scenes_of_nerf_ds(place, refused, mistake, words):
 LINES = [
     ("", ("COMMAND",)),
     ("train scene -o new --preset smoke --points text", ("text", ".npy, .ply or .txt")),
-    ("train scene -o new --preset smoke --points points3D.txt", ("points3D.txt", "no such file")),
+    ("train scene -o new --preset smoke --points points3D.txt", ("points3D.txt", "missing")),
     ("fly", ("fly", "demo")),
     ("train scene", ("-o",)),
     ("demo --fast", ("--fast",)),

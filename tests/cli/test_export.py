@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.codec.splats import read_gaussians
 from p4dgs_ref.splatting import render
 from p4dgs_ref.splatting.settings import EXACT
+from tests.codec.models import read_gaussians
 
 
 @pytest.fixture

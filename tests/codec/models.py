@@ -2,12 +2,17 @@
 
 import dataclasses
 import hashlib
+from functools import cache
 
 import numpy as np
+import pytest
+from scipy.special import expit
 
 import p4dgs_ref as p4
+from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.equations import hash_grid, prior
-from p4dgs_ref.model import context, split
+from p4dgs_ref.model import Gaussians, context, split
+from p4dgs_ref.scenes.ply import read_ply
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.training.initial import design_of, initial_parameters
 from p4dgs_ref.training.parameters import Parameters
@@ -74,7 +79,7 @@ AS_D3DGS = dict(deformation=(7, 6, 5, 4), time_net=(8, 3), skip=True)
 TURNING = dict(deformation=(), grid_3d=(3, 4), grid_2d=())
 
 MAKE = {
-    "trained": lambda: p4.train(p4.load_scene("bouncing"), preset="smoke"),
+    "trained": cache(lambda: p4.train(p4.load_scene("bouncing"), preset="smoke")),
     "random": lambda: random_model(1),
     "many": lambda: random_model(2, **MANY),
     "static": lambda: random_model(3, ("view_color", "occlusion", "background")),
@@ -84,6 +89,52 @@ MAKE = {
     "as_d3dgs": lambda: random_model(8, **AS_D3DGS),
     "one_anchor": lambda: random_model(7, anchors=1, d=1, k=1),
 }
+
+
+def coded(bits=10, **changes):
+    """A model of the coded design."""
+    return random_model(**{"seed": 1, **changes}, coded=True, position_bits=bits)
+
+
+def in_one_place():
+    return np.full((9, 3), 0.25)
+
+
+def on_a_line():
+    return np.random.default_rng(3).uniform(-1, 1, (11, 3)) * [0, 1, 0] + [0.5, 0, -0.3]
+
+
+CODED = {
+    **{f"{bits} bits": lambda bits=bits: coded(bits) for bits in (1, 2, 5, 10, 16)},
+    "duplicates": lambda: coded(1, anchors=50),
+    "one anchor": lambda: coded(anchors=1, d=1, k=1),
+    "in a plane": lambda: coded(points=points_in_a_plane(6)),
+    "on a line": lambda: coded(16, points=on_a_line()),
+    "static": lambda: coded(effects=("view_color", "occlusion", "background")),
+    "as d3dgs": lambda: coded(deformation=(7, 6, 5, 4), time_net=(8, 3), skip=True),
+    "without effects": lambda: coded(effects=()),
+}
+
+
+def refusal(read, *arguments):
+    """The error by which damaged data are refused: one line, with the section and the byte."""
+    with pytest.raises(BitstreamError) as caught:
+        read(*arguments)
+    assert caught.value.offset >= 0 and "\n" not in str(caught.value)
+    return caught.value
+
+
+def prefixes(data):
+    """All truncations of some data."""
+    return [data[:n] for n in range(len(data))]
+
+
+def flips(data, step=1):
+    """The data with every bit flipped, one at a time, or with every bit in `step`."""
+    for at in range(0, 8 * len(data), step):
+        bad = bytearray(data)
+        bad[at // 8] ^= 1 << at % 8
+        yield bytes(bad)
 
 
 def arrays_of(model):
@@ -103,6 +154,15 @@ def digest(model):
         (name, a.dtype.str, a.shape, a.tobytes()) for name, a in sorted(arrays_of(model).items())
     ]
     return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+
+def read_gaussians(path):
+    """The Gaussians of a PLY file of 3DGS, as float64; their spherical harmonics have degree 0."""
+    vertices = read_ply(path)[0]["vertex"]
+    columns = np.stack([vertices[name].astype(float) for name in vertices.dtype.names], axis=1)
+    x, _, f_dc, opacity, log_s, r = np.split(columns, [3, 6, 9, 10, 13], axis=1)
+    color = 0.5 + f_dc / (2 * np.sqrt(np.pi))
+    return Gaussians(x, np.exp(log_s), r, expit(opacity[:, 0]), color, np.arange(len(x)))
 
 
 # What another process runs to decode the file in its first argument.

@@ -1,4 +1,4 @@
-"""The container accounts for every byte and refuses every damage."""
+"""The container accounts for every byte and refuses every damage, in both versions."""
 
 import struct
 import zlib
@@ -6,129 +6,118 @@ import zlib
 import numpy as np
 import pytest
 
-from p4dgs_ref.codec.container import (
-    SECTIONS,
-    BitstreamError,
-    layout,
-    read_container,
-    write_container,
-)
+from p4dgs_ref.codec import container
+from p4dgs_ref.codec.container import MAGIC, SECTIONS, layout, read_container, write_container
+from tests.codec.models import flips, prefixes, refusal
+
+EMPTY = write_container({})
+VERSIONS = pytest.mark.parametrize("version", [1, 2])
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def sections():
     rng = np.random.default_rng(0)
     return {name: rng.bytes(int(rng.integers(0, 60))) for name in SECTIONS} | {"masks": b""}
 
 
 def repaired(data):
-    """The same file with the right checksum of header and section table."""
+    """The same file of version 1 with the right checksum of header and section table."""
     end = 14 + 9 * data[9]
     return data[:end] + struct.pack("<I", zlib.crc32(data[:end])) + data[end + 4 :]
 
 
-def refused(data):
-    with pytest.raises(BitstreamError) as caught:
-        read_container(data)
-    return caught.value
-
-
-def test_round_trip_in_any_order(sections):
-    data = write_container(sections)
+@VERSIONS
+def test_round_trip_in_any_order(sections, version):
+    data = write_container(sections, version)
     assert read_container(data) == sections
     assert list(read_container(data)) == list(SECTIONS)
-    assert write_container(dict(reversed(sections.items()))) == data
+    assert write_container(dict(reversed(sections.items())), version) == data
     some = {name: sections[name] for name in ("offsets", "header")}
-    assert read_container(write_container(some)) == some
-    assert read_container(write_container({})) == {}
-
-
-def test_worked_numbers():
-    assert write_container({"masks": b"\1\2\3"}).hex(" ") == (
-        "89 50 34 44 0d 0a 1a 0a 01 01 1e 00 00 00 07 03 00 00 00 1d 80 bc 55 fb 2d 2b 50 01 02 03"
-    )
-
-
-def test_layout_names_every_byte(sections):
-    data = write_container(sections)
-    rows = layout(data)
-    assert sum(size for _, size in rows) == len(data)
-    assert rows[:2] == [("container_header", 14), ("section_table", 9 * 11 + 4)]
-    assert dict(rows[2:]) == {name: len(body) for name, body in sections.items()}
-
-
-def test_unknown_section_is_not_written():
-    with pytest.raises(ValueError, match="section 'colours': expected one of header"):
-        write_container({"colours": b""})
-
-
-def test_every_truncation_and_every_flipped_bit_is_refused(sections):
-    data = write_container(sections)
-    for n in range(len(data)):
-        refused(data[:n])
-    for at in range(8 * len(data)):
-        bad = bytearray(data)
-        bad[at // 8] ^= 1 << at % 8
-        refused(bytes(bad))
-
-
-def test_seeded_mutations_are_refused(sections):
-    data, rng = write_container(sections), np.random.default_rng(1)
-    for _ in range(2000):
-        bad = bytearray(data)
-        for _ in range(int(rng.integers(1, 6))):
-            bad[int(rng.integers(len(bad)))] = int(rng.integers(256))
-        if bad != data:
-            refused(bytes(bad))
+    for fewer in (some, {}):
+        assert read_container(write_container(fewer, version)) == fewer
 
 
 @pytest.mark.parametrize(
-    "change, at, message",
+    "version, text",
     [
-        (lambda d: b"\x88" + d[1:], 0, "magic"),
-        (lambda d: d.replace(b"\r\n", b"\n"), 0, "magic"),
-        (lambda d: d[:8] + b"\3" + d[9:], 8, "version 3"),
-        (lambda d: d[:9] + b"\xff" + d[10:], 9, "255 sections"),
-        (lambda d: d + b"\0", 10, "total length"),
-        (lambda d: b"", 0, "at least"),
+        (1, "01 01 1e 00 00 00 07 03 00 00 00 1d 80 bc 55 fb 2d 2b 50 01 02 03"),
+        (2, "02 01 00 00 00 00 00 00 04 00 00 00 00 0e 09 9b f7 01 02 03"),
     ],
 )
-def test_refusals_name_the_place(sections, change, at, message):
-    error = refused(change(write_container(sections)))
+def test_worked_numbers(version, text):
+    written = write_container({"masks": b"\1\2\3"}, version).hex(" ")
+    assert written == f"89 50 34 44 0d 0a 1a 0a {text}"
+    assert "0E 09 9B F7 CRC-32 of the 21 bytes" in " ".join(container.__doc__.split())
+
+
+@pytest.mark.parametrize("longest, w", [(0, 1), (254, 1), (255, 2), (65534, 2), (65535, 3)])
+def test_layout_names_every_byte(sections, longest, w):
+    sections = {**sections, "features": bytes(longest), "masks": b""}
+    frames = {1: (14, 9 * 11 + 4), 2: (10, 11 * w + 4)}
+    for version, (head, table) in frames.items():
+        rows = layout(write_container(sections, version))
+        assert rows[:2] == [("container_header", head), ("section_table", table)]
+        assert rows[2:] == [(name, len(body)) for name, body in sections.items()]
+
+
+@VERSIONS
+def test_every_truncation_and_every_flipped_bit_is_refused(sections, version):
+    data = write_container(sections, version)
+    for bad in (*prefixes(data), *flips(data)):
+        error = refusal(read_container, bad)
+        assert error.section == "container" or version == 1
+
+
+@pytest.mark.parametrize(
+    "version, change, at, message",
+    [
+        (1, lambda d: b"\x88" + d[1:], 0, "magic"),
+        (1, lambda d: d.replace(b"\r\n", b"\n"), 0, "magic"),
+        (1, lambda d: d[:8] + b"\3" + d[9:], 8, "version 3"),
+        (1, lambda d: d[:9] + b"\xff" + d[10:], 9, "255 sections"),
+        (1, lambda d: d + b"\0", 10, "total length"),
+        (1, lambda d: b"", 0, "at least"),
+        (1, lambda d: repaired(d[:15] + bytes(4) + d[19:]), 14, "add up"),
+        (1, lambda d: repaired(d[:15] + b"\xff" * 4 + d[19:]), 14, "add up"),
+        (
+            1,
+            lambda d: write_container({})[:9] + b"\x0b" + write_container({})[10:],
+            9,
+            "do not fit",
+        ),
+        *(
+            (1, lambda d, n=n: repaired(d[:104] + bytes([n]) + d[105:]), 104, "ascending")
+            for n in (0, 12, 255)
+        ),
+        (1, lambda d: repaired(d[:50] + d[41:50] + d[59:]), 50, "id 4 after 4"),
+        (1, lambda d: repaired(d[:14] + d[23:32] + d[14:23] + d[32:]), 23, "id 1 after 2"),
+        (2, lambda d: d[:9] + b"\0" + d[10:], 9, "lengths of 0 bytes"),
+        (2, lambda d: d[:9] + b"\5" + d[10:], 9, "lengths of 5 bytes"),
+        (2, lambda d: d[:9] + b"\4" + d[10:30], 9, "lengths of 4 bytes"),
+        (2, lambda d: d + b"\0", 10, "add up to"),
+        (2, lambda d: d[:-1], 10, "add up to"),
+        (2, lambda d: d[:-1] + bytes([d[-1] ^ 1]), 21, "wrong checksum"),
+        (2, lambda d: d[:8] + b"\3" + d[9:], 8, "version 3, expected 1 or 2"),
+    ],
+)
+def test_refusals_name_the_place(sections, version, change, at, message):
+    error = refusal(read_container, change(write_container(sections, version)))
     assert (error.section, error.offset) == ("container", at)
-    assert message in str(error)
-
-
-def test_wrong_order_or_repetition_is_refused_although_the_checksum_is_right(sections):
-    data = write_container(sections)
-    rows = [data[14 + 9 * i : 23 + 9 * i] for i in range(11)]
-    for i, j in ((0, 1), (3, 9)):
-        table = list(rows)
-        table[i], table[j] = table[j], table[i]
-        error = refused(repaired(data[:14] + b"".join(table) + data[113:]))
-        assert error.section == "container"
-        assert "ascending" in error.message
-        assert (error.offset - 14) % 9 == 0
-    again = rows[:5] + [rows[4]] + rows[6:]
-    assert "id 5 after 5" in refused(repaired(data[:14] + b"".join(again) + data[113:])).message
-    for number in (0, 12, 255):
-        assert "ascending" in refused(repaired(data[:104] + bytes([number]) + data[105:])).message
-
-
-def test_absurd_lengths_are_refused_although_the_checksum_is_right(sections):
-    data = write_container(sections)
-    for length in (0, 2**32 - 1):
-        bad = repaired(data[:15] + struct.pack("<I", length) + data[19:])
-        assert bad != data
-        assert "add up" in refused(bad).message
-    empty = write_container({})
-    assert "do not fit" in refused(empty[:9] + b"\x0b" + empty[10:]).message
+    assert message in error.message
 
 
 def test_damaged_section_is_named(sections):
     data = bytearray(write_container(sections))
     data[-1] ^= 1
     last = [name for name in SECTIONS if sections[name]][-1]
-    error = refused(bytes(data))
-    assert error.section == last
-    assert str(error).startswith(f"section '{last}', byte 0: checksum")
+    assert str(refusal(read_container, data)).startswith(f"section '{last}', byte 0: checksum")
+
+
+def test_a_file_may_not_be_longer_than_its_format_allows(tmp_path):
+    """2^29 bytes: only the frame is read."""
+    path = tmp_path / "long.p4dgs"
+    head = MAGIC + b"\2\4" + struct.pack("<11I", 2**29 + 1, *[0] * 10) + bytes(4)
+    with open(path, "wb") as file:
+        file.write(head)
+        file.truncate(len(head) + 2**29)
+    assert "add up to" in refusal(container.read_file, path).message

@@ -1,7 +1,5 @@
 """Damaged and forged streams are refused by BitstreamError and by no other exception."""
 
-import tracemalloc
-
 import numpy as np
 import pytest
 
@@ -9,6 +7,8 @@ from p4dgs_ref.codec import rans
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.codec.gaussian_table import SIGMA_MAX, SIGMA_MIN, gaussian_model
 from p4dgs_ref.codec.streams import decode_bits, decode_gaussian, encode_bits, encode_gaussian
+from tests.codec.models import flips, prefixes, refusal
+from tests.sampling import few
 
 
 def inputs(n, sigma_low, sigma_high, seed=4):
@@ -20,8 +20,8 @@ def inputs(n, sigma_low, sigma_high, seed=4):
 
 @pytest.fixture(scope="module", params=[1, 4])
 def message(request):
-    symbols, mu, sigma = inputs(700, -50, 95)
-    symbols[::60] -= 40000  # escapes
+    symbols, mu, sigma = inputs(260, -50, 95)
+    symbols[::40] -= 40000  # escapes
     return symbols, mu, sigma, encode_gaussian(symbols, mu, sigma, request.param)
 
 
@@ -44,20 +44,13 @@ def is_refused(data, mu, sigma):
 
 def test_every_truncation_and_every_extension_is_refused(message):
     _, mu, sigma, data = message
-    assert all(is_refused(data[:n], mu, sigma) for n in range(len(data)))
+    assert all(is_refused(bad, mu, sigma) for bad in prefixes(data))
     for byte in (0, 255):
         for n in (1, 4, 9, 400):
             assert is_refused(data + bytes([byte]) * n, mu, sigma)
 
 
-def test_missing_low_bits_are_refused():
-    symbols, mu, sigma = inputs(50, 150, 170)
-    data = encode_gaussian(symbols, mu, sigma)
-    assert np.array_equal(outcome(data, mu, sigma), symbols)
-    assert all(is_refused(data[:n], mu, sigma) for n in range(len(data)))
-
-
-@pytest.mark.parametrize("count", [300, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", few([150, 1000], 1))
 def test_flipped_bits_never_pass_the_coder(message, count):
     _, mu, sigma, data = message
     rng, model = np.random.default_rng(5), gaussian_model(mu, sigma)
@@ -79,7 +72,7 @@ def test_flipped_bits_never_pass_the_coder(message, count):
 def test_nonsense_is_refused_or_decoded_within_limits(message):
     _, mu, sigma, data = message
     rng = np.random.default_rng(6)
-    for _ in range(150):
+    for _ in range(40):
         outcome(rng.bytes(int(rng.integers(1200))), mu, sigma)
         outcome(data, np.roll(mu, int(rng.integers(1, 9))), sigma)
         outcome(data, mu, np.clip(sigma + rng.integers(-3, 4, sigma.shape), SIGMA_MIN, SIGMA_MAX))
@@ -127,37 +120,17 @@ def test_symbols_beyond_2_to_the_31_are_refused():
     assert "at most 2^31" in outcome(data, zero + 5 * 1024, zero)
 
 
-def test_megabytes_behind_a_stream_cost_no_memory(message):
-    _, mu, sigma, data = message
-    data = data + bytes(4_000_000)
-    tracemalloc.start()
-    try:
-        assert is_refused(data, mu, sigma)
-        assert tracemalloc.get_traced_memory()[1] < 6_000_000
-    finally:
-        tracemalloc.stop()
-
-
 def test_damaged_bit_streams():
     bits = np.random.default_rng(7).random(900) < 0.2
     data = encode_bits(bits)
-    for n in range(len(data)):
-        with pytest.raises(BitstreamError):
-            decode_bits(data[:n], len(bits))
-    for at in range(8 * len(data)):
-        bad = bytearray(data)
-        bad[at // 8] ^= 1 << at % 8
-        with pytest.raises(BitstreamError) as caught:
-            decode_bits(bytes(bad), len(bits), section="masks")
-        assert caught.value.section == "masks"
+    for bad in (*prefixes(data), *flips(data)):
+        assert refusal(decode_bits, bad, len(bits), "masks").section == "masks"
     for count in (0, 1, 99, 899, 901, 4000):
-        with pytest.raises(BitstreamError):
-            decode_bits(data, count)
+        refusal(decode_bits, data, count)
     for certain in (bytes(4), bytes([0, 0, 0, 1])):
-        with pytest.raises(BitstreamError, match="left over"):
-            decode_bits(certain + b"\0", 5)
-    with pytest.raises(BitstreamError, match="a probability of 16777217"):
-        decode_bits(bytes([1, 0, 0, 1]) + data[4:], len(bits))
+        assert "left over" in refusal(decode_bits, certain + b"\0", 5).message
+    error = refusal(decode_bits, bytes([1, 0, 0, 1]) + data[4:], len(bits))
+    assert error.message.startswith("a probability of 16777217")
 
 
 def test_many_lanes_need_a_tail():
@@ -166,5 +139,4 @@ def test_many_lanes_need_a_tail():
     data = bytearray(encode_gaussian(np.arange(4096) % 9 - 4, ones, ones + 32, lanes=32))
     assert data[0] & 15 == 5 and int.from_bytes(data[1:5], "little") > 0
     data[1:5] = bytes(4)
-    with pytest.raises(BitstreamError, match="a tail of 0"):
-        decode_gaussian(bytes(data), ones, ones + 32)
+    assert "a tail of 0" in refusal(decode_gaussian, bytes(data), ones, ones + 32).message

@@ -1,7 +1,6 @@
 """The file of a model decodes to the quantised model, bit for bit, and has its entropy's size."""
 
 import dataclasses
-import json
 import os
 import subprocess
 import sys
@@ -11,15 +10,12 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.codec.container import read_container, write_container
-from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, decode, encode, quantised_of
+from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, NETWORK_SECTIONS, decode, encode, quantised_of
 from p4dgs_ref.codec.quantise import quantise
-from p4dgs_ref.codec.streams import decode_bits
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.model import ANCHOR_NETWORKS, Anchors, join
 from p4dgs_ref.report.inspect import components, ledger
-from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.training.presets import SMOKE, TINY
 from tests.codec.models import (
@@ -36,11 +32,6 @@ from tests.sampling import few
 ROOT = Path(__file__).resolve().parents[2]
 EYES = ((1.5, -2.5, 1.0), (-0.4, 2.8, 0.6))
 CAMERAS = [look_at(eye, (0, 0, 0), 30.0, 28.0, 40, 24) for eye in EYES]
-NETWORKS_OF_SECTION = {
-    "anchor_mlps": ("psi_alpha", "psi_c", "psi_r", "psi_s"),
-    "context_mlps": ("psi_p", "psi_q"),
-    "deformation_mlp": ("psi_d", "psi_t"),
-}
 
 
 @pytest.fixture(scope="module", params=MAKE)
@@ -58,7 +49,7 @@ def model():
 
 def network_arrays(model, section):
     """The weights and biases of one section, in the order of the file."""
-    networks = [model.networks.get(name, ((), ())) for name in NETWORKS_OF_SECTION[section]]
+    networks = [model.networks.get(name, ((), ())) for name in NETWORK_SECTIONS[section]]
     return [array for network in networks for layer in zip(*network) for array in layer]
 
 
@@ -79,14 +70,6 @@ def test_the_decoded_model_is_the_quantised_one_bit_for_bit(made):
         assert np.array_equal(a, b)
 
 
-def test_pictures_are_those_of_the_quantised_model(made):
-    _, quantised, _, decoded = made
-    for camera, t in zip(CAMERAS, (0.0, 0.61)):
-        picture = decoded.render(camera, t)
-        assert np.isfinite(picture).all()
-        assert np.array_equal(picture, quantised.model.render(camera, t))
-
-
 def test_encoding_again_gives_the_same_bytes(made):
     model, _, data, decoded = made
     assert encode(model) == data
@@ -96,11 +79,14 @@ def test_encoding_again_gives_the_same_bytes(made):
 
 @pytest.mark.parametrize(
     "scene, preset",
-    [
-        ("static", SMOKE),
-        ("orientation", SMOKE._replace(hidden=(24, 40), d=8)),
-        ("glossy", TINY._replace(stage_ends=(4, 6, 12, 20), mask_from=12, anchors=60)),
-    ],
+    few(
+        [
+            ("static", SMOKE),
+            ("orientation", SMOKE._replace(hidden=(24, 40), d=8)),
+            ("glossy", TINY._replace(stage_ends=(4, 6, 12, 20), mask_from=12, anchors=60)),
+        ],
+        1,
+    ),
 )
 def test_files_of_trainings_encode_to_themselves(scene, preset):
     """The demo's scene with the preset smoke is among the models of the test above."""
@@ -125,12 +111,13 @@ def cancelling_model(seed, half):
 
 
 def test_units_that_hang_on_the_last_bit_are_removed_until_none_is_silent():
-    for seed in range(20):
+    for seed in range(8):
         data = encode(cancelling_model(seed, half=3 + seed % 13))
         assert encode(decode(data)) == data, seed
 
 
-@pytest.mark.parametrize("threads", few(["3", "1"], 1))
+@pytest.mark.slow
+@pytest.mark.parametrize("threads", ["3", "1"])
 def test_another_process_decodes_the_same(tmp_path, threads):
     for name in ("trained", "many"):
         path = tmp_path / f"{name}.p4dgs"
@@ -186,28 +173,6 @@ def test_the_integer_context_is_close_to_the_float_context(made):
     assert abs(found - wanted) <= 1e-3 * wanted
 
 
-def test_sections_read_by_hand(model):
-    """The numbers stand where the format page says."""
-    sections, decoded = read_container(encode(model)), decode(encode(model))
-    A, design = len(decoded.anchors.mask), decoded.design
-    header = json.loads(sections["header"])
-    assert header["anchors"] == A
-    assert header["grid"] == [["xyz", 4], ["xy", 8], ["xz", 8], ["yz", 8]]
-    assert header["background"] == decoded.background.tolist()
-    assert header["effects"] == list(MODEL_EFFECTS)
-    box = np.frombuffer(sections["positions"][:24], "<f4").astype(float).reshape(2, 3)
-    x = np.frombuffer(sections["positions"][24:], "<u2").reshape(A, 3) / 65535
-    assert np.allclose(box[0] + x * (box[1] - box[0]), decoded.anchors.x_a, rtol=0, atol=1e-12)
-    masks = decode_bits(sections["masks"], A * design.k)
-    assert np.array_equal(masks, decoded.anchors.mask.ravel())
-    signs = decode_bits(sections["hash_grid"], 64 + 3 * 64)
-    assert np.array_equal(signs, np.concatenate([g.ravel() for g in decoded.grids]) > 0)
-    for section in NETWORKS_OF_SECTION:
-        stored = np.frombuffer(sections[section], "<f2")
-        arrays = network_arrays(decoded, section)
-        assert np.array_equal(stored, np.concatenate([a.ravel() for a in arrays]))
-
-
 def test_a_scene_without_motion_has_no_section_for_it():
     everything = set(read_container(encode(MAKE["random"]())))
     for name in ("static", "no_effects"):
@@ -230,7 +195,7 @@ def test_sizes_are_those_of_the_entropy(made):
     design, A = rounded.design, len(kept)
     assert rows["positions"]["bytes"] == 24 + 6 * A
     assert rows["container"]["bytes"] == 18 + 9 * len(sizes)
-    for section in NETWORKS_OF_SECTION:
+    for section in NETWORK_SECTIONS:
         arrays = network_arrays(rounded, section)
         assert 2 * sum(a.size for a in arrays) == sizes.get(section, 0)
 
@@ -245,23 +210,14 @@ def test_sizes_are_those_of_the_entropy(made):
         estimate[name] = -np.size(flags) * sum(p * np.log2(p) for p in shares if p)
     for name, ideal in estimate.items():
         assert abs(rows[name]["estimate_bytes"] - ideal / 8) <= 0.003 * ideal / 8 + 1, name
-        assert abs(rows[name]["bytes"] - ideal / 8) <= 0.01 * ideal / 8 + 64, name
+        bytes_of, row = rows[name]["bytes"], rows[name]
+        # An outlier may cost less than under the float model, whose tail has no escape.
+        assert row["integer_bytes"] - 1 <= bytes_of <= 1.003 * row["estimate_bytes"] + 16, name
     plain = sum(row["bytes"] for name, row in rows.items() if name not in estimate)
     total = sum(estimate.values()) / 8
     assert abs(len(data) - plain - total) <= 0.01 * total + 64
     symbols_of = [rows[name]["symbols"] for name in ATTRIBUTE_SECTIONS]
     assert symbols_of == [A * design.d, 3 * A, 3 * A, 3 * rounded.anchors.mask.sum()]
-
-
-def test_inspect_prints_sections_that_sum_to_the_file(model, tmp_path, capsys):
-    path = tmp_path / "model.p4dgs"
-    path.write_bytes(encode(model))
-    assert cli.run(["inspect", str(path), "--json"], 0.0) == 0
-    printed = json.loads(capsys.readouterr().out)
-    total = sum(row["bytes"] for row in printed["sections"])
-    assert total == printed["bytes"] == path.stat().st_size
-    names = {row["name"] for row in printed["sections"]}
-    assert {"header", "positions", "offsets", "context_mlps"} < names
 
 
 def test_masked_children_and_dead_anchors_leave_no_trace(model):

@@ -35,7 +35,7 @@ MISTAKES = [
         "not zero",
     ),
     ({"light": {"kind": "lamp"}}, "scene: light.kind", "sun, point"),
-    ({"light": {"direction": [0, 0, 1]}}, "scene: light.kind", "missing"),
+    ({"light": {"direction": [0, 0, 1]}}, "scene: light.kind", "sun, point"),
     ({"bodies": []}, "scene: bodies", "at least one"),
     ({"bodies": {}}, "scene: bodies", "list"),
     ({"bodies": [SPHERE, SPHERE]}, "scene: bodies[1].name", "taken"),

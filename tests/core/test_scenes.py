@@ -124,20 +124,11 @@ def test_downscale_averages_boxes_of_premultiplied_colour(tmp_path):
     head = {"fl_x": 20.0, "fl_y": 30.0, "cx": 5.0, "cy": 4.5}
     pictures = write_folder(tmp_path / "scene", head=head)
     view = load_scene(tmp_path / "scene", background="black", downscale=4).train[0]
-    for row in range(HEIGHT // 4):
-        for column in range(WIDTH // 4):
-            box = (
-                pictures["train/r_000"][4 * row : 4 * row + 4, 4 * column : 4 * column + 4].reshape(
-                    -1, 4
-                )
-                / 255
-            )
-            np.testing.assert_allclose(
-                view.image[row, column], sum(p[:3] * p[3] for p in box) / 16, atol=1e-6
-            )
-            np.testing.assert_allclose(
-                view.alpha[row, column], sum(p[3] for p in box) / 16, atol=1e-6
-            )
+    for row, column in np.ndindex(HEIGHT // 4, WIDTH // 4):
+        box = pictures["train/r_000"][4 * row : 4 * row + 4, 4 * column : 4 * column + 4] / 255
+        found = [*view.image[row, column], view.alpha[row, column]]
+        wanted = sum(np.append(p[:3] * p[3], p[3]) for p in box.reshape(-1, 4)) / 16
+        np.testing.assert_allclose(found, wanted, atol=1e-6)
     camera = view.camera
     assert (camera.f_x, camera.f_y, camera.c_x, camera.c_y) == (
         5.0,
@@ -188,18 +179,18 @@ MISTAKES = [
     (
         "no matrix",
         lambda d: d["frames"][1].pop("transform_matrix"),
-        ("frames[1].transform_matrix", "4 rows of 4"),
+        ("frames[1].transform_matrix", "shape [4, 4]"),
     ),
     (
         "matrix 3x4",
         change_matrix(pose()[:3].tolist()),
-        ("frames[1].transform_matrix", "4 rows of 4"),
+        ("frames[1].transform_matrix", "shape [4, 4]"),
     ),
-    ("ragged matrix", change_matrix([[1, 0], [0]]), ("frames[1].transform_matrix", "4 rows of 4")),
+    ("ragged matrix", change_matrix([[1, 0], [0]]), ("frames[1].transform_matrix", "shape [4, 4]")),
     (
         "matrix NaN",
         change_matrix(with_entry(0, 3, math.nan)),
-        ("frames[1].transform_matrix", "finite"),
+        ("frames[1].transform_matrix", "[-1e+06, 1e+06]"),
     ),
     ("last row", change_matrix(with_entry(3, 0, 1.0)), ("frames[1].transform_matrix", "last row")),
     (
@@ -215,12 +206,12 @@ MISTAKES = [
     (
         "huge integers",
         change_matrix([[10**400] * 4] * 4),
-        ("frames[1].transform_matrix", "4 rows of 4"),
+        ("frames[1].transform_matrix", "shape [4, 4]"),
     ),
     (
         "huge entry",
         change_matrix(with_entry(0, 0, 1e200)),
-        ("frames[1].transform_matrix", "beyond"),
+        ("frames[1].transform_matrix", "1e+06"),
     ),
     (
         "large entry",
@@ -240,22 +231,22 @@ MISTAKES = [
     (
         "matrix of texts",
         change_matrix([[str(entry) for entry in row] for row in pose().tolist()]),
-        ("frames[1].transform_matrix", "4 rows of 4 numbers"),
+        ("frames[1].transform_matrix", "shape [4, 4]"),
     ),
     (
         "matrix with true",
         change_matrix([[True, *row[1:]] for row in pose().tolist()]),
-        ("frames[1].transform_matrix", "4 rows of 4 numbers"),
+        ("frames[1].transform_matrix", "shape [4, 4]"),
     ),
     (
         "a camera at 1e308",
         change_matrix(with_entry(2, 3, 1e308)),
-        ("frames[1].transform_matrix", "beyond 1e+06"),
+        ("frames[1].transform_matrix", "1e+06"),
     ),
     (
         "a camera at 2e6",
         change_matrix(with_entry(2, 3, -2e6)),
-        ("frames[1].transform_matrix", "beyond 1e+06"),
+        ("frames[1].transform_matrix", "1e+06"),
     ),
     (
         "a picture above the folder",
@@ -293,11 +284,11 @@ MISTAKES = [
         ("frames[1].file_path", "picture"),
     ),
     ("no angle", lambda d: d.pop("camera_angle_x"), ("camera_angle_x", "missing")),
-    ("angle 4", lambda d: d.update(camera_angle_x=4), ("camera_angle_x", "pi")),
-    ("angle text", lambda d: d.update(camera_angle_x="0.6"), ("camera_angle_x", "radians")),
-    ("fl_x 0", lambda d: d.update(fl_x=0), ("fl_x", "positive")),
-    ("fl_y huge", lambda d: d.update(fl_y=10**400), ("fl_y", "positive")),
-    ("cy NaN", lambda d: d.update(cy=math.nan), ("cy", "finite")),
+    ("angle 4", lambda d: d.update(camera_angle_x=4), ("camera_angle_x", "4; expected", "3.14159")),
+    ("angle text", lambda d: d.update(camera_angle_x="0.6"), ("camera_angle_x", "a number")),
+    ("fl_x 0", lambda d: d.update(fl_x=0), ("fl_x", "[1e-09")),
+    ("fl_y huge", lambda d: d.update(fl_y=10**400), ("fl_y", "1e+09]")),
+    ("cy NaN", lambda d: d.update(cy=math.nan), ("cy", "nan", "1e+09]")),
 ]
 
 
@@ -333,12 +324,6 @@ def test_pictures_inside_the_folder_by_any_way(folder):
     assert len(load_scene(folder.parent / "another name").train) == 3
 
 
-def test_an_integer_of_5000_digits(folder):
-    file = folder / "transforms_train.json"
-    file.write_text(file.read_text().replace('"time": 0.5', f'"time": {"9" * 5000}'))
-    refuse(("transforms_train.json",), lambda: load_scene(folder))
-
-
 @pytest.mark.parametrize("name", ["transforms_train.json", "transforms_val.json", "scene.json"])
 def test_a_json_that_is_no_file(folder, name):
     (folder / name).unlink(missing_ok=True)
@@ -348,8 +333,9 @@ def test_a_json_that_is_no_file(folder, name):
     (folder / name).mkdir()
     refuse((name, "directory, a device"), lambda: load_scene(folder))
     (folder / name).rmdir()
-    with open(folder / name, "wb") as file:
-        file.truncate(3 << 30)  # 3 GB that take no place on the disk
+    os.truncate(
+        os.open(folder / name, os.O_CREAT | os.O_RDWR), 3 << 30
+    )  # 3 GB that take no place on the disk
     refuse((name, "larger than"), lambda: load_scene(folder))
 
 
@@ -397,40 +383,60 @@ def test_a_png_that_promises_many_pixels(folder, side, recwarn):
     assert not recwarn.list
 
 
-def test_mistakes_in_the_folder(folder, tmp_path):
-    refuse(("nowhere", "bouncing"), lambda: load_scene(tmp_path / "nowhere"))
-    refuse(("r_000.png", "folder"), lambda: load_scene(folder / "train" / "r_000.png"))
-    refuse(("downscale", "0"), lambda: load_scene(folder, downscale=0))
-    refuse(("downscale", "integer"), lambda: load_scene(folder, downscale=2.0))
-    refuse(("frames[0]", "12x8", "divisible", "3"), lambda: load_scene(folder, downscale=3))
-    refuse(("background", "pink"), lambda: load_scene(folder, background="pink"))
-    refuse(("background", "three numbers"), lambda: load_scene(folder, background=(0.5, 0.5)))
-    refuse(("background", "[0, 1]"), lambda: load_scene(folder, background=(0, 0, 2)))
-    (folder / "scene.json").write_text('{"effects": ["wind"]}')
-    refuse(("scene.json", "effects", "wind", *MODEL_EFFECTS), lambda: load_scene(folder))
-    (folder / "scene.json").write_text('{"effects": "rotation"}')
-    refuse(("scene.json", "effects", "list"), lambda: load_scene(folder))
-    (folder / "scene.json").write_text('{"effects": ["rotation", "occlusion", "rotation"]}')
-    refuse(("scene.json", "effects", "twice"), lambda: load_scene(folder))
-    (folder / "scene.json").write_text('{"effects": [["rotation"]]}')
-    refuse(("scene.json", "effects", "unknown"), lambda: load_scene(folder))
-    (folder / "scene.json").unlink()
-    iio.imwrite(folder / "test" / "r_001.png", np.zeros((HEIGHT, 6, 4), np.uint8))
-    refuse(("test/r_001", "6x8", "12x8"), lambda: load_scene(folder))
-    iio.imwrite(folder / "test" / "r_001.png", np.zeros((HEIGHT, WIDTH), np.uint8))
-    refuse(("frames[1].file_path", "r_001.png", "(H, W, 3)"), lambda: load_scene(folder))
-    (folder / "test" / "r_001.png").write_bytes(b"\x89PNG\r\n\x1a\n and then nothing")
-    refuse(
+def text(name, content):
+    return lambda folder: (folder / name).write_text(content)
+
+
+def effects(names):
+    return text("scene.json", json.dumps({"effects": names}))
+
+
+def picture(*shape):
+    pixels = np.zeros(shape, np.uint8)
+    return lambda folder: iio.imwrite(folder / "test" / "r_001.png", pixels)
+
+
+def nothing(folder):
+    pass
+
+
+FIVE_THOUSAND = '{"frames": [], "time": ' + "9" * 5000 + "}"
+IN_THE_FOLDER = [
+    (nothing, dict(path="nowhere"), ("nowhere", "bouncing")),
+    (nothing, dict(path="train/r_000.png"), ("r_000.png", "folder")),
+    (nothing, dict(downscale=0), ("downscale", "0")),
+    (nothing, dict(downscale=2.0), ("downscale", "integer")),
+    (nothing, dict(downscale=3), ("frames[0]", "12x8", "divisible", "3")),
+    (nothing, dict(background="pink"), ("background", "white, black", "pink")),
+    (nothing, dict(background=(0.5, 0.5)), ("background", "three numbers")),
+    (nothing, dict(background=(0, 0, 2)), ("background", "[0, 1]")),
+    (effects(["wind"]), {}, ("scene.json", "effects", "wind", *MODEL_EFFECTS)),
+    (effects("rotation"), {}, ("scene.json", "effects", "list")),
+    (effects(["rotation", "occlusion", "rotation"]), {}, ("scene.json", "effects", "twice")),
+    (effects([["rotation"]]), {}, ("scene.json", "effects", "unknown")),
+    (picture(HEIGHT, 6, 4), {}, ("test/r_001", "6x8", "12x8")),
+    (picture(HEIGHT, WIDTH), {}, ("frames[1].file_path", "r_001.png", "(H, W, 3)")),
+    (
+        lambda folder: (folder / "test" / "r_001.png").write_bytes(b"\x89PNG\r\n\x1a\n and then"),
+        {},
         ("transforms_test.json", "frames[1].file_path", "r_001.png", "PNG"),
-        lambda: load_scene(folder),
-    )
-    for text in ('{"frames": [', "[1, 2]"):
-        (folder / "transforms_test.json").write_text(text)
-        refuse(("transforms_test.json", "JSON"), lambda: load_scene(folder))
-    (folder / "transforms_test.json").unlink()
-    refuse(("transforms_test.json", "missing"), lambda: load_scene(folder))
-    (folder / "transforms_train.json").unlink()
-    refuse(("transforms_train.json", "missing"), lambda: load_scene(folder))
+    ),
+    (text("transforms_test.json", '{"frames": ['), {}, ("transforms_test.json", "JSON")),
+    (text("transforms_test.json", "[1, 2]"), {}, ("transforms_test.json", "JSON")),
+    (text("transforms_test.json", FIVE_THOUSAND), {}, ("transforms_test.json", "JSON")),
+    (text("transforms_val.json", '{"frames": []}'), {}, ("transforms_val.json", "frames", "empty")),
+    *(
+        (lambda folder, name=name: (folder / name).unlink(), {}, (name, "missing"))
+        for name in ("transforms_test.json", "transforms_train.json")
+    ),
+]
+
+
+@pytest.mark.parametrize("change, options, words", IN_THE_FOLDER)
+def test_mistakes_in_the_folder(folder, change, options, words):
+    change(folder)
+    options = {**options, "path": folder / options.get("path", "")}
+    refuse(words, lambda: load_scene(**options))
 
 
 def test_packaged_names_and_paths(tmp_path, monkeypatch):
@@ -513,50 +519,49 @@ def test_scene_from_arrays():
     assert single.train[0].time == 0
 
 
+CAMERA = dict(
+    rotation=[
+        dict(R=2 * np.eye(3)),
+        dict(R=np.zeros((3, 3))),
+        dict(R=np.diag([1.0, 1.0, -1.0])),
+    ],
+    R=[dict(R=np.eye(4)), dict(R=np.full((3, 3), 1e200)), dict(R=np.eye(3).astype(str))],
+    T=[dict(T=np.full(3, np.inf)), dict(T=np.array([0, 0, 1e308])), dict(T=np.full(3, np.nan))],
+    f_x=[dict(f_x=-1.0)],
+    f_y=[dict(f_y=1e300)],
+    c_x=[dict(c_x=-1e300)],
+    c_y=[dict(c_y=math.nan)],
+)
+IMAGES, CAMERAS, TIMES = arrays()
+IN_ARRAYS = [
+    (dict(cameras=CAMERAS[:4]), ("images, cameras, times", "5, 4 and 5")),
+    (dict(times=[0, 0, math.nan, 0, 0]), ("times[2]", "nan")),
+    (dict(test=[0, 5]), ("test[1]", "5", "0..4")),
+    (dict(test=range(5)), ("train", "at least one")),
+    (dict(effects=["wind"]), ("effects", "wind")),
+    (dict(effects=["rotation", "rotation"]), ("effects", "twice")),
+    (dict(images=IMAGES * 255), ("images[0]", "[0, 1]")),
+    (dict(images=IMAGES * np.nan), ("images[0]", "finite")),
+    (dict(images=IMAGES[..., 0]), ("images[0]", "(H, W, 3)")),
+    (dict(images=IMAGES.astype(np.int64)), ("images[0]", "int64")),
+    (dict(images=[*IMAGES[:4], IMAGES[4][:4]]), ("images[4]", "same for all")),
+    (dict(images=IMAGES[:, :6]), ("images[0]", "camera", "12x8")),
+    *(
+        (dict(cameras=[replace(CAMERAS[0], **change), *CAMERAS[1:]]), ("images[0]: camera", word))
+        for word, changes in CAMERA.items()
+        for change in changes
+    ),
+]
+
+
 @pytest.mark.filterwarnings("error")
-def test_mistakes_in_arrays():
-    images, cameras, times = arrays()
-
-    def refuse_arrays(*words, images=images, cameras=cameras, times=times, **options):
-        refuse(words, lambda: Scene.from_arrays(images, cameras, times, **options))
-
-    refuse_arrays("images, cameras, times", "5, 4 and 5", cameras=cameras[:4])
-    refuse_arrays("times[2]", "nan", times=[0, 0, math.nan, 0, 0])
-    refuse_arrays("test[1]", "5", "0..4", test=[0, 5])
-    refuse_arrays("train", "at least one", test=range(5))
-    refuse_arrays("effects", "wind", effects=["wind"])
-    refuse_arrays("effects", "twice", effects=["rotation", "rotation"])
-    refuse_arrays("images[0]", "[0, 1]", images=images * 255)
-    refuse_arrays("images[0]", "finite", images=images * np.nan)
-    refuse_arrays("images[0]", "(H, W, 3)", images=images[..., 0])
-    refuse_arrays("images[0]", "int64", images=images.astype(np.int64))
-    refuse_arrays("images[4]", "same for all", images=[*images[:4], images[4][:4]])
-    refuse_arrays("images[0]", "camera", "12x8", images=images[:, :6])
-    for change, word in (
-        (dict(R=2 * cameras[0].R), "rotation"),
-        (dict(T=np.full(3, np.inf)), "camera.T"),
-        (dict(R=np.eye(4)), "(3, 3)"),
-        (dict(R=np.full((3, 3), 1e200)), "rotation"),
-        (dict(R=np.zeros((3, 3))), "rotation"),
-        (dict(R=np.eye(3).astype(str)), "(3, 3)"),
-        (dict(T=np.array([0, 0, 1e308])), "camera.T"),
-        (dict(T=np.array([0, 0, np.nan])), "camera.T"),
-        (dict(f_y=1e300), "positive"),
-        (dict(c_x=-1e300), "principal"),
-        (dict(f_x=-1.0), "positive"),
-        (dict(c_y=math.nan), "principal"),
-    ):
-        refuse_arrays(
-            "images[0]: camera", word, cameras=[replace(cameras[0], **change), *cameras[1:]]
-        )
+@pytest.mark.parametrize("change, words", IN_ARRAYS)
+def test_mistakes_in_arrays(change, words):
+    given = {**dict(images=IMAGES, cameras=CAMERAS, times=TIMES), **change}
+    refuse(words, lambda: Scene.from_arrays(**given))
 
 
-def test_a_val_split_is_checked_too(folder):
+def test_a_val_split_is_read_too(folder):
     shutil.copy(folder / "transforms_test.json", folder / "transforms_val.json")
-    assert [view.name for view in load_scene(folder).val] == [
-        "test/r_000",
-        "test/r_001",
-        "test/r_002",
-    ]
-    edit(folder, lambda data: data.update(frames=[]), "transforms_val.json")
-    refuse(("transforms_val.json", "frames", "empty"), lambda: load_scene(folder))
+    names = [view.name for view in load_scene(folder).val]
+    assert names == ["test/r_000", "test/r_001", "test/r_002"]

@@ -19,9 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ...scenes.output import write_atomically
-
-START = ["ply", "format binary_little_endian 1.0"]
+from ...scenes.files import reading
+from ...scenes.ply import read_ply, write_ply
+from ...scenes.scene import require
 
 
 def write(path, properties, vertices, networks, values):
@@ -32,22 +32,12 @@ def write(path, properties, vertices, networks, values):
     """
     shapes = {name: array.shape for name, array in networks.items()}
     numbers = np.concatenate([np.zeros(0), *(array.ravel() for array in networks.values())])
-    lines = [
-        *START,
-        "comment " + json.dumps({**values, "shapes": shapes}),
-        f"element vertex {len(vertices)}",
-        *(f"property float {name}" for name in properties),
-        f"element network {len(numbers)}",
-        "property float value",
-        "end_header",
-    ]
-    parts = [
-        ("\n".join(lines) + "\n").encode(),
-        vertices.astype("<f4").tobytes(),
-        numbers.astype("<f4").tobytes(),
-    ]
-    write_atomically(Path(path), lambda file: file.write(b"".join(parts)))
-    other, gaussians, network = map(len, parts)
+    elements = {
+        "vertex": (properties, vertices),
+        "network": (["value"], numbers[:, None]),
+    }
+    comment = json.dumps({**values, "shapes": shapes})
+    other, gaussians, network = write_ply(path, elements, [comment])
     return {"gaussians": gaussians, "network": network, "other": other}
 
 
@@ -56,21 +46,15 @@ def read(path):
 
     Raises ValueError with one line for a file that `write` has not written.
     """
-    text, end, body = Path(path).read_bytes().partition(b"end_header\n")
-    lines = text.decode("latin-1").splitlines()
-    properties = [line.split()[2] for line in lines[4:-2]]
-    try:
-        values = json.loads(lines[2].removeprefix("comment "))
-        rows, floats = int(lines[3].split()[2]), int(lines[-2].split()[2])
+    with reading(Path(path), "the file of a baseline"):
+        elements, comments, rest = read_ply(path, ("vertex", "network"))
+        vertices, flat = (
+            rows.view("<f4").reshape(len(rows), len(rows.dtype)) for rows in elements.values()
+        )
+        values = json.loads(comments[0])
         shapes = values.pop("shapes")
         sizes = [int(np.prod(shape)) for shape in shapes.values()]
-        numbers = np.frombuffer(body, "<f4")
-        whole = lines[:2] == START and floats == sum(sizes)
-        if not whole or len(numbers) != rows * len(properties) + floats:
-            raise ValueError("cut")
-    except (ValueError, IndexError, KeyError, AttributeError):
-        raise ValueError(f"{path}: not a file of a baseline, or damaged") from None
-    vertices, flat = np.split(numbers, [rows * len(properties)])
-    arrays = np.split(flat, np.cumsum(sizes)[:-1]) if sizes else []
+        require(not rest and sum(sizes) == len(flat), path, "expected a whole file of a baseline")
+    arrays = np.split(flat.ravel(), np.cumsum(sizes)[:-1]) if sizes else []
     networks = {name: array.reshape(shape) for (name, shape), array in zip(shapes.items(), arrays)}
-    return vertices.reshape(rows, len(properties)), networks, values
+    return vertices, networks, values

@@ -23,119 +23,96 @@ def below(where, name):
     return f"{where}.{name}" if ": " in where else f"{where}: {name}"
 
 
+def value(holds, expected, convert=lambda found: found):
+    """A reader of a value that meets a condition, which it converts."""
+
+    def read(found, where):
+        require(holds(found), where, f"{found!r}; expected {expected}")
+        return convert(found)
+
+    return read
+
+
 def number(low=-1e6, high=1e6, integer=False):
     """A reader of one number from low to high."""
     kind, types = ("an integer", [int]) if integer else ("a number", [int, float])
-
-    def read(value, where):
-        require(
-            is_number(value, *types) and low <= value <= high,
-            where,
-            f"{value!r}; expected {kind} in [{low:g}, {high:g}]",
-        )
-        return value
-
-    return read
-
-
-def vector(n, low=-1e6, high=1e6, integer=False, nonzero=False):
-    """A reader of n numbers from low to high."""
-    read_entry = number(low, high, integer)
-
-    def read(value, where):
-        require(
-            isinstance(value, list) and len(value) == n,
-            where,
-            f"{value!r}; expected a list of {n} numbers",
-        )
-        entries = [read_entry(entry, f"{where}[{i}]") for i, entry in enumerate(value)]
-        require(
-            any(entries) or not nonzero,
-            where,
-            f"{value!r}; expected a direction, not zero",
-        )
-        return np.array(entries, int if integer else float)
-
-    return read
+    return value(
+        lambda found: is_number(found, *types) and low <= found <= high,
+        f"{kind} in [{low:g}, {high:g}]",
+    )
 
 
 def choice(table):
     """A reader of a word from a table, which returns the entry of the table."""
+    expected = f"one of {', '.join(table)}"
+    return value(lambda found: isinstance(found, str) and found in table, expected, table.get)
 
-    def read(value, where):
-        require(
-            isinstance(value, str) and value in table,
-            where,
-            f"{value!r}; expected one of {', '.join(table)}",
-        )
-        return table[value]
+
+def list_of(reader, n=None):
+    """A reader of a list, of n entries if n is given, which `reader` reads."""
+    of_length = value(
+        lambda found: isinstance(found, list) and n in (None, len(found)),
+        "a list" if n is None else f"a list of {n} numbers",
+    )
+
+    def read(found, where):
+        entries = enumerate(of_length(found, where))
+        return [reader(entry, f"{where}[{i}]") for i, entry in entries]
 
     return read
 
 
-def text(value, where):
-    """Read a text that is not empty."""
-    require(isinstance(value, str) and value, where, f"{value!r}; expected some text")
-    return value
+def vector(n, low=-1e6, high=1e6, integer=False):
+    """A reader of n numbers from low to high."""
+    read_entries = list_of(number(low, high, integer), n)
+    return lambda found, where: np.array(read_entries(found, where), int if integer else float)
 
 
-def flag(value, where):
-    """Read true or false."""
-    require(isinstance(value, bool), where, f"{value!r}; expected true or false")
-    return value
+def direction(found, where):
+    """Read three numbers that are not all zero."""
+    axis = vector(3)(found, where)
+    require(axis.any(), where, f"{found!r}; expected a direction, not zero")
+    return axis
 
 
 def fields(table):
     """A reader of an object with the fields of a table, {name: (reader, default)}."""
     names = ", ".join(table)
+    an_object = value(lambda found: isinstance(found, dict), f"an object with {names}")
 
-    def read(value, where):
-        require(isinstance(value, dict), where, f"{value!r}; expected an object with {names}")
-        for name in value:
+    def read(found, where):
+        for name in an_object(found, where):
             require(name in table, below(where, name), f"unknown field; expected some of {names}")
-        found = SimpleNamespace()
+        values = SimpleNamespace()
         for name, (reader, default) in table.items():
             place = below(where, name)
-            require(name in value or default is not REQUIRED, place, "missing; expected a value")
-            setattr(found, name, reader(value[name], place) if name in value else default)
-        return found
+            require(name in found or default is not REQUIRED, place, "missing; expected a value")
+            setattr(values, name, reader(found[name], place) if name in found else default)
+        return values
 
     return read
 
 
 def one_of(tables):
     """A reader of an object whose field `kind` chooses the table of its other fields."""
-    readers = {kind: fields({"kind": (text, REQUIRED), **rest}) for kind, rest in tables.items()}
+    known = choice({kind: kind for kind in tables})
+    readers = {kind: fields({"kind": (known, REQUIRED), **rest}) for kind, rest in tables.items()}
 
-    def read(value, where):
-        place = f"{where}.kind"
-        require(
-            isinstance(value, dict) and "kind" in value,
-            place,
-            f"missing; expected one of {', '.join(tables)}",
-        )
-        return choice(readers)(value["kind"], place)(value, where)
+    def read(found, where):
+        kind = found.get("kind") if isinstance(found, dict) else None
+        return readers[known(kind, f"{where}.kind")](found, where)
 
     return read
 
 
-def list_of(reader):
-    """A reader of a list whose entries `reader` reads."""
-
-    def read(value, where):
-        require(isinstance(value, list), where, f"{value!r}; expected a list")
-        return [reader(entry, f"{where}[{i}]") for i, entry in enumerate(value)]
-
-    return read
-
-
+TEXT = value(lambda found: isinstance(found, str) and found, "some text")
+FLAG = value(lambda found: isinstance(found, bool), "true or false")
 NUMBER = number()
 POSITIVE = number(low=1e-6)
 SHARE = number(0, 1)
 COUNT = number(1, 100_000, integer=True)
 COLOR = vector(3, 0, 1)
 POINT = vector(3)
-AXIS = vector(3, nonzero=True)
 ORIGIN = np.zeros(3)
 WAVE = {"period": (POSITIVE, 1.0), "phase": (NUMBER, 0.0)}  # the phase in fractions of a period
 
@@ -161,7 +138,7 @@ TEXTURE = one_of(
         "stripes": {
             "color": (COLOR, REQUIRED),
             "period": (POSITIVE, REQUIRED),
-            "direction": (AXIS, REQUIRED),
+            "direction": (direction, REQUIRED),
         },
     }
 )
@@ -170,14 +147,14 @@ MOTION = one_of(
         "line": {"by": (POINT, REQUIRED)},
         "bounce": {"height": (NUMBER, REQUIRED), **WAVE},
         "arc": {"center": (POINT, REQUIRED), "degrees": (NUMBER, REQUIRED), **WAVE},
-        "swing": {"axis": (AXIS, REQUIRED), "degrees": (NUMBER, REQUIRED), **WAVE},
-        "spin": {"axis": (AXIS, REQUIRED), "degrees": (NUMBER, REQUIRED)},
+        "swing": {"axis": (direction, REQUIRED), "degrees": (NUMBER, REQUIRED), **WAVE},
+        "spin": {"axis": (direction, REQUIRED), "degrees": (NUMBER, REQUIRED)},
         "pulse": {"amount": (number(-0.99, 0.99), REQUIRED), **WAVE},
     }
 )
 BODY = fields(
     {
-        "name": (text, REQUIRED),
+        "name": (TEXT, REQUIRED),
         "shape": (SHAPE, REQUIRED),
         "color": (COLOR, REQUIRED),
         "texture": (TEXTURE, None),
@@ -187,17 +164,17 @@ BODY = fields(
         ),
         "position": (POINT, ORIGIN),
         "turn": (
-            fields({"axis": (AXIS, REQUIRED), "degrees": (NUMBER, REQUIRED)}),
+            fields({"axis": (direction, REQUIRED), "degrees": (NUMBER, REQUIRED)}),
             SimpleNamespace(axis=(0, 0, 1), degrees=0),
         ),
-        "parent": (text, None),
+        "parent": (TEXT, None),
         "motion": (list_of(MOTION), ()),
-        "faces_camera": (flag, False),
+        "faces_camera": (FLAG, False),
     }
 )
 LIGHT = one_of(
     {
-        "sun": {"direction": (AXIS, REQUIRED), "ambient": (SHARE, REQUIRED)},
+        "sun": {"direction": (direction, REQUIRED), "ambient": (SHARE, REQUIRED)},
         "point": {"position": (POINT, REQUIRED), "ambient": (SHARE, REQUIRED)},
     }
 )
@@ -211,8 +188,8 @@ VIEWS = {
 CAMERAS = one_of({"scattered": VIEWS, "orbit": {**VIEWS, "turns": (NUMBER, REQUIRED)}})
 SCENE = fields(
     {
-        "title": (text, REQUIRED),
-        "license": (text, None),
+        "title": (TEXT, REQUIRED),
+        "license": (TEXT, None),
         "effects": (check_effects, SIMULATOR_EFFECTS),
         "resolution": (vector(2, 1, 4096, integer=True), REQUIRED),
         "lens": (

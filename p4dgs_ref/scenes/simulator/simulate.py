@@ -79,6 +79,7 @@ def place_cameras(description, split):
 def camera_at(description, azimuth, elevation):
     """A camera on the sphere about the target that looks at the target, with z up."""
     paths, lens = description.cameras, description.lens
+    width, height = map(int, description.resolution)
     outward = np.array(
         [
             math.cos(elevation) * math.cos(azimuth),
@@ -91,7 +92,8 @@ def camera_at(description, azimuth, elevation):
         paths.target,
         lens.fl_x,
         lens.fl_y,
-        *map(int, description.resolution),
+        width,
+        height,
         lens.cx - 0.5,
         lens.cy - 0.5,
     )
