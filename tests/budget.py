@@ -8,6 +8,7 @@ import argparse
 import ast
 import json
 import tokenize
+from functools import cache
 from pathlib import Path
 
 from p4dgs_ref.cli.parser import parser
@@ -21,12 +22,24 @@ SHARED = {
 }
 
 
+@cache
+def parsed(file):
+    """The syntax tree of a file, which is parsed once."""
+    return ast.parse(file.read_text(encoding="utf-8"), str(file))
+
+
+def inside(node):
+    """Every statement within a module or a statement; expressions, which hold none, are skipped."""
+    for field in ("body", "orelse", "finalbody", "handlers", "cases"):
+        for child in getattr(node, field, ()):
+            if isinstance(child, ast.stmt):
+                yield child
+            yield from inside(child)
+
+
 def statements(file):
     """The number of statements in a file."""
-    return sum(
-        isinstance(node, ast.stmt) and not is_docstring(node)
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-    )
+    return sum(not is_docstring(node) for node in inside(parsed(file)))
 
 
 def is_docstring(node):
