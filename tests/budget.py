@@ -6,6 +6,7 @@ name, operator or number.
 
 import argparse
 import ast
+import gc
 import json
 import tokenize
 from functools import cache
@@ -25,7 +26,11 @@ SHARED = {
 @cache
 def parsed(file):
     """The syntax tree of a file, which is parsed once."""
-    return ast.parse(file.read_text(encoding="utf-8"), str(file))
+    gc.disable()  # it would look through all earlier trees again and again
+    try:
+        return ast.parse(file.read_text(encoding="utf-8"), str(file))
+    finally:
+        gc.enable()
 
 
 def inside(node):
