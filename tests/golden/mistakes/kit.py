@@ -6,12 +6,16 @@ network that ends in another head. Where neither is enough, a file of mistakes w
 with the wrong step.
 """
 
+from functools import cache
+from importlib import import_module
 from typing import Callable, NamedTuple
 
 import numpy as np
-from scipy.special import expit
 
 from p4dgs_ref.equations import mlp
+from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
+from tests.golden.checks import altered
+from tests.golden.mutate import rewritten
 from tests.golden.subjects import subjects
 
 
@@ -97,6 +101,28 @@ def surgery(subject, id, description, run):
     return Mistake(id, subject, description, quiet(run))
 
 
+def edited(subject, id, description, changes, helper=None):
+    """Return a mistake that is the equation's own file with some of its text replaced, {old: new}.
+
+    With `helper`, the text stands in that module, from which the equation imports functions.
+    """
+
+    @cache
+    def wrong():
+        equation = ALL_EQUATIONS[subject]
+        names = rewritten(equation.module, {} if helper else changes)
+        if helper:
+            right, others = vars(import_module(helper)), rewritten(helper, changes)
+            names.update({n: others[n] for n, a in right.items() if names.get(n) is a})
+        return altered(equation, forward=names["forward"], backward=names["backward"])
+
+    def run(given, cotangents):
+        outputs, pullback = wrong().vjp(**given)
+        return outputs, pullback(**cotangents)
+
+    return Mistake(id, subject, description, quiet(run))
+
+
 # --- transformations that recur -----------------------------------------------------------------
 def without(name):
     """The changes that leave an input out of the formula."""
@@ -160,20 +186,10 @@ def hac_order(given):
 
 
 # --- networks that end in another head ----------------------------------------------------------
-def tanh(y):
-    return np.tanh(y), 1 - np.tanh(y) ** 2
-
-
-def sigmoid(y):
-    return expit(y), expit(y) * expit(-y)
 
 
 def exponential(y):
     return np.exp(y), np.exp(y)
-
-
-def identity(y):
-    return y, np.ones_like(y)
 
 
 def relu(y):
@@ -198,21 +214,3 @@ def network(head):
         return out, {**others, **inputs_bar, **bars}
 
     return run
-
-
-def headed(equation, id, description, head):
-    return surgery(equation, id, description, network(head))
-
-
-def elementwise(name, width, activation):
-    """A head that applies activation(y), which returns value and slope, to all outputs.
-
-    `width` is how many numbers a child has; with 0 the outputs have no such axis.
-    """
-
-    def head(y, _):
-        value, slope = activation(y)
-        shape = (len(y), y.shape[1] // width, width) if width else y.shape
-        return {name: value.reshape(shape)}, lambda bars: (bars[name].reshape(y.shape) * slope, {})
-
-    return head

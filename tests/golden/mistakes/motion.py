@@ -3,39 +3,18 @@
 import numpy as np
 
 from p4dgs_ref.equations.numerics import normalise, normalise_backward
-from tests.golden.mistakes.kit import bars_of, inverse, known, no_gradient, port, relu, surgery
-
+from tests.golden.mistakes.kit import (
+    bars_of,
+    edited,
+    inverse,
+    known,
+    no_gradient,
+    port,
+    relu,
+    surgery,
+)
 
 # --- positional encoding ------------------------------------------------------------------------
-def encoded(frequencies, slope=(1, -1), slope_powers=None):
-    """`run` of E with other frequencies(L).
-
-    `slope` has the signs of sin' and cos'; `slope_powers` gives other frequencies in backward.
-    """
-
-    def run(given, cotangents):
-        p, L = given["p"], given["L"]
-        f = np.asarray(frequencies(L), p.dtype)
-        g = f if slope_powers is None else np.asarray(slope_powers(L), p.dtype)
-        N, D = p.shape
-        angles = p[:, None, :] * f[:, None]  # (N, L, D)
-        waves = np.stack([np.sin(angles), np.cos(angles)], axis=2)  # (N, L, 2, D)
-        bar = bars_of(cotangents)["E"]
-        waves_bar = bar[:, D:].reshape(N, L, 2, D)
-        slopes = (
-            slope[0] * waves[:, :, 1] * waves_bar[:, :, 0]
-            + slope[1] * waves[:, :, 0] * waves_bar[:, :, 1]
-        )
-        return (
-            {"E": np.concatenate([p, waves.reshape(N, 2 * L * D)], axis=1)},
-            {"p": bar[:, :D] + (slopes * g[:, None]).sum(axis=1)},
-        )
-
-    return run
-
-
-def powers(L):
-    return 2.0 ** np.arange(L)
 
 
 def columns(order):
@@ -67,41 +46,49 @@ def cosines_first(D, L):
 
 
 ENCODING = [
-    surgery(
+    edited(
         "positional_encoding",
         "encoding-pi",
         "the frequencies have a factor pi: sin(2^j pi p)",
-        encoded(lambda L: np.pi * powers(L)),
+        {"(1 << np.arange(L)).astype(dtype)": "(np.pi * (1 << np.arange(L))).astype(dtype)"},
     ),
-    surgery(
+    edited(
         "positional_encoding",
         "encoding-degrees",
         "p is taken for degrees: sin(2^j p pi / 180)",
-        encoded(lambda L: np.pi / 180 * powers(L)),
+        {"(1 << np.arange(L)).astype(dtype)": "(np.pi / 180 * (1 << np.arange(L))).astype(dtype)"},
     ),
-    surgery(
+    edited(
         "positional_encoding",
         "encoding-from-one",
         "the frequencies are 2^1 ... 2^L instead of 2^0 ... 2^(L-1)",
-        encoded(lambda L: 2 * powers(L)),
+        {"(1 << np.arange(L)).astype(dtype)": "(2 << np.arange(L)).astype(dtype)"},
     ),
-    surgery(
+    edited(
         "positional_encoding",
         "encoding-linear",
         "the frequencies are 1, 2, 3 ... instead of 1, 2, 4 ...",
-        encoded(lambda L: 1.0 + np.arange(L)),
+        {"(1 << np.arange(L)).astype(dtype)": "(1 + np.arange(L)).astype(dtype)"},
     ),
-    surgery(
+    edited(
         "positional_encoding",
         "encoding-gradient-frequency",
         "the gradient lacks the factor 2^j of its frequency",
-        encoded(powers, slope_powers=np.ones),
+        {
+            "np.tensordot(powers_of_two(L, angles_bar.dtype), angles_bar, axes=1)": (
+                "angles_bar.sum(axis=0)"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "positional_encoding",
         "encoding-gradient-sign",
         "the derivative of cos has the sign of +sin",
-        encoded(powers, slope=(1, 1)),
+        {
+            "waves[:, 1] * waves_bar[:, 0] - waves[:, 0]": (
+                "waves[:, 1] * waves_bar[:, 0] + waves[:, 0]"
+            ),
+        },
     ),
     known(
         "positional_encoding",
@@ -248,15 +235,6 @@ def unit_bar(bar, r):
     return normalise_backward(*normalise(r), bar)
 
 
-def both(bar):
-    return bar, bar
-
-
-def delta_first_bar(bar, r, delta):
-    bar = unit_bar(bar, r + unit(delta))
-    return bar, unit_bar(bar, delta)
-
-
 # Hamilton's product p = a b: p_i = sum_jk TABLE[i, j, k] a_j b_k
 TABLE = np.zeros((4, 4, 4))
 for _i, _row in enumerate(
@@ -303,17 +281,29 @@ def log_scaled_bar(bars, given):
 
 
 DEFORMED = [
-    surgery(
+    edited(
         "deformed",
         "deformed-not-normalised",
         "delta_r is added after the normalisation: r_t is not of unit length",
-        turned(lambda r, delta: r + delta, lambda bar, r, delta: both(bar)),
+        {"if delta_r.shape[1]:": "if False:"},
     ),
-    surgery(
+    edited(
         "deformed",
         "deformed-delta-normalised",
         "delta_r is normalised before it is added",
-        turned(lambda r, delta: unit(r + unit(delta)), delta_first_bar),
+        {
+            "widths) = as_printed(x, s, r, delta_x, delta_s, delta_r)": (
+                "widths) = as_printed(x, s, r, delta_x, delta_s, normalise(delta_r)[0] if "
+                "delta_r.size else delta_r)"
+            ),
+            "(r_t, norm, widths)": "((r_t, delta_r), norm, widths)",
+            "r_t, norm, (width_x, width_s, width_r) = saved": (
+                "(r_t, delta_r), norm, (width_x, width_s, width_r) = saved"
+            ),
+            "r_bar[:, :width_r]": (
+                "normalise_backward(*normalise(delta_r), r_bar) if width_r else r_bar[:, :0]"
+            ),
+        },
     ),
     surgery(
         "deformed",
@@ -321,11 +311,11 @@ DEFORMED = [
         "the quaternions are multiplied, delta_r r, instead of added",
         turned(lambda r, delta: unit(product(delta, r)), product_bar),
     ),
-    surgery(
+    edited(
         "deformed",
         "deformed-gradient-not-normalised",
         "the normalisation of r_t is missing in backward alone",
-        turned(lambda r, delta: unit(r + delta), lambda bar, r, delta: both(bar)),
+        {"normalise_backward(r_t, norm, r_t_bar)": "r_t_bar"},
     ),
     known(
         "deformed",
