@@ -381,36 +381,22 @@ PLANE_FEATURES = [
 DELTAS = ("delta_x", "delta_log_s", "delta_raw_r")
 
 
-def decoder(before=True, within=True, kept=slice(None)):
-    """`run` with or without the ReLUs before and within the heads; `kept` heads move h."""
-
-    def run(given, cotangents):
-        weights, biases, bars = given["weights"], given["biases"], bars_of(cotangents)
-        y, saved = mlp.forward(given["features"], weights[:-6], biases[:-6])
-        h = np.maximum(y, 0) if before else y
-        out, heads = {}, []
-        for name, i in zip(DELTAS, range(len(weights) - 6, len(weights), 2)):
-            inner = h @ weights[i] + biases[i]
-            z = np.maximum(inner, 0) if within else inner
-            out[name] = z @ weights[i + 1] + biases[i + 1]
-            bar = bars[name]
-            z_bar = bar @ weights[i + 1].T * ((inner > 0) if within else 1)
-            heads.append(
-                (
-                    z_bar @ weights[i].T,
-                    [h.T @ z_bar, z.T @ bar],
-                    [z_bar.sum(axis=0), bar.sum(axis=0)],
-                )
-            )
-        h_bar = sum(head[0] for head in heads[kept])
-        trunk = mlp.backward(saved, h_bar * (y > 0) if before else h_bar)
-        return out, {
-            "features": trunk["x"],
-            "weights": trunk["weights"] + [W for head in heads for W in head[1]],
-            "biases": trunk["biases"] + [b for head in heads for b in head[2]],
-        }
-
-    return run
+def linear_heads(given, cotangents):
+    """Every head is one layer after the other, without the ReLU between them."""
+    weights, biases, bars = given["weights"], given["biases"], bars_of(cotangents)
+    y, saved = mlp.forward(given["features"], weights[:-6], biases[:-6])
+    h, out, h_bar = np.maximum(y, 0), {}, 0
+    weights_bar, biases_bar = [], []
+    for name, i in zip(DELTAS, range(len(weights) - 6, len(weights), 2)):
+        z = h @ weights[i] + biases[i]
+        out[name] = z @ weights[i + 1] + biases[i + 1]
+        z_bar = bars[name] @ weights[i + 1].T
+        weights_bar += [h.T @ z_bar, z.T @ bars[name]]
+        biases_bar += [z_bar.sum(axis=0), bars[name].sum(axis=0)]
+        h_bar = h_bar + z_bar @ weights[i].T
+    trunk = mlp.backward(saved, h_bar * (y > 0))
+    weights_bar, biases_bar = trunk["weights"] + weights_bar, trunk["biases"] + biases_bar
+    return out, {"features": trunk["x"], "weights": weights_bar, "biases": biases_bar}
 
 
 PLANE_DECODER = [
@@ -424,7 +410,7 @@ PLANE_DECODER = [
         "plane_decoder",
         "decoder-heads-linear",
         "the heads have no ReLU between their two layers",
-        decoder(within=False),
+        linear_heads,
     ),
     edited(
         "plane_decoder",
@@ -653,8 +639,8 @@ ROTATION_4D = [
 def schur(shape=1, velocity=1):
     """`run` with Sigma_t = A - b b^T / var_t**shape and x_t = x + b (t - mu_t) / var_t**velocity.
 
-    With `shape` None nothing is subtracted from A. An output that keeps its power 1, and what it
-    gives to the gradients, is that of the right function.
+    An output that keeps its power 1, and what it gives to the gradients, is that of the right
+    function.
     """
 
     def run(given, cotangents):
@@ -666,12 +652,11 @@ def schur(shape=1, velocity=1):
         Sigma_bar, mu_t_bar, changed = np.zeros_like(Sigma), 0, {}
         if shape != 1:
             G = bars.pop("Sigma_t_bar")
-            factor = 0 * var if shape is None else var**-shape
+            factor = var**-shape
             changed["Sigma_t"] = Sigma[:, :3, :3] - factor[:, None, None] * outer(b, b)
             Sigma_bar[:, :3, :3] += G
             Sigma_bar[:, :3, 3] -= factor[:, None] * times(G + np.swapaxes(G, 1, 2), b)
-            if shape is not None:
-                Sigma_bar[:, 3, 3] += shape * factor / var * (b * times(G, b)).sum(axis=1)
+            Sigma_bar[:, 3, 3] += shape * factor / var * (b * times(G, b)).sum(axis=1)
         if velocity != 1:
             bar, factor = bars.pop("x_t_bar"), var[:, None] ** -velocity
             changed["x_t"] = given["x"] + b * factor * since

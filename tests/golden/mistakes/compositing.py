@@ -2,15 +2,10 @@
 
 import numpy as np
 
-from tests.golden.mistakes.kit import edited, known, no_gradient
+from tests.golden.mistakes.kit import edited, given_as, known, no_gradient
 
 
 # --- the reference on other inputs --------------------------------------------------------------
-def given_as(**changes):
-    """Other inputs or settings that receive no gradient: name -> f(inputs)."""
-    return dict(inputs=lambda given: {**given, **{name: f(given) for name, f in changes.items()}})
-
-
 def both_axes(change, change_bar):
     """Another mean2d and conic: the same function of both."""
     return dict(

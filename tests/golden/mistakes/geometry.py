@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tests.golden.mistakes.kit import edited, known
+from tests.golden.mistakes.kit import edited, given_as, known
 
 # Text of the equations that several mistakes replace.
 JACOBIAN = "W[None, :2] - uv[:, :, None] * W[2]"
@@ -84,11 +84,6 @@ COVARIANCE = [
 
 
 # --- projection: other cameras ------------------------------------------------------------------
-def moved(**changes):
-    """Other settings of the camera: name -> f(inputs)."""
-    return dict(inputs=lambda given: {**given, **{name: f(given) for name, f in changes.items()}})
-
-
 FLIP = np.array([1.0, -1.0, 1.0])
 
 
@@ -101,19 +96,19 @@ CAMERAS = [
         "projection",
         "projection-camera-to-world",
         "W is transposed: camera to world for world to camera",
-        **moved(W=lambda given: np.asarray(given["W"]).T),
+        **given_as(W=lambda given: np.asarray(given["W"]).T),
     ),
     known(
         "projection",
         "projection-camera-position",
         "T is taken for the camera's position: W (x - T) for W x + T",
-        **moved(T=lambda given: -np.asarray(given["W"]) @ np.asarray(given["T"])),
+        **given_as(T=lambda given: -np.asarray(given["W"]) @ np.asarray(given["T"])),
     ),
     known(
         "projection",
         "projection-y-up",
         "the camera's y axis points up: the image is flipped",
-        **moved(
+        **given_as(
             W=lambda given: FLIP[:, None] * np.asarray(given["W"]),
             T=lambda given: FLIP * np.asarray(given["T"]),
         ),
@@ -122,7 +117,7 @@ CAMERAS = [
         "projection",
         "projection-z-backward",
         "the camera looks along -z with y up, as in OpenGL",
-        **moved(
+        **given_as(
             W=lambda given: np.array([[1], [-1], [-1]]) * np.asarray(given["W"]),
             T=lambda given: np.array([1, -1, -1]) * np.asarray(given["T"]),
         ),
@@ -131,13 +126,13 @@ CAMERAS = [
         "projection",
         "projection-one-focal",
         "the focal length in x is used for y as well",
-        **moved(focal=lambda given: np.asarray(given["focal"])[[0, 0]]),
+        **given_as(focal=lambda given: np.asarray(given["focal"])[[0, 0]]),
     ),
     known(
         "projection",
         "projection-centre-of-image",
         "the principal point is taken to be the centre of the image",
-        **moved(center=lambda given: (np.asarray(given["size"]) - 1) / 2),
+        **given_as(center=lambda given: (np.asarray(given["size"]) - 1) / 2),
     ),
     edited(
         "projection",
@@ -177,43 +172,43 @@ CAMERAS = [
         "projection",
         "projection-near",
         "the near plane is at 0.01 instead of 0.2",
-        **moved(near=lambda given: 0.01),
+        **given_as(near=lambda given: 0.01),
     ),
     known(
         "projection",
         "projection-near-inclusive",
         "Gaussians exactly on the near plane are kept",
-        **moved(near=lambda given: np.nextafter(0.2, 0)),
+        **given_as(near=lambda given: np.nextafter(0.2, 0)),
     ),
     known(
         "projection",
         "projection-no-blur",
         "the covariance lacks the 0.3 of the low-pass filter",
-        **moved(blur=lambda given: 0.0),
+        **given_as(blur=lambda given: 0.0),
     ),
     known(
         "projection",
         "projection-blur-third",
         "0.33 is added to the covariance instead of 0.3",
-        **moved(blur=lambda given: 0.33),
+        **given_as(blur=lambda given: 0.33),
     ),
     known(
         "projection",
         "projection-blur-squared",
         "0.3^2 is added to the covariance instead of 0.3",
-        **moved(blur=lambda given: 0.3**2),
+        **given_as(blur=lambda given: 0.3**2),
     ),
     known(
         "projection",
         "projection-no-clamp",
         "x/z and y/z are not clamped in the Jacobian",
-        **moved(tan_clamp=lambda given: np.inf),
+        **given_as(tan_clamp=lambda given: np.inf),
     ),
     known(
         "projection",
         "projection-clamp-at-edge",
         "x/z and y/z are clamped at the image's edge, without the factor 1.3",
-        **moved(tan_clamp=lambda given: 1.0),
+        **given_as(tan_clamp=lambda given: 1.0),
     ),
 ]
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from tests.golden.mistakes.kit import NotApplicable, bars_of, edited, known, surgery
+from tests.golden.mistakes.kit import NotApplicable, edited, known, port, surgery
 
 # Text of the equations that several mistakes replace.
 NODES = "p4dgs_ref.equations.grid_nodes"
@@ -13,10 +13,7 @@ SIGNS = "np.where(np.concatenate(grids) >= 0, 1, -1)"
 PRODUCTS = "corner.astype(np.uint32) * PRIMES[:D]"
 
 
-# --- Eq. (9): a reader whose every step can be another one --------------------------------------
-
-
-# --- Eq. (9): what is asked and shown -----------------------------------------------------------
+# --- Eq. (9) -----------------------------------------------------------------------------------
 def levels_of(given):
     """Columns of h by level."""
     L, F = len(given["grids"]), given["grids"][0].shape[1]
@@ -235,43 +232,11 @@ HASH_GRID = [
 
 
 # --- Eq. (14) -----------------------------------------------------------------------------------
-def entropy(own, other):
-    """-own log2(own / (own + other)), 0 where there is none."""
-    return -own * math.log2(own / (own + other)) if own else 0.0
-
-
-def priced(bits, slope, positive=lambda grid: grid >= 0, inside=lambda grid: np.abs(grid) <= 1):
-    """`run` with another price of the signs.
-
-    bits(n_pos, n_neg) is the price and `slope` its slope in n_pos, where both signs occur. The
-    rules `positive` and `inside` say what counts as positive and where the gradient passes.
-    """
-
-    def run(given, cotangents):
-        grids = given["grids"]
-        n_pos = sum(int(positive(grid).sum()) for grid in grids)
-        n_neg = sum(grid.size for grid in grids) - n_pos
-        bar = bars_of(cotangents)["R_hash"] * slope(n_pos, n_neg) / 2 if n_pos and n_neg else 0.0
-        R = np.asarray(bits(n_pos, n_neg), grids[0].dtype if grids else float)
-        return (
-            {"R_hash": R, "n_pos": np.asarray(n_pos), "n_neg": np.asarray(n_neg)},
-            {"grids": [(bar * inside(grid)).astype(grid.dtype) for grid in grids]},
-        )
-
-    return run
-
-
-def shared(n_pos, n_neg):
-    return entropy(n_pos, n_neg) + entropy(n_neg, n_pos)
-
-
-def shared_slope(n_pos, n_neg):
-    return math.log2(n_neg / n_pos)
 
 
 def by_level(given, cotangents):
     """Every level under its own probability."""
-    parts = [priced(shared, shared_slope)({"grids": [grid]}, cotangents) for grid in given["grids"]]
+    parts = [port("hash_rate")({"grids": [grid]}, cotangents) for grid in given["grids"]]
     total = {name: sum(out[name] for out, _ in parts) for name in ("R_hash", "n_pos", "n_neg")}
     return {name: np.asarray(a) for name, a in total.items()}, {
         "grids": [bars["grids"][0] for _, bars in parts]

@@ -12,7 +12,6 @@ from typing import Callable, NamedTuple
 
 import numpy as np
 
-from p4dgs_ref.equations import mlp
 from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
 from tests.golden.checks import altered
 from tests.golden.mutate import rewritten
@@ -129,6 +128,11 @@ def without(name):
     return dict(inputs={name: np.zeros_like}, inputs_bar={name: no_gradient})
 
 
+def given_as(**changes):
+    """Other inputs or settings that receive no gradient: name -> f(inputs)."""
+    return dict(inputs=lambda given: {**given, **{name: f(given) for name, f in changes.items()}})
+
+
 def no_gradient(bar, _):
     return np.zeros_like(bar)
 
@@ -185,32 +189,5 @@ def hac_order(given):
     return np.array([*range(d), *range(d + 1, d + 1 + view), *([d] if view else [])])
 
 
-# --- networks that end in another head ----------------------------------------------------------
-
-
-def exponential(y):
-    return np.exp(y), np.exp(y)
-
-
 def relu(y):
     return np.maximum(y, 0), (y > 0).astype(y.dtype)
-
-
-def network(head):
-    """`run` of a network's equation that ends in another head.
-
-    head(y, inputs) -> outputs, pull;  pull(bars) -> y_bar, {other input: gradient}
-    """
-
-    def run(given, cotangents):
-        parts = ("h",) if "h" in given else ("f_a", "delta_vc", "d_vc")
-        x = np.concatenate([given[name] for name in parts], axis=1)
-        y, saved = mlp.forward(x, given["weights"], given["biases"])
-        out, pull = head(y, given)
-        y_bar, others = pull(bars_of(cotangents))
-        bars = mlp.backward(saved, y_bar)
-        ends = np.cumsum([given[name].shape[1] for name in parts])[:-1]
-        inputs_bar = dict(zip(parts, np.split(bars.pop("x"), ends, axis=1)))
-        return out, {**others, **inputs_bar, **bars}
-
-    return run

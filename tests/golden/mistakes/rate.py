@@ -184,19 +184,6 @@ ROUNDING = [
 HAC_BITS = -math.log2(1e-6)
 
 
-def density(given, cotangents):
-    """q times the density at f."""
-    f, mu, sigma, q = (given[name] for name in ("f_noisy", "mu", "sigma", "q"))
-    z, bar = (f - mu) / sigma, bars_of(cotangents)["bits"] / LOG_2
-    log_p = -0.5 * z * z - 0.5 * math.log(2 * math.pi) + np.log(q / sigma)
-    return {"bits": -log_p / LOG_2}, {
-        "f_noisy": bar * z / sigma,
-        "mu": -bar * z / sigma,
-        "sigma": bar * (1 - z * z) / sigma,
-        "q": -bar / q,
-    }
-
-
 def printed(given, cotangents):
     """The difference of the two values as printed, which cancels in the tails."""
     f, mu, sigma, q = (given[name] for name in ("f_noisy", "mu", "sigma", "q"))
