@@ -7,14 +7,11 @@ with the wrong step.
 """
 
 from functools import cache
-from importlib import import_module
 from typing import Callable, NamedTuple
 
 import numpy as np
 
-from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
-from tests.golden.checks import altered
-from tests.golden.mutate import rewritten
+from tests.golden import checks
 from tests.golden.subjects import subjects
 
 
@@ -101,19 +98,9 @@ def surgery(subject, id, description, run):
 
 
 def edited(subject, id, description, changes, helper=None):
-    """Return a mistake that is the equation's own file with some of its text replaced, {old: new}.
+    """Return a mistake that is the equation's own file with some of its text replaced."""
 
-    With `helper`, the text stands in that module, from which the equation imports functions.
-    """
-
-    @cache
-    def wrong():
-        equation = ALL_EQUATIONS[subject]
-        names = rewritten(equation.module, {} if helper else changes)
-        if helper:
-            right, others = vars(import_module(helper)), rewritten(helper, changes)
-            names.update({n: others[n] for n, a in right.items() if names.get(n) is a})
-        return altered(equation, forward=names["forward"], backward=names["backward"])
+    wrong = cache(lambda: checks.edited(subject, changes, helper))
 
     def run(given, cotangents):
         outputs, pullback = wrong().vjp(**given)
