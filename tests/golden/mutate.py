@@ -307,17 +307,17 @@ def changed(node, **fields):
     return type(node)(**{**{name: getattr(node, name, None) for name in node._fields}, **fields})
 
 
-def rewritten(module, changes):
+def rewritten(module, changes, **names):
     """Return the names that a file defines with some of its text replaced, {old: new}.
 
-    Every old text must stand in the file once.
+    Every old text must stand in the file once. The new one may use `names`.
     """
     text = source(module)
     for old, new in changes.items():
         if text.count(old) != 1:
             raise ValueError(f"{module}: {old!r} stands there {text.count(old)} times, not once")
         text = text.replace(old, new)
-    scratch = {"__name__": module, "__package__": module.rpartition(".")[0], "np": np}
+    scratch = {"__name__": module, "__package__": module.rpartition(".")[0], "np": np, **names}
     exec(compile(text, f"{module}, rewritten", "exec"), scratch)
     return scratch
 

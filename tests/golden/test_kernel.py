@@ -13,6 +13,7 @@ from p4dgs_ref.splatting.settings import PAPER
 from p4dgs_ref.splatting.tiles import bin_splats
 from tests.core import adjoint
 from tests.golden import kernel
+from tests.golden.mistakes.kernel import ruled
 from tests.golden.sixty_digits.functions import exp, working
 from tests.golden.subjects import subjects
 
@@ -234,23 +235,23 @@ def test_the_workshop_passes_its_own_vectors(dtype):
 
 # --- mistakes -----------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    "changes, id",
+    "id",
     [
-        ({"draws_before_it_stops": True}, "kernel-stop-after-splat"),
-        ({"clamp_passes": False}, "kernel-clamp-blocks-gradient"),
-        ({"ties_reversed": True}, "kernel-ties-reversed"),
-        ({"ellipse": True}, "kernel-exact-ellipse"),
-        ({"masked": False}, "kernel-not-masked"),
+        "kernel-stop-after-splat",
+        "kernel-clamp-blocks-gradient",
+        "kernel-ties-reversed",
+        "kernel-exact-ellipse",
+        "kernel-not-masked",
     ],
 )
-def test_a_port_with_another_rule_is_noticed_and_explained_wherever_it_shows(changes, id):
+def test_a_port_with_another_rule_is_noticed_and_explained_wherever_it_shows(id):
     """The doctor has answers to `kernel`; what fails in the other subjects refers to it."""
-    rule = kernel.Rule(**changes)
+    vjps = ruled(id)
 
     class Port:
         def run(self, case):
-            vjp = kernel.stage_vjp if case.subject == "kernel_stage" else kernel.kernel_vjp
-            outputs, pullback = vjp(**case.inputs(), rule=rule)
+            vjp = vjps["stage_vjp" if case.subject == "kernel_stage" else "kernel_vjp"]
+            outputs, pullback = vjp(**case.inputs())
             return named(outputs, pullback(**case.cotangents()))
 
     keys = ("kernel", "kernel_many", "kernel_stage")
