@@ -1,4 +1,9 @@
-"""`--share 1/2` and `--share 2/2` divide the chosen tests between two processes."""
+"""`--share 1/2` and `--share 2/2` divide the chosen tests between two processes.
+
+`trained` is one trained model a session, for all tests that only read one.
+"""
+
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -24,3 +29,30 @@ def pytest_collection_modifyitems(config, items):
     chosen = set(kept)
     config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
     items[:] = kept
+
+
+class Trained(NamedTuple):
+    """A training that all tests share: none may change it, so its arrays refuse to be written."""
+
+    scene: Any
+    trainer: Any
+    model: Any  # as trained; `p4.decode(data)` is the one in the file
+    data: bytes
+
+
+@pytest.fixture(scope="session")
+def trained():
+    """One short training a session, for tests that only read it: `trained.model`, `trained.data`.
+
+    It is done when the first of them asks for it. A hundred iterations through all four stages, on
+    a scene that moves, leave a model that has masked children, learned networks and a grid.
+    """
+    from p4dgs_ref.training.fit import fit
+
+    scene, stages = p4dgs_ref.load_scene("bouncing"), (20, 30, 60, 100)
+    trainer = fit(scene, "smoke", 0, anchors=60, stage_ends=stages)
+    model = trainer.model()
+    networks = [a for pair in model.networks.values() for arrays in pair for a in arrays]
+    for array in (trainer.parameters.vector, *model.anchors, *networks, *model.grids):
+        array.flags.writeable = False
+    return Trained(scene, trainer, model, p4dgs_ref.encode(model))
