@@ -29,6 +29,7 @@ def test_committed_pixels_can_be_drawn_again(name, tmp_path):
     assert [file.name for file in (tmp_path / name).iterdir() if file.name[0] == "."] == []
 
 
+@pytest.mark.slow
 def test_twocams_can_be_drawn_again(tmp_path):
     assert not tiny_scenes.main(["twocams", "-o", str(tmp_path)])
     new, old = tmp_path / "twocams", packaged_folder() / "twocams"
