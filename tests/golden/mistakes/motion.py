@@ -4,7 +4,6 @@ import numpy as np
 
 from p4dgs_ref.equations.numerics import normalise, normalise_backward
 from tests.golden.mistakes.kit import (
-    bars_of,
     edited,
     inverse,
     known,
@@ -210,31 +209,6 @@ DEFORMATION = [
 
 
 # --- Eq. (6) ------------------------------------------------------------------------------------
-def turned(add, add_bar):
-    """`run` with r_t = add(r, delta_r) where rotation is on; add_bar gives both gradients."""
-
-    def run(given, cotangents):
-        bars = bars_of(cotangents)
-        off = {**given, "delta_r": given["delta_r"][:, :0]}
-        rest = port("deformed")
-        if not given["delta_r"].shape[1]:
-            return rest(given, cotangents)
-        out, in_bar = rest(off, {name + "_bar": bar for name, bar in bars.items()})
-        r, delta = given["r"], given["delta_r"]
-        r_bar, delta_bar = add_bar(bars["r_t"], r, delta)
-        return {**out, "r_t": add(r, delta)}, {**in_bar, "r": r_bar, "delta_r": delta_bar}
-
-    return run
-
-
-def unit(r):
-    return normalise(r)[0]
-
-
-def unit_bar(bar, r):
-    return normalise_backward(*normalise(r), bar)
-
-
 # Hamilton's product p = a b: p_i = sum_jk TABLE[i, j, k] a_j b_k
 TABLE = np.zeros((4, 4, 4))
 for _i, _row in enumerate(
@@ -249,35 +223,18 @@ for _i, _row in enumerate(
         TABLE[_i, _j, _k] = _sign
 
 
-def product(delta, r):
-    return np.einsum("ijk,nj,nk->ni", TABLE.astype(r.dtype), delta, r)
-
-
-def product_bar(bar, r, delta):
-    bar, table = unit_bar(bar, product(delta, r)), TABLE.astype(r.dtype)
-    return np.einsum("ijk,ni,nj->nk", table, bar, delta), np.einsum("ijk,ni,nk->nj", table, bar, r)
-
-
-def when_on(f):
-    """Change s_t where scaling is on."""
-
-    def change(tree, *others):
-        given = others[-1]
-        return (
-            {**tree, "s_t": f(tree["s_t"], given, *others[:-1])}
-            if given["delta_s"].shape[1]
-            else tree
-        )
-
-    return change
-
-
-def log_scaled_bar(bars, given):
-    """The gradient of s exp(delta_s), made of that of s + delta_s."""
-    if not given["delta_s"].shape[1]:
-        return bars
-    growth = np.exp(given["delta_s"])
-    return {**bars, "s": bars["s"] * growth, "delta_s": bars["delta_s"] * growth * given["s"]}
+def multiplied(given, cotangents):
+    """r_t is the unit quaternion along delta_r r where rotation is on."""
+    r, delta = given["r"], given["delta_r"]
+    if not delta.shape[1]:
+        return port("deformed")(given, cotangents)
+    out, in_bar = port("deformed")({**given, "delta_r": delta[:, :0]}, cotangents)
+    table = TABLE.astype(r.dtype)
+    r_t, norm = normalise(np.einsum("ijk,nj,nk->ni", table, delta, r))
+    bar = normalise_backward(r_t, norm, cotangents["r_t_bar"])
+    r_bar = np.einsum("ijk,ni,nj->nk", table, bar, delta)
+    delta_bar = np.einsum("ijk,ni,nk->nj", table, bar, r)
+    return {**out, "r_t": r_t}, {**in_bar, "r": r_bar, "delta_r": delta_bar}
 
 
 DEFORMED = [
@@ -309,7 +266,7 @@ DEFORMED = [
         "deformed",
         "deformed-product",
         "the quaternions are multiplied, delta_r r, instead of added",
-        turned(lambda r, delta: unit(product(delta, r)), product_bar),
+        multiplied,
     ),
     edited(
         "deformed",
@@ -317,23 +274,33 @@ DEFORMED = [
         "the normalisation of r_t is missing in backward alone",
         {"normalise_backward(r_t, norm, r_t_bar)": "r_t_bar"},
     ),
-    known(
+    edited(
         "deformed",
         "deformed-log-scale",
         "delta_s is added to the logarithm: s_t = s exp(delta_s)",
-        outputs=lambda out, given: when_on(lambda s_t, g: g["s"] * np.exp(g["delta_s"]))(
-            out, given
-        ),
-        inputs_bar=log_scaled_bar,
+        {
+            "moved(s, delta_s), moved(r": (
+                "(s * np.exp(delta_s) if delta_s.shape[1] else s), moved(r"
+            ),
+            "(r_t, norm, widths)": "((r_t, s, delta_s), norm, widths)",
+            "r_t, norm, (width_x": "(r_t, s, delta_s), norm, (width_x",
+            '"s": s_t_bar': '"s": s_t_bar * (np.exp(delta_s) if width_s else 1)',
+            "s_t_bar[:, :width_s]": "(s_t_bar * s)[:, :width_s] * np.exp(delta_s)",
+        },
     ),
-    known(
+    edited(
         "deformed",
         "deformed-clamped-scale",
         "negative scales are set to zero",
-        outputs=lambda out, given: when_on(lambda s_t, g: np.maximum(s_t, 0))(out, given),
-        outputs_bar=lambda bars, out, given: when_on(lambda bar, g, o: bar * (o["s_t"] > 0))(
-            bars, out, given
-        ),
+        {
+            "moved(s, delta_s), moved(r": (
+                "(np.maximum(s + delta_s, 0) if delta_s.shape[1] else s), moved(r"
+            ),
+            "(r_t, norm, widths)": "((r_t, s_t), norm, widths)",
+            "r_t, norm, (width_x": "(r_t, s_t), norm, (width_x",
+            '"s": s_t_bar': '"s": s_t_bar * (s_t > 0 if width_s else 1)',
+            "s_t_bar[:, :width_s]": "(s_t_bar * (s_t > 0))[:, :width_s]",
+        },
     ),
     known(
         "deformed",
