@@ -73,32 +73,6 @@ OFFSETS = [
 
 
 # --- Eq. (2) ------------------------------------------------------------------------------------
-EPSILON = 1e-6
-
-
-def softened(out, _):
-    return {**out, "d_vc": out["d_vc"] * (out["delta_vc"] / (out["delta_vc"] + EPSILON))}
-
-
-def softened_bar(bars, out, _):
-    delta, d = out["delta_vc"], out["d_vc"]
-    along = (bars["d_vc"] * d).sum(axis=1, keepdims=True)
-    at_camera = delta == 0
-    # An anchor on the camera has the direction v / EPSILON; the right gradient is 0 there.
-    return {
-        "delta_vc": bars["delta_vc"]
-        + np.where(at_camera, 0, along * (EPSILON / (delta + EPSILON)) / (delta + EPSILON)),
-        "d_vc": bars["d_vc"] * (delta / (delta + EPSILON)),
-    }
-
-
-def radial_bar(bars, out, _):
-    delta = np.where(out["delta_vc"] > 0, out["delta_vc"], np.inf)
-    return {
-        **bars,
-        "delta_vc": bars["delta_vc"]
-        + (bars["d_vc"] * out["d_vc"]).sum(axis=1, keepdims=True) / delta,
-    }
 
 
 VIEW = [
@@ -116,18 +90,24 @@ VIEW = [
         outputs={"delta_vc": np.square},
         outputs_bar={"delta_vc": lambda bar, delta: 2 * bar * delta},
     ),
-    known(
+    edited(
         "view",
         "view-epsilon",
         "d_vc is divided by delta_vc + 1e-6 instead of delta_vc",
-        outputs=softened,
-        outputs_bar=softened_bar,
+        {
+            "return (delta_vc, d_vc), (": "return (delta_vc, v / (delta_vc + 1e-6)), (",
+            "perpendicular(d_vc, d_vc_bar) / nonzero(delta_vc)": (
+                "(perpendicular(d_vc, d_vc_bar * (delta_vc > 0)) "
+                "+ d_vc * (d_vc * d_vc_bar).sum(axis=1, keepdims=True) * 1e-6 / (delta_vc + 1e-6)) "
+                "/ (delta_vc + 1e-6)"
+            ),
+        },
     ),
-    known(
+    edited(
         "view",
         "view-radial-gradient",
         "the gradient of d_vc treats the length in its denominator as a constant",
-        outputs_bar=radial_bar,
+        {"perpendicular(d_vc, d_vc_bar)": "d_vc_bar * (delta_vc > 0)"},
     ),
 ]
 
