@@ -1,9 +1,9 @@
 """How a known mistake is defined: as the function that a port with this mistake would be.
 
-`run(inputs, cotangents)` returns outputs and gradients. `edited` makes it of the equation's own file
-with an expression or two replaced. `known` makes it of the right function by changing its inputs or
-outputs, with the adjoint changes of the gradients. Where neither is enough, a file of mistakes
-writes the function with the wrong step, and `surgery` names it.
+`run(inputs, cotangents)` returns outputs and gradients. `edited` makes it of the equation's own
+file with an expression or two replaced. `known` makes it of the right function by changing its
+inputs or outputs, with the adjoint changes of the gradients. Where neither is enough, a file of
+mistakes writes the function with the wrong step, and `surgery` names it.
 """
 
 from functools import cache
