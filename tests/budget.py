@@ -24,7 +24,7 @@ SHARED = {
 
 
 @cache
-def parsed(file):
+def parse(file):
     """The syntax tree of a file, which is parsed once."""
     gc.disable()  # it would look through all earlier trees again and again
     try:
@@ -44,7 +44,7 @@ def inside(node):
 
 def statements(file):
     """The number of statements in a file."""
-    return sum(not is_docstring(node) for node in inside(parsed(file)))
+    return sum(not is_docstring(node) for node in inside(parse(file)))
 
 
 def is_docstring(node):

@@ -16,7 +16,7 @@ from tests.budget import (
     budget,
     inside,
     is_docstring,
-    parsed,
+    parse,
     room_of,
     rooms,
     statements,
@@ -63,7 +63,7 @@ def read(file):
 def imported(file, package=PACKAGE):
     """The full dotted names that a file imports, at its top and inside functions."""
     here = file.relative_to(package.parent).parts[:-1]
-    for node in inside(parsed(file)):
+    for node in inside(parse(file)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -115,7 +115,7 @@ def test_functions_hold_one_idea():
     """Counted in statements, like the rooms; nested functions count for the one around them."""
     long = {}
     for file in FILES:
-        for node in inside(parsed(file)):
+        for node in inside(parse(file)):
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
                 count = sum(not is_docstring(n) for n in inside(node))
                 if count > 45:
