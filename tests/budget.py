@@ -6,8 +6,10 @@ name, operator or number.
 
 import argparse
 import ast
+import gc
 import json
 import tokenize
+from functools import cache
 from pathlib import Path
 
 from p4dgs_ref.cli.parser import parser
@@ -21,12 +23,28 @@ SHARED = {
 }
 
 
+@cache
+def parse(file):
+    """The syntax tree of a file, which is parsed once."""
+    gc.disable()  # it would look through all earlier trees again and again
+    try:
+        return ast.parse(file.read_text(encoding="utf-8"), str(file))
+    finally:
+        gc.enable()
+
+
+def inside(node):
+    """Every statement within a module or a statement; expressions, which hold none, are skipped."""
+    for field in ("body", "orelse", "finalbody", "handlers", "cases"):
+        for child in getattr(node, field, ()):
+            if isinstance(child, ast.stmt):
+                yield child
+            yield from inside(child)
+
+
 def statements(file):
     """The number of statements in a file."""
-    return sum(
-        isinstance(node, ast.stmt) and not is_docstring(node)
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-    )
+    return sum(not is_docstring(node) for node in inside(parse(file)))
 
 
 def is_docstring(node):

@@ -1,8 +1,12 @@
-"""`--share 1/2` and `--share 2/2` divide the chosen tests between two processes."""
+"""`--share 1/2` and `--share 2/2` divide the chosen tests between two processes.
+
+The header shows the seed of the short lane's samples.
+"""
 
 import pytest
 
 import p4dgs_ref
+from tests.sampling import SEED
 
 # Before NumPy loads, as every command does it: processes that a test starts inherit this setting,
 # and with another number of BLAS threads the last digits differ.
@@ -12,6 +16,10 @@ p4dgs_ref.prepare()
 def pytest_addoption(parser):
     help_text = "run only the I-th of N equal shares of the chosen tests"
     parser.addoption("--share", metavar="I/N", default="1/1", help=help_text)
+
+
+def pytest_report_header():
+    return f"sampled tests: P4DGS_TEST_SEED={SEED}"
 
 
 @pytest.hookimpl(trylast=True)  # after -m and -k have chosen
@@ -24,3 +32,25 @@ def pytest_collection_modifyitems(config, items):
     chosen = set(kept)
     config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
     items[:] = kept
+
+
+@pytest.fixture(scope="session")
+def trained():
+    """One short training a session, for tests that only read it: scene, trainer, model and data.
+
+    It is done when the first of them asks for it. A hundred iterations through all four stages, on
+    a scene that moves, leave a model with masked children, learned networks and a grid. Its arrays
+    refuse to be written. `p4.decode(trained.data)` is the model in the file.
+    """
+    from types import SimpleNamespace
+
+    from p4dgs_ref.training.fit import fit
+
+    scene, stages = p4dgs_ref.load_scene("bouncing"), (20, 30, 60, 100)
+    trainer = fit(scene, "smoke", 0, anchors=60, stage_ends=stages)
+    model = trainer.model()
+    networks = [a for pair in model.networks.values() for arrays in pair for a in arrays]
+    for array in (trainer.parameters.vector, *model.anchors, *networks, *model.grids):
+        array.flags.writeable = False
+    data = p4dgs_ref.encode(model)
+    return SimpleNamespace(scene=scene, trainer=trainer, model=model, data=data)

@@ -10,7 +10,17 @@ from functools import cache
 
 import pytest
 
-from tests.budget import PACKAGE, ROOT, budget, is_docstring, room_of, rooms, statements
+from tests.budget import (
+    PACKAGE,
+    ROOT,
+    budget,
+    inside,
+    is_docstring,
+    parse,
+    room_of,
+    rooms,
+    statements,
+)
 
 PACKAGE_FILES = sorted(PACKAGE.rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
@@ -50,15 +60,10 @@ def read(file):
     return file.read_text(encoding="utf-8")
 
 
-@cache
-def parse(file):
-    return ast.parse(read(file), str(file))
-
-
 def imported(file, package=PACKAGE):
     """The full dotted names that a file imports, at its top and inside functions."""
     here = file.relative_to(package.parent).parts[:-1]
-    for node in ast.walk(parse(file)):
+    for node in inside(parse(file)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -110,10 +115,9 @@ def test_functions_hold_one_idea():
     """Counted in statements, like the rooms; nested functions count for the one around them."""
     long = {}
     for file in FILES:
-        for node in ast.walk(parse(file)):
+        for node in inside(parse(file)):
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-                inside = [n for n in ast.walk(node) if isinstance(n, ast.stmt)]
-                count = sum(not is_docstring(n) for n in inside) - 1
+                count = sum(not is_docstring(n) for n in inside(node))
                 if count > 45:
                     long[f"{name_of(file)}: {node.name}"] = count
     assert not long
@@ -152,6 +156,7 @@ def test_only_commands_and_tests_know_the_laboratory():
     assert knowing <= {"cli"}
 
 
+@pytest.mark.slow
 def test_the_main_job_loads_nothing_of_the_laboratory(tmp_path):
     program = (
         "import sys; import p4dgs_ref as p4; "

@@ -9,18 +9,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-NOT_SOURCES = shutil.ignore_patterns(
-    ".git",
-    ".venv",
-    "venv",
-    "build",
-    "dist",
-    "*.egg-info",
-    "__pycache__",
-    ".*_cache",
-    "report",
-    "runs",
-)
+BUILT = (".git", ".venv", "venv", "build", "dist", "*.egg-info", "__pycache__", ".*_cache")
+
+
+def not_sources(folder, names):
+    """What a copy of the repository leaves out, for `shutil.copytree`."""
+    made_by_a_run = {"report", "runs"} if Path(folder) == ROOT else set()
+    return made_by_a_run | shutil.ignore_patterns(*BUILT)(folder, names)
 
 
 def files(folder):
@@ -35,7 +30,7 @@ def files(folder):
 def test_source_distribution_is_whole(tmp_path):
     pytest.importorskip("setuptools", reason="the build backend is not installed")
     source = tmp_path / "source"
-    shutil.copytree(ROOT, source, ignore=NOT_SOURCES)
+    shutil.copytree(ROOT, source, ignore=not_sources)
     call = [sys.executable, "-c", "import setuptools; setuptools.setup()", "-q", "sdist"]
     subprocess.run([*call, "-d", str(tmp_path)], cwd=source, check=True, capture_output=True)
     with tarfile.open(next(tmp_path.glob("*.tar.gz"))) as archive:

@@ -5,6 +5,7 @@ domain whatever the search does to the genes. Equal genes become equal numbers: 
 ties, coincident points and flat boxes.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -92,18 +93,6 @@ def _seen(own, shared, dtype, outputs):
         d_vc=d_vc / np.maximum(np.linalg.norm(d_vc, axis=1, keepdims=True), 1e-3),
         **network(shared, dtype, 6, 3, outputs),
     )
-
-
-def opacity(own, shared, dtype):
-    return _seen(own, shared, dtype, 2)
-
-
-def color(own, shared, dtype):
-    return _seen(own, shared, dtype, 6)
-
-
-def rotation(own, shared, dtype):
-    return _seen(own, shared, dtype, 8)
 
 
 def scale(own, shared, dtype):
@@ -335,10 +324,10 @@ def mlp(own, shared, dtype):
 ARENAS = {
     "offsets": Arena(12, 0, offsets),
     "view": Arena(3, 4, view),
-    "opacity": Arena(6, genes_of(6, 3, 2), opacity),
+    "opacity": Arena(6, genes_of(6, 3, 2), partial(_seen, outputs=2)),
     "masking": Arena(30, 1, masking, rows=False, share=0.04),
-    "color": Arena(6, genes_of(6, 3, 6), color),
-    "rotation": Arena(6, genes_of(6, 3, 8), rotation),
+    "color": Arena(6, genes_of(6, 3, 6), partial(_seen, outputs=6)),
+    "rotation": Arena(6, genes_of(6, 3, 8), partial(_seen, outputs=8)),
     "scale": Arena(9, genes_of(6, 3, 6), scale),
     "positional_encoding": Arena(2, 1, positional_encoding),
     "deformation": Arena(3, 3, deformation, share=0.5),

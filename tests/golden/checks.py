@@ -1,16 +1,16 @@
 """What the tests ask of any case of an equation, and changed copies of equations."""
 
+from importlib import import_module
+
 import numpy as np
 
+from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
 from p4dgs_ref.table import Equation
 from tests.core import shape_comments
+from tests.core.adjoint import leaves
+from tests.golden.mutate import rewritten
 
 EPS = np.finfo(float).eps
-
-
-def leaves(a):
-    """The arrays of an array or of a list of arrays."""
-    return [np.asarray(b) for b in a] if isinstance(a, list) else [np.asarray(a)]
 
 
 def frozen(tree):
@@ -76,6 +76,19 @@ def check_linear_and_finite(eq, case):
             assert np.isfinite(x).all() and np.isfinite(y).all(), what
             largest = np.abs([x, y]).max(initial=0)
             assert np.all(np.abs(a * x + b * y - both) <= 1e-10 * largest + EPS), what
+
+
+def edited(key, changes, helper=None):
+    """A copy of an equation whose file has some of its text replaced, {old: new}.
+
+    With `helper`, the text stands in that module, from which the equation imports functions.
+    """
+    eq = ALL_EQUATIONS[key]
+    names = rewritten(eq.module, {} if helper else changes)
+    if helper:
+        right, others = vars(import_module(helper)), rewritten(helper, changes)
+        names.update({n: others[n] for n, a in right.items() if names.get(n) is a})
+    return altered(eq, forward=names["forward"], backward=names["backward"])
 
 
 def altered(eq, **functions):

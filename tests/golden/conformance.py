@@ -18,7 +18,7 @@ from p4dgs_ref.codec.file import attribute_columns, sections_of
 from p4dgs_ref.codec.published import FOLDER, TYPES, expected
 from p4dgs_ref.codec.streams import encode_bits, encode_gaussian
 from tests.golden.conformance_bad import forgeries
-from tests.golden.conformance_good import SAYS
+from tests.golden.conformance_good import GOOD
 
 
 def stream_of(maker):
@@ -42,17 +42,17 @@ def stream_of(maker):
 def files():
     """Every file of the folder, {name: bytes}, the manifest last."""
     contents = {}
-    good = [good_row(maker, says, contents) for maker, says in SAYS.items()]
+    good = [good_row(name, *row, contents) for name, row in GOOD.items()]
     bad = [bad_row(*forgery, contents) for forgery in forgeries()]
     contents["manifest.json"] = manifest({"good": good, "bad": bad})
     return contents
 
 
-def good_row(maker, says, contents):
+def good_row(name, says, maker, contents):
     """The manifest's row of a good stream; adds its two files to `contents`."""
     quantised, sections = stream_of(maker)
     version = 1 + quantised.model.design.coded
-    row = file_row(maker.__name__, says, write_container(sections, version), contents)
+    row = file_row(name, says, write_container(sections, version), contents)
     row["header"] = json.loads(sections["header"])
     row["sections"] = {name: len(body) for name, body in sections.items()}
     row["expected"] = f"{row['name']}.bin"

@@ -1,6 +1,6 @@
 """The good conformance streams: models made of integers, each for one corner of the format.
 
-The texts of SAYS are published in the manifest.
+The texts of GOOD are published in the manifest.
 """
 
 from dataclasses import replace
@@ -125,14 +125,6 @@ def coded_parts(seed, bits, lattice=None, box=None, anchors=9, **changes):
     return parts
 
 
-def coded_ten_bits():
-    return coded_parts(30, 10)
-
-
-def coded_one_bit():
-    return coded_parts(31, 1, anchors=12)
-
-
 def coded_sixteen_bits():
     corners = [[0, 0, 0], [65535] * 3, [65535, 0, 32768], [32767, 32768, 1], [0, 65535, 65534]]
     return coded_parts(32, 16, corners, anchors=5)
@@ -166,10 +158,6 @@ def coded_as_tiny():
         effects=("translation", "view_color", "occlusion", "background"),
     )
     return coded_parts(35, 10, anchors=2, **tiny)
-
-
-def smallest_grid():
-    return Parts(1, grid=(("xyz", 1),), F=1)
 
 
 def one_anchor():
@@ -250,25 +238,6 @@ def base_steps():
     return parts, symbols
 
 
-def static():
-    return Parts(11, hidden=(), effects=("view_color", "occlusion", "background"))
-
-
-def no_effects():
-    return Parts(12, anchors=5, effects=(), k=3, grid=(("yz", 4), ("xz", 3)))
-
-
-def hashed():
-    """Tables are smaller than their grids; with 65536 nodes along an axis, positions are nodes."""
-    return Parts(
-        13,
-        anchors=9,
-        grid=(("xyz", 65536), ("xyz", 514), ("xy", 65536), ("xz", 130), ("yz", 9)),
-        table=(61, 37),
-        context=(5, 4),
-    )
-
-
 def lattice():
     """Anchors are on nodes and on upper faces; the box has no extent along z."""
     parts = Parts(14, anchors=6, grid=(("xyz", 4), ("xz", 16), ("yz", 2)))
@@ -314,10 +283,6 @@ def smallest_weights(unit=SUBNORMAL, seed=18):
         weights[0][...], biases[0][...] = np.rint(weights[0] * 9) * unit, 9 * unit
         weights[1][...], biases[1][0] = parts.draw(-2047, 2047, *weights[1].shape), LARGEST
     return parts
-
-
-def small_weights():
-    return smallest_weights(2.0**-18, 24)
 
 
 def coarse_units():
@@ -398,44 +363,86 @@ def full():
     )
 
 
-SAYS = {
-    smallest_grid: (
+# name: what it tests, and how it is made
+GOOD = {
+    "smallest_grid": (
         "a hash grid of one level with one node, the least there is: "
-        "no grid is not a choice of the format"
+        "no grid is not a choice of the format",
+        lambda: Parts(1, grid=(("xyz", 1),), F=1),
     ),
-    one_anchor: "one anchor in a box without extent, d = k = 1, networks without hidden layers",
-    all_masked: "one anchor and no child: `offsets` is empty, `masks` is a stream of equal bits",
-    all_masked_but_one: (
-        "one child of fifteen kept: anchors without children keep their other attributes"
+    "one_anchor": (
+        "one anchor in a box without extent, d = k = 1, networks without hidden layers",
+        one_anchor,
     ),
-    one_child: "k = 1, all kept and all signs +1: two streams of equal bits",
-    escapes: "symbols inside, at and outside of their windows, to +-2^31",
-    sigma_clamps: (
-        "raw sigma at and beyond both clamps, sigma/q at and beyond both ends of its range"
+    "all_masked": (
+        "one anchor and no child: `offsets` is empty, `masks` is a stream of equal bits",
+        all_masked,
     ),
-    smallest_steps: "q on its floor, and just above",
-    largest_steps: "q at its ceiling, and just below",
-    base_steps: "Q_0 from 2^-100 to 2^100, mu/q saturated at both ends",
-    static: (
-        "a scene that does not move: no section deformation_mlp; the view is seen by psi_c alone"
+    "all_masked_but_one": (
+        "one child of fifteen kept: anchors without children keep their other attributes",
+        all_masked_but_one,
     ),
-    no_effects: "no effect at all, two 2D levels, tables of neither xy nor xyz",
-    hashed: "hashed levels, 3D and 2D, to 65536 nodes an axis",
-    lattice: "positions on nodes and on the faces of a flat box",
-    lanes: "2 to 1024 lanes",
-    raw_bits: "sigma/q > 32: low bits of symbols stand as they are",
-    largest_weights: "psi_p of eight hidden layers at float16's largest number",
-    smallest_weights: "subnormal weights, units as fine as they get",
-    small_weights: "a bias that decides the units of its layer",
-    coarse_units: "outputs in units coarser than what is made of them, ties of biases",
-    deviations: "raw sigma at the edges of its rounding",
-    ties: "weights half-way between two fixed-point integers: to even",
-    time_net: "psi_d with a time net and a skip, the optional fields of the header",
-    full: "every effect, every section",
-    coded_ten_bits: "version 2: nine positions of ten bits, sorted",
-    coded_one_bit: "version 2: twelve positions of one bit, some in the same place",
-    coded_sixteen_bits: "version 2: positions of 16 bits, the least and the largest code",
-    coded_nowhere: "version 2: three positions in a box without extent",
-    coded_flat: "version 2: a box without extent along x, two equal positions",
-    coded_as_tiny: "version 2: most fields are those of the base design",
+    "one_child": ("k = 1, all kept and all signs +1: two streams of equal bits", one_child),
+    "escapes": ("symbols inside, at and outside of their windows, to +-2^31", escapes),
+    "sigma_clamps": (
+        "raw sigma at and beyond both clamps, sigma/q at and beyond both ends of its range",
+        sigma_clamps,
+    ),
+    "smallest_steps": ("q on its floor, and just above", smallest_steps),
+    "largest_steps": ("q at its ceiling, and just below", largest_steps),
+    "base_steps": ("Q_0 from 2^-100 to 2^100, mu/q saturated at both ends", base_steps),
+    "static": (
+        "a scene that does not move: no section deformation_mlp; the view is seen by psi_c alone",
+        lambda: Parts(11, hidden=(), effects=("view_color", "occlusion", "background")),
+    ),
+    "no_effects": (
+        "no effect at all, two 2D levels, tables of neither xy nor xyz",
+        lambda: Parts(12, anchors=5, effects=(), k=3, grid=(("yz", 4), ("xz", 3))),
+    ),
+    "hashed": (
+        "hashed levels, 3D and 2D, to 65536 nodes an axis",
+        # Tables are smaller than their grids; with 65536 nodes along an axis, positions are nodes.
+        lambda: Parts(
+            13,
+            anchors=9,
+            grid=(("xyz", 65536), ("xyz", 514), ("xy", 65536), ("xz", 130), ("yz", 9)),
+            table=(61, 37),
+            context=(5, 4),
+        ),
+    ),
+    "lattice": ("positions on nodes and on the faces of a flat box", lattice),
+    "lanes": ("2 to 1024 lanes", lanes),
+    "raw_bits": ("sigma/q > 32: low bits of symbols stand as they are", raw_bits),
+    "largest_weights": (
+        "psi_p of eight hidden layers at float16's largest number",
+        largest_weights,
+    ),
+    "smallest_weights": ("subnormal weights, units as fine as they get", smallest_weights),
+    "small_weights": (
+        "a bias that decides the units of its layer",
+        lambda: smallest_weights(2.0**-18, 24),
+    ),
+    "coarse_units": (
+        "outputs in units coarser than what is made of them, ties of biases",
+        coarse_units,
+    ),
+    "deviations": ("raw sigma at the edges of its rounding", deviations),
+    "ties": ("weights half-way between two fixed-point integers: to even", ties),
+    "time_net": ("psi_d with a time net and a skip, the optional fields of the header", time_net),
+    "full": ("every effect, every section", full),
+    "coded_ten_bits": (
+        "version 2: nine positions of ten bits, sorted",
+        lambda: coded_parts(30, 10),
+    ),
+    "coded_one_bit": (
+        "version 2: twelve positions of one bit, some in the same place",
+        lambda: coded_parts(31, 1, anchors=12),
+    ),
+    "coded_sixteen_bits": (
+        "version 2: positions of 16 bits, the least and the largest code",
+        coded_sixteen_bits,
+    ),
+    "coded_nowhere": ("version 2: three positions in a box without extent", coded_nowhere),
+    "coded_flat": ("version 2: a box without extent along x, two equal positions", coded_flat),
+    "coded_as_tiny": ("version 2: most fields are those of the base design", coded_as_tiny),
 }

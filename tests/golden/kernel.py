@@ -2,7 +2,7 @@
 
 `lists` and `composite` are written from the rule, tile by tile, and share no code with the
 renderers of the package, which tests compare with them. Every operation has the precision of its
-inputs. A `Rule` says what the kernel does; known mistakes are other rules.
+inputs.
 
     radius   ceil(3 sqrt(largest eigenvalue of cov2d)); the difference of the eigenvalues' square
              roots is taken from max(0.1, (a - c)^2 / 4 + b^2)
@@ -36,26 +36,6 @@ CONSTANTS = {"tile": TILE, "mask": MASK, "stop": STOP, "alpha_max": ALPHA_MAX}
 SPLATS = ("mean2d", "conic", "alpha", "color")
 
 
-class Rule(NamedTuple):
-    """What the kernel does. The defaults are right."""
-
-    ties_reversed: bool = False  # equal depths: the last row first
-    sorted: bool = True
-    ellipse: bool = False  # a tile lists what reaches 1/255 in it, instead of what its square meets
-    rounded_up: bool = True  # the radius
-    half_sigma: float = 3.0  # deviations in a radius
-    inclusive: bool = False  # the rectangle's end is one tile further
-    by_columns: bool = False  # tiles are numbered column by column
-    masked: bool = True
-    stops: bool = True
-    draws_before_it_stops: bool = False  # the splat that passes the stop is still drawn
-    clamp_passes: bool = True
-    counts_drawn: bool = False  # `last` counts the drawn splats instead of the list's entries
-
-
-RIGHT = Rule()
-
-
 class Lists(NamedTuple):
     """The outputs of `tile_lists`."""
 
@@ -67,16 +47,15 @@ class Lists(NamedTuple):
     ranges: np.ndarray  # [G, 2]  start and end of every tile's list
 
 
-def lists(mean2d, cov2d, depth, visible, height, width, rule=RIGHT, reach=None):
-    """Return the Lists of some splats. `reach` is the ellipse of a Rule with that mistake."""
+def lists(mean2d, cov2d, depth, visible, height, width):
+    """Return the Lists of some splats."""
     columns, rows = -(-width // TILE), -(-height // TILE)
     a, b, c = cov2d.T
     middle = (a + c) / 2
     spread = np.sqrt(np.maximum(0.1, middle**2 - (a * c - b * b)).astype(a.dtype))
-    radius = a.dtype.type(rule.half_sigma) * np.sqrt(middle + spread)
-    radius = np.ceil(radius) if rule.rounded_up else np.round(radius)
+    radius = np.ceil(a.dtype.type(3) * np.sqrt(middle + spread))
     low = np.trunc((mean2d - radius[:, None]) / TILE).astype(int)
-    high = np.trunc((mean2d + radius[:, None] + (TILE - 1)) / TILE).astype(int) + rule.inclusive
+    high = np.trunc((mean2d + radius[:, None] + (TILE - 1)) / TILE).astype(int)
     first, beyond = np.clip(low, 0, (columns, rows)), np.clip(high, 0, (columns, rows))
     beyond[~visible] = first[~visible]
     empty = (beyond <= first).any(axis=1)
@@ -86,10 +65,8 @@ def lists(mean2d, cov2d, depth, visible, height, width, rule=RIGHT, reach=None):
     for i, (x_0, y_0, x_1, y_1) in enumerate(rect.tolist()):
         for y in range(y_0, y_1):
             for x in range(x_0, x_1):
-                if reach is None or reach(i, x, y):
-                    number = x * rows + y if rule.by_columns else y * columns + x
-                    pairs.append((number, int(bits[i]) if rule.sorted else 0, i))
-    pairs.sort(key=lambda pair: (pair[0], pair[1], -pair[2] if rule.ties_reversed else pair[2]))
+                pairs.append((y * columns + x, int(bits[i]), i))
+    pairs.sort()
     tile, _, row = np.array(pairs, np.int64).reshape(-1, 3).T
     edges = np.searchsorted(tile, np.arange(columns * rows + 1))
     return Lists(
@@ -100,19 +77,6 @@ def lists(mean2d, cov2d, depth, visible, height, width, rule=RIGHT, reach=None):
         tile << 32 | bits[row],
         np.stack([edges[:-1], edges[1:]], axis=1).astype(np.int32),
     )
-
-
-def reaches(mean2d, conic, alpha):
-    """The exact test by which other kernels list: some pixel of the tile is not masked."""
-
-    def reach(i, x, y):
-        v, u = np.mgrid[y * TILE : (y + 1) * TILE, x * TILE : (x + 1) * TILE] - mean2d[
-            i, ::-1
-        ].reshape(2, 1, 1)
-        a, b, c = conic[i]
-        return (alpha[i] * np.exp(-0.5 * (a * u * u + c * v * v) - b * u * v) >= MASK).any()
-
-    return reach
 
 
 class Tile(NamedTuple):
@@ -139,7 +103,6 @@ def composite(
     background,
     height,
     width,
-    rule=RIGHT,
     frozen=None,
 ):
     """Return image, transmittance and last, and the tiles.
@@ -151,8 +114,7 @@ def composite(
     image, T_all = np.empty((height, width, 3), dtype), np.empty((height, width), dtype)
     last, tiles = np.zeros((height, width), np.int32), []
     if frozen is None:
-        reach = reaches(mean2d, conic, alpha) if rule.ellipse else None
-        found = lists(mean2d, cov2d, depth, visible, height, width, rule, reach)
+        found = lists(mean2d, cov2d, depth, visible, height, width)
         places = [found.row[start:end] for start, end in found.ranges]
     else:
         places = [tile.rows for tile in frozen]
@@ -165,37 +127,31 @@ def composite(
         falloff = np.exp(np.minimum(-0.5 * (a * e_x**2 + c * e_y**2) - b * e_x * e_y, 0))
         raw = alpha[rows, None] * falloff
         A = np.minimum(raw, dtype.type(ALPHA_MAX))
-        if rule.masked:
-            A = np.where(A < dtype.type(MASK), 0, A).astype(dtype)
+        A = np.where(A < dtype.type(MASK), 0, A).astype(dtype)
         if frozen is not None:
             base = frozen[number]
             A = np.where(base.raw > ALPHA_MAX, ALPHA_MAX + raw - base.raw, raw) * (base.A > 0)
         T, open_ = np.ones(len(u), dtype), np.ones(len(u), bool)
         before = np.empty_like(A)
         for i, layer in enumerate(A):
-            passes = open_ & (T * (1 - layer) < STOP) & rule.stops & (frozen is None)
-            if not rule.draws_before_it_stops:
-                open_ &= ~passes
+            open_ &= (T * (1 - layer) >= STOP) | (frozen is not None)
             layer[~open_] = 0
             before[i] = T
             T = T * (1 - layer)
-            open_ &= ~passes
         weights = A * before
         shape = last[area].shape
         image[area] = (weights.T @ color[rows] + T[:, None] * background).reshape(*shape, 3)
         T_all[area] = T.reshape(shape)
         drawn = (A > 0) * np.arange(1, len(rows) + 1)[:, None]
-        if rule.counts_drawn:
-            drawn = np.cumsum(A > 0, axis=0)
         last[area] = drawn.max(axis=0, initial=0).reshape(shape)
         tiles.append(Tile(rows, area, e_x, e_y, falloff, raw, A, before))
     return (image, T_all, last), tiles
 
 
-def gradients(tiles, T, inputs, image_bar, transmittance_bar, rule=RIGHT):
+def gradients(tiles, T, inputs, image_bar, transmittance_bar):
     """Return the gradients of mean2d, conic, alpha, color and background."""
     found = {name: np.zeros_like(inputs[name]) for name in SPLATS}
-    background, dtype = inputs["background"], inputs["mean2d"].dtype
+    background = inputs["background"]
     for tile in tiles:
         rows, g = tile.rows, image_bar[tile.pixels].reshape(-1, 3)
         h = transmittance_bar[tile.pixels].ravel()
@@ -206,8 +162,6 @@ def gradients(tiles, T, inputs, image_bar, transmittance_bar, rule=RIGHT):
             V[i] -= behind
             behind = behind + tile.A[i] * V[i]
         V *= tile.before * tile.falloff * (tile.A > 0)
-        if not rule.clamp_passes:
-            V *= tile.raw <= dtype.type(ALPHA_MAX)
         np.add.at(found["alpha"], rows, V.sum(axis=1))
         V *= inputs["alpha"][rows, None]  # from here on the gradient of the exponent
         e_x, e_y = tile.e_x, tile.e_y
@@ -219,17 +173,17 @@ def gradients(tiles, T, inputs, image_bar, transmittance_bar, rule=RIGHT):
 
 
 # --- the subjects -------------------------------------------------------------------------------
-def lists_vjp(mean2d, cov2d, depth, visible, height, width, rule=RIGHT):
+def lists_vjp(mean2d, cov2d, depth, visible, height, width):
     """Splats -> which tiles each of them meets, and the sorted lists of all tiles."""
-    return lists(mean2d, cov2d, depth, visible, height, width, rule)._asdict(), no_pullback
+    return lists(mean2d, cov2d, depth, visible, height, width)._asdict(), no_pullback
 
 
-def kernel_vjp(rule=RIGHT, **inputs):
+def kernel_vjp(**inputs):
     """Splats -> image, by the rule of the published kernel."""
-    (image, T, last), tiles = composite(**inputs, rule=rule)
+    (image, T, last), tiles = composite(**inputs)
 
     def pullback(image_bar, transmittance_bar):
-        return gradients(tiles, T, inputs, image_bar, transmittance_bar, rule)
+        return gradients(tiles, T, inputs, image_bar, transmittance_bar)
 
     return {"image": image, "transmittance": T, "last": last}, pullback
 
@@ -266,13 +220,13 @@ def splats_of(x, s, r, camera):
     return splats, (saved_covariance, saved_projection)
 
 
-def stage_vjp(x, s, r, alpha, color, W, T, focal, center, size, background, rule=RIGHT):
+def stage_vjp(x, s, r, alpha, color, W, T, focal, center, size, background):
     """Gaussians at t -> image, by the rule of the published kernel."""
     splats, (saved_covariance, saved_projection) = splats_of(
         x, s, r, camera_of(W, T, focal, center, size)
     )
     looks = dict(alpha=alpha, color=color, background=background)
-    outputs, kernel_pullback = kernel_vjp(rule, **splats, **looks)
+    outputs, kernel_pullback = kernel_vjp(**splats, **looks)
     of_lists = {name: splats[name] for name in LISTED}
 
     def pullback(image_bar, transmittance_bar):
@@ -283,7 +237,7 @@ def stage_vjp(x, s, r, alpha, color, W, T, focal, center, size, background, rule
         bars |= {"x": places["x"], **covariance.backward(saved_covariance, places["Sigma"])}
         return {name: bar.astype(x.dtype, copy=False) for name, bar in bars.items()}
 
-    return {"radius": lists(**of_lists, rule=rule).radius, **outputs}, pullback
+    return {"radius": lists(**of_lists).radius, **outputs}, pullback
 
 
 def of_kernel(x, s, r, alpha, color, W, T, focal, center, size, background):

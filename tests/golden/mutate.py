@@ -14,6 +14,8 @@ from os.path import commonprefix
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 import p4dgs_ref
 from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
 
@@ -147,9 +149,12 @@ def mutations_of(module, equation):
 @cache
 def parsed(module):
     """The top-level statements of a file; the same objects at every call."""
-    return ast.parse(
-        Path(ROOT.parent, *module.split(".")).with_suffix(".py").read_text(encoding="utf-8")
-    ).body
+    return ast.parse(source(module)).body
+
+
+def source(module):
+    """The text of a file of the package."""
+    return Path(ROOT.parent, *module.split(".")).with_suffix(".py").read_text(encoding="utf-8")
 
 
 def owner_of(statement):
@@ -300,6 +305,21 @@ def swaps(items):
 def changed(node, **fields):
     """A copy of a node with other fields."""
     return type(node)(**{**{name: getattr(node, name, None) for name in node._fields}, **fields})
+
+
+def rewritten(module, changes, **names):
+    """Return the names that a file defines with some of its text replaced, {old: new}.
+
+    Every old text must stand in the file once. The new one may use `names`.
+    """
+    text = source(module)
+    for old, new in changes.items():
+        if text.count(old) != 1:
+            raise ValueError(f"{module}: {old!r} stands there {text.count(old)} times, not once")
+        text = text.replace(old, new)
+    scratch = {"__name__": module, "__package__": module.rpartition(".")[0], "np": np, **names}
+    exec(compile(text, f"{module}, rewritten", "exec"), scratch)
+    return scratch
 
 
 # --- putting it there ---------------------------------------------------------------------------

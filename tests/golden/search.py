@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from p4dgs_ref.oracle.precision import cast
+from p4dgs_ref.oracle.published import flatten
 from p4dgs_ref.table import EQUATIONS
 
 from . import quadrature, terms
@@ -49,17 +50,6 @@ class Found(NamedTuple):
     at: dict  # the input {name: array}, with its cotangents
 
 
-def flat(values):
-    """{"weights": [W, V]} -> {"weights.0": W, "weights.1": V}; settings are left out."""
-    found = {}
-    for name, value in values.items():
-        if isinstance(value, list):
-            found.update({f"{name}.{i}": np.asarray(a) for i, a in enumerate(value)})
-        elif isinstance(value, (np.ndarray, np.generic)):
-            found[name] = np.asarray(value)
-    return found
-
-
 def evaluate(eq, inputs, cotangents):
     """Outputs and gradients as flat arrays, gradients with `_bar` after their names."""
     outputs, pullback = eq.vjp(**inputs)
@@ -68,7 +58,7 @@ def evaluate(eq, inputs, cotangents):
 
 def together(outputs, gradients):
     """Outputs and gradients as one dictionary of flat arrays."""
-    return flat({**outputs, **{name + "_bar": a for name, a in gradients.items()}})
+    return flatten({**outputs, **{name + "_bar": a for name, a in gradients.items()}})
 
 
 def truth(key, inputs, cotangents, dtype):

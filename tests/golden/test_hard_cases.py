@@ -44,14 +44,13 @@ def procedures():
 
 
 def test_the_catalogue_is_complete():
-    assert len(catalogue.ROWS) == 43 and len(catalogue.ENTRIES) == 114
-    assert set(catalogue.ROWS) <= {id.split(".")[0] for id in catalogue.ENTRIES}
+    assert len(catalogue.ENTRIES) == 103
 
 
 @pytest.mark.slow
 def test_no_procedure_is_beyond_its_bound(procedures):
     """The hard cases of codec, rendering and training, really run in both precisions."""
-    assert len(procedures) == 2 * 29
+    assert len(procedures) == 2 * 18
     assert all(row["error"] >= 0 and row["bound"] <= 1e-3 for row in procedures)
     failed = [row for row in procedures if row["verdict"] != "ok"]
     assert not [f"{row['id']} {row['dtype']}: {row['error']}" for row in failed]
@@ -60,7 +59,6 @@ def test_no_procedure_is_beyond_its_bound(procedures):
 @pytest.mark.slow
 def test_the_usual_shortcuts_fail_where_procedures_say(procedures):
     literal = {(row["id"], row["dtype"]): row["literal"] for row in procedures}
-    assert literal["H-E9.int16", "float64"] == -32768
     assert abs(literal["H-R7.sum", "float32"] / 2.0037919e8 - 1) > 0.01
 
 

@@ -15,18 +15,14 @@ from p4dgs_ref.oracle.precision import cast
 from tests.golden.mistakes import MISTAKES, NotApplicable
 from tests.golden.mistakes.__main__ import answers, files
 from tests.golden.mistakes.place import in_place
+from tests.golden.mutate import rewritten
 from tests.golden.subjects import subjects
+from tests.sampling import few
 
 CLOSE = 1e-9  # of the largest number in an array
 NOISE = 1e-16  # what is left of a sum that is exactly zero
-# One of eight in the short lane, all in the long one.
-EVERY = pytest.mark.parametrize(
-    "mistake",
-    [
-        pytest.param(mistake, id=mistake.id, marks=[pytest.mark.slow] if i % 16 else [])
-        for i, mistake in enumerate(MISTAKES)
-    ],
-)
+# A few of them in the short lane, others every day; the slow lane has the rest.
+EVERY = pytest.mark.parametrize("mistake", few(MISTAKES, 24), ids=lambda mistake: mistake.id)
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # mistakes divide by zero
 
 
@@ -65,6 +61,12 @@ def test_list():
         assert text.endswith("...") or not text.endswith(".")
 
 
+def test_text_that_does_not_stand_in_the_file_once_is_not_replaced():
+    for old, times in (("no such text", 0), ("def ", 2)):
+        with pytest.raises(ValueError, match=f"'{old}' stands there {times} times"):
+            rewritten("p4dgs_ref.equations.offsets", {old: "x"})
+
+
 @EVERY
 def test_in_the_place_of_the_right_function_it_shows(mistake):
     """Called through the package, the mistake answers what its definition says."""
@@ -100,13 +102,7 @@ def test_it_works_in_float32(mistake):
                 assert a.dtype.kind != "f" or a.dtype in (np.float32, np.float64), name
 
 
-@pytest.mark.parametrize(
-    "key",
-    [
-        pytest.param(key, marks=[pytest.mark.slow] if key in ("projection", "compositing") else [])
-        for key in sorted({mistake.subject for mistake in MISTAKES})
-    ],
-)
+@pytest.mark.parametrize("key", few(sorted({mistake.subject for mistake in MISTAKES}), 5))
 def test_mistakes_differ_from_each_other(key):
     right = [expected(case.tensors) for case in published.cases(key)]
     alike = []

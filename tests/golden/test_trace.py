@@ -7,8 +7,6 @@ import pytest
 from scipy.ndimage import correlate1d
 from scipy.special import log_ndtr
 
-from p4dgs_ref.training.adam import Adam
-from p4dgs_ref.training.parameters import Parameters
 from tests.golden import pipeline, stages, stages_coding
 
 
@@ -186,28 +184,6 @@ def test_every_step_has_its_own_view_and_noise(inputs, trace):
         anew = traced(inputs, **left, views=views[n : n + 1], u=u[n : n + 1])
         for name in (*pipeline.LOSSES, "gradient_norm"):
             assert np.allclose(getattr(anew, name)[0], getattr(trace, name)[n], rtol=1e-13), name
-
-
-def test_adam_is_what_the_trace_says_it_is():
-    rng = np.random.default_rng(5)
-    p, rate, m, v = (
-        Parameters({"a": rng.normal(size=7)}, np.float64),
-        0.02,
-        np.zeros(7),
-        np.zeros(7),
-    )
-    adam, mine = Adam(p), p["a"].copy()
-    for n in range(1, 11):
-        g = p.zeros()
-        g["a"][...] = rng.normal(size=7) * 10.0 ** rng.integers(-12, 3, 7)
-        adam.step(p, g, lambda name: rate)
-        m, v = 0.9 * m + 0.1 * g["a"], 0.999 * v + 0.001 * g["a"] ** 2
-        mine -= (
-            rate
-            * (m / (1 - 0.9**n))
-            / (np.sqrt(v / (1 - 0.999**n)) + 1e-15 / np.sqrt(1 - 0.999**n))
-        )
-    assert np.allclose(p["a"], mine, rtol=1e-12, atol=0)
 
 
 def test_ten_steps_do_not_amplify_rounding(inputs, trace):

@@ -17,7 +17,6 @@ from p4dgs_ref.codec.container import SECTIONS, layout, read_container
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.fixed_point import table
 from p4dgs_ref.equations import grid_nodes
-from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.report import figures as report
 from p4dgs_ref.report.heat import heat_image
@@ -26,9 +25,8 @@ from tests.codec.models import MAKE
 
 
 @pytest.fixture(scope="module")
-def data():
-    scene, stages = load_scene("bouncing"), (20, 30, 60, 100)
-    return p4.encode(p4.train(scene, "smoke", anchors=60, stage_ends=stages))
+def data(trained):
+    return trained.data
 
 
 @pytest.fixture(scope="module", params=MAKE)

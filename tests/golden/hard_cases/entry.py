@@ -1,7 +1,7 @@
 """One entry of the catalogue of hard cases."""
 
 import zlib
-from typing import NamedTuple
+from typing import Callable, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ class Entry(NamedTuple):
     says: str  # what is hard, and what the column "literal" shows
     case: Case | None = None  # None for a procedure, in `procedures` or `coding`
     shown: tuple = ()  # (array, index) of the number in the table
-    literal: str = ""  # the name of a formula in literals.py
+    literal: Callable | None = None  # the usual formula, of inputs and cotangents
     bounds: dict = {}  # {dtype: [of the outputs, of the gradients or None]}, relative
     each: bool = True  # outputs relative to each number, otherwise to the largest of the array
 

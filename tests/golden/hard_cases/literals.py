@@ -34,30 +34,7 @@ def printed_entropy(v):
     return -n_pos * np.log2(n_pos / n) - n_neg * np.log2(n_neg / n)
 
 
-def unclamped_sigma(v):
-    return np.exp(v["biases"][0][5])
-
-
-def step_without_floor(v):
-    return 1 + np.tanh(v["biases"][0][0])
-
-
-def rounded_away(v):
-    """C's round, which rounds ties away from zero."""
-    return np.trunc(v["f"][0, -1] / v["q"][0, 0] + 0.5)
-
-
-def rounded_by_floor(v):
-    return np.floor(v["f"][0, 0] + v["f"].dtype.type(0.5))
-
-
 # --- splatting -----------------------------------------------------------------------------------
-def divided_by_depth(v):
-    return v["x"][0, 0] / v["x"][0, 2]
-
-
-def projected_mean(v):
-    return v["x"][0, 0] / v["x"][0, 2] * v["focal"][0] + v["center"][0]
 
 
 def gradient_of_the_mean_alone(v):
@@ -73,10 +50,6 @@ def conic_by_determinant(v):
     blur = v["Sigma"].dtype.type(0.3)
     a, c = a + blur, c + blur
     return c / (a * c - b * b)
-
-
-def square_of_the_turned_scale(v):
-    return v["s"][0, 1] ** 2
 
 
 def plainly_normalised(v):
@@ -130,10 +103,6 @@ def gradient_by_projection(v):
     return ((bar - d * (d @ bar)) / delta)[0]
 
 
-def scale_by_logarithm(v):
-    return np.exp(np.log(v["s"][0, 0] + v["delta_s"][0, 0]))
-
-
 def network_on_one_row(v):
     """The first number of psi_d, from E(x) and E(t) written side by side."""
     t = np.full((1, 1), v["t"], v["x"].dtype)
@@ -156,14 +125,6 @@ def node_without_clamp(v):
     """Where along x the first anchor would read, counted in nodes."""
     share = (v["x_a"][0, 0] - v["lo"][0]) / (v["hi"][0] - v["lo"][0])
     return float(share * v["resolutions"][0][1])
-
-
-def sign_of_zero(v):
-    return np.sign(v["grids"][0][0, 0])
-
-
-def plain_tanh_slope(v):
-    return 1 - np.tanh(v["biases"][-1][1]) ** 2
 
 
 def plain_sigmoid_slope(v):
@@ -195,12 +156,3 @@ def ssim_by_moments(v):
 
 def one_minus_ssim(v):
     return 1 - v["image"].dtype.type(ssim_by_moments(v))
-
-
-def printed_total(v):
-    return v["L_render"] + v["lambda_rate"] * v["L_rate"]
-
-
-def mean_opacity(v):
-    """The mean over the children that are kept."""
-    return np.divide(v["alpha"][v["mask"]].sum(), np.count_nonzero(v["mask"]))

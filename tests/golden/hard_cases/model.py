@@ -4,6 +4,7 @@ import numpy as np
 
 from p4dgs_ref.lab.random_inputs import random_anchor_network, random_field
 
+from . import literals
 from .entry import hard, procedures
 
 
@@ -15,7 +16,7 @@ def view_entries():
         "an anchor in the camera: a direction 0/0",
         dict(x_a=np.array([[1.0, 2, 3], [1, 2, 5]]), x_c=np.array([1.0, 2, 3])),
         ("d_vc", (0, 0)),
-        "plain_direction",
+        literals.plain_direction,
         ("zero", "kink"),
         smooth=False,
         expected={"delta_vc": np.array([[0.0], [2]]), "d_vc": np.array([[0.0, 0, 0], [0, 0, 1]])},
@@ -26,7 +27,7 @@ def view_entries():
         "an anchor 1e-23 from the camera: squares of differences leave the range of float32",
         dict(x_a=np.array([[3e-23, -4e-23, 1.2e-22], [1e-9, 2e-9, 2e-9]]), x_c=np.zeros(3)),
         ("delta_vc", (0, 0)),
-        "plain_distance",
+        literals.plain_distance,
         ("extreme",),
     )
     yield hard(
@@ -35,7 +36,7 @@ def view_entries():
         "nearly along an axis: 1 - d_x^2 has no digits; literal is (I - d d^T) v",
         dict(x_a=np.array([[4.0, 2.0**-14, -(2.0**-16)], [2.0**-20, -2, 0]]), x_c=np.zeros(3)),
         ("x_a_bar", (0, 0)),
-        "gradient_by_projection",
+        literals.gradient_by_projection,
         ("extreme",),
     )
 
@@ -57,7 +58,7 @@ def motion_entries():
                 delta_r=np.zeros((2, 4)),
             ),
             ("s_t", (0, 0)),
-            "scale_by_logarithm",
+            lambda v: np.exp(np.log(v["s"][0, 0] + v["delta_s"][0, 0])),
             ("negative", "zero"),
             expected={"x_t": np.ones((2, 3)), "s_t": (1 + factor) * s, "r_t": np.eye(4)[:2]},
         )
@@ -70,7 +71,7 @@ def motion_entries():
             f"t = {t:g}: at, before and after the ends of the recording",
             dict(x=x, t=t, **field),
             ("delta_x", (0, 0)),
-            "network_on_one_row",
+            literals.network_on_one_row,
             ("zero",) if t == 0 else ("outside",),
             each=False,
         )
@@ -89,7 +90,7 @@ def motion_entries():
             f"frequencies to 2^{L - 1}; literal doubles the angle L - 1 times",
             dict(p=np.array([[1.29, -0.77], [-1.3, 0.001]]), L=L),
             ("E", (0, -4)),
-            "sine_by_doubling",
+            literals.sine_by_doubling,
             ("extreme",),
             each=False,
         )
@@ -114,7 +115,7 @@ def grid_entries():
                 "an anchor beyond the box or on its upper face; literal is the node it would read",
                 dict(x_a=np.array(x_a), **box, grids=grids, resolutions=resolutions),
                 ("h", (0, 0)),
-                "node_without_clamp",
+                literals.node_without_clamp,
                 ("outside", "clamped"),
                 each=False,
             )
@@ -131,7 +132,7 @@ def grid_entries():
             resolutions=(("xy", 3),),
         ),
         ("h", (0, 0)),
-        "sign_of_zero",
+        lambda v: np.sign(v["grids"][0][0, 0]),
         ("kink", "clamped"),
         smooth=False,
         expected={"h": np.array([[1.0], [1], [1], [-1], [1], [-1]])},
@@ -153,7 +154,7 @@ def image_entries():
             f"{name} images: E[x^2] - E[x]^2 is rounding",
             dict(image=image, truth=other),
             ("ssim", ()),
-            "ssim_by_moments",
+            literals.ssim_by_moments,
             ("single", "zero"),
             value=(1e-12, 2e-6),
             grad=(1e-10, 2e-5),
@@ -167,7 +168,7 @@ def image_entries():
         "images 1e-4 apart: 1 - SSIM has no digits left in float32",
         dict(image=truth + 1e-4 * rng.choice([-1, 1], truth.shape), truth=truth, lambda_ssim=0.25),
         ("D_SSIM", ()),
-        "one_minus_ssim",
+        literals.one_minus_ssim,
         ("zero",),
         value=(1e-10, 2e-4),
         grad=(1e-10, 2e-4),
@@ -183,7 +184,7 @@ def loss_entries():
             f"lambda_rate = {lam:g}",
             dict(L_render=np.float64(0.0625), L_rate=np.float64(2.5), lambda_rate=lam),
             ("L_total", ()),
-            "printed_total",
+            lambda v: v["L_render"] + v["lambda_rate"] * v["L_rate"],
             ("zero", "extreme"),
             expected={
                 "L_total": np.float64(0.0625 + lam * 2.5),
@@ -205,7 +206,7 @@ def loss_entries():
             r=np.ones((3, 2, 4)),
         ),
         ("alpha_bar", (0, 0)),
-        "mean_opacity",
+        lambda v: np.divide(v["alpha"][v["mask"]].sum(), np.count_nonzero(v["mask"])),
         ("masked", "empty"),
         expected={
             "alpha_bar": np.zeros((3, 2)),
@@ -237,7 +238,7 @@ def saturated_entries():
         "the slope of a saturated tanh: literal is 1 - alpha^2",
         inputs,
         ("biases_bar", (-1, 1)),
-        "plain_tanh_slope",
+        lambda v: 1 - np.tanh(v["biases"][-1][1]) ** 2,
         ("saturated",),
     )
     for key in ("color", "scale"):
@@ -251,7 +252,7 @@ def saturated_entries():
             "the slope of a saturated sigmoid: literal is s (1 - s)",
             {**more, **inputs},
             ("biases_bar", (-1, 2)),
-            "plain_sigmoid_slope",
+            literals.plain_sigmoid_slope,
             ("saturated",),
         )
 

@@ -13,7 +13,6 @@ from p4dgs_ref.lab.stability.cases import FILE
 from p4dgs_ref.lab.stability.judge import number, pick
 from p4dgs_ref.oracle.precision import cast
 
-from . import literals
 from .catalogue import ENTRIES
 from .entry import DTYPES
 from .make_constants import stored
@@ -56,7 +55,7 @@ def literal_of(entry, dtype):
     """The result of the literal formula in one precision."""
     given = cast({**entry.case.inputs, **entry.case.cotangents}, dtype)
     with np.errstate(all="ignore"):
-        result = getattr(literals, entry.literal)(given)
+        result = entry.literal(given)
     _, index = entry.shown
     return number(pick(result, index) if np.ndim(result) else result)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from . import literals
 from .entry import hard, procedures
 
 BITS = dict(value=(1e-12, 2e-6), grad=(1e-12, 2e-6))  # what the project promises for Eq. (11)
@@ -23,7 +24,7 @@ def rate_entries():
             f"a bin {z} sigma from mu, on either side: a difference of CDFs close to 0 or 1",
             _bins([z, -z, z, -z], [1, 1, NARROW, NARROW]),
             ("bits", (0, 0)),
-            "printed_bits",
+            literals.printed_bits,
             ("tail", "narrow", "negative"),
             **BITS,
         )
@@ -33,7 +34,7 @@ def rate_entries():
             f"the gradient of a value {z} sigma away: 0/0 where the mass underflows",
             _bins([z, -z], [0.5, 0.5]),
             ("f_noisy_bar", (0, 0)),
-            "printed_gradient",
+            literals.printed_gradient,
             ("tail", "negative"),
             **BITS,
         )
@@ -44,7 +45,7 @@ def rate_entries():
             f"sigma = 2^{power}, bins of a tenth to ten sigma",
             _bins([0.5, 3, -8], [0.1, 1, 10], 2.0**power),
             ("bits", (0, 2)),
-            "printed_bits",
+            literals.printed_bits,
             ("extreme", "tail"),
             **BITS,
         )
@@ -55,7 +56,7 @@ def rate_entries():
             f"a bin of {w:g} sigma about mu: a difference of equal CDFs, or log 1",
             _bins([0, 0.25 if w < 40 else w / 2 - 3], w),
             ("bits", (0, 0)),
-            "printed_bits",
+            literals.printed_bits,
             ("narrow" if w < 1 else "wide", "zero"),
             value=BITS["value"],
             # The two terms of sigma's gradient are w / 2 each and leave about 3 of each other.
@@ -72,7 +73,7 @@ def floor_entries():
         "raw sigma on its clamp and far below: a sigma of 0 divides by 0",
         dict(h=np.zeros((1, 1)), weights=[np.zeros((1, 6))], biases=[raw], widths=(1, 1, 1)),
         ("sigma", (0, 2)),
-        "unclamped_sigma",
+        lambda v: np.exp(v["biases"][0][5]),
         ("clamped", "extreme"),
         smooth=False,
     )
@@ -88,7 +89,7 @@ def floor_entries():
                 Q_0=np.array([1.0, 0.5, 2.0]),
             ),
             ("q", (0, 0)),
-            "step_without_floor",
+            lambda v: 1 + np.tanh(v["biases"][0][0]),
             ("saturated", "clamped"),
         )
     for name, grids in (
@@ -102,7 +103,7 @@ def floor_entries():
             f"signs of the entries of a hash grid: {name}; 0 log 0, 0/0",
             dict(grids=grids),
             ("R_hash", ()),
-            "printed_entropy",
+            literals.printed_entropy,
             ("zero",) if grids[0].size else ("zero", "empty"),
             smooth=False,
             expected={"R_hash": np.float64(0), "grids_bar": [0 * grids[0]]},
@@ -120,7 +121,7 @@ def rounding_entries():
             "ties; literal is C's round, which rounds them away from zero",
             dict(f=ties * q, q=np.array([[q]])),
             ("symbols", (0, 6)),
-            "rounded_away",
+            lambda v: np.trunc(v["f"][0, -1] / v["q"][0, 0] + 0.5),  # C's round
             ("tie", "negative"),
             expected={"symbols": even, "f_hat": even * q},
         )
@@ -134,7 +135,7 @@ def rounding_entries():
         "one ulp of float32 beside ties; literal is floor(f/q + 1/2) in the given precision",
         dict(f=np.stack([below, above]), q=np.ones((2, 1))),
         ("symbols", (0, 0)),
-        "rounded_by_floor",
+        lambda v: np.floor(v["f"][0, 0] + v["f"].dtype.type(0.5)),
         ("tie",),
         expected={"symbols": symbols, "f_hat": symbols.astype(float)},
     )

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from . import literals
 from .entry import hard, procedures, single
 
 VIEW = dict(
@@ -44,7 +45,7 @@ def depth_entries():
             **VIEW,
         ),
         ("mean2d", (0, 0)),
-        "divided_by_depth",
+        lambda v: v["x"][0, 0] / v["x"][0, 2],
         ("behind", "zero"),
         smooth=False,
         expected=culled,
@@ -56,7 +57,7 @@ def depth_entries():
         "one ulp beyond the near plane",
         dict(x=np.array([[0.0625, -0.125, beyond]]), Sigma=FLAT[None], **VIEW),
         ("mean2d", (0, 0)),
-        "projected_mean",
+        lambda v: v["x"][0, 0] / v["x"][0, 2] * v["focal"][0] + v["center"][0],
         ("behind",),
     )
     far = np.array([[40.0, 0.25, 2], [-40, 0.25, 2], [0.25, -90, 4], [50, 60, 0.5]])
@@ -67,7 +68,7 @@ def depth_entries():
         "far outside the view, where the Jacobian's x/z is clamped; literal forgets its gradient",
         dict(x=far, Sigma=L @ L.transpose(0, 2, 1), **VIEW),
         ("x_bar", (0, 2)),
-        "gradient_of_the_mean_alone",
+        literals.gradient_of_the_mean_alone,
         ("clamped", "outside"),
         value=(1e-12, 1e-5),
         grad=(1e-11, 1e-5),
@@ -85,7 +86,7 @@ def shape_entries():
             f"a splat {name} px long, {short**0.5:g} px thin, at 40 degrees: a c - b^2 in float32",
             dict(x=np.zeros((1, 3)), Sigma=_symmetric((R * [long, short, 1]) @ R.T)[None], **NEAR),
             ("conic", (0, 0)),
-            "conic_by_determinant",
+            literals.conic_by_determinant,
             ("extreme",),
             value=(1e-7, 1e-6),
             grad=(1e-7, 1e-6),
@@ -99,7 +100,7 @@ def shape_entries():
             f"a scale of {name}: the splat is the blur alone, or overflows and is culled",
             dict(x=np.zeros((1, 3)), Sigma=np.where(Sigma < 3e38, Sigma, 3e38)[None], **NEAR),
             ("conic", (0, 0)),
-            "conic_by_determinant",
+            literals.conic_by_determinant,
             ("extreme", "zero"),
             value=(1e-12, 1e-6),
             grad=(1e-12, 1e-6),
@@ -131,7 +132,7 @@ def turned_entries():
             f"scales of {s:g} beside 2 and 3",
             dict(s=np.array([[s, 2, 3]]), r=np.array([[0.5, 0.5, -0.5, 0.5]])),
             ("Sigma", (0, 0, 0)),
-            "square_of_the_turned_scale",
+            lambda v: v["s"][0, 1] ** 2,
             ("extreme", "zero"),
             each=False,
         )
@@ -152,7 +153,7 @@ def turned_entries():
             "a quaternion that is 0, tiny, long, or nearly an axis; literal is r / sqrt(sum r^2)",
             dict(**still, r=np.array([r], float), delta_r=np.array([delta], float)),
             ("r_t", (0, 1)),
-            "plainly_normalised",
+            literals.plainly_normalised,
             ("normalise", "extreme"),
         )
     yield from procedures(
@@ -194,7 +195,7 @@ def layer_entries():
             "an opacity on either side of its clamp, 0 or 1; literal is the gradient without clamp",
             _layers(alpha),
             ("alpha_bar", (0,)),
-            "gradient_without_clamp",
+            literals.gradient_without_clamp,
             ("clamped", "opaque"),
             value=(1e-13, 2e-5),
             grad=(1e-13, 2e-5),
@@ -206,7 +207,7 @@ def layer_entries():
             f"{n} layers of alpha {name}: T underflows; literal recovers each T by division",
             {**_layers(alpha, n), "color": np.linspace(0, 1, 3 * n).reshape(n, 3)},
             ("alpha_bar", (0,)),
-            "gradient_by_division",
+            literals.gradient_by_division,
             ("opaque",),
             value=(1e-13, 1e-4),
             grad=(1e-12, 1e-4),
@@ -218,7 +219,7 @@ def layer_entries():
         "equal depths: front to back by index; literal sorts unstably, here last first",
         {**_layers(0.5, 5, np.array([2.0, 1, 2, 1, 2])), "color": colors},
         ("image", (0, 0, 0)),
-        "ties_in_reverse",
+        literals.ties_in_reverse,
         ("order",),
         value=(1e-13, 1e-5),
         grad=(1e-13, 1e-5),

@@ -3,11 +3,9 @@
 import numpy as np
 
 from p4dgs_ref.equations import mlp
-from p4dgs_ref.equations.deformation_d3dgs import skip_layer
-from p4dgs_ref.lab.baselines.plane_features import AXES
 from tests.golden.mistakes.kit import (
-    NotApplicable,
     bars_of,
+    edited,
     inverse,
     known,
     no_gradient,
@@ -16,36 +14,7 @@ from tests.golden.mistakes.kit import (
 )
 from tests.golden.mistakes.motion import exchanged, exchanged_bar
 
-
 # --- D1 -----------------------------------------------------------------------------------------
-def unnormalised(given, cotangents):
-    out, in_bar = port("activations")(given, cotangents)
-    return {**out, "r": given["raw_r"]}, {**in_bar, "raw_r": cotangents["r_bar"]}
-
-
-def turned_back(along_the_length):
-    """`run` with the right r, whose gradient is r_bar times along_the_length(raw_r)."""
-
-    def run(given, cotangents):
-        out, in_bar = port("activations")(given, cotangents)
-        factor = along_the_length(given["raw_r"])
-        return out, {**in_bar, "raw_r": cotangents["r_bar"] * factor}
-
-    return run
-
-
-def slope_missing(given, cotangents):
-    out, in_bar = port("activations")(given, cotangents)
-    return out, {**in_bar, "logit_alpha": cotangents["alpha_bar"]}
-
-
-def as_tanh(given, cotangents):
-    out, in_bar = port("activations")(given, cotangents)
-    alpha = np.tanh(given["logit_alpha"])
-    return {**out, "alpha": alpha}, {
-        **in_bar,
-        "logit_alpha": cotangents["alpha_bar"] * (1 - alpha**2),
-    }
 
 
 ACTIVATIONS = [
@@ -63,30 +32,46 @@ ACTIVATIONS = [
         inputs={"log_s": lambda log_s: log_s / 2},
         inputs_bar={"log_s": lambda bar, _: bar / 2},
     ),
-    surgery(
+    edited(
         "activations",
         "activations-not-normalised",
         "the quaternion is not normalised",
-        unnormalised,
+        {
+            "r, norm = normalise(raw_r)": "r, norm = raw_r, None",
+            "normalise_backward(r, norm, r_bar)": "r_bar",
+        },
     ),
-    surgery(
+    edited(
         "activations",
         "activations-gradient-not-normalised",
         "the gradient of the quaternion passes its normalisation unchanged",
-        turned_back(lambda raw_r: 1),
+        {"normalise_backward(r, norm, r_bar)": "r_bar"},
     ),
-    surgery(
+    edited(
         "activations",
         "activations-gradient-not-projected",
         "backward takes the length of the quaternion for a constant",
-        turned_back(lambda raw_r: 1 / np.linalg.norm(raw_r, axis=1, keepdims=True)),
+        {
+            "(s, r, norm, logit_alpha)": (
+                "(s, r, np.linalg.norm(raw_r, axis=1, keepdims=True), logit_alpha)"
+            ),
+            "normalise_backward(r, norm, r_bar)": "r_bar * (1 / norm)",
+        },
     ),
-    surgery("activations", "activations-tanh", "alpha is tanh of the logit", as_tanh),
-    surgery(
+    edited(
+        "activations",
+        "activations-tanh",
+        "alpha is tanh of the logit",
+        {
+            "r, sigmoid(logit_alpha))": "r, np.tanh(logit_alpha))",
+            "alpha_bar * sigmoid_slope(logit_alpha)": "alpha_bar * (1 - np.tanh(logit_alpha) ** 2)",
+        },
+    ),
+    edited(
         "activations",
         "activations-gradient-no-sigmoid",
         "the gradient of the logit lacks the slope of the sigmoid",
-        slope_missing,
+        {"alpha_bar * sigmoid_slope(logit_alpha)": "alpha_bar"},
     ),
 ]
 
@@ -157,18 +142,12 @@ def unit_direction(given, cotangents):
     return out, {**in_bar, "d": (in_bar["d"] - unit * along) / length}
 
 
-def first_slope(bar, sh):
-    factor = np.ones(sh.shape[2], sh.dtype)
-    factor[1:2] = np.sqrt(1 / 3)  # C_0 / C_1
-    return bar * factor
-
-
 SH_COLOR = [
-    known(
+    edited(
         "sh_color",
         "sh-color-no-half",
         "1/2 is not added",
-        inputs={"sh": raised(-0.5)},
+        {"raw = 0.5 + np.einsum": "raw = np.einsum"},
     ),
     surgery(
         "sh_color",
@@ -221,105 +200,65 @@ SH_COLOR = [
         "the direction receives no gradient",
         inputs_bar={"d": no_gradient},
     ),
-    known(
+    edited(
         "sh_color",
         "sh-color-first-slope",
         "the gradient of coefficient 1 has C_0 instead of C_1, as in the kernel of 4DGS",
-        inputs_bar={"sh": first_slope},
+        {
+            '"sh": raw_bar[:, :, None] * Y[:, None, :]': (
+                '"sh": raw_bar[:, :, None] * Y[:, None, :] * np.where(np.arange(Y.shape[1]) '
+                "== 1, C_0 / C_1, 1)"
+            )
+        },
     ),
 ]
 
 
 # --- D3 -----------------------------------------------------------------------------------------
-def layer_changed(tree, layer, change):
-    weights = list(tree["weights"])
-    weights[layer] = change(weights[layer])
-    return {**tree, "weights": weights}
-
-
-def skip_of(given):
-    skip = skip_layer(given["weights"])
-    if not skip:
-        raise NotApplicable
-    return skip, given["weights"][skip - 1].shape[1]  # the layer, and the columns before it
-
-
-def hidden_first(given):
-    """The rows of the skip's layer for a port that feeds it (h, inputs)."""
-    skip, width = skip_of(given)
-    return layer_changed(given, skip, lambda W: np.roll(W, -width, axis=0))
-
-
-def hidden_first_bar(bars, given):
-    skip, width = skip_of(given)
-    return layer_changed(bars, skip, lambda W: np.roll(W, width, axis=0))
-
-
-def time_first(tree, given, back=False):
-    """The rows of both layers that see the inputs, for a port that has the time before E(x)."""
-    width = 3 * (1 + 2 * given["L_x"])
-    columns = len(given["weights"][0])
-    order = np.concatenate([np.arange(columns - width, columns), np.arange(columns - width)])
-    order = inverse(order) if back else order
-
-    def rows(W):
-        return np.concatenate([W[:columns][order], W[columns:]])
-
-    found = layer_changed(tree, 0, rows)
-    skip = skip_layer(given["weights"])
-    return layer_changed(found, skip, rows) if skip else found
-
-
-def with_last_relu(given):
-    if not given["time_weights"]:
-        raise NotApplicable
-    n = given["time_weights"][-1].shape[1]
-    dtype = given["x"].dtype
-    return {
-        **given,
-        "time_weights": [*given["time_weights"], np.eye(n, dtype=dtype)],
-        "time_biases": [*given["time_biases"], np.zeros(n, dtype)],
-    }
-
-
-def mean_over_rows(bars, given):
-    if not given["time_weights"]:
-        raise NotApplicable
-    names = ("time_weights", "time_biases")
-    return {**bars, **{name: [a / len(given["x"]) for a in bars[name]] for name in names}}
 
 
 DEFORMATION_D3DGS = [
-    known(
+    edited(
         "deformation_d3dgs",
         "d3dgs-skip-order",
         "the layer of the skip sees (h, inputs) instead of (inputs, h)",
-        inputs=hidden_first,
-        inputs_bar=hidden_first_bar,
+        {
+            "np.concatenate([inputs, hidden], axis=1)": "np.concatenate([hidden, inputs], axis=1)",
+            'inputs_bar = after["x"][:, :width]': 'inputs_bar = after["x"][:, -width:]',
+            'after["x"][:, width:] * (hidden > 0)': 'after["x"][:, :-width] * (hidden > 0)',
+        },
     ),
-    known(
+    edited(
         "deformation_d3dgs",
         "d3dgs-time-first",
         "the inputs are (psi_t(E(t)), E(x)) instead of (E(x), psi_t(E(t)))",
-        inputs=lambda given: time_first(given, given),
-        inputs_bar=lambda bars, given: time_first(bars, given, back=True),
+        {
+            "np.concatenate([E_x, every_row], axis=1)": "np.concatenate([every_row, E_x], axis=1)",
+            "inputs_bar[:, width_x:].sum(": "inputs_bar[:, :-width_x].sum(",
+            "E_x_bar = inputs_bar[:, :width_x]": "E_x_bar = inputs_bar[:, -width_x:]",
+        },
     ),
-    known(
+    edited(
         "deformation_d3dgs",
         "d3dgs-time-relu",
         "a ReLU follows the last layer of psi_t",
-        inputs=with_last_relu,
-        inputs_bar=lambda bars, given: {
-            **bars,
-            "time_weights": bars["time_weights"][:-1],
-            "time_biases": bars["time_biases"][:-1],
+        {
+            "np.broadcast_to(seen_time, (len": (
+                "np.broadcast_to(np.maximum(seen_time, 0) if time_weights else seen_time, (len"
+            ),
+            "saved = saved_encoding, saved_time, saved_before,": (
+                "saved = saved_encoding, saved_time and (saved_time, seen_time > 0), saved_before,"
+            ),
+            "mlp.backward(saved_time, seen_time_bar, needs_x=False)": (
+                "mlp.backward(saved_time[0], seen_time_bar * saved_time[1], needs_x=False)"
+            ),
         },
     ),
-    known(
+    edited(
         "deformation_d3dgs",
         "d3dgs-time-gradient-mean",
         "the gradient of psi_t is the mean over the Gaussians instead of the sum",
-        inputs_bar=mean_over_rows,
+        {"inputs_bar[:, width_x:].sum(": "inputs_bar[:, width_x:].mean("},
     ),
     known(
         "deformation_d3dgs",
@@ -338,74 +277,6 @@ DEFORMATION_D3DGS = [
 
 
 # --- H1 -----------------------------------------------------------------------------------------
-def on_nodes(u, n):
-    """Nodes 0 and n - 1 at the two ends, as with align_corners."""
-    return u * (n - 1), float(n - 1)
-
-
-def on_cells(u, n):
-    """Every node in the middle of a cell, as without align_corners."""
-    return np.clip(u * n - 0.5, 0, n - 1), n * ((u * n > 0.5) & (u * n < n - 0.5))
-
-
-def hexplane(position=on_nodes, axes=AXES, time=lambda t: t, inside=True, divided=False, add=False):
-    """`run` of the features with some steps changed."""
-
-    def run(given, cotangents):
-        x, lo, hi, planes = (given[name] for name in ("x", "lo", "hi", "planes"))
-        extent = np.where(hi > lo, hi - lo, 1).astype(x.dtype)
-        u = np.concatenate(
-            [(x - lo) / extent, np.full((len(x), 1), time(given["t"]), x.dtype)], axis=1
-        )
-        passes = (u > 0) & (u < 1) if inside else np.ones(u.shape, bool)
-        u = np.clip(u, 0, 1)
-        readings = [
-            reading(P, *(u[:, axis] for axis in axes[i % 6]), position)
-            for i, P in enumerate(planes)
-        ]
-        bars = np.split(bars_of(cotangents)["features"], len(planes) // 6, axis=1)
-        features, u_bar, planes_bar = [], np.zeros_like(u), []
-        for level, bar in enumerate(bars):
-            own = readings[6 * level : 6 * level + 6]
-            values = np.array([value for value, _ in own])
-            features.append(values.sum(axis=0) if add else values.prod(axis=0))
-            for i, (value, pull) in enumerate(own):
-                others = np.delete(values, i, axis=0).prod(axis=0)
-                if divided:
-                    others = values.prod(axis=0) / value
-                P_bar, *coordinates = pull(bar if add else bar * others)
-                planes_bar.append(P_bar)
-                for axis, coordinate in zip(axes[i], coordinates):
-                    u_bar[:, axis] += coordinate
-        x_bar = (u_bar * passes)[:, :3] / extent
-        return {"features": np.concatenate(features, axis=1)}, {"x": x_bar, "planes": planes_bar}
-
-    return run
-
-
-def reading(P, u, v, position):
-    """A bilinear reading [N, F] of a plane, and its pullback."""
-    I, J, F = P.shape
-    (row, row_slope), (column, column_slope) = position(u, I), position(v, J)
-    i, j = row.astype(int), column.astype(int)
-    a, b = (row - i)[:, None], (column - j)[:, None]
-    k, m = np.minimum(i + 1, I - 1), np.minimum(j + 1, J - 1)
-    corners = ((i, j), (1 - a) * (1 - b)), ((i, m), (1 - a) * b), ((k, j), a * (1 - b))
-    corners = *corners, ((k, m), a * b)
-
-    def pull(bar):
-        P_bar = np.zeros_like(P)
-        for at, weight in corners:
-            np.add.at(P_bar, at, weight * bar)
-        down = (1 - b) * (P[k, j] - P[i, j]) + b * (P[k, m] - P[i, m])
-        right = (1 - a) * (P[i, m] - P[i, j]) + a * (P[k, m] - P[k, j])
-        return (
-            P_bar,
-            (down * bar).sum(axis=1) * row_slope,
-            (right * bar).sum(axis=1) * column_slope,
-        )
-
-    return sum(weight * P[at] for at, weight in corners), pull
 
 
 def stored(forth, back):
@@ -416,47 +287,62 @@ def stored(forth, back):
     )
 
 
-def extent_of(given):
-    return np.where(given["hi"] > given["lo"], given["hi"] - given["lo"], 1)
-
-
-COMBINATIONS = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))  # xy xz xt yz yt zt
 PLANE_FEATURES = [
-    surgery(
+    edited(
         "plane_features",
         "planes-cell-centres",
         "nodes are in the middle of cells (align_corners off); they span the box from end to end",
-        hexplane(on_cells),
+        {
+            "u[np.resize(AXES, nodes.shape)] * last.astype(u.dtype)": (
+                "np.clip(u[np.resize(AXES, nodes.shape)] * (last + 1) - 0.5, 0, "
+                "last).astype(u.dtype)"
+            ),
+            "(u > 0) & (u < 1), index": "u, index",
+            "extent, inside, index": "extent, u, index",
+            "u_bar[axis] += (n - 1) * position_bar[p]": (
+                "u_bar[axis] += n * position_bar[p] * (u[axis] * n > 0.5) * (u[axis] * n < n - 0.5)"
+            ),
+            "(u_bar * inside)": "(u_bar * ((u > 0) & (u < 1)))",
+        },
     ),
-    surgery(
+    edited(
         "plane_features",
         "planes-half-of-the-time",
         "t is read on the axis from -1 to 1, so that the first half of the nodes is never read",
-        hexplane(time=lambda t: (t + 1) / 2),
+        {"np.full((N, 1), t, x.dtype)": "np.full((N, 1), (t + 1) / 2, x.dtype)"},
     ),
-    surgery(
+    edited(
         "plane_features",
         "planes-order",
         "the planes are taken in the order xy, xz, xt, yz, yt, zt",
-        hexplane(axes=COMBINATIONS),
+        {
+            "AXES = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))": (
+                "AXES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "plane_features",
         "planes-added",
         "the planes of a level are added instead of multiplied",
-        hexplane(add=True),
+        {
+            "values.prod(axis=1)]": "values.sum(axis=1)]",
+            "np.stack(others, axis=1) * levels_bar[:, None]": (
+                "np.ones_like(values) * levels_bar[:, None]"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "plane_features",
         "planes-gradient-at-the-border",
         "a coordinate on or beyond a face keeps the slope of the last cell",
-        hexplane(inside=False),
+        {"(u_bar * inside)": "u_bar"},
     ),
-    surgery(
+    edited(
         "plane_features",
         "planes-gradient-by-division",
         "the gradient of a plane is the product divided by its own value, 0/0 where that is 0",
-        hexplane(divided=True),
+        {"np.stack(others, axis=1)": "values.prod(axis=1)[:, None] / values"},
     ),
     known(
         "plane_features",
@@ -476,11 +362,11 @@ PLANE_FEATURES = [
             lambda bar, P: bar.transpose(2, 1, 0).reshape(P.shape),
         ),
     ),
-    known(
+    edited(
         "plane_features",
         "planes-gradient-not-scaled",
         "the gradient of x lacks the division by the extent of the box",
-        inputs_bar=lambda bars, given: {**bars, "x": bars["x"] * extent_of(given)},
+        {".T / extent,": ".T,"},
     ),
     known(
         "plane_features",
@@ -495,56 +381,42 @@ PLANE_FEATURES = [
 DELTAS = ("delta_x", "delta_log_s", "delta_raw_r")
 
 
-def decoder(before=True, within=True, kept=slice(None)):
-    """`run` with or without the ReLUs before and within the heads; `kept` heads move h."""
-
-    def run(given, cotangents):
-        weights, biases, bars = given["weights"], given["biases"], bars_of(cotangents)
-        y, saved = mlp.forward(given["features"], weights[:-6], biases[:-6])
-        h = np.maximum(y, 0) if before else y
-        out, heads = {}, []
-        for name, i in zip(DELTAS, range(len(weights) - 6, len(weights), 2)):
-            inner = h @ weights[i] + biases[i]
-            z = np.maximum(inner, 0) if within else inner
-            out[name] = z @ weights[i + 1] + biases[i + 1]
-            bar = bars[name]
-            z_bar = bar @ weights[i + 1].T * ((inner > 0) if within else 1)
-            heads.append(
-                (
-                    z_bar @ weights[i].T,
-                    [h.T @ z_bar, z.T @ bar],
-                    [z_bar.sum(axis=0), bar.sum(axis=0)],
-                )
-            )
-        h_bar = sum(head[0] for head in heads[kept])
-        trunk = mlp.backward(saved, h_bar * (y > 0) if before else h_bar)
-        return out, {
-            "features": trunk["x"],
-            "weights": trunk["weights"] + [W for head in heads for W in head[1]],
-            "biases": trunk["biases"] + [b for head in heads for b in head[2]],
-        }
-
-    return run
+def linear_heads(given, cotangents):
+    """Every head is one layer after the other, without the ReLU between them."""
+    weights, biases, bars = given["weights"], given["biases"], bars_of(cotangents)
+    y, saved = mlp.forward(given["features"], weights[:-6], biases[:-6])
+    h, out, h_bar = np.maximum(y, 0), {}, 0
+    weights_bar, biases_bar = [], []
+    for name, i in zip(DELTAS, range(len(weights) - 6, len(weights), 2)):
+        z = h @ weights[i] + biases[i]
+        out[name] = z @ weights[i + 1] + biases[i + 1]
+        z_bar = bars[name] @ weights[i + 1].T
+        weights_bar += [h.T @ z_bar, z.T @ bars[name]]
+        biases_bar += [z_bar.sum(axis=0), bars[name].sum(axis=0)]
+        h_bar = h_bar + z_bar @ weights[i].T
+    trunk = mlp.backward(saved, h_bar * (y > 0))
+    weights_bar, biases_bar = trunk["weights"] + weights_bar, trunk["biases"] + biases_bar
+    return out, {"features": trunk["x"], "weights": weights_bar, "biases": biases_bar}
 
 
 PLANE_DECODER = [
-    surgery(
+    edited(
         "plane_decoder",
         "decoder-no-relu",
         "no ReLU follows phi: the heads see phi(features) itself",
-        decoder(before=False),
+        {"h = np.maximum(before, 0)": "h = before", "h_bar * (before > 0)": "h_bar"},
     ),
     surgery(
         "plane_decoder",
         "decoder-heads-linear",
         "the heads have no ReLU between their two layers",
-        decoder(within=False),
+        linear_heads,
     ),
-    surgery(
+    edited(
         "plane_decoder",
         "decoder-gradient-of-one-head",
         "h receives the gradient of the last head alone instead of the sum of all three",
-        decoder(kept=slice(2, 3)),
+        {'sum(head["x"] for head in heads)': 'heads[-1]["x"]'},
     ),
     known(
         "plane_decoder",
@@ -561,139 +433,109 @@ def swapped(tree):
 
 
 # --- H3 -----------------------------------------------------------------------------------------
-def difference(n, axis):
-    """The mean square of n-th differences, and its slope."""
-
-    def term(P):
-        d = np.diff(P, n, axis)
-        slope = 2 * d / max(d.size, 1)
-        zero = P.dtype.type(0)
-        for _ in range(n):
-            slope = -np.diff(slope, axis=axis, prepend=zero, append=zero)
-        return (d * d).sum() / max(d.size, 1), slope
-
-    return term
-
-
-def total(n, axis):
-    """The sum of the squares instead of their mean."""
-
-    def term(P):
-        size = max(np.diff(P, n, axis).size, 1)
-        value, slope = difference(n, axis)(P)
-        return value * size, slope * size
-
-    return term
-
-
-def one_sided(n, axis):
-    """The same value; the slope reaches only the last node of every difference."""
-
-    def term(P):
-        value, _ = difference(n, axis)(P)
-        slope = np.zeros_like(P)
-        d = np.diff(P, n, axis)
-        at = (slice(None),) * axis + (slice(n, None),)
-        slope[at] = 2 * d / max(d.size, 1)
-        return value, slope
-
-    return term
-
-
-def away_from_one(P):
-    return np.abs(P - 1).mean(), np.sign(P - 1) / P.size
-
-
-def square_from_one(P):
-    return ((P - 1) ** 2).mean(), 2 * (P - 1) / P.size
-
-
-RIGHT = {
-    "L_space": (difference(1, 0), difference(1, 1)),
-    "L_time": (difference(2, 1),),
-    "L_one": (away_from_one,),
-}
-
-
-def rough(everywhere=(), share=False, **terms):
-    """`run` with other terms of a loss; `share` divides the losses by the number of planes."""
-    terms = {**RIGHT, **terms}
-
-    def run(given, cotangents):
-        planes, bars = given["planes"], bars_of(cotangents)
-        out = {name: np.zeros((), planes[0].dtype) for name in terms}
-        planes_bar = [np.zeros_like(P) for P in planes]
-        for i, P in enumerate(planes):
-            for name in terms:
-                if name in everywhere or (i % 6 < 3) == (name == "L_space"):
-                    for term in terms[name]:
-                        value, slope = term(P)
-                        by = P.dtype.type(2 / len(planes) if share else 1)
-                        out[name] = out[name] + by * value
-                        planes_bar[i] = planes_bar[i] + bars[name] * by * slope
-        return out, {"planes": planes_bar}
-
-    return run
 
 
 PLANE_LOSSES = [
-    surgery(
+    edited(
         "plane_losses",
         "plane-losses-sums",
         "the losses are sums over the nodes of a plane instead of means",
-        rough(
-            L_space=(total(1, 0), total(1, 1)),
-            L_time=(total(2, 1),),
-            L_one=(lambda P: (np.abs(P - 1).sum(), np.sign(P - 1)),),
-        ),
+        {
+            "(d * d).sum() / max(d.size, 1)": "(d * d).sum()",
+            "slope *= 2 / max(slope.size, 1)": "slope *= 2",
+            "np.abs(plane - 1).mean()": "np.abs(plane - 1).sum()",
+            "np.sign(plane - 1) / plane.size": "np.sign(plane - 1)",
+        },
     ),
-    surgery(
+    edited(
         "plane_losses",
         "plane-losses-smooth-space",
         "L_space has second differences along the second axis alone, as the authors' code",
-        rough(L_space=(difference(2, 1),)),
+        {
+            "roughness(plane, 1, axis=0) + roughness(plane, 1, axis=1)": (
+                "roughness(plane, 2, axis=1)"
+            ),
+            "roughness_slope(plane, 1, axis=0) + roughness_slope(plane, 1, axis=1)": (
+                "roughness_slope(plane, 2, axis=1)"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "plane_losses",
         "plane-losses-one-axis",
         "L_space has the differences along the second axis alone",
-        rough(L_space=(difference(1, 1),)),
+        {
+            "roughness(plane, 1, axis=0) + roughness(plane, 1, axis=1)": (
+                "roughness(plane, 1, axis=1)"
+            ),
+            "roughness_slope(plane, 1, axis=0) + roughness_slope(plane, 1, axis=1)": (
+                "roughness_slope(plane, 1, axis=1)"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "plane_losses",
         "plane-losses-first-differences",
         "L_time has first differences instead of second ones",
-        rough(L_time=(difference(1, 1),)),
+        {
+            "losses[1] += roughness(plane, 2, axis=1)": "losses[1] += roughness(plane, 1, axis=1)",
+            "L_time_bar * roughness_slope(plane, 2, axis=1)": (
+                "L_time_bar * roughness_slope(plane, 1, axis=1)"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "plane_losses",
         "plane-losses-axis-of-time",
         "L_time runs along the first axis, which is in space",
-        rough(L_time=(difference(2, 0),)),
+        {
+            "losses[1] += roughness(plane, 2, axis=1)": "losses[1] += roughness(plane, 2, axis=0)",
+            "L_time_bar * roughness_slope(plane, 2, axis=1)": (
+                "L_time_bar * roughness_slope(plane, 2, axis=0)"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "plane_losses",
         "plane-losses-all-planes",
         "L_one takes the planes in space, too",
-        rough(everywhere=("L_one",)),
+        {
+            "losses[0] += roughness(plane, 1, axis=0) + roughness(plane, 1, axis=1)": (
+                "losses[::2] += roughness(plane, 1, axis=0) + roughness(plane, 1, axis=1), "
+                "np.abs(plane - 1).mean()"
+            ),
+            "L_space_bar * slope": (
+                "L_space_bar * slope + L_one_bar * np.sign(plane - 1) / plane.size"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "plane_losses",
         "plane-losses-mean-of-planes",
         "the losses are means over the planes instead of sums",
-        rough(share=True),
+        {
+            "tuple(losses), planes": "tuple(losses * (2 / len(planes))), planes",
+            '{"planes": planes_bar}': '{"planes": [bar * (2 / len(planes)) for bar in planes_bar]}',
+        },
     ),
-    surgery(
+    edited(
         "plane_losses",
         "plane-losses-squared",
         "L_one is the mean of (P - 1)^2",
-        rough(L_one=(square_from_one,)),
+        {
+            "np.abs(plane - 1).mean()": "np.square(plane - 1).mean()",
+            "np.sign(plane - 1)": "2 * (plane - 1)",
+        },
     ),
-    surgery(
+    edited(
         "plane_losses",
         "plane-losses-gradient-one-sided",
         "the gradient of a difference reaches only the last of its nodes",
-        rough(L_space=(one_sided(1, 0), one_sided(1, 1)), L_time=(one_sided(2, 1),)),
+        {
+            "-np.diff(slope, axis=axis, prepend=zero, append=zero)": (
+                "np.insert(slope, 0, 0, axis=axis)"
+            ),
+        },
     ),
 ]
 
@@ -797,8 +639,8 @@ ROTATION_4D = [
 def schur(shape=1, velocity=1):
     """`run` with Sigma_t = A - b b^T / var_t**shape and x_t = x + b (t - mu_t) / var_t**velocity.
 
-    With `shape` None nothing is subtracted from A. An output that keeps its power 1, and what it
-    gives to the gradients, is that of the right function.
+    An output that keeps its power 1, and what it gives to the gradients, is that of the right
+    function.
     """
 
     def run(given, cotangents):
@@ -810,12 +652,11 @@ def schur(shape=1, velocity=1):
         Sigma_bar, mu_t_bar, changed = np.zeros_like(Sigma), 0, {}
         if shape != 1:
             G = bars.pop("Sigma_t_bar")
-            factor = 0 * var if shape is None else var**-shape
+            factor = var**-shape
             changed["Sigma_t"] = Sigma[:, :3, :3] - factor[:, None, None] * outer(b, b)
             Sigma_bar[:, :3, :3] += G
             Sigma_bar[:, :3, 3] -= factor[:, None] * times(G + np.swapaxes(G, 1, 2), b)
-            if shape is not None:
-                Sigma_bar[:, 3, 3] += shape * factor / var * (b * times(G, b)).sum(axis=1)
+            Sigma_bar[:, 3, 3] += shape * factor / var * (b * times(G, b)).sum(axis=1)
         if velocity != 1:
             bar, factor = bars.pop("x_t_bar"), var[:, None] ** -velocity
             changed["x_t"] = given["x"] + b * factor * since
@@ -842,13 +683,6 @@ def outer(a, b):
 
 def times(matrices, vectors):
     return (matrices @ vectors[:, :, None])[:, :, 0]
-
-
-def shape_alone(given, cotangents):
-    out, in_bar = port("conditional")(given, cotangents)
-    none = np.zeros_like(cotangents["x_t_bar"])
-    _, still = port("conditional")(given, {**cotangents, "x_t_bar": none})
-    return out, {**in_bar, "s": still["s"], "R": still["R"]}
 
 
 CONDITIONAL = [
@@ -881,11 +715,19 @@ CONDITIONAL = [
         outputs_bar={"x_t": lambda bar, _: -bar},
         inputs_bar={"x": lambda bar, _: -bar},
     ),
-    surgery(
+    edited(
         "conditional",
         "conditional-marginal-shape",
         "Sigma_t is the block A itself: b b^T / var_t is not subtracted",
-        schur(shape=None),
+        {
+            "Y @ Y.transpose(0, 2, 1), duration": (
+                "M[:, :3] @ M[:, :3].transpose(0, 2, 1), duration"
+            ),
+            "(Sigma_t_bar + Sigma_t_bar.transpose(0, 2, 1)) @ Y": (
+                "(Sigma_t_bar + Sigma_t_bar.transpose(0, 2, 1)) @ (R * s[:, None, :])[:, :3]"
+            ),
+            "velocity, M_bar[:, :3])": "velocity, pull[:, :, None] * unit[:, None, :])",
+        },
     ),
     surgery(
         "conditional",
@@ -905,23 +747,16 @@ CONDITIONAL = [
         "the velocity is divided by var_t twice",
         schur(velocity=2),
     ),
-    surgery(
+    edited(
         "conditional",
         "conditional-velocity-detached",
         "no gradient flows from x_t into s and R",
-        shape_alone,
+        {"pull = x_t_bar * (since[:, None] / duration)": "pull = 0 * x_t_bar"},
     ),
 ]
 
 
 # --- G3 -----------------------------------------------------------------------------------------
-def normalised(given, cotangents):
-    out, in_bar = port("marginal")(given, cotangents)
-    density = 1 / np.sqrt(2 * np.pi * given["var_t"])
-    slope = sum(cotangents[f"{name}_bar"] * a for name, a in out.items())
-    in_bar = {name: bar * density for name, bar in in_bar.items()}
-    in_bar["var_t"] = in_bar["var_t"] - slope * density / (2 * given["var_t"])
-    return {name: a * density for name, a in out.items()}, in_bar
 
 
 def seen(out):
@@ -950,11 +785,20 @@ MARGINAL = [
         inputs={"var_t": np.sqrt},
         inputs_bar={"var_t": lambda bar, var_t: bar / (2 * np.sqrt(var_t))},
     ),
-    surgery(
+    edited(
         "marginal",
         "marginal-normalised",
         "the density is normalised: it is divided by sqrt(2 pi var_t)",
-        normalised,
+        {
+            "np.exp(-0.5 * since * (since / var_t))": (
+                "np.exp(-0.5 * since * (since / var_t)) / np.sqrt(2 * np.pi * var_t)"
+            ),
+            "(alpha, weight, since / var_t)": "((alpha, var_t), weight, since / var_t)",
+            "alpha, weight, pull = saved": "(alpha, var_t), weight, pull = saved",
+            "0.5 * slope * pull": (
+                "0.5 * slope * pull - (alpha_t_bar * alpha + weight_bar) * weight / (2 * var_t)"
+            ),
+        },
     ),
     known(
         "marginal",
@@ -973,22 +817,6 @@ MARGINAL = [
 
 
 # --- G4 -----------------------------------------------------------------------------------------
-def waves(frequency=lambda n: 2 * np.pi * n, wave=np.cos, slope=lambda a: -np.sin(a), kept=0):
-    """`run` with other waves; along time, only the waves from `kept` on have a slope."""
-
-    def run(given, cotangents):
-        sh, bar = given["sh"], cotangents["sh_t_bar"]
-        f = frequency(np.arange(sh.shape[2], dtype=sh.dtype)).astype(sh.dtype)
-        phase = f * (given["t"] - given["mu_t"])[:, None]
-        moved = -f * slope(phase)
-        moved[:, : sh.shape[2] + kept if kept else 0] = 0
-        values = wave(phase)
-        return {"sh_t": np.einsum("nt,nctk->nck", values, sh)}, {
-            "sh": np.einsum("nt,nck->nctk", values, bar),
-            "mu_t": np.einsum("nt,nctk,nck->n", moved, sh, bar),
-        }
-
-    return run
 
 
 def waves_last(sh):
@@ -997,29 +825,44 @@ def waves_last(sh):
 
 
 SPHERINDRICAL = [
-    surgery(
+    edited(
         "spherindrical",
         "spherindrical-no-two-pi",
         "the phase lacks 2 pi: cos(n (t - mu_t))",
-        waves(lambda n: n),
+        {
+            "2 * np.pi * np.arange(sh.shape[2], dtype=sh.dtype)": (
+                "np.arange(sh.shape[2], dtype=sh.dtype)"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "spherindrical",
         "spherindrical-half-period",
         "the phase has pi instead of 2 pi",
-        waves(lambda n: np.pi * n),
+        {
+            "2 * np.pi * np.arange(sh.shape[2], dtype=sh.dtype)": (
+                "np.pi * np.arange(sh.shape[2], dtype=sh.dtype)"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "spherindrical",
         "spherindrical-from-one",
         "the waves count from 1: the coefficients that stand still get a wave",
-        waves(lambda n: 2 * np.pi * (n + 1)),
+        {
+            "2 * np.pi * np.arange(sh.shape[2], dtype=sh.dtype)": (
+                "2 * np.pi * np.arange(1, sh.shape[2] + 1, dtype=sh.dtype)"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "spherindrical",
         "spherindrical-sines",
         "the waves are sines",
-        waves(wave=np.sin, slope=np.cos),
+        {
+            "waves = np.cos(phase)": "waves = np.sin(phase)",
+            "slopes = frequency * np.sin(phase)": "slopes = -frequency * np.cos(phase)",
+        },
     ),
     known(
         "spherindrical",
@@ -1034,11 +877,15 @@ SPHERINDRICAL = [
         "the gradient of mu_t has the sign of that of t",
         inputs_bar={"mu_t": lambda bar, _: -bar},
     ),
-    surgery(
+    edited(
         "spherindrical",
         "spherindrical-kernel-gradient",
         "along time only the highest wave has a slope, of the wrong sign, as in the kernel of 4DGS",
-        waves(slope=np.sin, kept=-1),
+        {
+            "slopes = frequency * np.sin(phase)": (
+                "slopes = -frequency * np.sin(phase) * (frequency == frequency[-1])"
+            ),
+        },
     ),
 ]
 

@@ -2,16 +2,10 @@
 
 import numpy as np
 
-from p4dgs_ref.splatting.compositing import depth_order
-from tests.golden.mistakes.kit import bars_of, known, no_gradient, port, surgery
+from tests.golden.mistakes.kit import edited, given_as, known, no_gradient
 
 
 # --- the reference on other inputs --------------------------------------------------------------
-def given_as(**changes):
-    """Other inputs or settings that receive no gradient: name -> f(inputs)."""
-    return dict(inputs=lambda given: {**given, **{name: f(given) for name, f in changes.items()}})
-
-
 def both_axes(change, change_bar):
     """Another mean2d and conic: the same function of both."""
     return dict(
@@ -52,17 +46,6 @@ def premultiplied_bar(bars, given):
         **bars,
         "color": bars["color"] * given["alpha"][:, None],
         "alpha": bars["alpha"] + (bars["color"] * given["color"]).sum(axis=1),
-    }
-
-
-def opaque_background(given, cotangents):
-    """C + background: the transmittance does not weaken it."""
-    black = {**given, "background": 0 * given["background"]}
-    out, bars = port("compositing")(black, cotangents)
-    image_bar = cotangents["image_bar"]
-    return {**out, "image": out["image"] + given["background"]}, {
-        **bars,
-        "background": image_bar.sum(axis=(0, 1)),
     }
 
 
@@ -112,11 +95,15 @@ OTHER_INPUTS = [
         inputs={"background": lambda b: 2 * b},
         inputs_bar={"background": lambda bar, _: 2 * bar},
     ),
-    surgery(
+    edited(
         "compositing",
         "compositing-opaque-background",
         "the background is added unattenuated, without T_N",
-        opaque_background,
+        {
+            "behind[:, None] * background": "background",
+            "transmittance @ g[pixels]": "g[pixels].sum(axis=0)",
+            "g[pixels] @ background + h[pixels]": "h[pixels]",
+        },
     ),
     known(
         "compositing",
@@ -194,118 +181,55 @@ OTHER_INPUTS = [
 
 
 # --- the sum itself -----------------------------------------------------------------------------
-def composed(cut=lambda A: A, own_alpha=False, clamp_passes=False, through_T=True):
-    """`run` of a whole compositing, in which one thing can differ.
-
-    cut(A)              alphas (M, P) of which some are set to zero
-    own_alpha           a splat's own alpha already weakens it
-    clamp_passes        the clamp at 0.99 lets the gradient through
-    through_T           False: no gradient of alpha through the transmittances of what lies behind
-    """
-
-    def run(given, cotangents):
-        order, shape = (
-            depth_order(given["depth"], given["visible"], True),
-            (given["height"], given["width"]),
-        )
-        mean, conic, alpha, color = (
-            given[name][order] for name in ("mean2d", "conic", "alpha", "color")
-        )
-        y, x = np.indices(shape).astype(mean.dtype).reshape(2, 1, -1)
-        e_x, e_y, (a, b, c) = x - mean[:, :1], y - mean[:, 1:], conic.T[:, :, None]
-        falloff = np.exp(-0.5 * (a * e_x**2 + 2 * b * e_x * e_y + c * e_y**2))
-        raw = alpha[:, None] * falloff
-        occlusion, alpha_max = given.get("occlusion", True), given.get("alpha_max", 0.99)
-        clamped = np.minimum(raw, alpha_max)
-        A = (
-            cut(clamped) if occlusion or cut is not stopped else clamped
-        )  # without occlusion no pixel fills up
-        own = own_alpha and occlusion
-        after = np.cumprod(1 - A, axis=0) if occlusion else np.ones_like(A)
-        start = np.ones((1, x.size), mean.dtype)
-        before, T = (
-            np.concatenate([start, after[:-1]])[: len(A)],
-            (after[-1] if len(A) else start[0]),
-        )
-        weight = A * before * (1 - A if own else 1)
-        out = {
-            "image": (weight.T @ color + T[:, None] * given["background"]).reshape(*shape, 3),
-            "transmittance": T.reshape(shape),
-        }
-        bars = bars_of(cotangents)
-        g, h = bars["image"].reshape(-1, 3), bars["transmittance"].reshape(-1)
-        value = color @ g.T
-        A_bar, T_bar = value * before * (1 - 2 * A if own else 1), g @ given["background"] + h
-        if occlusion and through_T:
-            for i in reversed(range(len(A))):
-                A_bar[i] -= before[i] * T_bar
-                T_bar = T_bar * (1 - A[i]) + value[i] * A[i] * (1 - A[i] if own else 1)
-        if not clamp_passes:
-            A_bar = A_bar * (raw <= alpha_max)
-        A_bar = A_bar * (A == clamped)  # what was cut has no slope
-        rows = {"alpha": (A_bar * falloff).sum(axis=1), "color": weight @ g}
-        log_bar = A_bar * raw
-        rows["mean2d"] = np.stack(
-            [
-                (log_bar * (a * e_x + b * e_y)).sum(axis=1),
-                (log_bar * (b * e_x + c * e_y)).sum(axis=1),
-            ],
-            axis=1,
-        )
-        rows["conic"] = -np.stack(
-            [
-                (log_bar * e_x**2).sum(axis=1) / 2,
-                (log_bar * e_x * e_y).sum(axis=1),
-                (log_bar * e_y**2).sum(axis=1) / 2,
-            ],
-            axis=1,
-        )
-        in_bar = {name: np.zeros_like(given[name]) for name in rows}
-        for name, bar in rows.items():
-            in_bar[name][order] = bar
-        return out, {**in_bar, "background": T @ g}
-
-    return run
-
-
-def faint(A):
-    return np.where(A < 1 / 255, 0, A)
-
-
-def stopped(A):
-    return np.where(np.cumprod(1 - A, axis=0) < 1e-4, 0, A)
 
 
 SUM = [
-    surgery(
+    edited(
         "compositing",
         "compositing-own-alpha",
         "a splat's transmittance already contains its own alpha",
-        composed(own_alpha=True),
+        {
+            "before[i] = T": "before[i] = T * (1 - alpha)",
+            "V[i] -= behind": (
+                "V[i], behind = ((1 - 2 * A[i]) * V[i] - behind) / (1 - A[i]), (1 - A[i]) * "
+                "(A[i] * V[i] + behind)"
+            ),
+            "behind += A[i] * V[i]": "pass",
+        },
     ),
-    surgery(
+    edited(
         "compositing",
         "compositing-faint-skipped",
         "alphas below 1/255 are skipped, as in the published kernel",
-        composed(faint),
+        {
+            "falloff = np.exp(np.minimum(power, 0))": (
+                "falloff = np.exp(power) * ((alpha[:, None] * np.exp(power) >= 1 / 255) | "
+                "(alpha[:, None] == 0))"
+            )
+        },
     ),
-    surgery(
+    edited(
         "compositing",
         "compositing-early-stop",
         "a pixel is finished where T would pass 1e-4, as in the published kernel",
-        composed(stopped),
+        {
+            "enumerate(A)": "enumerate(np.multiply(A, np.cumprod(1 - A, axis=0) >= 1e-4, out=A))",
+            "alpha[:, None] * falloff <= alpha_max": (
+                "(alpha[:, None] * falloff <= alpha_max) & ((A > 0) | (alpha[:, None] == 0))"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "compositing",
         "compositing-clamp-gradient",
         "the clamp of alpha at 0.99 lets the gradient through",
-        composed(clamp_passes=True),
+        {"alpha[:, None] * falloff <= alpha_max": "1"},
     ),
-    surgery(
+    edited(
         "compositing",
         "compositing-no-gradient-through-transmittance",
         "alpha receives no gradient through what lies behind it",
-        composed(through_T=False),
+        {"V[i] -= behind": "pass"},
     ),
 ]
 

@@ -1,27 +1,99 @@
 """Known mistakes of rasterisers under the published kernel's rule: lists, decisions, gradients."""
 
+from functools import cache
+
 import numpy as np
 
-from tests.golden.kernel import Rule, kernel_vjp, lists_vjp
+from tests.golden.kernel import MASK, TILE
 from tests.golden.mistakes.kit import known, surgery
+from tests.golden.mutate import rewritten
+
+# id: what the port does, and the text of `tests.golden.kernel` that it has otherwise
+RULES = {
+    "lists-ties-reversed": (
+        "equal keys end in descending order of row",
+        {"pairs.sort()": "pairs.sort(key=lambda pair: (*pair[:2], -pair[2]))"},
+    ),
+    "lists-not-sorted": (
+        "the entries of a tile are not sorted by depth",
+        {"int(bits[i])": "0"},
+    ),
+    "lists-inclusive": (
+        "the rectangle has one tile more in x and y: its end is inclusive",
+        {"np.clip(high, 0,": "np.clip(high + 1, 0,"},
+    ),
+    "lists-by-columns": (
+        "tiles are numbered column by column",
+        {"y * columns + x": "x * rows + y"},
+    ),
+    "lists-radius-rounded": (
+        "the radius is rounded to the nearest pixel, not up",
+        {"np.ceil(a.dtype.type(3)": "np.round(a.dtype.type(3)"},
+    ),
+    "kernel-no-stop": (
+        "a pixel never ends: there is no stop at T < 1e-4",
+        {"(T * (1 - layer) >= STOP)": "True"},
+    ),
+    "kernel-stop-after-splat": (
+        "the splat that would bring T below 1e-4 is still drawn before the pixel ends",
+        {
+            "open_ &= (T * (1 - layer) >= STOP) | (frozen is not None)": "pass",
+            "layer[~open_] = 0": ("layer[~open_], open_ = 0, open_ & (T * (1 - layer) >= STOP)"),
+        },
+    ),
+    "kernel-not-masked": (
+        "alphas below 1/255 are drawn",
+        {"np.where(A < dtype.type(MASK), 0, A)": "A"},
+    ),
+    "kernel-clamp-blocks-gradient": (
+        "the clamp of alpha at 0.99 stops the gradient, as autodiff of a minimum does",
+        {"* (tile.A > 0)": "* (tile.A > 0) * (tile.raw <= V.dtype.type(ALPHA_MAX))"},
+    ),
+    "kernel-ties-reversed": (
+        "equal depths are drawn in descending order of index",
+        {"pairs.sort()": "pairs.sort(key=lambda pair: (*pair[:2], -pair[2]))"},
+    ),
+    "kernel-exact-ellipse": (
+        "tiles are listed by the exact ellipse of alpha >= 1/255 instead of the square of 3 sigma",
+        {
+            "[found.row[start:end] for start, end in found.ranges]": (
+                "[reaching(found.row[start:end], i, -(-width // TILE), mean2d, conic, alpha) "
+                "for i, (start, end) in enumerate(found.ranges)]"
+            )
+        },
+    ),
+    "kernel-last-counts-drawn": (
+        "`last` counts the splats that were drawn, not their places in the list of the tile",
+        {"(A > 0) * np.arange(1, len(rows) + 1)[:, None]": "np.cumsum(A > 0, axis=0)"},
+    ),
+}
 
 
-def ruled(vjp, **changes):
-    """`run` of a port that follows another rule."""
+def reaching(rows, number, columns, mean2d, conic, alpha):
+    """The rows of a tile's list that are not masked in all of its pixels."""
+    y, x = divmod(number, columns)
+    corner = np.array([x, y]) * TILE - mean2d[rows]
+    u, v = (corner[:, axis, None, None] + pixels for axis, pixels in ((0, ACROSS), (1, DOWN)))
+    a, b, c = conic[rows].T[:, :, None, None]
+    opacity = alpha[rows, None, None] * np.exp(-0.5 * (a * u * u + c * v * v) - b * u * v)
+    return rows[(opacity >= MASK).any(axis=(1, 2))]
 
+
+DOWN, ACROSS = np.mgrid[:TILE, :TILE]
+
+
+@cache
+def ruled(id):
+    """The names of `tests.golden.kernel` under the rule of a mistake."""
+    return rewritten("tests.golden.kernel", RULES[id][1], reaching=reaching)
+
+
+def by_rule(id, description):
     def run(given, cotangents):
-        outputs, pullback = vjp(**given, rule=Rule(**changes))
+        outputs, pullback = ruled(id)[f"{id.split('-')[0]}_vjp"](**given)
         return outputs, pullback(**cotangents)
 
-    return run
-
-
-def of_lists(id, description, **changes):
-    return surgery("tile_lists", id, description, ruled(lists_vjp, **changes))
-
-
-def of_kernel(id, description, **changes):
-    return surgery("kernel", id, description, ruled(kernel_vjp, **changes))
+    return surgery("tile_lists" if id.startswith("lists") else "kernel", id, description, run)
 
 
 def in_ndc(bars, given):
@@ -29,52 +101,8 @@ def in_ndc(bars, given):
     return {**bars, "mean2d": bars["mean2d"] * half}
 
 
-LISTS = [
-    of_lists(
-        "lists-ties-reversed", "equal keys end in descending order of row", ties_reversed=True
-    ),
-    of_lists("lists-not-sorted", "the entries of a tile are not sorted by depth", sorted=False),
-    of_lists(
-        "lists-inclusive",
-        "the rectangle has one tile more in x and y: its end is inclusive",
-        inclusive=True,
-    ),
-    of_lists("lists-by-columns", "tiles are numbered column by column", by_columns=True),
-    of_lists(
-        "lists-radius-rounded",
-        "the radius is rounded to the nearest pixel, not up",
-        rounded_up=False,
-    ),
-]
-
-KERNEL = [
-    of_kernel("kernel-no-stop", "a pixel never ends: there is no stop at T < 1e-4", stops=False),
-    of_kernel(
-        "kernel-stop-after-splat",
-        "the splat that would bring T below 1e-4 is still drawn before the pixel ends",
-        draws_before_it_stops=True,
-    ),
-    of_kernel("kernel-not-masked", "alphas below 1/255 are drawn", masked=False),
-    of_kernel(
-        "kernel-clamp-blocks-gradient",
-        "the clamp of alpha at 0.99 stops the gradient, as autodiff of a minimum does",
-        clamp_passes=False,
-    ),
-    of_kernel(
-        "kernel-ties-reversed",
-        "equal depths are drawn in descending order of index",
-        ties_reversed=True,
-    ),
-    of_kernel(
-        "kernel-exact-ellipse",
-        "tiles are listed by the exact ellipse of alpha >= 1/255 instead of the square of 3 sigma",
-        ellipse=True,
-    ),
-    of_kernel(
-        "kernel-last-counts-drawn",
-        "`last` counts the splats that were drawn, not their places in the list of the tile",
-        counts_drawn=True,
-    ),
+MISTAKES = [
+    *(by_rule(id, description) for id, (description, _) in RULES.items()),
     known(
         "kernel",
         "kernel-half-off-diagonal",
@@ -88,5 +116,3 @@ KERNEL = [
         inputs_bar=in_ndc,
     ),
 ]
-
-MISTAKES = [*LISTS, *KERNEL]

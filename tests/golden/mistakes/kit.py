@@ -1,17 +1,17 @@
 """How a known mistake is defined: as the function that a port with this mistake would be.
 
-`run(inputs, cotangents)` returns outputs and gradients. `port` makes it of the right function by
-changing its inputs or outputs, with the adjoint changes of the gradients. `network` makes it of a
-network that ends in another head. Where neither is enough, a file of mistakes writes the function
-with the wrong step.
+`run(inputs, cotangents)` returns outputs and gradients. `edited` makes it of the equation's own
+file with an expression or two replaced. `known` makes it of the right function by changing its
+inputs or outputs, with the adjoint changes of the gradients. Where neither is enough, a file of
+mistakes writes the function with the wrong step, and `surgery` names it.
 """
 
+from functools import cache
 from typing import Callable, NamedTuple
 
 import numpy as np
-from scipy.special import expit
 
-from p4dgs_ref.equations import mlp
+from tests.golden import checks
 from tests.golden.subjects import subjects
 
 
@@ -97,10 +97,27 @@ def surgery(subject, id, description, run):
     return Mistake(id, subject, description, quiet(run))
 
 
+def edited(subject, id, description, changes, helper=None):
+    """Return a mistake that is the equation's own file with some of its text replaced."""
+
+    wrong = cache(lambda: checks.edited(subject, changes, helper))
+
+    def run(given, cotangents):
+        outputs, pullback = wrong().vjp(**given)
+        return outputs, pullback(**cotangents)
+
+    return Mistake(id, subject, description, quiet(run))
+
+
 # --- transformations that recur -----------------------------------------------------------------
 def without(name):
     """The changes that leave an input out of the formula."""
     return dict(inputs={name: np.zeros_like}, inputs_bar={name: no_gradient})
+
+
+def given_as(**changes):
+    """Other inputs or settings that receive no gradient: name -> f(inputs)."""
+    return dict(inputs=lambda given: {**given, **{name: f(given) for name, f in changes.items()}})
 
 
 def no_gradient(bar, _):
@@ -159,60 +176,5 @@ def hac_order(given):
     return np.array([*range(d), *range(d + 1, d + 1 + view), *([d] if view else [])])
 
 
-# --- networks that end in another head ----------------------------------------------------------
-def tanh(y):
-    return np.tanh(y), 1 - np.tanh(y) ** 2
-
-
-def sigmoid(y):
-    return expit(y), expit(y) * expit(-y)
-
-
-def exponential(y):
-    return np.exp(y), np.exp(y)
-
-
-def identity(y):
-    return y, np.ones_like(y)
-
-
 def relu(y):
     return np.maximum(y, 0), (y > 0).astype(y.dtype)
-
-
-def network(head):
-    """`run` of a network's equation that ends in another head.
-
-    head(y, inputs) -> outputs, pull;  pull(bars) -> y_bar, {other input: gradient}
-    """
-
-    def run(given, cotangents):
-        parts = ("h",) if "h" in given else ("f_a", "delta_vc", "d_vc")
-        x = np.concatenate([given[name] for name in parts], axis=1)
-        y, saved = mlp.forward(x, given["weights"], given["biases"])
-        out, pull = head(y, given)
-        y_bar, others = pull(bars_of(cotangents))
-        bars = mlp.backward(saved, y_bar)
-        ends = np.cumsum([given[name].shape[1] for name in parts])[:-1]
-        inputs_bar = dict(zip(parts, np.split(bars.pop("x"), ends, axis=1)))
-        return out, {**others, **inputs_bar, **bars}
-
-    return run
-
-
-def headed(equation, id, description, head):
-    return surgery(equation, id, description, network(head))
-
-
-def elementwise(name, width, activation):
-    """A head that applies activation(y), which returns value and slope, to all outputs.
-
-    `width` is how many numbers a child has; with 0 the outputs have no such axis.
-    """
-
-    def head(y, _):
-        value, slope = activation(y)
-        shape = (len(y), y.shape[1] // width, width) if width else y.shape
-        return {name: value.reshape(shape)}, lambda bars: (bars[name].reshape(y.shape) * slope, {})
-
-    return head

@@ -1,95 +1,59 @@
 """Known mistakes in Eqs. (15) to (17) and in SSIM: what training minimises."""
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
-from p4dgs_ref.equations import ssim
-from p4dgs_ref.equations.window import RADIUS, blur, to_rows
-from p4dgs_ref.table import EQUATIONS
-from tests.golden.mistakes.kit import bars_of, known, no_gradient, surgery
-
+from tests.golden.mistakes.kit import edited, known, no_gradient
 
 # --- Eqs. (15) and (17) -------------------------------------------------------------------------
-def weighed(render, rate):
-    """L_total = render(lambda) L_render + rate(lambda) L_rate."""
-
-    def run(given, cotangents):
-        weights, bar = (
-            [f(given["lambda_rate"]) for f in (render, rate)],
-            bars_of(cotangents)["L_total"],
-        )
-        return (
-            {"L_total": np.asarray(weights[0] * given["L_render"] + weights[1] * given["L_rate"])},
-            {"L_render": np.asarray(weights[0] * bar), "L_rate": np.asarray(weights[1] * bar)},
-        )
-
-    return run
-
-
-def one(_):
-    return 1.0
-
-
-def itself(weight):
-    return weight
-
-
-def rest(weight):
-    return 1 - weight
-
-
-def no_lambda(bars, given):
-    return {**bars, "L_rate": bars["L_render"]}
 
 
 TOTAL_LOSS = [
-    surgery(
+    edited(
         "total_loss",
         "total-loss-lambda-exchanged",
         "lambda_rate multiplies L_render instead of L_rate",
-        weighed(itself, one),
+        {
+            "weight * L_rate + L_render": "L_rate + weight * L_render",
+            '"L_render": L_total_bar, "L_rate": weight * L_total_bar': (
+                '"L_render": weight * L_total_bar, "L_rate": L_total_bar'
+            ),
+        },
     ),
-    surgery(
+    edited(
         "total_loss",
         "total-loss-convex",
         "L_render is multiplied by 1 - lambda_rate",
-        weighed(rest, itself),
+        {
+            "weight * L_rate + L_render": "weight * L_rate + (1 - weight) * L_render",
+            '"L_render": L_total_bar': '"L_render": (1 - weight) * L_total_bar',
+        },
     ),
-    surgery(
+    edited(
         "total_loss",
         "total-loss-lambda-on-both",
         "lambda_rate multiplies both losses",
-        weighed(itself, itself),
+        {
+            "weight * L_rate + L_render": "weight * (L_rate + L_render)",
+            '"L_render": L_total_bar': '"L_render": weight * L_total_bar',
+        },
     ),
-    surgery("total_loss", "total-loss-no-lambda", "lambda_rate is left out", weighed(one, one)),
-    known(
+    edited(
+        "total_loss",
+        "total-loss-no-lambda",
+        "lambda_rate is left out",
+        {"weight * L_rate + L_render": "L_rate + L_render", "weight * L_total_bar": "L_total_bar"},
+    ),
+    edited(
         "total_loss",
         "total-loss-gradient",
         "the gradient of L_rate lacks lambda_rate",
-        inputs_bar=no_lambda,
+        {"weight * L_total_bar": "L_total_bar"},
     ),
 ]
 
 
 def exchanged(tree, *_):
     return {"bits": tree["L_rate"], "L_rate": tree["bits"]}
-
-
-def shared_out(given, cotangents):
-    """R_hash is left undivided in L_rate."""
-    n, bars = given["n_parameters"], bars_of(cotangents)
-    return (
-        {
-            "bits": np.asarray(given["R_anchor"] + given["R_hash"]),
-            "L_rate": np.asarray(
-                (given["R_anchor"] / n if n else 0 * given["R_anchor"]) + given["R_hash"]
-            ),
-        },
-        {
-            "R_anchor": np.asarray(bars["bits"] + (bars["L_rate"] / n if n else 0)),
-            "R_hash": np.asarray(bars["bits"] + bars["L_rate"]),
-        },
-    )
 
 
 RATE_LOSS = [
@@ -117,11 +81,16 @@ RATE_LOSS = [
         inputs={"R_hash": np.zeros_like},
         inputs_bar={"R_hash": no_gradient},
     ),
-    surgery(
+    edited(
         "rate_loss",
         "rate-loss-hash-not-divided",
         "R_hash is added to L_rate without being divided",
-        shared_out,
+        {
+            "L_rate = bits / count if count else count * bits": (
+                "L_rate = (R_anchor / count if count else count * R_anchor) + R_hash"
+            ),
+            '"R_hash": bar': '"R_hash": bits_bar + L_rate_bar',
+        },
     ),
     known(
         "rate_loss",
@@ -134,239 +103,238 @@ RATE_LOSS = [
 
 
 # --- Eq. (16) -----------------------------------------------------------------------------------
-def blended(
-    of_L1=rest,
-    of_D=itself,
-    D=itself,
-    D_slope=one,
-    power=1,
-    sign=np.sign,
-    mean=True,
-    root=False,
-):
-    """L = of_L1(lambda) L1 + of_D(lambda) D(D_SSIM).
-
-    L1 is the mean or the sum of |difference|^power, or the root of that.
-    """
-
-    def run(given, cotangents):
-        _, pullback = EQUATIONS["ssim"].vjp(image=given["image"], truth=given["truth"])
-        right = EQUATIONS["render_loss"](**given)["D_SSIM"]
-        difference, lam = given["image"] - given["truth"], given["lambda_ssim"]
-        n, bars = difference.size if mean else 1, bars_of(cotangents)
-        L1, D_SSIM = (np.abs(difference) ** power).sum() / n, D(right)
-        L1_bar = bars["L1"] + of_L1(lam) * bars["L_render"]
-        D_bar = (bars["D_SSIM"] + of_D(lam) * bars["L_render"]) * D_slope(right)
-        slope = sign(difference) if power == 1 else 2 * difference
-        if root:
-            L1_bar = L1_bar / (2 * np.sqrt(L1))
-            L1 = np.sqrt(L1)
-        image_bar = L1_bar / n * slope + pullback(ssim_bar=-float(D_bar))["image"]
-        return {"L_render": of_L1(lam) * L1 + of_D(lam) * D_SSIM, "L1": L1, "D_SSIM": D_SSIM}, {
-            "image": image_bar
-        }
-
-    return run
-
-
-def half(D):
-    return D / 2
-
-
-def squares_in_the_sum(given, cotangents):
-    """L_render has the mean square; the output L1 remains."""
-    of_sum = {name: bar * (name != "L1_bar") for name, bar in cotangents.items()}
-    of_L1 = {name: bar * (name == "L1_bar") for name, bar in cotangents.items()}
-    out, bars = blended(power=2)(given, of_sum)
-    plain, plain_bars = blended()(given, of_L1)
-    return {**out, "L1": plain["L1"]}, {"image": bars["image"] + plain_bars["image"]}
 
 
 RENDER_LOSS = [
-    surgery(
+    edited(
         "render_loss",
         "render-loss-lambda-exchanged",
         "lambda_ssim and 1 - lambda_ssim are exchanged",
-        blended(itself, rest),
+        {
+            "precision(1 - lambda_ssim) * L1": "precision(lambda_ssim) * L1",
+            "precision(lambda_ssim) * D_SSIM": "precision(1 - lambda_ssim) * D_SSIM",
+            "(1 - lambda_ssim) * L_render_bar": "lambda_ssim * L_render_bar",
+            "D_SSIM_bar + lambda_ssim * L_render_bar": (
+                "D_SSIM_bar + (1 - lambda_ssim) * L_render_bar"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "render_loss",
         "render-loss-l1-whole",
         "L1 is not multiplied by 1 - lambda_ssim",
-        blended(one),
+        {
+            "precision(1 - lambda_ssim) * L1": "L1",
+            "(1 - lambda_ssim) * L_render_bar": "L_render_bar",
+        },
     ),
-    surgery(
+    edited(
         "render_loss",
         "render-loss-squares",
         "the mean square for the mean absolute difference",
-        blended(power=2),
+        {
+            "np.abs(difference).mean": "np.square(difference).mean",
+            "(np.sign(difference), lambda_ssim": "(2 * difference, lambda_ssim",
+        },
     ),
-    surgery(
+    edited(
         "render_loss",
         "render-loss-sum",
         "L1 is the sum over the pixels instead of the mean",
-        blended(mean=False),
+        {
+            "np.abs(difference).mean": "np.abs(difference).sum",
+            "L1_bar / sign.size * sign": "L1_bar * sign",
+        },
     ),
-    surgery(
+    edited(
         "render_loss",
         "render-loss-halved",
         "D_SSIM is (1 - SSIM) / 2",
-        blended(D=half, D_slope=lambda D: 0.5),
+        {
+            "D_SSIM = precision(D_SSIM)": "D_SSIM = precision(D_SSIM / 2)",
+            "-D_SSIM_bar)": "-D_SSIM_bar / 2)",
+        },
     ),
-    surgery(
+    edited(
         "render_loss",
         "render-loss-similarity",
         "SSIM is added instead of 1 - SSIM: likeness is punished",
-        blended(D=rest, D_slope=lambda D: -1.0),
+        {
+            "D_SSIM = precision(D_SSIM)": "D_SSIM = precision(1 - D_SSIM)",
+            "-D_SSIM_bar)": "D_SSIM_bar)",
+        },
     ),
-    surgery(
+    edited(
         "render_loss",
         "render-loss-sign-of-zero",
         "where image and truth are equal, L1 has slope 1 instead of 0",
-        blended(sign=lambda d: np.where(d >= 0, 1, -1).astype(d.dtype)),
+        {
+            "(np.sign(difference), lambda_ssim": (
+                "(np.where(difference >= 0, 1, -1).astype(image.dtype), lambda_ssim"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "render_loss",
         "render-loss-half-weight",
         "L_render has lambda_ssim (1 - SSIM) / 2",
-        blended(of_D=half),
+        {
+            "precision(lambda_ssim) * D_SSIM": "precision(lambda_ssim / 2) * D_SSIM",
+            "D_SSIM_bar + lambda_ssim * L_render_bar": (
+                "D_SSIM_bar + lambda_ssim / 2 * L_render_bar"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "render_loss",
         "render-loss-squares-in-the-sum",
         "L_render has the mean square in place of L1",
-        squares_in_the_sum,
+        {
+            "precision(1 - lambda_ssim) * L1": (
+                "precision(1 - lambda_ssim) * "
+                "precision(np.square(difference).mean(dtype=np.float64))"
+            ),
+            "(np.sign(difference), lambda_ssim": (
+                "((np.sign(difference), 2 * difference), lambda_ssim"
+            ),
+            "sign, lambda_ssim, saved_ssim = saved": (
+                "(sign, twice), lambda_ssim, saved_ssim = saved"
+            ),
+            "L1_bar = float(L1_bar + (1 - lambda_ssim) * L_render_bar)": (
+                "L1_bar, square_bar = float(L1_bar), float((1 - lambda_ssim) * L_render_bar)"
+            ),
+            "L1_bar / sign.size * sign": "(L1_bar * sign + square_bar * twice) / sign.size",
+        },
     ),
-    surgery(
+    edited(
         "render_loss",
         "render-loss-root-mean-square",
         "the root of the mean square for the mean absolute difference",
-        blended(power=2, root=True),
+        {
+            "np.abs(difference).mean(dtype=np.float64)": (
+                "np.sqrt(np.square(difference).mean(dtype=np.float64))"
+            ),
+            "(np.sign(difference), lambda_ssim": "(difference / L1, lambda_ssim",
+        },
     ),
-    surgery(
+    edited(
         "render_loss",
         "render-loss-negative-sign-of-zero",
         "where image and truth are equal, L1 has slope -1 instead of 0",
-        blended(sign=lambda d: np.where(d > 0, 1, -1).astype(d.dtype)),
+        {
+            "(np.sign(difference), lambda_ssim": (
+                "(np.where(difference > 0, 1, -1).astype(image.dtype), lambda_ssim"
+            ),
+        },
     ),
 ]
 
 
 # --- SSIM ---------------------------------------------------------------------------------------
-SIDE = 2 * RADIUS + 1
-
-
-def everywhere(shape):
-    return np.full((shape[0], 1, shape[2]), 1 / np.prod(shape))
-
-
-def interior(shape):
-    """The mean over pixels whose window lies inside the image; of a smaller image there is none."""
-    rows, columns = (np.maximum(n - SIDE + 1, 0) for n in (shape[0], shape[2]))
-    share = np.zeros((shape[0], 1, shape[2]))
-    share[RADIUS : RADIUS + rows, :, RADIUS : RADIUS + columns] = 1 / np.float64(
-        rows * shape[1] * columns
-    )
-    return share
-
-
-def box(a):
-    """A window of equal weights; zeros around the image."""
-    for axis in (0, -1):
-        a = uniform_filter1d(a, SIDE, axis=axis, mode="constant")
-    return a
-
-
-def renormalised(a):
-    """The window cut at the border and brought back to weight 1."""
-    return blur(a) / blur(np.ones_like(a))
-
-
-def renormalised_adjoint(a):
-    return blur(a / blur(np.ones_like(a)))
-
-
-def similarity(
-    window=blur,
-    adjoint=None,
-    C1=ssim.C1,
-    C2=ssim.C2,
-    sample=1.0,
-    covariance=1.0,
-    share=everywhere,
-    mix=None,
-):
-    """`run` of SSIM with something else: window, constants, factors of moments, mean, channels.
-
-    With e = x - y each numerator is its denominator minus a moment of e, as in our own SSIM, so
-    that all digits can be compared.
-    """
-
-    def run(given, cotangents):
-        image, truth = (np.asarray(mix(given[n]) if mix else given[n]) for n in ("image", "truth"))
-        x, y = to_rows(image), to_rows(truth)
-        e = x - y
-        mu_e, mu_y, ee, xx, yy = map(window, (e, y, e * e, x * x, y * y))
-        mu_x, var_e = mu_y + mu_e, sample * (ee - mu_e**2)
-        d_1, d_2 = mu_x**2 + mu_y**2 + C1, sample * (xx - mu_x**2 + yy - mu_y**2) + C2
-        lost_1, lost_2 = mu_e**2 / d_1, (covariance * var_e + (1 - covariance) * (d_2 - C2)) / d_2
-        lost, weights = lost_1 + lost_2 - lost_1 * lost_2, share(x.shape)
-        bar = -float(bars_of(cotangents)["ssim"]) * weights
-        d_2_bar = bar * (1 - lost_1) * (1 - covariance - lost_2) / d_2
-        ee_bar, xx_bar = bar * (1 - lost_1) * covariance * sample / d_2, sample * d_2_bar
-        mu_bar = 2 * (
-            bar * (1 - lost_2) * (mu_e - lost_1 * mu_x) / d_1 - mu_e * ee_bar - mu_x * xx_bar
-        )
-        back = adjoint or window
-        image_bar = (back(mu_bar) + 2 * e * back(ee_bar) + 2 * x * back(xx_bar)).transpose(0, 2, 1)
-        if mix:
-            image_bar = np.broadcast_to(image_bar / given["image"].shape[2], given["image"].shape)
-        mean, dtype = (lost * weights).sum() if weights.any() else np.nan, given["image"].dtype
-        return {"ssim": dtype.type(1 - mean)}, {"image": image_bar.astype(dtype)}
-
-    return run
 
 
 SSIM = [
-    surgery(
+    edited(
         "ssim",
         "ssim-valid",
         "only pixels whose window lies inside the image count (valid padding)",
-        similarity(share=interior),
+        {
+            "np.mean(luminance + structure - luminance * structure)": (
+                "np.mean((luminance + structure - luminance * "
+                "structure)[blur(np.ones_like(x)) > 1 - 1e-9])"
+            ),
+            "share = ssim_bar / x.size": (
+                "share = ssim_bar * (inside := blur(np.ones_like(x)) > 1 - 1e-9) / "
+                "max(inside.sum(), 1)"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "ssim",
         "ssim-renormalised",
         "at the border the window is cut and renormalised instead of padded with zeros",
-        similarity(renormalised, renormalised_adjoint),
+        {
+            "y, mu_y, var_y = moments(truth) if truth_moments is None else truth_moments": (
+                "y, edge = to_rows(truth), blur(np.ones_like(to_rows(truth)))"
+            ),
+            (
+                "mu_e, square_e, square_x = blur(np.stack([e, e * e, x * x], "
+                "axis=1)).swapaxes(0, 1)"
+            ): (
+                "mu_e, square_e, square_x, mu_y, square_y = blur(np.stack([e, e * e, x * x, "
+                "y, y * y], axis=1)).swapaxes(0, 1) / edge"
+            ),
+            "mu_x * mu_x + var_y + C2": "mu_x * mu_x + square_y - mu_y * mu_y + C2",
+            "blur(np.stack([mu_bar, square_e_bar, square_x_bar], axis=1))": (
+                "blur(np.stack([mu_bar, square_e_bar, square_x_bar], axis=1) / "
+                "blur(np.ones_like(x))[:, None])"
+            ),
+        },
     ),
-    surgery("ssim", "ssim-box", "a window of equal weights for the Gaussian one", similarity(box)),
-    surgery(
+    edited(
+        "ssim",
+        "ssim-box",
+        "a window of equal weights for the Gaussian one",
+        {"_tap / _tap.sum()": "np.full(11, 1 / 11)"},
+        helper="p4dgs_ref.equations.window",
+    ),
+    edited(
         "ssim",
         "ssim-sample-variance",
         "variances and covariance are divided by 120 instead of 121",
-        similarity(sample=SIDE**2 / (SIDE**2 - 1)),
+        {
+            "square_x - mu_x * mu_x + var_y + C2": (
+                "(square_x - mu_x * mu_x + var_y) * 121 / 120 + C2"
+            ),
+            "structure = (square_e - mu_e * mu_e) / D2": (
+                "structure = (square_e - mu_e * mu_e) * 121 / 120 / D2"
+            ),
+            "-share * (1 - luminance) / D2": "-share * (1 - luminance) * 121 / 120 / D2",
+        },
     ),
-    surgery(
+    edited(
         "ssim",
         "ssim-constants",
         "C1 and C2 are 0.01 and 0.03 instead of their squares",
-        similarity(C1=0.01, C2=0.03),
+        {"C1, C2 = 0.01**2, 0.03**2": "C1, C2 = 0.01, 0.03"},
     ),
-    surgery(
+    edited(
         "ssim",
         "ssim-range",
         "C1 and C2 are those of intensities from 0 to 255",
-        similarity(C1=ssim.C1 * 255**2, C2=ssim.C2 * 255**2),
+        {"C1, C2 = 0.01**2, 0.03**2": "C1, C2 = 2.55**2, 7.65**2"},
     ),
-    surgery(
-        "ssim", "ssim-covariance", "the covariance lacks its factor 2", similarity(covariance=0.5)
+    edited(
+        "ssim",
+        "ssim-covariance",
+        "the covariance lacks its factor 2",
+        {
+            "structure = (square_e - mu_e * mu_e) / D2": (
+                "structure = (square_e - mu_e * mu_e + D2 - C2) / (2 * D2)"
+            ),
+            "-share * (1 - luminance) / D2": "-share * (1 - luminance) / (2 * D2)",
+            "-structure * square_e_bar": "(1 - 2 * structure) * square_e_bar",
+            "mu_bar += 2 * square_e_bar * (structure * mu_x - mu_e)": (
+                "mu_bar -= 2 * (square_e_bar * mu_e + square_x_bar * mu_x)"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "ssim",
         "ssim-gray",
         "the images are compared in gray, the mean of the channels",
-        similarity(mix=lambda a: a.mean(axis=2, keepdims=True)),
+        {
+            "moments(truth) if truth_moments is None": (
+                "moments(truth.mean(axis=2, keepdims=True)) if truth_moments is None"
+            ),
+            "x = to_rows(image)": "x = to_rows(image.mean(axis=2, keepdims=True))",
+            "D2, image.dtype)": "D2, image)",
+            "structure, D1, D2, dtype = saved": "structure, D1, D2, image = saved",
+            'image_bar.transpose(0, 2, 1).astype(dtype, order="C")': (
+                "np.broadcast_to(image_bar.transpose(0, 2, 1) / image.shape[2], "
+                "image.shape).astype(image.dtype)"
+            ),
+        },
     ),
     known(
         "ssim",

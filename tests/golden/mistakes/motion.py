@@ -3,39 +3,17 @@
 import numpy as np
 
 from p4dgs_ref.equations.numerics import normalise, normalise_backward
-from tests.golden.mistakes.kit import bars_of, inverse, known, no_gradient, port, relu, surgery
-
+from tests.golden.mistakes.kit import (
+    edited,
+    inverse,
+    known,
+    no_gradient,
+    port,
+    relu,
+    surgery,
+)
 
 # --- positional encoding ------------------------------------------------------------------------
-def encoded(frequencies, slope=(1, -1), slope_powers=None):
-    """`run` of E with other frequencies(L).
-
-    `slope` has the signs of sin' and cos'; `slope_powers` gives other frequencies in backward.
-    """
-
-    def run(given, cotangents):
-        p, L = given["p"], given["L"]
-        f = np.asarray(frequencies(L), p.dtype)
-        g = f if slope_powers is None else np.asarray(slope_powers(L), p.dtype)
-        N, D = p.shape
-        angles = p[:, None, :] * f[:, None]  # (N, L, D)
-        waves = np.stack([np.sin(angles), np.cos(angles)], axis=2)  # (N, L, 2, D)
-        bar = bars_of(cotangents)["E"]
-        waves_bar = bar[:, D:].reshape(N, L, 2, D)
-        slopes = (
-            slope[0] * waves[:, :, 1] * waves_bar[:, :, 0]
-            + slope[1] * waves[:, :, 0] * waves_bar[:, :, 1]
-        )
-        return (
-            {"E": np.concatenate([p, waves.reshape(N, 2 * L * D)], axis=1)},
-            {"p": bar[:, :D] + (slopes * g[:, None]).sum(axis=1)},
-        )
-
-    return run
-
-
-def powers(L):
-    return 2.0 ** np.arange(L)
 
 
 def columns(order):
@@ -67,41 +45,49 @@ def cosines_first(D, L):
 
 
 ENCODING = [
-    surgery(
+    edited(
         "positional_encoding",
         "encoding-pi",
         "the frequencies have a factor pi: sin(2^j pi p)",
-        encoded(lambda L: np.pi * powers(L)),
+        {"(1 << np.arange(L)).astype(dtype)": "(np.pi * (1 << np.arange(L))).astype(dtype)"},
     ),
-    surgery(
+    edited(
         "positional_encoding",
         "encoding-degrees",
         "p is taken for degrees: sin(2^j p pi / 180)",
-        encoded(lambda L: np.pi / 180 * powers(L)),
+        {"(1 << np.arange(L)).astype(dtype)": "(np.pi / 180 * (1 << np.arange(L))).astype(dtype)"},
     ),
-    surgery(
+    edited(
         "positional_encoding",
         "encoding-from-one",
         "the frequencies are 2^1 ... 2^L instead of 2^0 ... 2^(L-1)",
-        encoded(lambda L: 2 * powers(L)),
+        {"(1 << np.arange(L)).astype(dtype)": "(2 << np.arange(L)).astype(dtype)"},
     ),
-    surgery(
+    edited(
         "positional_encoding",
         "encoding-linear",
         "the frequencies are 1, 2, 3 ... instead of 1, 2, 4 ...",
-        encoded(lambda L: 1.0 + np.arange(L)),
+        {"(1 << np.arange(L)).astype(dtype)": "(1 + np.arange(L)).astype(dtype)"},
     ),
-    surgery(
+    edited(
         "positional_encoding",
         "encoding-gradient-frequency",
         "the gradient lacks the factor 2^j of its frequency",
-        encoded(powers, slope_powers=np.ones),
+        {
+            "np.tensordot(powers_of_two(L, angles_bar.dtype), angles_bar, axes=1)": (
+                "angles_bar.sum(axis=0)"
+            ),
+        },
     ),
-    surgery(
+    edited(
         "positional_encoding",
         "encoding-gradient-sign",
         "the derivative of cos has the sign of +sin",
-        encoded(powers, slope=(1, 1)),
+        {
+            "waves[:, 1] * waves_bar[:, 0] - waves[:, 0]": (
+                "waves[:, 1] * waves_bar[:, 0] + waves[:, 0]"
+            ),
+        },
     ),
     known(
         "positional_encoding",
@@ -223,40 +209,6 @@ DEFORMATION = [
 
 
 # --- Eq. (6) ------------------------------------------------------------------------------------
-def turned(add, add_bar):
-    """`run` with r_t = add(r, delta_r) where rotation is on; add_bar gives both gradients."""
-
-    def run(given, cotangents):
-        bars = bars_of(cotangents)
-        off = {**given, "delta_r": given["delta_r"][:, :0]}
-        rest = port("deformed")
-        if not given["delta_r"].shape[1]:
-            return rest(given, cotangents)
-        out, in_bar = rest(off, {name + "_bar": bar for name, bar in bars.items()})
-        r, delta = given["r"], given["delta_r"]
-        r_bar, delta_bar = add_bar(bars["r_t"], r, delta)
-        return {**out, "r_t": add(r, delta)}, {**in_bar, "r": r_bar, "delta_r": delta_bar}
-
-    return run
-
-
-def unit(r):
-    return normalise(r)[0]
-
-
-def unit_bar(bar, r):
-    return normalise_backward(*normalise(r), bar)
-
-
-def both(bar):
-    return bar, bar
-
-
-def delta_first_bar(bar, r, delta):
-    bar = unit_bar(bar, r + unit(delta))
-    return bar, unit_bar(bar, delta)
-
-
 # Hamilton's product p = a b: p_i = sum_jk TABLE[i, j, k] a_j b_k
 TABLE = np.zeros((4, 4, 4))
 for _i, _row in enumerate(
@@ -271,79 +223,84 @@ for _i, _row in enumerate(
         TABLE[_i, _j, _k] = _sign
 
 
-def product(delta, r):
-    return np.einsum("ijk,nj,nk->ni", TABLE.astype(r.dtype), delta, r)
-
-
-def product_bar(bar, r, delta):
-    bar, table = unit_bar(bar, product(delta, r)), TABLE.astype(r.dtype)
-    return np.einsum("ijk,ni,nj->nk", table, bar, delta), np.einsum("ijk,ni,nk->nj", table, bar, r)
-
-
-def when_on(f):
-    """Change s_t where scaling is on."""
-
-    def change(tree, *others):
-        given = others[-1]
-        return (
-            {**tree, "s_t": f(tree["s_t"], given, *others[:-1])}
-            if given["delta_s"].shape[1]
-            else tree
-        )
-
-    return change
-
-
-def log_scaled_bar(bars, given):
-    """The gradient of s exp(delta_s), made of that of s + delta_s."""
-    if not given["delta_s"].shape[1]:
-        return bars
-    growth = np.exp(given["delta_s"])
-    return {**bars, "s": bars["s"] * growth, "delta_s": bars["delta_s"] * growth * given["s"]}
+def multiplied(given, cotangents):
+    """r_t is the unit quaternion along delta_r r where rotation is on."""
+    r, delta = given["r"], given["delta_r"]
+    if not delta.shape[1]:
+        return port("deformed")(given, cotangents)
+    out, in_bar = port("deformed")({**given, "delta_r": delta[:, :0]}, cotangents)
+    table = TABLE.astype(r.dtype)
+    r_t, norm = normalise(np.einsum("ijk,nj,nk->ni", table, delta, r))
+    bar = normalise_backward(r_t, norm, cotangents["r_t_bar"])
+    r_bar = np.einsum("ijk,ni,nj->nk", table, bar, delta)
+    delta_bar = np.einsum("ijk,ni,nk->nj", table, bar, r)
+    return {**out, "r_t": r_t}, {**in_bar, "r": r_bar, "delta_r": delta_bar}
 
 
 DEFORMED = [
-    surgery(
+    edited(
         "deformed",
         "deformed-not-normalised",
         "delta_r is added after the normalisation: r_t is not of unit length",
-        turned(lambda r, delta: r + delta, lambda bar, r, delta: both(bar)),
+        {"if delta_r.shape[1]:": "if False:"},
     ),
-    surgery(
+    edited(
         "deformed",
         "deformed-delta-normalised",
         "delta_r is normalised before it is added",
-        turned(lambda r, delta: unit(r + unit(delta)), delta_first_bar),
+        {
+            "widths) = as_printed(x, s, r, delta_x, delta_s, delta_r)": (
+                "widths) = as_printed(x, s, r, delta_x, delta_s, normalise(delta_r)[0] if "
+                "delta_r.size else delta_r)"
+            ),
+            "(r_t, norm, widths)": "((r_t, delta_r), norm, widths)",
+            "r_t, norm, (width_x, width_s, width_r) = saved": (
+                "(r_t, delta_r), norm, (width_x, width_s, width_r) = saved"
+            ),
+            "r_bar[:, :width_r]": (
+                "normalise_backward(*normalise(delta_r), r_bar) if width_r else r_bar[:, :0]"
+            ),
+        },
     ),
     surgery(
         "deformed",
         "deformed-product",
         "the quaternions are multiplied, delta_r r, instead of added",
-        turned(lambda r, delta: unit(product(delta, r)), product_bar),
+        multiplied,
     ),
-    surgery(
+    edited(
         "deformed",
         "deformed-gradient-not-normalised",
         "the normalisation of r_t is missing in backward alone",
-        turned(lambda r, delta: unit(r + delta), lambda bar, r, delta: both(bar)),
+        {"normalise_backward(r_t, norm, r_t_bar)": "r_t_bar"},
     ),
-    known(
+    edited(
         "deformed",
         "deformed-log-scale",
         "delta_s is added to the logarithm: s_t = s exp(delta_s)",
-        outputs=lambda out, given: when_on(lambda s_t, g: g["s"] * np.exp(g["delta_s"]))(
-            out, given
-        ),
-        inputs_bar=log_scaled_bar,
+        {
+            "moved(s, delta_s), moved(r": (
+                "(s * np.exp(delta_s) if delta_s.shape[1] else s), moved(r"
+            ),
+            "(r_t, norm, widths)": "((r_t, s, delta_s), norm, widths)",
+            "r_t, norm, (width_x": "(r_t, s, delta_s), norm, (width_x",
+            '"s": s_t_bar': '"s": s_t_bar * (np.exp(delta_s) if width_s else 1)',
+            "s_t_bar[:, :width_s]": "(s_t_bar * s)[:, :width_s] * np.exp(delta_s)",
+        },
     ),
-    known(
+    edited(
         "deformed",
         "deformed-clamped-scale",
         "negative scales are set to zero",
-        outputs=lambda out, given: when_on(lambda s_t, g: np.maximum(s_t, 0))(out, given),
-        outputs_bar=lambda bars, out, given: when_on(lambda bar, g, o: bar * (o["s_t"] > 0))(
-            bars, out, given
-        ),
+        {
+            "moved(s, delta_s), moved(r": (
+                "(np.maximum(s + delta_s, 0) if delta_s.shape[1] else s), moved(r"
+            ),
+            "(r_t, norm, widths)": "((r_t, s_t), norm, widths)",
+            "r_t, norm, (width_x": "(r_t, s_t), norm, (width_x",
+            '"s": s_t_bar': '"s": s_t_bar * (s_t > 0 if width_s else 1)',
+            "s_t_bar[:, :width_s]": "(s_t_bar * (s_t > 0))[:, :width_s]",
+        },
     ),
     known(
         "deformed",

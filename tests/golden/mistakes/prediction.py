@@ -2,27 +2,24 @@
 
 import numpy as np
 
-from p4dgs_ref.equations.numerics import normalise
-from p4dgs_ref.table import EQUATIONS
 from tests.golden.mistakes.kit import (
-    bars_of,
     component_major,
-    elementwise,
-    exponential,
+    edited,
     first_rows,
     hac_order,
-    headed,
-    identity,
     known,
     no_gradient,
-    relu,
-    sigmoid,
-    surgery,
-    tanh,
     without,
 )
 
 HAC = "the networks' input is (f_a, d_vc, delta_vc), HAC's order, instead of (f_a, delta_vc, d_vc)"
+
+# Text of the equations that several mistakes replace.
+KEPT = "mask & (alpha >= tau_alpha)"
+FRACTION = "s_a[:, None, :] * sigmoid(psi_s)"
+ANCHOR_BAR = "(s_bar * sigmoid(psi_s)).sum"
+PSI_BAR = "s_bar * s_a[:, None, :] * sigmoid_slope(psi_s)"
+READ = {"full_bar[index] = kept_bar": "full_bar[index[: len(kept_bar)]] = kept_bar[: len(index)]"}
 
 
 # --- Eq. (1) ------------------------------------------------------------------------------------
@@ -76,32 +73,6 @@ OFFSETS = [
 
 
 # --- Eq. (2) ------------------------------------------------------------------------------------
-EPSILON = 1e-6
-
-
-def softened(out, _):
-    return {**out, "d_vc": out["d_vc"] * (out["delta_vc"] / (out["delta_vc"] + EPSILON))}
-
-
-def softened_bar(bars, out, _):
-    delta, d = out["delta_vc"], out["d_vc"]
-    along = (bars["d_vc"] * d).sum(axis=1, keepdims=True)
-    at_camera = delta == 0
-    # An anchor on the camera has the direction v / EPSILON; the right gradient is 0 there.
-    return {
-        "delta_vc": bars["delta_vc"]
-        + np.where(at_camera, 0, along * (EPSILON / (delta + EPSILON)) / (delta + EPSILON)),
-        "d_vc": bars["d_vc"] * (delta / (delta + EPSILON)),
-    }
-
-
-def radial_bar(bars, out, _):
-    delta = np.where(out["delta_vc"] > 0, out["delta_vc"], np.inf)
-    return {
-        **bars,
-        "delta_vc": bars["delta_vc"]
-        + (bars["d_vc"] * out["d_vc"]).sum(axis=1, keepdims=True) / delta,
-    }
 
 
 VIEW = [
@@ -119,18 +90,24 @@ VIEW = [
         outputs={"delta_vc": np.square},
         outputs_bar={"delta_vc": lambda bar, delta: 2 * bar * delta},
     ),
-    known(
+    edited(
         "view",
         "view-epsilon",
         "d_vc is divided by delta_vc + 1e-6 instead of delta_vc",
-        outputs=softened,
-        outputs_bar=softened_bar,
+        {
+            "return (delta_vc, d_vc), (": "return (delta_vc, v / (delta_vc + 1e-6)), (",
+            "perpendicular(d_vc, d_vc_bar) / nonzero(delta_vc)": (
+                "(perpendicular(d_vc, d_vc_bar * (delta_vc > 0)) "
+                "+ d_vc * (d_vc * d_vc_bar).sum(axis=1, keepdims=True) * 1e-6 / (delta_vc + 1e-6)) "
+                "/ (delta_vc + 1e-6)"
+            ),
+        },
     ),
-    known(
+    edited(
         "view",
         "view-radial-gradient",
         "the gradient of d_vc treats the length in its denominator as a constant",
-        outputs_bar=radial_bar,
+        {"perpendicular(d_vc, d_vc_bar)": "d_vc_bar * (delta_vc > 0)"},
     ),
 ]
 
@@ -141,40 +118,36 @@ def view_first(given):
     return np.array([*range(d, len(given["weights"][0])), *range(d)])
 
 
-def plain_sigmoid(y):
-    value = 1 / (1 + np.exp(-y))
-    return value, value * (1 - value)
-
-
-def unsquared(y):
-    return np.tanh(y), 1 - np.tanh(y)
-
-
-def positive(y):
-    return np.maximum(np.tanh(y), 0), (1 - np.tanh(y) ** 2) * (y > 0)
-
-
 OPACITY = [
-    headed(
-        "opacity", "opacity-sigmoid", "sigmoid for tanh", elementwise("alpha", 0, plain_sigmoid)
+    edited(
+        "opacity",
+        "opacity-sigmoid",
+        "sigmoid for tanh",
+        {
+            "np.tanh(psi_alpha[:, :, 0])": "1 / (1 + np.exp(-psi_alpha[:, :, 0]))",
+            "tanh_slope(psi_alpha)": "1 / (2 + np.exp(psi_alpha) + np.exp(-psi_alpha))",
+        },
     ),
-    headed(
+    edited(
         "opacity",
         "opacity-linear",
         "no activation: the tanh is missing",
-        elementwise("alpha", 0, identity),
+        {"np.tanh(psi_alpha[:, :, 0])": "psi_alpha[:, :, 0]", "tanh_slope(psi_alpha)": "1"},
     ),
-    headed(
+    edited(
         "opacity",
         "opacity-positive",
         "negative opacities are set to zero",
-        elementwise("alpha", 0, positive),
+        {
+            "np.tanh(psi_alpha[:, :, 0])": "np.maximum(np.tanh(psi_alpha[:, :, 0]), 0)",
+            "tanh_slope(psi_alpha)": "(tanh_slope(psi_alpha) * (psi_alpha > 0))",
+        },
     ),
-    headed(
+    edited(
         "opacity",
         "opacity-slope",
         "the slope of tanh is taken as 1 - alpha instead of 1 - alpha^2",
-        elementwise("alpha", 0, unsquared),
+        {"tanh_slope(psi_alpha)": "(1 - np.tanh(psi_alpha))"},
     ),
     known("opacity", "opacity-hac-order", HAC, **first_rows(hac_order)),
     known(
@@ -187,58 +160,30 @@ OPACITY = [
 
 
 # --- masking ------------------------------------------------------------------------------------
-def kept_where(**changes):
-    """`run` that keeps other rows.
-
-    The cotangents are those of the right rows. The port reads as many of them as it has rows.
-    """
-
-    def run(given, cotangents):
-        other = {name: f(given) for name, f in changes.items()}
-        out, pullback = EQUATIONS["masking"].vjp(**{**given, **other})
-        rows = len(out["index"])
-        read = {}
-        for name, bar in cotangents.items():
-            read[name] = np.zeros((rows, *bar.shape[1:]), bar.dtype)
-            read[name][: len(bar)] = bar[:rows]
-        return out, pullback(**read)
-
-    return run
 
 
 def child_major(tree, *_):
     return {name: a.swapaxes(0, 1) if np.ndim(a) > 1 else a for name, a in tree.items()}
 
 
-def packed(bars, given):
-    """Put the gradients into the first rows instead of the rows that were kept."""
-    index = np.flatnonzero(given["mask"] & (given["alpha"] >= given["tau_alpha"]))
-    wrong = {}
-    for name, bar in bars.items():
-        flat = np.zeros_like(bar).reshape(given["alpha"].size, *bar.shape[2:])
-        flat[: len(index)] = bar.reshape(flat.shape)[index]
-        wrong[name] = flat.reshape(bar.shape)
-    return wrong
-
-
 MASKING = [
-    surgery(
+    edited(
         "masking",
         "masking-strict",
         "alpha > tau_alpha instead of alpha >= tau_alpha",
-        kept_where(mask=lambda given: given["mask"] & (given["alpha"] != given["tau_alpha"])),
+        {KEPT: "mask & (alpha > tau_alpha)", **READ},
     ),
-    surgery(
+    edited(
         "masking",
         "masking-mask-ignored",
         "children masked for good are drawn: the mask is ignored",
-        kept_where(mask=lambda given: np.ones_like(given["mask"])),
+        {KEPT: "alpha >= tau_alpha", **READ},
     ),
-    surgery(
+    edited(
         "masking",
         "masking-threshold-ignored",
         "everything not masked is kept: tau_alpha is ignored",
-        kept_where(tau_alpha=lambda _: -np.inf),
+        {KEPT: "mask", **READ},
     ),
     known(
         "masking",
@@ -247,18 +192,16 @@ MASKING = [
         inputs=child_major,
         inputs_bar=child_major,
     ),
-    known(
+    edited(
         "masking",
         "masking-gradient-packed",
         "gradients are not scattered back: they stay in the first rows",
-        inputs_bar=packed,
+        {"full_bar[index] = kept_bar": "full_bar[: len(index)] = kept_bar"},
     ),
 ]
 
 
 # --- Eq. (3) for colour and rotation, Eq. (4) ---------------------------------------------------
-def half_slope(y):
-    return sigmoid(y)[0], sigmoid(y)[0]
 
 
 def eight_bits(out, _):
@@ -266,18 +209,26 @@ def eight_bits(out, _):
 
 
 COLOR = [
-    headed("color", "color-tanh", "tanh for sigmoid", elementwise("color", 3, tanh)),
-    headed(
+    edited(
+        "color",
+        "color-tanh",
+        "tanh for sigmoid",
+        {
+            "return sigmoid(psi_c)": "return np.tanh(psi_c)",
+            "sigmoid_slope(psi_c)": "4 * sigmoid_slope(2 * psi_c)",
+        },
+    ),
+    edited(
         "color",
         "color-linear",
         "no activation: the sigmoid is missing",
-        elementwise("color", 3, identity),
+        {"return sigmoid(psi_c)": "return psi_c", "sigmoid_slope(psi_c)": "1"},
     ),
-    headed(
+    edited(
         "color",
         "color-slope",
         "the slope of the sigmoid lacks its factor 1 - color",
-        elementwise("color", 3, half_slope),
+        {"sigmoid_slope(psi_c)": "sigmoid(psi_c)"},
     ),
     known(
         "color",
@@ -297,19 +248,6 @@ COLOR = [
 ]
 
 
-def quaternions(value_of, pull_of=None):
-    """A head (A, k, 4) with value_of(y) and its gradient pull_of(bar, y), by default the bar."""
-
-    def head(y, _):
-        y_4 = y.reshape(len(y), y.shape[1] // 4, 4)
-        return {"r": value_of(y_4)}, lambda bars: (
-            (pull_of(bars["r"], y_4) if pull_of else bars["r"]).reshape(y.shape),
-            {},
-        )
-
-    return head
-
-
 def real_sign(r):
     return np.where(r[..., :1] < 0, -1, 1).astype(r.dtype)
 
@@ -322,23 +260,26 @@ ROTATION = [
         outputs={"r": lambda r: r[..., [1, 2, 3, 0]]},
         outputs_bar={"r": lambda bar, _: bar[..., [3, 0, 1, 2]]},
     ),
-    headed(
+    edited(
         "rotation",
         "rotation-not-normalised",
         "the quaternion is not normalised",
-        quaternions(lambda y: y),
+        {
+            "r, norm = normalise(psi_r)": "r, norm = psi_r, None",
+            "normalise_backward(r, norm, r_bar)": "r_bar",
+        },
     ),
-    headed(
+    edited(
         "rotation",
         "rotation-gradient-not-normalised",
         "the normalisation is missing in backward alone",
-        quaternions(lambda y: normalise(y)[0]),
+        {"normalise_backward(r, norm, r_bar)": "r_bar"},
     ),
-    headed(
+    edited(
         "rotation",
         "rotation-gradient-constant-norm",
         "the gradient divides by the norm as if it were a constant",
-        quaternions(lambda y: normalise(y)[0], lambda bar, y: bar / normalise(y)[1]),
+        {"normalise_backward(r, norm, r_bar)": "r_bar / norm"},
     ),
     known(
         "rotation",
@@ -357,45 +298,56 @@ ROTATION = [
 ]
 
 
-def scales(combine, activation=sigmoid):
-    """A head (A, k, 3); combine(s_a, fraction) returns s, ds/ds_a and ds/dfraction of a child."""
-
-    def head(y, given):
-        shape = (len(y), y.shape[1] // 3, 3)
-        fraction, slope = (a.reshape(shape) for a in activation(y))
-        s, of_anchor, of_fraction = combine(given["s_a"][:, None, :], fraction)
-        return {"s": s}, lambda bars: (
-            (bars["s"] * of_fraction * slope).reshape(y.shape),
-            {"s_a": (bars["s"] * of_anchor).sum(axis=1)},
-        )
-
-    return head
-
-
-def times(s_a, fraction):
-    return s_a * fraction, fraction, s_a
-
-
 SCALE = [
-    headed("scale", "scale-exp", "exp for sigmoid", scales(times, exponential)),
-    headed("scale", "scale-tanh", "tanh for sigmoid", scales(times, tanh)),
-    headed(
+    edited(
+        "scale",
+        "scale-exp",
+        "exp for sigmoid",
+        {
+            FRACTION: "s_a[:, None, :] * np.exp(psi_s)",
+            ANCHOR_BAR: "(s_bar * np.exp(psi_s)).sum",
+            PSI_BAR: "s_bar * s_a[:, None, :] * np.exp(psi_s)",
+        },
+    ),
+    edited(
+        "scale",
+        "scale-tanh",
+        "tanh for sigmoid",
+        {
+            FRACTION: "s_a[:, None, :] * np.tanh(psi_s)",
+            ANCHOR_BAR: "(s_bar * np.tanh(psi_s)).sum",
+            PSI_BAR: "s_bar * s_a[:, None, :] * 4 * sigmoid_slope(2 * psi_s)",
+        },
+    ),
+    edited(
         "scale",
         "scale-added",
         "s_a is added to the sigmoid instead of multiplied",
-        scales(lambda s_a, fraction: (s_a + fraction, np.ones_like(fraction), 1)),
+        {
+            FRACTION: "s_a[:, None, :] + sigmoid(psi_s)",
+            ANCHOR_BAR: "s_bar.sum",
+            PSI_BAR: "s_bar * sigmoid_slope(psi_s)",
+        },
     ),
-    headed(
+    edited(
         "scale",
         "scale-log",
         "s_a is taken for a logarithm: exp(s_a) is multiplied",
-        scales(lambda s_a, fraction: (np.exp(s_a) * fraction, np.exp(s_a) * fraction, np.exp(s_a))),
+        {
+            FRACTION: "np.exp(s_a)[:, None, :] * sigmoid(psi_s)",
+            ANCHOR_BAR: "(s_bar * np.exp(s_a)[:, None, :] * sigmoid(psi_s)).sum",
+            PSI_BAR: "s_bar * np.exp(s_a)[:, None, :] * sigmoid_slope(psi_s)",
+        },
     ),
-    headed(
+    edited(
         "scale",
         "scale-no-anchor",
         "the anchor's scale s_a is left out",
-        scales(lambda s_a, fraction: (fraction, 0 * fraction, 1)),
+        {
+            FRACTION: "sigmoid(psi_s)",
+            ANCHOR_BAR: "(0 * s_bar).sum",
+            PSI_BAR: "s_bar * sigmoid_slope(psi_s)",
+        },
     ),
     known(
         "scale",
@@ -414,29 +366,6 @@ SCALE = [
 
 
 # --- the networks themselves --------------------------------------------------------------------
-def perceptron(hidden, last=identity):
-    """A network with other activations, `hidden` between layers and `last` behind the last one."""
-
-    def run(given, cotangents):
-        weights, biases = given["weights"], given["biases"]
-        inputs, slopes = [given["x"]], []
-        for i, (W, b) in enumerate(zip(weights, biases)):
-            value, slope = (hidden if i + 1 < len(weights) else last)(inputs[-1] @ W + b)
-            inputs.append(value)
-            slopes.append(slope)
-        bar, weights_bar, biases_bar = bars_of(cotangents)["y"], [], []
-        for W, x, slope in zip(reversed(weights), reversed(inputs[:-1]), reversed(slopes)):
-            bar = bar * slope
-            weights_bar.insert(0, x.T @ bar)
-            biases_bar.insert(0, bar.sum(axis=0))
-            bar = bar @ W.T
-        return {"y": inputs[-1]}, {"x": bar, "weights": weights_bar, "biases": biases_bar}
-
-    return run
-
-
-def leaky(y):
-    return np.where(y > 0, y, y.dtype.type(0.01) * y), np.where(y > 0, 1, 0.01).astype(y.dtype)
 
 
 def per_row(bars, given):
@@ -445,20 +374,48 @@ def per_row(bars, given):
 
 
 MLP = [
-    surgery("mlp", "mlp-no-relu", "no ReLU between the layers", perceptron(identity)),
-    surgery("mlp", "mlp-last-relu", "a ReLU follows the last layer too", perceptron(relu, relu)),
-    surgery("mlp", "mlp-leaky-relu", "leaky ReLU with slope 0.01 for ReLU", perceptron(leaky)),
-    surgery(
+    edited(
         "mlp",
-        "mlp-relu-gradient",
-        "the ReLU lets every gradient through",
-        perceptron(lambda y: (relu(y)[0], np.ones_like(y))),
+        "mlp-no-relu",
+        "no ReLU between the layers",
+        {"np.maximum(hidden, 0, out=hidden)": "hidden", "inputs[i] > 0": "1"},
     ),
-    surgery(
+    edited(
+        "mlp",
+        "mlp-last-relu",
+        "a ReLU follows the last layer too",
+        {
+            "return y, (inputs, weights)": "return np.maximum(y, 0), (inputs, weights, y > 0)",
+            "inputs, weights = saved": "inputs, weights, y_bar = *saved[:2], y_bar * saved[2]",
+        },
+    ),
+    edited(
+        "mlp",
+        "mlp-leaky-relu",
+        "leaky ReLU with slope 0.01 for ReLU",
+        {
+            "np.maximum(hidden, 0, out=hidden)": (
+                "np.where(hidden > 0, hidden, hidden.dtype.type(0.01) * hidden)"
+            ),
+            "inputs[i] > 0": "np.where(inputs[i] > 0, 1, 0.01)",
+        },
+    ),
+    edited(
+        "mlp", "mlp-relu-gradient", "the ReLU lets every gradient through", {"inputs[i] > 0": "1"}
+    ),
+    edited(
         "mlp",
         "mlp-kink",
         "at the ReLU's kink the gradient is 1 instead of 0",
-        perceptron(lambda y: (relu(y)[0], (y >= 0).astype(y.dtype))),
+        {
+            "inputs = [x]": "inputs, before = [x], [x]",
+            "inputs.append(np.maximum(hidden, 0, out=hidden))": (
+                "inputs, before = [*inputs, np.maximum(hidden, 0)], [*before, hidden]"
+            ),
+            "return y, (inputs, weights)": "return y, (inputs, weights, before)",
+            "inputs, weights = saved": "inputs, weights, before = saved",
+            "inputs[i] > 0": "before[i] >= 0",
+        },
     ),
     known(
         "mlp",

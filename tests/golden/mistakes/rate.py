@@ -3,25 +3,27 @@
 import math
 
 import numpy as np
-from scipy.special import expit, ndtr
+from scipy.special import ndtr
 
-from p4dgs_ref.equations.prior import RAW_MAX, RAW_MIN, layout
-from p4dgs_ref.equations.step import SMALLEST
 from tests.golden.mistakes.kit import (
     NotApplicable,
     bars_of,
-    exponential,
-    headed,
+    edited,
     known,
     last_columns,
     no_gradient,
-    port,
     surgery,
     without,
 )
 
 LOG_2 = math.log(2)
 PHI_0 = 1 / math.sqrt(2 * math.pi)  # density of the standard Gaussian at its mean
+
+# Text of the equations that several mistakes replace.
+SIGMA = "np.exp(np.clip(raw, RAW_MIN, RAW_MAX))"
+SIGMA_BAR = "sigma_bar * sigma * free"
+RINT = "np.rint(np.divide(f, q, dtype=np.float64))"
+FLOORED = "np.where(share > SMALLEST, 4 * Q_0 * sigmoid_slope(2 * psi_q), 0)"
 
 
 # --- Eq. (7) ------------------------------------------------------------------------------------
@@ -61,42 +63,6 @@ NOISE = [
 
 
 # --- Eq. (8) ------------------------------------------------------------------------------------
-def steps(value):
-    """A head whose steps are Q_0 times `value(psi_q) -> value, slope`."""
-
-    def head(y, given):
-        share, slope = value(y)
-        return {"q": given["Q_0"] * share}, lambda bars: (bars["q"] * given["Q_0"] * slope, {})
-
-    return head
-
-
-def twice_sigmoid(y):
-    """1 + tanh y above its floor, and its slope everywhere."""
-    share = 2 * expit(2 * y)
-    return share, 2 * share * expit(-2 * y)
-
-
-def floored(share, slope):
-    return np.maximum(share, SMALLEST), np.where(share > SMALLEST, slope, 0)
-
-
-def no_one(y):
-    return np.tanh(y), 1 - np.tanh(y) ** 2
-
-
-def half_argument(y):
-    return floored(2 * expit(y), 2 * expit(y) * expit(-y))
-
-
-def half_slope(y):
-    share, slope = twice_sigmoid(y)
-    return floored(share, slope / 2)
-
-
-def passing_floor(y):
-    share, slope = twice_sigmoid(y)
-    return np.maximum(share, SMALLEST), slope
 
 
 def columns_of_groups(given):
@@ -110,31 +76,52 @@ def plain_Q_0(given):
 
 
 STEP = [
-    headed("step", "step-no-one", "q = Q_0 tanh(psi_q): the 1 + is missing", steps(no_one)),
-    headed(
+    edited(
+        "step",
+        "step-no-one",
+        "q = Q_0 tanh(psi_q): the 1 + is missing",
+        {
+            "share = 2 * sigmoid(2 * psi_q)": "share = np.tanh(psi_q)",
+            "np.maximum(share, SMALLEST)": "share",
+            FLOORED: "Q_0 * (1 - share**2)",
+        },
+    ),
+    edited(
         "step",
         "step-half-argument",
         "q = 2 Q_0 sigmoid(psi_q): the sigmoid of 2 psi_q is meant",
-        steps(half_argument),
+        {
+            "share = 2 * sigmoid(2 * psi_q)": "share = 2 * sigmoid(psi_q)",
+            "4 * Q_0 * sigmoid_slope(2 * psi_q)": "2 * Q_0 * sigmoid_slope(psi_q)",
+        },
     ),
-    headed("step", "step-exp", "q = Q_0 exp(psi_q)", steps(exponential)),
-    headed(
+    edited(
+        "step",
+        "step-exp",
+        "q = Q_0 exp(psi_q)",
+        {
+            "share = 2 * sigmoid(2 * psi_q)": "share = np.exp(psi_q)",
+            "np.maximum(share, SMALLEST)": "share",
+            FLOORED: "Q_0 * share",
+        },
+    ),
+    edited(
         "step",
         "step-no-floor",
         "q has no floor: it vanishes where tanh is -1",
-        steps(twice_sigmoid),
+        {"np.maximum(share, SMALLEST)": "share", FLOORED: "4 * Q_0 * sigmoid_slope(2 * psi_q)"},
     ),
-    headed(
+    edited(
         "step",
         "step-floor-gradient",
         "the floor of q lets the gradient through",
-        steps(passing_floor),
+        {FLOORED: "4 * Q_0 * sigmoid_slope(2 * psi_q)"},
     ),
-    headed(
+    edited(
         "step",
         "step-half-slope",
         "the slope lacks the inner factor 2 of sigmoid(2 psi_q)",
-        steps(half_slope),
+        {"4 * Q_0": "2 * Q_0"},
     ),
     known("step", "step-no-base", "the base step Q_0 is left out", inputs=plain_Q_0),
     known(
@@ -147,80 +134,54 @@ STEP = [
 
 
 # --- Eq. (10) -----------------------------------------------------------------------------------
-def rounded(rule, back=lambda symbols, f, q: (symbols * q.astype(float)).astype(f.dtype)):
-    """Another `rule(f, q)` for the symbols, or another way back."""
-
-    def run(given, cotangents):
-        f, q = given["f"], given["q"]
-        symbols = np.asarray(rule(f, q)).astype(np.int64)
-        return {"symbols": symbols, "f_hat": back(symbols, f, q)}, {}
-
-    return run
-
-
-def ratio(f, q):
-    return np.divide(f, q, dtype=np.float64)
-
-
-def away(f, q):
-    r = np.abs(ratio(f, q))
-    return np.sign(ratio(f, q)) * np.where(r - np.floor(r) >= 0.5, np.floor(r) + 1, np.floor(r))
-
-
-def half_up(f, q):
-    r = ratio(f, q)
-    return np.where(r - np.floor(r) >= 0.5, np.floor(r) + 1, np.floor(r))
 
 
 ROUNDING = [
-    surgery(
+    edited(
         "rounding",
         "rounding-half-away",
         "ties are rounded away from zero instead of to even",
-        rounded(away),
+        {
+            RINT: (
+                "np.trunc(r := np.divide(f, q, dtype=np.float64)) + np.trunc(2 * (r - np.trunc(r)))"
+            )
+        },
     ),
-    surgery(
-        "rounding", "rounding-half-up", "ties are rounded up instead of to even", rounded(half_up)
+    edited(
+        "rounding",
+        "rounding-half-up",
+        "ties are rounded up instead of to even",
+        {RINT: "np.floor(r := np.divide(f, q, dtype=np.float64)) + (r - np.floor(r) >= 0.5)"},
     ),
-    surgery(
-        "rounding", "rounding-floor", "floor for round", rounded(lambda f, q: np.floor(ratio(f, q)))
+    edited(
+        "rounding",
+        "rounding-floor",
+        "floor for round",
+        {RINT: "np.floor(np.divide(f, q, dtype=np.float64))"},
     ),
-    surgery(
+    edited(
         "rounding",
         "rounding-truncate",
         "truncation towards zero for round",
-        rounded(lambda f, q: np.trunc(ratio(f, q))),
+        {RINT: "np.trunc(np.divide(f, q, dtype=np.float64))"},
     ),
-    surgery(
+    edited(
         "rounding",
         "rounding-float32",
         "f / q is divided in float32",
-        rounded(lambda f, q: np.rint(f.astype(np.float32) / q.astype(np.float32))),
+        {RINT: "np.rint(f.astype(np.float32) / q.astype(np.float32))"},
     ),
-    surgery(
+    edited(
         "rounding",
         "rounding-symbols-for-values",
         "f_hat is the symbol itself: it is not multiplied by q",
-        rounded(lambda f, q: np.rint(ratio(f, q)), lambda symbols, f, q: symbols.astype(f.dtype)),
+        {"(symbols * q.astype(np.float64)).astype(f.dtype)": "symbols.astype(f.dtype)"},
     ),
 ]
 
 
 # --- Eq. (11) -----------------------------------------------------------------------------------
 HAC_BITS = -math.log2(1e-6)
-
-
-def density(given, cotangents):
-    """q times the density at f."""
-    f, mu, sigma, q = (given[name] for name in ("f_noisy", "mu", "sigma", "q"))
-    z, bar = (f - mu) / sigma, bars_of(cotangents)["bits"] / LOG_2
-    log_p = -0.5 * z * z - 0.5 * math.log(2 * math.pi) + np.log(q / sigma)
-    return {"bits": -log_p / LOG_2}, {
-        "f_noisy": bar * z / sigma,
-        "mu": -bar * z / sigma,
-        "sigma": bar * (1 - z * z) / sigma,
-        "q": -bar / q,
-    }
 
 
 def printed(given, cotangents):
@@ -282,11 +243,16 @@ LIKELIHOOD = [
         "the printed difference of two values near one: no digits in the tails",
         printed,
     ),
-    surgery(
+    edited(
         "likelihood",
         "likelihood-density",
         "the density at f times q for the mass of the bin",
-        density,
+        {
+            "TO_BITS * log_p, *slopes(offset, sigma, z, w, ratio)": (
+                "TO_BITS * (np.log(w * PHI_0) - z * z / 2), *(TO_BITS * a for a in (-offset "
+                "/ sigma**2, (z * z - 1) / sigma, 1 / q))"
+            )
+        },
     ),
     known(
         "likelihood",
@@ -310,12 +276,6 @@ LIKELIHOOD = [
 
 
 # --- B1 -----------------------------------------------------------------------------------------
-def laplace_density(given, cotangents):
-    w, step, b = given["w"], given["step"], given["b"]
-    k, bits_bar = w / step, cotangents["bits_bar"] / LOG_2
-    slope = bits_bar * np.sign(k) / b / step
-    bits = (np.abs(k) / b + np.log(2 * b)) / LOG_2
-    return {"bits": bits}, {"w": slope, "step": -slope * k}
 
 
 WEIGHT_BITS = [
@@ -340,11 +300,14 @@ WEIGHT_BITS = [
         outputs={"bits": lambda bits: bits * LOG_2},
         outputs_bar={"bits": lambda bar, _: bar * LOG_2},
     ),
-    surgery(
+    edited(
         "weight_bits",
         "weight-bits-density",
         "the density at k for the mass of the bin",
-        laplace_density,
+        {
+            "log_p * w.dtype.type(TO_BITS)": "(a / b + np.log(2 * b)) * w.dtype.type(-TO_BITS)",
+            "np.where(around, (low - high) / (2 * p), 1) / b": "1 / b",
+        },
     ),
     known(
         "weight_bits",
@@ -362,53 +325,6 @@ WEIGHT_BITS = [
 
 
 # --- Eq. (12) -----------------------------------------------------------------------------------
-def deviations(value):
-    """A head whose sigma is `value(raw) -> sigma, slope`."""
-
-    def head(y, given):
-        mu, raw = layout(given["widths"])
-        sigma, slope = value(y[:, raw])
-
-        def pull(bars):
-            y_bar = np.zeros_like(y)
-            y_bar[:, mu], y_bar[:, raw] = bars["mu"], bars["sigma"] * slope
-            return y_bar, {}
-
-        return {"mu": y[:, mu], "sigma": sigma}, pull
-
-    return head
-
-
-def clamped(function):
-    """`function(raw) -> sigma, slope` behind the clamp of raw."""
-
-    def of_raw(raw):
-        value, slope = function(np.clip(raw, RAW_MIN, RAW_MAX))
-        return value, slope * ((raw >= RAW_MIN) & (raw <= RAW_MAX))
-
-    return of_raw
-
-
-def clamp_passing(raw):
-    sigma = np.exp(np.clip(raw, RAW_MIN, RAW_MAX))
-    return sigma, sigma
-
-
-def positions(rule):
-    """The changes that read psi_p's outputs elsewhere.
-
-    rule(start, i, n) returns the columns of mu and of raw sigma for the numbers i of a group.
-    """
-
-    def order(given):
-        widths = given["widths"]
-        starts, index = np.cumsum((0, *widths[:-1])), np.empty(2 * sum(widths), int)
-        for start, width in zip(starts, widths):
-            mu = 2 * start + np.arange(width)
-            index[mu], index[mu + width] = rule(start, np.arange(width), sum(widths))
-        return index
-
-    return last_columns(order)
 
 
 def exchange(tree, given):
@@ -421,48 +337,70 @@ def exchange(tree, given):
 
 
 PRIOR = [
-    headed(
+    edited(
         "prior",
         "prior-not-exponentiated",
         "sigma is the raw output: exp is missing",
-        deviations(clamped(lambda raw: (raw, np.ones_like(raw)))),
+        {SIGMA: "np.clip(raw, RAW_MIN, RAW_MAX)", SIGMA_BAR: "sigma_bar * free"},
     ),
-    headed(
+    edited(
         "prior",
         "prior-power-of-two",
         "sigma = 2^raw instead of exp(raw)",
-        deviations(clamped(lambda raw: (np.exp2(raw), LOG_2 * np.exp2(raw)))),
+        {
+            SIGMA: "np.exp2(np.clip(raw, RAW_MIN, RAW_MAX))",
+            SIGMA_BAR: "sigma_bar * sigma * np.log(2) * free",
+        },
     ),
-    headed(
+    edited(
         "prior",
         "prior-softplus",
         "sigma = softplus(raw) instead of exp(raw)",
-        deviations(clamped(lambda raw: (np.logaddexp(0, raw), expit(raw)))),
+        {
+            SIGMA: "np.logaddexp(0, np.clip(raw, RAW_MIN, RAW_MAX))",
+            SIGMA_BAR: "sigma_bar * -np.expm1(-sigma) * free",
+        },
     ),
-    headed(
+    edited(
         "prior",
         "prior-log-variance",
         "sigma = exp(raw / 2): raw is taken for the logarithm of a variance",
-        deviations(clamped(lambda raw: (np.exp(raw / 2), np.exp(raw / 2) / 2))),
+        {
+            SIGMA: "np.exp(np.clip(raw, RAW_MIN, RAW_MAX) / 2)",
+            SIGMA_BAR: "sigma_bar * sigma / 2 * free",
+        },
     ),
-    headed("prior", "prior-no-clamp", "raw sigma is not clamped", deviations(exponential)),
-    headed(
+    edited(
+        "prior",
+        "prior-no-clamp",
+        "raw sigma is not clamped",
+        {SIGMA: "np.exp(raw)", SIGMA_BAR: "sigma_bar * sigma"},
+    ),
+    edited(
         "prior",
         "prior-clamp-gradient",
         "the clamp of raw sigma lets the gradient through",
-        deviations(clamp_passing),
+        {SIGMA_BAR: "sigma_bar * sigma"},
     ),
-    known(
+    edited(
         "prior",
         "prior-interleaved",
         "psi_p's outputs are read as mu, sigma, mu, sigma ... channel by channel",
-        **positions(lambda start, i, n: (2 * (start + i), 2 * (start + i) + 1)),
+        {
+            "return mu, mu + np.repeat(widths, widths)": (
+                "return 2 * np.arange(len(mu)), 2 * np.arange(len(mu)) + 1"
+            ),
+        },
     ),
-    known(
+    edited(
         "prior",
         "prior-all-means-first",
         "psi_p's outputs are read as all mu of all groups, then all sigma",
-        **positions(lambda start, i, n: (start + i, n + start + i)),
+        {
+            "return mu, mu + np.repeat(widths, widths)": (
+                "return np.arange(len(mu)), len(mu) + np.arange(len(mu))"
+            ),
+        },
     ),
     known(
         "prior",
@@ -502,11 +440,6 @@ def of_living(tree, mask):
     }
 
 
-def gradient_behind_mask(given, cotangents):
-    out, bars = port("anchor_rate")(given, cotangents)
-    return out, {**bars, "bits_O": np.full_like(bars["bits_O"], cotangents["R_anchor_bar"])}
-
-
 def divided_by(count):
     """The bits and their gradients divided by count(inputs)."""
     return dict(
@@ -523,18 +456,6 @@ def entries(given):
 
 def coded_entries(given):
     return entries(given) - 3 * np.sum(~given["mask"])
-
-
-def means_of_groups(given, cotangents):
-    """The mean of each of f, s, l, O over its entries, masked ones included; then their sum."""
-    bits = {name: a for name, a in given.items() if name.startswith("bits_")}
-    kept = np.broadcast_to(given["mask"][:, :, None], bits["bits_O"].shape)
-    bits["bits_O"] = np.where(kept, bits["bits_O"], 0)
-    bar = cotangents["R_anchor_bar"]
-    bars = {name: np.full_like(a, bar / np.float64(a.size)) for name, a in bits.items()}
-    bars["bits_O"] = bars["bits_O"] * kept
-    total = sum(a.sum() / np.float64(a.size) for a in bits.values())
-    return {"R_anchor": np.asarray(total)}, bars
 
 
 ANCHOR_RATE = [
@@ -564,11 +485,11 @@ ANCHOR_RATE = [
             "bits_O": bars["bits_O"] * given["mask"][:, :, None],
         },
     ),
-    surgery(
+    edited(
         "anchor_rate",
         "anchor-rate-gradient-behind-mask",
         "masked offsets receive a gradient",
-        gradient_behind_mask,
+        {"bits_O_bar[~mask] = 0": "pass"},
     ),
     known(
         "anchor_rate",
@@ -601,11 +522,25 @@ ANCHOR_RATE = [
         "the bits are the mean over the entries that are coded instead of the sum",
         **divided_by(coded_entries),
     ),
-    surgery(
+    edited(
         "anchor_rate",
         "anchor-rate-means-of-groups",
         "the bits of f, s, l and O are means over their entries instead of sums",
-        means_of_groups,
+        {
+            "bits.sum(dtype=np.float64)": "bits.sum() / np.float64(bits.size)",
+            "np.full((A, k, 3), R_anchor_bar, dtype)": (
+                "np.full((A, k, 3), R_anchor_bar / np.float64(A * k * 3), dtype)"
+            ),
+            "np.full((A, d), R_anchor_bar, dtype)": (
+                "np.full((A, d), R_anchor_bar / np.float64(A * d), dtype)"
+            ),
+            '"bits_s": np.full((A, 3), R_anchor_bar, dtype)': (
+                '"bits_s": np.full((A, 3), R_anchor_bar / np.float64(A * 3), dtype)'
+            ),
+            '"bits_l": np.full((A, 3), R_anchor_bar, dtype)': (
+                '"bits_l": np.full((A, 3), R_anchor_bar / np.float64(A * 3), dtype)'
+            ),
+        },
     ),
 ]
 
