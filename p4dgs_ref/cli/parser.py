@@ -441,7 +441,6 @@ COMMANDS = {
                 help="folder to write to; an existing classroom keeps what students wrote",
             ),
             several("--only", "KEY", "only this equation; may be repeated"),
-            switch("--backward-only", "leave the forwards as they are"),
         ),
     ),
     "grade": (

@@ -7,7 +7,7 @@ def classroom(arguments):
     """Write the equations without their bodies, and the key."""
     from ..lab.school import classroom as write
 
-    done = write(arguments.folder, arguments.only or None, arguments.backward_only)
+    done = write(arguments.folder, arguments.only)
     kept = f"; kept as they were: {', '.join(done['kept'])}" if done["kept"] else ""
     show(
         arguments,
@@ -22,7 +22,7 @@ def grade(arguments):
     from ..lab import school
 
     with report_folder(arguments.output) as beside, Line(arguments) as line:
-        reports = school.grade(
+        grades = school.grade(
             *arguments.folders,
             classroom=arguments.classroom,
             seed=arguments.seed,
@@ -31,5 +31,5 @@ def grade(arguments):
             progress=line,
         )
         if beside:
-            school.write(reports, beside)
-    show(arguments, school.as_json(reports), school.text(reports))
+            school.write(grades, beside)
+    show(arguments, school.as_json(grades), school.text(grades))

@@ -3,7 +3,9 @@
 import json
 import os
 import sys
+from contextlib import suppress
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -50,14 +52,29 @@ def interactive():
     return hasattr(sys, "ps1") or "ipykernel" in sys.modules
 
 
+def begin(name):
+    """Show the drawing of the method with what a tutorial explains lit, and return pyplot.
+
+    The drawing belongs to the checkout, as the tutorials do; without one it is left out.
+    """
+    sys.path += [str(root) for root in here().parents if (root / "tutorials" / "tools").is_dir()]
+    with suppress(ModuleNotFoundError):
+        import_module("tutorials.tools.architecture").show(name)
+    return pyplot()
+
+
+def here():
+    """Return the folder of the tutorial that runs, or of its notebook."""
+    script = Path(sys.argv[0]).resolve().parent
+    return script if script.name in ("tutorials", "solutions") else Path.cwd()
+
+
 def out():
     """Return the folder for figures, which is `out` beside the tutorial that runs.
 
     The environment variable P4DGS_TUTORIALS_OUT names another one.
     """
-    script = Path(sys.argv[0]).resolve().parent
-    beside = script if script.name in ("tutorials", "solutions") else Path.cwd()
-    folder = Path(os.environ.get("P4DGS_TUTORIALS_OUT") or beside / "out")
+    folder = Path(os.environ.get("P4DGS_TUTORIALS_OUT") or here() / "out")
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
@@ -108,6 +125,19 @@ def close(a, b, tolerance=1e-12):
     """Whether a and b agree, up to a fraction of the largest number in b."""
     off = np.abs(np.asarray(a) - b).max(initial=0)
     return bool(off <= tolerance * np.abs(b).max(initial=0))
+
+
+def adjoint(rng, forward, inputs, cotangents, gradients, tolerance=1e-7):
+    """Assert the adjoint identity along a random direction of all `inputs`, and print both sides.
+
+    `forward(**inputs)` returns the outputs, in the form of `cotangents`.
+    """
+    d, h = random_like(rng, inputs), 1e-6
+    up, down = (forward(**moved(inputs, d, step)) for step in (h, -h))
+    difference = (inner(up, cotangents) - inner(down, cotangents)) / (2 * h)
+    gradient = inner(gradients, d)
+    print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
+    assert close(difference, gradient, tolerance)
 
 
 # --- exercises ------------------------------------------------------------------------------------
