@@ -13,10 +13,8 @@ import numpy as np
 from p4dgs_ref.equations import offsets
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("01_offsets")
+plt = lessons.begin("01_offsets")
 rng = np.random.default_rng(1)
 
 # %% [markdown]
@@ -90,10 +88,12 @@ for a in range(4):
         ms=16,
         mew=3,
     )
-axes.set_xlabel("x (scene units)")
-axes.set_ylabel("y (scene units)")
-axes.set_aspect("equal")
-axes.set_title("Four anchors (+) with six Gaussians each: $l_a$ is larger along x")
+axes.set(
+    xlabel="x (scene units)",
+    ylabel="y (scene units)",
+    aspect="equal",
+    title="Four anchors (+) with six Gaussians each: $l_a$ is larger along x",
+)
 axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
 lessons.show(figure, "01_offsets")
 

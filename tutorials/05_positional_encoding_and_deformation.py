@@ -18,10 +18,8 @@ from p4dgs_ref.lab.random_inputs import random_field
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.lab.school.lessons import close, inner, random_like
 from p4dgs_ref.training.initial import design_of
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("05_positional_encoding_and_deformation")
+plt = lessons.begin("05_positional_encoding_and_deformation")
 rng = np.random.default_rng(5)
 
 # %% [markdown]
@@ -164,8 +162,7 @@ names = ["$t$"]
 for j in range(6):
     names += [rf"$\sin\,{2**j}t$", rf"$\cos\,{2**j}t$"]
 left.set_yticks(range(13), names, fontsize=10)
-left.set_xlabel("time $t$")
-left.set_title(r"The 13 numbers of $\mathcal{E}(t)$, $L_t = 6$")
+left.set(xlabel="time $t$", title=r"The 13 numbers of $\mathcal{E}(t)$, $L_t = 6$")
 left.grid(False)
 figure.colorbar(picture, ax=left, label="value")
 right.plot(
@@ -180,10 +177,12 @@ for L in (0, 2, 4, 6):
     curve, error = fit(L)
     errors.append(error)
     right.plot(time, curve, label=f"$L_t = {L}$, rms error {error:.3f}")
-right.set_xlabel("time $t$")
-right.set_ylabel("height (scene units)")
-right.set_ylim(-0.1, 1.75)
-right.set_title("More waves follow a sharper motion")
+right.set(
+    xlabel="time $t$",
+    ylabel="height (scene units)",
+    ylim=(-0.1, 1.75),
+    title="More waves follow a sharper motion",
+)
 right.legend(loc="upper center", fontsize=11)
 lessons.show(figure, "05_positional_encoding_and_deformation")
 assert errors == sorted(errors, reverse=True)
@@ -355,10 +354,12 @@ ax.bar(
     label=closed,
 )
 ax.axhline(direct, color=lessons.COLORS[0], label=r"through $x' = x + \Delta x$: used")
-ax.set_yscale("log")
-ax.set_xlabel("wave $j$ (frequency $2^j$)")
-ax.set_ylabel(r"rms of its part of $\bar x$")
-ax.set_xticks(range(L_x))
+ax.set(
+    yscale="log",
+    xlabel="wave $j$ (frequency $2^j$)",
+    ylabel=r"rms of its part of $\bar x$",
+    xticks=range(L_x),
+)
 ax.set_title("With random weights, the fastest wave would dominate the gradient", fontsize=14)
 ax.legend()
 lessons.show(figure, "05_positional_encoding_and_deformation_gradient")
@@ -445,10 +446,8 @@ lessons.forward("05.3", my_deformation, "deformation")
 # network with the rows of its first weight permuted. But if it reads a file of this project, every
 # Gaussian moves to the wrong place.
 
+
 # %%
-from p4dgs_ref import EQUATIONS, oracle
-
-
 def interleaved(p, L):
     E, _ = positional_encoding.forward(p, L)
     N, D = p.shape
@@ -457,10 +456,5 @@ def interleaved(p, L):
     return np.concatenate([p, in_turn], axis=1)
 
 
-for key in ("positional_encoding", "deformation"):
-    report = oracle.check(EQUATIONS[key], key)
-    print(report)
-    assert report.ok
-report = oracle.check(interleaved, "positional_encoding")
-print(report.first.explanation)
-assert "sin x, cos x, sin y" in report.first.explanation
+lessons.passes("positional_encoding", "deformation")
+lessons.caught(interleaved, "positional_encoding", "sin x, cos x, sin y")

@@ -15,16 +15,14 @@ import math
 import numpy as np
 from scipy.special import erfcx, ndtr
 
-from p4dgs_ref import EQUATIONS, oracle
+from p4dgs_ref import oracle
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.equations import likelihood, mlp, prior
 from p4dgs_ref.lab.random_inputs import random_network
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.lab.school.lessons import close, inner, moved
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("10_prior_and_likelihood")
+plt = lessons.begin("10_prior_and_likelihood")
 rng = np.random.default_rng(10)
 
 # %% [markdown]
@@ -199,10 +197,12 @@ for k, color in ((0, blue), (1, orange), (3, red)):
         alpha=0.7,
         label=label,
     )
-areas.set_xlabel(r"value (in $\sigma$, from $\mu$)")
-areas.set_ylabel(r"density (per $\sigma$)")
-areas.set_ylim(0, 0.58)
-areas.set_title("The probability of a symbol is an area")
+areas.set(
+    xlabel=r"value (in $\sigma$, from $\mu$)",
+    ylabel=r"density (per $\sigma$)",
+    ylim=(0, 0.58),
+    title="The probability of a symbol is an area",
+)
 areas.legend(
     loc="upper left",
     fontsize=10,
@@ -239,10 +239,12 @@ tails.plot(
     color=violet,
     label="HAC's floor of $10^{-6}$",
 )
-tails.set_xlabel(r"distance from $\mu$ (in $\sigma$)")
-tails.set_ylabel("bits")
-tails.set_ylim(0, 150)
-tails.set_title("The printed formula becomes infinite")
+tails.set(
+    xlabel=r"distance from $\mu$ (in $\sigma$)",
+    ylabel="bits",
+    ylim=(0, 150),
+    title="The printed formula becomes infinite",
+)
 tails.legend(loc="upper left", fontsize=10)
 
 digits.loglog(
@@ -257,9 +259,11 @@ digits.loglog(
     color=blue,
     label="in regimes",
 )
-digits.set_xlabel(r"width of the bin $q/\sigma$")
-digits.set_ylabel("relative error of the probability")
-digits.set_title("The narrower the bin, the fewer digits remain")
+digits.set(
+    xlabel=r"width of the bin $q/\sigma$",
+    ylabel="relative error of the probability",
+    title="The narrower the bin, the fewer digits remain",
+)
 digits.legend(loc="upper right", fontsize=10)
 lessons.show(figure, "10_prior_and_likelihood")
 
@@ -471,17 +475,4 @@ lessons.backward("10.3", my_likelihood_backward, "likelihood")
 
 
 # %%
-def gradients_of(key):
-    """Return a function that computes the gradients of an equation as `oracle.check` asks."""
-
-    def vjp(inputs, cotangents):
-        _, pullback = EQUATIONS[key].vjp(**inputs)
-        return pullback(**cotangents)
-
-    return vjp
-
-
-for key in ("likelihood", "prior"):
-    report = oracle.check(EQUATIONS[key], key, gradients_of(key))
-    print(report)
-    assert report.ok
+lessons.passes("likelihood", "prior")

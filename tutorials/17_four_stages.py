@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref import PRESETS, SETTINGS, decode, encode, evaluate, load_scene, oracle
+from p4dgs_ref import PRESETS, SETTINGS, decode, encode, evaluate, load_scene
 from p4dgs_ref.equations import rounding
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import Context
@@ -23,10 +23,8 @@ from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.progress import psnr
 from p4dgs_ref.training.trainer import LEARNING_RATES, Trainer
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("17_four_stages")
+plt = lessons.begin("17_four_stages")
 paper = PRESETS["paper_synthetic"]
 
 # %% [markdown]
@@ -441,6 +439,4 @@ def port(noisy, mu, sigma, q, mask, grids, d, k):
     return objective.rate_forward(noisy, Context(q, mu, sigma), grids, mask, widths)[0]
 
 
-verdict = oracle.check(port, "rate_stage")
-print(verdict)
-assert verdict.ok
+lessons.passes("rate_stage", port=port)

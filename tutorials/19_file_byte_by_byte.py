@@ -27,10 +27,8 @@ from p4dgs_ref.equations import likelihood
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.oracle import streams
 from p4dgs_ref.report import inspect
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("19_file_byte_by_byte")
+plt = lessons.begin("19_file_byte_by_byte")
 data = (published.FOLDER / "one_anchor.p4dgs").read_bytes()  # one anchor with one child
 
 # %% [markdown]

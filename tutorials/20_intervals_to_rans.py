@@ -29,10 +29,8 @@ from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.oracle import streams
 from p4dgs_ref.report import inspect
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("20_intervals_to_rans")
+plt = lessons.begin("20_intervals_to_rans")
 data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
 model = quantised_of(container.open_container(data))
 

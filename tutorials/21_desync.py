@@ -27,10 +27,8 @@ from p4dgs_ref.equations import hash_grid, prior
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.oracle import streams
 from p4dgs_ref.report import inspect
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("21_desync")
+plt = lessons.begin("21_desync")
 data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
 quantised = quantised_of(container.open_container(data))
 model = quantised.model

@@ -26,10 +26,8 @@ from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import Context
 from p4dgs_ref.report import inspect
 from p4dgs_ref.training import objective
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("22_five_questions_about_bits")
+plt = lessons.begin("22_five_questions_about_bits")
 rng = np.random.default_rng(22)
 data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
 quantised = quantised_of(container.open_container(data))
@@ -484,13 +482,5 @@ def port(noisy, mu, sigma, q, mask, grids, d, k):
     return objective.rate_forward(noisy, Context(q, mu, sigma), grids, mask, widths)[0]
 
 
-verdict = oracle.check(port, "rate_stage")
-print(verdict)
-assert verdict.ok
-
-
-def port_of_likelihood(**inputs):
-    return likelihood.forward(**inputs)[0]
-
-
-assert oracle.check(port_of_likelihood, "likelihood").ok
+lessons.passes("rate_stage", port=port)
+lessons.passes("likelihood")

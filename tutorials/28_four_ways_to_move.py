@@ -20,7 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref import load_scene, oracle
+from p4dgs_ref import load_scene
 from p4dgs_ref.codec import published
 from p4dgs_ref.equations import deformation, mlp, positional_encoding
 from p4dgs_ref.lab.baselines import (
@@ -43,10 +43,8 @@ from p4dgs_ref.training.adam import Adam, exponential
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.parameters import Parameters, random_layers
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("28_four_ways_to_move")
+plt = lessons.begin("28_four_ways_to_move")
 
 # %% [markdown]
 # ## Claim
@@ -856,12 +854,5 @@ lessons.number("28.3", answer_3)
 # that expect -1 to 1, so that half of the nodes are never read; the sum $r + \Delta r$ is not
 # normalised, so that a turn also shears; and G3 takes the standard deviation for the variance.
 
-
 # %%
-def port(**inputs):
-    return deformation.forward(**inputs)[0]
-
-
-verdict = oracle.check(port, "deformation")
-print(verdict)
-assert verdict.ok
+lessons.passes("deformation")

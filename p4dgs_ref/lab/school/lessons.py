@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from ...oracle import published
+from ...oracle.checker import check
 from ...oracle.ports import FunctionPort
 from ...scenes.output import write_atomically
+from ...table import EQUATIONS
 from . import feedback
 
 # The colours of Okabe and Ito, which colour-blind readers can tell apart.
@@ -128,16 +130,38 @@ def close(a, b, tolerance=1e-12):
 
 
 def adjoint(rng, forward, inputs, cotangents, gradients, tolerance=1e-7):
-    """Assert the adjoint identity along a random direction of all `inputs`, and print both sides.
+    """Check gradients by the adjoint identity along a random direction of all `inputs`.
 
-    `forward(**inputs)` returns the outputs, in the form of `cotangents`.
+    `forward(**inputs)` returns a pair whose first part are outputs in the form of `cotangents`.
+    Returns the direction, and the change of the loss along it by differences.
     """
     d, h = random_like(rng, inputs), 1e-6
-    up, down = (forward(**moved(inputs, d, step)) for step in (h, -h))
-    difference = (inner(up, cotangents) - inner(down, cotangents)) / (2 * h)
-    gradient = inner(gradients, d)
+    up, down = (inner(forward(**moved(inputs, d, step))[0], cotangents) for step in (h, -h))
+    difference, gradient = (up - down) / (2 * h), inner(gradients, d)
     print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
     assert close(difference, gradient, tolerance)
+    return d, difference
+
+
+# --- checks of ports ------------------------------------------------------------------------------
+def passes(*keys, port=None):
+    """Check equations of this project, or a port of one, by the golden vectors; print the report.
+
+    Of the equations, the gradients are checked as well.
+    """
+    for key in keys:
+        vjp = None if port else lambda inputs, bars: EQUATIONS[key].vjp(**inputs)[1](**bars)
+        report = check(port or EQUATIONS[key], key, vjp)
+        print(report)
+        assert report.ok
+
+
+def caught(mistaken, key, *says, vjp=None):
+    """Check a port with a mistake; print where it fails first and why, and what `says` must be."""
+    first = check(mistaken, key, vjp).first
+    said = f"{first.id} fails: {first.explanation or first.hint}"
+    print(said)
+    assert all(words in said for words in says), said
 
 
 # --- exercises ------------------------------------------------------------------------------------
