@@ -88,13 +88,14 @@ for a in range(4):
         ms=16,
         mew=3,
     )
-axes.set(
+lessons.finish(
+    axes,
     xlabel="x (scene units)",
     ylabel="y (scene units)",
     aspect="equal",
     title="Four anchors (+) with six Gaussians each: $l_a$ is larger along x",
+    legend={"loc": "center left", "bbox_to_anchor": (1, 0.5)},
 )
-axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
 lessons.show(figure, "01_offsets")
 
 # %% [markdown]

@@ -217,7 +217,12 @@ def draw_arrows(ax, arrows, color, title):
         color=color,
         label=r"gradient $\bar x_a$, length 1 drawn as 1.25",
     )
-    ax.set(xlabel="x (scene units)", aspect="equal", xlim=(-5.6, 5.6), ylim=(-5.6, 5.6))
+    ax.set(
+        xlabel="x (scene units)",
+        aspect="equal",
+        xlim=(-5.6, 5.6),
+        ylim=(-5.6, 5.6),
+    )
     ax.set_title(title, fontsize=14)
     ax.legend(
         loc="upper center",

@@ -76,9 +76,7 @@ assert close(alpha, [np.tanh(psi)])
 
 # %%
 WIDTHS = {"x": 3, "color": 3, "s": 3, "r": 4}
-three = {}
-for name, width in WIDTHS.items():
-    three[name] = np.arange(3.0 * width).reshape(1, 3, width)
+three = {name: np.arange(3.0 * width).reshape(1, 3, width) for name, width in WIDTHS.items()}
 all_three = np.ones((1, 3), bool)
 kept, _ = masking.forward(np.array([[0.4, -0.1, 0.0]]), all_three, 0.0, **three)
 kept_alpha, kept_x, kept_color, kept_s, kept_r, index = kept
@@ -161,9 +159,7 @@ lessons.show(figure, "03_opacity_and_masking")
 A, k, d = 6, 4, 3
 opacities = rng.uniform(-1, 1, (A, k))
 mask = rng.random((A, k)) < 0.8
-given = {}
-for name, width in WIDTHS.items():
-    given[name] = rng.normal(size=(A, k, width))
+given = {name: rng.normal(size=(A, k, width)) for name, width in WIDTHS.items()}
 kept, masking_saved = masking.forward(opacities, mask, 0.0, **given)
 *attributes, index = kept  # index holds integers and has no cotangent
 kept_bars = random_like(rng, attributes)

@@ -77,9 +77,8 @@ assert close(turns, [[[0.2, 0.4, 0.4, 0.8]]])
 
 # %%
 A, k = 3, 5
-networks = {}
-for width in (3, 4):
-    networks[width] = random_anchor_network(
+networks = {
+    width: random_anchor_network(
         rng,
         A=A,
         d=6,
@@ -87,6 +86,8 @@ for width in (3, 4):
         outputs=width,
         hidden=(12, 12),
     )
+    for width in (3, 4)
+}
 seen = [networks[4][name] for name in ("f_a", "delta_vc", "d_vc")]
 
 
@@ -153,8 +154,10 @@ axes[1].legend(
     bbox_to_anchor=(0.5, -0.16),
     ncols=2,
 )
-title = "Children have their own colours and rotations, and are smaller than their anchor (1 sigma)"
-figure.suptitle(title, fontsize=14)
+figure.suptitle(
+    "Children have their own colours and rotations, and are smaller than their anchor (1 sigma)",
+    fontsize=14,
+)
 lessons.show(figure, "04_color_rotation_scale")
 
 # %% [markdown]
@@ -285,14 +288,13 @@ ax.add_patch(
         label="unit quaternions $r$",
     )
 )
-outputs = r"outputs $\psi_r$"
 ax.plot(
     circles[:, 0],
     circles[:, 1],
     "o",
     ms=6,
     color=lessons.COLORS[6],
-    label=outputs,
+    label=r"outputs $\psi_r$",
 )
 ax.quiver(
     *(circles[:, 0], circles[:, 1]),

@@ -162,8 +162,12 @@ names = ["$t$"]
 for j in range(6):
     names += [rf"$\sin\,{2**j}t$", rf"$\cos\,{2**j}t$"]
 left.set_yticks(range(13), names, fontsize=10)
-left.set(xlabel="time $t$", title=r"The 13 numbers of $\mathcal{E}(t)$, $L_t = 6$")
-left.grid(False)
+lessons.finish(
+    left,
+    xlabel="time $t$",
+    title=r"The 13 numbers of $\mathcal{E}(t)$, $L_t = 6$",
+    grid=False,
+)
 figure.colorbar(picture, ax=left, label="value")
 right.plot(
     time,
@@ -177,13 +181,14 @@ for L in (0, 2, 4, 6):
     curve, error = fit(L)
     errors.append(error)
     right.plot(time, curve, label=f"$L_t = {L}$, rms error {error:.3f}")
-right.set(
+lessons.finish(
+    right,
     xlabel="time $t$",
     ylabel="height (scene units)",
     ylim=(-0.1, 1.75),
     title="More waves follow a sharper motion",
+    legend={"loc": "upper center", "fontsize": 11},
 )
-right.legend(loc="upper center", fontsize=11)
 lessons.show(figure, "05_positional_encoding_and_deformation")
 assert errors == sorted(errors, reverse=True)
 
@@ -346,12 +351,11 @@ assert strength[-1] > direct
 print(f"rms through all waves {rms(through_field):.1f}, direct {direct:.2f}")
 
 figure, ax = plt.subplots(figsize=(9, 5))
-closed = r"through wave $j$ of $\mathcal{E}(x)$: not used (Q10)"
 ax.bar(
     range(L_x),
     strength,
     color=lessons.COLORS[1],
-    label=closed,
+    label=r"through wave $j$ of $\mathcal{E}(x)$: not used (Q10)",
 )
 ax.axhline(direct, color=lessons.COLORS[0], label=r"through $x' = x + \Delta x$: used")
 ax.set(

@@ -182,23 +182,23 @@ left.vlines(
     color=red,
     lw=2,
 )
-label = "rounded values, share / $q$"
 left.plot(
     multiples,
     share_of_rounded / step,
     "o",
     color=red,
     ms=8,
-    label=label,
+    label="rounded values, share / $q$",
 )
-left.set(
+lessons.finish(
+    left,
     xlabel="value (units of the attribute)",
     ylabel="density (per unit)",
     xlim=(-2, 2.4),
     ylim=(0, 0.95),
     title="One curve describes both ($q = 0.5$)",
+    legend={"loc": "upper left", "fontsize": 10},
 )
-left.legend(loc="upper left", fontsize=10)
 right.semilogx(
     widths,
     at_a_multiple,
@@ -219,13 +219,14 @@ right.axhline(
     ls="--",
     label=r"noise: $q/\sqrt{12}$",
 )
-right.set(
+lessons.finish(
+    right,
     xlabel="standard deviation of the values, in steps $q$",
     ylabel="root mean square error, in steps $q$",
     ylim=(0, 0.55),
     title="The errors agree unless a step is wider than the values",
+    legend={"loc": "upper right", "fontsize": 11},
 )
-right.legend(loc="upper right", fontsize=11)
 lessons.show(figure, "07_noise_and_rounding")
 
 # %% [markdown]

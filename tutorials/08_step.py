@@ -168,14 +168,15 @@ left.semilogy(
     color=red,
     label="with the floor",
 )
-left.set(
+lessons.finish(
+    left,
     xlabel=r"$u = \psi_q(h)$ (no unit)",
     ylabel="$q / Q_0$ (no unit)",
     xlim=(-8, 4),
     ylim=(1e-4, 4),
     title="A step can be a thousand times smaller than $Q_0$",
+    legend={"loc": "lower right"},
 )
-left.legend(loc="lower right")
 for form, color, name in (
     (printed_form, red, r"$1 + \tanh u$"),
     (sigmoid_form, blue, r"$2\,$sigmoid$(2u)$"),
@@ -197,14 +198,15 @@ right.text(
     color="0.3",
     fontsize=11,
 )
-right.set(
+lessons.finish(
+    right,
     xlabel=r"$u = \psi_q(h)$ (no unit)",
     ylabel="relative error (1: no digit right)",
     xlim=(-20, 4),
     ylim=(1e-17, 30),
     title="The printed form loses every digit, the sigmoid form none",
+    legend={"loc": (0.02, 0.17), "fontsize": 11},
 )
-right.legend(loc=(0.02, 0.17), fontsize=11)
 lessons.show(figure, "08_step")
 
 # %% [markdown]

@@ -128,7 +128,6 @@ image = left.imshow(
 node_sign = np.where(coarse[:, 0] >= 0, 1, -1)
 for sign, marker, color in ((1, "P", "k"), (-1, "s", "w")):
     i, j = corner[node_sign == sign].T
-    label = f"node with sign {sign:+d}"
     left.plot(
         i,
         j,
@@ -138,7 +137,7 @@ for sign, marker, color in ((1, "P", "k"), (-1, "s", "w")):
         color=color,
         mec="k",
         ls="",
-        label=label,
+        label=f"node with sign {sign:+d}",
     )
 figure.colorbar(
     image,
@@ -146,13 +145,12 @@ figure.colorbar(
     label="h (no unit)",
     shrink=0.85,
 )
-left.legend(
-    loc="upper center",
-    bbox_to_anchor=(0.5, -0.14),
-    ncols=2,
-)
-left.set(
-    title="Signs on the nodes, weighted means between them", xlim=(-0.35, 4.35), ylim=(-0.35, 4.35)
+lessons.finish(
+    left,
+    title="Signs on the nodes, weighted means between them",
+    xlim=(-0.35, 4.35),
+    ylim=(-0.35, 4.35),
+    legend={"loc": "upper center", "bbox_to_anchor": (0.5, -0.14), "ncols": 2},
 )
 
 rows, counts = np.unique(row, return_counts=True)
@@ -185,8 +183,14 @@ right.set(
     ylim=(-0.6, 4.6),
 )
 for ax in (left, right):
-    ax.set(xlabel="node along x", ylabel="node along y", xticks=range(5), yticks=range(5))
-    ax.grid(False)
+    lessons.finish(
+        ax,
+        xlabel="node along x",
+        ylabel="node along y",
+        xticks=range(5),
+        yticks=range(5),
+        grid=False,
+    )
 lessons.show(figure, "09_hash_grid")
 
 # %% [markdown]

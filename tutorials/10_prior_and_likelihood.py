@@ -189,24 +189,20 @@ areas.plot(
 )
 for k, color in ((0, blue), (1, orange), (3, red)):
     inside = np.abs(x - k) <= 0.5
-    label = f"symbol {k}: {-math.log2(probabilities[k]):.2f} bits"
     areas.fill_between(
         x[inside],
         phi[inside],
         color=color,
         alpha=0.7,
-        label=label,
+        label=f"symbol {k}: {-math.log2(probabilities[k]):.2f} bits",
     )
-areas.set(
+lessons.finish(
+    areas,
     xlabel=r"value (in $\sigma$, from $\mu$)",
     ylabel=r"density (per $\sigma$)",
     ylim=(0, 0.58),
     title="The probability of a symbol is an area",
-)
-areas.legend(
-    loc="upper left",
-    fontsize=10,
-    ncols=2,
+    legend={"loc": "upper left", "fontsize": 10, "ncols": 2},
 )
 
 tails.plot(
@@ -239,13 +235,14 @@ tails.plot(
     color=violet,
     label="HAC's floor of $10^{-6}$",
 )
-tails.set(
+lessons.finish(
+    tails,
     xlabel=r"distance from $\mu$ (in $\sigma$)",
     ylabel="bits",
     ylim=(0, 150),
     title="The printed formula becomes infinite",
+    legend={"loc": "upper left", "fontsize": 10},
 )
-tails.legend(loc="upper left", fontsize=10)
 
 digits.loglog(
     w_narrow,
@@ -259,12 +256,13 @@ digits.loglog(
     color=blue,
     label="in regimes",
 )
-digits.set(
+lessons.finish(
+    digits,
     xlabel=r"width of the bin $q/\sigma$",
     ylabel="relative error of the probability",
     title="The narrower the bin, the fewer digits remain",
+    legend={"loc": "upper right", "fontsize": 10},
 )
-digits.legend(loc="upper right", fontsize=10)
 lessons.show(figure, "10_prior_and_likelihood")
 
 # %% [markdown]

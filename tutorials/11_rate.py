@@ -212,12 +212,13 @@ figure, axes = plt.subplot_mosaic(
 )
 axes["cost"].plot(share, cost, color=blue)
 axes["cost"].plot(6 / 8, by_hand / 8, "ko", ms=8, label="by hand: 6 of 8")
-axes["cost"].set(
+lessons.finish(
+    axes["cost"],
     ylim=(0, 1.1),
     ylabel="$R_{hash}/N$\n(bits per entry)",
     title="Descent drives the signs to the majority",
+    legend={"loc": "lower center"},
 )
-axes["cost"].legend(loc="lower center")
 axes["slope"].plot(share, slope, color=red)
 axes["slope"].axhline(0, color="0.4", lw=1)
 axes["slope"].set(

@@ -138,18 +138,22 @@ for column, (name, image) in enumerate(images.items(), 1):
     )
     panels[1, column].set_title("descent direction")
 for ax in panels.ravel():
-    ax.set(xticks=[0, 25, 50], yticks=[0, 25])
-    ax.grid(False)
+    lessons.finish(
+        ax,
+        xticks=[0, 25, 50],
+        yticks=[0, 25],
+        grid=False,
+    )
 panels[1, 0].set(xlabel="u (pixels)", ylabel="v (pixels)")
-label = "pixel should become brighter (+) or darker (-)"
 figure.colorbar(
     shown,
     ax=panels[1],
-    label=label,
+    label="pixel should become brighter (+) or darker (-)",
     shrink=0.9,
 )
-title = r"Three images with the same $\mathcal{L}_1$ of 0.02, very different for SSIM"
-figure.suptitle(title, fontsize=16)
+figure.suptitle(
+    r"Three images with the same $\mathcal{L}_1$ of 0.02, very different for SSIM", fontsize=16
+)
 lessons.show(figure, "12_losses")
 
 # %% [markdown]
@@ -336,13 +340,14 @@ for price, color in zip((0.003, 0.01, 0.03, 0.1), lessons.COLORS):
         ms=11,
         color=color,
     )
-ax.set(
+lessons.finish(
+    ax,
     xlabel="rate (bits per number)",
     ylabel=r"$\mathcal{L}_{render}$",
     ylim=(-0.01, None),
     title=r"$\lambda_{rate}$ chooses the point where its line touches the curve",
+    legend={},
 )
-ax.legend()
 lessons.show(figure, "12_losses_rate")
 assert chosen == sorted(chosen, reverse=True)
 

@@ -100,8 +100,10 @@ for ax, degrees in zip(panels, (0, 30, 60, 90)):
     )
 panels[0].set_ylabel("y (scene units)")
 figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
-title = r"The quaternion contains half the angle; $\Sigma$ = [[a, b], [b, c]] contains b twice"
-figure.suptitle(title, fontsize=16)
+figure.suptitle(
+    r"The quaternion contains half the angle; $\Sigma$ = [[a, b], [b, c]] contains b twice",
+    fontsize=16,
+)
 lessons.show(figure, "13_covariance")
 
 # %% [markdown]
@@ -336,16 +338,13 @@ for step, color in zip((0, 5, 8, 12, 149), lessons.COLORS):
         ms=10,
         color=color,
     )
-left.set(
+lessons.finish(
+    left,
     xlabel="x (scene units)",
     ylabel="y (scene units)",
     aspect="equal",
     title="The Gaussian, seen along z (1 sigma)",
-)
-left.legend(
-    fontsize=11,
-    loc="center left",
-    bbox_to_anchor=(1, 0.5),
+    legend={"fontsize": 11, "loc": "center left", "bbox_to_anchor": (1, 0.5)},
 )
 right.semilogy(losses, color="0.4", zorder=0)
 right.set(

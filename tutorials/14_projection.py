@@ -131,14 +131,22 @@ above.plot(
     lw=1,
     label="edge of the image",
 )
-above.set(
-    xlabel="x (scene units)", ylabel="depth z (scene units)", xlim=(-2.4, 2.4), title="From above"
+lessons.finish(
+    above,
+    xlabel="x (scene units)",
+    ylabel="depth z (scene units)",
+    xlim=(-2.4, 2.4),
+    title="From above",
+    legend={"fontsize": 11},
 )
-above.legend(fontsize=11)
-on_row.set(
-    xlabel="pixel u", ylabel="density (1/pixel)", xlim=(-90, 80), title="On the row of pixels"
+lessons.finish(
+    on_row,
+    xlabel="pixel u",
+    ylabel="density (1/pixel)",
+    xlim=(-90, 80),
+    title="On the row of pixels",
+    legend={"fontsize": 11},
 )
-on_row.legend(fontsize=11)
 figure.suptitle("The projection is accurate far from the camera and poor close to it", fontsize=16)
 lessons.show(figure, "14_projection_line")
 
@@ -211,12 +219,13 @@ ax.axvspan(
     color="0.9",
     label="inside the image",
 )
-ax.set(
+lessons.finish(
+    ax,
     xlabel="x/z, how far to the side",
     ylabel="standard deviation in u (pixels)",
     title="The clamp keeps Gaussians beside the image small",
+    legend={},
 )
-ax.legend()
 lessons.show(figure, "14_projection_clamp")
 
 # %% [markdown]
@@ -402,7 +411,13 @@ def draw_arrows(ax, arrows, color, title):
         color="0.4",
         label="Gaussians",
     )
-    ax.set(title=title, xlabel="x (scene units)", aspect="equal", xlim=(-2, 2), ylim=(-0.3, 4.6))
+    ax.set(
+        title=title,
+        xlabel="x (scene units)",
+        aspect="equal",
+        xlim=(-2, 2),
+        ylim=(-0.3, 4.6),
+    )
 
 
 figure, (left, right) = plt.subplots(

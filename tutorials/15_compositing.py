@@ -78,13 +78,14 @@ light.bar(
     width=0.6,
     label=r"light that is used, $\alpha_i T_i$",
 )
-light.set(
+lessons.finish(
+    light,
     xticks=range(4),
     xticklabels=["layer 0", "layer 1", "layer 2", "background"],
     ylabel="share of light",
     title="From the front: how much is seen",
+    legend={},
 )
-light.legend()
 over.plot(
     range(-1, 3),
     behind[::-1],
@@ -107,14 +108,15 @@ over.annotate(
     (-0.95, 0.3),
     arrowprops=dict(arrowstyle="->"),
 )
-over.set(
+lessons.finish(
+    over,
     xticks=range(-1, 3),
     xlabel="layer",
     ylabel="gray value",
     title="From the back: what is seen",
     ylim=(-0.1, 1.35),
+    legend={"loc": "upper left", "fontsize": 11},
 )
-over.legend(loc="upper left", fontsize=11)
 figure.suptitle("One pixel, three layers: two ways to the same value", fontsize=16)
 lessons.show(figure, "15_compositing_pixel")
 
@@ -357,8 +359,12 @@ figure, panels = plt.subplots(1, 4, figsize=(12, 3.7), layout="constrained", sha
 names = ("as it is", "as it should be", "pull at the front splat", "pull at the back splat")
 for ax, picture, name in zip(panels, (seen, target, *pulls), names):
     shown = ax.imshow(picture, cmap="PuOr", vmin=-0.6, vmax=0.6)
-    ax.set(title=name, xlabel="u (pixels)")
-    ax.grid(False)
+    lessons.finish(
+        ax,
+        title=name,
+        xlabel="u (pixels)",
+        grid=False,
+    )
 for ax, mean, mean_bar in zip(panels[2:], pair["mean2d"], bars["mean2d"]):
     ax.quiver(
         *mean,
@@ -433,12 +439,13 @@ ax.semilogy(errors["by_sweep"], "o-", ms=4, label="sweep from the back")
 ax.semilogy(errors["by_division"], "s--", ms=4, label=r"division by $1-\alpha_i$")
 ax.axvline(10, color="0.6", lw=1, label="opacity 0.99")
 ax.axvline(25, color="0.6", lw=1)
-ax.set(
+lessons.finish(
+    ax,
     xlabel="layer, front to back",
     ylabel=r"relative error of $\bar\alpha_i$ in float32",
     title="Behind nearly opaque layers the division has no correct digits",
+    legend={"loc": "right"},
 )
-ax.legend(loc="right")
 lessons.show(figure, "15_compositing_division")
 
 # %% [markdown]

@@ -164,15 +164,20 @@ for name, shade, start, end in zip(names, ("0.93", "0.85") * 2, (0, *ends), ends
 top.plot(iteration, decibel, ".", ms=3, color="0.6", label="one training view")
 top.plot(iteration[14:], smooth(decibel), color="C0", label="mean of 15")
 top.plot(ends, scores, "D", ms=10, color="C1", ls="none", label="test views")
-top.set(
+lessons.finish(
+    top,
     ylabel="PSNR (dB)",
     xlim=(0, 540),
     ylim=(10, 28.5),
     title="Each stage switches something on; the rate exists only in the last",
+    legend={"loc": "lower right", "framealpha": 1},
 )
-top.legend(loc="lower right", framealpha=1)
 low.plot(iteration[rate > 0], rate[rate > 0], color="C2")
-low.set(xlabel="iteration", ylabel="bits per number", ylim=(0, None))
+low.set(
+    xlabel="iteration",
+    ylabel="bits per number",
+    ylim=(0, None),
+)
 lessons.show(figure, "17_four_stages_curve")
 
 # %% [markdown]
@@ -189,9 +194,7 @@ def blur(view):
 
 view = max(scene.test, key=blur)
 times = (None, None, view.time, view.time)
-pictures = []
-for model, time in zip(snapshots, times):
-    pictures.append(model.render(view.camera, time).clip(0, 1))
+pictures = [model.render(view.camera, time).clip(0, 1) for model, time in zip(snapshots, times)]
 errors = [np.abs(picture - view.image).mean() for picture in pictures]
 assert errors[2] < 0.7 * errors[1]
 
@@ -333,9 +336,10 @@ def rounded_to(values, Q):
 
 
 def rounded(model):
-    attributes = {}
-    for name, Q in zip(("f_a", "s_a", "l_a", "O_a"), model.design.Q_0):
-        attributes[name] = rounded_to(getattr(model.anchors, name), Q)
+    attributes = {
+        name: rounded_to(getattr(model.anchors, name), Q)
+        for name, Q in zip(("f_a", "s_a", "l_a", "O_a"), model.design.Q_0)
+    }
     return replace(model, anchors=model.anchors._replace(**attributes))
 
 

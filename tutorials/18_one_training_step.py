@@ -296,17 +296,22 @@ for ax, array, label in maps:
     figure.colorbar(shown, ax=ax, label=label)
 for ax in (seen, red_error, pull):
     ax.plot(column, row, "s", ms=12, mfc="none", mec=lessons.COLORS[1], mew=2.5)
-    ax.set(xlabel="u (pixels)", ylabel="v (pixels)")
-    ax.grid(False)
+    lessons.finish(
+        ax,
+        xlabel="u (pixels)",
+        ylabel="v (pixels)",
+        grid=False,
+    )
 lengths = [1e3 * part for part in parts.values()]
 made_of.barh(list(parts), lengths, color=lessons.COLORS[:4])
 made_of.axvline(1e3 * move, color="k", ls="--", label="the whole move")
 made_of.invert_yaxis()
-made_of.set(
+lessons.finish(
+    made_of,
     title="The four parts of the feature's move",
     xlabel="change of the feature, $10^{-3}$",
+    legend={},
 )
-made_of.legend()
 lessons.show(figure, "18_one_training_step")
 
 # %% [markdown]

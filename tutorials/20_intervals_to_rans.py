@@ -120,9 +120,7 @@ def parts_of(i):
     keys = tables.keys[first : first + n + 1].tolist()
     edges = [Fraction(key % 2**24, 2**24) for key in keys] + [Fraction(1)]
     names = [*range(tables.lowest[i], tables.lowest[i] + n), None]
-    parts = {}
-    for name, low, high in zip(names, edges, edges[1:]):
-        parts[name] = (low, high - low)
+    parts = {name: (low, high - low) for name, low, high in zip(names, edges, edges[1:])}
     return parts
 
 
@@ -304,12 +302,13 @@ grid.set(
 )
 growing.plot(promised, lw=7, alpha=0.35, label=r"$\sum -\log_2 p$")
 growing.plot(reached, "--", color="k", label=r"growth of $\log_2 x$")
-growing.set(
+lessons.finish(
+    growing,
     xlabel="features pushed",
     ylabel="bits",
     title="The state grows by what the prior promised",
+    legend={},
 )
-growing.legend()
 lessons.show(figure, "20_intervals_to_rans")
 
 # %% [markdown]

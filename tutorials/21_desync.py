@@ -210,18 +210,23 @@ left.set_title("What was sent")
 middle.imshow(after)
 middle.set_title("One ulp later")
 for ax in (left, middle):
-    ax.set(xticks=[], yticks=[])
-    ax.grid(False)
+    lessons.finish(
+        ax,
+        xticks=[],
+        yticks=[],
+        grid=False,
+    )
 errors.plot(np.abs(received - sent), ".", ms=5, color=lessons.COLORS[1])
 errors.axvline(victim, color=lessons.COLORS[0], label=f"one ulp in σ of symbol {victim}")
-errors.set(
+lessons.finish(
+    errors,
     yscale="symlog",
     ylim=(-0.3, 2000),
     xlabel="symbol in the message",
     ylabel="|received − sent| (steps q)",
     title="All symbols are right,\nthen nearly all are wrong",
+    legend={"loc": "upper left"},
 )
-errors.legend(loc="upper left")
 lessons.show(figure, "21_desync")
 
 # %% [markdown]

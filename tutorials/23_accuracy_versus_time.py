@@ -134,13 +134,14 @@ axes.text(20, 3e-17, "floor: rounding of float64", fontsize=12)
 arrow = dict(arrowstyle="->")
 axes.annotate("slope $-2$", (360, 2.6e-7), xytext=(900, 3e-6), fontsize=13, arrowprops=arrow)
 axes.annotate("slope $-4$", (45, 1.8e-9), xytext=(90, 3e-8), fontsize=13, arrowprops=arrow)
-axes.set(
+lessons.finish(
+    axes,
     xlabel="work (values of $\\phi$)",
     ylabel="error of the bin's mass",
     ylim=(1e-17, 0.1),
     title="One integral, three rules: the slope is the order, the floor is the format",
+    legend={},
 )
-axes.legend()
 lessons.show(figure, "23_accuracy_versus_time_order")
 
 # %% [markdown]

@@ -309,12 +309,13 @@ size = np.abs(alpha_bar[:8])
 bottom = np.full(8, size.min() / 30)
 pull.semilogy(size, "o-", ms=10, color="C0", label="by the recurrence (true)")
 pull.semilogy(bottom, "x", ms=11, mew=3, color="C1", label="by division: exactly 0")
-pull.set(
+lessons.finish(
+    pull,
     xlabel="layer",
     ylabel=r"size of the gradient $|\bar\alpha_i|$",
     title="Divided back from 0: no layer learns",
+    legend={},
 )
-pull.legend()
 lessons.show(figure, "24_hard_cases_layers")
 
 # %% [markdown]

@@ -149,8 +149,9 @@ assert (fixed > column("attributes")).all()
 figure, (curve, bars) = plt.subplots(1, 2, figsize=(11.5, 4.8), layout="constrained")
 curve.plot(coded, column("psnr"), "o-", ms=9)
 for place in zip(coded, column("psnr"), PRICES):
-    label = rf"$\lambda$ = {place[2]:g}"
-    curve.annotate(label, place[:2], xytext=(12, -18), textcoords="offset points")
+    curve.annotate(
+        rf"$\lambda$ = {place[2]:g}", place[:2], xytext=(12, -18), textcoords="offset points"
+    )
 curve.set(
     xlabel="attributes and grid in the file (bytes)",
     ylabel="decoded test views, PSNR (dB)",
@@ -167,15 +168,16 @@ bottom = np.zeros(len(points))
 for name, sizes in parts.items():
     bars.bar(range(len(points)), sizes, bottom=bottom, label=name)
     bottom += sizes
-bars.set(
+lessons.finish(
+    bars,
     xticks=range(len(points)),
     xticklabels=[f"{price:g}" for price in PRICES],
     xlabel=r"$\lambda_{rate}$",
     ylabel="file (bytes)",
     title="The price acts on attributes and grid only",
     ylim=(0, 1.45 * bottom.max()),
+    legend={"ncols": 2, "loc": "upper center", "fontsize": 11},
 )
-bars.legend(ncols=2, loc="upper center", fontsize=11)
 lessons.show(figure, "27_rate_distortion")
 
 # %% [markdown]

@@ -81,6 +81,15 @@ def out():
     return folder
 
 
+def finish(ax, legend=None, grid=True, **settings):
+    """Set the title, labels and limits of axes; `legend` holds the settings of one, if any."""
+    ax.set(**settings)
+    if legend is not None:
+        ax.legend(**legend)
+    if not grid:
+        ax.grid(False)
+
+
 def show(figure, name):
     """Save a figure as out/NAME.png, and show it in a notebook or at an interactive prompt."""
     place = out() / f"{name}.png"
