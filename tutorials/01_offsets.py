@@ -155,6 +155,7 @@ assert close(ours["l_a"], l_a_bar)
 # forward, and most tutorials use it. The module `lessons` therefore has short functions for its
 # parts: `random_like` draws the directions, `moved` adds $h$ times the directions to the inputs,
 # `inner` is $\langle a, b\rangle$, and `close` compares two results up to a relative tolerance.
+# Later tutorials call `lessons.adjoint`, which does what the next cell does.
 
 # %%
 d = random_like(rng, inputs)
@@ -242,7 +243,8 @@ lessons.backward("01.3", my_backward, "offsets")
 #
 # The usual mistake comes from Scaffold-GS, where this equation was taken from. It stores the
 # logarithm of $l_a$, whereas $l_a$ here is the scaling itself. The checker recognises the wrong
-# results and names the mistake.
+# results and names the mistake. Later tutorials call `lessons.passes` for the first kind of check
+# and `lessons.caught` for the second.
 
 # %%
 from p4dgs_ref import oracle

@@ -3,7 +3,7 @@
 #
 # **Promise.** After this tutorial you can encode a number as waves, derive the gradient of the
 # encoding, and explain why the pipeline does not use it. **Before it:** `01_offsets`,
-# `03_opacity_and_masking`. **Takes** two seconds of machine time on two cores, 25 minutes of
+# `03_opacity_and_masking`. **Takes** two seconds of machine time on two cores, 30 minutes of
 # reading and 30 of exercises.
 #
 # **Files:** [positional_encoding.py](../p4dgs_ref/equations/positional_encoding.py),

@@ -411,8 +411,7 @@ assert abs(after - scores[3]) < 0.5
 # Which of $\psi_p$, $\psi_q$ and the hash grid still get a gradient?
 
 # %%
-answer_1 = ...
-answer_2 = ...
+answer_1 = answer_2 = ...
 
 
 def my_backward(inputs, cotangents):

@@ -374,8 +374,7 @@ assert 0 < reach < pixels
 # **Predict, then run.** The whole loss is multiplied by $1000$. How do Adam's steps change?
 
 # %%
-answer_1 = ...
-answer_2 = ...
+answer_1 = answer_2 = ...
 
 
 def my_backward(inputs, cotangents):

@@ -13,6 +13,7 @@
 import json
 import struct
 import zlib
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -376,8 +377,7 @@ for row in inspect.ledger(golden):
 # `my_container`, for example one in a checksum itself?
 
 # %%
-answer_1 = ...
-answer_2 = ...
+answer_1 = answer_2 = answer_3 = ...
 
 
 def my_container(data):
@@ -411,10 +411,8 @@ def grade_container(mine):
 
 
 assert grade_container(container.read_container) == [24, 14]
-try:
+with suppress(NotImplementedError):
     answer_3 = grade_container(my_container)
-except NotImplementedError:
-    answer_3 = ...
 lessons.number("19.1", answer_1)
 lessons.number("19.2", answer_2, digits=15)
 lessons.number("19.3", answer_3, [24, 14])

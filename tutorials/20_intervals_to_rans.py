@@ -14,7 +14,6 @@
 import math
 from contextlib import suppress
 from fractions import Fraction
-from types import SimpleNamespace
 
 import imageio.v3 as imageio
 import numpy as np
@@ -27,7 +26,6 @@ from p4dgs_ref.codec import streams as sections
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.oracle import streams
 from p4dgs_ref.report import inspect
 
 plt = lessons.begin("20_intervals_to_rans")
@@ -468,16 +466,3 @@ lessons.number("20.3", answer_3, signs)
 
 # %%
 assert float(2**53) == float(2**53 + 1)  # a double cannot hold such a state
-
-
-def decode(name, stream):
-    try:
-        return streams.decoded(stream), None
-    except container.BitstreamError as error:
-        return None, str(error)
-
-
-port = SimpleNamespace(decode=decode)
-report = oracle.check_port(port, only="codec")
-print(report)
-assert report.ok

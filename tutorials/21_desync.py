@@ -14,12 +14,11 @@
 import math
 from contextlib import suppress
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 from scipy.special import ndtr
 
-from p4dgs_ref import BitstreamError, look_at, oracle
+from p4dgs_ref import look_at, oracle
 from p4dgs_ref.codec import container, context, fixed_point, published
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
 from p4dgs_ref.codec.quantise import dequantise
@@ -432,18 +431,5 @@ lessons.number("21.3", answer_3, stored["sigma_units"], digits=15)
 # `p4dgs-ref oracle check DIR --only codec` compares `h`, `q_units`, `mu_units` and `sigma_units`
 # bit for bit and in this order, so the first difference names the step that is wrong. Typical
 # mistakes of ports are products in `float32`, a division that rounds towards zero where a floor
-# is meant, a fused multiply-add in `x_a`, and a table computed with the machine's own `exp`.
-
-
-# %%
-def answer(name, stream):
-    try:
-        return streams.decoded(stream), None
-    except BitstreamError as error:
-        return None, str(error)
-
-
-port = SimpleNamespace(decode=answer)
-report = oracle.check_port(port, only="codec")
-print(report)
-assert report.ok
+# is meant, a fused multiply-add in `x_a`, and a table computed with the machine's own `exp`. The
+# last cell of `19_file_byte_by_byte` runs this check from Python.

@@ -3,7 +3,7 @@
 #
 # **Promise.** After this you can see in a formula where it will fail in floating-point arithmetic,
 # and you know six such places and their remedies. **Before it:** `10_prior_and_likelihood`,
-# `12_losses`, `15_compositing`. **Takes** four seconds on two cores, 25 minutes of reading and 30
+# `12_losses`, `15_compositing`. **Takes** four seconds on two cores, 25 minutes of reading and 25
 # of exercises.
 #
 # **Files:** [table.py](../p4dgs_ref/lab/stability/table.py),

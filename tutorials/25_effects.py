@@ -7,7 +7,7 @@
 # 35 of exercises.
 #
 # **Files:** [effects.py](../p4dgs_ref/effects.py),
-# [effect_ledger.py](../p4dgs_ref/lab/effects/ledger.py).
+# [ledger.py](../p4dgs_ref/lab/effects/ledger.py).
 
 # %%
 from dataclasses import replace
