@@ -41,6 +41,7 @@ json.dump(texts, open("texts.json", "w"))
 
 
 EACH = pytest.mark.parametrize("tutorial", TUTORIALS, ids=[t.name for t in TUTORIALS])
+A_FEW = pytest.mark.parametrize("tutorial", few([(t,) for t in TUTORIALS], 1), ids=str)
 SOLUTIONS = {t.name: FOLDER / "solutions" / f"{t.name}.py" for t in TUTORIALS}
 
 
@@ -56,7 +57,9 @@ def run(paths, out):
 
 
 # --- running --------------------------------------------------------------------------------------
-@pytest.mark.parametrize("tutorial", few([(t,) for t in TUTORIALS], 1), ids=lambda tutorial: tutorial.name)
+@pytest.mark.parametrize(
+    "tutorial", few([(t,) for t in TUTORIALS], 1), ids=lambda tutorial: tutorial.name
+)
 def test_tutorial_runs_with_figures_and_its_exercises_unsolved(tutorial, tmp_path):
     results = run([FOLDER / f"{tutorial.name}.py"], tmp_path)
     assert results and not any(results.values())
@@ -83,7 +86,9 @@ def test_all_solutions_pass(tmp_path):
     assert sorted(results) == sorted(asked) and all(results.values()), results
 
 
-@pytest.mark.parametrize("tutorial", few([(t,) for t in TUTORIALS], 1), ids=lambda tutorial: tutorial.name)
+@pytest.mark.parametrize(
+    "tutorial", few([(t,) for t in TUTORIALS], 1), ids=lambda tutorial: tutorial.name
+)
 def test_solution_runs_alone(tutorial, tmp_path):
     results = run([SOLUTIONS[tutorial.name]], tmp_path)
     assert results and all(results.values())
