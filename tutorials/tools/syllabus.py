@@ -14,6 +14,7 @@ import runpy
 import sys
 import tempfile
 import time
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -53,6 +54,7 @@ class Facts(NamedTuple):
     exercises: dict  # "01.2" -> keys of the equations that it is about
 
 
+@cache
 def facts(tutorial, folder=FOLDER):
     """The Facts of a tutorial. Raises ValueError naming the file if its first cell lacks one."""
     path = Path(folder) / f"{tutorial.name}.py"

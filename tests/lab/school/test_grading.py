@@ -92,7 +92,9 @@ def points(row):
 
 
 # --- points ---------------------------------------------------------------------------------------
-@pytest.mark.parametrize("keys", few([(["offsets", "rounding"],), (list(KEYS),)], 1))
+@pytest.mark.parametrize(
+    "keys", [["offsets", "rounding"], pytest.param(KEYS, marks=pytest.mark.slow)], ids=len
+)
 def test_the_key_gets_all_points_and_files_not_begun_get_none(tmp_path, keys):
     school.classroom(tmp_path, keys)
     grades = school.grade(tmp_path, tmp_path / "key", seed=4)

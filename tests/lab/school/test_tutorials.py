@@ -41,7 +41,10 @@ json.dump(texts, open("texts.json", "w"))
 
 
 EACH = pytest.mark.parametrize("tutorial", TUTORIALS, ids=[t.name for t in TUTORIALS])
-A_FEW = pytest.mark.parametrize("tutorial", few([(t,) for t in TUTORIALS], 1), ids=str)
+SECONDS = syllabus.measured_before()
+CHEAP = [(t,) for t in TUTORIALS if SECONDS[t.name[:2]] < 2]
+DEAR = [pytest.param(t, marks=pytest.mark.slow) for t in TUTORIALS if (t,) not in CHEAP]
+A_FEW = pytest.mark.parametrize("tutorial", [*few(CHEAP, 1), *DEAR], ids=lambda t: t.name)
 SOLUTIONS = {t.name: FOLDER / "solutions" / f"{t.name}.py" for t in TUTORIALS}
 
 
