@@ -117,12 +117,14 @@ def points_of(key):
     """Return what gives points: name, points, prefix of tensors, whether about ordinary cases."""
     gradients = EQUATIONS[key].gradients
     share = 1 if gradients else 2  # without gradients, outputs take all points
-    parts = [("forward", share * FORWARD, "out.", True)]
-    for name in gradients:
-        parts.append((f"gradient of {name}", GRADIENTS / len(gradients), f"in_bar.{name}.", True))
-    parts.append(("hard cases: outputs", share * HARD / 2, "out.", False))
-    hard = ("hard cases: gradients", HARD / 2, "in_bar.", False)
-    return [*parts, hard] if gradients else parts
+    each = GRADIENTS / max(len(gradients), 1)
+    parts = [
+        ("forward", share * FORWARD, "out.", True),
+        *((f"gradient of {name}", each, f"in_bar.{name}.", True) for name in gradients),
+        ("hard cases: outputs", share * HARD / 2, "out.", False),
+        ("hard cases: gradients", HARD / 2, "in_bar.", False),
+    ]
+    return parts if gradients else parts[:2]
 
 
 def part_of(part, answers):

@@ -96,9 +96,9 @@ def alone(key):
     for name in [name for name in sys.modules if name.startswith("p4dgs_ref")]:
         del sys.modules[name]
     reference = import_module(EQUATIONS[key].module)
-    package = sys.modules[reference.__package__]
+    package = EQUATIONS[key].module.rpartition(".")[0]
     for name in {key, MERGED.get(key, key)}:
-        del sys.modules[f"{package.__name__}.{name}"]
-        delattr(package, name)
+        del sys.modules[f"{package}.{name}"]
+        delattr(sys.modules[package], name)
     sys.meta_path.insert(0, Lock)
     return reference

@@ -168,6 +168,7 @@ def passes(*keys, port=None):
 def caught(mistaken, key, *says, vjp=None):
     """Check a port with a mistake; print where it fails first and why, and what `says` must be."""
     first = check(mistaken, key, vjp).first
+    assert first, f"{key}: the mistake is not noticed"
     said = f"{first.id} fails: {first.explanation or first.hint}"
     print(said)
     assert all(words in said for words in says), said

@@ -1,6 +1,7 @@
 """Writes a classroom: the files for students, the teacher's key, and a README with the rules."""
 
 import ast
+import inspect
 import json
 import re
 from importlib import import_module
@@ -129,7 +130,7 @@ def source_of(key):
 
 def text_of(module):
     """Return the text of a module."""
-    return Path(import_module(module).__file__).read_text(encoding="utf-8")
+    return inspect.getsource(import_module(module))
 
 
 def stub_of(key):
@@ -142,7 +143,8 @@ def stub_of(key):
     lines, functions = source.splitlines(keepends=True), functions_in(source)
     task = "has to be written" + (f", Eq. ({number})" if number else "")
     # From the last function to the first, so that the line numbers stay valid.
-    for node in sorted(map(functions.get, functions_of(key)), key=lambda node: -node.lineno):
+    nodes = [functions[name] for name in functions_of(key)]
+    for node in sorted(nodes, key=lambda node: -node.lineno):
         stub = f"    raise NotImplementedError({json.dumps(f'{key}.{node.name} {task}')})\n"
         lines[kept(node)[-1].end_lineno : node.end_lineno] = [stub]
     return "".join(lines)
