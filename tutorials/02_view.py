@@ -217,18 +217,15 @@ def draw_arrows(ax, arrows, color, title):
         color=color,
         label=r"gradient $\bar x_a$, length 1 drawn as 1.25",
     )
-    ax.set(
+    lessons.finish(
+        ax,
         xlabel="x (scene units)",
         aspect="equal",
         xlim=(-5.6, 5.6),
         ylim=(-5.6, 5.6),
-    )
-    ax.set_title(title, fontsize=14)
-    ax.legend(
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.12),
-        ncols=3,
-        fontsize=9,
+        title=title,
+        title_size=14,
+        legend={"loc": "upper center", "bbox_to_anchor": (0.5, -0.12), "ncols": 3, "fontsize": 9},
     )
 
 
@@ -244,8 +241,9 @@ sideways = r"from $\bar d_{vc} = (1, 0, 0)$: across the ray, fading as $1/\delta
 draw_arrows(axes[0], of_length, lessons.COLORS[0], radial)
 draw_arrows(axes[1], of_direction, lessons.COLORS[1], sideways)
 axes[0].set_ylabel("y (scene units)")
-figure.suptitle("The gradients that a distance and a direction send to an anchor", fontsize=16)
-lessons.show(figure, "02_view")
+lessons.show(
+    figure, "02_view", title="The gradients that a distance and a direction send to an anchor"
+)
 
 # %% [markdown]
 # The formula has one numerical weakness. If the direction nearly follows axis $i$, then $d_i$ is

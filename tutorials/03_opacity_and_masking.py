@@ -132,18 +132,16 @@ ax.text(
     fontsize=14,
     ha="center",
 )
-ax.set(
+lessons.finish(
+    ax,
     xlabel="direction of the camera (degrees)",
     ylabel=r"opacity $\alpha$",
     xlim=(0, 360),
     ylim=(-1, 1),
     xticks=range(0, 361, 45),
-)
-ax.set_title("One anchor, four children: the camera decides which ones are drawn", fontsize=15)
-ax.legend(
-    ncols=4,
-    loc="upper center",
-    fontsize=12,
+    title="One anchor, four children: the camera decides which ones are drawn",
+    title_size=15,
+    legend={"ncols": 4, "loc": "upper center", "fontsize": 12},
 )
 lessons.show(figure, "03_opacity_and_masking")
 
@@ -223,12 +221,14 @@ ax.axvline(
     ls="--",
     label="exactly 0 from here on",
 )
-ax.set(
+lessons.finish(
+    ax,
     xlabel=r"output of the network $\psi_\alpha$",
     ylabel=r"slope $\partial\alpha/\partial\psi_\alpha$",
+    title=r"$1 - \alpha^2$ switches the gradient off, $4e/(1+e)^2$ does not",
+    title_size=15,
+    legend={},
 )
-ax.set_title(r"$1 - \alpha^2$ switches the gradient off, $4e/(1+e)^2$ does not", fontsize=15)
-ax.legend()
 lessons.show(figure, "03_opacity_and_masking_slope")
 
 # %% [markdown]

@@ -154,11 +154,13 @@ axes[1].legend(
     bbox_to_anchor=(0.5, -0.16),
     ncols=2,
 )
-figure.suptitle(
-    "Children have their own colours and rotations, and are smaller than their anchor (1 sigma)",
-    fontsize=14,
+lessons.show(
+    figure,
+    "04_color_rotation_scale",
+    title="Children have their own colours and rotations, "
+    "and are smaller than their anchor (1 sigma)",
+    size=14,
 )
-lessons.show(figure, "04_color_rotation_scale")
 
 # %% [markdown]
 # ## Backward by hand
@@ -322,20 +324,22 @@ ax.text(
     ha="center",
     fontsize=13,
 )
-ax.set(
+lessons.finish(
+    ax,
     xlabel="real part $w$",
     ylabel="imaginary part $x$",
     aspect="equal",
     xlim=(-3.4, 2.6),
     ylim=(-2.6, 2.6),
-)
-ax.set_title("Normalising removes the radial part of a gradient", fontsize=15)
-ax.legend(
-    loc="upper center",
-    bbox_to_anchor=(0.5, -0.12),
-    ncols=3,
-    fontsize=11,
-    columnspacing=1,
+    title="Normalising removes the radial part of a gradient",
+    title_size=15,
+    legend={
+        "loc": "upper center",
+        "bbox_to_anchor": (0.5, -0.12),
+        "ncols": 3,
+        "fontsize": 11,
+        "columnspacing": 1,
+    },
 )
 lessons.show(figure, "04_color_rotation_scale_quaternion")
 

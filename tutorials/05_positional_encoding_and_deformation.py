@@ -358,14 +358,16 @@ ax.bar(
     label=r"through wave $j$ of $\mathcal{E}(x)$: not used (Q10)",
 )
 ax.axhline(direct, color=lessons.COLORS[0], label=r"through $x' = x + \Delta x$: used")
-ax.set(
+lessons.finish(
+    ax,
     yscale="log",
     xlabel="wave $j$ (frequency $2^j$)",
     ylabel=r"rms of its part of $\bar x$",
     xticks=range(L_x),
+    title="With random weights, the fastest wave would dominate the gradient",
+    title_size=14,
+    legend={},
 )
-ax.set_title("With random weights, the fastest wave would dominate the gradient", fontsize=14)
-ax.legend()
 lessons.show(figure, "05_positional_encoding_and_deformation_gradient")
 
 # %% [markdown]

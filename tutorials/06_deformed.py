@@ -120,15 +120,17 @@ for i, t in enumerate(times):
         ha="center",
         fontsize=12,
     )
-ax.set(
+lessons.finish(
+    ax,
     xlabel="x (scene units)",
     ylabel="y (scene units)",
     aspect="equal",
     xlim=(-0.5, 3),
     ylim=(-0.65, 1.35),
+    title="One canonical Gaussian at six times: thrown, stretched, rotated",
+    title_size=15,
+    legend={"loc": "upper right", "fontsize": 12},
 )
-ax.set_title("One canonical Gaussian at six times: thrown, stretched, rotated", fontsize=15)
-ax.legend(loc="upper right", fontsize=12)
 lessons.show(figure, "06_deformed")
 
 # %% [markdown]
@@ -256,13 +258,15 @@ ax.plot(
     lw=3,
     label="not normalised",
 )
-ax.set(
+lessons.finish(
+    ax,
     xlabel=r"size of $\Delta r$, about the z axis, added to $r = (1, 0, 0, 0)$",
     ylabel="longest axis (scene units)",
     ylim=(0, None),
+    title="Without the second normalisation a rotation inflates the Gaussian",
+    title_size=15,
+    legend={"loc": "lower left"},
 )
-ax.set_title("Without the second normalisation a rotation inflates the Gaussian", fontsize=15)
-ax.legend(loc="lower left")
 lessons.show(figure, "06_deformed_inflated")
 
 # %% [markdown]

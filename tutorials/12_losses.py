@@ -151,10 +151,11 @@ figure.colorbar(
     label="pixel should become brighter (+) or darker (-)",
     shrink=0.9,
 )
-figure.suptitle(
-    r"Three images with the same $\mathcal{L}_1$ of 0.02, very different for SSIM", fontsize=16
+lessons.show(
+    figure,
+    "12_losses",
+    title=r"Three images with the same $\mathcal{L}_1$ of 0.02, very different for SSIM",
 )
-lessons.show(figure, "12_losses")
 
 # %% [markdown]
 # ## Backward by hand

@@ -100,11 +100,11 @@ for ax, degrees in zip(panels, (0, 30, 60, 90)):
     )
 panels[0].set_ylabel("y (scene units)")
 figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
-figure.suptitle(
-    r"The quaternion contains half the angle; $\Sigma$ = [[a, b], [b, c]] contains b twice",
-    fontsize=16,
+lessons.show(
+    figure,
+    "13_covariance",
+    title=r"The quaternion contains half the angle; $\Sigma$ = [[a, b], [b, c]] contains b twice",
 )
-lessons.show(figure, "13_covariance")
 
 # %% [markdown]
 # ## In code
@@ -352,8 +352,11 @@ right.set(
     ylabel="scene units$^4$",
     title=r"The loss $\frac{1}{2}\|\Sigma-\Sigma^*\|^2$",
 )
-figure.suptitle(r"$\bar s$ and $\bar r$ rotate and stretch one Gaussian into another", fontsize=16)
-lessons.show(figure, "13_covariance_descent")
+lessons.show(
+    figure,
+    "13_covariance_descent",
+    title=r"$\bar s$ and $\bar r$ rotate and stretch one Gaussian into another",
+)
 
 # %% [markdown]
 # ## Break it

@@ -147,8 +147,11 @@ lessons.finish(
     title="On the row of pixels",
     legend={"fontsize": 11},
 )
-figure.suptitle("The projection is accurate far from the camera and poor close to it", fontsize=16)
-lessons.show(figure, "14_projection_line")
+lessons.show(
+    figure,
+    "14_projection_line",
+    title="The projection is accurate far from the camera and poor close to it",
+)
 
 # %% [markdown]
 # ## In code
@@ -431,8 +434,9 @@ draw_arrows(left, of_mean, "C0", r"one pixel to the right, $\bar\mu_x = 1$: acro
 draw_arrows(right, of_size, "C1", r"a larger splat, $\bar a = \bar c = 1$: towards the camera")
 left.set_ylabel("depth z (scene units)")
 right.legend(loc="lower right", fontsize=11)
-figure.suptitle("How cotangents in the image move a Gaussian, seen from above", fontsize=16)
-lessons.show(figure, "14_projection")
+lessons.show(
+    figure, "14_projection", title="How cotangents in the image move a Gaussian, seen from above"
+)
 
 # %% [markdown]
 # ## Break it

@@ -117,8 +117,9 @@ lessons.finish(
     ylim=(-0.1, 1.35),
     legend={"loc": "upper left", "fontsize": 11},
 )
-figure.suptitle("One pixel, three layers: two ways to the same value", fontsize=16)
-lessons.show(figure, "15_compositing_pixel")
+lessons.show(
+    figure, "15_compositing_pixel", title="One pixel, three layers: two ways to the same value"
+)
 
 # %% [markdown]
 # ## In code
@@ -376,10 +377,11 @@ for ax, mean, mean_bar in zip(panels[2:], pair["mean2d"], bars["mean2d"]):
     )
 panels[0].set_ylabel("v (pixels)")
 figure.colorbar(shown, ax=panels, label=r"$-\bar\alpha_i(p)$: more (+) or less", shrink=0.7)
-figure.suptitle(
-    r"Every pixel pulls at every splat that covers it; the arrows are $-5\,\bar\mu$", fontsize=16
+lessons.show(
+    figure,
+    "15_compositing",
+    title=r"Every pixel pulls at every splat that covers it; the arrows are $-5\,\bar\mu$",
 )
-lessons.show(figure, "15_compositing")
 
 # %% [markdown]
 # ## Break it

@@ -207,11 +207,11 @@ panels[4].imshow(view.image)
 panels[4].set_title("truth")
 for ax in panels:
     ax.axis("off")
-figure.suptitle(
-    f"Time sharpens what moves: a test view at t = {view.time:.2f}, at the end of each stage",
-    fontsize=16,
+lessons.show(
+    figure,
+    "17_four_stages",
+    title=f"Time sharpens what moves: a test view at t = {view.time:.2f}, at the end of each stage",
 )
-lessons.show(figure, "17_four_stages")
 
 # %% [markdown]
 # ## Backward by hand

@@ -315,11 +315,12 @@ figure.legend(
     ncols=2,
     fontsize=14,
 )
-figure.suptitle(
-    "The scene `static`: what its two effects cost, and what five others would cost",
-    fontsize=18,
+lessons.show(
+    figure,
+    "25_effects",
+    title="The scene `static`: what its two effects cost, and what five others would cost",
+    size=18,
 )
-lessons.show(figure, "25_effects")
 
 # %% [markdown]
 # Who writes the list? Either a person, or a program that looks at the pictures

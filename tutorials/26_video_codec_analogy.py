@@ -296,8 +296,12 @@ for line, (name, images) in zip(axes, shown.items()):
             fontsize=14,
         )
     line[0].set_ylabel(name, fontsize=16)
-figure.suptitle("One test view: only the last row ignores motion", fontsize=18)
-lessons.show(figure, "26_video_codec_analogy_pictures")
+lessons.show(
+    figure,
+    "26_video_codec_analogy_pictures",
+    title="One test view: only the last row ignores motion",
+    size=18,
+)
 
 # %% [markdown]
 # ## Backward by hand

@@ -81,17 +81,21 @@ def out():
     return folder
 
 
-def finish(ax, legend=None, grid=True, **settings):
+def finish(ax, legend=None, grid=True, title_size=None, **settings):
     """Set the title, labels and limits of axes; `legend` holds the settings of one, if any."""
     ax.set(**settings)
+    if title_size:
+        ax.title.set_size(title_size)
     if legend is not None:
         ax.legend(**legend)
     if not grid:
         ax.grid(False)
 
 
-def show(figure, name):
+def show(figure, name, title="", size=16):
     """Save a figure as out/NAME.png, and show it in a notebook or at an interactive prompt."""
+    if title:
+        figure.suptitle(title, fontsize=size)
     place = out() / f"{name}.png"
     write_atomically(place, lambda file: figure.savefig(file, bbox_inches="tight"))
     print(f"figure: {place.parent.name}/{place.name}")

@@ -29,8 +29,8 @@ import json, runpy, sys
 from p4dgs_ref.lab.school import lessons
 from tests.lab import drawn
 show, texts = lessons.show, {}
-def watched(figure, name):
-    show(figure, name)
+def watched(figure, name, **how):
+    show(figure, name, **how)
     texts[name + ".png"] = drawn.smallest(figure)
 lessons.show = watched
 for path in sys.argv[1:]:
@@ -197,7 +197,7 @@ def test_hints_belong_to_exercises():
 
 @EACH
 def test_figures_are_shown_under_the_tutorials_number(tutorial):
-    shown = re.findall(r'lessons\.show\(\w+, f?"([^"]+)"\)', source(tutorial))
+    shown = re.findall(r'lessons\.show\(\s*\w+,\s*f?"([^"]+)"', source(tutorial))
     assert shown and len(set(shown)) == len(shown)
     assert all(name.startswith(tutorial.name[:2] + "_") for name in shown)
 
