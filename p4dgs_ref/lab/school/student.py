@@ -85,8 +85,11 @@ def main(path):
 def answer(path, request, reference):
     """Return the fields of the reply to one case; `reference` is the module of the equation."""
     key = Path(path).stem
-    roles = {role: unpacked(request, role) for role in ("in", "out_bar")}
-    tensors = {f"{role}.{name}": a for role in roles for name, a in roles[role].items()}
+    tensors = {
+        f"{role}.{name}": a
+        for role in ("in", "out_bar")
+        for name, a in unpacked(request, role).items()
+    }
     case = Golden(request["id"], "", key, key, "", {"settings": request["settings"]}, tensors)
     eq, said, gradients, follow = EQUATIONS[key], {}, {}, {}
 
@@ -105,8 +108,12 @@ def answer(path, request, reference):
     if eq.gradients and key not in SAVES_SLOPES:
         _, reference_saved = reference.forward(**case.inputs())
         follow = tried(lambda: backward(reference_saved), {} if outputs else said, "backward")
-    arrays_of = {"out": outputs, "in_bar": gradients, "follow": follow}
-    return {"said": said, **{name: numbers(arrays or {}) for name, arrays in arrays_of.items()}}
+    return {
+        "out": numbers(outputs),
+        "in_bar": numbers(gradients or {}),
+        "follow": numbers(follow or {}),
+        "said": said,
+    }
 
 
 def tried(call, said, part):
