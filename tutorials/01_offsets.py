@@ -13,10 +13,8 @@ import numpy as np
 from p4dgs_ref.equations import offsets
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("01_offsets")
+plt = lessons.begin("01_offsets")
 rng = np.random.default_rng(1)
 
 # %% [markdown]
@@ -90,11 +88,14 @@ for a in range(4):
         ms=16,
         mew=3,
     )
-axes.set_xlabel("x (scene units)")
-axes.set_ylabel("y (scene units)")
-axes.set_aspect("equal")
-axes.set_title("Four anchors (+) with six Gaussians each: $l_a$ is larger along x")
-axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
+lessons.finish(
+    axes,
+    xlabel="x (scene units)",
+    ylabel="y (scene units)",
+    aspect="equal",
+    title="Four anchors (+) with six Gaussians each: $l_a$ is larger along x",
+    legend={"loc": "center left", "bbox_to_anchor": (1, 0.5)},
+)
 lessons.show(figure, "01_offsets")
 
 # %% [markdown]
@@ -154,6 +155,7 @@ assert close(ours["l_a"], l_a_bar)
 # forward, and most tutorials use it. The module `lessons` therefore has short functions for its
 # parts: `random_like` draws the directions, `moved` adds $h$ times the directions to the inputs,
 # `inner` is $\langle a, b\rangle$, and `close` compares two results up to a relative tolerance.
+# Later tutorials call `lessons.adjoint`, which does what the next cell does.
 
 # %%
 d = random_like(rng, inputs)
@@ -241,7 +243,8 @@ lessons.backward("01.3", my_backward, "offsets")
 #
 # The usual mistake comes from Scaffold-GS, where this equation was taken from. It stores the
 # logarithm of $l_a$, whereas $l_a$ here is the scaling itself. The checker recognises the wrong
-# results and names the mistake.
+# results and names the mistake. Later tutorials call `lessons.passes` for the first kind of check
+# and `lessons.caught` for the second.
 
 # %%
 from p4dgs_ref import oracle

@@ -15,13 +15,11 @@ from matplotlib.patches import Ellipse
 from p4dgs_ref import PRESETS, effects
 from p4dgs_ref.equations import deformed, numerics
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
+from p4dgs_ref.lab.school.lessons import close, random_like
 from p4dgs_ref.splatting import covariance
 from p4dgs_ref.training.initial import design_of
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("06_deformed")
+plt = lessons.begin("06_deformed")
 rng = np.random.default_rng(6)
 
 # %% [markdown]
@@ -122,13 +120,17 @@ for i, t in enumerate(times):
         ha="center",
         fontsize=12,
     )
-ax.set_xlabel("x (scene units)")
-ax.set_ylabel("y (scene units)")
-ax.set_aspect("equal")
-ax.set_xlim(-0.5, 3)
-ax.set_ylim(-0.65, 1.35)
-ax.set_title("One canonical Gaussian at six times: thrown, stretched, rotated", fontsize=15)
-ax.legend(loc="upper right", fontsize=12)
+lessons.finish(
+    ax,
+    xlabel="x (scene units)",
+    ylabel="y (scene units)",
+    aspect="equal",
+    xlim=(-0.5, 3),
+    ylim=(-0.65, 1.35),
+    title="One canonical Gaussian at six times: thrown, stretched, rotated",
+    title_size=15,
+    legend={"loc": "upper right", "fontsize": 12},
+)
 lessons.show(figure, "06_deformed")
 
 # %% [markdown]
@@ -172,13 +174,7 @@ assert np.array_equal(ours["r"], ours["delta_r"])
 # The adjoint identity checks all six gradients at once.
 
 # %%
-d = random_like(rng, inputs)
-up, _ = deformed.forward(**moved(inputs, d, 1e-6))
-down, _ = deformed.forward(**moved(inputs, d, -1e-6))
-difference = (inner(up, bars) - inner(down, bars)) / 2e-6
-gradient = inner(ours, d)
-assert close(difference, gradient, 1e-7)
-print(f"by differences {difference:.8f}, by gradient {gradient:.8f}")
+lessons.adjoint(rng, deformed.forward, inputs, bars, ours)
 
 # %% [markdown]
 # Which parameters learn from this gradient? At one time, both terms of the sum receive the same
@@ -262,11 +258,15 @@ ax.plot(
     lw=3,
     label="not normalised",
 )
-ax.set_xlabel(r"size of $\Delta r$, about the z axis, added to $r = (1, 0, 0, 0)$")
-ax.set_ylabel("longest axis (scene units)")
-ax.set_ylim(0, None)
-ax.set_title("Without the second normalisation a rotation inflates the Gaussian", fontsize=15)
-ax.legend(loc="lower left")
+lessons.finish(
+    ax,
+    xlabel=r"size of $\Delta r$, about the z axis, added to $r = (1, 0, 0, 0)$",
+    ylabel="longest axis (scene units)",
+    ylim=(0, None),
+    title="Without the second normalisation a rotation inflates the Gaussian",
+    title_size=15,
+    legend={"loc": "lower left"},
+)
 lessons.show(figure, "06_deformed_inflated")
 
 # %% [markdown]
@@ -326,36 +326,22 @@ lessons.backward("06.3", my_backward, "deformed")
 # normalisation, ports add $\Delta s$ to the logarithm of the scale, because that is what 3DGS
 # stores. The checker tells the two mistakes apart.
 
+
 # %%
-from p4dgs_ref import EQUATIONS, oracle
-
-
 def logarithmic(s, delta_s, **others):
-    (x_t, s_t, r_t), _ = deformed.forward(
-        s=s,
-        delta_s=delta_s,
-        **others,
-    )
+    (x_t, s_t, r_t), _ = deformed.forward(s=s, delta_s=delta_s, **others)
     if delta_s.shape[1] > 0:
         s_t = s * np.exp(delta_s)
     return x_t, s_t, r_t
 
 
 def unnormalised(r, delta_r, **others):
-    (x_t, s_t, r_t), _ = deformed.forward(
-        r=r,
-        delta_r=delta_r,
-        **others,
-    )
+    (x_t, s_t, r_t), _ = deformed.forward(r=r, delta_r=delta_r, **others)
     if delta_r.shape[1] > 0:
         r_t = r + delta_r
     return x_t, s_t, r_t
 
 
-report = oracle.check(EQUATIONS["deformed"], "deformed")
-print(report)
-assert report.ok
-for mistake, explanation in ((logarithmic, "exp(delta_s)"), (unnormalised, "not of unit length")):
-    report = oracle.check(mistake, "deformed")
-    print(report.first.explanation)
-    assert explanation in report.first.explanation
+lessons.passes("deformed")
+lessons.caught(logarithmic, "deformed", "exp(delta_s)")
+lessons.caught(unnormalised, "deformed", "not of unit length")

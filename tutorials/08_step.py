@@ -10,6 +10,7 @@
 
 # %%
 from decimal import Decimal, localcontext
+from functools import partial
 
 import numpy as np
 from scipy.special import expit as sigmoid
@@ -18,12 +19,10 @@ from p4dgs_ref import decode, oracle
 from p4dgs_ref.equations import mlp, rounding, step
 from p4dgs_ref.lab.random_inputs import random_network
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
+from p4dgs_ref.lab.school.lessons import close
 from p4dgs_ref.report.inspect import float_context
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("08_step")
+plt = lessons.begin("08_step")
 rng = np.random.default_rng(8)
 
 # %% [markdown]
@@ -169,12 +168,15 @@ left.semilogy(
     color=red,
     label="with the floor",
 )
-left.set_xlabel(r"$u = \psi_q(h)$ (no unit)")
-left.set_ylabel("$q / Q_0$ (no unit)")
-left.set_xlim(-8, 4)
-left.set_ylim(1e-4, 4)
-left.set_title("A step can be a thousand times smaller than $Q_0$")
-left.legend(loc="lower right")
+lessons.finish(
+    left,
+    xlabel=r"$u = \psi_q(h)$ (no unit)",
+    ylabel="$q / Q_0$ (no unit)",
+    xlim=(-8, 4),
+    ylim=(1e-4, 4),
+    title="A step can be a thousand times smaller than $Q_0$",
+    legend={"loc": "lower right"},
+)
 for form, color, name in (
     (printed_form, red, r"$1 + \tanh u$"),
     (sigmoid_form, blue, r"$2\,$sigmoid$(2u)$"),
@@ -196,12 +198,15 @@ right.text(
     color="0.3",
     fontsize=11,
 )
-right.set_xlabel(r"$u = \psi_q(h)$ (no unit)")
-right.set_ylabel("relative error (1: no digit right)")
-right.set_xlim(-20, 4)
-right.set_ylim(1e-17, 30)
-right.set_title("The printed form loses every digit, the sigmoid form none")
-right.legend(loc=(0.02, 0.17), fontsize=11)
+lessons.finish(
+    right,
+    xlabel=r"$u = \psi_q(h)$ (no unit)",
+    ylabel="relative error (1: no digit right)",
+    xlim=(-20, 4),
+    ylim=(1e-17, 30),
+    title="The printed form loses every digit, the sigmoid form none",
+    legend={"loc": (0.02, 0.17), "fontsize": 11},
+)
 lessons.show(figure, "08_step")
 
 # %% [markdown]
@@ -255,13 +260,7 @@ assert close(ours["h"], hidden_bar @ weights[0].T, 1e-10)
 
 # %%
 inputs = {"h": h, "weights": weights, "biases": biases}
-d = random_like(rng, inputs)
-up, _ = step.forward(**moved(inputs, d, 1e-6), Q_0=Q_0)
-down, _ = step.forward(**moved(inputs, d, -1e-6), Q_0=Q_0)
-difference = inner(q_bar, up - down) / 2e-6
-gradient = inner(ours, d)
-assert close(difference, gradient, 1e-7)
-print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
+lessons.adjoint(rng, partial(step.forward, Q_0=Q_0), inputs, q_bar, ours)
 
 
 # %% [markdown]
@@ -281,9 +280,7 @@ def half_argument(h, weights, biases, Q_0):
 twice_weights = [weights[0], 2 * weights[1]]
 twice_biases = [biases[0], 2 * biases[1]]
 assert close(half_argument(h, twice_weights, twice_biases, Q_0), q)
-report = oracle.check(half_argument, "step")
-print(report.first.id, "fails:", report.first.explanation)
-assert "2 psi_q" in report.first.explanation
+lessons.caught(half_argument, "step", "2 psi_q")
 
 
 # %% [markdown]
@@ -359,16 +356,5 @@ lessons.backward("08.3", my_backward, "step")
 # formula, `--only step_floor`, and look at its gradient, which must be 0 on the floor. A port that
 # clamps only the value, outside of what its framework differentiates, passes the gradient on.
 
-
 # %%
-def port(**inputs):
-    return step.forward(**inputs)[0]
-
-
-def port_vjp(inputs, cotangents):
-    return step.backward(step.forward(**inputs)[1], **cotangents)
-
-
-report = oracle.check(port, "step", port_vjp)
-print(report)
-assert report.ok
+lessons.passes("step")

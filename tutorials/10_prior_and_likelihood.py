@@ -15,16 +15,14 @@ import math
 import numpy as np
 from scipy.special import erfcx, ndtr
 
-from p4dgs_ref import EQUATIONS, oracle
+from p4dgs_ref import oracle
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.equations import likelihood, mlp, prior
 from p4dgs_ref.lab.random_inputs import random_network
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.lab.school.lessons import close, inner, moved
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("10_prior_and_likelihood")
+plt = lessons.begin("10_prior_and_likelihood")
 rng = np.random.default_rng(10)
 
 # %% [markdown]
@@ -191,22 +189,20 @@ areas.plot(
 )
 for k, color in ((0, blue), (1, orange), (3, red)):
     inside = np.abs(x - k) <= 0.5
-    label = f"symbol {k}: {-math.log2(probabilities[k]):.2f} bits"
     areas.fill_between(
         x[inside],
         phi[inside],
         color=color,
         alpha=0.7,
-        label=label,
+        label=f"symbol {k}: {-math.log2(probabilities[k]):.2f} bits",
     )
-areas.set_xlabel(r"value (in $\sigma$, from $\mu$)")
-areas.set_ylabel(r"density (per $\sigma$)")
-areas.set_ylim(0, 0.58)
-areas.set_title("The probability of a symbol is an area")
-areas.legend(
-    loc="upper left",
-    fontsize=10,
-    ncols=2,
+lessons.finish(
+    areas,
+    xlabel=r"value (in $\sigma$, from $\mu$)",
+    ylabel=r"density (per $\sigma$)",
+    ylim=(0, 0.58),
+    title="The probability of a symbol is an area",
+    legend={"loc": "upper left", "fontsize": 10, "ncols": 2},
 )
 
 tails.plot(
@@ -239,11 +235,14 @@ tails.plot(
     color=violet,
     label="HAC's floor of $10^{-6}$",
 )
-tails.set_xlabel(r"distance from $\mu$ (in $\sigma$)")
-tails.set_ylabel("bits")
-tails.set_ylim(0, 150)
-tails.set_title("The printed formula becomes infinite")
-tails.legend(loc="upper left", fontsize=10)
+lessons.finish(
+    tails,
+    xlabel=r"distance from $\mu$ (in $\sigma$)",
+    ylabel="bits",
+    ylim=(0, 150),
+    title="The printed formula becomes infinite",
+    legend={"loc": "upper left", "fontsize": 10},
+)
 
 digits.loglog(
     w_narrow,
@@ -257,10 +256,13 @@ digits.loglog(
     color=blue,
     label="in regimes",
 )
-digits.set_xlabel(r"width of the bin $q/\sigma$")
-digits.set_ylabel("relative error of the probability")
-digits.set_title("The narrower the bin, the fewer digits remain")
-digits.legend(loc="upper right", fontsize=10)
+lessons.finish(
+    digits,
+    xlabel=r"width of the bin $q/\sigma$",
+    ylabel="relative error of the probability",
+    title="The narrower the bin, the fewer digits remain",
+    legend={"loc": "upper right", "fontsize": 10},
+)
 lessons.show(figure, "10_prior_and_likelihood")
 
 # %% [markdown]
@@ -471,17 +473,4 @@ lessons.backward("10.3", my_likelihood_backward, "likelihood")
 
 
 # %%
-def gradients_of(key):
-    """Return a function that computes the gradients of an equation as `oracle.check` asks."""
-
-    def vjp(inputs, cotangents):
-        _, pullback = EQUATIONS[key].vjp(**inputs)
-        return pullback(**cotangents)
-
-    return vjp
-
-
-for key in ("likelihood", "prior"):
-    report = oracle.check(EQUATIONS[key], key, gradients_of(key))
-    print(report)
-    assert report.ok
+lessons.passes("likelihood", "prior")

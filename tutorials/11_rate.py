@@ -13,15 +13,13 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import EQUATIONS, oracle
+from p4dgs_ref import oracle
 from p4dgs_ref.equations import anchor_rate, hash_rate, rate_loss
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
 from p4dgs_ref.report.inspect import ledger
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("11_rate")
+plt = lessons.begin("11_rate")
 rng = np.random.default_rng(11)
 
 # %% [markdown]
@@ -214,12 +212,13 @@ figure, axes = plt.subplot_mosaic(
 )
 axes["cost"].plot(share, cost, color=blue)
 axes["cost"].plot(6 / 8, by_hand / 8, "ko", ms=8, label="by hand: 6 of 8")
-axes["cost"].set(
+lessons.finish(
+    axes["cost"],
     ylim=(0, 1.1),
     ylabel="$R_{hash}/N$\n(bits per entry)",
     title="Descent drives the signs to the majority",
+    legend={"loc": "lower center"},
 )
-axes["cost"].legend(loc="lower center")
 axes["slope"].plot(share, slope, color=red)
 axes["slope"].axhline(0, color="0.4", lw=1)
 axes["slope"].set(
@@ -268,9 +267,7 @@ def multiplied(bits_f, bits_O, bits_l, bits_s, mask):
 
 assert close(multiplied(**bits, mask=mask), R_anchor)
 with np.errstate(invalid="ignore"):
-    report = oracle.check(multiplied, "anchor_rate")
-print(report.first.id, "fails:", report.first.explanation)
-assert report.first.id == "anchor_rate/infinite_behind_the_mask"
+    lessons.caught(multiplied, "anchor_rate", "infinite_behind_the_mask")
 
 # %% [markdown]
 # ## What a codec does with it
@@ -336,17 +333,4 @@ lessons.forward("11.3", my_rate, "rate_loss")
 
 
 # %%
-def gradients_of(key):
-    """Return a function that computes the gradients of an equation as `oracle.check` asks."""
-
-    def vjp(inputs, cotangents):
-        _, pullback = EQUATIONS[key].vjp(**inputs)
-        return pullback(**cotangents)
-
-    return vjp
-
-
-for key in ("anchor_rate", "hash_rate", "rate_loss"):
-    report = oracle.check(EQUATIONS[key], key, gradients_of(key))
-    print(report)
-    assert report.ok
+lessons.passes("anchor_rate", "hash_rate", "rate_loss")

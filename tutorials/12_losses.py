@@ -10,17 +10,17 @@
 # [ssim.py](../p4dgs_ref/equations/ssim.py), [window.py](../p4dgs_ref/equations/window.py).
 
 # %%
+from functools import partial
+
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from p4dgs_ref import load_scene, oracle
+from p4dgs_ref import load_scene
 from p4dgs_ref.equations import render_loss, ssim, total_loss, window
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.lab.school.lessons import close, inner
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("12_losses")
+plt = lessons.begin("12_losses")
 rng = np.random.default_rng(12)
 photo = load_scene("bouncing").test[0].image[12:62, 4:58]
 truth = photo.astype(float) * 0.8 + 0.1  # [50, 54, 3], away from 0 and 1
@@ -138,21 +138,24 @@ for column, (name, image) in enumerate(images.items(), 1):
     )
     panels[1, column].set_title("descent direction")
 for ax in panels.ravel():
-    ax.set_xticks([0, 25, 50])
-    ax.set_yticks([0, 25])
-    ax.grid(False)
-panels[1, 0].set_xlabel("u (pixels)")
-panels[1, 0].set_ylabel("v (pixels)")
-label = "pixel should become brighter (+) or darker (-)"
+    lessons.finish(
+        ax,
+        xticks=[0, 25, 50],
+        yticks=[0, 25],
+        grid=False,
+    )
+panels[1, 0].set(xlabel="u (pixels)", ylabel="v (pixels)")
 figure.colorbar(
     shown,
     ax=panels[1],
-    label=label,
+    label="pixel should become brighter (+) or darker (-)",
     shrink=0.9,
 )
-title = r"Three images with the same $\mathcal{L}_1$ of 0.02, very different for SSIM"
-figure.suptitle(title, fontsize=16)
-lessons.show(figure, "12_losses")
+lessons.show(
+    figure,
+    "12_losses",
+    title=r"Three images with the same $\mathcal{L}_1$ of 0.02, very different for SSIM",
+)
 
 # %% [markdown]
 # ## Backward by hand
@@ -255,13 +258,8 @@ _, saved = ssim.forward(image, truth)
 ours = ssim.backward(saved, 1.0)["image"]
 assert close(ours, x_bar.transpose(0, 2, 1), 1e-8)
 
-d = rng.normal(size=image.shape)
-up, _ = ssim.forward(image + 1e-6 * d, truth)
-down, _ = ssim.forward(image - 1e-6 * d, truth)
-difference = (up - down) / 2e-6
-gradient = inner(ours, d)
-assert close(difference, gradient, 1e-6)
-print(f"by differences {difference:.8f}, by gradient {gradient:.8f}")
+of_image = partial(ssim.forward, truth=truth)
+lessons.adjoint(rng, of_image, {"image": image}, 1.0, {"image": ours}, 1e-6)
 
 # %% [markdown]
 # ## Break it
@@ -294,9 +292,7 @@ inside = np.s_[5:-5, :, 5:-5]
 assert close(with_zeros[inside], without[inside], 1e-9)
 print(f"SSIM with zeros {with_zeros.mean():.3f}, with a cut window {without.mean():.3f}")
 assert with_zeros.mean() - without.mean() > 0.05
-report = oracle.check(mean_of_renormalised, "ssim")
-print("the checker's hint:", report.first.hint)
-assert "ssim-renormalised" in report.first.hint
+lessons.caught(mean_of_renormalised, "ssim", "ssim-renormalised")
 
 # %% [markdown]
 # ## What a codec does with it
@@ -345,11 +341,14 @@ for price, color in zip((0.003, 0.01, 0.03, 0.1), lessons.COLORS):
         ms=11,
         color=color,
     )
-ax.set_xlabel("rate (bits per number)")
-ax.set_ylabel(r"$\mathcal{L}_{render}$")
-ax.set_ylim(-0.01, None)
-ax.set_title(r"$\lambda_{rate}$ chooses the point where its line touches the curve")
-ax.legend()
+lessons.finish(
+    ax,
+    xlabel="rate (bits per number)",
+    ylabel=r"$\mathcal{L}_{render}$",
+    ylim=(-0.01, None),
+    title=r"$\lambda_{rate}$ chooses the point where its line touches the curve",
+    legend={},
+)
 lessons.show(figure, "12_losses_rate")
 assert chosen == sorted(chosen, reverse=True)
 
@@ -406,20 +405,4 @@ lessons.backward("12.3", my_backward, "ssim")
 
 
 # %%
-from p4dgs_ref import EQUATIONS
-
-
-def gradients_of(key):
-    """Return a function that computes the gradients of an equation as `oracle.check` asks."""
-
-    def vjp(inputs, cotangents):
-        _, pullback = EQUATIONS[key].vjp(**inputs)
-        return pullback(**cotangents)
-
-    return vjp
-
-
-for key in ("total_loss", "render_loss", "ssim"):
-    report = oracle.check(EQUATIONS[key], key, gradients_of(key))
-    print(report)
-    assert report.ok
+lessons.passes("total_loss", "render_loss", "ssim")

@@ -10,15 +10,12 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import oracle
 from p4dgs_ref.equations.numerics import normalise, normalise_backward
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, moved, random_like
+from p4dgs_ref.lab.school.lessons import close
 from p4dgs_ref.splatting import covariance
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("13_covariance")
+plt = lessons.begin("13_covariance")
 rng = np.random.default_rng(13)
 turn = np.linspace(0, 2 * np.pi, 90)
 circle = np.stack([np.cos(turn), np.sin(turn)])  # the figures bend it into ellipses
@@ -94,16 +91,20 @@ for ax, degrees in zip(panels, (0, 30, 60, 90)):
         )
     (a, b), (_, c) = M @ M.T
     quaternion = f"{degrees}°: w = {w:.3f}, z = {z:.3f}"
-    ax.set_title(f"{quaternion}\na = {a:.1f}, b = {b:.1f}, c = {c:.1f}")
-    ax.set_xlabel("x (scene units)")
-    ax.set_aspect("equal")
-    ax.set_xlim(-3.4, 3.4)
-    ax.set_ylim(-3.4, 3.4)
+    ax.set(
+        title=f"{quaternion}\na = {a:.1f}, b = {b:.1f}, c = {c:.1f}",
+        xlabel="x (scene units)",
+        aspect="equal",
+        xlim=(-3.4, 3.4),
+        ylim=(-3.4, 3.4),
+    )
 panels[0].set_ylabel("y (scene units)")
 figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
-title = r"The quaternion contains half the angle; $\Sigma$ = [[a, b], [b, c]] contains b twice"
-figure.suptitle(title, fontsize=16)
-lessons.show(figure, "13_covariance")
+lessons.show(
+    figure,
+    "13_covariance",
+    title=r"The quaternion contains half the angle; $\Sigma$ = [[a, b], [b, c]] contains b twice",
+)
 
 # %% [markdown]
 # ## In code
@@ -265,14 +266,7 @@ assert close((ahead - behind) / 2, slopes)
 by_slopes = [inner(R_bar[0], slope) for slope in slopes]
 assert close(ours["r"][0], by_slopes)
 
-inputs = {"s": s, "r": r}
-d = random_like(rng, inputs)
-up, _ = covariance.forward(**moved(inputs, d, h))
-down, _ = covariance.forward(**moved(inputs, d, -h))
-difference = inner(Sigma_bar, up - down) / (2 * h)
-gradient = inner(ours, d)
-assert close(difference, gradient, 1e-8)
-print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
+d, difference = lessons.adjoint(rng, covariance.forward, {"s": s, "r": r}, Sigma_bar, ours, 1e-8)
 
 # %% [markdown]
 # One thing looks wrong but is not: $\bar r$ has a component along $r$, although only the direction
@@ -344,21 +338,25 @@ for step, color in zip((0, 5, 8, 12, 149), lessons.COLORS):
         ms=10,
         color=color,
     )
-left.set_xlabel("x (scene units)")
-left.set_ylabel("y (scene units)")
-left.set_aspect("equal")
-left.set_title("The Gaussian, seen along z (1 sigma)")
-left.legend(
-    fontsize=11,
-    loc="center left",
-    bbox_to_anchor=(1, 0.5),
+lessons.finish(
+    left,
+    xlabel="x (scene units)",
+    ylabel="y (scene units)",
+    aspect="equal",
+    title="The Gaussian, seen along z (1 sigma)",
+    legend={"fontsize": 11, "loc": "center left", "bbox_to_anchor": (1, 0.5)},
 )
 right.semilogy(losses, color="0.4", zorder=0)
-right.set_xlabel("steps of gradient descent")
-right.set_ylabel("scene units$^4$")
-right.set_title(r"The loss $\frac{1}{2}\|\Sigma-\Sigma^*\|^2$")
-figure.suptitle(r"$\bar s$ and $\bar r$ rotate and stretch one Gaussian into another", fontsize=16)
-lessons.show(figure, "13_covariance_descent")
+right.set(
+    xlabel="steps of gradient descent",
+    ylabel="scene units$^4$",
+    title=r"The loss $\frac{1}{2}\|\Sigma-\Sigma^*\|^2$",
+)
+lessons.show(
+    figure,
+    "13_covariance_descent",
+    title=r"$\bar s$ and $\bar r$ rotate and stretch one Gaussian into another",
+)
 
 # %% [markdown]
 # ## Break it
@@ -375,9 +373,7 @@ def real_part_last(s, r):
 
 wrong = np.linalg.eigvalsh(real_part_last(s, r))
 assert close(wrong, np.linalg.eigvalsh(Sigma))
-report = oracle.check(real_part_last, "covariance")
-print(report.first.explanation)
-assert "covariance-real-last" in report.first.explanation
+lessons.caught(real_part_last, "covariance", "covariance-real-last")
 
 # %% [markdown]
 # Another mistake is to count only one of the two factors $M$ in the backward. Each gradient is then
@@ -458,12 +454,5 @@ lessons.backward("13.3", my_backward, "covariance")
 # is not symmetric, so a port that assumes symmetry and computes $2\bar\Sigma M$ fails. A port that
 # projects $\bar r$ onto the sphere fails as well, because that is part of Eq. (6).
 
-
 # %%
-def port(s, r):
-    return covariance.forward(s, r)[0]
-
-
-report = oracle.check(port, "covariance")
-print(report)
-assert report.ok
+lessons.passes("covariance")

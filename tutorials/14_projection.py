@@ -8,17 +8,16 @@
 # **File:** [projection.py](../p4dgs_ref/splatting/projection.py).
 
 # %%
+from functools import partial
+
 import numpy as np
 
-from p4dgs_ref import oracle
 from p4dgs_ref.equations.numerics import normalise
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, moved, random_like
+from p4dgs_ref.lab.school.lessons import close
 from p4dgs_ref.splatting import covariance, projection
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("14_projection")
+plt = lessons.begin("14_projection")
 rng = np.random.default_rng(14)
 inner = lessons.inner
 h = 1e-6
@@ -132,18 +131,27 @@ above.plot(
     lw=1,
     label="edge of the image",
 )
-above.set_xlabel("x (scene units)")
-above.set_ylabel("depth z (scene units)")
-above.set_xlim(-2.4, 2.4)
-above.set_title("From above")
-above.legend(fontsize=11)
-on_row.set_xlabel("pixel u")
-on_row.set_ylabel("density (1/pixel)")
-on_row.set_xlim(-90, 80)
-on_row.set_title("On the row of pixels")
-on_row.legend(fontsize=11)
-figure.suptitle("The projection is accurate far from the camera and poor close to it", fontsize=16)
-lessons.show(figure, "14_projection_line")
+lessons.finish(
+    above,
+    xlabel="x (scene units)",
+    ylabel="depth z (scene units)",
+    xlim=(-2.4, 2.4),
+    title="From above",
+    legend={"fontsize": 11},
+)
+lessons.finish(
+    on_row,
+    xlabel="pixel u",
+    ylabel="density (1/pixel)",
+    xlim=(-90, 80),
+    title="On the row of pixels",
+    legend={"fontsize": 11},
+)
+lessons.show(
+    figure,
+    "14_projection_line",
+    title="The projection is accurate far from the camera and poor close to it",
+)
 
 # %% [markdown]
 # ## In code
@@ -214,10 +222,13 @@ ax.axvspan(
     color="0.9",
     label="inside the image",
 )
-ax.set_xlabel("x/z, how far to the side")
-ax.set_ylabel("standard deviation in u (pixels)")
-ax.set_title("The clamp keeps Gaussians beside the image small")
-ax.legend()
+lessons.finish(
+    ax,
+    xlabel="x/z, how far to the side",
+    ylabel="standard deviation in u (pixels)",
+    title="The clamp keeps Gaussians beside the image small",
+    legend={},
+)
 lessons.show(figure, "14_projection_clamp")
 
 # %% [markdown]
@@ -342,13 +353,7 @@ ours = projection.backward(saved, *bars)
 assert close(ours["x"], x_bar, 1e-10)
 
 inputs = {"x": x, "Sigma": Sigma}
-d = random_like(rng, inputs)
-up, _ = projection.forward(**moved(inputs, d, h), **camera)
-down, _ = projection.forward(**moved(inputs, d, -h), **camera)
-difference = (inner(up, bars) - inner(down, bars)) / (2 * h)
-gradient = inner(ours, d)
-assert close(difference, gradient, 1e-7)
-print(f"by differences {difference:.6f}, by gradient {gradient:.6f}")
+lessons.adjoint(rng, partial(projection.forward, **camera), inputs, bars, ours)
 
 # %% [markdown]
 # What do these gradients mean in space? A cotangent of the *mean* moves a Gaussian perpendicular to
@@ -409,11 +414,13 @@ def draw_arrows(ax, arrows, color, title):
         color="0.4",
         label="Gaussians",
     )
-    ax.set_title(title)
-    ax.set_xlabel("x (scene units)")
-    ax.set_aspect("equal")
-    ax.set_xlim(-2, 2)
-    ax.set_ylim(-0.3, 4.6)
+    ax.set(
+        title=title,
+        xlabel="x (scene units)",
+        aspect="equal",
+        xlim=(-2, 2),
+        ylim=(-0.3, 4.6),
+    )
 
 
 figure, (left, right) = plt.subplots(
@@ -427,8 +434,9 @@ draw_arrows(left, of_mean, "C0", r"one pixel to the right, $\bar\mu_x = 1$: acro
 draw_arrows(right, of_size, "C1", r"a larger splat, $\bar a = \bar c = 1$: towards the camera")
 left.set_ylabel("depth z (scene units)")
 right.legend(loc="lower right", fontsize=11)
-figure.suptitle("How cotangents in the image move a Gaussian, seen from above", fontsize=16)
-lessons.show(figure, "14_projection")
+lessons.show(
+    figure, "14_projection", title="How cotangents in the image move a Gaussian, seen from above"
+)
 
 # %% [markdown]
 # ## Break it
@@ -470,9 +478,7 @@ def outputs_of_projection(**inputs):
     return projection.forward(**inputs)[0]
 
 
-report = oracle.check(outputs_of_projection, "projection", without_doubling)
-print(report.first.explanation)
-assert "one of its two places" in report.first.explanation
+lessons.caught(outputs_of_projection, "projection", "one of its two places", vjp=without_doubling)
 
 # %% [markdown]
 # ## What a codec does with it
@@ -547,13 +553,5 @@ lessons.backward("14.3", my_backward, "projection")
 # beside the diagonal, the usual mistake is the slope of the clamp in $z$. Beyond the clamp $u$ is a
 # constant, so the third column of $J$ depends on $z$ as $1/z$, no longer as $1/z^2$.
 
-
 # %%
-def gradients_of_projection(inputs, cotangents):
-    _, saved = projection.forward(**inputs)
-    return projection.backward(saved, **cotangents)
-
-
-report = oracle.check(outputs_of_projection, "projection", gradients_of_projection)
-print(report)
-assert report.ok
+lessons.passes("projection")

@@ -11,14 +11,12 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import SETTINGS, oracle
+from p4dgs_ref import SETTINGS
 from p4dgs_ref.lab.random_inputs import random_splats
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.splatting import compositing, loop
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("15_compositing")
+plt = lessons.begin("15_compositing")
 rng = np.random.default_rng(15)
 h = 1e-6  # step of finite differences
 
@@ -80,13 +78,14 @@ light.bar(
     width=0.6,
     label=r"light that is used, $\alpha_i T_i$",
 )
-light.set(
+lessons.finish(
+    light,
     xticks=range(4),
     xticklabels=["layer 0", "layer 1", "layer 2", "background"],
     ylabel="share of light",
     title="From the front: how much is seen",
+    legend={},
 )
-light.legend()
 over.plot(
     range(-1, 3),
     behind[::-1],
@@ -109,16 +108,18 @@ over.annotate(
     (-0.95, 0.3),
     arrowprops=dict(arrowstyle="->"),
 )
-over.set(
+lessons.finish(
+    over,
     xticks=range(-1, 3),
     xlabel="layer",
     ylabel="gray value",
     title="From the back: what is seen",
     ylim=(-0.1, 1.35),
+    legend={"loc": "upper left", "fontsize": 11},
 )
-over.legend(loc="upper left", fontsize=11)
-figure.suptitle("One pixel, three layers: two ways to the same value", fontsize=16)
-lessons.show(figure, "15_compositing_pixel")
+lessons.show(
+    figure, "15_compositing_pixel", title="One pixel, three layers: two ways to the same value"
+)
 
 # %% [markdown]
 # ## In code
@@ -359,8 +360,12 @@ figure, panels = plt.subplots(1, 4, figsize=(12, 3.7), layout="constrained", sha
 names = ("as it is", "as it should be", "pull at the front splat", "pull at the back splat")
 for ax, picture, name in zip(panels, (seen, target, *pulls), names):
     shown = ax.imshow(picture, cmap="PuOr", vmin=-0.6, vmax=0.6)
-    ax.set(title=name, xlabel="u (pixels)")
-    ax.grid(False)
+    lessons.finish(
+        ax,
+        title=name,
+        xlabel="u (pixels)",
+        grid=False,
+    )
 for ax, mean, mean_bar in zip(panels[2:], pair["mean2d"], bars["mean2d"]):
     ax.quiver(
         *mean,
@@ -372,10 +377,11 @@ for ax, mean, mean_bar in zip(panels[2:], pair["mean2d"], bars["mean2d"]):
     )
 panels[0].set_ylabel("v (pixels)")
 figure.colorbar(shown, ax=panels, label=r"$-\bar\alpha_i(p)$: more (+) or less", shrink=0.7)
-figure.suptitle(
-    r"Every pixel pulls at every splat that covers it; the arrows are $-5\,\bar\mu$", fontsize=16
+lessons.show(
+    figure,
+    "15_compositing",
+    title=r"Every pixel pulls at every splat that covers it; the arrows are $-5\,\bar\mu$",
 )
-lessons.show(figure, "15_compositing")
 
 # %% [markdown]
 # ## Break it
@@ -435,12 +441,13 @@ ax.semilogy(errors["by_sweep"], "o-", ms=4, label="sweep from the back")
 ax.semilogy(errors["by_division"], "s--", ms=4, label=r"division by $1-\alpha_i$")
 ax.axvline(10, color="0.6", lw=1, label="opacity 0.99")
 ax.axvline(25, color="0.6", lw=1)
-ax.set(
+lessons.finish(
+    ax,
     xlabel="layer, front to back",
     ylabel=r"relative error of $\bar\alpha_i$ in float32",
     title="Behind nearly opaque layers the division has no correct digits",
+    legend={"loc": "right"},
 )
-ax.legend(loc="right")
 lessons.show(figure, "15_compositing_division")
 
 # %% [markdown]
@@ -554,17 +561,5 @@ lessons.backward("15.3", my_backward, "compositing")
 # and at the limit of $0.99$: this project's gradient is zero there, whereas the published kernel
 # lets it pass.
 
-
 # %%
-def port(**inputs):
-    return compositing.forward(**inputs)[0]
-
-
-def port_vjp(inputs, cotangents):
-    saved = compositing.forward(**inputs)[1]
-    return compositing.backward(saved, **cotangents)
-
-
-verdict = oracle.check(port, "compositing", port_vjp)
-print(verdict)
-assert verdict.ok
+lessons.passes("compositing")

@@ -22,10 +22,8 @@ from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting import covariance, projection, render
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.parameters import Parameters
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("16_pipeline_by_hand")
+plt = lessons.begin("16_pipeline_by_hand")
 EXACT = SETTINGS["exact"]
 
 
@@ -105,9 +103,7 @@ assert design.layers()["psi_alpha"] == [(6, 3), (3, 2)]
 
 # %%
 def dense(x, W, b):
-    y = []
-    for j in range(len(b)):
-        y.append(sum(x[n] * W[n][j] for n in range(len(x))) + b[j])
+    y = [sum(x[n] * W[n][j] for n in range(len(x))) + b[j] for j in range(len(b))]
     return y
 
 
@@ -276,9 +272,7 @@ say("red, green, blue of p", pixel)
 
 # %%
 levels = [draw(T, F) for T, F in design.levels()]
-signs = []
-for level in levels:
-    signs.append([1 if v >= 0 else -1 for v in level.ravel()])
+signs = [[1 if v >= 0 else -1 for v in level.ravel()] for level in levels]
 assert [len(level) for level in signs] == [8, 4, 4, 4]
 h = [sum(level) / len(level) for level in signs]
 (W_q,), (b_q,) = networks["psi_q"]
@@ -450,12 +444,13 @@ for i, child in enumerate(moved):
     outline = root @ circle + np.array(splat(child)["mean2d"])[:, None]
     scene.plot(*outline, color=f"C{i + 1}", label=f"child {i}, one standard deviation")
 scene.plot(*p, "s", ms=11, mfc="none", mec="k", mew=2.5, ls="none", label="our pixel")
-scene.set(
+lessons.finish(
+    scene,
     xlabel="u (pixels)",
     ylabel="v (pixels)",
     title="Our anchor's two children at t = 0.5",
+    legend={"fontsize": 10, "loc": "lower left"},
 )
-scene.legend(fontsize=10, loc="lower left")
 bottom = np.zeros(3)
 looks = (
     ("child 0", "//", "C1"),
@@ -475,14 +470,15 @@ for (weight, color), (name, hatch, paint) in zip(parts, looks):
     )
     bottom += height
 bars.grid(axis="x", visible=False)
-bars.set(
+lessons.finish(
+    bars,
     xticks=range(3),
     xticklabels=["red", "green", "blue"],
     ylabel="value",
     title="The contributions to our pixel",
     ylim=(0, 1),
+    legend={"fontsize": 11},
 )
-bars.legend(fontsize=11)
 lessons.show(figure, "16_pipeline_by_hand")
 
 # %% [markdown]
@@ -503,9 +499,9 @@ blue = canonical[0]["color"][2]
 through_network = sum(W0[0][m] * W1[m][2] for m in range(3) if active[m])
 path = weight * blue * (1 - blue) * through_network
 
-zero = {}
-for name in ("x", "s", "r", "alpha", "color"):
-    zero[f"{name}_bar"] = np.zeros_like(getattr(g, name))
+zero = {
+    f"{name}_bar": np.zeros_like(getattr(g, name)) for name in ("x", "s", "r", "alpha", "color")
+}
 
 
 def feature_0_bar(**cotangents):
@@ -537,9 +533,10 @@ def blue_at(f_0):
 image_bar = np.zeros_like(image)
 image_bar[p[1], p[0], 2] = 1
 bars_g = render.backward(saved_r, image_bar)
-shares = {}
-for name in ("x", "s", "r", "alpha", "color"):
-    shares[name] = feature_0_bar(**{f"{name}_bar": bars_g[name]})
+shares = {
+    name: feature_0_bar(**{f"{name}_bar": bars_g[name]})
+    for name in ("x", "s", "r", "alpha", "color")
+}
 together = sum(shares.values())
 by_difference = (blue_at(f_a[0] + 1e-6) - blue_at(f_a[0] - 1e-6)) / 2e-6
 assert shares["x"] == 0
@@ -559,9 +556,7 @@ print(f"together {together:+.6f}, by differences {by_difference:+.6f}")
 # %%
 def careless(x, s, r, t, L_x, L_t, psi_d_weights, psi_d_biases):
     delta, _ = deformation.forward(x, t, psi_d_weights, psi_d_biases, L_x, L_t)
-    changed = []
-    for a, change in zip((x, s, r), delta):
-        changed.append(a + change if change.shape[1] else a)
+    changed = [a + change if change.shape[1] else a for a, change in zip((x, s, r), delta)]
     return tuple(changed)
 
 
@@ -652,6 +647,4 @@ def port(W, T, focal, center, size, t, renderer, **of_the_model):
     return trained.render(seen_by, t, settings)
 
 
-verdict = oracle.check(port, "frames")
-print(verdict)
-assert verdict.ok
+lessons.passes("frames", port=port)

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref import PRESETS, SETTINGS, decode, encode, evaluate, load_scene, oracle
+from p4dgs_ref import PRESETS, SETTINGS, decode, encode, evaluate, load_scene
 from p4dgs_ref.equations import rounding
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import Context
@@ -23,10 +23,8 @@ from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.progress import psnr
 from p4dgs_ref.training.trainer import LEARNING_RATES, Trainer
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("17_four_stages")
+plt = lessons.begin("17_four_stages")
 paper = PRESETS["paper_synthetic"]
 
 # %% [markdown]
@@ -166,15 +164,20 @@ for name, shade, start, end in zip(names, ("0.93", "0.85") * 2, (0, *ends), ends
 top.plot(iteration, decibel, ".", ms=3, color="0.6", label="one training view")
 top.plot(iteration[14:], smooth(decibel), color="C0", label="mean of 15")
 top.plot(ends, scores, "D", ms=10, color="C1", ls="none", label="test views")
-top.set(
+lessons.finish(
+    top,
     ylabel="PSNR (dB)",
     xlim=(0, 540),
     ylim=(10, 28.5),
     title="Each stage switches something on; the rate exists only in the last",
+    legend={"loc": "lower right", "framealpha": 1},
 )
-top.legend(loc="lower right", framealpha=1)
 low.plot(iteration[rate > 0], rate[rate > 0], color="C2")
-low.set(xlabel="iteration", ylabel="bits per number", ylim=(0, None))
+low.set(
+    xlabel="iteration",
+    ylabel="bits per number",
+    ylim=(0, None),
+)
 lessons.show(figure, "17_four_stages_curve")
 
 # %% [markdown]
@@ -191,9 +194,7 @@ def blur(view):
 
 view = max(scene.test, key=blur)
 times = (None, None, view.time, view.time)
-pictures = []
-for model, time in zip(snapshots, times):
-    pictures.append(model.render(view.camera, time).clip(0, 1))
+pictures = [model.render(view.camera, time).clip(0, 1) for model, time in zip(snapshots, times)]
 errors = [np.abs(picture - view.image).mean() for picture in pictures]
 assert errors[2] < 0.7 * errors[1]
 
@@ -206,11 +207,11 @@ panels[4].imshow(view.image)
 panels[4].set_title("truth")
 for ax in panels:
     ax.axis("off")
-figure.suptitle(
-    f"Time sharpens what moves: a test view at t = {view.time:.2f}, at the end of each stage",
-    fontsize=16,
+lessons.show(
+    figure,
+    "17_four_stages",
+    title=f"Time sharpens what moves: a test view at t = {view.time:.2f}, at the end of each stage",
 )
-lessons.show(figure, "17_four_stages")
 
 # %% [markdown]
 # ## Backward by hand
@@ -335,9 +336,10 @@ def rounded_to(values, Q):
 
 
 def rounded(model):
-    attributes = {}
-    for name, Q in zip(("f_a", "s_a", "l_a", "O_a"), model.design.Q_0):
-        attributes[name] = rounded_to(getattr(model.anchors, name), Q)
+    attributes = {
+        name: rounded_to(getattr(model.anchors, name), Q)
+        for name, Q in zip(("f_a", "s_a", "l_a", "O_a"), model.design.Q_0)
+    }
     return replace(model, anchors=model.anchors._replace(**attributes))
 
 
@@ -409,8 +411,7 @@ assert abs(after - scores[3]) < 0.5
 # Which of $\psi_p$, $\psi_q$ and the hash grid still get a gradient?
 
 # %%
-answer_1 = ...
-answer_2 = ...
+answer_1 = answer_2 = ...
 
 
 def my_backward(inputs, cotangents):
@@ -441,6 +442,4 @@ def port(noisy, mu, sigma, q, mask, grids, d, k):
     return objective.rate_forward(noisy, Context(q, mu, sigma), grids, mask, widths)[0]
 
 
-verdict = oracle.check(port, "rate_stage")
-print(verdict)
-assert verdict.ok
+lessons.passes("rate_stage", port=port)

@@ -11,7 +11,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import SETTINGS, Camera, View, load_scene, oracle
+from p4dgs_ref import SETTINGS, Camera, View, load_scene
 from p4dgs_ref.equations import hash_grid, likelihood, noise, render_loss, total_loss
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import Anchors, context, groups, predict, predict_backward, split
@@ -21,10 +21,8 @@ from p4dgs_ref.training.adam import BETA_1, BETA_2, EPSILON, Adam
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("18_one_training_step")
+plt = lessons.begin("18_one_training_step")
 
 # %% [markdown]
 # ## Claim
@@ -298,17 +296,22 @@ for ax, array, label in maps:
     figure.colorbar(shown, ax=ax, label=label)
 for ax in (seen, red_error, pull):
     ax.plot(column, row, "s", ms=12, mfc="none", mec=lessons.COLORS[1], mew=2.5)
-    ax.set(xlabel="u (pixels)", ylabel="v (pixels)")
-    ax.grid(False)
+    lessons.finish(
+        ax,
+        xlabel="u (pixels)",
+        ylabel="v (pixels)",
+        grid=False,
+    )
 lengths = [1e3 * part for part in parts.values()]
 made_of.barh(list(parts), lengths, color=lessons.COLORS[:4])
 made_of.axvline(1e3 * move, color="k", ls="--", label="the whole move")
 made_of.invert_yaxis()
-made_of.set(
+lessons.finish(
+    made_of,
     title="The four parts of the feature's move",
     xlabel="change of the feature, $10^{-3}$",
+    legend={},
 )
-made_of.legend()
 lessons.show(figure, "18_one_training_step")
 
 # %% [markdown]
@@ -371,8 +374,7 @@ assert 0 < reach < pixels
 # **Predict, then run.** The whole loss is multiplied by $1000$. How do Adam's steps change?
 
 # %%
-answer_1 = ...
-answer_2 = ...
+answer_1 = answer_2 = ...
 
 
 def my_backward(inputs, cotangents):
@@ -486,6 +488,4 @@ def port(**given):
     return {name: np.array(values) for name, values in out.items()}
 
 
-verdict = oracle.check(port, "trace")
-print(verdict)
-assert verdict.ok
+lessons.passes("trace", port=port)

@@ -14,7 +14,6 @@
 import math
 from contextlib import suppress
 from fractions import Fraction
-from types import SimpleNamespace
 
 import imageio.v3 as imageio
 import numpy as np
@@ -27,12 +26,9 @@ from p4dgs_ref.codec import streams as sections
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.oracle import streams
 from p4dgs_ref.report import inspect
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("20_intervals_to_rans")
+plt = lessons.begin("20_intervals_to_rans")
 data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
 model = quantised_of(container.open_container(data))
 
@@ -122,9 +118,7 @@ def parts_of(i):
     keys = tables.keys[first : first + n + 1].tolist()
     edges = [Fraction(key % 2**24, 2**24) for key in keys] + [Fraction(1)]
     names = [*range(tables.lowest[i], tables.lowest[i] + n), None]
-    parts = {}
-    for name, low, high in zip(names, edges, edges[1:]):
-        parts[name] = (low, high - low)
+    parts = {name: (low, high - low) for name, low, high in zip(names, edges, edges[1:])}
     return parts
 
 
@@ -306,12 +300,13 @@ grid.set(
 )
 growing.plot(promised, lw=7, alpha=0.35, label=r"$\sum -\log_2 p$")
 growing.plot(reached, "--", color="k", label=r"growth of $\log_2 x$")
-growing.set(
+lessons.finish(
+    growing,
     xlabel="features pushed",
     ylabel="bits",
     title="The state grows by what the prior promised",
+    legend={},
 )
-growing.legend()
 lessons.show(figure, "20_intervals_to_rans")
 
 # %% [markdown]
@@ -471,16 +466,3 @@ lessons.number("20.3", answer_3, signs)
 
 # %%
 assert float(2**53) == float(2**53 + 1)  # a double cannot hold such a state
-
-
-def decode(name, stream):
-    try:
-        return streams.decoded(stream), None
-    except container.BitstreamError as error:
-        return None, str(error)
-
-
-port = SimpleNamespace(decode=decode)
-report = oracle.check_port(port, only="codec")
-print(report)
-assert report.ok

@@ -14,12 +14,11 @@
 import math
 from contextlib import suppress
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 from scipy.special import ndtr
 
-from p4dgs_ref import BitstreamError, look_at, oracle
+from p4dgs_ref import look_at, oracle
 from p4dgs_ref.codec import container, context, fixed_point, published
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
 from p4dgs_ref.codec.quantise import dequantise
@@ -27,10 +26,8 @@ from p4dgs_ref.equations import hash_grid, prior
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.oracle import streams
 from p4dgs_ref.report import inspect
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("21_desync")
+plt = lessons.begin("21_desync")
 data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
 quantised = quantised_of(container.open_container(data))
 model = quantised.model
@@ -212,18 +209,23 @@ left.set_title("What was sent")
 middle.imshow(after)
 middle.set_title("One ulp later")
 for ax in (left, middle):
-    ax.set(xticks=[], yticks=[])
-    ax.grid(False)
+    lessons.finish(
+        ax,
+        xticks=[],
+        yticks=[],
+        grid=False,
+    )
 errors.plot(np.abs(received - sent), ".", ms=5, color=lessons.COLORS[1])
 errors.axvline(victim, color=lessons.COLORS[0], label=f"one ulp in σ of symbol {victim}")
-errors.set(
+lessons.finish(
+    errors,
     yscale="symlog",
     ylim=(-0.3, 2000),
     xlabel="symbol in the message",
     ylabel="|received − sent| (steps q)",
     title="All symbols are right,\nthen nearly all are wrong",
+    legend={"loc": "upper left"},
 )
-errors.legend(loc="upper left")
 lessons.show(figure, "21_desync")
 
 # %% [markdown]
@@ -429,18 +431,5 @@ lessons.number("21.3", answer_3, stored["sigma_units"], digits=15)
 # `p4dgs-ref oracle check DIR --only codec` compares `h`, `q_units`, `mu_units` and `sigma_units`
 # bit for bit and in this order, so the first difference names the step that is wrong. Typical
 # mistakes of ports are products in `float32`, a division that rounds towards zero where a floor
-# is meant, a fused multiply-add in `x_a`, and a table computed with the machine's own `exp`.
-
-
-# %%
-def answer(name, stream):
-    try:
-        return streams.decoded(stream), None
-    except BitstreamError as error:
-        return None, str(error)
-
-
-port = SimpleNamespace(decode=answer)
-report = oracle.check_port(port, only="codec")
-print(report)
-assert report.ok
+# is meant, a fused multiply-add in `x_a`, and a table computed with the machine's own `exp`. The
+# last cell of `19_file_byte_by_byte` runs this check from Python.

@@ -26,10 +26,8 @@ from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import Context
 from p4dgs_ref.report import inspect
 from p4dgs_ref.training import objective
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("22_five_questions_about_bits")
+plt = lessons.begin("22_five_questions_about_bits")
 rng = np.random.default_rng(22)
 data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
 quantised = quantised_of(container.open_container(data))
@@ -276,13 +274,14 @@ curves = np.array([three(s) for s in sigmas]).T
 phases.plot(sigmas, curves[0], "-", lw=3, label="noise: every grid")
 phases.plot(sigmas, curves[1], "--", lw=3, label="rounding, mean on a multiple of q")
 phases.plot(sigmas, curves[2], ":", lw=3, label="rounding, mean between two")
-phases.set(
+lessons.finish(
+    phases,
     xscale="log",
     xlabel="σ / q (logarithmic)",
     ylabel="bits a number",
     title="Noise pays the average over all grids",
+    legend={},
 )
-phases.legend()
 lessons.show(figure, "22_five_questions_about_bits")
 
 # %% [markdown]
@@ -388,9 +387,7 @@ ways = {
     "from $w_a$": from_w,
 }
 scales = np.geomspace(0.03, 1, 12)
-curves = {}
-for name, way in ways.items():
-    curves[name] = np.array([trade(scale * way) for scale in scales])
+curves = {name: np.array([trade(scale * way) for scale in scales]) for name, way in ways.items()}
 same, by_eq_8, by_w = curves.values()
 
 
@@ -424,13 +421,14 @@ steps.set(
 steps.legend(loc="lower left")
 for (name, curve), marker in zip(curves.items(), "os^"):
     error_of.semilogy(*curve.T, f"-{marker}", label=name)
-error_of.set(
+lessons.finish(
+    error_of,
     xlim=(0, None),
     xlabel="bits a feature, Eq. (11)",
     ylabel="mean squared error\n(logarithmic)",
     title="Bits that an error costs, for three kinds of steps",
+    legend={},
 )
-error_of.legend()
 lessons.show(figure, "22_adaptive_steps")
 
 # %% [markdown]
@@ -484,13 +482,5 @@ def port(noisy, mu, sigma, q, mask, grids, d, k):
     return objective.rate_forward(noisy, Context(q, mu, sigma), grids, mask, widths)[0]
 
 
-verdict = oracle.check(port, "rate_stage")
-print(verdict)
-assert verdict.ok
-
-
-def port_of_likelihood(**inputs):
-    return likelihood.forward(**inputs)[0]
-
-
-assert oracle.check(port_of_likelihood, "likelihood").ok
+lessons.passes("rate_stage", port=port)
+lessons.passes("likelihood")

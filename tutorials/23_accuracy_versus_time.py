@@ -15,7 +15,6 @@ import math
 import numpy as np
 from scipy.special import ndtr, roots_legendre
 
-from p4dgs_ref import oracle
 from p4dgs_ref.codec import streams
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.equations import likelihood
@@ -23,10 +22,8 @@ from p4dgs_ref.lab import clock
 from p4dgs_ref.lab.accuracy import diagram, formulas, rendering
 from p4dgs_ref.lab.accuracy import likelihood as study
 from p4dgs_ref.lab.school import lessons
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("23_accuracy_versus_time")
+plt = lessons.begin("23_accuracy_versus_time")
 
 
 def phi(x):
@@ -137,13 +134,14 @@ axes.text(20, 3e-17, "floor: rounding of float64", fontsize=12)
 arrow = dict(arrowstyle="->")
 axes.annotate("slope $-2$", (360, 2.6e-7), xytext=(900, 3e-6), fontsize=13, arrowprops=arrow)
 axes.annotate("slope $-4$", (45, 1.8e-9), xytext=(90, 3e-8), fontsize=13, arrowprops=arrow)
-axes.set(
+lessons.finish(
+    axes,
     xlabel="work (values of $\\phi$)",
     ylabel="error of the bin's mass",
     ylim=(1e-17, 0.1),
     title="One integral, three rules: the slope is the order, the floor is the format",
+    legend={},
 )
-axes.legend()
 lessons.show(figure, "23_accuracy_versus_time_order")
 
 # %% [markdown]
@@ -444,8 +442,6 @@ def port(z, w):
     return per_bit * bits[0], per_bit * bars["f_noisy"][0], per_bit * bars["q"][0]
 
 
-verdict = oracle.check(port, "gaussian_bin")
-print(verdict)
-assert verdict.ok
+lessons.passes("gaussian_bin", port=port)
 _, _, wide_slope = port(np.array([0.0]), np.array([13.0]))
 assert 0 < abs(wide_slope[0]) < 1e-6

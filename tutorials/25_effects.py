@@ -7,7 +7,7 @@
 # 35 of exercises.
 #
 # **Files:** [effects.py](../p4dgs_ref/effects.py),
-# [effect_ledger.py](../p4dgs_ref/lab/effects/ledger.py).
+# [ledger.py](../p4dgs_ref/lab/effects/ledger.py).
 
 # %%
 from dataclasses import replace
@@ -16,9 +16,8 @@ import numpy as np
 
 import p4dgs_ref as p4
 from p4dgs_ref import effects as fx
-from p4dgs_ref import oracle
 from p4dgs_ref.codec import published
-from p4dgs_ref.equations import color, deformation, deformed, positional_encoding
+from p4dgs_ref.equations import deformation, deformed, positional_encoding
 from p4dgs_ref.lab.effects.ledger import describe, ledger
 from p4dgs_ref.lab.effects.suggest import paired, verdict
 from p4dgs_ref.lab.effects.work import counted
@@ -30,10 +29,8 @@ from p4dgs_ref.splatting import compositing
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, choose
 from p4dgs_ref.training.trainer import Trainer
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("25_effects")
+plt = lessons.begin("25_effects")
 
 # %% [markdown]
 # ## Claim
@@ -318,11 +315,12 @@ figure.legend(
     ncols=2,
     fontsize=14,
 )
-figure.suptitle(
-    "The scene `static`: what its two effects cost, and what five others would cost",
-    fontsize=18,
+lessons.show(
+    figure,
+    "25_effects",
+    title="The scene `static`: what its two effects cost, and what five others would cost",
+    size=18,
 )
-lessons.show(figure, "25_effects")
 
 # %% [markdown]
 # Who writes the list? Either a person, or a program that looks at the pictures
@@ -399,7 +397,5 @@ def port(x, s, r, t, L_x, L_t, psi_d_weights, psi_d_biases):
     return deformed.forward(x, s, r, *delta)[0]
 
 
-verdict = oracle.check(port, "temporal_prediction")
-print(verdict)
-assert verdict.ok
-assert oracle.check(lambda **inputs: color.forward(**inputs)[0], "color").ok
+lessons.passes("temporal_prediction", port=port)
+lessons.passes("color")

@@ -13,17 +13,15 @@ import copy
 
 import numpy as np
 
-from p4dgs_ref import decode, encode, evaluate, load_scene, oracle
-from p4dgs_ref.equations import likelihood, rate_loss, total_loss
+from p4dgs_ref import decode, encode, evaluate, load_scene
+from p4dgs_ref.equations import likelihood
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import context
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("27_rate_distortion")
+plt = lessons.begin("27_rate_distortion")
 
 # %% [markdown]
 # ## Claim
@@ -151,8 +149,9 @@ assert (fixed > column("attributes")).all()
 figure, (curve, bars) = plt.subplots(1, 2, figsize=(11.5, 4.8), layout="constrained")
 curve.plot(coded, column("psnr"), "o-", ms=9)
 for place in zip(coded, column("psnr"), PRICES):
-    label = rf"$\lambda$ = {place[2]:g}"
-    curve.annotate(label, place[:2], xytext=(12, -18), textcoords="offset points")
+    curve.annotate(
+        rf"$\lambda$ = {place[2]:g}", place[:2], xytext=(12, -18), textcoords="offset points"
+    )
 curve.set(
     xlabel="attributes and grid in the file (bytes)",
     ylabel="decoded test views, PSNR (dB)",
@@ -169,15 +168,16 @@ bottom = np.zeros(len(points))
 for name, sizes in parts.items():
     bars.bar(range(len(points)), sizes, bottom=bottom, label=name)
     bottom += sizes
-bars.set(
+lessons.finish(
+    bars,
     xticks=range(len(points)),
     xticklabels=[f"{price:g}" for price in PRICES],
     xlabel=r"$\lambda_{rate}$",
     ylabel="file (bytes)",
     title="The price acts on attributes and grid only",
     ylim=(0, 1.45 * bottom.max()),
+    legend={"ncols": 2, "loc": "upper center", "fontsize": 11},
 )
-bars.legend(ncols=2, loc="upper center", fontsize=11)
 lessons.show(figure, "27_rate_distortion")
 
 # %% [markdown]
@@ -337,14 +337,4 @@ lessons.backward("27.3", my_backward, "rate_loss")
 # numbers.
 
 # %%
-for key, module in (("rate_loss", rate_loss), ("total_loss", total_loss)):
-
-    def port(**inputs):
-        return module.forward(**inputs)[0]
-
-    def port_vjp(inputs, cotangents):
-        return module.backward(module.forward(**inputs)[1], **cotangents)
-
-    verdict = oracle.check(port, key, port_vjp)
-    print(verdict)
-    assert verdict.ok
+lessons.passes("rate_loss", "total_loss")

@@ -20,7 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref import load_scene, oracle
+from p4dgs_ref import load_scene
 from p4dgs_ref.codec import published
 from p4dgs_ref.equations import deformation, mlp, positional_encoding
 from p4dgs_ref.lab.baselines import (
@@ -43,10 +43,8 @@ from p4dgs_ref.training.adam import Adam, exponential
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.parameters import Parameters, random_layers
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
-from tutorials.tools import architecture
 
-plt = lessons.pyplot()
-architecture.show("28_four_ways_to_move")
+plt = lessons.begin("28_four_ways_to_move")
 
 # %% [markdown]
 # ## Claim
@@ -317,7 +315,11 @@ for (top, below), (name, way) in zip(rows.T, fitted.items()):
         top.scatter(path[seen, 0], path[seen, 2], 14, HUES[name], alpha=weight[seen].clip(0, 1))
         below.plot(DENSE, np.where(seen, weight, np.nan), color=HUES[name], lw=1.5)
     below.plot(DENSE, w[0].sum(axis=0), color="k", ls="--", lw=1.5, label="together")
-    top.set(title=f"{name}\nerror {errors[name]:.3f}", xlabel="x (scene units)", ylim=(-0.75, 0.9))
+    top.set(
+        title=f"{name}\nerror {errors[name]:.3f}",
+        xlabel="x (scene units)",
+        ylim=(-0.75, 0.9),
+    )
     below.set(xlabel="time t", ylim=(0, 1.35))
 rows[0, 0].set_ylabel("height z (scene units)")
 rows[1, 0].set_ylabel("weight w")
@@ -443,7 +445,11 @@ for i, label in enumerate(("tiny preset", "the authors' preset")):
     left.barh(np.array(at) + 0.4 * i - 0.2, sums, **style)
     right.barh(np.array(at) + 0.4 * i - 0.2, [costs[n][i] for n in names], **style)
 left.set(xlabel="numbers before coding, as float32 (MB)", title="What the first model stores")
-right.set(xlabel="multiply-adds for a Gaussian", title="What a picture costs", yticklabels=[])
+right.set(
+    xlabel="multiply-adds for a Gaussian",
+    title="What a picture costs",
+    yticklabels=[],
+)
 left.set_yticks(places, list(holdings))
 right.set_yticks(places)
 for panel in (left, right):
@@ -522,12 +528,13 @@ figure, axes = plt.subplots(figsize=(9, 4.6), layout="constrained")
 for name, moved in moves.items():
     axes.plot(DENSE, moved, color=HUES[name], label=name)
 axes.axvline(0.3, color="0.4", ls=":")
-axes.set(
+lessons.finish(
+    axes,
     xlabel="time t",
     ylabel="move of the height, relative to t = 0.3",
     title="One step for the picture at t = 0.3 moves other times, too",
+    legend={"fontsize": 12},
 )
-axes.legend(fontsize=12)
 lessons.show(figure, "28_four_ways_to_move_influence")
 
 # %% [markdown]
@@ -615,15 +622,26 @@ panels = (
 for panel, at, table, label, title in panels:
     for name, values in table.items():
         panel.loglog(at, values, marker=MARKS[name], ms=9, color=HUES[name], label=name)
-    panel.set(xlabel=label, ylabel="error (scene units)", title=title, ylim=(0.002, 1))
+    panel.set(
+        xlabel=label,
+        ylabel="error (scene units)",
+        title=title,
+        ylim=(0.002, 1),
+    )
     panel.set_xticks(at, [str(x) for x in at])
     panel.minorticks_off()
 vanish = axes[0, 1]
 vanish.plot(DENSE, there(DENSE), color="0.6", lw=5, label="the ball")
 for name, w in blink.items():
     vanish.plot(DENSE, w, color=HUES[name], label=name)
-vanish.set(xlabel="time t", ylabel="weight w", title="What appears and vanishes", ylim=(-0.05, 1.5))
-vanish.legend(fontsize=12, ncols=2, loc="upper center")
+lessons.finish(
+    vanish,
+    xlabel="time t",
+    ylabel="weight w",
+    title="What appears and vanishes",
+    ylim=(-0.05, 1.5),
+    legend={"fontsize": 12, "ncols": 2, "loc": "upper center"},
+)
 lessons.show(figure, "28_four_ways_to_move_limits")
 
 # %% [markdown]
@@ -793,7 +811,11 @@ curves.plot(both, [33, 33], color="k", ls="--", lw=1.5)
 curves.annotate(f"{at_33:.1f} times", (np.sqrt(np.prod(both)), 33.1), ha="center", fontsize=12)
 curves.plot([38, 152], [34, 35], color="0.5", ls=":", lw=1.5)
 curves.annotate("4.0 times? 1 dB apart", (75, 34.75), ha="right", fontsize=12, color="0.3")
-curves.set(xlabel="file (kB of 1000 bytes)", ylabel="PSNR (dB)", title="1. One quality, two sizes")
+curves.set(
+    xlabel="file (kB of 1000 bytes)",
+    ylabel="PSNR (dB)",
+    title="1. One quality, two sizes",
+)
 curves.set_xticks([10, 30, 100], ["10", "30", "100"])
 curves.legend(loc="lower right", fontsize=12)
 names = list(counted)
@@ -856,12 +878,5 @@ lessons.number("28.3", answer_3)
 # planes that expect -1 to 1, so that half of the nodes are never read; the sum $r + \Delta r$ is
 # not normalised, so that a turn also shears; and G3 takes the standard deviation for the variance.
 
-
 # %%
-def port(**inputs):
-    return deformation.forward(**inputs)[0]
-
-
-verdict = oracle.check(port, "deformation")
-print(verdict)
-assert verdict.ok
+lessons.passes("deformation")

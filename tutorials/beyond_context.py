@@ -127,8 +127,14 @@ for at, n in enumerate((measured[most], saved)):
     left.loglog(anchors, n * anchors / most, ":", color=lessons.COLORS[at])
 for (name, cost), style in zip(costs.items(), ("-", "--")):
     left.axhline(cost, color="black", ls=style, label=f"cost: {name}")
-left.set(xlabel="anchors", ylabel="bytes", title="from where the context pays", ylim=(50, 20_000))
-left.legend(fontsize=10)
+lessons.finish(
+    left,
+    xlabel="anchors",
+    ylabel="bytes",
+    title="from where the context pays",
+    ylim=(50, 20_000),
+    legend={"fontsize": 10},
+)
 forms = {"one Gaussian\nper channel": (alone, moments)}
 for name, cost in costs.items():
     forms[f"context,\n{name.split()[0]}"] = trained, cost + moments
@@ -136,7 +142,11 @@ for form, (attributes, rest) in forms.items():
     right.bar(form, attributes, color=lessons.COLORS[0])
     right.bar(form, rest, bottom=attributes, color=lessons.COLORS[1])
     right.text(form, attributes + rest, f"{attributes + rest:,}", ha="center", va="bottom")
-right.set(ylabel="bytes", title="attributes and prediction", ylim=(0, 10_500))
+right.set(
+    ylabel="bytes",
+    title="attributes and prediction",
+    ylim=(0, 10_500),
+)
 right.legend(["attributes", "grid and networks, or moments"], fontsize=10)
 lessons.show(figure, "beyond_context")
 

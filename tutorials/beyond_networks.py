@@ -147,11 +147,19 @@ figure, (left, right) = plt.subplots(1, 2, figsize=(9, 4.2), layout="constrained
 left.semilogx(STEPS, [bits_at(s, s) for s in STEPS], label="bins of one step (B1)")
 left.semilogx(STEPS, [bits_at(s, 1.0) for s in STEPS], "--", label="bins of width 1")
 left.semilogx(STEPS, [file_bits(s) for s in STEPS], "o", color="black", label="in the file")
-left.set(xlabel="step", ylabel="bits per weight", title="divide by the step first")
+left.set(
+    xlabel="step",
+    ylabel="bits per weight",
+    title="divide by the step first",
+)
 right.loglog(STEPS, by_step[:, 0], label="error, upwards")
 for price in (PRICE, 10 * PRICE):
     right.loglog(STEPS, -price * by_step[:, 1], "--", label=f"bits, downwards, price {price:.0e}")
-right.set(xlabel="step", ylabel="gradient of log s, magnitude", title="where they cancel")
+right.set(
+    xlabel="step",
+    ylabel="gradient of log s, magnitude",
+    title="where they cancel",
+)
 for axis in (left, right):
     axis.legend(fontsize=10)
 lessons.show(figure, "beyond_networks_step")
@@ -249,8 +257,12 @@ for rate in sorted({key[2] for key in pairs}):
     print(f"{rate:11.5f}{len(rows):7}{share.mean():8.3f}{gain.mean():+8.2f}{gain.min():+13.2f}")
     means.append((share.mean(), gain.mean()))
 axis.plot(*zip(*means), "k.-", label="means of a price")
-axis.set(xlabel="size, share of that of tiny", ylabel="PSNR, difference in dB")
-axis.legend(fontsize=10, loc="lower right")
+lessons.finish(
+    axis,
+    xlabel="size, share of that of tiny",
+    ylabel="PSNR, difference in dB",
+    legend={"fontsize": 10, "loc": "lower right"},
+)
 lessons.show(figure, "beyond_networks_pairs")
 swept = Counter(key[:2] for key in coded).most_common(1)[0][0]  # with the most lambda_rates
 print("\n{}, seed {}   lambda_rate   bytes   psi_d      dB".format(*swept))
@@ -265,11 +277,25 @@ for label, rows in (("the paper's design", paper), ("coded networks", coded)):
     left.semilogx(*zip(*curves[-1]), "o-", label=label)
     x, y = ([row[name] for row in line] for name in ("lambda_rate", "deformation_bytes"))
     right.loglog(x, y, "o-", label=label)
-left.set(xlabel="bytes of the file", ylabel="PSNR (dB)", title="{}, seed {}".format(*swept))
+left.set(
+    xlabel="bytes of the file",
+    ylabel="PSNR (dB)",
+    title="{}, seed {}".format(*swept),
+)
 left.minorticks_off()
-left.set(xlim=(3000, 60_000), xticks=[4000, 10_000, 40_000], xticklabels=["4k", "10k", "40k"])
-right.set(xlabel="lambda_rate", ylabel="bytes of psi_d", ylim=(300, 30_000), title="the same files")
-right.legend(fontsize=10)
+left.set(
+    xlim=(3000, 60_000),
+    xticks=[4000, 10_000, 40_000],
+    xticklabels=["4k", "10k", "40k"],
+)
+lessons.finish(
+    right,
+    xlabel="lambda_rate",
+    ylabel="bytes of psi_d",
+    ylim=(300, 30_000),
+    title="the same files",
+    legend={"fontsize": 10},
+)
 lessons.show(figure, "beyond_networks")
 rate, reason = bd_rate(curves[1], curves[0])
 found = reason or f"{rate:+.1f} % of the bytes at equal PSNR"

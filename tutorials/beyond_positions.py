@@ -178,11 +178,20 @@ for bits in depths:
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
 left.semilogy(depths[:-1], moved[:-1], "o-", label="mean shift of an anchor")
 left.axhline(width, color="black", ls="--", label="median scale of an anchor")
-left.set(xlabel="bits per axis", ylabel="share of the box", title="what the lattice does")
-left.legend()
+lessons.finish(
+    left,
+    xlabel="bits per axis",
+    ylabel="share of the box",
+    title="what the lattice does",
+    legend={},
+)
 shares = bits_per_anchor(model, 10)
 right.barh(list(shares)[::-1], list(shares.values())[::-1])
 for y, value in enumerate(list(shares.values())[::-1]):
     right.text(value, y, f" {value:.1f}", va="center")
-right.set(xlabel="bits per anchor", title="ten bits per axis", xlim=(0, 36))
+right.set(
+    xlabel="bits per anchor",
+    title="ten bits per axis",
+    xlim=(0, 36),
+)
 lessons.show(figure, "beyond_positions")

@@ -6,7 +6,7 @@ from .base import progress, report_folder, show, tell
 
 def classroom(arguments):
     """Write the equations without their bodies, and the key."""
-    done = school.classroom(arguments.folder, arguments.only or None)
+    done = school.classroom(arguments.folder, arguments.only)
     kept = f"; kept as they were: {', '.join(done['kept'])}" if done["kept"] else ""
     tell(
         f"{done['output']}: {done['functions']} functions of {len(done['equations'])} equations "
@@ -17,7 +17,7 @@ def classroom(arguments):
 def grade(arguments):
     """Judge what students wrote."""
     with report_folder(arguments.output) as beside:
-        reports = school.grade(
+        grades = school.grade(
             *arguments.folders,
             classroom=arguments.classroom,
             seed=arguments.seed,
@@ -26,5 +26,5 @@ def grade(arguments):
             progress=progress,
         )
         if beside:
-            school.write(reports, beside)
-    show(arguments, school.as_json(reports), school.text(reports))
+            school.write(grades, beside)
+    show(arguments, school.as_json(grades), school.text(grades))

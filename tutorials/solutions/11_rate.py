@@ -14,9 +14,10 @@ from p4dgs_ref.lab.school import lessons
 # %%
 def my_anchor_backward(inputs, cotangents):
     R_anchor_bar = cotangents["R_anchor_bar"]
-    gradients = {}
-    for name in ("bits_f", "bits_s", "bits_l", "bits_O"):
-        gradients[name] = np.full(inputs[name].shape, R_anchor_bar)
+    gradients = {
+        name: np.full(inputs[name].shape, R_anchor_bar)
+        for name in ("bits_f", "bits_s", "bits_l", "bits_O")
+    }
     gradients["bits_O"][~inputs["mask"]] = 0
     return gradients
 

@@ -85,9 +85,9 @@ located = hash_grid.locate(
     given["resolutions"],
     tables,
 )
-networks = {}
-for name in ("psi_q", "psi_p"):
-    networks[name] = given[f"{name}_weights"], given[f"{name}_biases"]
+networks = {
+    name: (given[f"{name}_weights"], given[f"{name}_biases"]) for name in ("psi_q", "psi_p")
+}
 ctx, saved = context(design, networks, given["grids"], located)
 none = np.zeros_like(ctx.mu)
 of_grids, of_networks = context_backward(saved, np.ones_like(ctx.q), none, none)

@@ -19,15 +19,13 @@ from p4dgs_ref.lab.accuracy import diagram, heatmap, likelihood, rendering, repo
 from p4dgs_ref.report.figures import draw_comparison, draw_size
 from p4dgs_ref.report.main_job import main_job
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.scenes.output import filled, write_atomically
+from p4dgs_ref.scenes.output import filled
+from tutorials.tools import animation
+from tutorials.tools.shared import FOLDER, write_text
 
-from . import animation
-
-TUTORIALS = Path(__file__).resolve().parents[2] / "tutorials"
 DRAWN = Path(__file__).with_name("gallery.json")  # {picture: hash of the code that drew it}
 
 WIDTH = 640  # pixels of a figure
-LARGEST = 2_500_000  # bytes of all pictures together
 
 
 class Picture(NamedTuple):
@@ -136,31 +134,18 @@ def gallery():
 def take(out, pictures):
     """Renew those pictures of the gallery whose figures are in the folder `out`; keep the others.
 
-    Returns the names of those that were renewed. Raises ValueError if the gallery would become too
-    large.
+    Returns the names of those that were renewed.
     """
-    renewed = []
+    figures = {name: Path(out) / picture.figure for name, picture in PICTURES.items()}
+    renewed = [name for name, figure in figures.items() if figure.is_file()]
     with filled(pictures) as beside:
-        for name, picture in PICTURES.items():
-            source = Path(out) / picture.figure
-            if not source.is_file():
-                continue
-            renewed.append(name)
+        for name in renewed:
             if name.endswith(".gif"):
-                shrink_animation(source, beside / name)
-            elif picture.drawn_by == "demo":
-                (beside / name).write_bytes(source.read_bytes())
+                shrink_animation(figures[name], beside / name)
+            elif PICTURES[name].drawn_by == "demo":
+                (beside / name).write_bytes(figures[name].read_bytes())
             else:
-                shrink(source, beside / name)
-        sizes = {}
-        for folder in (Path(pictures), beside):
-            files = [file for file in folder.iterdir() if file.is_file()]
-            sizes.update({file.name: file.stat().st_size for file in files})
-        total = sum(sizes.values())
-        if total > LARGEST:
-            raise ValueError(
-                f"{pictures}: expected at most {LARGEST:,} bytes of pictures, got {total:,}"
-            )
+                shrink(figures[name], beside / name)
     return renewed
 
 
@@ -173,8 +158,8 @@ def code_hash(name):
         text = "".join(inspect.getsource(source) for source in DRAW[name])
     else:
         figure = Path(PICTURES[name].figure)
-        own = TUTORIALS / f"{figure.stem}.py"
-        (file,) = [own] if own.is_file() else TUTORIALS.glob(f"{figure.stem[:2]}_*.py")
+        own = FOLDER / f"{figure.stem}.py"
+        (file,) = [own] if own.is_file() else FOLDER.glob(f"{figure.stem[:2]}_*.py")
         text = file.read_text(encoding="utf-8").split("# ## Exercises")[0]
     lines = text.splitlines()
     code = [line.rstrip() for line in lines if line.strip() and not line.startswith("#")]
@@ -183,16 +168,18 @@ def code_hash(name):
 
 def record(names):
     """Note in gallery.json that the code as it is drew these pictures."""
-    drawn = json.loads(DRAWN.read_text(encoding="utf-8")) if DRAWN.is_file() else {}
-    for name in names:
-        drawn[name] = code_hash(name)
-    text = json.dumps(drawn, indent=1, sort_keys=True) + "\n"
-    write_atomically(DRAWN, lambda file: file.write(text.encode()))
+    drawn = drawn_before() | {name: code_hash(name) for name in names}
+    write_text(DRAWN, json.dumps(drawn, indent=1, sort_keys=True) + "\n")
+
+
+def drawn_before():
+    """What gallery.json says."""
+    return json.loads(DRAWN.read_text(encoding="utf-8")) if DRAWN.is_file() else {}
 
 
 def stale():
     """Names of the pictures that other code than today's has drawn."""
-    drawn = json.loads(DRAWN.read_text(encoding="utf-8"))
+    drawn = drawn_before()
     return [name for name in PICTURES if drawn.get(name) != code_hash(name)]
 
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from p4dgs_ref.table import EQUATIONS
 from tests.core import shape_comments
+from tutorials.tools.shared import table
 
 UNITS = (
     "scene units",
@@ -218,21 +219,17 @@ def unit(comment):
 
 
 def row(symbol, places):
-    """A line of the table."""
+    """The cells of a symbol."""
     places = sorted(places, key=lambda place: (not place.computed, not EQUATIONS[place.key].number))
     comments = [place.comment for place in places if place.comment]
-    says = symbol.meaning or next(filter(None, map(meaning, comments)), "")
-    units = symbol.unit or next(filter(None, map(unit, comments)), "")
-    shapes = dict.fromkeys(shape for place in places for shape in place.shapes)
-    cells = (
+    return (
         f"${symbol.letter}$" if symbol.letter else "",
         f"`{symbol.name}`",
-        says,
-        "; ".join(shapes),
-        units,
+        symbol.meaning or next(filter(None, map(meaning, comments)), ""),
+        "; ".join(dict.fromkeys(shape for place in places for shape in place.shapes)),
+        symbol.unit or next(filter(None, map(unit, comments)), ""),
         ", ".join(links(places)),
     )
-    return "| " + " | ".join(cells) + " |"
 
 
 def links(places):
@@ -249,13 +246,9 @@ def links(places):
 
 def glossary():
     """The text of glossary.md."""
-    found = mentions()
-    lines = [INTRODUCTION]
+    found, text = mentions(), INTRODUCTION
+    heads = ("letter", "name", "meaning", "shape", "unit", "equations")
     for title, symbols in SECTIONS.items():
-        lines += [f"## {title}", "", "| letter | name | meaning | shape | unit | equations |"]
-        lines += ["|---|---|---|---|---|---|"]
-        lines += [row(symbol, found[symbol.name]) for symbol in symbols]
-        lines += [""]
-    lines += ["## Axes", "", "| letter | counts |", "|---|---|"]
-    lines += [f"| {letter} | {counts} |" for letter, counts in AXES.items()]
-    return "\n".join(lines) + "\n"
+        rows = [row(symbol, found[symbol.name]) for symbol in symbols]
+        text += f"\n## {title}\n\n{table(heads, rows)}\n"
+    return f"{text}\n## Axes\n\n{table(('letter', 'counts'), AXES.items())}\n"

@@ -1,26 +1,21 @@
 """The handout: the drawing and the 17 equations with their gradients on one page of paper.
 
-    python -m tutorials.tools.handout              writes tutorials/handout.pdf
-    python -m tutorials.tools.handout page.png   writes a picture to look at
-
-A test compares each gradient printed here with the `backward` in the code.
+`python -m tutorials.tools.syllabus` writes it to tutorials/handout.pdf. A test compares each
+gradient printed here with the `backward` in the code.
 """
 
-import hashlib
 import sys
-from pathlib import Path
 from typing import NamedTuple
 
 from matplotlib.patches import Rectangle
 
 from p4dgs_ref.lab.school import lessons
-from tutorials.tools import architecture
+from tutorials.tools import architecture, shared
 
 PAGE = (8.27, 11.69)  # inches: A4
 MARGIN = 0.42
 DRAWING = PAGE[0] - 2 * MARGIN  # width
 SMALLEST = 7.0  # points
-PLACE = Path(__file__).resolve().parents[2] / "tutorials" / "handout.pdf"
 
 
 class Row(NamedTuple):
@@ -232,21 +227,13 @@ def write(figure, x, y, text, size=8.2, **style):
 
 def fingerprint():
     """A hash of the sources, which is written into the file so that a test finds an old one."""
-    sources = [Path(file).read_bytes() for file in (architecture.__file__, __file__)]
-    return hashlib.sha256(b"".join(sources)).hexdigest()[:16]
+    return shared.digest(architecture, sys.modules[__name__])[:16]
 
 
 def save(path):
-    """Write the page as PDF, without a date and without matplotlib's version, or as PNG."""
+    """Write the page as PDF, without a date and without matplotlib's version."""
     figure = draw()
-    if Path(path).suffix == ".pdf":
-        about = {"Title": TITLE, "Keywords": fingerprint()}
-        nothing = dict.fromkeys(("Creator", "Producer", "CreationDate"))
-        figure.savefig(path, metadata={**about, **nothing})
-    else:
-        figure.savefig(path)
+    about = {"Title": TITLE, "Keywords": fingerprint()}
+    nothing = dict.fromkeys(("Creator", "Producer", "CreationDate"))
+    figure.savefig(path, metadata={**about, **nothing})
     lessons.pyplot().close(figure)
-
-
-if __name__ == "__main__":
-    save(*sys.argv[1:] or [PLACE])

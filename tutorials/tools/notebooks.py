@@ -14,9 +14,7 @@ import base64
 import hashlib
 import io
 import json
-import os
 import re
-import subprocess
 import sys
 import tempfile
 import traceback
@@ -27,11 +25,9 @@ from typing import NamedTuple
 import imageio.v3 as iio
 import numpy as np
 
-from p4dgs_ref.scenes.output import OutputError, made, write_atomically
-from p4dgs_ref.signals import handled, interrupt
+from p4dgs_ref.scenes.output import made
+from tutorials.tools.shared import FOLDER, run, write_text
 
-ROOT = Path(__file__).resolve().parents[2]
-FOLDER = ROOT / "tutorials"
 DPI = 100  # of the figures: most are 800 pixels wide
 COLOR_STEP = 5  # of 255; rounding the colours saves a third of the bytes, and nobody sees it
 PROSE, CODE = "# %% [markdown]", "# %%"
@@ -49,14 +45,6 @@ METADATA = {
         "pygments_lexer": "ipython3",
     },
 }
-
-
-class InputError(ValueError):
-    """A name or a file that the maker cannot use."""
-
-
-class RunError(RuntimeError):
-    """A tutorial that raised an error."""
 
 
 # --- reading a tutorial ---------------------------------------------------------------------------
@@ -139,35 +127,17 @@ def make(source):
     """Run a tutorial in a process of its own and write its notebook, whose path is returned."""
     notebook = unrun(source)
     code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
-    with made(source.parent / "notebooks") as folder:
-        for cell, outputs in zip(code, outputs_of(source), strict=True):
+    with made(source.parent / "notebooks") as folder, tempfile.TemporaryDirectory() as beside:
+        out, result = Path(beside) / "out", Path(beside) / "outputs.json"
+        out.mkdir()
+        run(source.name, ["-c", START, source.resolve(), result], out)
+        outputs_of = json.loads(result.read_text(encoding="utf-8"))
+        for cell, outputs in zip(code, outputs_of, strict=True):
             cell["outputs"] = outputs
-        text = json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
         target = folder / f"{source.stem}.ipynb"
-        write_atomically(target, lambda file: file.write(text.encode()))
+        text = json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True)
+        write_text(target, text + "\n")
     return target
-
-
-def outputs_of(source):
-    """Run a tutorial in a process of its own; return the outputs of every cell of code."""
-    with tempfile.TemporaryDirectory() as folder:
-        result = Path(folder) / "outputs.json"
-        environment = {
-            **os.environ,
-            "MPLBACKEND": "Agg",
-            "OPENBLAS_NUM_THREADS": "1",
-            "P4DGS_TUTORIALS_OUT": str(Path(folder) / "out"),
-            "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
-            "PYTHONUTF8": "1",
-        }
-        call = [sys.executable, "-c", START, str(source.resolve()), str(result)]
-        done = subprocess.run(
-            call, env=environment, cwd=folder, capture_output=True, encoding="utf-8"
-        )
-        if done.returncode:
-            said = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
-            raise RunError(f"{source.name}, {said[-1]}")
-        return json.loads(result.read_text(encoding="utf-8"))
 
 
 class Stream(io.TextIOBase):
@@ -199,7 +169,7 @@ def record(source, result):
     code = [cell for cell in cells(source.read_text(encoding="utf-8")) if not cell.prose]
     for count, cell in enumerate(code, 1):
         try:
-            value = run(cell, source.name, vars(main))
+            value = value_of(cell, source.name, vars(main))
         except BaseException as error:
             print(where(cell, source.name, error), file=terminal)
             sys.exit(1)
@@ -212,7 +182,7 @@ def record(source, result):
     Path(result).write_text(json.dumps(every), encoding="utf-8")
 
 
-def run(cell, name, namespace):
+def value_of(cell, name, namespace):
     """Run a cell; return the value of its last statement if that is an expression."""
     # With empty lines before the cell, errors and warnings give the line in the file.
     tree = ast.parse("\n" * cell.line + "\n".join(cell.lines), name)
@@ -245,32 +215,18 @@ def figures(plt):
 
 
 # --- the command ----------------------------------------------------------------------------------
-def chosen(names):
-    """Return the tutorials with these names or numbers, or all."""
-    every = tutorials(FOLDER)
-    if not every:
-        raise InputError(f"{FOLDER}: expected the tutorials of a checkout")
+def main(names, folder=FOLDER):
+    """Make the notebooks of the tutorials with these names or numbers, or of all."""
+    known = {
+        word: source for source in tutorials(folder) for word in (source.stem, source.stem[:2])
+    }
     for name in names:
-        if not any(name in (source.stem, source.stem[:2]) for source in every):
-            raise InputError(f"{name}: expected the name or the number of a tutorial")
-    return [s for s in every if not names or s.stem in names or s.stem[:2] in names]
-
-
-def main(names):
-    """Make the notebooks of these tutorials, or of all; return the exit code."""
-    try:
-        with handled(interrupt):
-            for source in chosen(names):
-                target = make(source)
-                print(f"{source.stem}: {target.stat().st_size:,} bytes", flush=True)
-    except (InputError, OutputError, RunError) as error:
-        print(error, file=sys.stderr)
-        return 1 if isinstance(error, RunError) else 2
-    except KeyboardInterrupt:
-        print("stopped; the remaining notebooks are as before", file=sys.stderr)
-        return 130
-    return 0
+        if name not in known:
+            sys.exit(f"{name}: expected the name or the number of a tutorial")
+    for source in dict.fromkeys(known[name] for name in names or known):
+        target = make(source)
+        print(f"{source.stem}: {target.stat().st_size:,} bytes", flush=True)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main(sys.argv[1:])

@@ -9,11 +9,8 @@ Each of these also draws the architecture anew and writes the glossary and the h
 """
 
 import ast
-import hashlib
-import os
 import re
 import runpy
-import subprocess
 import sys
 import tempfile
 import time
@@ -23,16 +20,13 @@ from typing import NamedTuple
 
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.lab.school.syllabus import TUTORIALS, tutorial_of
-from p4dgs_ref.oracle import read_manifest
+from p4dgs_ref.oracle.published import subjects
 from p4dgs_ref.scenes.output import write_atomically
 from p4dgs_ref.table import EQUATIONS
-from tutorials.tools import architecture
+from tutorials.tools import architecture, gallery, glossary, handout, shared
 from tutorials.tools.notebooks import cells
+from tutorials.tools.shared import FOLDER, write_text
 
-from . import gallery, glossary, handout
-
-ROOT = Path(__file__).resolve().parents[2]
-FOLDER = ROOT / "tutorials"
 DRAWING = "architecture.png"  # in tutorials/pictures
 PATH = (  # for four hours of reading
     "00_whole_paper",
@@ -60,6 +54,7 @@ class Facts(NamedTuple):
     exercises: dict  # "01.2" -> keys of the equations that it is about
 
 
+@cache
 def facts(tutorial, folder=FOLDER):
     """The Facts of a tutorial. Raises ValueError naming the file if its first cell lacks one."""
     path = Path(folder) / f"{tutorial.name}.py"
@@ -131,7 +126,7 @@ def exercises(source, keys):
         if check == "number":
             about = {name.id for name in ast.walk(node) if isinstance(name, ast.Name)}
         elif check in ("forward", "backward"):
-            about = {equation_of(node.args[2].value)}
+            about = {subjects()[node.args[2].value]["equation"]}
         else:
             continue
         found[node.args[0].value] = tuple(key for key in keys if key in about) or keys
@@ -146,16 +141,6 @@ def name_of_check(node):
     return None
 
 
-def equation_of(subject):
-    """The key of the equation that a subject of the published vectors belongs to."""
-    return equations_of_subjects()[subject]
-
-
-@cache
-def equations_of_subjects():
-    return {subject["key"]: subject["equation"] for subject in read_manifest()["subjects"]}
-
-
 # --- tables ---------------------------------------------------------------------------------------
 def equations_table(folder=FOLDER):
     """A Markdown table with one row for each equation."""
@@ -164,30 +149,27 @@ def equations_table(folder=FOLDER):
         for exercise, keys in facts(tutorial, folder).exercises.items():
             for key in keys:
                 about.setdefault(key, []).append(exercise)
-    lines = ["| no. | key | file | vectors | tutorial | exercises |", "|---|---|---|---|---|---|"]
-    for key, equation in EQUATIONS.items():
-        file = equation.module.replace(".", "/") + ".py"
-        name = tutorial_of(key).name
-        cells = (
-            equation.number,
+    files = {key: equation.module.replace(".", "/") + ".py" for key, equation in EQUATIONS.items()}
+    rows = [
+        (
+            EQUATIONS[key].number,
             f"`{key}`",
             f"[`{file}`](../{file})",
             f"[`{key}.safetensors`](../p4dgs_ref/oracle/v1/{key}.safetensors)",
-            f"[{name}](notebooks/{name}.ipynb)",
+            f"[{tutorial_of(key).name}](notebooks/{tutorial_of(key).name}.ipynb)",
             ", ".join(about.get(key, [])),
         )
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        for key, file in files.items()
+    ]
+    return shared.table(("no.", "key", "file", "vectors", "tutorial", "exercises"), rows)
 
 
 def path_table(folder=FOLDER):
     """A Markdown table of the path of four hours."""
     titles = {tutorial.name: facts(tutorial, folder).title for tutorial in TUTORIALS}
     titles["00_whole_paper"] = "Eq. (1) to Eq. (17): the whole paper in one file"
-    lines = ["| tutorial | what it is about | minutes |", "|---|---|---|"]
-    for name in PATH:
-        lines.append(f"| {both_forms(name)} | {titles[name]} | {minutes(name, folder)[0]} |")
-    return "\n".join(lines)
+    rows = [(both_forms(name), titles[name], str(minutes(name, folder)[0])) for name in PATH]
+    return shared.table(("tutorial", "what it is about", "minutes"), rows)
 
 
 def both_forms(name):
@@ -197,18 +179,21 @@ def both_forms(name):
 
 def order_table(seconds, folder=FOLDER):
     """A Markdown table of the tutorials in order; `seconds` is {number: measured}."""
-    lines = [
-        "| tutorial | what it is about | after | exercises | seconds | minutes |",
-        "|---|---|---|---|---|---|",
-    ]
+    heads = ("tutorial", "what it is about", "after", "exercises", "seconds", "minutes")
+    rows = []
     for tutorial in TUTORIALS:
-        own = facts(tutorial, folder)
-        measured = f"{seconds[tutorial.name[:2]]:.1f}" if tutorial.name[:2] in seconds else ""
-        lines.append(
-            f"| {both_forms(tutorial.name)} | {own.title} | {listed(own.after)} | "
-            f"{len(own.exercises)} | {measured} | {own.reading} + {own.doing} |"
+        own, measured = facts(tutorial, folder), seconds.get(tutorial.name[:2])
+        rows.append(
+            (
+                both_forms(tutorial.name),
+                own.title,
+                listed(own.after),
+                str(len(own.exercises)),
+                f"{measured:.1f}" if measured else "",
+                f"{own.reading} + {own.doing}",
+            )
         )
-    return "\n".join(lines)
+    return shared.table(heads, rows)
 
 
 def listed(numbers):
@@ -261,17 +246,15 @@ def index(seconds, folder=FOLDER):
     for name, made in sections.items():
         mark = f"<!-- {name} -->\n"
         before, after = text.split(mark, 1)
-        rest = after.split("<!-- end -->", 1)[1]
-        text = f"{before}{mark}{made}\n<!-- end -->{rest}"
+        text = f"{before}{mark}{made}\n<!-- end -->{after.split('<!-- end -->', 1)[1]}"
     return text
 
 
 # --- the drawing ----------------------------------------------------------------------------------
 def drawing_of_the_architecture():
     """The drawing as Markdown, with a hash of its source, by which a test finds an old drawing."""
-    source = Path(architecture.__file__).read_bytes()
     caption = "The architecture of P-4DGS; numbers are those of the paper's equations"
-    return f"![{caption}](pictures/{DRAWING})\n<!-- {hashlib.sha256(source).hexdigest()[:12]} -->"
+    return f"![{caption}](pictures/{DRAWING})\n<!-- {shared.digest(architecture)[:12]} -->"
 
 
 def draw_architecture(file):
@@ -282,68 +265,40 @@ def draw_architecture(file):
 
 
 # --- measuring ------------------------------------------------------------------------------------
-def run(name, out, folder=FOLDER):
-    """Run a tutorial without a display, figures in `out`; return its seconds, exit if it fails."""
-    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
-    environment = {
-        **os.environ,
-        "MPLBACKEND": "Agg",
-        "P4DGS_TUTORIALS_OUT": str(out),
-        "OPENBLAS_NUM_THREADS": "1",
-        "PYTHONPATH": path,
-    }
+def run(name, out):
+    """Run a tutorial, figures in `out`; return its seconds."""
     start = time.perf_counter()
-    done = subprocess.run(
-        [sys.executable, str(Path(folder) / f"{name}.py")],
-        env=environment,
-        capture_output=True,
-        text=True,
-        cwd=out,
-    )
-    if done.returncode:
-        sys.exit(f"{name}.py: {done.stderr.strip().splitlines()[-1]}")
+    shared.run(f"{name}.py", [FOLDER / f"{name}.py"], out)
     return time.perf_counter() - start
+
+
+MADE = {  # what draws pictures and is no numbered tutorial with a solution
+    "00": lambda out: runpy.run_path(str(FOLDER / "00_whole_paper.py"))["main"](folder=Path(out)),
+    "beyond": lambda out: run("beyond_networks", out),
+    "demo": gallery.draw_demo,
+    "accuracy": gallery.draw_accuracy,
+}
 
 
 def main(chosen):
     """Run what is chosen (everything if nothing is), renew its pictures, and write the index."""
-    known = {
-        "demo",
-        "accuracy",
-        "beyond",
-        "index",
-        "00",
-        *(tutorial.name[:2] for tutorial in TUTORIALS),
-    }
-    unknown = sorted(set(chosen) - known)
+    names = {tutorial.name[:2]: tutorial.name for tutorial in TUTORIALS}
+    unknown = sorted(set(chosen) - {*names, *MADE, "index"})
     if unknown:
-        sys.exit(
-            f"{' '.join(unknown)}: expected numbers of tutorials, 'demo', 'accuracy', 'beyond' "
-            "or 'index'"
-        )
+        others = ", ".join(map(repr, (*MADE, "index")))
+        sys.exit(f"{' '.join(unknown)}: expected numbers of tutorials, or one of {others}")
     seconds = measured_before()
     with tempfile.TemporaryDirectory() as out:
-        for tutorial in TUTORIALS:
-            if not chosen or tutorial.name[:2] in chosen:
-                seconds[tutorial.name[:2]] = run(tutorial.name, out)
-                print(f"{tutorial.name}: {seconds[tutorial.name[:2]]:.1f} s", flush=True)
-        if not chosen or "00" in chosen:
-            runpy.run_path(str(FOLDER / "00_whole_paper.py"))["main"](folder=Path(out))
-        if not chosen or "beyond" in chosen:
-            run("beyond_networks", out)
-        if not chosen or "demo" in chosen:
-            gallery.draw_demo(out)
-        if not chosen or "accuracy" in chosen:
-            gallery.draw_accuracy(out)
+        for number in [number for number in names if not chosen or number in chosen]:
+            seconds[number] = run(names[number], out)
+            print(f"{names[number]}: {seconds[number]:.1f} s", flush=True)
+        for make in [make for word, make in MADE.items() if not chosen or word in chosen]:
+            make(out)
         gallery.record(gallery.take(out, FOLDER / "pictures"))
     write_atomically(FOLDER / "pictures" / DRAWING, draw_architecture)
     handout.save(FOLDER / "handout.pdf")
     write_text(FOLDER / "glossary.md", glossary.glossary())
     write_text(FOLDER / "README.md", index(seconds))
-
-
-def write_text(path, text):
-    write_atomically(path, lambda file: file.write(text.encode()))
 
 
 if __name__ == "__main__":

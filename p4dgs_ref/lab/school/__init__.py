@@ -4,8 +4,8 @@ A teacher's session in Python:
 
     from p4dgs_ref import school
     school.classroom("course")  # writes course/student, course/key and course/README.md
-    reports = school.grade("anna", "ben", classroom="course")  # what two students handed in
-    print(school.text(reports))  # a table, and the points of every equation
+    grades = school.grade("anna", "ben", classroom="course")  # what two students handed in
+    print(school.text(grades))  # a table, and the points of every equation
     eq = school.load("course/student/offsets.py")  # the equation in a student's file
 """
 

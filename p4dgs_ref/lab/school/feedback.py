@@ -4,10 +4,15 @@ import math
 
 import numpy as np
 
-from ...oracle.checker import Report, check_subject, judge
+from ...oracle.checker import Report, check_subject
 
 ROLES = {"out": "the output", "in_bar": "the gradient of"}
 NEARLY = 1e-6  # of a number: a smaller error comes from rounding, not from the formula
+# The oracle's measure of accuracy, for an answer that is nearly right.
+DIGITS = (
+    "its error is {:.3g} eps S, and {:g} eps S are allowed; eps is the distance from 1 to the next "
+    "float, and S the size of the terms of the sum"
+)
 
 
 def of_port(cases, port, roles):
@@ -19,14 +24,13 @@ def of_port(cases, port, roles):
         first = Report(check_subject(cases, port, roles)).first
         if first is None:
             return ""
+        if not first.findings:
+            return f"your function raised {first.explanation} (case {first.id})"
         case = next(case for case in cases if case.id == first.id)
-        answers = judge(case, port, roles)[1] or {}
-    if not first.findings:
-        return f"your function raised {first.explanation} (case {first.id})"
+        mine = port.run(case)
     finding, known = first.findings[0], first.explanation or first.hint
-    mine, right = answers.get(finding.tensor), case.tensors.get(finding.tensor)
     role, name = finding.tensor.split(".", 1)
-    said = f"{ROLES[role]} {name}: {of_finding(finding, mine, right, known)}"
+    said = f"{ROLES[role]} {name}: {of_finding(finding, mine, case.tensors, known)}"
     if known:
         said += f"\n  It looks like this: {known}"
     if finding.kind == "value":
@@ -39,17 +43,10 @@ def of_finding(finding, mine, right, known):
     """Return what is wrong with one output or gradient; `known` is the doctor's diagnosis."""
     if finding.kind != "value":
         return f"{finding.kind}: {finding.message}"
-    if finding.relative is not None and finding.relative < NEARLY:
-        return "too few right digits" + ("" if known else f": {digits(finding)}")
-    return difference(mine, right)
-
-
-def digits(finding):
-    """Explain the oracle's measure of accuracy, for an answer that is nearly right."""
-    return (
-        f"its error is {finding.scaled:.3g} eps S, and {finding.bound:g} eps S are allowed; eps is "
-        "the distance from 1 to the next float, and S the size of the terms of the sum"
-    )
+    if finding.relative is None or finding.relative >= NEARLY:
+        return difference(mine[finding.tensor], right[finding.tensor])
+    measure = DIGITS.format(finding.scaled, finding.bound)
+    return "too few right digits" + ("" if known else f": {measure}")
 
 
 def of_number(mine, right):

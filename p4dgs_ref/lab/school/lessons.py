@@ -3,14 +3,18 @@
 import json
 import os
 import sys
+from contextlib import suppress
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
 from ...oracle import published
+from ...oracle.checker import check
 from ...oracle.ports import FunctionPort
 from ...scenes.output import write_atomically
+from ...table import EQUATIONS
 from . import feedback
 
 # The colours of Okabe and Ito, which colour-blind readers can tell apart.
@@ -50,20 +54,48 @@ def interactive():
     return hasattr(sys, "ps1") or "ipykernel" in sys.modules
 
 
+def begin(name):
+    """Show the drawing of the method with what a tutorial explains lit, and return pyplot.
+
+    The drawing belongs to the checkout, as the tutorials do; without one it is left out.
+    """
+    sys.path += [str(root) for root in here().parents if (root / "tutorials" / "tools").is_dir()]
+    with suppress(ModuleNotFoundError):
+        import_module("tutorials.tools.architecture").show(name)
+    return pyplot()
+
+
+def here():
+    """Return the folder of the tutorial that runs, or of its notebook."""
+    script = Path(sys.argv[0]).resolve().parent
+    return script if script.name in ("tutorials", "solutions") else Path.cwd()
+
+
 def out():
     """Return the folder for figures, which is `out` beside the tutorial that runs.
 
     The environment variable P4DGS_TUTORIALS_OUT names another one.
     """
-    script = Path(sys.argv[0]).resolve().parent
-    beside = script if script.name in ("tutorials", "solutions") else Path.cwd()
-    folder = Path(os.environ.get("P4DGS_TUTORIALS_OUT") or beside / "out")
+    folder = Path(os.environ.get("P4DGS_TUTORIALS_OUT") or here() / "out")
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
 
-def show(figure, name):
+def finish(ax, legend=None, grid=True, title_size=None, **settings):
+    """Set the title, labels and limits of axes; `legend` holds the settings of one, if any."""
+    ax.set(**settings)
+    if title_size:
+        ax.title.set_size(title_size)
+    if legend is not None:
+        ax.legend(**legend)
+    if not grid:
+        ax.grid(False)
+
+
+def show(figure, name, title="", size=16):
     """Save a figure as out/NAME.png, and show it in a notebook or at an interactive prompt."""
+    if title:
+        figure.suptitle(title, fontsize=size)
     place = out() / f"{name}.png"
     write_atomically(place, lambda file: figure.savefig(file, bbox_inches="tight"))
     print(f"figure: {place.parent.name}/{place.name}")
@@ -108,6 +140,42 @@ def close(a, b, tolerance=1e-12):
     """Whether a and b agree, up to a fraction of the largest number in b."""
     off = np.abs(np.asarray(a) - b).max(initial=0)
     return bool(off <= tolerance * np.abs(b).max(initial=0))
+
+
+def adjoint(rng, forward, inputs, cotangents, gradients, tolerance=1e-7):
+    """Check gradients by the adjoint identity along a random direction of all `inputs`.
+
+    `forward(**inputs)` returns a pair whose first part are outputs in the form of `cotangents`.
+    Returns the direction, and the change of the loss along it by differences.
+    """
+    d, h = random_like(rng, inputs), 1e-6
+    up, down = (inner(forward(**moved(inputs, d, step))[0], cotangents) for step in (h, -h))
+    difference, gradient = (up - down) / (2 * h), inner(gradients, d)
+    print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
+    assert close(difference, gradient, tolerance)
+    return d, difference
+
+
+# --- checks of ports ------------------------------------------------------------------------------
+def passes(*keys, port=None):
+    """Check equations of this project, or a port of one, by the golden vectors; print the report.
+
+    Of the equations, the gradients are checked as well.
+    """
+    for key in keys:
+        vjp = None if port else lambda inputs, bars: EQUATIONS[key].vjp(**inputs)[1](**bars)
+        report = check(port or EQUATIONS[key], key, vjp)
+        print(report)
+        assert report.ok
+
+
+def caught(mistaken, key, *says, vjp=None):
+    """Check a port with a mistake; print where it fails first and why, and what `says` must be."""
+    first = check(mistaken, key, vjp).first
+    assert first, f"{key}: the mistake is not noticed"
+    said = f"{first.id} fails: {first.explanation or first.hint}"
+    print(said)
+    assert all(words in said for words in says), said
 
 
 # --- exercises ------------------------------------------------------------------------------------

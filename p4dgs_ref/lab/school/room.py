@@ -1,19 +1,41 @@
 """Writes a classroom: the files for students, the teacher's key, and a README with the rules."""
 
+import ast
+import inspect
 import json
 import re
 from importlib import import_module
+from itertools import takewhile
 from pathlib import Path
 
 from ...oracle import published
-from ...scenes.output import OutputError, filled
+from ...scenes.output import filled
 from ...table import EQUATIONS
-from .removal import SAVES_SLOPES, functions_of, without_bodies
 from .syllabus import tutorial_of
 
 RECORD = "classroom.json"
-PARTS = ("forward", "backward")
 FORWARD, GRADIENTS, HARD = 3, 3, 4  # points of an equation
+# Functions that contain the answer as well. They are removed together with forward or backward.
+HELPERS = {
+    ("compositing", "forward"): ("alphas", "transmittances"),
+    ("covariance", "forward"): ("rotation_matrix",),
+    ("deformed", "forward"): ("as_printed", "moved"),
+    ("hash_grid", "forward"): ("locate", "nodes", "entries", "query"),
+    ("hash_rate", "forward"): ("entropy",),
+    ("likelihood", "forward"): (
+        "literal",
+        "rate",
+        "around_the_mean",
+        "beside_the_mean",
+        "far_from_the_mean",
+        "narrow_bin",
+    ),
+    ("likelihood", "backward"): ("slopes",),
+    ("masking", "backward"): ("scatter",),
+    ("ssim", "forward"): ("dissimilarity",),
+}
+# The forwards of these save slopes, from which their backwards follow in a line or two.
+SAVES_SLOPES = {"hash_grid", "step", "likelihood"}
 # Files with half of an equation: students write their functions in the equation's own file.
 MERGED = {"hash_grid": "grid_nodes"}
 
@@ -22,46 +44,77 @@ class ClassroomError(ValueError):
     """The folder is not a classroom, or the key is not one of an equation."""
 
 
-def classroom(folder, only=None, backward_only=False):
+def classroom(folder, only=None):
     """Write DIR/student/<key>.py, DIR/key/<key>.py and a README.md for each of the two readers.
 
-    `only` lists the equations; without it all are written. With `backward_only` the forwards stay
-    as they are. If the folder is a classroom already, equations are added, and the files of the
-    students stay.
+    `only` lists the equations; without it all are written. If the folder is a classroom already,
+    equations are added, and the files of the students stay.
 
     Returns {"output", "equations": keys written, "functions": how many have to be written, "kept":
     keys left as they were}. Raises ClassroomError or OutputError.
     """
     folder = Path(folder)
-    record = record_in(folder)
-    old = record["equations"]
-    asked_of = {key: parts_asked(key, backward_only) for key in chosen(only)}
-    new = {key: asked for key, asked in asked_of.items() if asked and key not in old}
-    record["equations"] = {**old, **new}
+    old = keys_in(folder)
+    new = [key for key in chosen(only) if key not in old]
+    record = json.dumps(record_of([*old, *new]), indent=1) + "\n"
+    files = {"README.md": readme([*old, *new]), "key/README.md": TEACHER, RECORD: record}
+    for key in new:
+        files |= {f"key/{key}.py": source_of(key), f"student/{key}.py": stub_of(key)}
+    with filled(folder) as beside:
+        for name, text in files.items():
+            (beside / name).parent.mkdir(exist_ok=True)
+            (beside / name).write_text(text, encoding="utf-8")
+    count = sum(len(functions_of(key)) for key in new)
+    return {"output": str(folder), "equations": new, "functions": count, "kept": sorted(old)}
+
+
+def record_of(keys):
+    """Return the contents of classroom.json."""
+    return {"p4dgs_classroom": 1, "equations": {key: parts_of(key) for key in keys}}
+
+
+def keys_of(folder):
+    """Return the equations of a classroom. Raises ClassroomError if the folder is not one."""
     try:
-        with (
-            filled(folder) as top,
-            filled(folder / "key") as complete,
-            filled(folder / "student") as to_write,
-        ):
-            for key, asked in new.items():
-                source, names = source_of(key), functions_of(key, asked)
-                stub = without_bodies(source, names, lambda name: task(key, name))
-                (complete / f"{key}.py").write_text(source, encoding="utf-8")
-                (to_write / f"{key}.py").write_text(stub, encoding="utf-8")
-            (top / "README.md").write_text(readme(record), encoding="utf-8")
-            (complete / "README.md").write_text(TEACHER, encoding="utf-8")
-            (top / RECORD).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    except FileExistsError as error:
-        raise OutputError(f"{error.filename}: expected a folder or nothing") from None
-    count = sum(len(functions_of(key, asked)) for key, asked in new.items())
-    return {"output": str(folder), "equations": list(new), "functions": count, "kept": sorted(old)}
+        record = json.loads((Path(folder) / RECORD).read_text(encoding="utf-8"))
+        valid = record == record_of(record["equations"])
+    except (OSError, ValueError, KeyError, TypeError):
+        valid = False
+    if not valid:
+        raise ClassroomError(
+            f"{folder}: expected a classroom, a folder with the {RECORD} of `p4dgs-ref classroom`"
+        )
+    return list(record["equations"])
 
 
-def parts_asked(key, backward_only):
-    """Return which of forward and backward students write."""
-    parts = [] if backward_only else ["forward"]
-    return [*parts, "backward"] if EQUATIONS[key].gradients else parts
+def keys_in(folder):
+    """Return the equations of an existing classroom, or none of a folder that is to become one."""
+    if not folder.is_dir() or not any(folder.iterdir()):
+        return []
+    if not (folder / RECORD).exists():
+        raise ClassroomError(
+            f"{folder}: expected an empty folder, a new one or a classroom; it contains other files"
+        )
+    return keys_of(folder)
+
+
+def chosen(only):
+    """Return the keys to write, in the order in which data flows."""
+    for key in only or ():
+        if key not in EQUATIONS:
+            raise ClassroomError(f"{key!r}: expected one of {', '.join(published.equations())}")
+    return [key for key in published.equations() if not only or key in only]
+
+
+# --- the files that students get ------------------------------------------------------------------
+def parts_of(key):
+    """Return what students write: forward, and backward where the equation has gradients."""
+    return ["forward", "backward"] if EQUATIONS[key].gradients else ["forward"]
+
+
+def functions_of(key):
+    """Return the functions to write for an equation: ("forward", "entropy", ...)."""
+    return tuple(name for part in parts_of(key) for name in (part, *HELPERS.get((key, part), ())))
 
 
 def source_of(key):
@@ -77,57 +130,51 @@ def source_of(key):
 
 def text_of(module):
     """Return the text of a module."""
-    return Path(import_module(module).__file__).read_text(encoding="utf-8")
+    return inspect.getsource(import_module(module))
 
 
-def read_record(folder):
-    """Return the contents of classroom.json.
+def stub_of(key):
+    """Return the file that students get: everything but the bodies of the functions to write.
 
-    They have the form {"equations": {"offsets": ["forward", "backward"], ...}}. Raises
-    ClassroomError if the folder is not a classroom.
+    Docstrings stay, and so do the first lines of a body that unpack `saved`: they show what the
+    reference's forward saves.
     """
-    try:
-        record = json.loads((Path(folder) / RECORD).read_text(encoding="utf-8"))
-        asked = record["equations"]
-        valid = (
-            record["p4dgs_classroom"] == 1
-            and set(asked) <= set(EQUATIONS)
-            and all(parts and set(parts) <= set(PARTS) for parts in asked.values())
-        )
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        valid = False
-    if not valid:
-        raise ClassroomError(
-            f"{folder}: expected a classroom, a folder with the {RECORD} of `p4dgs-ref classroom`"
-        )
-    return record
+    source, number = source_of(key), EQUATIONS[key].number
+    lines, functions = source.splitlines(keepends=True), functions_in(source)
+    task = "has to be written" + (f", Eq. ({number})" if number else "")
+    # From the last function to the first, so that the line numbers stay valid.
+    nodes = [functions[name] for name in functions_of(key)]
+    for node in sorted(nodes, key=lambda node: -node.lineno):
+        stub = f"    raise NotImplementedError({json.dumps(f'{key}.{node.name} {task}')})\n"
+        lines[kept(node)[-1].end_lineno : node.end_lineno] = [stub]
+    return "".join(lines)
 
 
-def record_in(folder):
-    """Return the record of an existing classroom, or that of an empty one."""
-    if not folder.is_dir() or not any(folder.iterdir()):
-        return {"p4dgs_classroom": 1, "equations": {}}
-    if not (folder / RECORD).exists():
-        raise ClassroomError(
-            f"{folder}: expected an empty folder, a new one or a classroom; it contains other files"
-        )
-    return read_record(folder)
+def functions_in(source):
+    """Return {name: syntax tree} of the top-level functions."""
+    nodes = ast.parse(source).body
+    return {node.name: node for node in nodes if isinstance(node, ast.FunctionDef)}
 
 
-def chosen(only):
-    """Return the keys to write, in the order in which data flows."""
-    for key in only or ():
-        if key not in EQUATIONS:
-            raise ClassroomError(f"{key!r}: expected one of {', '.join(published.equations())}")
-    return [key for key in published.equations() if not only or key in only]
+def kept(node):
+    """Return the leading statements that stay: the docstring and the unpacking of `saved`."""
+
+    def stays(statement):
+        value = getattr(statement, "value", None)
+        is_text = isinstance(value, ast.Constant) and isinstance(value.value, str)
+        return is_text or ast.unparse(statement).endswith(" = saved")
+
+    return list(takewhile(stays, node.body))
 
 
-def task(key, name):
-    """Return the message of a function that has to be written."""
-    number = EQUATIONS[key].number
-    return f"{key}.{name} has to be written" + (f", Eq. ({number})" if number else "")
+def unwritten(source, name):
+    """Whether a function is still as students got it, or missing."""
+    node = functions_in(source).get(name)
+    body = node.body[len(kept(node)) :] if node else []
+    return not node or [ast.unparse(s)[:25] for s in body] == ["raise NotImplementedError"]
 
 
+# --- what both readers are told -------------------------------------------------------------------
 README = """# Classroom
 
 Each file in `student/` is one equation of the paper P-4DGS from which the bodies of some functions
@@ -153,10 +200,9 @@ tutorial that explains each equation.
 
 {WHOLE} points an equation: {FORWARD} for the forward on ordinary inputs, {GRADIENTS} for the
 gradients, divided equally among the inputs, and {HARD} for the hard cases (zeros, kinks, ties,
-tails, empty axes, clamps and others), half of them for outputs and half for gradients. If forward
-or backward is given, or if there is no gradient, its points go to the other one. Each part counts
-by its share of right answers. A formula that is right on paper but has too few digits in float64
-loses most of the hard cases.
+tails, empty axes, clamps and others), half of them for outputs and half for gradients. If there is
+no gradient, all points are for outputs. Each part counts by its share of right answers. A formula
+that is right on paper but has too few digits in float64 loses most of the hard cases.
 
 - The inputs depend on a seed. They are those of the published test cases, changed at random, or
   in another order where a change would defeat the purpose of the case. The cotangents are random.
@@ -218,7 +264,7 @@ Read a file of which you are in doubt, or let its author explain a line of it.
 """
 
 
-def readme(record):
+def readme(keys):
     """Return the text of DIR/README.md."""
     text = README.format(
         WHOLE=FORWARD + GRADIENTS + HARD,
@@ -227,9 +273,8 @@ def readme(record):
         HARD=HARD,
         SLOPES=", ".join(f"`{key}`" for key in published.equations() if key in SAVES_SLOPES),
     )
-    asked_of = record["equations"]
-    for key in sorted(asked_of, key=published.equations().index):
-        to_write = ", ".join(f"`{name}`" for name in functions_of(key, asked_of[key]))
+    for key in sorted(keys, key=published.equations().index):
+        to_write = ", ".join(f"`{name}`" for name in functions_of(key))
         text += (
             f"| {EQUATIONS[key].number} | `student/{key}.py` "
             f"| `tutorials/{tutorial_of(key).name}.py` | {to_write} |\n"

@@ -11,7 +11,6 @@ import shlex
 import sys
 import types
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +18,8 @@ import numpy as np
 from ...oracle.adapter import Adapter, packed, unpacked
 from ...oracle.published import Golden, flatten
 from ...table import EQUATIONS
-from .removal import SAVES_SLOPES
-from .room import MERGED
+from .guard import alone
+from .room import SAVES_SLOPES
 
 ROOT = Path(__file__).resolve().parents[3]
 START_SECONDS = 60
@@ -44,27 +43,26 @@ def load(path):
     return eq._replace(module=module.__name__)
 
 
+loaded = cache(load)
+
+
 class Student(Adapter):
     """The process with one student's file, used as a port."""
 
     def __init__(self, path, timeout):
         super().__init__(shlex.join([sys.executable, "-c", START, str(ROOT), str(path)]), timeout)
-        self.for_start, self.for_case = max(START_SECONDS, timeout), timeout
+        self.for_case = timeout
         # Of the last case: {"forward": why it returned nothing, "backward": likewise}, and
         # {"in_bar.x": gradients computed from what the reference saved}.
         self.said, self.follow = {}, {}
 
     def _exchange(self, request, field):
-        # Importing NumPy at the start does not count against the student.
-        self.timeout = self.for_start if field == "p4dgs_oracle" else self.for_case
-        return super()._exchange(request, field)
-
-    def _ask(self, request, subject, kinds):
-        self.said, self.follow = {}, {}
-        answer = super()._ask(request, subject, kinds)
-        said = answer.get("said")
+        starts = "p4dgs_oracle" in request  # importing NumPy does not count against the student
+        self.timeout = max(START_SECONDS, self.for_case) if starts else self.for_case
+        answer = super()._exchange(request, field)
+        said, follow = answer.get("said"), {"follow": answer.get("follow", {})}
         self.said = said if isinstance(said, dict) else {}
-        self.follow = {f"in_bar.{name}": a for name, a in unpacked(answer, "follow").items()}
+        self.follow = {f"in_bar.{name}": a for name, a in unpacked(follow, "follow").items()}
         return answer
 
 
@@ -84,35 +82,6 @@ def main(path):
         replies.flush()
 
 
-class Lock:
-    """A finder of modules that refuses those of the project."""
-
-    @staticmethod
-    def find_spec(name, path=None, target=None):
-        """Raise ImportError for a module of the project; leave others to the next finder."""
-        if name.startswith("p4dgs_ref"):
-            raise ImportError(f"{name} cannot be imported by a file that is graded")
-
-
-def alone(key):
-    """Return the module of the reference's equation, which cannot be imported from now on.
-
-    Of the project, only the modules that it imports can still be imported.
-    """
-    for name in [name for name in sys.modules if name.startswith("p4dgs_ref")]:
-        del sys.modules[name]
-    reference = import_module(EQUATIONS[key].module)
-    package = sys.modules[reference.__package__]
-    for name in {key, MERGED.get(key, key)}:
-        del sys.modules[f"{package.__name__}.{name}"]
-        delattr(package, name)
-    sys.meta_path.insert(0, Lock)
-    return reference
-
-
-loaded = cache(load)
-
-
 def answer(path, request, reference):
     """Return the fields of the reply to one case; `reference` is the module of the equation."""
     key = Path(path).stem
@@ -122,7 +91,7 @@ def answer(path, request, reference):
         for name, a in unpacked(request, role).items()
     }
     case = Golden(request["id"], "", key, key, "", {"settings": request["settings"]}, tensors)
-    eq, said = EQUATIONS[key], {}
+    eq, said, gradients, follow = EQUATIONS[key], {}, {}, {}
 
     def forward():
         return outputs_of(eq, loaded(path).forward(**case.inputs()))
@@ -134,17 +103,15 @@ def answer(path, request, reference):
         return flat({name: made[name] for name in eq.gradients if name in made})
 
     outputs, saved = tried(forward, said, "forward") or ({}, None)
-    gradients = follow = {}
     if eq.gradients and outputs:
-        gradients = tried(lambda: backward(saved), said, "backward") or {}
+        gradients = tried(lambda: backward(saved), said, "backward")
     if eq.gradients and key not in SAVES_SLOPES:
         _, reference_saved = reference.forward(**case.inputs())
-        about = {} if outputs else said
-        follow = tried(lambda: backward(reference_saved), about, "backward") or {}
+        follow = tried(lambda: backward(reference_saved), {} if outputs else said, "backward")
     return {
         "out": numbers(outputs),
-        "in_bar": numbers(gradients),
-        "follow": numbers(follow),
+        "in_bar": numbers(gradients or {}),
+        "follow": numbers(follow or {}),
         "said": said,
     }
 
@@ -174,13 +141,12 @@ def outputs_of(eq, made):
 
 def flat(values):
     """Return arrays and lists of arrays as flat, named arrays; None is left out."""
-    return flatten({name: arrays(a) for name, a in values.items() if a is not None})
-
-
-def arrays(value):
-    """Return an array, or a list of arrays."""
-    several = isinstance(value, (list, tuple))
-    return [np.asarray(a) for a in value] if several else np.asarray(value)
+    made = {
+        name: list(value) if isinstance(value, (list, tuple)) else np.asarray(value)
+        for name, value in values.items()
+        if value is not None
+    }
+    return flatten(made)
 
 
 def numbers(named):

@@ -56,42 +56,44 @@ def without_outputs(notebook):
 
 
 # --- the format -----------------------------------------------------------------------------------
+def those(*rows):
+    """What is said in the rows (said, whether it is so) that are so."""
+    return [said for said, is_so in rows if is_so]
+
+
 def flaws(notebook):
     """What breaks the rules of format 4.5 or of this project, one line each."""
     if set(notebook) != KEYS["notebook"]:
         return [f"keys {sorted(notebook)}"]
-    found = []
-    if (notebook["nbformat"], notebook["nbformat_minor"]) != (4, 5):
-        found.append("not format 4.5")
-    metadata = notebook["metadata"]
-    for part, names in {"kernelspec": ("name", "display_name"), "language_info": ("name",)}.items():
-        if not all(isinstance(metadata.get(part, {}).get(name), str) for name in names):
-            found.append(f"metadata: {part}")
     ids = [cell.get("id") for cell in notebook["cells"]]
-    if len(set(ids)) != len(ids):
-        found.append("ids are not unique")
     counts = [c.get("execution_count") for c in notebook["cells"] if c.get("cell_type") == "code"]
-    if counts != list(range(1, len(counts) + 1)):
-        found.append(f"execution counts {counts}")
-    for cell in notebook["cells"]:
-        found += [f"{cell.get('id')}: {flaw}" for flaw in cell_flaws(cell)]
-    return found
+    names = {"kernelspec": ("name", "display_name"), "language_info": ("name",)}
+    return [
+        *those(
+            ("not format 4.5", (notebook["nbformat"], notebook["nbformat_minor"]) != (4, 5)),
+            ("ids are not unique", len(set(ids)) != len(ids)),
+            (f"execution counts {counts}", counts != list(range(1, len(counts) + 1))),
+            *(
+                (f"metadata: {part}", not set(keys) <= set(notebook["metadata"].get(part, ())))
+                for part, keys in names.items()
+            ),
+        ),
+        *(f"{cell.get('id')}: {flaw}" for cell in notebook["cells"] for flaw in cell_flaws(cell)),
+    ]
 
 
 def cell_flaws(cell):
     kind = cell.get("cell_type")
     if kind not in ("markdown", "code") or set(cell) != KEYS[kind]:
         return [f"cell of type {kind} with keys {sorted(cell)}"]
-    found = []
-    if not re.fullmatch(r"[a-zA-Z0-9-_]{1,64}", str(cell["id"])):
-        found.append("id")
-    if cell["metadata"] != {}:
-        found.append("metadata")
-    if not cell["source"] or not lines_of_text(cell["source"]):
-        found.append("source: expected lines")
-    for output in cell.get("outputs", ()):
-        found += output_flaws(output, cell["execution_count"])
-    return found
+    return [
+        *those(
+            ("id", not re.fullmatch(r"[a-zA-Z0-9-_]{1,64}", str(cell["id"]))),
+            ("metadata", cell["metadata"] != {}),
+            ("source: expected lines", not cell["source"] or not lines_of_text(cell["source"])),
+        ),
+        *(f for o in cell.get("outputs", ()) for f in output_flaws(o, cell["execution_count"])),
+    ]
 
 
 def lines_of_text(lines):
@@ -106,33 +108,31 @@ def output_flaws(output, count):
     if set(output) != KEYS.get(kind):
         return [f"output of type {kind} with keys {sorted(output)}"]
     if kind == "stream":
-        return text_flaws(output["text"]) + (
-            [] if output["name"] in ("stdout", "stderr") else [f"stream {output['name']}"]
-        )
-    found = [] if output["metadata"] == {} else ["metadata of an output"]
-    if output.get("execution_count", count) != count:
-        found.append("execution count of an output")
-    if not set(output["data"]) <= {"text/plain", "image/png"} or "text/plain" not in output["data"]:
-        return [*found, f"mime bundle {sorted(output['data'])}"]
-    found += text_flaws(output["data"]["text/plain"])
-    if "image/png" in output["data"]:
-        found += picture_flaws(output["data"]["image/png"])
-    return found
+        known = output["name"] in ("stdout", "stderr")
+        return text_flaws(output["text"]) + those((f"stream {output['name']}", not known))
+    data = output["data"]
+    if not {"text/plain"} <= set(data) <= {"text/plain", "image/png"}:
+        return [f"mime bundle {sorted(data)}"]
+    return [
+        *those(
+            ("metadata of an output", output["metadata"] != {}),
+            ("execution count of an output", output.get("execution_count", count) != count),
+        ),
+        *text_flaws(data["text/plain"]),
+        *(picture_flaws(data["image/png"]) if "image/png" in data else ()),
+    ]
 
 
 def text_flaws(text):
     if not isinstance(text, str) or not text:
         return ["text: expected a string"]
-    found = []
     path = re.search(r"(?<![\w.])/(tmp|work|home|root|usr|Users)/|site-packages|[A-Z]:\\", text)
-    here = [folder for folder in HERE if folder in text]
-    if path or here or "Traceback" in text:
-        found.append(f"path or traceback in the output: {text[:80]!r}")
-    if re.search(r" at 0x[0-9a-f]{6}", text):
-        found.append(f"an address in the output: {text[:80]!r}")
-    if len(text) > LONGEST_TEXT:
-        found.append(f"{len(text):,} characters in one output")
-    return found
+    here = any(folder in text for folder in HERE)
+    return those(
+        (f"path or traceback in the output: {text[:80]!r}", path or here or "Traceback" in text),
+        (f"an address in the output: {text[:80]!r}", re.search(r" at 0x[0-9a-f]{6}", text)),
+        (f"{len(text):,} characters in one output", len(text) > LONGEST_TEXT),
+    )
 
 
 def picture_flaws(picture):
@@ -166,30 +166,34 @@ def prose_flaws(text):
     MathJax knows the macros of amsmath. The viewers look for formulas before they look for other
     marks, except for code between backticks, and end a formula at an empty line.
     """
-    found = []
     text = re.sub(r"```.*?```|`[^`\n]*`", "code", text, flags=re.S)
     displayed = re.findall(r"\$\$(.*?)\$\$", text, flags=re.S)
     text = re.sub(r"\$\$.*?\$\$", "formula", text, flags=re.S)
     inline = re.findall(r"\$(.+?)\$", text, flags=re.S)
     text = re.sub(r"\$.+?\$", "formula", text, flags=re.S)
-    for formula in displayed + inline:
-        if "\n\n" in formula or "`" in formula:
-            found.append(f"empty line or backtick in a formula: {formula[:50]!r}")
-        if re.search(r"\\(label|ref|eqref|require|newcommand|def|bm|mbox|SI|unit)\b", formula):
-            found.append(f"macro that MathJax does not know: {formula[:50]!r}")
-        inner = re.sub(r"\\begin\{(\w+\*?)\}.*?\\end\{\1\}", "", formula, flags=re.S)
-        if formula.count(r"\tag") > 1 or r"\tag" in formula and r"\tag" not in inner:
-            found.append(f"tags within a formula: {formula[:50]!r}")
-        if formula.count("{") != formula.count("}"):
-            found.append(f"braces: {formula[:50]!r}")
-    if any(r"\tag" in formula for formula in inline):
-        found.append("a tag in a formula of a line")
-    if "$" in text:
-        found.append("a dollar sign without its partner")
-    for mark in re.findall(r"</?[a-zA-Z!][^\n]{0,20}", text):
-        found.append(f"HTML: {mark}")
     lines = text.splitlines()
-    for before, line in zip(lines, lines[1:]):
-        if re.match(ITEM, line) and not re.match(rf"$|  |{ITEM}", before):
-            found.append(f"a list without an empty line before it: {line[:50]!r}")
-    return found
+    return [
+        *(flaw for formula in displayed + inline for flaw in formula_flaws(formula)),
+        *those(
+            ("a tag in a formula of a line", any(r"\tag" in formula for formula in inline)),
+            ("a dollar sign without its partner", "$" in text),
+            *((f"HTML: {mark}", True) for mark in re.findall(r"</?[a-zA-Z!][^\n]{0,20}", text)),
+            *(
+                (f"a list without an empty line before it: {line[:50]!r}", re.match(ITEM, line))
+                for before, line in zip(lines, lines[1:])
+                if not re.match(rf"$|  |{ITEM}", before)
+            ),
+        ),
+    ]
+
+
+def formula_flaws(formula):
+    inner = re.sub(r"\\begin\{(\w+\*?)\}.*?\\end\{\1\}", "", formula, flags=re.S)
+    macro = re.search(r"\\(label|ref|eqref|require|newcommand|def|bm|mbox|SI|unit)\b", formula)
+    hidden = r"\tag" in formula and r"\tag" not in inner
+    return those(
+        (f"empty line or backtick in {formula[:50]!r}", "\n\n" in formula or "`" in formula),
+        (f"macro that MathJax does not know: {formula[:50]!r}", macro),
+        (f"tags within a formula: {formula[:50]!r}", formula.count(r"\tag") > 1 or hidden),
+        (f"braces: {formula[:50]!r}", formula.count("{") != formula.count("}")),
+    )

@@ -122,6 +122,7 @@ def test_each_tutorial_lights_known_boxes():
     assert whole == ["16_pipeline_by_hand", "26_video_codec_analogy"]
 
 
+@pytest.mark.slow
 def test_drawing_is_the_same_in_every_run():
     first, again = (pixels(architecture.draw(("noise",))) for _ in range(2))
     assert np.array_equal(first, again)

@@ -11,7 +11,6 @@ import pytest
 from p4dgs_ref import decode, encode
 from tests.codec.models import random_model
 from tests.lab.school.tutorial_form import flaws
-from tests.sampling import few
 
 FOLDER = Path(__file__).resolve().parents[3] / "tutorials"
 RECORDS = sorted(FOLDER.glob("beyond_*.py"), key=lambda path: path.name)
@@ -26,13 +25,20 @@ def run(path, folder, *arguments):
     return done.stdout
 
 
-@pytest.mark.parametrize("path", few(RECORDS, 1), ids=lambda path: path.stem)
+def test_records_have_the_form_of_tutorials():
+    assert {path.stem: flaws(path.read_text(encoding="utf-8")) for path in RECORDS} == {
+        path.stem: [] for path in RECORDS
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", RECORDS, ids=lambda path: path.stem)
 def test_a_record_runs_as_it_stands(path, tmp_path):
-    assert flaws(path.read_text(encoding="utf-8")) == []
     run(path, tmp_path)
     assert (tmp_path / f"{path.stem}.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_the_decision_about_networks_quotes_the_table(tmp_path):
     path = FOLDER / "beyond_networks.py"
     decision = path.read_text(encoding="utf-8").split("# ## Decision")[1]
@@ -45,6 +51,7 @@ def test_the_decision_about_networks_quotes_the_table(tmp_path):
         assert worst in reference
 
 
+@pytest.mark.slow
 def test_positions_of_other_files(tmp_path):
     for coded in (False, True):
         model = random_model(1, anchors=30, coded=coded, position_bits=10 if coded else 16)

@@ -356,6 +356,7 @@ def texts():
     return figure, {t: t.get_window_extent().extents for t in written if t.get_text()}
 
 
+@pytest.mark.slow
 def test_texts_are_large_enough_within_the_margins_and_apart(texts):
     figure, places = texts
     page = figure.bbox.extents

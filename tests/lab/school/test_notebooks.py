@@ -1,15 +1,9 @@
 """The committed notebooks are whole and belong to the tutorials; the maker works on small files."""
 
-import copy
 import json
 import os
 import re
 import shutil
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
@@ -17,9 +11,8 @@ import pytest
 
 from tests.lab.school import notebook_form as form
 from tutorials.tools import notebooks
+from tutorials.tools.shared import FOLDER
 
-ROOT = Path(__file__).resolve().parents[3]
-FOLDER = ROOT / "tutorials"
 SOURCES = notebooks.tutorials(FOLDER)
 FILES = sorted((FOLDER / "notebooks").glob("*.ipynb"))
 EACH = pytest.mark.parametrize("file", FILES, ids=[file.stem for file in FILES])
@@ -38,22 +31,18 @@ def test_notebooks_are_small_and_alone():
 
 
 @EACH
-def test_notebook_follows_the_format_and_shows_figures(file):
+def test_notebook_follows_the_format_shows_figures_and_links_somewhere(file):
     notebook = form.load(file)
     assert form.flaws(notebook) == []
     outputs = [o for cell in notebook["cells"] for o in cell.get("outputs", ())]
     assert any("image/png" in o.get("data", ()) for o in outputs)
     assert any(o.get("name") == "stdout" for o in outputs)
-
-
-@EACH
-def test_links_lead_somewhere(file):
-    found = form.links(form.load(file))
+    found = form.links(notebook)
     assert len(found) >= 3
     assert [link for link in found if not (file.parent / link).exists()] == []
 
 
-@pytest.mark.parametrize("source", SOURCES, ids=[source.stem for source in SOURCES])
+@pytest.mark.parametrize("source", SOURCES, ids=lambda source: source.stem)
 def test_cells_are_those_of_the_tutorial(source):
     text = source.read_text(encoding="utf-8")
     joined = ""
@@ -122,8 +111,8 @@ PNG = ("cells", 3, "outputs", 1, "data", "image/png")
         (set_key(*PNG, to="aGFsbG8="), "not a PNG"),
     ],
 )
-def test_checker_notices(change, said, small_notebook):
-    notebook = copy.deepcopy(small_notebook)
+def test_checker_notices(change, said, made):
+    notebook = form.load(made)
     assert form.flaws(notebook) == []
     change(notebook)
     assert said in " | ".join(form.flaws(notebook))
@@ -202,13 +191,12 @@ def small(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def small_notebook(tmp_path_factory):
-    return form.load(notebooks.make(write_small(tmp_path_factory.mktemp("made") / "tutorials")))
+def made(tmp_path_factory):
+    return notebooks.make(write_small(tmp_path_factory.mktemp("made") / "tutorials"))
 
 
-def test_outputs_of_a_small_tutorial(small):
-    target = notebooks.make(small)
-    notebook = form.load(target)
+def test_outputs_of_a_small_tutorial(made):
+    notebook = form.load(made)
     assert form.flaws(notebook) == []
     assert notebook["metadata"]["kernelspec"]["name"] == "python3"
     head, title, first, second, third = notebook["cells"]
@@ -238,11 +226,15 @@ def test_outputs_of_a_small_tutorial(small):
     assert kinds == ["figure: out/01_small.png\n", picture, "between\n", picture, "after\n"]
     assert [output["output_type"] for output in third["outputs"]] == ["display_data"]
     assert [c["execution_count"] for c in (first, second, third)] == [1, 2, 3]
-    before = target.read_bytes()
-    assert notebooks.make(small).read_bytes() == before
-    assert sorted(file.name for file in target.parent.iterdir()) == ["01_small.ipynb"]
+    assert [file.name for file in made.parent.iterdir()] == ["01_small.ipynb"]
 
 
+@pytest.mark.slow
+def test_notebook_is_the_same_in_every_run(made, small):
+    assert notebooks.make(small).read_bytes() == made.read_bytes()
+
+
+@pytest.mark.slow
 def test_last_notebook_links_the_one_before_and_no_solution(small):
     notebook = form.load(notebooks.make(small.parent / "02_next.py"))
     assert "".join(notebook["cells"][0]["source"]) == (
@@ -268,6 +260,7 @@ def test_missing_stale_and_orphaned_notebooks_are_found(small):
     assert form.problems(folder) == ["03_gone: no such tutorial"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "code, said",
     [
@@ -278,20 +271,20 @@ def test_missing_stale_and_orphaned_notebooks_are_found(small):
         ("import os\n\nos._exit(7)", "exit code 7"),
     ],
 )
-def test_error_names_tutorial_cell_and_line(code, said, small, monkeypatch, capsys):
-    folder = small.parent
-    monkeypatch.setattr(notebooks, "FOLDER", folder)
-    (folder / "notebooks").mkdir()
-    (folder / "notebooks" / "01_small.ipynb").write_text("as before")
+def test_error_names_tutorial_cell_and_line(code, said, small):
+    folder = small.parent / "notebooks"
+    folder.mkdir()
+    (folder / "01_small.ipynb").write_text("as before")
     small.write_text(f"# %%\n1\n# %%\n{code}\n")
-    assert notebooks.main(["01"]) == 1
-    error = capsys.readouterr().err
-    assert error.startswith("01_small.py, ") and said in error
-    assert error.count("\n") == 1 and ("cell at line 3" in error or "exit code" in said)
-    assert (folder / "notebooks" / "01_small.ipynb").read_text() == "as before"
-    assert len(list((folder / "notebooks").iterdir())) == 1
+    with pytest.raises(SystemExit) as stopped:
+        notebooks.main(["01"], small.parent)
+    error = str(stopped.value)
+    assert error.startswith("01_small.py, ") and said in error and "\n" not in error
+    assert "cell at line 3" in error or "exit code" in said
+    assert [file.read_text() for file in folder.iterdir()] == ["as before"]
 
 
+@pytest.mark.slow
 def test_failed_write_keeps_the_old_notebook(small, monkeypatch):
     folder = small.parent / "notebooks"
     folder.mkdir()
@@ -306,49 +299,17 @@ def test_failed_write_keeps_the_old_notebook(small, monkeypatch):
     assert [file.read_text() for file in folder.iterdir()] == ["as before"]
 
 
-def test_command_makes_what_is_named(small, monkeypatch, capsys):
-    monkeypatch.setattr(notebooks, "FOLDER", small.parent)
-    assert notebooks.main(["02"]) == 0
-    assert re.fullmatch(r"02_next: [\d,]+ bytes\n", capsys.readouterr().out)
-    assert notebooks.main(["01_small", "9"]) == 2
-    assert capsys.readouterr().err == "9: expected the name or the number of a tutorial\n"
-    assert [file.name for file in (small.parent / "notebooks").iterdir()] == ["02_next.ipynb"]
-    shutil.rmtree(small.parent / "notebooks")
-    (small.parent / "notebooks").write_text("a file")
-    assert notebooks.main(["02"]) == 2
-    assert "notebooks: expected a folder that can be written to" in capsys.readouterr().err
-    monkeypatch.setattr(notebooks, "FOLDER", small.parent / "none")
-    assert notebooks.main([]) == 2
-    assert "expected the tutorials of a checkout" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_interrupted_maker_leaves_nothing(number, small, tmp_path):
-    mark = tmp_path / "mark"  # grows while the tutorial runs
-    small.write_text(
-        "# %%\nimport time\n\nfor _ in range(1000):\n"
-        f"    print('x', file=open({str(mark)!r}, 'a'))\n    time.sleep(0.05)\n"
-    )
-    start = (
-        "import sys; from pathlib import Path; from tutorials.tools import notebooks; "
-        "notebooks.FOLDER = Path(sys.argv[1]); sys.exit(notebooks.main([]))"
-    )
-    process = subprocess.Popen(
-        [sys.executable, "-c", start, str(small.parent)],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    until = time.monotonic() + 60
-    while not mark.exists() and time.monotonic() < until:
-        time.sleep(0.05)
-    process.send_signal(number)
-    _, error = process.communicate(timeout=60)
-    assert (process.returncode, error) == (130, "stopped; the remaining notebooks are as before\n")
+def test_unknown_names_are_refused(small):
+    with pytest.raises(SystemExit, match="^9: expected the name or the number of a tutorial$"):
+        notebooks.main(["01_small", "9"], small.parent)
     assert not (small.parent / "notebooks").exists()
-    size = mark.stat().st_size
-    time.sleep(0.3)
-    assert mark.stat().st_size == size
+
+
+@pytest.mark.slow
+def test_command_makes_what_is_named(small, capsys):
+    notebooks.main(["02"], small.parent)
+    assert re.fullmatch(r"02_next: [\d,]+ bytes\n", capsys.readouterr().out)
+    assert [file.name for file in (small.parent / "notebooks").iterdir()] == ["02_next.ipynb"]
 
 
 @pytest.mark.slow

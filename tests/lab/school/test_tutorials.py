@@ -2,10 +2,7 @@
 
 import ast
 import json
-import os
 import re
-import resource
-import subprocess
 import sys
 from pathlib import Path
 
@@ -15,56 +12,39 @@ import pytest
 
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.lab.school.syllabus import TUTORIALS, tutorial_of
-from p4dgs_ref.oracle import read_manifest
+from p4dgs_ref.oracle.published import subjects
 from p4dgs_ref.table import EQUATIONS
 from tests.golden import answers
 from tests.lab.school import tutorial_form as form
-from tutorials.tools import gallery, syllabus
+from tests.sampling import few
+from tutorials.tools import gallery, shared, syllabus
 
 ROOT = Path(__file__).resolve().parents[3]
 FOLDER = ROOT / "tutorials"
 NAMES = {tutorial.name for tutorial in TUTORIALS}
 INDEX = (FOLDER / "README.md").read_text(encoding="utf-8")
-SHORT_SECONDS = 2  # a tutorial that takes less is not marked slow,
-ALL_SHORT_SECONDS = 3  # as long as the short ones together take less than this
 LEGIBLE = 8  # pixels: the size of the smallest text of a picture that is gallery.WIDTH wide
 RUN = """
 import json, runpy, sys
 from p4dgs_ref.lab.school import lessons
 from tests.lab import drawn
 show, texts = lessons.show, {}
-def watched(figure, name):
-    show(figure, name)
+def watched(figure, name, **how):
+    show(figure, name, **how)
     texts[name + ".png"] = drawn.smallest(figure)
 lessons.show = watched
-for path in sys.argv[2:]:
+for path in sys.argv[1:]:
     runpy.run_path(path, run_name="__main__")
-json.dump(lessons.RESULTS, open(sys.argv[1], "w"))
+json.dump(lessons.RESULTS, open("results.json", "w"))
 json.dump(texts, open("texts.json", "w"))
 """
 
 
-def short():
-    """The names of the tutorials that are not marked slow, by the times in the index."""
-    seconds = syllabus.measured_before()
-    chosen, total = set(), 0.0
-    for tutorial in sorted(TUTORIALS, key=lambda t: seconds.get(t.name[:2], 1e9)):
-        own = seconds.get(tutorial.name[:2], 1e9)
-        total += own
-        if own < SHORT_SECONDS and total < ALL_SHORT_SECONDS:
-            chosen.add(tutorial.name)
-    return chosen
-
-
-SHORT = short()
 EACH = pytest.mark.parametrize("tutorial", TUTORIALS, ids=[t.name for t in TUTORIALS])
-EACH_RUN = pytest.mark.parametrize(
-    "tutorial",
-    [
-        pytest.param(t, marks=() if t.name in SHORT else pytest.mark.slow, id=t.name)
-        for t in TUTORIALS
-    ],
-)
+SECONDS = syllabus.measured_before()
+CHEAP = [(t,) for t in TUTORIALS if SECONDS[t.name[:2]] < 2]
+DEAR = [pytest.param(t, marks=pytest.mark.slow) for t in TUTORIALS if (t,) not in CHEAP]
+A_FEW = pytest.mark.parametrize("tutorial", [*few(CHEAP, 1), *DEAR], ids=lambda t: t.name)
 
 
 def source(tutorial, solution=False):
@@ -73,38 +53,16 @@ def source(tutorial, solution=False):
 
 
 def run(paths, out):
-    """Run files without a display in one process; return what they print, and lessons.RESULTS."""
-    environment = {
-        **os.environ,
-        "MPLBACKEND": "Agg",
-        "P4DGS_TUTORIALS_OUT": str(out),
-        "OPENBLAS_NUM_THREADS": "1",
-        "PYTHONPATH": str(ROOT),
-        "PYTHONIOENCODING": "utf-8",
-    }
-    python = [sys.executable, "-W", "error::RuntimeWarning"]
-    done = subprocess.run(
-        [*python, "-c", RUN, str(out / "results.json"), *map(str, paths)],
-        env=environment,
-        cwd=out,
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-    )
-    assert done.returncode == 0, done.stderr[-3000:]
-    return done.stdout, json.loads((out / "results.json").read_text())
+    """Run files without a display in one process; return lessons.RESULTS."""
+    shared.run("tutorials", ["-W", "error::RuntimeWarning", "-c", RUN, *paths], out)
+    return json.loads((out / "results.json").read_text())
 
 
 # --- running --------------------------------------------------------------------------------------
-@EACH_RUN
+@A_FEW
 def test_tutorial_runs_with_figures_and_its_exercises_unsolved(tutorial, tmp_path):
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    out, results = run([FOLDER / f"{tutorial.name}.py"], tmp_path)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    print(f"{tutorial.name}: {seconds:.1f} s")  # depends on the machine: recorded, not asserted
+    results = run([FOLDER / f"{tutorial.name}.py"], tmp_path)
     assert results and not any(results.values())
-    assert "eps S" not in out  # explained to a student where digits are missing, and only there
     assert set(results) == set(syllabus.facts(tutorial).exercises)
     written = [file for file in tmp_path.iterdir() if file.suffix != ".json"]
     assert all(file.name.startswith(tutorial.name[:2] + "_") for file in written)
@@ -121,14 +79,13 @@ def test_tutorial_runs_with_figures_and_its_exercises_unsolved(tutorial, tmp_pat
         assert texts[name] * gallery.WIDTH / width >= LEGIBLE, name
 
 
-def test_all_solutions_pass(tmp_path):
-    paths = [FOLDER / "solutions" / f"{tutorial.name}.py" for tutorial in TUTORIALS]
-    out, results = run(paths, tmp_path)
-    asked = [exercise for tutorial in TUTORIALS for exercise in syllabus.facts(tutorial).exercises]
-    assert [exercise for exercise in asked if results.get(exercise) is not True] == [], out
-    assert sorted(results) == sorted(asked)
+@A_FEW
+def test_solution_passes(tutorial, tmp_path):
+    results = run([FOLDER / "solutions" / f"{tutorial.name}.py"], tmp_path)
+    assert results == dict.fromkeys(syllabus.facts(tutorial).exercises, True)
 
 
+@pytest.mark.slow
 def test_stored_answers_are_those_of_the_solutions():
     """Where it fails, `python -m tests.golden.answers` makes them anew."""
     made, stored = answers.answers(), lessons.stored("answers")
@@ -137,7 +94,7 @@ def test_stored_answers_are_those_of_the_solutions():
         assert np.allclose(answer, stored[exercise], rtol=1e-9, atol=0), exercise
 
 
-@pytest.mark.parametrize("nodes", [10, 13, 16, 20, 24, 32, 40])
+@pytest.mark.parametrize("nodes", few([10, 13, 16, 20, 24, 32, 40], 1))
 def test_23_3_is_solved_as_its_text_says(nodes, monkeypatch):
     """Eight pieces with 10 to 40 nodes each pass all golden bins."""
     monkeypatch.setattr(lessons, "RESULTS", {})
@@ -146,13 +103,6 @@ def test_23_3_is_solved_as_its_text_says(nodes, monkeypatch):
     assert text.count("roots_legendre(10)") == 1
     exec(text.replace("roots_legendre(10)", f"roots_legendre({nodes})"), {})
     assert lessons.RESULTS["23.3"]
-
-
-@pytest.mark.slow
-@EACH
-def test_solution_runs_alone(tutorial, tmp_path):
-    _, results = run([FOLDER / "solutions" / f"{tutorial.name}.py"], tmp_path)
-    assert results and all(results.values())
 
 
 # --- form -----------------------------------------------------------------------------------------
@@ -167,14 +117,9 @@ def test_headings_and_first_cell(tutorial):
 
 @EACH
 @pytest.mark.parametrize("solution", [False, True], ids=["tutorial", "solution"])
-def test_lines_fit_and_prose_is_commented(tutorial, solution):
-    assert form.flaws(source(tutorial, solution)) == []
-
-
-@EACH
-@pytest.mark.parametrize("solution", [False, True], ids=["tutorial", "solution"])
-def test_imports_paths_and_functions(tutorial, solution):
+def test_lines_imports_and_functions(tutorial, solution):
     text = source(tutorial, solution)
+    assert form.flaws(text) == []
     imported = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
@@ -185,8 +130,6 @@ def test_imports_paths_and_functions(tutorial, solution):
             assert node.end_lineno - node.lineno < 60
     allowed = {"numpy", "scipy", "matplotlib", "imageio", "p4dgs_ref", *sys.stdlib_module_names}
     assert {name.split(".")[0] for name in imported} <= allowed
-    absolute_path = r"""["'(\s](/(tmp|home|work|usr|root|Users|opt|mnt)\b|[A-Z]:\\)"""
-    assert not re.search(absolute_path, text)
 
 
 @EACH
@@ -215,10 +158,12 @@ def test_checks_of_ports_call_the_package(tutorial):
     """So they print no formula that an exercise asks for."""
     port = ast.parse(source(tutorial).split("# ## Check your port", 1)[1])
     called = {"forward", "backward", "vjp", "rate_forward", "decoded", "render"}
+    checks = ("oracle.check", "lessons.passes", "lessons.caught")
     checked = set()
     for node in ast.walk(port):
-        if isinstance(node, ast.Call) and ast.unparse(node.func).startswith("oracle.check"):
-            checked |= {argument.id for argument in node.args if isinstance(argument, ast.Name)}
+        if isinstance(node, ast.Call) and ast.unparse(node.func).startswith(checks):
+            given = [*node.args, *(keyword.value for keyword in node.keywords)]
+            checked |= {argument.id for argument in given if isinstance(argument, ast.Name)}
     for function in port.body:
         if isinstance(function, ast.FunctionDef) and function.name in checked:
             calls = {n.attr for n in ast.walk(function) if isinstance(n, ast.Attribute)}
@@ -240,7 +185,7 @@ def test_hints_belong_to_exercises():
 
 @EACH
 def test_figures_are_shown_under_the_tutorials_number(tutorial):
-    shown = re.findall(r'lessons\.show\(\w+, f?"([^"]+)"\)', source(tutorial))
+    shown = re.findall(r'lessons\.show\(\s*\w+,\s*f?"([^"]+)"', source(tutorial))
     assert shown and len(set(shown)) == len(shown)
     assert all(name.startswith(tutorial.name[:2] + "_") for name in shown)
 
@@ -248,8 +193,7 @@ def test_figures_are_shown_under_the_tutorials_number(tutorial):
 @EACH
 def test_first_code_cell_shows_the_drawing_of_the_architecture(tutorial):
     first_code = next(cell for cell in form.cells(source(tutorial)) if not cell.prose)
-    assert first_code.lines.count(f'architecture.show("{tutorial.name}")') == 1
-    assert source(tutorial).count("architecture.show(") == 1
+    assert first_code.lines.count(f'plt = lessons.begin("{tutorial.name}")') == 1
 
 
 @EACH
@@ -330,23 +274,11 @@ def test_index_has_measured_times_within_the_limit():
     assert max(seconds.values()) < 20
 
 
-def test_index_gives_every_equation_in_the_order_of_the_table():
-    table = syllabus.equations_table()
-    assert table in INDEX
-    rows = table.splitlines()[2:]
-    for line, (key, equation) in zip(rows, EQUATIONS.items(), strict=True):
-        number, name, file, *_ = (cell.strip() for cell in line.strip("|").split("|"))
-        assert (number, name) == (equation.number, f"`{key}`")
-        assert equation.module.replace(".", "/") in file
-        for link in re.findall(r"\]\(([^)]+)\)", line):
-            assert (FOLDER / link).resolve().is_file(), link
-
-
 @pytest.mark.parametrize("key", list(EQUATIONS))
 def test_every_equation_has_tutorial_vector_and_exercise(key):
     tutorial = tutorial_of(key)
     own = syllabus.facts(tutorial)
-    assert any(s["key"] == key and s["cases"] for s in read_manifest()["subjects"])
+    assert subjects()[key]["cases"]
     assert sum(key in t.keys for t in TUTORIALS) == 1
     assert any(key in about for about in own.exercises.values())
     number = EQUATIONS[key].number
@@ -406,7 +338,7 @@ def test_exercises_end_with_a_question_that_the_solutions_answer(tutorial):
 def test_gallery_is_complete_small_and_moves():
     files = {file.name: file.stat().st_size for file in (FOLDER / "pictures").iterdir()}
     assert set(files) == {*gallery.PICTURES, syllabus.DRAWING}
-    assert sum(files.values()) < gallery.LARGEST == 2_500_000
+    assert sum(files.values()) < 2_500_000
     moving = [name for name in files if name.endswith(".gif")]
     assert len(moving) >= 2
     assert all(len(iio.imread(FOLDER / "pictures" / name)) > 10 for name in moving)
@@ -422,7 +354,7 @@ def test_picture_of_changed_code_is_stale(tmp_path, monkeypatch):
     for picture in gallery.PICTURES.values():
         for file in FOLDER.glob(f"{picture.figure[:2]}*.py"):
             (tmp_path / file.name).write_bytes(file.read_bytes())
-    monkeypatch.setattr(gallery, "TUTORIALS", tmp_path)
+    monkeypatch.setattr(gallery, "FOLDER", tmp_path)
     monkeypatch.setattr(gallery, "DRAWN", tmp_path / "gallery.json")
     gallery.record(gallery.PICTURES)
     assert not gallery.stale()
@@ -468,16 +400,6 @@ def test_animations_with_repeated_pixels_are_halved(tmp_path):
         made = iio.imread(tmp_path / "made.gif")
         assert made.shape[:3] == (11, 8, 12)
         assert np.array_equal(made > 127, fine > 127)
-
-
-def test_gallery_that_grows_too_large_is_refused(tmp_path, monkeypatch):
-    (tmp_path / "pictures").mkdir()
-    (tmp_path / "pictures" / "old.png").write_bytes(b"x" * 900)
-    (tmp_path / "comparison.png").write_bytes(b"x" * 200)
-    monkeypatch.setattr(gallery, "LARGEST", 1000)
-    with pytest.raises(ValueError, match="at most 1,000 bytes of pictures, got 1,100"):
-        gallery.take(tmp_path, tmp_path / "pictures")
-    assert [file.name for file in (tmp_path / "pictures").iterdir()] == ["old.png"]
 
 
 def test_unknown_tutorial_is_refused():

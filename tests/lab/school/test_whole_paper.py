@@ -40,6 +40,7 @@ from p4dgs_ref.training import objective
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import TINY
+from tests.sampling import few
 
 PATH = Path(__file__).resolve().parents[3] / "tutorials" / "00_whole_paper.py"
 SOURCE = PATH.read_text(encoding="utf-8")
@@ -436,17 +437,12 @@ PLANTED = {
 }
 
 
+@pytest.mark.slow
 def test_all_gradients_agree_with_differences(whole):
     assert whole.check() == []
 
 
-@pytest.mark.parametrize(
-    "mistake",
-    [
-        pytest.param(name, marks=() if i == 0 else pytest.mark.slow, id=name.replace(" ", "_"))
-        for i, name in enumerate(PLANTED)
-    ],
-)
+@pytest.mark.parametrize("mistake", few(list(PLANTED), 1))
 def test_check_catches_a_planted_mistake(mistake):
     right, wrong = PLANTED[mistake]
     assert SOURCE.count(right) == 1
@@ -454,7 +450,7 @@ def test_check_catches_a_planted_mistake(mistake):
         assert load(SOURCE.replace(right, wrong)).check()
 
 
-@pytest.mark.parametrize("mistake, said", [(None, None), ("first layer", "stage 1, psi_")])
+@pytest.mark.parametrize("mistake, said", few([("first layer", "stage 1, psi_"), (None, None)], 1))
 def test_check_of_the_command_line_prints_what_differs(mistake, said, monkeypatch):
     source = SOURCE.replace("for stage in (1, 2, 3, 4):", "for stage in (1,):")
     source = source.replace(*PLANTED[mistake]) if mistake else source
@@ -499,6 +495,7 @@ def test_file_takes_the_bytes_that_the_equations_say(short):
     assert 8 * (len(file["grid"]) + len(file["anchors"])) <= 1.03 * bits
 
 
+@pytest.mark.slow
 def test_same_seed_gives_the_same_bytes(short):
     module, _, file = short
     with contextlib.redirect_stdout(io.StringIO()):

@@ -1,0 +1,47 @@
+"""What the makers of pages share: where tutorials are, how one runs, how a file is written."""
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from p4dgs_ref.scenes.output import write_atomically
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "tutorials"
+
+
+def run(name, arguments, out):
+    """Run Python without a display in `out`, where figures go. Exits with one line if it fails."""
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+    environment = {
+        **os.environ,
+        "MPLBACKEND": "Agg",
+        "OPENBLAS_NUM_THREADS": "1",
+        "P4DGS_TUTORIALS_OUT": str(out),
+        "PYTHONPATH": path,
+        "PYTHONUTF8": "1",
+    }
+    call = [sys.executable, *map(str, arguments)]
+    done = subprocess.run(call, env=environment, cwd=out, capture_output=True, encoding="utf-8")
+    if done.returncode:
+        said = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+        sys.exit(f"{name}, {said[-1]}")
+
+
+def write_text(path, text):
+    """Write a text file in one step."""
+    write_atomically(path, lambda file: file.write(text.encode()))
+
+
+def table(heads, rows):
+    """Return a table as Markdown."""
+    lines = [f"| {' | '.join(row)} |" for row in (heads, *rows)]
+    return "\n".join([lines[0], "|---" * len(heads) + "|", *lines[1:]])
+
+
+def digest(*modules):
+    """Return a hash of the sources of modules, by which a test finds what is out of date."""
+    sources = [Path(module.__file__).read_bytes() for module in modules]
+    return hashlib.sha256(b"".join(sources)).hexdigest()
