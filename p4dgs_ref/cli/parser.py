@@ -139,19 +139,10 @@ SPLIT = option(
     choices=("train", "test", "val"),
     help="which views of the scene (default test)",
 )
-CAPS = option(
-    "--caps",
-    type=listed(whole(1)),
-    default=(),
-    metavar="N,N",
-    help="also train every baseline with these numbers of Gaussians, so that files of equal PSNR "
-    "can be compared",
-)
 LENGTH = option(
     "--iterations", type=whole(4), help="of every training (default those of the preset)"
 )
 EXPERIMENT = (
-    *VIEW,
     option("--seeds", type=whole(1, 1000), default=3, help="seeds 0 to N - 1 (default 3)"),
     LENGTH,
     JOBS,
@@ -356,20 +347,14 @@ COMMANDS = {
             option("scenes", nargs="*", help=f"{SCENE_HELP} (default: all packaged that move)"),
             several("--method", "NAME", "only ours and this one; may be repeated", dest="methods"),
             switch("--quick", "one scene, one seed"),
-            option(
-                "--equal",
-                choices=("iterations", "time"),
-                default="iterations",
-                help="what all methods get the same of (default iterations)",
-            ),
-            CAPS,
             *EXPERIMENT,
             output("folder to write to (default report/compare)", default="report/compare"),
         ),
     ),
     "sweep": (
         experiments.sweep,
-        "rate-distortion: PSNR against estimated and written bytes over lambda_rate",
+        "rate-distortion: PSNR against estimated and written bytes over lambda_rate, and what a "
+        "file consists of at both ends, the paper's table 4",
         (
             option("scene", help=SCENE_HELP),
             option(
@@ -385,7 +370,6 @@ COMMANDS = {
                 "also this baseline, or p4dgs_coded; may be repeated",
                 dest="methods",
             ),
-            CAPS,
             option(
                 "--point",
                 type=fraction,
@@ -407,28 +391,6 @@ COMMANDS = {
             option("scene", help=SCENE_HELP),
             *EXPERIMENT,
             output("folder to write to (default report/ablate)", default="report/ablate"),
-        ),
-    ),
-    "composition": (
-        experiments.composition,
-        "the paper's table 4: what a file consists of at a low and at a high rate",
-        (
-            option("scene", nargs="?", default="bouncing", help=SCENE_HELP),
-            *VIEW,
-            option(
-                "--low", type=real(0, 1e18), default=1e-2, help="lambda_rate of the low rate (0.01)"
-            ),
-            option(
-                "--high",
-                type=real(0, 1e18),
-                default=1e-4,
-                help="lambda_rate of the high rate (default 0.0001)",
-            ),
-            option("--seed", type=whole(0), default=0, help="seed of the trainings (default 0)"),
-            LENGTH,
-            JOBS,
-            QUIET,
-            output("folder to write to (default report/composition)", default="report/composition"),
         ),
     ),
     "classroom": (

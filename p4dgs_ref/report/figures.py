@@ -64,27 +64,28 @@ def write_csv(path, rows, columns=None):
         writer.writerows(rows)
 
 
-def draw_comparison(path, scene, rows, images, count=4):
-    """Truth, decoded image and absolute error of a few test views spread over time."""
-    views = scene.test
-    order = np.argsort([view.time for view in views], kind="stable")
-    chosen = order[np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int)]
+def error_of(image, truth):
+    """The absolute error [H, W] of an image, mean of R, G and B, and its mean as a title."""
+    error = np.abs(image - truth).mean(axis=2)
+    return error, f"mean {error.mean():.3f}"
+
+
+def draw_pictures(path, title, rows):
+    """Rows (label, [(picture, title), ...]) of pictures; the last row must be one of errors."""
+    columns = len(rows[0][1])
     figure, axes = pyplot().subplots(
-        3, len(chosen), figsize=(2.6 * len(chosen) + 0.5, 9.2), squeeze=False, layout="constrained"
+        len(rows),
+        columns,
+        figsize=(2.6 * columns + 0.5, 9.2 / 3 * len(rows)),
+        squeeze=False,
+        layout="constrained",
     )
-    for column, i in enumerate(chosen):
-        image = np.clip(images[i], 0, 1)
-        error = np.abs(image - views[i].image).mean(axis=2)
-        panels = (
-            ("truth", f"t = {views[i].time:.2f}", views[i].image, 1),
-            ("decoded", f"PSNR {rows[i]['psnr_db']:.1f} dB", image, 1),
-            ("absolute error", f"mean {error.mean():.3f}", error, LARGEST_ERROR),
-        )
-        for ax, (label, title, picture, end) in zip(axes[:, column], panels):
-            shown = ax.imshow(picture, cmap="magma", vmin=0, vmax=end)
-            ax.set(xticks=[], yticks=[], title=title)
-            ax.set_ylabel(label if column == 0 else "", fontsize=15)
+    for row, (label, pictures) in zip(axes, rows):
+        for ax, (picture, above) in zip(row, pictures):
+            shown = ax.imshow(picture, cmap="magma", vmin=0, vmax=LARGEST_ERROR)
+            ax.set(xticks=[], yticks=[], title=above)
             ax.spines[:].set_visible(False)
+        row[0].set_ylabel(label, fontsize=15)
     figure.colorbar(
         shown,
         ax=axes,
@@ -95,8 +96,20 @@ def draw_comparison(path, scene, rows, images, count=4):
         pad=0.01,
         label="absolute error, mean of R, G, B (of 1)",
     )
-    figure.suptitle(f"{scene.name}: test views, not used in training", fontsize=15)
+    figure.suptitle(title, fontsize=15)
     save_figure(figure, path)
+
+
+def draw_comparison(path, scene, rows, images, count=4):
+    """Truth, decoded image and absolute error of a few test views spread over time."""
+    order = np.argsort([view.time for view in scene.test], kind="stable")
+    chosen = order[np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)]
+    views, images = [scene.test[i] for i in chosen], [np.clip(images[i], 0, 1) for i in chosen]
+    truth = [(view.image, f"t = {view.time:.2f}") for view in views]
+    psnr = [f"PSNR {rows[i]['psnr_db']:.1f} dB" for i in chosen]
+    errors = [error_of(image, view.image) for image, view in zip(images, views)]
+    pictures = [("truth", truth), ("decoded", [*zip(images, psnr)]), ("absolute error", errors)]
+    draw_pictures(path, f"{scene.name}: test views, not used in training", pictures)
 
 
 def write_gif(path, images):
