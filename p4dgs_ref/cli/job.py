@@ -417,8 +417,7 @@ def inspect(arguments):
 
 def write_heat(arguments, data, folder):
     """Write heat.png, the scene in colours that show the bits of its anchors, and heat.csv."""
-    from ..report.figures import HEAT, draw_heat, write_csv
-    from ..report.heat import heat_image
+    from ..report.figures import HEAT, draw_heat, heat_image, write_csv
     from ..report.inspect import anchor_bits
 
     model, bits = anchor_bits(data)

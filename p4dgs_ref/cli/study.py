@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from .base import Line, UsageError, report_folder, require_known, show
+from .base import Line, UsageError, report_folder, require_known, say, show
 
 
 def accuracy(arguments):
@@ -64,7 +64,7 @@ def effects(arguments):
 
 def suggest_effects(arguments):
     """Say which effects the pictures call for; with --apply write the list to scene.json."""
-    from ..lab.effects.suggest import suggest
+    from ..lab.effects.suggest import foretold, suggest
     from ..scenes.load import list_effects, packaged_folder
     from .job import read_scene
 
@@ -73,6 +73,8 @@ def suggest_effects(arguments):
     scene = read_scene(arguments)
     if arguments.apply and packaged_folder() in scene.source.resolve().parents:
         raise UsageError(f"--apply: {scene.source} is a packaged scene; expected a folder of yours")
+    if not arguments.quiet:
+        say(f"--suggest: about {foretold(scene, jobs=arguments.jobs):.0f} s of short trainings")
     with Line(arguments) as line:
         rows = suggest(scene, progress=line, jobs=arguments.jobs)
     called = [row["effect"] for row in rows if row["called_for"]]

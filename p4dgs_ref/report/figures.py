@@ -4,6 +4,8 @@ import csv
 
 import numpy as np
 
+from ..splatting import render
+from ..splatting.settings import FAST
 from ..training.progress import COLUMNS
 
 STAGE_NAMES = ("static", "+ noise", "+ motion", "+ rate")
@@ -186,6 +188,24 @@ def draw_ledger(path, rows):
     right.set(xlabel="bytes", title="beyond the entropy")
     left.legend(loc="lower right", frameon=False)
     save_figure(figure, path)
+
+
+def heat_image(model, bits, camera, t, limits, name):
+    """The model at time t over white, (H, W, 3), coloured by the bits (A,) of the anchors.
+
+    The colours are those of matplotlib's map `name`; bits outside the limits take its end colours.
+    """
+    from matplotlib import colormaps
+
+    low, high = limits
+    colors = colormaps[name]((bits - low) / max(high - low, 1e-9))[:, :3]
+    g = model.gaussians(t, camera)
+    color = colors[g.index // model.design.k]
+    occlusion = "occlusion" in model.design.effects
+    (image, *_), _ = render.forward(
+        g.x, g.s, g.r, g.alpha, color, camera, np.ones(3), FAST, occlusion
+    )
+    return image
 
 
 def draw_heat(path, image, bits, limits):

@@ -15,9 +15,9 @@ from dataclasses import replace
 from ...effects import MOTION
 from ...training.presets import TINY
 from .. import baselines
+from ..writer import means, seeds_of, table, write_rows
 from . import methods
 from .methods import OURS, Task
-from .writer import means, seeds_of, table, write_rows
 
 WHOLE = "+ quantisation and entropy coding"
 # Rate in MB, savings in percent and PSNR in dB of the paper's Table 3, on T-Rex.

@@ -11,9 +11,9 @@ from ...effects import moves
 from ...report.figures import draw_pictures, error_of
 from ...scenes import load_scene, packaged_scenes
 from ..clock import alternate, disturbance, stretch_of
+from ..writer import mean, means, seeds_of, table, write_rows
 from . import methods
 from .methods import OURS, Task
-from .writer import mean, means, seeds_of, table, write_rows
 
 VERSION = 2
 TURNS = 5  # of the pictures that are timed

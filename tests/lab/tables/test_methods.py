@@ -6,8 +6,8 @@ import pickle
 
 import pytest
 
-from p4dgs_ref.lab import baselines
-from p4dgs_ref.lab.tables import ablate, compare, methods, sweep, writer
+from p4dgs_ref.lab import baselines, writer
+from p4dgs_ref.lab.tables import ablate, compare, methods, sweep
 from p4dgs_ref.lab.tables.methods import OURS, StudyError, Task
 from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.report.inspect import ledger

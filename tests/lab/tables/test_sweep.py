@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
+from p4dgs_ref.lab import writer
 from p4dgs_ref.lab.baselines import METHODS
 from p4dgs_ref.lab.tables import sweep as study
-from p4dgs_ref.lab.tables import writer
 from p4dgs_ref.lab.tables.methods import CODED, StudyError
 
 from .conftest import SWEEP

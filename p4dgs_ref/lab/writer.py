@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...report.figures import pyplot, save_figure, write_csv
+from ..report.figures import pyplot, save_figure, write_csv
 
 
 def means(rows, *keys):
