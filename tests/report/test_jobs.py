@@ -27,11 +27,13 @@ def explode(task):
     raise NotFinite(task, "f_a[3, 1] is nan")
 
 
+@pytest.mark.slow
 def test_an_overflow_in_another_process_keeps_its_message():
     with pytest.raises(NotFinite, match=r"^iteration 7: f_a\[3, 1\] is nan$"):
         list(in_processes(explode, [7, 8], 2))
 
 
+@pytest.mark.slow
 def test_two_processes_train_what_one_trains(tmp_path):
     scene, found = load_scene("bouncing", downscale=8), []
     for jobs in (1, 2):
@@ -50,6 +52,7 @@ def test_the_command_takes_all_cores():
         assert cli.parser().parse_args([*command.split(), "--jobs", "3"]).jobs == 3
 
 
+@pytest.mark.slow
 def test_results_keep_the_order_of_their_tasks():
     found = list(in_processes(place, [0.3, 0.0, 0.1], 2))
     assert [seconds for seconds, _ in found] == [0.3, 0.0, 0.1]

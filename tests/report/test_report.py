@@ -13,10 +13,10 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.cli import text
-from p4dgs_ref.scenes.output import OutputError, filled, write_atomically
-from p4dgs_ref.report import main_job as job
 from p4dgs_ref.report import figures as report
+from p4dgs_ref.report import main_job as job
 from p4dgs_ref.report.evaluate import decibel, explicit_bytes, json_safe, score
+from p4dgs_ref.scenes.output import OutputError, filled, write_atomically
 from p4dgs_ref.training.fit import fit
 from p4dgs_ref.training.presets import TINY, TINY_CODED, paper_design
 from p4dgs_ref.training.progress import COLUMNS

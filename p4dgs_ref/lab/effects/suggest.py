@@ -22,12 +22,19 @@ from ...splatting.camera import Camera
 from ...training.presets import TINY
 from ...training.trainer import Trainer
 
-ITERATIONS = 560  # of each training; all of them together take less time than `train` does
+# The iterations of a training, and the pairs, each of which keeps another part of the views back.
+# Effects of the view are as small as what trainings differ by, so they need two pairs. All
+# trainings together have fewer iterations than one of the preset `tiny`.
+PAIRS = {
+    "translation": (560, 1),
+    "view_color": (450, 2),
+    "view_geometry": (450, 2),
+    "occlusion": (120, 1),
+}
 BACK = 6  # one view of so many is kept back
 FEWEST = 2 * BACK  # views; with fewer nothing can be kept back
 WORTH = 0.2  # dB; effects that gain less are not worth their bytes
 PROBED = 5  # steps by which the time is foretold
-BY_CHANCE = 0.07  # dB by which the trainings of a pair differ where the effect plays no part
 VIEW = ("view_color", "view_geometry")
 
 
@@ -43,23 +50,31 @@ class SeenFrom(Camera):
         return self.told
 
 
-def pairs(scene):
+def planned(scene):
     """What is trained: (scene, effects of motion, effect, first view kept back, iterations)."""
     moving = fx.MOTION if len({view.time for view in scene.train}) > 1 else ()
-    asked = [*moving[:1], *VIEW, "occlusion"] if len(scene.train) >= FEWEST else []
-    return [(scene, moving, effect, 0, ITERATIONS) for effect in asked]
+    return [
+        (scene, moving, effect, fold, iterations)
+        for effect, (iterations, count) in PAIRS.items()
+        for fold in range(count)
+        if len(scene.train) >= FEWEST and (moving or effect not in fx.MOTION)
+    ]
+
+
+def steps_of(tasks):
+    """How many steps the pairs need; they share the first half unless the effect is occlusion."""
+    return sum((2 if effect == "occlusion" else 1.5) * n for _, _, effect, _, n in tasks)
 
 
 def foretold(scene, jobs=1):
     """About how many seconds `suggest` takes, judging by a few steps."""
-    tasks = pairs(scene)
-    if not tasks:
+    if not (tasks := planned(scene)):
         return 0.0
-    trainer = Trainer(scene, short(ITERATIONS))
-    trainer.iteration = ITERATIONS // 2
+    iterations, _ = PAIRS["translation"]
+    trainer = Trainer(scene, short(iterations))
+    trainer.iteration = iterations // 2  # from here on things move
     _, seconds = timed(lambda: [trainer.step() for _ in range(PROBED)])
-    halves = sum(4 if effect == "occlusion" else 3 for _, _, effect, *_ in tasks)
-    return halves * ITERATIONS / 2 * seconds / PROBED / jobs
+    return steps_of(tasks) * seconds / PROBED / jobs
 
 
 def suggest(scene, progress=lambda line: None, jobs=1):
@@ -69,10 +84,10 @@ def suggest(scene, progress=lambda line: None, jobs=1):
     is "yes", "no" or "cannot tell"; an effect is called for unless the verdict is "no". The
     evidence is one sentence with a number.
     """
-    views, tasks, gains = scene.train, pairs(scene), {}
+    views, tasks, gains = scene.train, planned(scene), {}
     for (_, _, effect, *_), gain in zip(tasks, in_processes(paired, tasks, jobs)):
-        progress(f"{effect}: pair {len(gains) + 1} of {len(tasks)}")
-        gains[effect] = [gain]
+        gains.setdefault(effect, []).append(gain)
+        progress(f"{effect}: {sum(map(len, gains.values()))} of {len(tasks)} pairs")
     said = {effect: verdict(effect, gains.get(effect), len(views)) for effect in MODEL_EFFECTS}
     if len({view.time for view in views}) == 1:
         still = f"all {len(views)} views have the time {views[0].time:g}, so nothing can move"
@@ -161,13 +176,12 @@ def verdict(effect, gains, count):
     """(verdict, evidence) from the gains (dB) of the views that were kept back, or None.
 
     The gains of two pairs differ because their views do, and because trainings do; the larger of
-    the two errors counts. It is at least BY_CHANCE.
+    the two errors counts.
     """
     if gains is None:
         return "cannot tell", f"{count} views are too few to keep some back; expected {FEWEST}"
     pairs, gains = [np.mean(pair) for pair in gains], np.concatenate(gains)
-    errors = gains.std() / np.sqrt(len(gains)), np.ptp(pairs) / 2, BY_CHANCE
-    mean, error = gains.mean(), max(errors)
+    mean, error = gains.mean(), max(gains.std() / np.sqrt(len(gains)), np.ptp(pairs) / 2)
     without = "without hiding what is behind"
     if effect != "occlusion":
         without = f"with the {'times' if effect in fx.MOTION else 'cameras'} of other views"
