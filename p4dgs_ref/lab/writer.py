@@ -20,14 +20,14 @@ def means(rows, *keys):
 def mean(rows, left_out=()):
     """The means of some rows, their spreads, and the number of seeds."""
     seeds = sorted({row["seed"] for row in rows})
-    found = {"seeds": len(seeds)}
+    found = {}
     for name in rows[0]:
         numbers = all(isinstance(row.get(name), (int, float)) for row in rows)
         if numbers and name not in (*left_out, "seed"):
             by_seed = [np.mean([row[name] for row in rows if row["seed"] == s]) for s in seeds]
             found[name] = float(np.mean(by_seed))
             found[f"{name}_spread"] = float(np.ptp(by_seed) / 2)
-    return found
+    return {"seeds": len(seeds), **found}
 
 
 def table(columns, rows):

@@ -145,7 +145,7 @@ def draw_size(path, designs, explicit):
         bars = ax.barh(np.arange(len(names)) - i * height, values, height, color=color, label=label)
         ax.bar_label(bars, [f" {v:,} ({100 * v / sizes[label]:.1f} %)" for v in values])
     middle = (len(designs) - 1) * height / 2
-    ax.set_yticks(np.arange(len(names)) - middle, map(LABELS.get, names))
+    ax.set_yticks(np.arange(len(names)) - middle, [LABELS[name] for name in names])
     ax.set(xlabel="bytes in the file", xlim=(0, 1.35 * largest))
     ax.xaxis.set_major_formatter("{x:,.0f}")
     ax.locator_params(axis="x", nbins=5)
@@ -218,7 +218,7 @@ def draw_heat(path, image, bits, limits):
     left.set(xticks=[], yticks=[], title="bits of the anchors, in place")
     left.spines[:].set_visible(False)
     scale = plt.cm.ScalarMappable(plt.Normalize(*limits), HEAT)
-    ticks = np.linspace(*limits, 5)
+    ticks = np.linspace(limits[0], limits[1], 5)
     label = "bits of the Gaussian's anchor"
     figure.colorbar(scale, ax=left, label=label, shrink=0.9, ticks=ticks, format="{x:.0f}")
     _, edges, bars = right.hist(bits, bins=30, range=limits)

@@ -42,7 +42,7 @@ VIEW = ("view_color", "view_geometry")
 class SeenFrom(Camera):
     """A camera whose place, as the networks are told it, is not its own."""
 
-    told: np.ndarray = None
+    told: np.ndarray | None = None
 
     @property
     def center(self):

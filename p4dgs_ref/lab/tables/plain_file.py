@@ -49,7 +49,7 @@ def load(path):
     anchors = Anchors(*attributes, mask=np.ones(attributes[-1].shape[:2], bool))
     names = dict.fromkeys(name.split(".")[0] for name in arrays if "." in name)
     networks = {name: p.network(name) for name in names}
-    fields = values["design"].items()
-    design = Design(**{name: tuple(v) if isinstance(v, list) else v for name, v in fields})
+    fields = values["design"].values()
+    design = Design._make(tuple(v) if isinstance(v, list) else v for v in fields)
     box, background = bounding_box(anchors.x_a), np.array(values["background"])
     return Model(design, anchors, networks, [], box, background)
