@@ -135,6 +135,7 @@ def test_one_unit_is_kept_where_all_are_silent():
 
 
 # --- as listed against all effects ---------------------------------------------------------------
+@pytest.mark.slow
 def test_pairs_of_builds():
     """Two seeds of each build, and the comparison of made-up rows."""
     rows = pairs.static_pair((0, 3), "smoke")
