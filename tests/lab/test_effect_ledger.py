@@ -10,7 +10,9 @@ import pytest
 from p4dgs_ref.codec import quantise
 from p4dgs_ref.codec.file import decode, encode
 from p4dgs_ref.effects import MOTION
+from p4dgs_ref.equations import deformation
 from p4dgs_ref.lab.effects import ledger as effect_ledger
+from p4dgs_ref.lab.effects.work import deformation_work
 from p4dgs_ref.model import ANCHOR_NETWORKS, without_silent_units
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
@@ -71,6 +73,22 @@ def test_two_processes_train_the_builds_that_one_trains():
         works = [vars(built[name]["work"]) for built in (alone, together)]
         assert works[0] == works[1]
     assert alone["listed"]["data"] != alone["without"]["data"]
+
+
+def test_work_that_effects_share_is_divided_among_those_that_are_on():
+    def work(*heads):
+        shapes = [(12, 5), *((5, columns) for columns in heads)]
+        weights, biases = [np.ones(s) for s in shapes], [np.ones(s[1]) for s in shapes]
+        _, saved = deformation.forward(np.zeros((4, 3)), 0.5, weights, biases, 1, 1)
+        return deformation_work(saved, "forward")
+
+    alone, together = work(3, 0, 0), work(3, 3, 4)
+    assert set(alone) == {"translation"} and set(together) == set(MOTION)
+    heads = {"translation": 3, "scaling": 3, "rotation": 4}
+    shared = alone["translation"] - 4 * 5 * 3
+    assert shared > 0
+    for effect, columns in heads.items():
+        assert together[effect] == pytest.approx(4 * 5 * columns + shared / 3), effect
 
 
 def test_bytes_of_motion_are_those_of_its_section():
