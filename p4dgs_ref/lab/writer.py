@@ -1,8 +1,8 @@
-"""What studies make of rows: means over seeds, tables as text and CSV, curves."""
+"""What studies make of rows: means over seeds, tables as text, curves."""
 
 import numpy as np
 
-from ..report.figures import pyplot, save_figure, write_csv
+from ..report.figures import pyplot, save_figure
 
 
 def means(rows, *keys):
@@ -48,12 +48,6 @@ def filled(form, row):
         return form.format(**row)
     except (KeyError, TypeError):
         return "-"
-
-
-def write_rows(path, rows):
-    """Write rows as CSV; a field that a row lacks is empty."""
-    columns = list(dict.fromkeys(name for row in rows for name in row))
-    write_csv(path, [[row.get(name) for name in columns] for row in rows], columns)
 
 
 def seeds_of(rows):

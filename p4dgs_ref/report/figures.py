@@ -56,10 +56,10 @@ def save_figure(figure, path):
 
 
 def write_csv(path, rows, columns=None):
-    """Write rows (dictionaries, or lists under `columns`) as CSV."""
+    """Write rows as CSV: dictionaries, whose missing fields are empty, or lists under `columns`."""
     if columns is None:
-        columns = list(rows[0])
-        rows = [[row[column] for column in columns] for row in rows]
+        columns = list(dict.fromkeys(name for row in rows for name in row))
+        rows = [[row.get(column) for column in columns] for row in rows]
     with open(path, "w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
@@ -107,10 +107,12 @@ def draw_comparison(path, scene, rows, images, count=4):
     order = np.argsort([view.time for view in scene.test], kind="stable")
     chosen = order[np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)]
     views, images = [scene.test[i] for i in chosen], [np.clip(images[i], 0, 1) for i in chosen]
-    truth = [(view.image, f"t = {view.time:.2f}") for view in views]
     psnr = [f"PSNR {rows[i]['psnr_db']:.1f} dB" for i in chosen]
-    errors = [error_of(image, view.image) for image, view in zip(images, views)]
-    pictures = [("truth", truth), ("decoded", [*zip(images, psnr)]), ("absolute error", errors)]
+    pictures = [
+        ("truth", [(view.image, f"t = {view.time:.2f}") for view in views]),
+        ("decoded", [*zip(images, psnr)]),
+        ("absolute error", [error_of(image, view.image) for image, view in zip(images, views)]),
+    ]
     draw_pictures(path, f"{scene.name}: test views, not used in training", pictures)
 
 
@@ -195,15 +197,12 @@ def heat_image(model, bits, camera, t, limits, name):
 
     The colours are those of matplotlib's map `name`; bits outside the limits take its end colours.
     """
-    from matplotlib import colormaps
-
     low, high = limits
-    colors = colormaps[name]((bits - low) / max(high - low, 1e-9))[:, :3]
+    colors = pyplot().get_cmap(name)((bits - low) / max(high - low, 1e-9))[:, :3]
     g = model.gaussians(t, camera)
-    color = colors[g.index // model.design.k]
-    occlusion = "occlusion" in model.design.effects
+    looks = camera, np.ones(3), FAST, "occlusion" in model.design.effects
     (image, *_), _ = render.forward(
-        g.x, g.s, g.r, g.alpha, color, camera, np.ones(3), FAST, occlusion
+        g.x, g.s, g.r, g.alpha, colors[g.index // model.design.k], *looks
     )
     return image
 
@@ -218,9 +217,14 @@ def draw_heat(path, image, bits, limits):
     left.set(xticks=[], yticks=[], title="bits of the anchors, in place")
     left.spines[:].set_visible(False)
     scale = plt.cm.ScalarMappable(plt.Normalize(*limits), HEAT)
-    ticks = np.linspace(limits[0], limits[1], 5)
-    label = "bits of the Gaussian's anchor"
-    figure.colorbar(scale, ax=left, label=label, shrink=0.9, ticks=ticks, format="{x:.0f}")
+    figure.colorbar(
+        scale,
+        ax=left,
+        label="bits of the Gaussian's anchor",
+        shrink=0.9,
+        ticks=np.linspace(limits[0], limits[1], 5),
+        format="{x:.0f}",
+    )
     _, edges, bars = right.hist(bits, bins=30, range=limits)
     for bar, middle in zip(bars, edges[:-1] + np.diff(edges) / 2):
         bar.set_color(scale.to_rgba(middle))

@@ -12,13 +12,13 @@ import numpy as np
 
 from ...codec.file import decode, encode
 from ...report.evaluate import evaluate
-from ...report.figures import BLUE, ORANGE, pyplot, save_figure
+from ...report.figures import BLUE, ORANGE, pyplot, save_figure, write_csv
 from ...report.jobs import in_processes
 from ...scenes.scene import MODEL_EFFECTS
 from ...training.presets import choose
 from ...training.trainer import Trainer
 from ..clock import alternate
-from ..writer import table, write_rows
+from ..writer import table
 from .work import counted, effect_bytes
 
 # The iterations of a preset that are shortened together with its stages.
@@ -179,4 +179,4 @@ def draw_ledger(path, rows):
         frameon=False,
     )
     save_figure(figure, path)
-    write_rows(path.with_suffix(".csv"), rows)
+    write_csv(path.with_suffix(".csv"), rows)

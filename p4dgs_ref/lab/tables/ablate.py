@@ -13,9 +13,10 @@ Up to the third step there is no noise, rate or masking in training, and no cont
 from dataclasses import replace
 
 from ...effects import MOTION
+from ...report.figures import write_csv
 from ...training.presets import TINY
 from .. import baselines
-from ..writer import means, seeds_of, table, write_rows
+from ..writer import means, seeds_of, table
 from . import methods
 from .methods import OURS, Task
 
@@ -85,7 +86,7 @@ def ablate(scene, folder, seeds=3, iterations=None, progress=lambda line: None, 
     tasks = plan(scene, folder, seeds, iterations)
     methods.make_missing(tasks, progress, jobs)
     rows = methods.made(tasks)
-    write_rows(folder / "ablate.csv", rows)
+    write_csv(folder / "ablate.csv", rows)
     return {"scene": scene.name, "rows": rows, "steps": summaries(rows)}
 
 

@@ -8,10 +8,10 @@ import json
 import numpy as np
 
 from ...effects import moves
-from ...report.figures import draw_pictures, error_of
+from ...report.figures import draw_pictures, error_of, write_csv
 from ...scenes import load_scene, packaged_scenes
 from ..clock import alternate, disturbance, stretch_of
-from ..writer import mean, means, seeds_of, table, write_rows
+from ..writer import mean, means, seeds_of, table
 from . import methods
 from .methods import OURS, Task
 
@@ -80,7 +80,7 @@ def compare(scenes, folder, names=(), seeds=3, iterations=None, progress=lambda 
         "stretch": stretch_of(rows),
     }
     (folder / "compare.json").write_text(json.dumps(result, indent=1) + "\n")
-    write_rows(folder / "compare.csv", rows)
+    write_csv(folder / "compare.csv", rows)
     draw_grid(folder / "compare.png", shown, chosen)
     return result
 

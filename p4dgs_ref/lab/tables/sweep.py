@@ -6,11 +6,11 @@ A sweep is a folder; the rows are in `points/`, and `sweep.json` says what it is
 import json
 from pathlib import Path
 
-from ...report.figures import BLUE, LIGHT_BLUE, RED, STACK
+from ...report.figures import BLUE, LIGHT_BLUE, RED, STACK, write_csv
 from ...report.inspect import components
 from ...scenes.files import read_json
 from ...scenes.output import write_atomically
-from ..writer import draw_curves, means, points_of, table, write_rows
+from ..writer import draw_curves, means, points_of, table
 from . import methods
 from .methods import OURS, StudyError, Task
 from .rate_distortion import bd_rate
@@ -103,13 +103,13 @@ def collect(tasks, folder):
         name: means([row for row in others if row["method"] == name], "lambda_rate")
         for name in dict.fromkeys(row["method"] for row in others)
     }
-    write_rows(folder / "sweep.csv", ours)
+    write_csv(folder / "sweep.csv", ours)
     if others:
-        write_rows(folder / "baselines.csv", others)
+        write_csv(folder / "baselines.csv", others)
     draw(folder / "sweep.png", ours, curve, points)
     ends = [max(ours, key=rate_of), min(ours, key=rate_of)]
     parts = composition([tasks[0].folder / row["file"] for row in ends])
-    write_rows(folder / "composition.csv", parts)
+    write_csv(folder / "composition.csv", parts)
     return {
         "scene": ours[0]["scene"],
         "points": len(rows),

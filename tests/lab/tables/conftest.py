@@ -5,11 +5,9 @@ import dataclasses
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.lab import baselines
 from p4dgs_ref.lab.tables import ablate, compare, sweep
 
-# The large network takes as long as all others together.
-OTHERS = [name for name in baselines.METHODS if name != "d3dgs"]
+from .shared import OTHERS, SWEEP
 
 
 @pytest.fixture(scope="session")
@@ -32,14 +30,6 @@ def ablated(scene, tmp_path_factory):
     """The folder and the result of an ablation."""
     folder = tmp_path_factory.mktemp("ablate")
     return folder, ablate.ablate(scene, folder, 1, 12)
-
-
-SWEEP = {
-    "lambdas": (0.0, 300.0),
-    "seeds": 2,
-    "iterations": 12,
-    "names": ["d3dgs_small", "p4dgs_coded"],
-}
 
 
 @pytest.fixture(scope="session")

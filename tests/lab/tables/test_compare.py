@@ -9,7 +9,7 @@ import pytest
 from p4dgs_ref.lab.tables import compare as study
 from p4dgs_ref.lab.tables.methods import OURS
 
-from .conftest import OTHERS
+from .shared import OTHERS
 
 CHOSEN = (OURS, *OTHERS)
 

@@ -1,6 +1,5 @@
 """Rows are those of their files, in every study; presets, names and mistakes."""
 
-import csv
 import dataclasses
 import pickle
 
@@ -12,12 +11,9 @@ from p4dgs_ref.lab.tables.methods import OURS, StudyError, Task
 from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.report.inspect import ledger
 
+from .shared import table
+
 FIRST = ["method", "scene", "seed", "psnr_db", "bytes"]
-
-
-def table(path):
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file))
 
 
 @pytest.mark.parametrize("study", ["compared", "ablated", "swept"])

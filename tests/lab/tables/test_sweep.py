@@ -12,8 +12,7 @@ from p4dgs_ref.lab.baselines import METHODS
 from p4dgs_ref.lab.tables import sweep as study
 from p4dgs_ref.lab.tables.methods import CODED, StudyError
 
-from .conftest import SWEEP
-from .test_methods import table
+from .shared import SWEEP, table
 
 
 def test_the_csvs_have_a_row_for_each_point(swept):

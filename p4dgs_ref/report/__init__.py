@@ -1,0 +1,1 @@
+"""Evaluate a file, draw a run, inspect bytes, the main job."""
