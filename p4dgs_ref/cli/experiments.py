@@ -53,7 +53,7 @@ def make_point(arguments, tasks, values, i, count):
         "number of points of this sweep",
     )
     curve.make_missing([tasks[i - 1]], values)
-    path = str(curve.record(tasks[i - 1]))
+    path = str(tasks[i - 1].record)
     show(arguments, {"point": i, "of": count, "output": path}, f"point {i} of {count}: {path}")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import p4dgs_ref as p4
 
 from ..codec import container, quantise, splats
-from ..report import figures, heat
+from ..report import figures
 from ..report import inspect as sizes
 from ..report.evaluate import compression, json_safe, timed
 from ..scenes.load import find_scene, read_description, read_points_for
@@ -303,7 +303,7 @@ def write_heat(data, folder):
     """Write heat.png, the scene in colours that show the bits of its anchors, and heat.csv."""
     model, bits = sizes.anchor_bits(data)
     limits, camera = (bits.min(), bits.max()), held_camera(model, **CAMERA)
-    image = heat.heat_image(model, bits, camera, 0.5, limits, figures.HEAT)
+    image = figures.heat_image(model, bits, camera, 0.5, limits, figures.HEAT)
     rows = [[a, *x, b] for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))]
     figures.write_csv(folder / "heat.csv", rows, ("anchor", "x", "y", "z", "bits"))
     figures.draw_heat(folder / "heat.png", image, bits, limits)

@@ -5,12 +5,12 @@ from pathlib import Path
 from ..lab import bench as times
 from ..lab.accuracy import report
 from ..lab.effects import ledger
-from ..lab.effects.suggest import suggest
+from ..lab.effects.suggest import foretold, suggest
 from ..lab.stability import table
 from ..lab.stability.map import draw_map
 from ..scenes.load import find_scene, list_effects, packaged_folder
 from ..scenes.output import filled
-from .base import expect, expect_known, progress, report_folder, show
+from .base import expect, expect_known, progress, report_folder, say, show
 from .job import read_scene
 
 
@@ -64,6 +64,7 @@ def suggest_effects(arguments):
         not arguments.apply or packaged_folder() not in folder.resolve().parents,
         f"--apply: {folder} is a packaged scene; expected a folder of yours",
     )
+    say(f"--suggest: about {foretold(scene, jobs=arguments.jobs):.0f} s of short trainings")
     rows = suggest(scene, progress=progress, jobs=arguments.jobs)
     called = [row["effect"] for row in rows if row["called_for"]]
     lines = [f"{row['effect']:<14} {row['verdict']:<12} {row['evidence']}" for row in rows]

@@ -4,6 +4,8 @@ import csv
 
 import numpy as np
 
+from ..splatting import render
+from ..splatting.settings import FAST
 from ..training.progress import COLUMNS
 
 STAGE_NAMES = ("static", "+ noise", "+ motion", "+ rate")
@@ -54,37 +56,38 @@ def save_figure(figure, path):
 
 
 def write_csv(path, rows, columns=None):
-    """Write rows (dictionaries, or lists under `columns`) as CSV."""
+    """Write rows as CSV: dictionaries, whose missing fields are empty, or lists under `columns`."""
     if columns is None:
-        columns = list(rows[0])
-        rows = [[row[column] for column in columns] for row in rows]
+        columns = list(dict.fromkeys(name for row in rows for name in row))
+        rows = [[row.get(column) for column in columns] for row in rows]
     with open(path, "w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(rows)
 
 
-def draw_comparison(path, scene, rows, images, count=4):
-    """Truth, decoded image and absolute error of a few test views spread over time."""
-    views = scene.test
-    order = np.argsort([view.time for view in views], kind="stable")
-    chosen = order[np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int)]
+def error_of(image, truth):
+    """The absolute error [H, W] of an image, mean of R, G and B, and its mean as a title."""
+    error = np.abs(image - truth).mean(axis=2)
+    return error, f"mean {error.mean():.3f}"
+
+
+def draw_pictures(path, title, rows):
+    """Rows (label, [(picture, title), ...]) of pictures; the last row must be one of errors."""
+    columns = len(rows[0][1])
     figure, axes = pyplot().subplots(
-        3, len(chosen), figsize=(2.6 * len(chosen) + 0.5, 9.2), squeeze=False, layout="constrained"
+        len(rows),
+        columns,
+        figsize=(2.6 * columns + 0.5, 9.2 / 3 * len(rows)),
+        squeeze=False,
+        layout="constrained",
     )
-    for column, i in enumerate(chosen):
-        image = np.clip(images[i], 0, 1)
-        error = np.abs(image - views[i].image).mean(axis=2)
-        panels = (
-            ("truth", f"t = {views[i].time:.2f}", views[i].image, 1),
-            ("decoded", f"PSNR {rows[i]['psnr_db']:.1f} dB", image, 1),
-            ("absolute error", f"mean {error.mean():.3f}", error, LARGEST_ERROR),
-        )
-        for ax, (label, title, picture, end) in zip(axes[:, column], panels):
-            shown = ax.imshow(picture, cmap="magma", vmin=0, vmax=end)
-            ax.set(xticks=[], yticks=[], title=title)
-            ax.set_ylabel(label if column == 0 else "", fontsize=15)
+    for row, (label, pictures) in zip(axes, rows):
+        for ax, (picture, above) in zip(row, pictures):
+            shown = ax.imshow(picture, cmap="magma", vmin=0, vmax=LARGEST_ERROR)
+            ax.set(xticks=[], yticks=[], title=above)
             ax.spines[:].set_visible(False)
+        row[0].set_ylabel(label, fontsize=15)
     figure.colorbar(
         shown,
         ax=axes,
@@ -95,8 +98,22 @@ def draw_comparison(path, scene, rows, images, count=4):
         pad=0.01,
         label="absolute error, mean of R, G, B (of 1)",
     )
-    figure.suptitle(f"{scene.name}: test views, not used in training", fontsize=15)
+    figure.suptitle(title, fontsize=15)
     save_figure(figure, path)
+
+
+def draw_comparison(path, scene, rows, images, count=4):
+    """Truth, decoded image and absolute error of a few test views spread over time."""
+    order = np.argsort([view.time for view in scene.test], kind="stable")
+    chosen = order[np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)]
+    views, images = [scene.test[i] for i in chosen], [np.clip(images[i], 0, 1) for i in chosen]
+    psnr = [f"PSNR {rows[i]['psnr_db']:.1f} dB" for i in chosen]
+    pictures = [
+        ("truth", [(view.image, f"t = {view.time:.2f}") for view in views]),
+        ("decoded", [*zip(images, psnr)]),
+        ("absolute error", [error_of(image, view.image) for image, view in zip(images, views)]),
+    ]
+    draw_pictures(path, f"{scene.name}: test views, not used in training", pictures)
 
 
 def write_gif(path, images):
@@ -130,7 +147,7 @@ def draw_size(path, designs, explicit):
         bars = ax.barh(np.arange(len(names)) - i * height, values, height, color=color, label=label)
         ax.bar_label(bars, [f" {v:,} ({100 * v / sizes[label]:.1f} %)" for v in values])
     middle = (len(designs) - 1) * height / 2
-    ax.set_yticks(np.arange(len(names)) - middle, map(LABELS.get, names))
+    ax.set_yticks(np.arange(len(names)) - middle, [LABELS[name] for name in names])
     ax.set(xlabel="bytes in the file", xlim=(0, 1.35 * largest))
     ax.xaxis.set_major_formatter("{x:,.0f}")
     ax.locator_params(axis="x", nbins=5)
@@ -175,6 +192,21 @@ def draw_ledger(path, rows):
     save_figure(figure, path)
 
 
+def heat_image(model, bits, camera, t, limits, name):
+    """The model at time t over white, (H, W, 3), coloured by the bits (A,) of the anchors.
+
+    The colours are those of matplotlib's map `name`; bits outside the limits take its end colours.
+    """
+    low, high = limits
+    colors = pyplot().get_cmap(name)((bits - low) / max(high - low, 1e-9))[:, :3]
+    g = model.gaussians(t, camera)
+    looks = camera, np.ones(3), FAST, "occlusion" in model.design.effects
+    (image, *_), _ = render.forward(
+        g.x, g.s, g.r, g.alpha, colors[g.index // model.design.k], *looks
+    )
+    return image
+
+
 def draw_heat(path, image, bits, limits):
     """Every Gaussian in a colour for the bits of its anchor, and the histogram of the bits."""
     plt = pyplot()
@@ -185,9 +217,14 @@ def draw_heat(path, image, bits, limits):
     left.set(xticks=[], yticks=[], title="bits of the anchors, in place")
     left.spines[:].set_visible(False)
     scale = plt.cm.ScalarMappable(plt.Normalize(*limits), HEAT)
-    ticks = np.linspace(*limits, 5)
-    label = "bits of the Gaussian's anchor"
-    figure.colorbar(scale, ax=left, label=label, shrink=0.9, ticks=ticks, format="{x:.0f}")
+    figure.colorbar(
+        scale,
+        ax=left,
+        label="bits of the Gaussian's anchor",
+        shrink=0.9,
+        ticks=np.linspace(limits[0], limits[1], 5),
+        format="{x:.0f}",
+    )
     _, edges, bars = right.hist(bits, bins=30, range=limits)
     for bar, middle in zip(bars, edges[:-1] + np.diff(edges) / 2):
         bar.set_color(scale.to_rgba(middle))

@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from p4dgs_ref.lab.baselines import METHODS
-from p4dgs_ref.lab.tables import methods
+from p4dgs_ref.lab.tables import compare
 
 # Outside of pytest Python hides them; matplotlib 3.8 causes some with a new pyparsing.
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.fixture(autouse=True)
 def place(scene, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(methods, "TURNS", 1)
+    monkeypatch.setattr(compare, "TURNS", 1)
     shutil.copytree(scene, "scene")
     return tmp_path
 
@@ -46,7 +46,8 @@ def test_sweep_point_by_point(place, run, refused):
     code, out, err = run(f"{sweep} --json --jobs 1")
     assert (code, err) == (0, "") and json.loads(out)["missing"] == 0
     assert len((place / folder / "sweep.csv").read_text().splitlines()) == 3
-    for damage, words in (('{"version": 0}', ("'version'", "expected 1")), ("{", ("JSON",))):
+    assert len((place / folder / "composition.csv").read_text().splitlines()) == 10
+    for damage, words in (('{"version": 0}', ("'version'", "expected 2")), ("{", ("JSON",))):
         (place / folder / "sweep.json").write_text(damage)
         refused(f"{sweep} --collect", ("sweep.json", *words))
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref.lab.effects.ledger import shortened, train_all
+from p4dgs_ref.lab.effects.ledger import COUNTED, shortened, train_all
 from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
@@ -22,14 +22,14 @@ def static_pair(seeds, preset="tiny", share=1):
     builds = {LISTED: scene, ALL: replace(scene, effects=MODEL_EFFECTS)}
     for seed in seeds:
         for name, build in train_all(builds, preset, seed).items():
-            work = [sum(map(work.of, MODEL_EFFECTS)) for work in build["work"]]
+            work = sum(map(build["work"].of, MODEL_EFFECTS))
             rows.append(
                 {
                     "seed": seed,
                     "build": name,
                     "ms_per_step": build["ms"],
                     "bytes": len(build["data"]),
-                    "work": float(np.mean(work)),
+                    "work": work / COUNTED,
                     "psnr_db": evaluate(build["model"], scene)[0]["psnr_db"],
                 }
             )

@@ -15,6 +15,7 @@ from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator import trace
 from p4dgs_ref.scenes.simulator.description import describe
 from p4dgs_ref.scenes.simulator.simulate import place_cameras
+from p4dgs_ref.training.presets import TINY
 from tests.core.effect_scenes import described
 
 VIEWS = 24
@@ -86,6 +87,8 @@ def test_every_effect_has_a_verdict_and_a_number(quick):
 
 def test_one_time_and_few_views(quick):
     scene = load_scene("bouncing")
+    assert suggest.foretold(scene, jobs=2) > 0
+    assert suggest.foretold(replace(scene, train=scene.train[:11])) == 0
     frozen = suggested(replace(scene, train=[replace(view, time=0.5) for view in scene.train]))
     assert {frozen[effect]["verdict"] for effect in MOTION} == {"no"}
     assert "0.5" in frozen["translation"]["evidence"]
@@ -115,6 +118,21 @@ def test_dealt_out_values_are_those_of_other_views():
     assert np.count_nonzero(np.linalg.norm(moved, axis=1)) > 40
     assert all(np.array_equal(a.camera.T, b.camera.T) for a, b in zip(dealt, views))
     assert all(a.time == b.time and a.image is b.image for a, b in zip(dealt, views))
+
+
+def test_both_halves_are_those_of_whole_trainings():
+    """A training that goes on twice from its middle is the same as two trainings."""
+    scene = load_scene("static", downscale=4)
+    dealt = suggest.shuffled(scene.train, "translation", 1)
+    options = set(MODEL_EFFECTS), 0, 24
+    both = suggest.scores(scene, dealt, [scene.train, dealt], *options)
+    alone = [suggest.scores(scene, dealt, [views], *options)[0] for views in (scene.train, dealt)]
+    assert np.array_equal(both, alone) and not np.array_equal(*both)
+
+
+def test_all_trainings_together_are_shorter_than_one():
+    scene = load_scene("bouncing")
+    assert 0.9 * TINY.iterations < suggest.steps_of(suggest.planned(scene)) < TINY.iterations
 
 
 def still(**changes):

@@ -18,7 +18,7 @@ from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.fixed_point import table
 from p4dgs_ref.equations import grid_nodes
 from p4dgs_ref.report import figures as report
-from p4dgs_ref.report.heat import heat_image
+from p4dgs_ref.report.figures import heat_image
 from p4dgs_ref.report.inspect import anchor_bits, components, ledger, symbol_bits
 from p4dgs_ref.splatting.camera import look_at
 from tests.codec.models import MAKE

@@ -7,12 +7,10 @@ import time
 import pytest
 
 from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.lab.accuracy import diagram, quantisation, training
-from p4dgs_ref.lab.accuracy.fits import reduced
+from p4dgs_ref.lab.tables import methods
 from p4dgs_ref.report.jobs import in_processes
+from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.training.finite import NotFinite
-
-SHORT = reduced(12, anchors=20)
 
 
 def place(seconds):
@@ -29,26 +27,23 @@ def explode(task):
     raise NotFinite(task, "f_a[3, 1] is nan")
 
 
+@pytest.mark.slow
 def test_an_overflow_in_another_process_keeps_its_message():
     with pytest.raises(NotFinite, match=r"^iteration 7: f_a\[3, 1\] is nan$"):
         list(in_processes(explode, [7, 8], 2))
 
 
-def test_two_processes_train_what_one_trains():
-    runs = [training.Run("seeds", seed, SHORT, seed=seed) for seed in range(2)]
-    runs.append(training.Run("anchors rated", 0.5, SHORT, 0.5))
-    alone, together = (list(in_processes(training.train_one, runs, jobs)) for jobs in (1, 2))
-    assert alone == together and alone[0]["psnr_db"] != alone[1]["psnr_db"]
-
-
 @pytest.mark.slow
-def test_quantisation_is_the_same_in_two_processes():
-    alone, together = (
-        quantisation.measure(8, (1.0,), (0.5,), lambda line: None, jobs) for jobs in (1, 2)
-    )
-    assert alone == together and len(alone) == 2 + 3
-    kinds = {row["method"] for row in alone}
-    assert kinds == set(diagram.FAMILIES[5]) and len(kinds) == 5
+def test_two_processes_train_what_one_trains(tmp_path):
+    scene, found = load_scene("bouncing", downscale=8), []
+    for jobs in (1, 2):
+        (tmp_path / str(jobs)).mkdir()
+        task = methods.Task(scene, "p4dgs", 0, tmp_path / str(jobs), 6, {"anchors": 20})
+        tasks = [task, task._replace(seed=1)]
+        for row in in_processes(methods.make, tasks, jobs):
+            row.pop("train_seconds")
+            found.append((row, (tmp_path / str(jobs) / row["file"]).read_bytes()))
+    assert found[:2] == found[2:] and found[0][0]["psnr_db"] != found[1][0]["psnr_db"]
 
 
 def test_the_command_takes_all_cores():
@@ -57,6 +52,7 @@ def test_the_command_takes_all_cores():
         assert cli.parser().parse_args([*command.split(), "--jobs", "3"]).jobs == 3
 
 
+@pytest.mark.slow
 def test_results_keep_the_order_of_their_tasks():
     found = list(in_processes(place, [0.3, 0.0, 0.1], 2))
     assert [seconds for seconds, _ in found] == [0.3, 0.0, 0.1]

@@ -170,15 +170,24 @@ def test_a_coded_preset_is_compared_with_the_paper_design(scene, done, tmp_path,
     assert beside == paper["components"]
     lines = [line for line in capsys.readouterr().err.splitlines() if "trainings" in line]
     assert [line[:6] for line in lines] == ["1 of 2", "2 of 2"] and "paper" in lines[0]
-    at_once = p4.main_job(scene, "smoke", 2, tmp_path / "two", jobs=2, Q_O=0.2, **coded)
-    assert at_once["paper_design"] == own and at_once["bytes"] == metrics["bytes"]
-    for name, data in files.items():
-        assert (tmp_path / "two" / name).read_bytes() == data
-    assert not multiprocessing.active_children()
     said = text.metrics(metrics, tmp_path)
     assert f"file {own['bytes']:,} bytes" in said and f"file {metrics['bytes']:,} bytes" in said
     assert f"{metrics['bytes'] / own['bytes']:.3f} of the bytes" in said
     assert "against it" not in text.metrics(paper, folder)
+
+
+@pytest.mark.slow
+def test_both_designs_at_once(scene, tmp_path):
+    """Two processes write the files of one, and none is left behind."""
+    coded = {"coded": True, "network_ramp": 10, "lr_step": (0.02, 0.002)}
+    alone, at_once = (
+        p4.main_job(scene, "smoke", 2, tmp_path / str(jobs), jobs=jobs, **coded) for jobs in (1, 2)
+    )
+    assert at_once["paper_design"] == alone["paper_design"] and at_once["bytes"] == alone["bytes"]
+    files = sorted(path.name for path in (tmp_path / "1").glob("*.p4dgs"))
+    assert len(files) == 2 and not multiprocessing.active_children()
+    for name in files:
+        assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
 
 
 def test_json_safe():

@@ -72,6 +72,8 @@ PRESETS = {p.name: p for p in (PAPER_SYNTHETIC, PAPER_REAL, TINY, TINY_SMALL)}
 class D3DGS(explicit.Explicit):
     """A model of D3DGS, ready to render or to be saved."""
 
+    preset: Preset
+
     METHOD = "d3dgs"
     DEFAULT = PAPER_SYNTHETIC
     FORM = ("sh_degree", "L_x", "L_t")
@@ -144,7 +146,8 @@ class Trainer(trainer.Trainer):
         if name.startswith("psi") and self.iteration < preset.warm_up:
             return 0.0
         if name == "x":
-            return exponential(self.iteration, *preset.lr_x, preset.x_until)
+            first, last = preset.lr_x
+            return exponential(self.iteration, first, last, preset.x_until)
         return super().rate_of(name)
 
     def time_of(self, view):

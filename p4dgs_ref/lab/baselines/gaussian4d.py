@@ -73,6 +73,8 @@ class Gaussian4D(explicit.Explicit):
     parameters alone.
     """
 
+    preset: Preset
+
     METHOD = "gaussian4d"
     DEFAULT = PAPER_SYNTHETIC
     FORM = ("sh_degree", "waves")

@@ -83,6 +83,8 @@ PRESETS = {p.name: p for p in (PAPER_SYNTHETIC, PAPER_REAL, TINY)}
 class HexPlane(explicit.Explicit):
     """A model of 4DHexPlane, ready to render or to be saved."""
 
+    preset: Preset
+
     METHOD = "hexplane"
     DEFAULT = PAPER_SYNTHETIC
     FORM = ("sh_degree",)
@@ -110,7 +112,8 @@ class HexPlane(explicit.Explicit):
         p, preset = self.parameters, self.preset
         x, log_s, raw_r, saved_motion = p["x"], p["log_s"], p["raw_r"], None
         if iteration is None or iteration >= preset.coarse:
-            features, saved_features = plane_features.forward(x, t, *p["box"], p.listed("planes"))
+            lo, hi = p["box"]
+            features, saved_features = plane_features.forward(x, t, lo, hi, p.listed("planes"))
             deltas, saved_decoder = plane_decoder.forward(features, *p.network("psi"))
             x, log_s, raw_r = x + deltas[0], log_s + deltas[1], raw_r + deltas[2]
             saved_motion = saved_features, saved_decoder

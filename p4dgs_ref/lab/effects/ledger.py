@@ -5,7 +5,6 @@ alone is switched. Their steps are timed in turn, so that whatever disturbs the 
 of them.
 """
 
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,8 +17,8 @@ from ...report.jobs import in_processes
 from ...scenes.scene import MODEL_EFFECTS
 from ...training.presets import choose
 from ...training.trainer import Trainer
-from ..accuracy.fits import step_at
 from ..clock import alternate
+from ..writer import table
 from .work import counted, effect_bytes
 
 # The iterations of a preset that are shortened together with its stages.
@@ -27,7 +26,20 @@ SCHEDULE = ("decay_from", "grow_from", "grow_until", "collect_from", "mask_from"
 COUNTED = 4  # last steps, whose work is counted
 TURNS = 15  # of the steps that are timed
 AS_LISTED = "as listed"
-COUNTS = ("bytes_on", "bytes_off", "work_on", "work_off", "sorted_on", "sorted_off")
+COLUMNS = {
+    "effect": "{effect}",
+    "listed": "{listed}",
+    "ms on": "{ms_on:.2f}",
+    "ms off": "{ms_off:.2f}",
+    "bytes on": "{bytes_on:,}",
+    "bytes off": "{bytes_off:,}",
+    "work on": "{work_on:,}",
+    "work off": "{work_off:,}",
+    "sorted on": "{sorted_on:,}",
+    "sorted off": "{sorted_off:,}",
+    "lost off": "{psnr_lost_when_off:+.2f}",
+    "gained on": "{psnr_gained_when_forced:+.2f}",
+}
 
 
 def shortened(preset, share):
@@ -44,21 +56,21 @@ def switched(scene, effect):
 
 def train_alone(task):
     """Train one build: its file, and the Work of its last steps."""
-    scene, preset, seed = task
-    trainer, work = Trainer(scene, preset, seed), []
+    trainer = Trainer(*task)
     with np.errstate(all="ignore"):  # an overflow stops training with its own message
-        for i in range(preset.iterations):
-            with counted() if i >= preset.iterations - COUNTED else nullcontext() as found:
-                trainer.step()
-            work.append(found)
-    return encode(trainer.model()), work[-COUNTED:]
+        while trainer.iteration < trainer.preset.iterations - COUNTED:
+            trainer.step()
+        with counted() as work:
+            model = trainer.run()
+    return encode(model), work
 
 
 def train_all(scenes, preset, seed, progress=lambda line: None, jobs=1):
     """Train builds of one scene, in `jobs` processes.
 
-    From {name: Scene} to {name: {model, data, ms, work}}. ms is that of a step of stage 4, when
-    every effect takes part; steps of all builds are timed in turn, in this process.
+    From {name: Scene} to {name: {model, data, ms, work}}; the work is that of COUNTED steps. ms is
+    that of a step of stage 4, when every effect takes part; steps of all builds are timed in turn,
+    in this process.
     """
     built, tasks = {}, [(scene, preset, seed) for scene in scenes.values()]
     for name, (data, work) in zip(scenes, in_processes(train_alone, tasks, jobs)):
@@ -66,9 +78,19 @@ def train_all(scenes, preset, seed, progress=lambda line: None, jobs=1):
         progress(f"{len(built)} of {len(scenes)} builds trained")
     progress("times of steps")
     with np.errstate(all="ignore"):
-        steps = {name: step_at(scene, preset, 4) for name, scene in scenes.items()}
-        times = alternate(steps, TURNS)
+        times = alternate({name: rated(scene, preset) for name, scene in scenes.items()}, TURNS)
     return {name: {**build, "ms": times[name].median} for name, build in built.items()}
+
+
+def rated(scene, preset):
+    """A function that does the first step of stage 4 again and again."""
+    trainer = Trainer(scene, preset._replace(grow_every=10**9))  # the anchors stay as they are
+
+    def step():
+        trainer.iteration = preset.stage_ends[2]
+        trainer.step()
+
+    return step
 
 
 def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, jobs=1, **changes):
@@ -93,14 +115,15 @@ def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, 
     rows = []
     for effect in MODEL_EFFECTS:
         called = effect in scene.effects
-        on, off = (AS_LISTED, effect) if called else (effect, AS_LISTED)
-        worth = psnr[on] - psnr[off]
+        names = (AS_LISTED, effect) if called else (effect, AS_LISTED)
+        worth = psnr[names[0]] - psnr[names[1]]
+        costs = [costs_of(built[name], effect) for name in names]
         rows.append(
             {
                 "effect": effect,
                 "called_for": called,
                 "evidence": f"{worth:+.2f} dB with it, mean of {len(scene.test)} test views",
-                **costs(built[on], built[off], effect),
+                **{f"{k}_{s}": c[k] for k in costs[0] for s, c in zip(("on", "off"), costs)},
                 "psnr_lost_when_off": worth if called else None,
                 "psnr_gained_when_forced": None if called else worth,
             }
@@ -108,44 +131,22 @@ def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, 
     return rows
 
 
-def costs(on, off, effect):
-    """Time, bytes and work of an effect in the build that has it and in the one that has not."""
-    bytes_on, bytes_off = (round(effect_bytes(build["data"])[effect]) for build in (on, off))
-    work_on, work_off = (
-        round(np.mean([work.of(effect) for work in build["work"]])) for build in (on, off)
-    )
+def costs_of(build, effect):
+    """Time of a step, bytes, and work per step of an effect in a build."""
     return {
-        "ms_on": on["ms"],
-        "ms_off": off["ms"],
-        "bytes_on": bytes_on,
-        "bytes_off": bytes_off,
-        "work_on": work_on,
-        "work_off": work_off,
-        "sorted_on": round(np.mean([work.sorted[effect] for work in on["work"]])),
-        "sorted_off": round(np.mean([work.sorted[effect] for work in off["work"]])),
+        "ms": build["ms"],
+        "bytes": round(effect_bytes(build["data"])[effect]),
+        "work": round(build["work"].of(effect) / COUNTED),
+        "sorted": round(build["work"].sorted[effect] / COUNTED),
     }
 
 
 def describe(rows):
     """The ledger as text: a line of numbers per effect, then the evidence for each."""
-    heading = "effect|listed|ms on|ms off|bytes on|off|work on|off|sorted on|off|lost off|gained on"
-    table = [heading.split("|")]
-    for row in rows:
-        times = [f"{row[name]:.2f}" for name in ("ms_on", "ms_off")]
-        counts = [f"{row[name]:,}" for name in COUNTS]
-        psnr = [signed(row[f"psnr_{name}"]) for name in ("lost_when_off", "gained_when_forced")]
-        table.append([row["effect"], "yes" if row["called_for"] else "no", *times, *counts, *psnr])
-    widths = [max(map(len, column)) for column in zip(*table)]
-    forms = [f"{side}{width}" for side, width in zip("<<>>>>>>>>>>", widths)]
-    lines = ["  ".join(map(format, line, forms)) for line in table]
+    lines = table(COLUMNS, [{**r, "listed": "yes" if r["called_for"] else "no"} for r in rows])
     units = "ms, multiply-adds, Gaussians sorted by depth per step; PSNR in dB on the test views"
     evidence = [f"{row['effect']}: {row['evidence']}" for row in rows]
     return "\n".join([*lines, "", units, "", *evidence])
-
-
-def signed(value):
-    """Decibels with a sign, or a dash for None."""
-    return "-" if value is None else f"{value:+.2f}"
 
 
 def draw_ledger(path, rows):
@@ -165,9 +166,8 @@ def draw_ledger(path, rows):
     for ax, (label, values, form) in zip(axes, panels):
         bars = ax.barh([row["effect"] for row in rows], values, color=colors)
         ax.bar_label(bars, [form.format(value) for value in values], padding=3)
-        low, high = min(0, *values), max(0, *values)
-        margin = 0.3 * (high - low)
-        ax.set(xlabel=label, xlim=(low - margin * (low < 0), high + margin + 1e-9))
+        ax.margins(x=0.3)  # room for the numbers
+        ax.set(xlabel=label)
         ax.axvline(0, color="black", linewidth=0.8)
         ax.locator_params(axis="x", nbins=4)
     axes[0].invert_yaxis()

@@ -1,11 +1,10 @@
 """Which effects do the pictures call for? Judged by short trainings in pairs.
 
 What an effect looks at, the time of a view or the place of its camera, tells something about the
-picture only where the effect plays a part. Both trainings of a pair are first given these values
-dealt out to the views at random, and are the same until half of their iterations. Then one of them
-is given the true values. They see the views in the same order, so without the effect neither has an
-advantage. They are compared on views that neither has seen. Occlusion is trained with and without
-it.
+picture only where the effect plays a part. Training begins with these values dealt out to the views
+at random. After half of the iterations it goes on twice, once with these and once with the true
+values. Both see the views in the same order, so without the effect neither has an advantage. They
+are compared on views that neither has seen. Occlusion is trained with and without it.
 
 An effect that the pictures cannot decide is kept: a model with an effect too many is larger, a
 model with an effect too few is wrong.
@@ -16,18 +15,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ... import effects as fx
-from ...report.evaluate import decibel, squared_error
+from ...report.evaluate import decibel, squared_error, timed
 from ...report.jobs import in_processes
 from ...scenes.scene import MODEL_EFFECTS
 from ...splatting.camera import Camera
 from ...training.presets import TINY
 from ...training.trainer import Trainer
 
-ITERATIONS = 600
-FOLDS = 2  # pairs for each effect; each keeps another part of the views back
+# The iterations of a training, and the pairs, each of which keeps another part of the views back.
+# Effects of the view are as small as what trainings differ by, so they need two pairs. All
+# trainings together have fewer iterations than one of the preset `tiny`.
+PAIRS = {
+    "translation": (560, 1),
+    "view_color": (450, 2),
+    "view_geometry": (450, 2),
+    "occlusion": (120, 1),
+}
 BACK = 6  # one view of so many is kept back
 FEWEST = 2 * BACK  # views; with fewer nothing can be kept back
 WORTH = 0.2  # dB; effects that gain less are not worth their bytes
+PROBED = 5  # steps by which the time is foretold
 VIEW = ("view_color", "view_geometry")
 
 
@@ -35,7 +42,7 @@ VIEW = ("view_color", "view_geometry")
 class SeenFrom(Camera):
     """A camera whose place, as the networks are told it, is not its own."""
 
-    told: np.ndarray = None
+    told: np.ndarray | None = None
 
     @property
     def center(self):
@@ -43,27 +50,48 @@ class SeenFrom(Camera):
         return self.told
 
 
-def suggest(scene, iterations=ITERATIONS, progress=lambda line: None, jobs=1):
+def planned(scene):
+    """What is trained: (scene, effects of motion, effect, first view kept back, iterations)."""
+    moving = fx.MOTION if len({view.time for view in scene.train}) > 1 else ()
+    return [
+        (scene, moving, effect, fold, iterations)
+        for effect, (iterations, count) in PAIRS.items()
+        for fold in range(count)
+        if len(scene.train) >= FEWEST and (moving or effect not in fx.MOTION)
+    ]
+
+
+def steps_of(tasks):
+    """How many steps the pairs need; they share the first half unless the effect is occlusion."""
+    return sum((2 if effect == "occlusion" else 1.5) * n for _, _, effect, _, n in tasks)
+
+
+def foretold(scene, jobs=1):
+    """About how many seconds `suggest` takes, judging by a few steps."""
+    if not (tasks := planned(scene)):
+        return 0.0
+    iterations, _ = PAIRS["translation"]
+    trainer = Trainer(scene, short(iterations))
+    trainer.iteration = iterations // 2  # from here on things move
+    trainer.step()  # the first one is slow
+    _, seconds = timed(lambda: [trainer.step() for _ in range(PROBED)])
+    return steps_of(tasks) * seconds / PROBED / jobs
+
+
+def suggest(scene, progress=lambda line: None, jobs=1):
     """The effects that a scene's training views call for; its list of effects is not read.
 
     Returns [{effect, called_for, verdict, evidence}] for the closed list in its order. The verdict
     is "yes", "no" or "cannot tell"; an effect is called for unless the verdict is "no". The
     evidence is one sentence with a number.
     """
-    views = scene.train
-    times = {view.time for view in views}
-    moving = fx.MOTION if len(times) > 1 else ()
-    asked = ("translation", *VIEW, "occlusion") if len(times) > 1 else (*VIEW, "occlusion")
-    gains = {}
-    if len(views) >= FEWEST:
-        folds = range(FOLDS)
-        tasks = [(scene, moving, effect, fold, iterations) for effect in asked for fold in folds]
-        for (_, _, effect, fold, _), gain in zip(tasks, in_processes(paired, tasks, jobs)):
-            progress(f"{effect}: pair {fold + 1} of {FOLDS}")
-            gains.setdefault(effect, []).append(gain)
+    views, tasks, gains = scene.train, planned(scene), {}
+    for (_, _, effect, *_), gain in zip(tasks, in_processes(paired, tasks, jobs)):
+        gains.setdefault(effect, []).append(gain)
+        progress(f"{effect}: {sum(map(len, gains.values()))} of {len(tasks)} pairs")
     said = {effect: verdict(effect, gains.get(effect), len(views)) for effect in MODEL_EFFECTS}
-    if not moving:
-        still = f"all {len(views)} views have the time {min(times):g}, so nothing can move"
+    if len({view.time for view in views}) == 1:
+        still = f"all {len(views)} views have the time {views[0].time:g}, so nothing can move"
         said.update(dict.fromkeys(fx.MOTION, ("no", still)))
     elif said["translation"][0] == "yes":
         apart = (
@@ -75,26 +103,23 @@ def suggest(scene, iterations=ITERATIONS, progress=lambda line: None, jobs=1):
         said.update(dict.fromkeys(fx.MOTION, said["translation"]))
     said["background"] = background(views, scene.background)
     return [
-        {
-            "effect": effect,
-            "called_for": said[effect][0] != "no",
-            "verdict": said[effect][0],
-            "evidence": said[effect][1],
-        }
-        for effect in MODEL_EFFECTS
+        {"effect": effect, "called_for": found != "no", "verdict": found, "evidence": evidence}
+        for effect, (found, evidence) in said.items()
     ]
 
 
 def paired(task):
     """By how many dB an effect improves each view that was kept back: an array."""
     scene, moving, effect, fold, iterations = task
-    effects = {*moving, "occlusion", "background", effect}
+    views, effects = scene.train, {*moving, "occlusion", "background", effect}
     if effect == "occlusion":
-        builds = (scene.train, scene.train, effects), (scene.train, scene.train, effects - {effect})
+        with_it, without_it = (
+            scores(scene, views, [views], chosen, fold, iterations)[0]
+            for chosen in (effects, effects - {effect})
+        )
     else:
-        dealt = shuffled(scene.train, effect, fold)
-        builds = (dealt, scene.train, effects), (dealt, dealt, effects)
-    with_it, without_it = (scores(scene, *build, fold, iterations) for build in builds)
+        dealt = shuffled(views, effect, fold)
+        with_it, without_it = scores(scene, dealt, [views, dealt], effects, fold, iterations)
     return with_it - without_it
 
 
@@ -109,17 +134,10 @@ def shuffled(views, effect, seed):
     ]
 
 
-def scores(scene, first, views, effects, fold, iterations):
-    """PSNR (dB) of every view that is kept back, after a short training without noise and rate.
-
-    Its first half is given the views `first`, its second half `views`.
-    """
-    back, half = range(fold, len(views), BACK), iterations // 2
-    first, second = (
-        [view for i, view in enumerate(half_views) if i not in back]
-        for half_views in (first, views)
-    )
-    preset = TINY._replace(
+def short(iterations):
+    """`tiny` without noise and rate: in its first half nothing moves and anchors grow."""
+    half = iterations // 2
+    return TINY._replace(
         stage_ends=(half, half, iterations, iterations),
         decay_from=half,
         grow_from=iterations // 12,
@@ -127,14 +145,32 @@ def scores(scene, first, views, effects, fold, iterations):
         grow_until=half + 1,
         mask_from=iterations + 1,
     )
-    trainer = Trainer(replace(scene, train=first, effects=tuple(effects)), preset, fold)
+
+
+def scores(scene, first, seconds, effects, fold, iterations):
+    """PSNR (dB) of every view that is kept back, one array for each of `seconds`.
+
+    The first half of a short training is given the views `first`, the second half those of one of
+    the `seconds`.
+    """
+    back = range(fold, len(first), BACK)
+
+    def begun(views):
+        seen = [view for i, view in enumerate(views) if i not in back]
+        return Trainer(replace(scene, train=seen, effects=tuple(effects)), short(iterations), fold)
+
+    trainer, found = begun(first), []
     with np.errstate(all="ignore"):
-        while trainer.iteration < half:
+        while trainer.iteration < iterations // 2:
             trainer.step()
-        trainer.scene = replace(trainer.scene, train=second)
-        model = trainer.run()
-    drawn = [(model.render(views[i].camera, views[i].time), views[i].image) for i in back]
-    return np.array([decibel(squared_error(*pair)) for pair in drawn])
+        arrays, values = trainer.state()
+        for views in seconds:
+            other = begun(views)
+            other.restore({name: np.copy(a) for name, a in arrays.items()}, values)
+            model = other.run()
+            drawn = [(model.render(v.camera, v.time), v.image) for v in (views[i] for i in back)]
+            found.append(np.array([decibel(squared_error(*pair)) for pair in drawn]))
+    return found
 
 
 def verdict(effect, gains, count):
@@ -155,7 +191,8 @@ def verdict(effect, gains, count):
     )
     if mean - 3 * error > WORTH:
         return "yes", evidence
-    if mean + 2 * error < WORTH:
+    # Effects of the view are learned late: a short training shows about half of their worth.
+    if mean + 2 * error < (WORTH / 2 if effect in VIEW else WORTH):
         return "no", evidence
     return "cannot tell", evidence
 

@@ -13,19 +13,16 @@ from ... import effects as fx
 from ...codec.file import NETWORK_SECTIONS, decode, network_numbers
 from ...model import ANCHOR_NETWORKS
 from ...report.inspect import components
-from ...training.finite import intercepted
+from ...training.watch import equation_codes, watching
 
 VIEW = ("view_color", "view_geometry")
-SEES = {
-    "opacity": "view_geometry",
-    "rotation": "view_geometry",
-    "scale": "view_geometry",
+SEES = {  # the effect that an equation of an anchor's networks looks at
+    **dict.fromkeys(("opacity", "rotation", "scale"), "view_geometry"),
     "color": "view_color",
 }
 # The backward of a product has two products: one for the input and one for the weights.
 PRODUCTS = {"forward": 1, "backward": 2}
-# Multiplications, divisions and additions of products in Eq. (2), per anchor.
-EQUATION_2 = {"forward": 6, "backward": 12}
+EQUATION_2 = 6  # multiplications, divisions and additions of a product in Eq. (2), per anchor
 
 
 class Work:
@@ -35,14 +32,14 @@ class Work:
     """
 
     def __init__(self):
-        self.calls, self.own, self.sorted, self.view = Counter(), Counter(), Counter(), 0
+        self.calls, self.own, self.sorted = Counter(), Counter(), Counter()
 
     def add(self, key, name, saved):
         """Count one call of an equation; `saved` is what its forward returns for its backward."""
         self.calls[key, name] += 1
         if key == "view":
             delta_vc, _ = saved
-            self.view += EQUATION_2[name] * len(delta_vc)
+            self.own["view"] += PRODUCTS[name] * EQUATION_2 * len(delta_vc)
         elif key in SEES:
             (inputs, weights), d = saved[-1]
             rows, width = inputs[0].shape
@@ -56,14 +53,14 @@ class Work:
             chunks, T, background, occlusion, lists, *_ = saved
             pairs = sum(chunk.A.size for chunk in chunks)
             self.own["occlusion"] += 2 * pairs * bool(occlusion)  # weight and transmittance
-            if occlusion and name == "forward":
-                self.sorted["occlusion"] += len(np.unique(lists.row))
             self.own["background"] += 3 * T.size * bool(background.any())
+            sorts = occlusion and name == "forward"
+            self.sorted["occlusion"] += len(np.unique(lists.row)) * bool(sorts)
 
     def of(self, effect):
         """Multiply-adds of an effect, with its part of shared work."""
         seeing = [name for name in VIEW if self.own[name]]
-        return self.own[effect] + (self.view / len(seeing) if effect in seeing else 0)
+        return self.own[effect] + (self.own["view"] / len(seeing) if effect in seeing else 0)
 
 
 def deformation_work(saved, name):
@@ -75,12 +72,9 @@ def deformation_work(saved, name):
     inputs = sum(trunk[1:]) if name == "backward" else 0  # E(x) needs no gradient (Q10)
     encoding = N * shapes[0][0] if name == "forward" else 0
     shared = N * (sum(trunk) + inputs) + encoding + E_t.size * shapes[0][1]
-    on = sum(width > 0 for width in widths)
-    return {
-        effect: PRODUCTS[name] * N * shapes[-1][0] * width + shared / on
-        for effect, width in zip(fx.MOTION, widths)
-        if width
-    }
+    on = {effect: width for effect, width in zip(fx.MOTION, widths) if width}
+    head = PRODUCTS[name] * N * shapes[-1][0]
+    return {effect: head * width + shared / len(on) for effect, width in on.items()}
 
 
 @contextmanager
@@ -88,15 +82,12 @@ def counted():
     """A `with` block that counts the work of the equations in it; gives the Work."""
     work = Work()
 
-    def count(key, name, function):
-        def run(*args, **kwargs):
-            result = function(*args, **kwargs)
-            work.add(key, name, result[1] if name == "forward" else args[0])
-            return result
+    def see(event, mark, frame, value):
+        if event == "return":
+            key, name = mark
+            work.add(key, name, value[1] if name == "forward" else frame.f_locals["saved"])
 
-        return run
-
-    with intercepted(count):
+    with watching(equation_codes(), see):
         yield work
 
 
@@ -106,20 +97,18 @@ def effect_bytes(data):
     Every weight has the mean size of its section: two bytes, unless networks are coded (B1).
     """
     model, parts = decode(data), components(data)
-    design, sizes, each = model.design, Counter(), {}
+    sizes, each = Counter(), {}
     for section, members in NETWORK_SECTIONS.items():
         networks = {name: model.networks[name] for name in members if name in model.networks}
         if networks:
             each[section] = parts[section] / network_numbers(networks).size
     for net in ANCHOR_NETWORKS:
         inputs, units = model.networks[net][0][0].shape
-        effect = "view_color" if net == "psi_c" else "view_geometry"
-        sizes[effect] += each["anchor_mlps"] * (inputs - design.d) * units
+        sizes[VIEW[net != "psi_c"]] += each["anchor_mlps"] * (inputs - model.design.d) * units
     if "psi_d" in model.networks:
         numbers = [W.size + b.size for W, b in zip(*model.networks["psi_d"])]
         heads = {effect: n for effect, n in zip(fx.MOTION, numbers[-3:]) if n}
         time_net = [W.size + b.size for W, b in zip(*model.networks.get("psi_t", ((), ())))]
         shared = sum(numbers[:-3] + time_net) / len(heads)
-        each_weight = each["deformation_mlp"]
-        sizes.update({effect: each_weight * (n + shared) for effect, n in heads.items()})
+        sizes.update({e: each["deformation_mlp"] * (n + shared) for e, n in heads.items()})
     return sizes

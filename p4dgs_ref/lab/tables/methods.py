@@ -1,5 +1,11 @@
-"""Any method on one scene: trained, written to a file, read back and measured like all others."""
+"""The maker of rows: any method on one scene is trained, written to a file, read and measured.
 
+A study is a list of Tasks and what it says about their rows. A row begins with the fields method,
+scene, seed, psnr_db and bytes, and lies as JSON beside its file. A row that is there is not made
+again, so a killed study goes on, and the jobs of a cluster can fill one folder.
+"""
+
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -7,15 +13,19 @@ from typing import NamedTuple
 import numpy as np
 
 from ...codec.file import decode, encode
-from ...report.evaluate import evaluate
-from ...report.inspect import components
+from ...report.evaluate import evaluate, json_safe
+from ...report.inspect import components, ledger
+from ...report.jobs import in_processes
 from ...scenes import Scene
+from ...scenes.files import read_json
 from ...scenes.output import write_atomically
+from ...training.initial import design_of
 from ...training.presets import TINY_REAL, choose
 from ...training.trainer import Trainer
 from .. import baselines
-from ..clock import alternate, clocked
+from ..clock import clocked
 from ..effects.ledger import shortened
+from . import plain_file
 
 OURS = "p4dgs"
 CODED = "p4dgs_coded"  # with coded networks and positions, beyond the paper
@@ -33,8 +43,7 @@ DATES = (
     "grow_until",
     "reset_every",
 )
-TURNS = 5  # of the pictures that are timed
-PROBE = 0.05  # of the iterations of a training, by which its time is foretold
+CODED_OF_ANCHORS = ("features", "scales", "offset_scales", "offsets")  # sections of a file
 
 
 class StudyError(ValueError):
@@ -49,8 +58,12 @@ class Task(NamedTuple):
     seed: int
     folder: Path  # of the file
     iterations: int | None = None  # None: those of the preset
-    most: int | None = None  # Gaussians of a baseline; None: those of its preset
     changes: dict = {}  # of the preset
+    # Of the ablation's steps, which train our method in another form:
+    step: str | None = None  # the name of the step
+    design: dict = {}  # changes of the Design
+    zeros: tuple = ()  # parameters that start at zero
+    plain: tuple | None = None  # in a plain file; the networks that are float16 there
 
     @property
     def own(self):
@@ -60,14 +73,20 @@ class Task(NamedTuple):
     @property
     def name(self):
         """The name of the file, without its ending."""
-        parts = [self.scene.name, self.method, *map(str, self.changes.values())]
-        parts += [str(self.most)] if self.most else []
-        return "_".join([*parts, f"seed{self.seed}"]).replace("/", "_")
+        parts = [self.step] if self.step else [self.method, *self.changes.values()]
+        name = "_".join([self.scene.name, *map(str, dict.fromkeys(parts)), f"seed{self.seed}"])
+        return name.replace("+ ", "").replace(" ", "_").replace("/", "_")
 
     @property
     def path(self):
         """The file."""
-        return Path(self.folder) / f"{self.name}.{'p4dgs' if self.own else 'ply'}"
+        ending = "p4dgs" if self.plain is None else "plain"
+        return Path(self.folder) / f"{self.name}.{ending if self.own else 'ply'}"
+
+    @property
+    def record(self):
+        """The JSON of the row."""
+        return self.path.with_suffix(".json")
 
 
 def known(names):
@@ -82,12 +101,6 @@ def known(names):
     return [name for name in methods if (name in names if names else name != CODED)]
 
 
-def require_test_views(scene):
-    """Raise StudyError for a scene that has nothing to measure on."""
-    if not scene.test:
-        raise StudyError(f"scene {scene.name}: split 'test': no views to measure on")
-
-
 def preset_of(task):
     """The preset for tiny scenes with the task's changes and iterations.
 
@@ -99,8 +112,7 @@ def preset_of(task):
             real = {} if task.scene.points is None else {"lr_x": TINY_REAL.lr_x}
             ours = choose(OWN[task.method], {**real, **task.changes})
             return shortened(ours, (task.iterations or ours.iterations) / ours.iterations)
-        size = {"gaussians": task.most, "most": task.most} if task.most else {}
-        theirs = baselines.choose(task.method, None, {**size, **task.changes})
+        theirs = baselines.choose(task.method, None, task.changes)
     except ValueError as error:
         raise StudyError(str(error)) from None
     share = (task.iterations or theirs.iterations) / theirs.iterations
@@ -110,32 +122,27 @@ def preset_of(task):
 
 def fit(task):
     """The trained model of a task."""
-    kind = Trainer
-    if not task.own:
-        kind = baselines.module_of(task.method)[0].Trainer
-    with np.errstate(all="ignore"):  # the trainers look for non-finite values themselves
-        return kind(task.scene, preset_of(task), task.seed).run()
-
-
-def train(task):
-    """Train and write the file: its bytes by kind, and the processor seconds of the training."""
-    model, (seconds, _) = clocked(fit, task)
+    preset = preset_of(task)
     if task.own:
-        data = encode(model)
-        write_atomically(task.path, lambda file: file.write(data))
-        sizes = kinds(components(data))
+        design = design_of(preset, task.scene.effects)._replace(**task.design)
+        trainer = Trainer(task.scene, preset, task.seed, design=design)
+        for name in task.zeros:
+            trainer.parameters[name][...] = 0
     else:
-        sizes = model.save(task.path)
-    return {
-        "method": task.method,
-        "scene": task.scene.name,
-        "seed": task.seed,
-        "most": task.most,
-        "iterations": preset_of(task).iterations,
-        "bytes": sum(sizes.values()),
-        **{f"{kind}_bytes": size for kind, size in sizes.items()},
-        "train_seconds": float(seconds),
-    }
+        trainer = baselines.module_of(task.method)[0].Trainer(task.scene, preset, task.seed)
+    with np.errstate(all="ignore"):  # the trainers look for non-finite values themselves
+        return trainer.run()
+
+
+def write(task, model):
+    """Write the file of a task; returns its bytes by kind."""
+    if not task.own:
+        return model.save(task.path)
+    if task.plain is not None:
+        return plain_file.save(model, task.path, task.plain)
+    data = encode(model)
+    write_atomically(task.path, lambda file: file.write(data))
+    return kinds(components(data))
 
 
 def kinds(sizes):
@@ -151,56 +158,54 @@ def kinds(sizes):
     return {"gaussians": gaussians, "network": network, "other": other}
 
 
-def load(task):
-    """The model in the file of a task."""
-    return decode(task.path.read_bytes()) if task.own else baselines.load(task.path)
+def load(path):
+    """The model in a file of any method."""
+    if path.suffix == ".p4dgs":
+        return decode(path.read_bytes())
+    return (plain_file if path.suffix == ".plain" else baselines).load(path)
 
 
-def measure(tasks):
-    """Measure the files of some tasks on the test views of their one scene.
+def make(task):
+    """Train, write the file, read it back and measure it; the row, which is also written.
 
-    Returns rows and the pictures of each model. The renderer's processor times are taken in turns.
+    `train_seconds` are processor time.
     """
-    views = tasks[0].scene.test
-    models = {task.name: load(task) for task in tasks}
+    model, (seconds, _) = clocked(fit, task)
+    sizes = write(task, model)
+    metrics, _, _ = evaluate(load(task.path), task.scene)
+    row = {
+        "method": task.method,
+        "scene": task.scene.name,
+        "seed": task.seed,
+        "psnr_db": metrics["psnr_db"],
+        "bytes": sum(sizes.values()),
+        **({"step": task.step} if task.step else task.changes),
+        **{name: metrics[name] for name in ("ssim", "psnr_fg_db", "anchors", "gaussians")},
+        **{f"{kind}_bytes": size for kind, size in sizes.items()},
+        "file": task.path.name,
+        "iterations": preset_of(task).iterations,
+        "train_seconds": float(seconds),
+    }
+    if task.path.suffix == ".p4dgs":
+        sections = ledger(task.path.read_bytes())
+        row["estimated_bytes"] = round(sum(part["estimate_bytes"] for part in sections))
+        coded = [part["bytes"] for part in sections if part["name"] in CODED_OF_ANCHORS]
+        row["anchor_bytes"] = sum(coded)
+    text = json.dumps(json_safe(row), indent=1) + "\n"
+    write_atomically(task.record, lambda file: file.write(text.encode()))
+    return row
 
-    def all_views(model):
-        return lambda: [model.render(view.camera, view.time) for view in views]
 
-    times = alternate({name: all_views(model) for name, model in models.items()}, TURNS)
-    rows, pictures = [], []
+def make_missing(tasks, progress=lambda line: None, jobs=1):
+    """Make the rows that are not there. Raises StudyError where a scene has no test views."""
     for task in tasks:
-        metrics, _, images = evaluate(models[task.name], task.scene)
-        names = ("psnr_db", "psnr_fg_db", "ssim", "gaussians")
-        ms, stretch = times[task.name].median, times[task.name].stretch
-        row = {name: metrics[name] for name in names}
-        rows.append({**row, "render_fps": 1e3 * len(views) / ms, "stretch": stretch})
-        pictures.append(images)
-    return rows, pictures
+        if not task.scene.test:
+            raise StudyError(f"scene {task.scene.name}: split 'test': no views to measure on")
+    missing = [task for task in tasks if not task.record.exists()]
+    for done, _ in enumerate(in_processes(make, missing, jobs), 1):
+        progress(f"{done} of {len(missing)} trainings")
 
 
-def equal_times(tasks):
-    """The tasks with as many iterations as take the processor time of the first one.
-
-    Times are those of trainings in which everything happens PROBE times as late.
-    """
-    seconds, lengths = [], [preset_of(task).iterations for task in tasks]
-    for task, length in zip(tasks, lengths):
-        probe = task._replace(iterations=max(1, round(PROBE * length)))
-        seconds.append(clocked(fit, probe)[1][0])
-    return [
-        task._replace(iterations=max(1, round(length * seconds[0] / own)))
-        for task, length, own in zip(tasks, lengths, seconds)
-    ]
-
-
-def spread(values):
-    """The mean of some values, and half of their range."""
-    return float(np.mean(values)), float(np.ptp(values) / 2)
-
-
-def aligned(table):
-    """The lines of a table: the first column to the left, the others to the right."""
-    widths = [max(map(len, column)) for column in zip(*table)]
-    forms = [f"{'<' if i == 0 else '>'}{width}" for i, width in enumerate(widths)]
-    return ["  ".join(map(format, line, forms)).rstrip() for line in table]
+def made(tasks):
+    """The rows that are there."""
+    return [read_json(task.record) for task in tasks if task.record.exists()]

@@ -11,26 +11,29 @@ import numpy as np
 
 from ...model import CONTEXT_NETWORKS, Anchors, Design, Model, bounding_box
 from ...scenes.output import write_atomically
+from ...training.parameters import Parameters
 
 
 def save(model, path, half=()):
     """Write the file and return its bytes by kind, like a baseline's."""
-    groups = {"gaussians": model.anchors._asdict(), "network": {}}
-    groups["gaussians"].pop("mask")
-    for name, layers in model.networks.items():
-        if name not in CONTEXT_NETWORKS:
-            for kind, arrays in zip("Wb", layers):
-                groups["network"].update({f"{name}.{kind}{i}": a for i, a in enumerate(arrays)})
-    parts, shapes = {}, {}
-    for group, arrays in groups.items():
-        types = {name: "<f2" if name.split(".")[0] in half else "<f4" for name in arrays}
-        shapes.update({name: (types[name], a.shape) for name, a in arrays.items()})
-        parts[group] = b"".join(a.astype(types[name]).tobytes() for name, a in arrays.items())
+    gaussians = {name: a for name, a in model.anchors._asdict().items() if name != "mask"}
+    network = {
+        f"{name}.{kind}{i}": a
+        for name, layers in model.networks.items()
+        if name not in CONTEXT_NETWORKS
+        for kind, arrays in zip("Wb", layers)
+        for i, a in enumerate(arrays)
+    }
+    arrays = {**gaussians, **network}
+    types = {name: "<f2" if name.split(".")[0] in half else "<f4" for name in arrays}
+    shapes = {name: (types[name], a.shape) for name, a in arrays.items()}
     design, background = model.design._asdict(), [float(c) for c in model.background]
     values = {"design": design, "background": background, "arrays": shapes}
     head = json.dumps(values).encode() + b"\n"
-    write_atomically(path, lambda file: file.write(head + b"".join(parts.values())))
-    return {**{group: len(part) for group, part in parts.items()}, "other": len(head)}
+    body = {name: a.astype(types[name]).tobytes() for name, a in arrays.items()}
+    write_atomically(path, lambda file: file.write(head + b"".join(body.values())))
+    sizes = [sum(len(body[name]) for name in part) for part in (gaussians, network)]
+    return {"gaussians": sizes[0], "network": sizes[1], "other": len(head)}
 
 
 def load(path):
@@ -39,15 +42,14 @@ def load(path):
     values, at, arrays = json.loads(head), 0, {}
     for name, (kind, shape) in values["arrays"].items():
         numbers = np.frombuffer(body, kind, int(np.prod(shape)), at)
-        arrays[name] = numbers.reshape(shape).astype(float)
+        arrays[name] = numbers.reshape(shape)
         at += numbers.nbytes
-    attributes = [arrays.pop(name) for name in Anchors._fields[:-1]]
-    mask = np.ones(attributes[-1].shape[:2], bool)
-    networks = {}
-    for name, array in arrays.items():  # in the order of the layers
-        network, layer = name.split(".")
-        networks.setdefault(network, ([], []))["Wb".index(layer[0])].append(array)
-    fields = values["design"].items()
-    design = Design(**{name: tuple(v) if isinstance(v, list) else v for name, v in fields})
-    background, box = np.array(values["background"]), bounding_box(attributes[0])
-    return Model(design, Anchors(*attributes, mask), networks, [], box, background)
+    p = Parameters(arrays, float)
+    attributes = [p[name] for name in Anchors._fields[:-1]]
+    anchors = Anchors(*attributes, mask=np.ones(attributes[-1].shape[:2], bool))
+    names = dict.fromkeys(name.split(".")[0] for name in arrays if "." in name)
+    networks = {name: p.network(name) for name in names}
+    fields = values["design"].values()
+    design = Design._make(tuple(v) if isinstance(v, list) else v for v in fields)
+    box, background = bounding_box(anchors.x_a), np.array(values["background"])
+    return Model(design, anchors, networks, [], box, background)

@@ -1,41 +1,55 @@
-"""Rate-distortion over lambda_rate: PSNR against the bytes that are estimated and written.
+"""Rate-distortion over lambda_rate, and the paper's Table 4: what the files consist of.
 
-A sweep is a folder. Every point is a job of its own that leaves a file and a JSON in `points/`.
-A point that is there is not made again, so a killed sweep goes on, and the jobs of a cluster can
-fill one folder. `sweep.json` says what the folder is a sweep of.
+A sweep is a folder; the rows are in `points/`, and `sweep.json` says what it is a sweep of.
 """
 
 import json
 from pathlib import Path
 
-import numpy as np
-
-from ...report.evaluate import evaluate, json_safe
-from ...report.figures import BLUE, LIGHT_BLUE, RED, STACK, pyplot, save_figure, write_csv
-from ...report.inspect import ledger
-from ...report.jobs import in_processes
+from ...report.figures import BLUE, LIGHT_BLUE, RED, STACK, write_csv
+from ...report.inspect import components
 from ...scenes.files import read_json
 from ...scenes.output import write_atomically
+from ..writer import draw_curves, means, points_of, table
 from . import methods
-from .methods import CODED, OURS, StudyError, Task, spread
+from .methods import OURS, StudyError, Task
 from .rate_distortion import bd_rate
 
-VERSION = 1
-COLUMNS = ("lambda_rate", "seed", "estimated_bytes", "bytes", "psnr_db", "ssim")
+VERSION = 2
 LAMBDAS = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2)
-CODED_OF_ANCHORS = ("features", "scales", "offset_scales", "offsets")  # sections of a file
+COLORS = (*STACK[1:], RED, LIGHT_BLUE)
+COLUMNS = {
+    "lambda_rate": "{lambda_rate:g}",
+    "seeds": "{seeds}",
+    "estimated": "{estimated_bytes:,.0f}",
+    "bytes": "{bytes:,.0f}",
+    "of anchors": "{anchor_bytes:,.0f}",
+    "PSNR dB": "{psnr_db:.2f} ±{psnr_db_spread:.2f}",
+    "SSIM": "{ssim:.4f}",
+}
+# Table 4: its rows, the sections of a file that they are, and the percent of the paper's two files
+# of T-Rex, at a low and at a high rate.
+PARTS = {
+    "anchor position": (("positions",), (23.9, 13.2)),
+    "anchor feature": (("features",), (4.2, 21.4)),
+    "anchor scale": (("scales", "offset_scales"), (11.4, 11.1)),
+    "Gaussian offsets": (("offsets",), (4.7, 21.1)),
+    "masks": (("masks",), None),
+    "hash grid": (("hash_grid",), (0.7, 2.0)),
+    "deformation MLP": (("deformation_mlp",), (47.6, 26.9)),
+    "other MLPs": (("anchor_mlps", "context_mlps"), (7.5, 4.2)),
+    "header": (("header",), None),
+}
 
 
-def plan(scene, folder, lambdas=LAMBDAS, seeds=3, iterations=None, names=(), caps=()):
+def plan(scene, folder, lambdas=LAMBDAS, seeds=3, iterations=None, names=()):
     """All points of a sweep, as Tasks, and the values for its sweep.json.
 
-    `names` are baselines, which are drawn as points, each also with every number of Gaussians in
-    `caps`; our coded design among them has a curve of its own. A folder that holds another sweep,
-    or one of another version, raises StudyError.
+    `names` are baselines, which are drawn as points; our coded design among them has a curve of
+    its own. A folder that holds another sweep, or one of another version, raises StudyError.
     """
     if not lambdas:
         raise StudyError("lambda_rate: an empty sweep; expected at least one value")
-    methods.require_test_views(scene)
     names = [name for name in methods.known(names) if name != OURS] if names else []
     values = {
         "version": VERSION,
@@ -45,49 +59,23 @@ def plan(scene, folder, lambdas=LAMBDAS, seeds=3, iterations=None, names=(), cap
         "seeds": seeds,
         "iterations": iterations,
         "baselines": names,
-        "caps": list(caps),
     }
-    file, points = Path(folder) / "sweep.json", Path(folder) / "points"
-    if file.exists():
-        found = read_json(file)
-        for key, value in values.items():
-            if found.get(key) != value:
-                raise StudyError(
-                    f"{file}: {key!r}: expected {value!r} as in this sweep, found "
-                    f"{found.get(key)!r}; another -o starts anew"
-                )
-    base = [Task(scene, OURS, seed, points, iterations) for seed in range(seeds)]
-    tasks = [task._replace(changes={"lambda_rate": v}) for v in lambdas for task in base]
-    if CODED in names:
-        tasks += [task._replace(method=CODED) for task in tasks]
-    tasks += [
-        task._replace(method=name, most=most)
-        for name in names
-        if name != CODED
-        for most in (None, *caps)
-        for task in base
+    file = Path(folder) / "sweep.json"
+    found = read_json(file) if file.exists() else values
+    for key, value in values.items():
+        if found.get(key) != value:
+            raise StudyError(
+                f"{file}: {key!r}: expected {value!r} as in this sweep, found "
+                f"{found.get(key)!r}; another -o starts anew"
+            )
+    rated = [{"lambda_rate": value} for value in lambdas]
+    tasks = [
+        Task(scene, name, seed, Path(folder) / "points", iterations, changes)
+        for name in (OURS, *names)
+        for changes in (rated if name in methods.OWN else [{}])
+        for seed in range(seeds)
     ]
     return tasks, values
-
-
-def record(task):
-    """The JSON of a point."""
-    return task.path.with_suffix(".json")
-
-
-def make(task):
-    """Make one point: train, write the file, read it back, measure it, and write its JSON."""
-    row = {**methods.train(task), **task.changes}
-    metrics, _, _ = evaluate(methods.load(task), task.scene)
-    row.update({name: metrics[name] for name in ("psnr_db", "ssim", "anchors", "gaussians")})
-    if task.own:
-        sections = ledger(task.path.read_bytes())
-        row["estimated_bytes"] = round(sum(part["estimate_bytes"] for part in sections))
-        coded = [part["bytes"] for part in sections if part["name"] in CODED_OF_ANCHORS]
-        row["anchor_bytes"] = sum(coded)
-    text = json.dumps(json_safe(row), indent=1) + "\n"
-    write_atomically(record(task), lambda file: file.write(text.encode()))
-    return row
 
 
 def make_missing(tasks, values, progress=lambda line: None, jobs=1):
@@ -96,98 +84,106 @@ def make_missing(tasks, values, progress=lambda line: None, jobs=1):
     points.mkdir(parents=True, exist_ok=True)
     text = json.dumps(values, indent=1) + "\n"
     write_atomically(points.parent / "sweep.json", lambda file: file.write(text.encode()))
-    missing = [task for task in tasks if not record(task).exists()]
-    for done, _ in enumerate(in_processes(make, missing, jobs), 1):
-        progress(f"{done} of {len(missing)} points")
+    methods.make_missing(tasks, progress, jobs)
 
 
 def collect(tasks, folder):
-    """Draw what has arrived: sweep.csv, baselines.csv and sweep.png; returns what they hold."""
-    rows = [read_json(record(task)) for task in tasks if record(task).exists()]
+    """Draw what has arrived; returns what the files in the folder hold.
+
+    These are sweep.csv, baselines.csv, sweep.png, and composition.csv of the first files with the
+    highest and the lowest lambda_rate.
+    """
+    rows = methods.made(tasks)
     ours = [row for row in rows if row["method"] == OURS]
     if not ours:
         raise StudyError(f"{folder}: an empty sweep; expected at least one point with lambda_rate")
+    curve = sorted(means(ours, "lambda_rate"), key=rate_of)
     others = [row for row in rows if row["method"] != OURS]
-    curve = [mean_point(ours, "lambda_rate", at) for at in sorted({r["lambda_rate"] for r in ours})]
-    points = {}
-    for name in dict.fromkeys(row["method"] for row in others):
-        own = [row for row in others if row["method"] == name]
-        knob = "lambda_rate" if name == CODED else "most"
-        points[name] = [mean_point(own, knob, at) for at in dict.fromkeys(r[knob] for r in own)]
-    write_csv(folder / "sweep.csv", [[row[name] for name in COLUMNS] for row in ours], COLUMNS)
+    points = {
+        name: means([row for row in others if row["method"] == name], "lambda_rate")
+        for name in dict.fromkeys(row["method"] for row in others)
+    }
+    write_csv(folder / "sweep.csv", ours)
     if others:
-        columns = list(dict.fromkeys(key for row in others for key in row))
-        table = [[row.get(column) for column in columns] for row in others]
-        write_csv(folder / "baselines.csv", table, columns)
+        write_csv(folder / "baselines.csv", others)
     draw(folder / "sweep.png", ours, curve, points)
+    ends = [max(ours, key=rate_of), min(ours, key=rate_of)]
+    parts = composition([tasks[0].folder / row["file"] for row in ends])
+    write_csv(folder / "composition.csv", parts)
     return {
         "scene": ours[0]["scene"],
         "points": len(rows),
         "missing": len(tasks) - len(rows),
         "curve": curve,
         "baselines": points,
-        "bd_rate": {name: bd_rate(pairs(curve), pairs(found)) for name, found in points.items()},
+        "bd_rate": {n: bd_rate(points_of(curve), points_of(own)) for n, own in points.items()},
+        "composition": {"lambda_rate": [*map(rate_of, ends)], "rows": parts},
     }
 
 
-def mean_point(rows, knob, value):
-    """The means over seeds of the rows with one value of a knob, and half the range of PSNR."""
-    own = [row for row in rows if row[knob] == value]
-    sizes = [name for name in ("bytes", "estimated_bytes", "anchor_bytes") if name in own[0]]
-    means = {name: float(np.mean([row[name] for row in own])) for name in (*sizes, "ssim")}
-    psnr, half = spread([row["psnr_db"] for row in own])
-    return {knob: value, "seeds": len(own), **means, "psnr_db": psnr, "psnr_db_spread": half}
+def rate_of(row):
+    """The lambda_rate of a row."""
+    return row["lambda_rate"]
 
 
-def pairs(points):
-    """Bytes and PSNR of some points."""
-    return [(point["bytes"], point["psnr_db"]) for point in points]
+def composition(files):
+    """The PARTS of two files, of a low and of a high rate: their bytes and percent."""
+    low, high = (components(file.read_bytes()) for file in files)
+    rows = []
+    for name, (sections, _) in PARTS.items():
+        sizes = [sum(size.get(section, 0) for section in sections) for size in (low, high)]
+        row = {"component": name, "bytes_low": sizes[0], "bytes_high": sizes[1]}
+        row["percent_low"] = 100 * sizes[0] / sum(low.values())
+        row["percent_high"] = 100 * sizes[1] / sum(high.values())
+        rows.append(row)
+    return rows
 
 
 def draw(path, rows, curve, points):
     """PSNR over bytes: ours as estimated and as written, every seed a dot; the baselines."""
-    figure, ax = pyplot().subplots(figsize=(8.5, 5.5), layout="constrained")
-    psnr = [point["psnr_db"] for point in curve]
-    for key, style, label in (
-        ("bytes", "o-", "p4dgs, bytes of the file"),
-        ("estimated_bytes", "s--", "p4dgs, estimated"),
-    ):
-        fill = BLUE if key == "bytes" else "white"
-        sizes = [point[key] for point in curve]
-        ax.plot(sizes, psnr, style, color=BLUE, markerfacecolor=fill, label=label)
-    ax.plot(*zip(*pairs(rows)), ".", color=BLUE, alpha=0.35, label="p4dgs, each seed")
-    for point in curve:
-        at = point["bytes"], point["psnr_db"]
-        ax.annotate(f" {point['lambda_rate']:g}", at, fontsize=9, va="top")
-    for color, (name, found) in zip((*STACK[1:], RED, LIGHT_BLUE), points.items()):
-        ax.plot(*zip(*sorted(pairs(found))), "D-", color=color, label=name)
-    ax.set(
-        xscale="log",
-        xlabel="bytes",
-        ylabel="PSNR of the test views (dB)",
-        title=f"{rows[0]['scene']}: lambda_rate beside the points",
-    )
-    ax.legend(frameon=False)
-    save_figure(figure, path)
+    ours, estimated = points_of(curve), [(p["estimated_bytes"], p["psnr_db"]) for p in curve]
+    seed = {"color": BLUE, "linestyle": "none", "marker": ".", "alpha": 0.35}
+    curves = [
+        ("p4dgs, bytes of the file", ours, {"color": BLUE, "marker": "o"}),
+        (
+            "p4dgs, estimated",
+            estimated,
+            {"color": BLUE, "marker": "s", "linestyle": "--", "markerfacecolor": "white"},
+        ),
+        ("p4dgs, each seed", points_of(rows), seed),
+    ]
+    for color, (name, found) in zip(COLORS, points.items()):
+        curves.append((name, sorted(points_of(found)), {"color": color, "marker": "D"}))
+    notes = [(f"{rate_of(point):g}", at) for point, at in zip(curve, ours)]
+    title = f"{rows[0]['scene']}: lambda_rate beside the points"
+    draw_curves(path, title, curves, notes)
 
 
 def describe(result):
-    """The curve as a table, how far it spans, and the BD-rate or why there is none."""
-    table = ["lambda_rate|seeds|estimated|bytes|of anchors|PSNR dB|SSIM".split("|")]
-    for point in result["curve"]:
-        sizes = [f"{point[k]:,.0f}" for k in ("estimated_bytes", "bytes", "anchor_bytes")]
-        quality = f"{point['psnr_db']:.2f} ±{point['psnr_db_spread']:.2f}"
-        start = [f"{point['lambda_rate']:g}", str(point["seeds"])]
-        table.append([*start, *sizes, quality, f"{point['ssim']:.4f}"])
+    """The curve, how far it spans, the BD-rate or why there is none, and Table 4 in form."""
     coded = [point["anchor_bytes"] for point in result["curve"]]
     lines = [
         f"{result['scene']}: {result['points']} points, {result['missing']} missing",
-        *methods.aligned(table),
+        *table(COLUMNS, result["curve"]),
         f"The coded bytes of the anchors span a factor of {max(coded) / max(min(coded), 1):.2f}.",
     ]
     for name, found in result["baselines"].items():
         rate, reason = result["bd_rate"][name]
-        places = ", ".join(f"{size:,.0f} bytes at {psnr:.2f} dB" for size, psnr in pairs(found))
+        places = ", ".join(f"{size:,.0f} bytes at {psnr:.2f} dB" for size, psnr in points_of(found))
         against = f"no BD-rate: {reason}" if rate is None else f"BD-rate of ours {rate:+.1f} %"
         lines.append(f"{name}: {places}; {against}.")
-    return "\n".join(lines)
+    low, high = result["composition"]["lambda_rate"]
+    columns = {
+        "component": "{component}",
+        f"low rate ({low:g})": "{bytes_low:,}",
+        "%": "{percent_low:.1f}",
+        f"high rate ({high:g})": "{bytes_high:,}",
+        "% ": "{percent_high:.1f}",
+        "the paper's % low": "{paper[0]:.1f}",
+        "high": "{paper[1]:.1f}",
+    }
+    rows = [{**row, "paper": PARTS[row["component"]][1]} for row in result["composition"]["rows"]]
+    names = [name for name in rows[0] if name.startswith(("bytes", "percent"))]
+    total = {"component": "file", **{name: sum(row[name] for row in rows) for name in names}}
+    title = "The paper's Table 4: what a file consists of at the lowest and at the highest rate"
+    return "\n".join([*lines, "", title, *table(columns, [*rows, total])])

@@ -1,90 +1,26 @@
 """4DGS: its pipeline and gradients, training, density control in 4D, and its file."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from p4dgs_ref.lab import baselines
 from p4dgs_ref.lab.baselines import gaussian4d, rotation_4d, sh_color
-from p4dgs_ref.report.evaluate import evaluate
-from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting import render
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT
-from p4dgs_ref.training.parameters import Parameters
 
-SMALL = replace(
-    gaussian4d.TINY,
-    gaussians=40,
-    most=50,
-    iterations=60,
-    sh_every=10,
-    grow_from=5,
-    grow_every=10,
-    grow_until=45,
-)
+from . import small
+
 X_C = np.array([0.3, -3.0, 1.0])
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return load_scene("bouncing", downscale=4)
-
-
-@pytest.fixture(scope="module")
-def trained(scene):
-    return gaussian4d.Trainer(scene, SMALL, seed=1).run()
-
-
-def random_parameters(seed=0, N=9):
-    """Parameters in float64 in which every array matters; the last Gaussian is long gone."""
-    rng = np.random.default_rng(seed)
-    p = Parameters(gaussian4d.Gaussian4D.initial(replace(SMALL, gaussians=N), rng), np.float64)
-    p["sh_dc"][...] = rng.normal(size=(N, 3, 1))
-    p["sh_rest"][...] = 0.3 * rng.normal(size=(N, 3, 47))
-    p["raw_l"][...] = [1, 0, 0, 0] + 0.4 * rng.normal(size=(N, 4))
-    p["raw_r"][...] = [1, 0, 0, 0] + 0.4 * rng.normal(size=(N, 4))
-    p["log_s"][...] = -1.5 + 0.3 * rng.normal(size=(N, 3))
-    p["log_s_t"][...] = -1 + 0.3 * rng.normal(size=(N, 1))
-    p["logit_alpha"][...] = rng.normal(size=N)
-    p["mu_t"][-1] = 9
-    return p
-
-
-def model_of(p):
-    return gaussian4d.Gaussian4D(p, SMALL, np.ones(3))
+SMALL = small.SMALL["gaussian4d"]
+random_parameters = partial(small.random_parameters, "gaussian4d")
+model_of = partial(small.model_of, "gaussian4d")
 
 
 # --- pipeline ---
-@pytest.mark.parametrize(
-    "iteration, degree, waves", [(0, 0, 0), (25, 2, 0), (30, 3, 0), (40, 3, 1), (None, 3, 2)]
-)
-def test_gradients_of_the_pipeline(iteration, degree, waves):
-    """With harmonics in space and then waves in time becoming active: against differences."""
-    rng, p = np.random.default_rng(5), random_parameters()
-    g, saved = model_of(p).predict(0.4, X_C, iteration)
-    assert 0 < len(g.index) < 9
-    bars = [rng.normal(size=a.shape) for a in g[:4]]
-    gradients, networks = model_of(p).predict_backward(saved, *bars)
-    assert set(gradients) == set(p.arrays) and not networks
-    for name in p.arrays:
-        d, h = rng.normal(size=p[name].shape), 1e-5
-
-        def value(step):
-            moved = Parameters(p.arrays, np.float64)
-            moved[name][...] += step * d
-            out, _ = model_of(moved).predict(0.4, X_C, iteration)
-            return sum(float((bar * a).sum()) for bar, a in zip(bars, out[:4]))
-
-        ours = float((gradients[name] * d).sum())
-        theirs = (value(h) - value(-h)) / (2 * h)
-        assert ours == pytest.approx(theirs, rel=1e-6, abs=1e-8), name
-        assert not np.any(gradients[name][-1]), name
-    active = np.zeros((3, 16), bool)
-    active[: waves + 1, : (degree + 1) ** 2] = True
-    received = np.concatenate([gradients["sh_dc"], gradients["sh_rest"]], axis=2)
-    assert np.array_equal(received.any(axis=(0, 1)), active.ravel())
 
 
 def test_the_pipeline_against_a_loop():
@@ -134,33 +70,7 @@ def test_a_gaussian_at_rest_is_one_of_3dgs():
     assert np.ptp(image) > 0.1
 
 
-def test_gradients_of_the_loss(scene):
-    """One view from parameters to the loss, in float64 and with the exact renderer."""
-    trainer = gaussian4d.Trainer(scene, SMALL, settings=EXACT)
-    trainer.start(random_parameters(4))
-    trainer.iteration, p, view = 59, trainer.parameters, scene.train[7]
-    losses, seen, gradients, _ = trainer.gradients_of(view)
-    assert losses.L_total == losses.L_render > 0 and len(seen.index) < 9 == len(seen.alpha)
-    rng = np.random.default_rng(6)
-    for name in p.arrays:
-        d, h, start = rng.normal(size=p[name].shape), 1e-6, p[name].copy()
-        values = []
-        for step in (h, -h):
-            p[name][...] = start + step * d
-            values.append(trainer.gradients_of(view)[0].L_total)
-        p[name][...] = start
-        ours = float((gradients[name] * d).sum())
-        assert ours == pytest.approx((values[0] - values[1]) / (2 * h), rel=2e-5, abs=1e-9), name
-
-
 # --- training ---
-def test_training_is_repeatable_and_learns(scene, trained):
-    again = gaussian4d.Trainer(scene, SMALL, seed=1).run()
-    assert np.array_equal(again.parameters.vector, trained.parameters.vector)
-    assert trained.primitives != SMALL.gaussians
-    start = gaussian4d.Trainer(scene, SMALL, seed=1).model()
-    ends = [evaluate(model, scene)[0]["psnr_db"] for model in (start, trained)]
-    assert ends[1] > ends[0] + 1
 
 
 def test_rates_of_positions_follow_the_extent(scene):
@@ -204,19 +114,6 @@ def test_children_are_drawn_from_their_parent_in_space_and_time(scene):
 
 
 # --- file ---
-def test_the_file_is_read_back(scene, trained, tmp_path):
-    """161 numbers a Gaussian, no normals and no network."""
-    sizes = trained.save(tmp_path / "a.ply")
-    assert sum(sizes.values()) == (tmp_path / "a.ply").stat().st_size
-    assert sizes["gaussians"] == 4 * 161 * trained.primitives and sizes["network"] == 0
-    assert sizes["other"] < 6000
-    model = baselines.load(tmp_path / "a.ply")
-    assert set(model.parameters.arrays) == set(trained.parameters.arrays)
-    for name, a in trained.parameters.arrays.items():
-        assert np.array_equal(model.parameters[name], a), name
-    view = scene.test[0]
-    images = [m.render(view.camera, view.time) for m in (trained, model)]
-    assert np.array_equal(*images)
 
 
 def test_presets_by_method():

@@ -1,63 +1,21 @@
 """4DHexPlane: its equations against twins, its pipeline and gradients, its stages and its file."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from p4dgs_ref.lab import baselines
 from p4dgs_ref.lab.baselines import hexplane, plane_features, plane_losses
-from p4dgs_ref.report.evaluate import evaluate
-from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training.parameters import Parameters
 from tests.golden.cases import cases_of
 
-SMALL = replace(
-    hexplane.TINY,
-    gaussians=40,
-    iterations=30,
-    coarse=10,
-    sh_every=10,
-    nodes=3,
-    time_nodes=4,
-    features=2,
-    hidden=(5, 6),
-    deformation_gain=1.0,
-    grow_from=5,
-    grow_every=10,
-    grow_until=25,
-    reset_every=100,
-)
+from . import small
 
-
-@pytest.fixture(scope="module")
-def scene():
-    return load_scene("bouncing", downscale=4)
-
-
-@pytest.fixture(scope="module")
-def trained(scene):
-    return hexplane.Trainer(scene, SMALL, seed=1).run()
-
-
-def random_parameters(seed=0, N=7, dtype=np.float64):
-    """Parameters in which every array matters, in a box that leaves some Gaussians outside."""
-    rng = np.random.default_rng(seed)
-    p = Parameters(hexplane.HexPlane.initial(replace(SMALL, gaussians=N), rng), dtype)
-    p["sh_dc"][...] = rng.normal(size=(N, 3, 1))
-    p["sh_rest"][...] = 0.3 * rng.normal(size=(N, 3, 15))
-    p["raw_r"][...] = rng.normal(size=(N, 4))
-    p["logit_alpha"][...] = rng.normal(size=N)
-    p["box"][...] *= 0.9  # no point is exactly on a face, where the slope jumps
-    for i in range(12):
-        p[f"planes.{i}"][...] = rng.normal(size=p[f"planes.{i}"].shape) + 1
-    return p
-
-
-def model_of(p):
-    return hexplane.HexPlane(p, SMALL, np.ones(3))
+SMALL = small.SMALL["hexplane"]
+random_parameters = partial(small.random_parameters, "hexplane")
+model_of = partial(small.model_of, "hexplane")
 
 
 # --- equations ---
@@ -133,39 +91,6 @@ def test_nothing_depends_on_the_time_at_the_start():
         assert a == pytest.approx(b, rel=1e-12)
 
 
-@pytest.mark.parametrize("iteration", [None, 0, 10])
-def test_gradients_of_the_pipeline(iteration):
-    """Static with degree 0, moving with degree 1, and finished: against differences."""
-    rng, p, x_c = np.random.default_rng(5), random_parameters(), np.array([0.3, -3.0, 1.0])
-    g, saved = model_of(p).predict(0.4, x_c, iteration)
-    bars = [rng.normal(size=a.shape) for a in g[:5]]
-    arrays, networks = model_of(p).predict_backward(saved, *bars)
-    gradients = p.zeros()
-    for name, gradient in arrays.items():
-        gradients[name][...] = gradient
-    for name, gradient in networks.items():
-        gradients.fill(name, gradient)
-    moves = iteration is None or iteration >= SMALL.coarse
-    for name in p.arrays:
-        if name == "box":
-            assert not np.any(gradients[name])
-            continue
-        d, h = rng.normal(size=p[name].shape), 1e-6
-
-        def value(step):
-            moved = Parameters(p.arrays, np.float64)
-            moved[name][...] += step * d
-            out, _ = model_of(moved).predict(0.4, x_c, iteration)
-            return sum(float((bar * a).sum()) for bar, a in zip(bars, out[:5]))
-
-        ours = float((gradients[name] * d).sum())
-        theirs = (value(h) - value(-h)) / (2 * h)
-        assert ours == pytest.approx(theirs, rel=1e-6, abs=1e-7), name
-        if name != "sh_rest":
-            waits = name.startswith(("psi", "planes"))
-            assert np.any(gradients[name]) == (moves or not waits), name
-
-
 def test_the_pipeline_against_a_loop():
     """Gaussian by Gaussian, from the formulas at the head of the module."""
     p, x_c, t = random_parameters(3), np.array([2.0, 1.0, -1.0]), 0.7
@@ -185,30 +110,6 @@ def test_the_pipeline_against_a_loop():
         assert g.alpha[n] == pytest.approx(1 / (1 + np.exp(-p["logit_alpha"][n])), rel=1e-12)
 
 
-@pytest.mark.parametrize("iteration", [5, 20])
-def test_gradients_of_the_loss(scene, iteration):
-    """One view from parameters to the loss with the terms of the planes, in float64."""
-    preset = replace(SMALL, lambda_planes=(0.3, 0.2, 0.1))
-    trainer = hexplane.Trainer(scene, preset, settings=EXACT)
-    trainer.start(random_parameters(4))
-    trainer.iteration, p, view = iteration, trainer.parameters, scene.train[3]
-    p["log_s"][...] = -1.5
-    losses, _, gradients, _ = trainer.gradients_of(view)
-    terms = plane_losses.forward(p.listed("planes"))[0]
-    wanted = np.dot((0.3, 0.2, 0.1), terms) if iteration >= preset.coarse else 0
-    assert losses.L_total - losses.L_render == pytest.approx(wanted)
-    rng = np.random.default_rng(6)
-    for name in ("x", "sh_dc", "log_s", "raw_r", "psi.W0", "psi.b4", "planes.0", "planes.10"):
-        d, h, start = rng.normal(size=p[name].shape), 1e-6, p[name].copy()
-        values = []
-        for step in (h, -h):
-            p[name][...] = start + step * d
-            values.append(trainer.gradients_of(view)[0].L_total)
-        p[name][...] = start
-        ours = float((gradients[name] * d).sum())
-        assert ours == pytest.approx((values[0] - values[1]) / (2 * h), rel=2e-5, abs=1e-9), name
-
-
 # --- training ---
 def test_stages_of_training(scene):
     """The planes and psi wait for the fine stage, which starts with new moments."""
@@ -225,14 +126,6 @@ def test_stages_of_training(scene):
             same = np.array_equal(starts[first][name], starts[last][name])
             waits = name.startswith(("psi", "planes")) or name == "sh_rest"
             assert same == (name == "box" or waits and last == 10), (name, first)
-
-
-def test_training_is_repeatable_and_learns(scene, trained):
-    again = hexplane.Trainer(scene, SMALL, seed=1).run()
-    assert np.array_equal(again.parameters.vector, trained.parameters.vector)
-    start = hexplane.Trainer(scene, SMALL, seed=1).model()
-    ends = [evaluate(model, scene)[0]["psnr_db"] for model in (start, trained)]
-    assert ends[1] > ends[0] + 1
 
 
 def test_rates(scene):
@@ -277,19 +170,3 @@ def test_the_first_deltas_shrink_with_their_gain():
     for name, full in psis[0].items():
         last = name[5:] in ("2", "4", "6")  # phi is layer 0, each head has two
         assert psis[1][name] == pytest.approx(full * (0.01 if last else 1)), name
-
-
-def test_the_file_is_read_back(scene, trained, tmp_path):
-    """With all planes and the box; another scene's points give another box."""
-    sizes = trained.save(tmp_path / "a.ply")
-    assert sum(sizes.values()) == (tmp_path / "a.ply").stat().st_size
-    assert sizes["gaussians"] == 248 * trained.primitives
-    others = ("psi", "planes", "box")
-    floats = sum(a.size for n, a in trained.parameters.arrays.items() if n.startswith(others))
-    assert sizes["network"] == 4 * floats
-    model = baselines.load(tmp_path / "a.ply")
-    assert isinstance(model, hexplane.HexPlane)
-    for name, a in trained.parameters.arrays.items():
-        assert np.array_equal(model.parameters[name], a), name
-    view = scene.test[0]
-    assert np.array_equal(*(m.render(view.camera, view.time) for m in (trained, model)))

@@ -1,0 +1,47 @@
+"""One small scene, and each study done once on it by a few steps of training."""
+
+import dataclasses
+
+import pytest
+
+import p4dgs_ref as p4
+from p4dgs_ref.lab.tables import ablate, compare, sweep
+
+from .shared import OTHERS, SWEEP
+
+
+@pytest.fixture(scope="session")
+def scene():
+    whole = p4.load_scene("bouncing", downscale=8)
+    return dataclasses.replace(whole, test=whole.test[:2])
+
+
+@pytest.fixture(scope="session")
+def compared(scene, tmp_path_factory):
+    """The folder and the result of a comparison of two seeds."""
+    folder = tmp_path_factory.mktemp("compare")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compare, "TURNS", 1)
+        return folder, compare.compare([scene], folder, OTHERS, 2, 4)
+
+
+@pytest.fixture(scope="session")
+def ablated(scene, tmp_path_factory):
+    """The folder and the result of an ablation."""
+    folder = tmp_path_factory.mktemp("ablate")
+    return folder, ablate.ablate(scene, folder, 1, 12)
+
+
+@pytest.fixture(scope="session")
+def swept(scene, tmp_path_factory):
+    """The folder, tasks and result of a small sweep; its third point was killed half-way."""
+    folder = tmp_path_factory.mktemp("sweep")
+    tasks, values = sweep.plan(scene, folder, *SWEEP.values())
+    sweep.make_missing(tasks[:3], values)
+    tasks[2].record.unlink()
+    kept = {task.path: task.path.stat().st_mtime_ns for task in tasks[:3]}
+    again, values = sweep.plan(scene, folder, *SWEEP.values())
+    sweep.make_missing(again, values)
+    changed = [path for path, time in kept.items() if path.stat().st_mtime_ns != time]
+    assert changed == [tasks[2].path]
+    return folder, tasks, sweep.collect(tasks, folder)

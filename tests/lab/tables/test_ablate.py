@@ -1,0 +1,111 @@
+"""The ablation: each step differs in its one part."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import p4dgs_ref as p4
+from p4dgs_ref.codec.container import read_container
+from p4dgs_ref.codec.file import quantised_of
+from p4dgs_ref.lab import baselines
+from p4dgs_ref.lab.tables import ablate as study
+from p4dgs_ref.lab.tables import methods, plain_file
+
+TABLE_3 = [
+    "D3DGS",
+    "+ spatial prediction",
+    "+ compact deformation MLP",
+    "+ quantisation and entropy coding",
+]
+
+
+@pytest.fixture(scope="module")
+def files(ablated):
+    """The file of each step."""
+    folder, result = ablated
+    return {row["step"]: folder / row["file"] for row in result["rows"]}
+
+
+def test_each_step_changes_its_part(files, ablated):
+    assert [*files] == [*TABLE_3, *study.LEFT_OUT]
+    explicit, anchors, compact, whole = (methods.load(files[name]) for name in TABLE_3)
+    theirs = baselines.choose("d3dgs")
+    assert anchors.design.deformation == theirs.deformation == (256,) * 8
+    assert anchors.design.time_net == theirs.time_net and anchors.design.skip
+    weights = explicit.parameters.network("psi_d")[0]
+    trunk = [W.shape for W in anchors.networks["psi_d"][0][:8]]
+    assert trunk == [W.shape for W in weights[:8]]
+    assert compact.design.deformation == whole.design.deformation == (64, 64)
+    for model, half in ((anchors, False), (compact, True)):
+        W = model.networks["psi_d"][0][0]
+        assert (W == W.astype(np.float16)).all() == half
+        assert (W == W.astype(np.float32)).all()
+        W = model.networks["psi_c"][0][0]
+        assert (W != W.astype(np.float16)).any()
+    sizes = [files[name].stat().st_size for name in TABLE_3]
+    assert sizes == sorted(sizes, reverse=True)
+
+
+def test_parts_left_out(files, scene):
+    models = {name: methods.load(files[name]) for name in (TABLE_3[-1], *study.LEFT_OUT)}
+    assert "psi_d" in models[TABLE_3[-1]].networks
+    assert "psi_d" not in models["no deformation"].networks
+    assert models["no masking"].anchors.mask.all()
+    base = methods.preset_of(study.plan(scene, None, 1, 12)[3])
+    context = quantised_of(read_container(files["fixed step"].read_bytes())).context
+    steps = (base.Q_f, base.Q_s, base.Q_l, base.Q_O)
+    np.testing.assert_allclose(context.q, np.tile(steps, (len(context.q), 1)), rtol=1e-4)
+    for name, same in (("global prior", True), ("fixed step", False)):
+        context = quantised_of(read_container(files[name].read_bytes())).context
+        assert (np.ptp(context.mu_units, axis=0) == 0).all() == same
+        assert (np.ptp(context.sigma_units, axis=0) == 0).all() == same
+
+
+def test_no_noise_before_the_last_step(scene):
+    presets = {task.step: methods.preset_of(task) for task in study.plan(scene, None, 1, 400)}
+    for name in TABLE_3[1:3]:
+        preset = presets[name]
+        assert preset.stage(preset.iterations - 1) == 3 and preset.mask_from == 400
+        assert max(preset.Q_f, preset.Q_s, preset.Q_l, preset.Q_O) < 1e-12
+    preset = presets["no masking"]
+    assert preset.mask_from == preset.iterations == 400 and preset.stage(399) == 4
+
+
+def test_savings_are_against_the_step_before():
+    rows = [
+        {"step": name, "seed": seed, "bytes": size, "psnr_db": psnr + seed, "ssim": 0.9}
+        for name, size, psnr in (
+            ("D3DGS", 1000, 30.0),
+            ("+ spatial prediction", 500, 31.0),
+            ("no masking", 600, 31.5),
+            ("no deformation", 250, 29.0),
+        )
+        for seed in (0, 1)
+    ]
+    first, second, third, last = study.summaries(rows)
+    assert "saved_percent" not in first and first["psnr_db"] == 30.5
+    assert (second["saved_percent"], second["psnr_gain"]) == (-50, 1)
+    assert third["saved_percent"] == pytest.approx(20) and third["psnr_gain"] == 0.5
+    assert (last["saved_percent"], last["psnr_gain"], last["psnr_db_spread"]) == (-50, -2, 0.5)
+
+
+def test_table_3_shows_the_papers_numbers_apart(ablated):
+    lines = study.describe(ablated[1]).splitlines()
+    assert lines[1].endswith("the paper's MB, %, dB (T-Rex)")
+    assert lines[2].startswith("D3DGS") and lines[2].endswith("56.7 - 38.04")
+    assert lines[5].endswith("0.85 -84.1 38.24")
+    assert lines[6].startswith("ours, fixed step") and lines[6].endswith(" -")
+
+
+def test_a_plain_file_renders_like_its_model(scene, tmp_path):
+    trained = p4.train(scene, "smoke", 0, stage_ends=(1, 1, 2, 3), mask_from=3)
+    unmasked = trained.anchors._replace(mask=np.ones_like(trained.anchors.mask))
+    exact = dataclasses.replace(trained, anchors=unmasked)
+    sizes = plain_file.save(exact, tmp_path / "a")
+    assert sum(sizes.values()) == (tmp_path / "a").stat().st_size
+    assert sizes["gaussians"] == 4 * sum(a.size for a in unmasked[:-1])
+    view, again = scene.test[0], plain_file.load(tmp_path / "a")
+    one, other = (m.render(view.camera, view.time) for m in (exact, again))
+    np.testing.assert_allclose(one, other, atol=1e-5)
+    assert plain_file.save(exact, tmp_path / "b", ("psi_d",))["network"] < sizes["network"]

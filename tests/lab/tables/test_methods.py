@@ -1,0 +1,132 @@
+"""Rows are those of their files, in every study; presets, names and mistakes."""
+
+import dataclasses
+import pickle
+
+import pytest
+
+from p4dgs_ref.lab import baselines, writer
+from p4dgs_ref.lab.tables import ablate, compare, methods, sweep
+from p4dgs_ref.lab.tables.methods import OURS, StudyError, Task
+from p4dgs_ref.report.evaluate import evaluate
+from p4dgs_ref.report.inspect import ledger
+
+from .shared import table
+
+FIRST = ["method", "scene", "seed", "psnr_db", "bytes"]
+
+
+@pytest.mark.parametrize("study", ["compared", "ablated", "swept"])
+def test_every_row_is_that_of_its_file(study, scene, request):
+    folder, *_, result = request.getfixturevalue(study)
+    rows, place = result.get("methods") or result.get("rows"), folder
+    if study == "swept":
+        place = folder / "points"
+        rows = [*table(folder / "sweep.csv"), *table(folder / "baselines.csv")]
+    for row in rows:
+        path = place / row["file"]
+        assert list(row)[:5] == FIRST and row["scene"] == "bouncing"
+        assert path.stat().st_size == int(row["bytes"])
+        kinds = [int(row[f"{kind}_bytes"]) for kind in ("gaussians", "network", "other")]
+        assert sum(kinds) == int(row["bytes"]) and min(kinds) >= 0
+        metrics = evaluate(methods.load(path), scene)[0]
+        for name in ("psnr_db", "ssim"):
+            assert float(row[name]) == pytest.approx(metrics[name], rel=1e-12)
+        if path.suffix == ".p4dgs":
+            estimate = sum(part["estimate_bytes"] for part in ledger(path.read_bytes()))
+            assert abs(int(row["estimated_bytes"]) - estimate) <= 0.5
+            assert 0.9 < estimate / int(row["bytes"]) < 1
+        assert float(row["train_seconds"]) > 0
+
+
+def test_means_over_scenes_and_seeds():
+    made = zip("aabb", (0, 1, 0, 1), (30.0, 31.0, 34.0, 37.0), (None, 1, 2, 3))
+    rows = [
+        {"method": "m", "scene": scene, "seed": seed, "psnr_db": psnr, "empty": empty}
+        for scene, seed, psnr, empty in made
+    ]
+    (whole,) = writer.means(rows, "method")
+    assert whole == {"method": "m", "seeds": 2, "psnr_db": 33.0, "psnr_db_spread": 1.0}
+    assert [row["psnr_db"] for row in writer.means(rows, "scene")] == [30.5, 35.5]
+    forms = {"scene": "{scene}", "dB": "{psnr_db:.1f}", "none": "{empty:.1f}", "gone": "{gone}"}
+    lines = writer.table(forms, rows[:2])
+    assert lines == [
+        "scene    dB  none  gone",
+        "a      30.0     -     -",
+        "a      31.0   1.0     -",
+    ]
+
+
+def test_dates_of_all_presets_shorten_alike(scene):
+    counted_otherwise = {
+        "gaussians",
+        "sh_degree",
+        "grow_every",
+        "most",
+        "L_x",
+        "L_t",
+        "nodes",
+        "time_nodes",
+        "features",
+        "waves",
+    }
+    for name in baselines.METHODS:
+        whole, half = (
+            methods.preset_of(Task(scene, name, 0, None, iterations)) for iterations in (3800, 1900)
+        )
+        assert whole == baselines.choose(name)
+        for field in dataclasses.fields(whole):
+            before, after = getattr(whole, field.name), getattr(half, field.name)
+            if field.name in methods.DATES:
+                assert after == round(before / 2), (name, field.name)
+            else:
+                assert after == before
+                assert type(before) is not int or field.name in counted_otherwise, (
+                    f"{name}: {field.name} is a date or a count: add it to one of the lists"
+                )
+    ours = [methods.preset_of(Task(scene, OURS, 0, None, n)).stage_ends for n in (None, 1900)]
+    assert ours == [(200, 300, 1800, 3800), (100, 150, 900, 1900)]
+
+
+def test_a_task_travels_to_other_processes_and_names_its_file(scene, tmp_path):
+    changes = {"gaussians": 20, "most": 20}
+    task = pickle.loads(pickle.dumps(Task(scene, "d3dgs_small", 0, tmp_path, 3, changes)))
+    assert task.path == tmp_path / "bouncing_d3dgs_small_20_seed0.ply"
+    row = methods.make(task)
+    assert list(row)[:5] == FIRST and row["iterations"] == 3
+    assert baselines.load(task.path).primitives <= 20 and methods.made([task]) == [row]
+    step = task._replace(method=OURS, step="+ a / b", plain=())
+    assert step.path == tmp_path / "bouncing_a___b_seed0.plain"
+
+
+def test_bytes_of_our_files_by_kind():
+    sizes = {"header": 1, "positions": 2, "masks": 4, "hash_grid": 8, "anchor_mlps": 16}
+    sizes["deformation_mlp"] = 32
+    assert methods.kinds(sizes) == {"gaussians": 6, "network": 56, "other": 1}
+
+
+def test_the_coded_design_is_compared_where_it_is_named():
+    five = [OURS, "d3dgs", "d3dgs_small", "hexplane", "gaussian4d"]
+    assert methods.known([]) == five
+    assert methods.known(["hexplane", methods.CODED, OURS]) == [OURS, methods.CODED, "hexplane"]
+
+
+def test_only_scenes_that_move_are_compared():
+    names = set(compare.dynamic_scenes())
+    assert names >= {"bouncing", "figure", "glossy", "orbit"}
+    assert not {"static", "orientation"} & names
+
+
+def test_mistakes_are_named(scene, tmp_path):
+    words = "method 'nerf': expected one of p4dgs, p4dgs_coded, d3dgs"
+    with pytest.raises(StudyError, match=words):
+        compare.compare([scene], tmp_path, ["nerf"])
+    with pytest.raises(StudyError, match="method 'nerf'"):
+        sweep.plan(scene, tmp_path, names=["nerf"])
+    with pytest.raises(StudyError, match="no such field"):
+        methods.preset_of(Task(scene, OURS, 0, tmp_path, changes={"colour": 1}))
+    empty = dataclasses.replace(scene, test=())
+    for study in (compare.compare, ablate.ablate):
+        with pytest.raises(StudyError, match="scene bouncing: split 'test': no views"):
+            study([empty] if study is compare.compare else empty, tmp_path)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,123 @@
+"""Sweeps: points as jobs of their own, resumed after a kill, one folder for one sweep."""
+
+import json
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+import p4dgs_ref as p4
+from p4dgs_ref.lab import writer
+from p4dgs_ref.lab.baselines import METHODS
+from p4dgs_ref.lab.tables import sweep as study
+from p4dgs_ref.lab.tables.methods import CODED, StudyError
+
+from .shared import SWEEP, table
+
+
+def test_the_csvs_have_a_row_for_each_point(swept):
+    folder, _, _ = swept
+    rows = table(folder / "sweep.csv")
+    expected = {"lambda_rate", "seed", "estimated_bytes", "bytes", "psnr_db", "ssim"}
+    assert expected <= set(rows[0])
+    found = [(float(row["lambda_rate"]), int(row["seed"])) for row in rows]
+    assert found == [(0.0, 0), (0.0, 1), (300.0, 0), (300.0, 1)]
+    others = table(folder / "baselines.csv")
+    assert [row["method"] for row in others] == 4 * ["p4dgs_coded"] + 2 * ["d3dgs_small"]
+    assert [row["lambda_rate"] for row in others] == ["0.0", "0.0", "300.0", "300.0", "", ""]
+    assert iio.imread(folder / "sweep.png").std() > 5
+
+
+def test_the_rate_is_paid_for(swept):
+    _, tasks, result = swept
+    cheap, dear = result["curve"]
+    assert cheap["lambda_rate"] == 0 and dear["anchor_bytes"] < 0.99 * cheap["anchor_bytes"]
+    assert result["points"] == 10 and result["missing"] == 0 and cheap["seeds"] == 2
+    rows = [json.loads(task.record.read_text()) for task in tasks[2:4]]
+    assert dear["psnr_db"] == pytest.approx(np.mean([row["psnr_db"] for row in rows]))
+    assert dear["bytes"] == np.mean([row["bytes"] for row in rows])
+    assert dear["psnr_db_spread"] == pytest.approx(np.ptp([r["psnr_db"] for r in rows]) / 2)
+
+
+def test_the_coded_design_has_a_curve_of_its_own(swept):
+    _, tasks, result = swept
+    cheap, dear = result["baselines"]["p4dgs_coded"]
+    assert (cheap["lambda_rate"], dear["lambda_rate"], cheap["seeds"]) == (0, 300, 2)
+    assert dear["bytes"] < cheap["bytes"] < 0.6 * result["curve"][0]["bytes"]
+    coded = [task for task in tasks if task.method == CODED]
+    assert all(p4.decode(task.path.read_bytes()).design.coded for task in coded)
+
+
+def test_a_curve_of_few_points_has_a_reason_instead_of_a_bd_rate(swept):
+    _, _, result = swept
+    rate, reason = result["bd_rate"]["d3dgs_small"]
+    assert rate is None and "at least 3" in reason
+    text = study.describe(result)
+    assert f"no BD-rate: {reason}" in text and "span a factor of" in text
+
+
+def test_composition_sums_to_the_files(swept):
+    folder, tasks, result = swept
+    rows = table(folder / "composition.csv")
+    assert result["composition"]["lambda_rate"] == [300, 0] and len(rows) == len(study.PARTS)
+    sizes = {}
+    for end, task in (("low", tasks[2]), ("high", tasks[0])):
+        sizes[end] = {row["component"]: int(row[f"bytes_{end}"]) for row in rows}
+        assert sum(sizes[end].values()) == task.path.stat().st_size
+        assert sum(float(row[f"percent_{end}"]) for row in rows) == pytest.approx(100)
+    low, high = sizes["low"], sizes["high"]
+    assert low["anchor position"] == high["anchor position"]
+    assert low["deformation MLP"] == high["deformation MLP"] > 0
+    assert low["anchor feature"] < high["anchor feature"]
+    lines = study.describe(result).splitlines()
+    totals = [f"{sum(size.values()):,}" for size in (low, high)]
+    assert lines[-1].split() == ["file", totals[0], "100.0", totals[1], "100.0", "-", "-"]
+    assert "Table 4" in lines[-12] and lines[-4].split()[-2:] == ["47.6", "26.9"]
+
+
+def test_what_has_arrived_is_drawn(swept, tmp_path):
+    _, tasks, _ = swept
+    moved = [task._replace(folder=tmp_path / "points") for task in tasks]
+    (tmp_path / "points").mkdir()
+    for old, new in list(zip(tasks, moved))[1:3]:
+        new.path.write_bytes(old.path.read_bytes())
+        new.record.write_bytes(old.record.read_bytes())
+    result = study.collect(moved, tmp_path)
+    assert (result["points"], result["missing"]) == (2, 8)
+    assert [point["seeds"] for point in result["curve"]] == [1, 1]
+    assert not result["baselines"] and not (tmp_path / "baselines.csv").exists()
+
+
+def test_every_baseline_is_drawn(swept, tmp_path, monkeypatch):
+    figures = []
+    monkeypatch.setattr(writer, "save_figure", lambda figure, path: figures.append(figure))
+    others, curve = [CODED, *METHODS], swept[2]["curve"]
+    points = {name: [{"bytes": 9e5, "psnr_db": 30.0}] for name in others}
+    study.draw(tmp_path / "a.png", [{"scene": "s", **point} for point in curve], curve, points)
+    labels = [text.get_text() for text in figures[0].axes[0].get_legend().get_texts()]
+    assert labels[3:] == others
+
+
+def test_a_folder_is_of_one_sweep(swept, scene, tmp_path):
+    folder, _, _ = swept
+    for changes, words in (
+        ({"lambdas": (0.0, 1.0)}, "'lambda_rates'"),
+        ({"iterations": 13}, "'iterations': expected 13 as in this sweep, found 12"),
+        ({"seeds": 3}, "'seeds'"),
+        ({"names": []}, "'baselines'"),
+    ):
+        with pytest.raises(StudyError, match=words):
+            study.plan(scene, folder, **{**SWEEP, **changes})
+    old = json.loads((folder / "sweep.json").read_text())
+    (tmp_path / "sweep.json").write_text(json.dumps({**old, "version": 0}))
+    with pytest.raises(StudyError, match="'version': expected 2"):
+        study.plan(scene, tmp_path, **SWEEP)
+
+
+def test_empty_sweeps(scene, tmp_path):
+    with pytest.raises(StudyError, match="an empty sweep; expected at least one value"):
+        study.plan(scene, tmp_path, ())
+    tasks, _ = study.plan(scene, tmp_path)
+    with pytest.raises(StudyError, match="an empty sweep; expected at least one point"):
+        study.collect(tasks, tmp_path)
+    assert not list(tmp_path.iterdir())
