@@ -94,8 +94,8 @@ def find_first(p, *inputs):
     try:
         check("parameter", p.arrays)
         with np.errstate(all="ignore"), watched():
-            losses, _, saved = objective.forward(p, *inputs)
-            gradients, _ = objective.backward(saved)
+            losses, _, back = objective.loss(p, *inputs)
+            gradients, _ = back()
             check("objective", losses._asdict())
             check("gradient of", gradients.arrays)
     except Found as found:

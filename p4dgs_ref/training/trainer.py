@@ -139,11 +139,9 @@ class Trainer(Loop):
             mask=self.mask,
             located=self.located,
             background=self.scene.background,
-            noisy=stage >= 2,
-            moving=stage >= 3,
+            stage=stage,
             lambda_rate=preset.lambda_rate,
             lambda_ssim=preset.sparse_ssim if self.starts_sparse else preset.lambda_ssim,
-            lambda_volume=preset.lambda_volume,
             settings=self.settings,
             coded=self.layout if stage == 4 else None,
             network_price=self.network_price,
@@ -162,8 +160,8 @@ class Trainer(Loop):
         u = self.rng.random((len(self.mask), sum(self.design.widths)), np.float32) - np.float32(0.5)
         moments = self.moments_of(view)
         inputs = (p, self.design, self.networks, self.grids, self.fixed(), view, u, moments)
-        losses, seen, saved = objective.forward(*inputs)
-        gradients, mean2d_bar = objective.backward(saved)
+        losses, seen, back = objective.loss(*inputs)
+        gradients, mean2d_bar = back()
         # The opacities are checked too: masking would hide a NaN among them from the loss.
         watched = (losses.L_total, gradients.vector, seen.alpha)
         if not all(np.isfinite(values).all() for values in watched):
