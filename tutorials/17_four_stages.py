@@ -221,8 +221,8 @@ lessons.show(figure, "17_four_stages")
 # $$\bar{\tilde f} = \bar{\tilde f}_{render} + \lambda\,\bar{\tilde f}_{rate},\qquad
 #   \bar f = \bar{\tilde f},\qquad
 #   \bar q = \sum_i u_i\,\bar{\tilde f}_i + \lambda\,\bar q_{rate}.$$
-# The sum runs over all numbers that share a step (choice Q6). `objective.backward` contains these
-# two sums. A single parameter tests both: the last bias of $\psi_q$ for the group f. It
+# The sum runs over all numbers that share a step (choice Q6). `back` of `objective.loss` contains
+# these two sums. A single parameter tests both: the last bias of $\psi_q$ for the group f. It
 # influences the picture through the noise, and the bits through both terms. We measure the two
 # influences separately with finite differences.
 
@@ -235,9 +235,9 @@ def draw_noise(p):
 
 
 def losses_at(p, on, noise):
-    """The losses at parameters p in float64 with the parts `on`, and what backward needs."""
+    """The losses at parameters p in float64 with the parts `on`, and `back`."""
     networks = {name: p.network(name) for name in trainer.design.layers()}
-    losses, _, residual = objective.forward(
+    losses, _, back = objective.loss(
         p,
         trainer.design,
         networks,
@@ -246,13 +246,13 @@ def losses_at(p, on, noise):
         view,
         noise,
     )
-    return losses, residual
+    return losses, back
 
 
 stage, p, on = saved[3]
 noise = draw_noise(p)
 last_bias = p[f"psi_q.b{len(trainer.design.context)}"]
-gradients, _ = objective.backward(losses_at(p, on, noise)[1])
+gradients, _ = losses_at(p, on, noise)[1]()
 gradient = gradients[f"psi_q.b{len(trainer.design.context)}"][0]
 
 
@@ -299,7 +299,7 @@ unused = {
 }
 for stage, p, on in saved:
     noise = draw_noise(p)
-    gradients, _ = objective.backward(losses_at(p, on, noise)[1])
+    gradients, _ = losses_at(p, on, noise)[1]()
     varied = p.per_element(lambda name: name.split(".")[0] not in held_fixed[stage])
     way = rng.normal(size=p.vector.size) * varied
     origin = p.vector.copy()
@@ -438,7 +438,7 @@ lessons.backward("17.3", my_backward, "rate_stage", "noisy", "q")
 # %%
 def port(noisy, mu, sigma, q, mask, grids, d, k):
     widths = trainer.design._replace(d=d, k=k)
-    return objective.rate_forward(noisy, Context(q, mu, sigma), grids, mask, widths)[0]
+    return objective.rate(noisy, Context(q, mu, sigma), grids, mask, widths)[0]
 
 
 verdict = oracle.check(port, "rate_stage")

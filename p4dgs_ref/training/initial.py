@@ -13,24 +13,13 @@ def design_of(preset, effects):
     """The Design that a preset and the effects of a scene ask for."""
     grid = [("xyz", res) for res in preset.grid_3d]
     grid += [(plane, res) for plane in ("xy", "xz", "yz") for res in preset.grid_2d]
+    same = {name: getattr(preset, name) for name in Design._fields if hasattr(preset, name)}
     return Design(
-        d=preset.d,
-        k=preset.k,
-        hidden=preset.hidden,
-        deformation=preset.deformation,
-        L_x=preset.L_x,
-        L_t=preset.L_t,
-        context=preset.context,
+        **same,
         grid=tuple(grid),
         table=(preset.table_3d, preset.table_2d),
-        F=preset.F,
         Q_0=(preset.Q_f, preset.Q_s, preset.Q_l, preset.Q_O),
-        tau_alpha=preset.tau_alpha,
         effects=tuple(effects),
-        time_net=preset.time_net,
-        skip=preset.skip,
-        coded=preset.coded,
-        position_bits=preset.position_bits,
     )
 
 

@@ -79,66 +79,65 @@ def loss(p, design, networks, grids, fixed, view, u, truth_moments=None):
     `ssim.moments` of the view's image, if they are at hand. back() returns the gradients of L_total
     as Parameters of the same layout, and those of the splats' mean2d [N, 2].
     """
-    R_networks, back_networks = 0.0, None
+    stage, values = fixed.stage, linear_values(p)
+    bits, L_rate, R_networks = 0.0, 0.0, 0.0
     if fixed.coded is not None:
         networks, R_networks, back_networks = coded_networks.coded(p, fixed.coded)
-    values = linear_values(p)
-    ctx = back_context = None
-    if fixed.stage == 4:
+    q = np.tile(np.array(design.Q_0, values.dtype), (len(values), 1))
+    if stage == 4:
         ctx, back_context = context(design, networks, grids, fixed.located)
-    noisy, back_noise = values, None
-    if fixed.stage >= 2:
-        base_steps = np.tile(np.array(design.Q_0, values.dtype), (len(values), 1))
-        noisy, back_noise = add_noise(values, u, ctx.q if ctx else base_steps, design)
-
-    f, s, l, O = split(noisy, design)
-    anchors = Anchors(p["x_a"], f, s, l, O, fixed.mask)
+        q = ctx.q
+    noisy, back_noise = add_noise(values, u if stage > 1 else 0 * u, q, design)
+    anchors = Anchors(p["x_a"], *split(noisy, design), fixed.mask)
     x_c = view.camera.center.astype(values.dtype)
-    t = view.time if fixed.stage >= 3 else None
+    t = view.time if stage > 2 else None
     g, alpha, back_predict = predict(design, networks, anchors, x_c, t)
-    looks = view.camera, fixed.background, fixed.settings, "occlusion" in design.effects
-    (image, _, visible), back_render = pull(render, *g[:5], *looks)
-    truth = view.image.astype(image.dtype)
-    of_image, back_image = pull(render_loss, image, truth, fixed.lambda_ssim, truth_moments)
-    bits, L_rate, back_rate = 0.0, 0.0, None
-    if ctx:
+    (image, _, visible), back_render = pull(
+        render,
+        *g[:5],
+        view.camera,
+        fixed.background,
+        fixed.settings,
+        "occlusion" in design.effects,
+    )
+    (L_render, L1, D_SSIM), back_image = pull(
+        render_loss, image, view.image.astype(image.dtype), fixed.lambda_ssim, truth_moments
+    )
+    if stage == 4:
         R_networks *= fixed.network_price
         (bits, L_rate), back_rate = rate(noisy, ctx, grids, fixed.mask, design, R_networks)
     L_total, back_total = pull(
-        total_loss, np.float64(of_image[0]), np.float64(L_rate), fixed.lambda_rate
+        total_loss, np.float64(L_render), np.float64(L_rate), fixed.lambda_rate
     )
 
     def back():
-        gradients = p.zeros()
-        losses_bar = back_total(1.0)
+        gradients, losses_bar = p.zeros(), back_total(1.0)
         splats = back_render(back_image(losses_bar["L_render"])["image"])
         g_bar = [splats[name].astype(p.vector.dtype) for name in ("x", "s", "r", "alpha", "color")]
         anchors_bar, networks_bar = back_predict(*g_bar)
         noisy_bar = beside(*(anchors_bar[name] for name in ("f_a", "s_a", "l_a", "O_a")))
-        if back_rate:
-            noisy_rate_bar, mu_bar, sigma_bar, q_rate_bar, counted = back_rate(losses_bar["L_rate"])
-            noisy_bar = noisy_bar + noisy_rate_bar  # one noisy value is rendered and coded (Q23)
-            values_bar, q_bar = back_noise(noisy_bar)
-            read, coding_bar = back_context(q_bar + q_rate_bar, mu_bar, sigma_bar)
-            networks_bar.update(coding_bar)
-            for i, (of_context, of_rate) in enumerate(zip(read, counted)):
-                gradients[f"grid.{i}"][...] = of_context + of_rate
+        if stage == 4:
+            coded_bar, mu_bar, sigma_bar, q_bar, counted = back_rate(losses_bar["L_rate"])
+            # one noisy value is rendered and coded (Q23)
+            values_bar, noise_q_bar = back_noise(noisy_bar + coded_bar)
+            read, context_bar = back_context(noise_q_bar + q_bar, mu_bar, sigma_bar)
+            networks_bar |= context_bar
+            for i, (read_bar, counted_bar) in enumerate(zip(read, counted)):
+                gradients[f"grid.{i}"][...] = read_bar + counted_bar
         else:
-            values_bar = back_noise(noisy_bar)[0] if back_noise else noisy_bar
-        lengths = slice(
-            design.d, design.d + 6
-        )  # the columns of s and l, trained as logarithms (Q5)
+            values_bar, _ = back_noise(noisy_bar)
+        lengths = slice(design.d, design.d + 6)  # of s and l, trained as logarithms (Q5)
         values_bar[:, lengths] *= values[:, lengths]
+        gradients["x_a"][...] = anchors_bar["x_a"]
         for name, bar in zip(ATTRIBUTES, groups(values_bar, design)):
             gradients[name][...] = bar.reshape(gradients[name].shape)
-        gradients["x_a"][...] = anchors_bar["x_a"]
         for name, network_bar in networks_bar.items():
             gradients.fill(name, network_bar)
-        if back_networks:
+        if fixed.coded is not None:
             back_networks(gradients, fixed.network_price * losses_bar["L_rate"] / values.size)
         return gradients, splats["mean2d"]
 
-    losses = Losses(*map(float, (L_total, *of_image, L_rate, bits)))
+    losses = Losses(*map(float, (L_total, L_render, L1, D_SSIM, L_rate, bits)))
     return losses, Seen(alpha, g.index, visible, image), back
 
 

@@ -67,11 +67,14 @@ def tagged(arrays, tag):
 
 
 class Trainer(Loop):
-    """Fits one scene: `step()` does one iteration, `model()` returns the model so far."""
+    """Fits one scene: `step()` does one iteration, `model()` returns the model so far.
 
-    def __init__(self, scene, preset, seed=0, settings=FAST, points=None):
+    A `design` takes the place of the preset's, for example one with D3DGS's deformation network.
+    """
+
+    def __init__(self, scene, preset, seed=0, settings=FAST, points=None, design=None):
         super().__init__(scene, preset, seed, settings)
-        self.design = design_of(preset, scene.effects)
+        self.design = design or design_of(preset, scene.effects)
         self.box = None  # the bounding box, fixed when stage 4 starts
         self.located = None  # where the positions are in the hash grid, from stage 4 on
         points = scene.points if points is None else points

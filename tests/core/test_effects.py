@@ -12,7 +12,7 @@ from p4dgs_ref.codec import quantise
 from p4dgs_ref.codec.file import encode
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.lab.effects.work import counted, effect_bytes
-from p4dgs_ref.model import Anchors, predict, predict_backward
+from p4dgs_ref.model import Anchors, predict
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS
 from p4dgs_ref.splatting import covariance, projection, render
@@ -161,7 +161,7 @@ def picture_and_gradients(p, design, view, background, image_bars):
         p["O_a"],
         np.ones(p["O_a"].shape[:2], bool),
     )
-    g, res_p = predict(design, networks, anchors, view.camera.center, view.time)
+    g, _, back = predict(design, networks, anchors, view.camera.center, view.time)
     (image, _, _), res = render.forward(
         g.x,
         g.s,
@@ -176,9 +176,7 @@ def picture_and_gradients(p, design, view, background, image_bars):
     found = []
     for bar in image_bars:
         bars = render.backward(res, bar)
-        rows, nets = predict_backward(
-            res_p, bars["x"], bars["s"], bars["r"], bars["alpha"], bars["color"]
-        )
+        rows, nets = back(*(bars[key] for key in ("x", "s", "r", "alpha", "color")))
         arrays = {name: rows[name] for name in ("x_a", "f_a", "s_a", "l_a", "O_a")}
         for net, bars_of in nets.items():
             arrays.update(

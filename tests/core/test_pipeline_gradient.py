@@ -22,15 +22,14 @@ from tests.sampling import few
 WIDTH, HEIGHT = 16, 12
 
 
-def setting(effects=MODEL_EFFECTS, stage=4, seed=0, changes=(), **fixed):
+def setting(effects=MODEL_EFFECTS, stage=4, seed=0, changes=()):
     """A small model in float64 with every network awake, one view of it, and noise.
 
-    `changes` are fields of the preset, `fixed` of objective.Fixed.
+    `changes` are fields of the design.
     """
     rng = np.random.default_rng(seed)
     preset = SMOKE._replace(anchors=9, deformation_gain=1.0, feature_std=0.7, extent=0.6)
-    preset = preset._replace(**dict(changes))
-    design = design_of(preset, effects)
+    design = design_of(preset, effects)._replace(**dict(changes))
     p = Parameters(initial_parameters(preset, design, rng).arrays, np.float64)
     for name in p.arrays:
         if name.startswith("grid"):
@@ -49,23 +48,21 @@ def setting(effects=MODEL_EFFECTS, stage=4, seed=0, changes=(), **fixed):
     view = View("v", rng.random((HEIGHT, WIDTH, 3)), None, camera, 0.37)
     u = rng.random((len(p["x_a"]), sum(design.widths))) - 0.5
     mask = rng.random((len(p["x_a"]), design.k)) < 0.85
-    values = dict(
+    fixed = objective.Fixed(
         mask=mask,
         located=located,
         background=np.array([0.9, 0.8, 0.3]),
-        noisy=stage >= 2,
-        moving=stage >= 3,
+        stage=stage,
         lambda_rate=0.02,
         lambda_ssim=0.2,
-        lambda_volume=0.01,
         settings=FAST._replace(dtype="float64", cut=1e-14, stop=0.0),
     )
-    return p, design, objective.Fixed(**{**values, **fixed}), view, u
+    return p, design, fixed, view, u
 
 
 def evaluate(p, design, fixed, view, u):
     networks = {name: p.network(name) for name in design.layers()}
-    return objective.forward(p, design, networks, p.listed("grid"), fixed, view, u)
+    return objective.loss(p, design, networks, p.listed("grid"), fixed, view, u)
 
 
 def hold(p, design, fixed, view, u, monkeypatch):
@@ -134,9 +131,9 @@ def check(p, design, fixed, view, u, monkeypatch, limit=1e-5):
     Returns the names of the arrays that have a gradient.
     """
     held = hold(p, design, fixed, view, u, monkeypatch)
-    _, seen, saved = evaluate(p, design, fixed, view, u)
+    _, seen, back = evaluate(p, design, fixed, view, u)
     assert len(seen.index) > 3 and np.ptp(seen.image) > 0.1  # something is seen
-    gradients, _ = objective.backward(saved)
+    gradients, _ = back()
     rng = np.random.default_rng(5)
 
     def loss(name, change):
@@ -216,8 +213,8 @@ def test_exact_settings_give_the_same_gradient():
     p, design, fixed, view, u = setting()
     found = []
     for settings in (fixed.settings, EXACT):
-        _, _, saved = evaluate(p, design, fixed._replace(settings=settings), view, u)
-        found.append(objective.backward(saved)[0])
+        _, _, back = evaluate(p, design, fixed._replace(settings=settings), view, u)
+        found.append(back()[0])
     for name in p.arrays:
         got, want = (gradients[name] for gradients in found)
         assert np.allclose(got, want, rtol=1e-8, atol=1e-10 * np.abs(want).max()), name
@@ -226,13 +223,14 @@ def test_exact_settings_give_the_same_gradient():
 def test_gradient_checker_sees_a_lost_factor(monkeypatch):
     """The check rejects a gradient that forgets the logarithm of l, a fault of real codes."""
     p, design, fixed, view, u = setting(stage=2)
-    real = objective.backward
+    real = objective.loss
 
-    def forgetful(saved):
-        gradients, mean2d = real(saved)
+    def forgetful(*inputs):
+        losses, seen, back = real(*inputs)
+        gradients, mean2d = back()
         gradients["log_l"][...] /= np.exp(p["log_l"])
-        return gradients, mean2d
+        return losses, seen, lambda: (gradients, mean2d)
 
-    monkeypatch.setattr(objective, "backward", forgetful)
+    monkeypatch.setattr(objective, "loss", forgetful)
     with pytest.raises(AssertionError, match="log_l"):
         check(p, design, fixed, view, u, monkeypatch)

@@ -14,6 +14,7 @@ from p4dgs_ref.lab.effects import ledger as effect_ledger
 from p4dgs_ref.model import ANCHOR_NETWORKS, without_silent_units
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
+from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import SMOKE
 from p4dgs_ref.training.trainer import Trainer, assemble
 from tests.lab import pairs
@@ -75,9 +76,10 @@ def test_two_processes_train_the_builds_that_one_trains():
 def test_bytes_of_motion_are_those_of_its_section():
     """Also with D3DGS's time net and skip, and where networks are coded (B1)."""
     scene = load_scene("figure", downscale=4)
-    options = dict(deformation=(6, 5, 4), time_net=(7, 3), skip=True)
-    for changes in ({}, options, dict(coded=True)):
-        data = encode(Trainer(scene, SHORT._replace(**changes)).model())
+    as_d3dgs = dict(deformation=(6, 5, 4), time_net=(7, 3), skip=True)
+    for options in ({}, as_d3dgs, dict(coded=True)):
+        design = design_of(SHORT, scene.effects)._replace(**options)
+        data = encode(Trainer(scene, SHORT, design=design).model())
         sizes = effect_ledger.effect_bytes(data)
         assert round(sum(sizes[e] for e in MOTION)) == components(data)["deformation_mlp"]
 

@@ -13,7 +13,7 @@ from ... import effects as fx
 from ...codec.file import NETWORK_SECTIONS, decode, network_numbers
 from ...model import ANCHOR_NETWORKS
 from ...report.inspect import components
-from ...training.finite import intercepted
+from ...training.watch import equation_codes, watching
 
 VIEW = ("view_color", "view_geometry")
 SEES = {
@@ -88,15 +88,12 @@ def counted():
     """A `with` block that counts the work of the equations in it; gives the Work."""
     work = Work()
 
-    def count(key, name, function):
-        def run(*args, **kwargs):
-            result = function(*args, **kwargs)
-            work.add(key, name, result[1] if name == "forward" else args[0])
-            return result
+    def see(event, mark, frame, value):
+        if event == "return":
+            key, name = mark
+            work.add(key, name, value[1] if name == "forward" else frame.f_locals["saved"])
 
-        return run
-
-    with intercepted(count):
+    with watching(equation_codes(), see):
         yield work
 
 

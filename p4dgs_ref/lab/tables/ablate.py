@@ -22,13 +22,14 @@ from ...report.evaluate import evaluate
 from ...report.figures import write_csv
 from ...report.inspect import components
 from ...report.jobs import in_processes
+from ...training.initial import design_of
 from ...training.trainer import Trainer
 from .. import baselines
 from . import methods, plain_file
 from .methods import OURS, Task, spread
 
 TINIEST_STEP = 2.0**-40  # noise of this size changes nothing
-OF_THE_AUTHORS = ("deformation", "time_net", "skip", "L_x", "L_t", "lr_d")
+OF_THE_AUTHORS = ("deformation", "time_net", "skip", "L_x", "L_t")
 # Rate in MB, savings in percent and PSNR in dB of the paper's Table 3, on T-Rex.
 PAPER = {
     "D3DGS": (56.7, None, 38.04),
@@ -71,8 +72,14 @@ def preset_of(step):
     )
     if step.name == "+ compact deformation MLP":
         return unrated
+    return unrated._replace(lr_d=baselines.choose("d3dgs").lr_d)
+
+
+def design_of_the_authors(preset, effects):
+    """The design of a preset with the deformation network of D3DGS."""
     theirs = baselines.choose("d3dgs")
-    return unrated._replace(**{name: getattr(theirs, name) for name in OF_THE_AUTHORS})
+    changes = {name: getattr(theirs, name) for name in OF_THE_AUTHORS}
+    return design_of(preset, effects)._replace(**changes)
 
 
 def fit(step):
@@ -80,7 +87,10 @@ def fit(step):
     scene = step.task.scene
     if step.name == "no deformation":
         scene = replace(scene, effects=[name for name in scene.effects if name not in MOTION])
-    trainer = Trainer(scene, preset_of(step), step.task.seed)
+    preset, design = preset_of(step), None
+    if step.name == "+ spatial prediction":
+        design = design_of_the_authors(preset, scene.effects)
+    trainer = Trainer(scene, preset, step.task.seed, design=design)
     if step.name == "fixed step":  # tanh(0) = 0, so every step is its base step
         last = len(trainer.design.context)
         for kind in "Wb":
