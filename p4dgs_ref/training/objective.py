@@ -83,11 +83,12 @@ def loss(p, design, networks, grids, fixed, view, u, truth_moments=None):
     bits, L_rate, R_networks = 0.0, 0.0, 0.0
     if fixed.coded is not None:
         networks, R_networks, back_networks = coded_networks.coded(p, fixed.coded)
-    q = np.tile(np.array(design.Q_0, values.dtype), (len(values), 1))
+    noisy, q = values, np.array([design.Q_0], values.dtype)
     if stage == 4:
         ctx, back_context = context(design, networks, grids, fixed.located)
         q = ctx.q
-    noisy, back_noise = add_noise(values, u if stage > 1 else 0 * u, q, design)
+    if stage > 1:
+        noisy, back_noise = add_noise(values, u, q, design)
     anchors = Anchors(p["x_a"], *split(noisy, design), fixed.mask)
     x_c = view.camera.center.astype(values.dtype)
     t = view.time if stage > 2 else None
@@ -125,7 +126,7 @@ def loss(p, design, networks, grids, fixed, view, u, truth_moments=None):
             for i, (read_bar, counted_bar) in enumerate(zip(read, counted)):
                 gradients[f"grid.{i}"][...] = read_bar + counted_bar
         else:
-            values_bar, _ = back_noise(noisy_bar)
+            values_bar = back_noise(noisy_bar)[0] if stage > 1 else noisy_bar
         lengths = slice(design.d, design.d + 6)  # of s and l, trained as logarithms (Q5)
         values_bar[:, lengths] *= values[:, lengths]
         gradients["x_a"][...] = anchors_bar["x_a"]
