@@ -355,10 +355,10 @@ class Model:
 
     def render(self, camera: Camera, t: float, settings: Settings = FAST) -> np.ndarray:
         """The image [H, W, 3] at time t in [0, 1]. Clip it to [0, 1] before saving it."""
-        *gaussians, _ = self.gaussians(t, camera)
+        x, s, r, alpha, color, _ = self.gaussians(t, camera)
         occlusion = "occlusion" in self.design.effects
         (image, *_), _ = render.forward(
-            *gaussians, camera, self.background, settings, occlusion, keep=False
+            x, s, r, alpha, color, camera, self.background, settings, occlusion, keep=False
         )
         return image
 

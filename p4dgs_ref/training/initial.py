@@ -1,7 +1,7 @@
 """The first parameters: random anchors, default networks, a hash grid with random signs."""
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from .. import effects as fx
 from ..model import Design
@@ -30,7 +30,7 @@ def neighbour_distance(points):
     """
     if len(points) < 2:
         return np.full(len(points), 0.1)
-    distance, _ = cKDTree(points).query(points, k=min(4, len(points)))
+    distance, _ = KDTree(points).query(points, k=min(4, len(points)))
     return np.sqrt(np.maximum((distance[:, 1:] ** 2).mean(axis=1), 1e-7))
 
 

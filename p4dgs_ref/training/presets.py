@@ -58,7 +58,8 @@ LAST_SCAFFOLD, LAST_HAC = "paper; last: Scaffold-GS (Q17)", "paper; last: HAC (Q
 # The paper gives no hash grid; these are the resolutions of HAC.
 HAC_3D = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
 HAC_2D = (130, 258, 514, 1026)
-Ints, Rate = tuple[int, ...], tuple[float, ...]
+Ints = tuple[int, ...]
+Rate = tuple[float, ...]
 
 
 class Row(NamedTuple):
