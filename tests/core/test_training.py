@@ -17,6 +17,7 @@ from p4dgs_ref.training.initial import initial_parameters, neighbour_distance
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, TINY, choose, differences
 from p4dgs_ref.training.trainer import Trainer
+from p4dgs_ref.training.watch import equation_codes, watching
 
 
 @pytest.fixture(scope="module")
@@ -355,6 +356,21 @@ def test_an_equation_inside_another_is_named_with_it(scene, monkeypatch):
         pytest.raises(NotFinite, match="equation 'deformation', its 'mlp', forward: y"),
     ):
         trainer.step()
+
+
+def test_calls_are_watched_from_outside(scene):
+    """In the order of the paper's figures; afterwards the profile function is the one before."""
+    trainer, seen, before = Trainer(scene, SMOKE), [], sys.getprofile()
+    with watching(equation_codes(), lambda event, mark, *_: seen.append((event, *mark))):
+        trainer.step()
+    trainer.step()
+    assert sys.getprofile() is before
+    forwards = [key for event, key, name in seen if (event, name) == ("call", "forward")]
+    assert forwards[:3] == ["view", "opacity", "mlp"] and forwards[-1] == "total_loss"
+    assert seen[-1] == ("return", "view", "backward")
+    assert seen.count(("call", "scale", "backward")) == 1
+    assert seen.count(("return", "compositing, fast", "forward")) == 1
+    assert sum(event == "call" for event, *_ in seen) == len(seen) / 2
 
 
 # --- memory ---
