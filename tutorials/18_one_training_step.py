@@ -124,17 +124,16 @@ f, s, l, O = split(noisy, design)
 
 
 def gaussians():
-    """The Gaussians at the view's time, and `back` from their cotangents to the anchors."""
+    """The Gaussians at the view's time, all opacities, and `back` from cotangents to anchors."""
     anchors = Anchors(p["x_a"], f, s, l, O, fixed.mask)
-    g, _, back = predict(design, networks, anchors, view.camera.center, view.time)
-    return g, back
+    return predict(design, networks, anchors, view.camera.center, view.time)
 
 
 def rendered(g):
     return render.forward(*g[:5], view.camera, fixed.background, fixed.settings)
 
 
-g, back_g = gaussians()
+g, _, back_g = gaussians()
 (image, *_), saved_r = rendered(g)
 (L_render, L1, D_SSIM), saved_l = render_loss.forward(image, truth, fixed.lambda_ssim)
 (bits, L_rate), back_rate = objective.rate(noisy, ctx, grids, fixed.mask, design)

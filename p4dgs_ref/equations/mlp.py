@@ -6,8 +6,6 @@ P-4DGS, appendix (hyperparameters). Rows are samples, and a layer is x W + b (Q3
 transpose of the weight that PyTorch stores.
 """
 
-from typing import Any
-
 import numpy as np
 
 
@@ -26,7 +24,7 @@ def forward(
     return y, (inputs, weights)
 
 
-def backward(saved, y_bar, needs_x=True) -> dict[str, Any]:
+def backward(saved, y_bar, needs_x=True) -> dict:
     """Gradients of x, weights and biases; `needs_x=False` leaves x out and saves a product.
 
     A ReLU passes the gradient where its input was positive, so at 0 the gradient is 0.

@@ -105,8 +105,9 @@ def loss(p, design, networks, grids, fixed, view, u, truth_moments=None):
         render_loss, image, view.image.astype(image.dtype), fixed.lambda_ssim, truth_moments
     )
     if stage == 4:
-        R_networks *= fixed.network_price
-        (bits, L_rate), back_rate = rate(noisy, ctx, grids, fixed.mask, design, R_networks)
+        (bits, L_rate), back_rate = rate(
+            noisy, ctx, grids, fixed.mask, design, fixed.network_price * R_networks
+        )
     L_total, back_total = pull(
         total_loss, np.float64(L_render), np.float64(L_rate), fixed.lambda_rate
     )
