@@ -1,4 +1,4 @@
-"""psi_d with D3DGS's time net and skip: against a loop over rows, its gradient, its size."""
+"""psi_d with D3DGS's time net and skip: its gradient, without both, in training and in a file."""
 
 import numpy as np
 import pytest
@@ -48,33 +48,6 @@ def inputs(time_net, skip, seed=0):
 
 VARIANTS = pytest.mark.parametrize("time_net", [(), (7, 4)])
 SKIPS = pytest.mark.parametrize("skip", [False, True])
-
-
-def encode(values, L):
-    """E of one row, number by number."""
-    row = list(values)
-    for j in range(L):
-        row += [np.sin(2**j * v) for v in values] + [np.cos(2**j * v) for v in values]
-    return np.array(row)
-
-
-@VARIANTS
-@SKIPS
-def test_against_a_loop_over_rows(time_net, skip):
-    """As D3DGS's code does it: after the middle layer the inputs are put before the hidden row."""
-    case = inputs(time_net, skip)
-    deltas, _ = deformation_d3dgs.forward(**case)
-    time = encode([case["t"]], L_T)
-    for i, (W, b) in enumerate(zip(case["time_weights"], case["time_biases"])):
-        time = (np.maximum(time, 0) if i else time) @ W + b
-    for row, x in enumerate(case["x"]):
-        start = hidden = np.concatenate([encode(x, L_X), time])
-        for i, (W, b) in enumerate(zip(case["weights"][:-3], case["biases"][:-3])):
-            hidden = np.maximum(hidden @ W + b, 0)
-            if skip and i == len(HIDDEN) // 2:
-                hidden = np.concatenate([start, hidden])
-        for delta, W, b in zip(deltas, case["weights"][-3:], case["biases"][-3:]):
-            assert np.allclose(delta[row], hidden @ W + b, rtol=1e-12, atol=1e-13)
 
 
 @VARIANTS

@@ -4,6 +4,7 @@ Absent means: no call, no parameter, no state of the optimiser, no byte in the f
 """
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -31,6 +32,7 @@ from tests.core.effect_scenes import (
     small_scene,
     trained,
 )
+from tests.sampling import few
 
 
 # --- what is off is absent ---
@@ -49,8 +51,7 @@ def weights_of(arrays, effect, d):
     )
 
 
-@pytest.mark.parametrize("effect", MODEL_EFFECTS)
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name, effect", few([*product(SCENES, MODEL_EFFECTS)], 9))
 def test_off_is_absent_and_on_is_there(name, effect):
     for on in (False, True):
         trainer, work, data = trained(name, effect, on)
@@ -201,8 +202,7 @@ def one_by_one(bar):
         yield alone
 
 
-@pytest.mark.parametrize("effect", MOTION + tuple(SEEN_BY))
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name, effect", few([*product(SCENES, (*MOTION, *SEEN_BY))], 7))
 def test_off_equals_the_neutral_input(name, effect):
     scene = small_scene(name)
     view = scene.train[5 + MODEL_EFFECTS.index(effect)]
