@@ -371,10 +371,6 @@ FACTS = {
         ends(PAPER_REAL) + " (real)",
         ends(TINY) + " (`tiny`)",
     ],
-    "Q25": [
-        f"weight {PAPER_SYNTHETIC.lambda_volume:g} in the paper presets",
-        f"{TINY.lambda_volume:g} in `tiny`",
-    ],
 }
 
 
@@ -402,7 +398,6 @@ def test_what_facts_share_is_shared():
         "success",
         "lambda_ssim",
         "tau_alpha",
-        "lambda_volume",
     ):
         assert getattr(PAPER_REAL, field) == getattr(PAPER_SYNTHETIC, field), field
     for preset in (PAPER_SYNTHETIC, PAPER_REAL, TINY):
