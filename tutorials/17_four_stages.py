@@ -126,7 +126,7 @@ for end in ends:
             moved.append(arrays_that_moved(before))
     snapshots.append(trainer.model())
     assert moved[-1] == {stem for stem, learning_rate in rates.items() if learning_rate > 0}
-    print(f"stage {stage}: noise {on.noisy!s:5}  time {on.moving!s:5}", end="  ")
+    print(f"stage {stage}: noise {on.stage > 1!s:5}  time {on.stage > 2!s:5}", end="  ")
     print(f"rate {on.located is not None!s:5}  unchanged:", *sorted(set(rates) - moved[-1]))
 assert [len(stems) for stems in moved] == [9, 9, 10, 12]
 assert moved[2] - moved[1] == {"psi_d"}
