@@ -1,8 +1,8 @@
 """Every constant of training by name: the two settings of the paper and four small ones.
 
-`Preset` is a table with one row a field. All else that is said of a field follows from it: SOURCES,
-REQUIREMENTS, the values of `tiny`, and the numbers that `initial.design_of` puts into a file.
-`differences(preset)` lists what a preset changes.
+`Preset` is a table with one row a field. From it follow SOURCES, what `choose` accepts, the values
+of `tiny`, and what `initial.design_of` puts into a file. `differences(preset)` lists what a preset
+changes.
 """
 
 from collections.abc import Callable, Mapping
@@ -75,7 +75,7 @@ _rows = []  # of all fields but the name
 
 
 def row(paper, tiny, requirement, source, meaning) -> Any:
-    """Note what the table says of the next field; returns the value in `paper_synthetic`."""
+    """Note what the table says of its next field; returns the value in `paper_synthetic`."""
     _rows.append(Row(tiny, requirement, source, meaning))
     return paper
 
@@ -173,7 +173,6 @@ class Preset(NamedTuple):
 
 ROWS = dict(zip(Preset._fields[1:], _rows, strict=True))
 SOURCES = {field: row.source for field, row in ROWS.items()}
-REQUIREMENTS = {field: row.requirement for field, row in ROWS.items()}
 
 PAPER_SYNTHETIC = Preset()
 PAPER_REAL = Preset(
@@ -258,8 +257,8 @@ def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Pr
         preset = PRESETS[preset]
     values = read_changes(preset.name, PAPER_SYNTHETIC._asdict(), changes)
     chosen = preset._replace(**values)
-    for field, (expected, is_met) in REQUIREMENTS.items():
-        value = getattr(chosen, field)
+    for field, row in ROWS.items():
+        value, (expected, is_met) = getattr(chosen, field), row.requirement
         if not is_met(value):
             raise ValueError(f"field {field!r}: expected {expected}, got {value!r}")
     if not chosen.grid_3d + chosen.grid_2d:
