@@ -392,6 +392,7 @@ def test_held_bytes_count_whole_arrays():
     assert loop.held_bytes(ssim.moments(truth)) == 4 * truth.nbytes
 
 
+@pytest.mark.slow
 def test_prepare_comes_before_numpy():
     """From Python it sets one BLAS thread, and leaves a number that the user has set."""
     program = (
