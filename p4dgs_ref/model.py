@@ -7,6 +7,7 @@ Fig. 2, coding:     anchor positions -> hash grid -> steps q, means mu, standard
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -144,20 +145,10 @@ class Gaussians(NamedTuple):
     index: np.ndarray  # [N]  a k + i for child i of anchor a
 
 
-class SavedPrediction(NamedTuple):
-    """What `predict_backward` needs: what every equation saved."""
-
-    alpha: np.ndarray  # [A, k]  kept for density control, which looks at opacities before masking
-    view: tuple | None  # None where the scene has no view effects
-    opacity: tuple
-    color: tuple
-    rotation: tuple
-    scale: tuple
-    offsets: tuple
-    masking: tuple
-    # The module of psi_d and what it saved; None where nothing moves or time has not started.
-    deformation: tuple | None = None
-    deformed: tuple | None = None
+def pull(equation, *inputs):
+    """The output of an equation's `forward`, and its `backward` bound to what that saved."""
+    output, saved = equation.forward(*inputs)
+    return output, partial(equation.backward, saved)
 
 
 def beside(f, s, l, O):
@@ -184,86 +175,77 @@ def split(values, design):
 def predict(design, networks, anchors, x_c, t=None):
     """Spatial, then temporal prediction (P-4DGS Fig. 1, Eqs. 1 to 6).
 
-    Return the Gaussians at time t as the camera at x_c [3] sees them, and what `predict_backward`
-    needs. `networks` is {name: (weights, biases)}. Without t, as in stages 1 and 2 of training, the
-    Gaussians are the canonical ones.
+    `networks` is {name: (weights, biases)}. Without t, as in stages 1 and 2 of training, the
+    Gaussians are the canonical ones. Return
+
+        the Gaussians at time t as the camera at x_c [3] sees them
+        the opacities [A, k] of all children before masking, for density control
+        back(x_bar, s_bar, r_bar, alpha_bar, color_bar), which gives the gradients of the anchors'
+        attributes {name: gradient} and of the networks {name: gradients}
     """
     f_a, effects = anchors.f_a, design.effects
     unseen = f_a[:, :0], f_a[:, :0]
-    seen, saved_view = unseen, None
+    seen, back_view = unseen, None
     if "view_color" in effects or "view_geometry" in effects:
-        seen, saved_view = view.forward(anchors.x_a, x_c)
+        seen, back_view = pull(view, anchors.x_a, x_c)
     for_color = seen if "view_color" in effects else unseen
     for_geometry = seen if "view_geometry" in effects else unseen
 
-    alpha, saved_opacity = opacity.forward(f_a, *for_geometry, *networks["psi_alpha"])
-    c, saved_color = color.forward(f_a, *for_color, *networks["psi_c"])
-    r, saved_rotation = rotation.forward(f_a, *for_geometry, *networks["psi_r"])
-    s, saved_scale = scale.forward(anchors.s_a, f_a, *for_geometry, *networks["psi_s"])
-    x, saved_offsets = offsets.forward(anchors.x_a, anchors.O_a, anchors.l_a)
-    kept, saved_masking = masking.forward(alpha, anchors.mask, design.tau_alpha, x, c, s, r)
+    alpha, back_alpha = pull(opacity, f_a, *for_geometry, *networks["psi_alpha"])
+    c, back_c = pull(color, f_a, *for_color, *networks["psi_c"])
+    r, back_r = pull(rotation, f_a, *for_geometry, *networks["psi_r"])
+    s, back_s = pull(scale, anchors.s_a, f_a, *for_geometry, *networks["psi_s"])
+    x, back_x = pull(offsets, anchors.x_a, anchors.O_a, anchors.l_a)
+    kept, back_kept = pull(masking, alpha, anchors.mask, design.tau_alpha, x, c, s, r)
     alpha_kept, x, c, s, r, index = kept
-    saved = SavedPrediction(
-        alpha,
-        saved_view,
-        saved_opacity,
-        saved_color,
-        saved_rotation,
-        saved_scale,
-        saved_offsets,
-        saved_masking,
-    )
+    back_move = None
     if t is not None and "psi_d" in networks:
-        psi_d, psi_t = deformation, ()
-        if design.time_net or design.skip:
-            psi_d, psi_t = deformation_d3dgs, networks.get("psi_t", ([], []))
-        deltas, saved_deformation = psi_d.forward(
-            x, t, *networks["psi_d"], *psi_t, design.L_x, design.L_t
-        )
-        (x, s, r), saved_deformed = deformed.forward(x, s, r, *deltas)
-        saved = saved._replace(deformation=(psi_d, saved_deformation), deformed=saved_deformed)
-    return Gaussians(x, s, r, alpha_kept, c, index), saved
+        (x, s, r), back_move = move(design, networks, x, s, r, t)
+
+    def back(x_bar, s_bar, r_bar, alpha_bar, color_bar):
+        networks_bar = {}
+        if back_move:
+            x_bar, s_bar, r_bar, networks_bar = back_move(x_bar, s_bar, r_bar)
+        children = back_kept(alpha_bar, x_bar, color_bar, s_bar, r_bar)
+        placed = back_x(children["x"])
+        psi_s, psi_r = back_s(children["s"]), back_r(children["r"])
+        psi_c, psi_alpha = back_c(children["color"]), back_alpha(children["alpha"])
+        predicted = dict(zip(ANCHOR_NETWORKS, (psi_alpha, psi_c, psi_r, psi_s)))
+        f_a_bar = sum(psi["f_a"] for psi in predicted.values())
+        x_a_bar = placed["x_a"]
+        if back_view:  # every network that sees the view sends its gradient back
+            seeing = [psi for psi in predicted.values() if psi["d_vc"].shape[1]]
+            delta_vc_bar = sum(psi["delta_vc"] for psi in seeing)
+            x_a_bar = x_a_bar + back_view(delta_vc_bar, sum(psi["d_vc"] for psi in seeing))["x_a"]
+        own = {"f_a": f_a_bar, "s_a": psi_s["s_a"], "l_a": placed["l_a"], "O_a": placed["O_a"]}
+        return {"x_a": x_a_bar, **own}, {**networks_bar, **predicted}
+
+    return Gaussians(x, s, r, alpha_kept, c, index), alpha, back
 
 
-def predict_backward(saved, x_bar, s_bar, r_bar, alpha_bar, color_bar):
-    """Gradients of the anchors' attributes {name: gradient} and of the networks {name: gradients}.
+def move(design, networks, x, s, r, t):
+    """Temporal prediction: canonical Gaussians at time t (Eqs. 5 and 6).
 
-    The cotangents are those of the Gaussians at time t. No gradient flows from E(x) back into x
-    (Q10).
+    Return (x_t, s_t, r_t) and `back`, which gives the gradients of x, s, r and of the networks.
+    No gradient flows from E(x) back into x (Q10).
     """
-    networks = {}
-    if saved.deformed is not None:
-        at_t = deformed.backward(saved.deformed, x_bar, s_bar, r_bar)
-        x_bar, s_bar, r_bar = at_t["x"], at_t["s"], at_t["r"]
-        psi_d, saved_psi_d = saved.deformation
-        gradients = psi_d.backward(
-            saved_psi_d, at_t["delta_x"], at_t["delta_s"], at_t["delta_r"], needs_x=False
-        )
-        networks["psi_d"] = gradients
-        if gradients.get("time_weights"):
-            networks["psi_t"] = {
-                "weights": gradients["time_weights"],
-                "biases": gradients["time_biases"],
-            }
-    children = masking.backward(saved.masking, alpha_bar, x_bar, color_bar, s_bar, r_bar)
-    placed = offsets.backward(saved.offsets, children["x"])
-    networks["psi_s"] = scale.backward(saved.scale, children["s"])
-    networks["psi_r"] = rotation.backward(saved.rotation, children["r"])
-    networks["psi_c"] = color.backward(saved.color, children["color"])
-    networks["psi_alpha"] = opacity.backward(saved.opacity, children["alpha"])
-    anchors = {
-        "x_a": placed["x_a"],
-        "O_a": placed["O_a"],
-        "l_a": placed["l_a"],
-        "s_a": networks["psi_s"]["s_a"],
-        "f_a": sum(networks[name]["f_a"] for name in ANCHOR_NETWORKS),
-    }
-    if saved.view is not None:  # every network that sees the view sends its gradient back
-        seeing = [networks[name] for name in ANCHOR_NETWORKS if networks[name]["d_vc"].shape[1]]
-        delta_vc_bar = sum(gradients["delta_vc"] for gradients in seeing)
-        d_vc_bar = sum(gradients["d_vc"] for gradients in seeing)
-        anchors["x_a"] = anchors["x_a"] + view.backward(saved.view, delta_vc_bar, d_vc_bar)["x_a"]
-    return anchors, networks
+    psi_d, psi_t = deformation, ()
+    if design.time_net or design.skip:
+        psi_d, psi_t = deformation_d3dgs, networks.get("psi_t", ([], []))
+    deltas, back_deltas = pull(psi_d, x, t, *networks["psi_d"], *psi_t, design.L_x, design.L_t)
+    at_t, back_at_t = pull(deformed, x, s, r, *deltas)
+
+    def back(x_t_bar, s_t_bar, r_t_bar):
+        bars = back_at_t(x_t_bar, s_t_bar, r_t_bar)
+        deltas_bar = bars["delta_x"], bars["delta_s"], bars["delta_r"]
+        psi_d_bar = back_deltas(*deltas_bar, needs_x=False)
+        networks_bar = {"psi_d": psi_d_bar}
+        if psi_d_bar.get("time_weights"):
+            time_bar = psi_d_bar["time_weights"], psi_d_bar["time_biases"]
+            networks_bar["psi_t"] = dict(zip(("weights", "biases"), time_bar))
+        return bars["x"], bars["s"], bars["r"], networks_bar
+
+    return at_t, back
 
 
 def bounding_box(x_a):
@@ -330,24 +312,22 @@ class Context(NamedTuple):
 
 
 def context(design, networks, grids, located):
-    """Hash grid, adaptive steps and prior (P-4DGS Fig. 2, Eqs. 8, 9 and 12).
+    """Hash grid, adaptive steps and prior (P-4DGS Fig. 2, Eqs. 9, 8 and 12).
 
-    Return the Context and what `context_backward` needs. `located` is what `hash_grid.locate`
-    returns for the positions.
+    `located` is what `hash_grid.locate` returns for the positions. Return the Context and
+    back(q_bar, mu_bar, sigma_bar), which gives the gradients of the grids, a list, and those of the
+    networks "psi_q" and "psi_p".
     """
-    h, saved_grid = hash_grid.query(located, grids)
-    q, saved_step = step.forward(h, *networks["psi_q"], np.array(design.Q_0, h.dtype))
-    (mu, sigma), saved_prior = prior.forward(h, *networks["psi_p"], design.widths)
-    return Context(q, mu, sigma), (saved_grid, saved_step, saved_prior)
+    h, saved_h = hash_grid.query(located, grids)
+    q, back_q = pull(step, h, *networks["psi_q"], np.array(design.Q_0, h.dtype))
+    (mu, sigma), back_prior = pull(prior, h, *networks["psi_p"], design.widths)
 
+    def back(q_bar, mu_bar, sigma_bar):
+        psi_q, psi_p = back_q(q_bar), back_prior(mu_bar, sigma_bar)
+        grids_bar = hash_grid.backward(saved_h, psi_q["h"] + psi_p["h"])["grids"]  # both read h
+        return grids_bar, {"psi_q": psi_q, "psi_p": psi_p}
 
-def context_backward(saved, q_bar, mu_bar, sigma_bar):
-    """Gradients of the grids, a list, and of the networks "psi_q" and "psi_p"."""
-    saved_grid, saved_step, saved_prior = saved
-    steps = step.backward(saved_step, q_bar)
-    priors = prior.backward(saved_prior, mu_bar, sigma_bar)
-    grids = hash_grid.backward(saved_grid, steps["h"] + priors["h"])["grids"]
-    return grids, {"psi_q": steps, "psi_p": priors}
+    return Context(q, mu, sigma), back
 
 
 @dataclass(frozen=True, eq=False)
@@ -375,10 +355,10 @@ class Model:
 
     def render(self, camera: Camera, t: float, settings: Settings = FAST) -> np.ndarray:
         """The image [H, W, 3] at time t in [0, 1]. Clip it to [0, 1] before saving it."""
-        *gaussians, _ = self.gaussians(t, camera)
+        x, s, r, alpha, color, _ = self.gaussians(t, camera)
         occlusion = "occlusion" in self.design.effects
         (image, *_), _ = render.forward(
-            *gaussians, camera, self.background, settings, occlusion, keep=False
+            x, s, r, alpha, color, camera, self.background, settings, occlusion, keep=False
         )
         return image
 

@@ -367,10 +367,6 @@ FACTS = {
         ends(PAPER_REAL) + " (real)",
         ends(TINY) + " (`tiny`)",
     ],
-    "Q25": [
-        f"weight {PAPER_SYNTHETIC.lambda_volume:g} in the paper presets",
-        f"{TINY.lambda_volume:g} in `tiny`",
-    ],
 }
 
 
@@ -384,7 +380,7 @@ def test_choices_are_numbered_and_hold_the_code_s_values():
 
 SHARED = (
     "deformation L_x grow_every grow_from grow_until gradient_threshold grow_init grow_hierarchy "
-    "grow_depth min_opacity success lambda_ssim tau_alpha lambda_volume"
+    "grow_depth min_opacity success lambda_ssim tau_alpha"
 )
 
 

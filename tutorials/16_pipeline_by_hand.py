@@ -17,7 +17,7 @@ from p4dgs_ref import SETTINGS, Camera, Model, View, decode, encode, oracle
 from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.equations import deformation, hash_grid
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.model import Anchors, Design, context, predict, predict_backward
+from p4dgs_ref.model import Anchors, Design, context, predict
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting import covariance, projection, render
 from p4dgs_ref.training import objective
@@ -329,7 +329,7 @@ print(f"L_render {L_render:.6f}, L_total {L_total:.6f}")
 # ## In code
 # The package does the same in four calls. `predict` is Fig. 1 up to the Gaussians at time $t$,
 # `render.forward` is the last box of Fig. 1, `context` is the first half of Fig. 2, and
-# `objective.forward` is everything together, the loss included. They must return our numbers. The
+# `objective.loss` is everything together, the loss included. They must return our numbers. The
 # pixel $(u, v)$ of a picture is `image[v, u]`.
 
 
@@ -352,7 +352,7 @@ camera = Camera(
     33,
     25,
 )
-g, saved_g = predict(design, networks, anchors, camera.center, t)
+g, _, back_g = predict(design, networks, anchors, camera.center, t)
 (image, *_), saved_r = render.forward(*g[:5], camera, background, EXACT)
 for name in moved[0]:
     assert close(getattr(g, name), [child[name] for child in moved])
@@ -406,14 +406,12 @@ fixed = objective.Fixed(
     mask,
     located,
     background,
-    noisy=True,
-    moving=True,
+    stage=4,
     lambda_rate=0.001,
     lambda_ssim=0.0,
-    lambda_volume=0.0,
     settings=EXACT,
 )
-losses = objective.forward(
+losses = objective.loss(
     parameters,
     design,
     networks,
@@ -506,7 +504,7 @@ zero = {
 
 def feature_0_bar(**cotangents):
     """The gradient of feature 0 for cotangents of the Gaussians; those left out are zero."""
-    anchors_bar, _ = predict_backward(saved_g, **{**zero, **cotangents})
+    anchors_bar, _ = back_g(**{**zero, **cotangents})
     return anchors_bar["f_a"][0, 0]
 
 

@@ -124,7 +124,7 @@ for end in ends:
             moved.append(arrays_that_moved(before))
     snapshots.append(trainer.model())
     assert moved[-1] == {stem for stem, learning_rate in rates.items() if learning_rate > 0}
-    print(f"stage {stage}: noise {on.noisy!s:5}  time {on.moving!s:5}", end="  ")
+    print(f"stage {stage}: noise {on.stage > 1!s:5}  time {on.stage > 2!s:5}", end="  ")
     print(f"rate {on.located is not None!s:5}  unchanged:", *sorted(set(rates) - moved[-1]))
 assert [len(stems) for stems in moved] == [9, 9, 10, 12]
 assert moved[2] - moved[1] == {"psi_d"}
@@ -222,8 +222,8 @@ lessons.show(
 # $$\bar{\tilde f} = \bar{\tilde f}_{render} + \lambda\,\bar{\tilde f}_{rate},\qquad
 #   \bar f = \bar{\tilde f},\qquad
 #   \bar q = \sum_i u_i\,\bar{\tilde f}_i + \lambda\,\bar q_{rate}.$$
-# The sum runs over all numbers that share a step (choice Q6). `objective.backward` contains these
-# two sums. A single parameter tests both: the last bias of $\psi_q$ for the group f. It
+# The sum runs over all numbers that share a step (choice Q6). `back` of `objective.loss` contains
+# these two sums. A single parameter tests both: the last bias of $\psi_q$ for the group f. It
 # influences the picture through the noise, and the bits through both terms. We measure the two
 # influences separately with finite differences.
 
@@ -236,9 +236,9 @@ def draw_noise(p):
 
 
 def losses_at(p, on, noise):
-    """The losses at parameters p in float64 with the parts `on`, and what backward needs."""
+    """The losses at parameters p in float64 with the parts `on`, and `back`."""
     networks = {name: p.network(name) for name in trainer.design.layers()}
-    losses, _, residual = objective.forward(
+    losses, _, back = objective.loss(
         p,
         trainer.design,
         networks,
@@ -247,13 +247,13 @@ def losses_at(p, on, noise):
         view,
         noise,
     )
-    return losses, residual
+    return losses, back
 
 
 stage, p, on = saved[3]
 noise = draw_noise(p)
 last_bias = p[f"psi_q.b{len(trainer.design.context)}"]
-gradients, _ = objective.backward(losses_at(p, on, noise)[1])
+gradients, _ = losses_at(p, on, noise)[1]()
 gradient = gradients[f"psi_q.b{len(trainer.design.context)}"][0]
 
 
@@ -300,7 +300,7 @@ unused = {
 }
 for stage, p, on in saved:
     noise = draw_noise(p)
-    gradients, _ = objective.backward(losses_at(p, on, noise)[1])
+    gradients, _ = losses_at(p, on, noise)[1]()
     varied = p.per_element(lambda name: name.split(".")[0] not in held_fixed[stage])
     way = rng.normal(size=p.vector.size) * varied
     origin = p.vector.copy()
@@ -439,7 +439,7 @@ lessons.backward("17.3", my_backward, "rate_stage", "noisy", "q")
 # %%
 def port(noisy, mu, sigma, q, mask, grids, d, k):
     widths = trainer.design._replace(d=d, k=k)
-    return objective.rate_forward(noisy, Context(q, mu, sigma), grids, mask, widths)[0]
+    return objective.rate(noisy, Context(q, mu, sigma), grids, mask, widths)[0]
 
 
 lessons.passes("rate_stage", port=port)

@@ -14,7 +14,7 @@ import numpy as np
 from p4dgs_ref import SETTINGS, Camera, View, load_scene
 from p4dgs_ref.equations import hash_grid, likelihood, noise, render_loss, total_loss
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.model import Anchors, context, groups, predict, predict_backward, split
+from p4dgs_ref.model import Anchors, context, groups, predict, split
 from p4dgs_ref.splatting import render
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.adam import BETA_1, BETA_2, EPSILON, Adam
@@ -122,7 +122,7 @@ f, s, l, O = split(noisy, design)
 
 
 def gaussians():
-    """The Gaussians at the view's time, and what their backward needs."""
+    """The Gaussians at the view's time, all opacities, and `back` from cotangents to anchors."""
     anchors = Anchors(p["x_a"], f, s, l, O, fixed.mask)
     return predict(design, networks, anchors, view.camera.center, view.time)
 
@@ -131,10 +131,10 @@ def rendered(g):
     return render.forward(*g[:5], view.camera, fixed.background, fixed.settings)
 
 
-g, saved_g = gaussians()
+g, _, back_g = gaussians()
 (image, *_), saved_r = rendered(g)
 (L_render, L1, D_SSIM), saved_l = render_loss.forward(image, truth, fixed.lambda_ssim)
-(bits, L_rate), saved_b = objective.rate_forward(noisy, ctx, grids, fixed.mask, design)
+(bits, L_rate), back_rate = objective.rate(noisy, ctx, grids, fixed.mask, design)
 L_total, _ = total_loss.forward(L_render, L_rate, fixed.lambda_rate)
 for name in ("x", "s", "r", "alpha", "color"):
     note(name, getattr(g, name))
@@ -146,7 +146,7 @@ note("bits", bits)
 note("L_rate", L_rate)
 note("L_total", L_total)
 
-losses, _, residual = objective.forward(p, design, networks, grids, fixed, view, u)
+losses, _, back = objective.loss(p, design, networks, grids, fixed, view, u)
 assert np.isclose(losses.L_total, L_total, rtol=1e-12)
 assert np.isclose(losses.bits, bits, rtol=1e-12)
 print(f"{'array':16s}{'shape':>16s}{'mean':>12s}{'deviation':>12s}")
@@ -169,8 +169,8 @@ assert not np.allclose(image_bar, of_l1)
 
 # %% [markdown]
 # **The features.** Two gradients arrive at the features. One comes from the picture, through
-# `render.backward` and `predict_backward`; the other comes from the bits, through
-# `rate_backward`. Eq. (7) passes both on:
+# `render.backward` and the `back` of `predict`; the other comes from the bits, through the `back`
+# of `rate`. Eq. (7) passes both on:
 # $\bar f = \bar{\tilde f}_{render} + \lambda_{rate}\,\bar{\tilde f}_{rate}$.
 
 
@@ -179,14 +179,14 @@ def feature_bar(cotangent):
     """The gradient of all features (A, d) for a cotangent of the picture."""
     bars = render.backward(saved_r, cotangent)
     of_gaussians = [bars[name] for name in ("x", "s", "r", "alpha", "color")]
-    anchors_bar, _ = predict_backward(saved_g, *of_gaussians)
+    anchors_bar, _ = back_g(*of_gaussians)
     return anchors_bar["f_a"]
 
 
 of_picture = feature_bar(image_bar)
-noisy_bar = objective.rate_backward(saved_b, fixed.lambda_rate, design)[0]
+noisy_bar = back_rate(fixed.lambda_rate)[0]
 of_bits = groups(noisy_bar, design)[0]
-gradients, _ = objective.backward(residual)
+gradients, _ = back()
 assert np.allclose(gradients["f_a"], of_picture + of_bits, rtol=1e-9, atol=1e-15)
 
 # %% [markdown]
@@ -270,7 +270,7 @@ before = p["f_a"][a, j]
 # All arrays of a network, such as psi_c.W0 and psi_c.b0, have the rate of the network.
 adam.step(p, gradients, lambda name: trainer.rate_of(name.split(".")[0]))
 move = p["f_a"][a, j] - before
-after = objective.forward(p, design, networks, grids, fixed, view, u)[0].L_total
+after = objective.loss(p, design, networks, grids, fixed, view, u)[0].L_total
 p.vector[:] = origin
 assert (BETA_1, BETA_2) == (0.9, 0.999)
 assert np.isclose(sum(parts.values()), move, rtol=1e-6)
@@ -328,7 +328,7 @@ wrong = right / np.exp(p["log_s"])
 
 def loss_after(step):
     p["log_s"][...] += step
-    losses = objective.forward(p, design, networks, grids, fixed, view, u)[0]
+    losses = objective.loss(p, design, networks, grids, fixed, view, u)[0]
     p["log_s"][...] -= step
     return losses.L_total
 
@@ -457,11 +457,9 @@ def port(**given):
         given["mask"],
         located,
         given["background"],
-        noisy=True,
-        moving=True,
+        stage=4,
         lambda_rate=given["lambda_rate"],
         lambda_ssim=given["lambda_ssim"],
-        lambda_volume=0.0,
         settings=SETTINGS["exact"],
     )
     names = [own_name(tensor) for tensor in given["arrays"]]
@@ -474,10 +472,8 @@ def port(**given):
         out.setdefault(name, []).append(value)
 
     for v, u in zip(given["views"], given["u"]):
-        losses, _, residual = objective.forward(
-            p, design_of(given), networks, grids, fixed, views[v], u
-        )
-        gradients, _ = objective.backward(residual)
+        losses, _, back = objective.loss(p, design_of(given), networks, grids, fixed, views[v], u)
+        gradients, _ = back()
         adam.step(p, gradients, rates.get)
         for name in ("L1", "D_SSIM", "L_render", "L_rate", "bits", "L_total"):
             record(name, getattr(losses, name))

@@ -479,7 +479,7 @@ lessons.backward("22.3", my_rate_backward, "rate_stage", "mu", "q")
 # %%
 def port(noisy, mu, sigma, q, mask, grids, d, k):
     widths = design._replace(d=d, k=k)
-    return objective.rate_forward(noisy, Context(q, mu, sigma), grids, mask, widths)[0]
+    return objective.rate(noisy, Context(q, mu, sigma), grids, mask, widths)[0]
 
 
 lessons.passes("rate_stage", port=port)

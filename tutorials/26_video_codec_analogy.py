@@ -18,7 +18,7 @@ import p4dgs_ref as p4
 from p4dgs_ref.codec import published
 from p4dgs_ref.lab.accuracy import fits
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.model import predict, predict_backward
+from p4dgs_ref.model import predict
 from p4dgs_ref.report.evaluate import decibel, evaluate, squared_error
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes.load import packaged_folder
@@ -331,16 +331,16 @@ f_a = small.anchors.f_a.astype(float)
 cotangents = {}
 f_bar = np.zeros_like(f_a)
 for t in (0.0, 0.4, 1.0):
-    g, saved = gaussians_at(f_a, t)
+    g, _, back = gaussians_at(f_a, t)
     cotangents[t] = [rng.normal(size=getattr(g, name).shape) for name in OUTPUTS]
-    anchors_bar, _ = predict_backward(saved, *cotangents[t])
+    anchors_bar, _ = back(*cotangents[t])
     f_bar += anchors_bar["f_a"]
 
 
 def loss_at(f_a):
     total = 0
     for t, bars in cotangents.items():
-        g, _ = gaussians_at(f_a, t)
+        g, *_ = gaussians_at(f_a, t)
         for name, bar in zip(OUTPUTS, bars):
             total += (bar * getattr(g, name)).sum()
     return total

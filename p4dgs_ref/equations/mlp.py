@@ -24,7 +24,7 @@ def forward(
     return y, (inputs, weights)
 
 
-def backward(saved, y_bar, needs_x=True):
+def backward(saved, y_bar, needs_x=True) -> dict:
     """Gradients of x, weights and biases; `needs_x=False` leaves x out and saves a product.
 
     A ReLU passes the gradient where its input was positive, so at 0 the gradient is 0.

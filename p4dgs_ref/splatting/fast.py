@@ -188,8 +188,8 @@ def polynomials(splats, rows, middles, dtype):
     k_1, k_2 = a * e_x + b * e_y, b * e_x + c * e_y
     k_0 = log_alpha + (e_x * k_1 + e_y * k_2) / 2
     coefficients = np.empty((6, *x.shape), dtype)
-    for row, values in zip(coefficients, (k_0, k_1, k_2, a / 2, b, c / 2)):
-        row[...] = values
+    for i, values in enumerate((k_0, k_1, k_2, a / 2, b, c / 2)):
+        coefficients[i] = values
     return coefficients
 
 

@@ -9,7 +9,7 @@ Equation `weight_bits` says what the numbers cost, and `scales` under which dens
 import numpy as np
 
 from ..equations import noise, weight_bits
-from ..model import first_steps, step_code, step_of_code
+from ..model import first_steps, pull, step_code, step_of_code
 from .parameters import Parameters
 
 SHARED = 4.0  # the mean of a tensor counts like so many numbers of each row and column
@@ -71,23 +71,25 @@ def scales(k, layout):
     return np.maximum(r * c / np.maximum(m, 1e-9), LEAST_SCALE).astype(k.dtype)
 
 
-def forward(p, layout):
-    """Return the rounded networks, their bits, and what `backward` needs."""
+def coded(p, layout):
+    """Return the rounded networks, their bits, and `back`.
+
+    back(gradients, R_networks_bar) turns the gradients of the rounded networks, in place, into
+    those of p, and adds those of the bits.
+    """
     w, step = p.vector[layout.part], steps_of(p["log_step"])[layout.tensor].astype(p.vector.dtype)
     error = np.rint(w / step) - w / step
-    rounded, saved_noise = noise.forward(w[:, None], error[:, None], step[:, None])
+    rounded, back_rounded = pull(noise, w[:, None], error[:, None], step[:, None])
     layout.rounded.vector[:] = w = rounded[:, 0]
-    bits, saved_bits = weight_bits.forward(w, step, scales(w / step, layout))
-    return layout.networks, bits.sum(dtype=np.float64), (layout, step, saved_noise, saved_bits)
+    bits, back_bits = pull(weight_bits, w, step, scales(w / step, layout))
 
+    def back(gradients, R_networks_bar):
+        of_bits = back_bits(np.full_like(step, R_networks_bar))
+        rounded_bar = gradients.vector[layout.part] + of_bits["w"]
+        bars = back_rounded(rounded_bar[:, None])
+        gradients.vector[layout.part] = bars["f"][:, 0]
+        log_step_bar = (bars["q"][:, 0] + of_bits["step"]) * step
+        tensors = len(gradients["log_step"])
+        gradients["log_step"][...] = np.bincount(layout.tensor, log_step_bar, tensors)
 
-def backward(saved, gradients, R_networks_bar):
-    """Turn the gradients of the rounded networks into those of p, and add those of the bits."""
-    layout, step, saved_noise, saved_bits = saved
-    of_bits = weight_bits.backward(saved_bits, np.full_like(step, R_networks_bar))
-    rounded_bar = gradients.vector[layout.part] + of_bits["w"]
-    bars = noise.backward(saved_noise, rounded_bar[:, None])
-    gradients.vector[layout.part] = bars["f"][:, 0]
-    log_step_bar = (bars["q"][:, 0] + of_bits["step"]) * step
-    tensors = len(gradients["log_step"])
-    gradients["log_step"][...] = np.bincount(layout.tensor, log_step_bar, tensors)
+    return layout.networks, bits.sum(dtype=np.float64), back

@@ -1,15 +1,12 @@
 """Finds the first NaN or infinity of an iteration: runs it again and watches every equation."""
 
 from contextlib import contextmanager
-from importlib import import_module
 
 import numpy as np
 
-from ..splatting import fast
 from ..table import BEYOND, EQUATIONS
 from . import objective
-
-TRAINED = {**EQUATIONS, **BEYOND}
+from .watch import equation_codes, watching
 
 
 class NotFinite(ArithmeticError):
@@ -18,10 +15,6 @@ class NotFinite(ArithmeticError):
     def __str__(self):  # of both arguments, so that it can be sent to another process
         iteration, found = self.args
         return f"iteration {iteration}: {found}"
-
-
-class Found(ArithmeticError):
-    """The first NaN or infinity: equation, direction, array and index in one phrase."""
 
 
 def first_bad(arrays):
@@ -40,64 +33,47 @@ def first_bad(arrays):
     return None
 
 
-def check(where, arrays):
-    """Raise Found if there is a NaN or an infinity in {name: array}."""
-    if bad := first_bad(arrays):
-        raise Found(f"{where}: {bad}")
+def phrase(where, arrays):
+    """Where the first NaN or infinity of {name: array} stands, or None."""
+    bad = first_bad(arrays)
+    return bad and f"{where}: {bad}"
 
 
 @contextmanager
-def intercepted(wrap):
-    """Within this context, `wrap(key, name, function)` replaces every forward and backward.
-
-    These are the functions of the 27 equations and of the fast renderer, which has the key
-    "compositing, fast".
-    """
-    modules = {key: import_module(equation.module) for key, equation in TRAINED.items()}
-    modules["compositing, fast"] = fast
-    kept = {key: (module.forward, module.backward) for key, module in modules.items()}
-    try:
-        for key, module in modules.items():
-            module.forward = wrap(key, "forward", module.forward)
-            module.backward = wrap(key, "backward", module.backward)
-        yield
-    finally:
-        for key, module in modules.items():
-            module.forward, module.backward = kept[key]
-
-
 def watched():
-    """A context in which every forward and backward raises Found at a non-finite output."""
-    running = []  # the equations that are running; psi_d's network runs inside Eq. (5)
+    """A `with` block that gives a list: for each result a phrase if it is not finite, else None."""
+    running, found = [], []  # a network that runs inside Eq. (5) is named with it
 
-    def watch(key, name, function):
-        equation = TRAINED[key.split(",")[0]]
-
-        def run(*args, **kwargs):
+    def see(event, mark, frame, value):
+        key, name = mark
+        if event == "call":
             running.append(key)
-            result = function(*args, **kwargs)
-            where = f"equation {', its '.join(map(repr, running))}"
-            if name == "forward":
-                check(f"{where}, forward", equation.named(result[0]))
-            else:
-                check(f"{where}, backward, gradient of", result)
-            running.pop()
-            return result
+            return
+        where = f"equation {', its '.join(map(repr, running))}"
+        running.pop()
+        if value is None:  # the call raised
+            return
+        if name == "forward":
+            equation = {**EQUATIONS, **BEYOND}[key.split(",")[0]]
+            where, value = f"{where}, forward", equation.named(value[0])
+        else:
+            where = f"{where}, backward, gradient of"
+        found.append(phrase(where, value))
 
-        return run
-
-    return intercepted(watch)
+    with watching(equation_codes(), see):
+        yield found
 
 
 def find_first(p, *inputs):
     """A phrase that names where an iteration first stops being finite."""
-    try:
-        check("parameter", p.arrays)
-        with np.errstate(all="ignore"), watched():
-            losses, _, saved = objective.forward(p, *inputs)
-            gradients, _ = objective.backward(saved)
-            check("objective", losses._asdict())
-            check("gradient of", gradients.arrays)
-    except Found as found:
-        return str(found)
-    return "a NaN or an infinity that did not come back when the iteration was repeated"
+    with np.errstate(all="ignore"), watched() as found:
+        losses, _, back = objective.loss(p, *inputs)
+        gradients, _ = back()
+    phrases = (
+        phrase("parameter", p.arrays),
+        *found,
+        phrase("objective", losses._asdict()),
+        phrase("gradient of", gradients.arrays),
+        "a NaN or an infinity that did not come back when the iteration was repeated",
+    )
+    return next(filter(None, phrases))

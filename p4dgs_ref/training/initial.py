@@ -1,7 +1,7 @@
 """The first parameters: random anchors, default networks, a hash grid with random signs."""
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from .. import effects as fx
 from ..model import Design
@@ -13,24 +13,13 @@ def design_of(preset, effects):
     """The Design that a preset and the effects of a scene ask for."""
     grid = [("xyz", res) for res in preset.grid_3d]
     grid += [(plane, res) for plane in ("xy", "xz", "yz") for res in preset.grid_2d]
+    same = {name: getattr(preset, name) for name in Design._fields if hasattr(preset, name)}
     return Design(
-        d=preset.d,
-        k=preset.k,
-        hidden=preset.hidden,
-        deformation=preset.deformation,
-        L_x=preset.L_x,
-        L_t=preset.L_t,
-        context=preset.context,
+        **same,
         grid=tuple(grid),
         table=(preset.table_3d, preset.table_2d),
-        F=preset.F,
         Q_0=(preset.Q_f, preset.Q_s, preset.Q_l, preset.Q_O),
-        tau_alpha=preset.tau_alpha,
         effects=tuple(effects),
-        time_net=preset.time_net,
-        skip=preset.skip,
-        coded=preset.coded,
-        position_bits=preset.position_bits,
     )
 
 
@@ -41,7 +30,7 @@ def neighbour_distance(points):
     """
     if len(points) < 2:
         return np.full(len(points), 0.1)
-    distance, _ = cKDTree(points).query(points, k=min(4, len(points)))
+    distance, _ = KDTree(points).query(points, k=min(4, len(points)))
     return np.sqrt(np.maximum((distance[:, 1:] ** 2).mean(axis=1), 1e-7))
 
 

@@ -15,11 +15,13 @@ and `grow_every`, and `stage(iteration)`, counted from 1.
 """
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 
 from ..equations import ssim
 from .adam import Adam
+from .density import Statistics
 from .finite import NotFinite, first_bad
 
 MOST_MOMENTS = 2**28  # bytes of moments for SSIM that are kept: 682 views of 64x64, 4 of 800x800
@@ -34,6 +36,11 @@ class Loop:
     """Fits one scene: `step()` does one iteration, `model()` returns the model so far."""
 
     UNIT = "anchors"  # what a model stores
+    gradients_of: Callable
+    rate_of: Callable
+    adjust: Callable
+    model: Callable
+    statistics: Statistics
 
     def __init__(self, scene, preset, seed, settings):
         self.scene, self.preset, self.seed, self.settings = scene, preset, seed, settings
@@ -98,7 +105,7 @@ class Loop:
             moments.with_rows(names, keep, zeros) for moments in (self.adam.first, self.adam.second)
         )
 
-    def run(self, report=None, every_seconds=None, save=None):
+    def run(self, report=None, every_seconds=0.0, save=None):
         """Train to the end and return the model.
 
         `report(trainer, losses, seen, view, ms)` is called after each step, `save(trainer)` every

@@ -4,9 +4,9 @@
     positions -> hash grid -> q, mu, sigma -> bits -> L_rate         Eqs. (8), (9), (11) to (14)
     L_total = lambda_rate * L_rate + L_render                        Eqs. (15), (17)
 
-All equations of the paper meet here. `forward` runs them in the order of the paper's figures.
-`backward` runs their backwards in the opposite order and adds gradients where a quantity was used
-twice.
+All equations of the paper meet here. `loss` calls them in the order of the paper's figures. It
+returns the losses and `back`, which calls their backwards in the opposite order and adds gradients
+where a quantity was used twice.
 """
 
 from typing import NamedTuple
@@ -23,17 +23,9 @@ from ..equations import (
     total_loss,
 )
 from ..equations.numerics import in_precision_of
-from ..model import (
-    Anchors,
-    beside,
-    context,
-    context_backward,
-    groups,
-    predict,
-    predict_backward,
-    split,
-)
+from ..model import GROUPS, Anchors, beside, context, groups, predict, pull, split
 from ..splatting import render
+from ..splatting.settings import Settings
 from . import coded_networks
 
 ATTRIBUTES = ("f_a", "log_s", "log_l", "O_a")  # the parameters of the groups f, s, l, O
@@ -45,12 +37,10 @@ class Fixed(NamedTuple):
     mask: np.ndarray  # [A, k]  children that are kept (Q15)
     located: object  # `hash_grid.locate` of the frozen positions; None before stage 4
     background: np.ndarray  # [3]
-    noisy: bool  # from stage 2 on
-    moving: bool  # from stage 3 on
+    stage: int  # 1 to 4: noise from stage 2 on, time from 3 on, context and rate in 4
     lambda_rate: float
     lambda_ssim: float
-    lambda_volume: float  # weight of Scaffold-GS's volume term (Q25)
-    settings: object  # of the renderer
+    settings: Settings  # of the renderer
     # Only of the coded design, in stage 4 (B1):
     coded: coded_networks.Layout | None = None
     network_price: float = 1.0  # of a bit of a network, in bits of an anchor
@@ -81,147 +71,114 @@ def linear_values(p):
     return beside(p["f_a"], np.exp(p["log_s"]), np.exp(p["log_l"]), p["O_a"])
 
 
-def forward(p, design, networks, grids, fixed, view, u, truth_moments=None):
-    """Return the Losses of one view, what density control has Seen, and what `backward` needs.
+def loss(p, design, networks, grids, fixed, view, u, truth_moments=None):
+    """The Losses of one view, what density control has Seen, and `back`.
 
     `networks` and `grids` are views into the Parameters p. u [A, n] is the noise in [-1/2, 1/2);
     rendering and rate share it (Q23), and stage 1 does not use it. `truth_moments` are the
-    `ssim.moments` of the view's image, if they are at hand.
+    `ssim.moments` of the view's image, if they are at hand. back() returns the gradients of L_total
+    as Parameters of the same layout, and those of the splats' mean2d [N, 2].
     """
-    R_networks, saved_networks = 0.0, None
+    stage, values = fixed.stage, linear_values(p)
+    bits, L_rate, R_networks = 0.0, 0.0, 0.0
     if fixed.coded is not None:
-        networks, R_networks, saved_networks = coded_networks.forward(p, fixed.coded)
-    values = linear_values(p)
-    steps, ctx, saved_context = None, None, None
-    if fixed.located is not None:
-        ctx, saved_context = context(design, networks, grids, fixed.located)
-        steps = ctx.q
-    elif fixed.noisy:
-        steps = np.tile(np.array(design.Q_0, values.dtype), (len(values), 1))
-    noisy, saved_noise = values, []
-    if steps is not None:
-        noisy, saved_noise = noise_forward(values, u, steps, design)
-
-    f, s, l, O = split(noisy, design)
-    anchors = Anchors(p["x_a"], f, s, l, O, fixed.mask)
+        networks, R_networks, back_networks = coded_networks.coded(p, fixed.coded)
+    noisy, q = values, np.array([design.Q_0], values.dtype)
+    if stage == 4:
+        ctx, back_context = context(design, networks, grids, fixed.located)
+        q = ctx.q
+    if stage > 1:
+        noisy, back_noise = add_noise(values, u, q, design)
+    anchors = Anchors(p["x_a"], *split(noisy, design), fixed.mask)
     x_c = view.camera.center.astype(values.dtype)
-    t = view.time if fixed.moving else None
-    g, saved_predict = predict(design, networks, anchors, x_c, t)
-    (image, _, visible), saved_render = render.forward(
-        *g[:5], view.camera, fixed.background, fixed.settings, "occlusion" in design.effects
+    t = view.time if stage > 2 else None
+    g, alpha, back_predict = predict(design, networks, anchors, x_c, t)
+    (image, _, visible), back_render = pull(
+        render,
+        *g[:5],
+        view.camera,
+        fixed.background,
+        fixed.settings,
+        "occlusion" in design.effects,
     )
-    (L_render, L1, D_SSIM), saved_loss = render_loss.forward(
-        image, view.image.astype(image.dtype), fixed.lambda_ssim, truth_moments
+    (L_render, L1, D_SSIM), back_image = pull(
+        render_loss, image, view.image.astype(image.dtype), fixed.lambda_ssim, truth_moments
     )
-    bits, L_rate, saved_rate = 0.0, 0.0, None
-    if ctx is not None:
-        R_networks *= fixed.network_price
-        (bits, L_rate), saved_rate = rate_forward(noisy, ctx, grids, fixed.mask, design, R_networks)
-    L_total, saved_total = total_loss.forward(
-        np.float64(L_render), np.float64(L_rate), fixed.lambda_rate
-    )
-    L_volume, volume_s_bar = volume(g.s, fixed.lambda_volume)
-    losses = [
-        float(L_total) + L_volume,
-        *(float(loss) for loss in (L_render, L1, D_SSIM, L_rate, bits)),
-    ]
-    saved_parts = saved_noise, saved_context, saved_predict, saved_render, saved_loss, saved_rate
-    saved = p, design, fixed, values, volume_s_bar, saved_parts, saved_networks, saved_total
-    return Losses(*losses), Seen(saved_predict.alpha, g.index, visible, image), saved
-
-
-def backward(saved):
-    """Gradients of L_total as Parameters of the same layout, and of the splats' mean2d [N, 2]."""
-    p, design, fixed, values, volume_s_bar, saved_parts, saved_networks, saved_total = saved
-    saved_noise, saved_context, saved_predict, saved_render, saved_loss, saved_rate = saved_parts
-    gradients = p.zeros()
-    losses_bar = total_loss.backward(saved_total, 1.0)
-    image_bar = render_loss.backward(saved_loss, losses_bar["L_render"])["image"]
-    bars = render.backward(saved_render, image_bar)
-    bars["s"] = bars["s"] + volume_s_bar
-    gaussians_bar = [
-        bars[name].astype(p.vector.dtype) for name in ("x", "s", "r", "alpha", "color")
-    ]
-    anchors, networks = predict_backward(saved_predict, *gaussians_bar)
-    noisy_bar = beside(*(anchors[name] for name in ("f_a", "s_a", "l_a", "O_a")))
-    if saved_rate is not None:
-        rate_bar, mu_bar, sigma_bar, rate_q_bar, rate_grids = rate_backward(
-            saved_rate, losses_bar["L_rate"], design
+    if stage == 4:
+        (bits, L_rate), back_rate = rate(
+            noisy, ctx, grids, fixed.mask, design, fixed.network_price * R_networks
         )
-        noisy_bar = noisy_bar + rate_bar  # one noisy value is rendered and coded (Q23)
-    values_bar = noisy_bar
-    if saved_noise:
-        values_bar, q_bar = noise_backward(saved_noise, noisy_bar, design)
-    if saved_rate is not None:
-        context_grids, context_networks = context_backward(
-            saved_context, q_bar + rate_q_bar, mu_bar, sigma_bar
-        )
-        networks.update(context_networks)
-        for i, (read, counted) in enumerate(zip(context_grids, rate_grids)):
-            gradients[f"grid.{i}"][...] = read + counted
-    lengths = slice(design.d, design.d + 6)  # the columns of s and l, trained as logarithms (Q5)
-    values_bar[:, lengths] *= values[:, lengths]
-    for name, bar in zip(ATTRIBUTES, groups(values_bar, design)):
-        gradients[name][...] = bar.reshape(gradients[name].shape)
-    gradients["x_a"][...] = anchors["x_a"]
-    for name, network_gradients in networks.items():
-        gradients.fill(name, network_gradients)
-    if saved_networks is not None:
-        R_networks_bar = fixed.network_price * losses_bar["L_rate"] / values.size
-        coded_networks.backward(saved_networks, gradients, R_networks_bar)
-    return gradients, bars["mean2d"]
+    L_total, back_total = pull(
+        total_loss, np.float64(L_render), np.float64(L_rate), fixed.lambda_rate
+    )
+
+    def back():
+        gradients, losses_bar = p.zeros(), back_total(1.0)
+        splats = back_render(back_image(losses_bar["L_render"])["image"])
+        g_bar = [splats[name].astype(p.vector.dtype) for name in ("x", "s", "r", "alpha", "color")]
+        anchors_bar, networks_bar = back_predict(*g_bar)
+        noisy_bar = beside(*(anchors_bar[name] for name in ("f_a", "s_a", "l_a", "O_a")))
+        if stage == 4:
+            coded_bar, mu_bar, sigma_bar, q_bar, counted = back_rate(losses_bar["L_rate"])
+            # one noisy value is rendered and coded (Q23)
+            values_bar, noise_q_bar = back_noise(noisy_bar + coded_bar)
+            read, context_bar = back_context(noise_q_bar + q_bar, mu_bar, sigma_bar)
+            networks_bar |= context_bar
+            for i, (read_bar, counted_bar) in enumerate(zip(read, counted)):
+                gradients[f"grid.{i}"][...] = read_bar + counted_bar
+        else:
+            values_bar = back_noise(noisy_bar)[0] if stage > 1 else noisy_bar
+        lengths = slice(design.d, design.d + 6)  # of s and l, trained as logarithms (Q5)
+        values_bar[:, lengths] *= values[:, lengths]
+        gradients["x_a"][...] = anchors_bar["x_a"]
+        for name, bar in zip(ATTRIBUTES, groups(values_bar, design)):
+            gradients[name][...] = bar.reshape(gradients[name].shape)
+        for name, network_bar in networks_bar.items():
+            gradients.fill(name, network_bar)
+        if fixed.coded is not None:
+            back_networks(gradients, fixed.network_price * losses_bar["L_rate"] / values.size)
+        return gradients, splats["mean2d"]
+
+    losses = Losses(*map(float, (L_total, L_render, L1, D_SSIM, L_rate, bits)))
+    return losses, Seen(alpha, g.index, visible, image), back
 
 
-def noise_forward(values, u, steps, design):
-    """Add noise to each group with its own step (Eq. 7): [A, n] and what `noise_backward` needs."""
-    pairs = zip(groups(values, design), groups(u, design))
-    parts = [noise.forward(f, u_f, steps[:, i : i + 1]) for i, (f, u_f) in enumerate(pairs)]
-    noisy = [f_noisy for f_noisy, _ in parts]
-    return np.concatenate(noisy, axis=1), [saved for _, saved in parts]
+def add_noise(values, u, steps, design):
+    """Add noise to each group with its own step (Eq. 7): [A, n] and `back`.
+
+    back(noisy_bar) returns the gradients of the values [A, n] and of the steps [A, 4].
+    """
+    columns = zip(groups(values, design), groups(u, design), np.split(steps, 4, axis=1))
+    noisy, backs = zip(*(pull(noise, f, u_f, q_f) for f, u_f, q_f in columns))
+
+    def back(noisy_bar):
+        bars = [back_f(bar) for back_f, bar in zip(backs, groups(noisy_bar, design))]
+        return [np.concatenate([bar[name] for bar in bars], axis=1) for name in ("f", "q")]
+
+    return np.concatenate(noisy, axis=1), back
 
 
-def noise_backward(saved, noisy_bar, design):
-    """Gradients of the values [A, n] and of the steps [A, 4]."""
-    parts = [noise.backward(*pair) for pair in zip(saved, groups(noisy_bar, design))]
-    values_bar = np.concatenate([part["f"] for part in parts], axis=1)
-    return values_bar, np.concatenate([part["q"] for part in parts], axis=1)
-
-
-def rate_forward(noisy, ctx, grids, mask, design, R_networks=0.0):
-    """Return (bits, L_rate) of the noisy attributes and the grids, and what `rate_backward` needs.
+def rate(noisy, ctx, grids, mask, design, R_networks=0.0):
+    """Return (bits, L_rate) of the noisy attributes and the grids, and `back`.
 
     Eqs. (11), (13), (14) and (17), with the bits of coded networks as one more term of the last
-    (B1). The rate is per coded number of the anchors (Q12).
+    (B1). The rate is per coded number of the anchors (Q12). back(L_rate_bar) returns the gradients
+    of noisy attributes, mu and sigma [A, n], of the steps [A, 4] and of the grids.
     """
     q = np.repeat(ctx.q, design.widths, axis=1)  # all numbers of a group share its step
-    bits, saved_bits = likelihood.forward(noisy, ctx.mu, ctx.sigma, q)
-    R_anchor, saved_anchors = anchor_rate.forward(*split(bits, design), mask)
-    (R_hash, _, _), saved_grids = hash_rate.forward(grids)
+    bits_a, back_bits = pull(likelihood, noisy, ctx.mu, ctx.sigma, q)
+    R_anchor, back_anchor = pull(anchor_rate, *split(bits_a, design), mask)
+    (R_hash, _, _), back_hash = pull(hash_rate, grids)
     R_rest = R_hash + in_precision_of(R_hash, R_networks)
-    rates, saved_rates = rate_loss.forward(R_anchor, R_rest, noisy.size)
-    return rates, (saved_bits, saved_anchors, saved_grids, saved_rates)
+    rates, back_rates = pull(rate_loss, R_anchor, R_rest, noisy.size)
 
+    def back(L_rate_bar):
+        rates_bar = back_rates(L_rate_bar=L_rate_bar)
+        grids_bar = back_hash(rates_bar["R_hash"])["grids"]
+        parts = back_anchor(rates_bar["R_anchor"])
+        bars = back_bits(beside(*(parts[f"bits_{group}"] for group in GROUPS)))
+        group_starts = np.cumsum((0, *design.widths[:3]))
+        q_bar = np.add.reduceat(bars["q"], group_starts, axis=1)
+        return bars["f_noisy"], bars["mu"], bars["sigma"], q_bar, grids_bar
 
-def rate_backward(saved, L_rate_bar, design):
-    """Gradients of noisy attributes, mu and sigma [A, n], of steps [A, 4] and of the grids."""
-    saved_bits, saved_anchors, saved_grids, saved_rates = saved
-    rates_bar = rate_loss.backward(saved_rates, L_rate_bar=L_rate_bar)
-    grids_bar = hash_rate.backward(saved_grids, rates_bar["R_hash"])["grids"]
-    parts = anchor_rate.backward(saved_anchors, rates_bar["R_anchor"])
-    bits_bar = beside(parts["bits_f"], parts["bits_s"], parts["bits_l"], parts["bits_O"])
-    bars = likelihood.backward(saved_bits, bits_bar)
-    group_starts = np.cumsum((0, *design.widths[:3]))
-    q_bar = np.add.reduceat(bars["q"], group_starts, axis=1)
-    return bars["f_noisy"], bars["mu"], bars["sigma"], q_bar, grids_bar
-
-
-def volume(s, weight):
-    """Scaffold-GS's volume term, weight times the mean product of the three scales (Q25).
-
-    Return it and its gradient by s [N, 3]; both are 0 without a weight.
-    """
-    if not weight or not len(s):  # 0 times an overflow would be NaN
-        return 0.0, 0.0
-    wide = s.astype(float)
-    s_bar = weight / len(s) * wide[:, [1, 2, 0]] * wide[:, [2, 0, 1]]
-    return weight * float(np.prod(s, axis=1).mean()), s_bar
+    return rates, back

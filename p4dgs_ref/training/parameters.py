@@ -1,6 +1,7 @@
 """Named arrays that share one flat vector, so that the optimiser handles them all at once."""
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 
 class Parameters:
@@ -9,7 +10,7 @@ class Parameters:
     The arrays of a network are named "psi.W0", "psi.b0", "psi.W1" and so on.
     """
 
-    def __init__(self, arrays, dtype=np.float32):
+    def __init__(self, arrays, dtype: DTypeLike = np.float32):
         self.vector = np.empty(sum(np.size(a) for a in arrays.values()), dtype)
         self.arrays, start = {}, 0
         for name, array in arrays.items():

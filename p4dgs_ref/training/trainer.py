@@ -44,17 +44,14 @@ def covered_share(image):
 def assemble(p, design, mask, box, background):
     """The model of some parameters, linear and in float64; without a box, the exact one."""
     f, s, l, O = split(objective.linear_values(p).astype(float), design)
-    x_a = p["x_a"].astype(float)
-    networks = {
-        name: tuple([a.astype(float) for a in arrays] for arrays in p.network(name))
-        for name in design.layers()
-    }
+    exact = Parameters(p.arrays, np.float64)
+    networks = {name: exact.network(name) for name in design.layers()}
     return Model(
         design,
-        Anchors(x_a, f, s, l, O, mask.copy()),
+        Anchors(exact["x_a"], f, s, l, O, mask.copy()),
         networks,
-        grids=[grid.astype(float) for grid in p.listed("grid")],
-        box=box or bounding_box(x_a),
+        grids=exact.listed("grid"),
+        box=box or bounding_box(exact["x_a"]),
         background=np.asarray(background, float),
         steps=coded_networks.learned_steps(p["log_step"], networks) if design.coded else None,
     )
@@ -67,12 +64,15 @@ def tagged(arrays, tag):
 
 
 class Trainer(Loop):
-    """Fits one scene: `step()` does one iteration, `model()` returns the model so far."""
+    """Fits one scene: `step()` does one iteration, `model()` returns the model so far.
+
+    A `design` takes the place of the preset's, for example one with D3DGS's deformation network.
+    """
 
     def __init__(self, scene, preset, seed=0, settings=FAST, points=None, design=None):
         super().__init__(scene, preset, seed, settings)
         self.design = design or design_of(preset, scene.effects)
-        self.box = None  # the bounding box, fixed when stage 4 starts
+        self.box: tuple | None = None  # the bounding box, fixed when stage 4 starts
         self.located = None  # where the positions are in the hash grid, from stage 4 on
         points = scene.points if points is None else points
         self.start(initial_parameters(preset, self.design, self.rng, points))
@@ -139,11 +139,9 @@ class Trainer(Loop):
             mask=self.mask,
             located=self.located,
             background=self.scene.background,
-            noisy=stage >= 2,
-            moving=stage >= 3,
+            stage=stage,
             lambda_rate=preset.lambda_rate,
             lambda_ssim=preset.sparse_ssim if self.starts_sparse else preset.lambda_ssim,
-            lambda_volume=preset.lambda_volume,
             settings=self.settings,
             coded=self.layout if stage == 4 else None,
             network_price=self.network_price,
@@ -162,8 +160,8 @@ class Trainer(Loop):
         u = self.rng.random((len(self.mask), sum(self.design.widths)), np.float32) - np.float32(0.5)
         moments = self.moments_of(view)
         inputs = (p, self.design, self.networks, self.grids, self.fixed(), view, u, moments)
-        losses, seen, saved = objective.forward(*inputs)
-        gradients, mean2d_bar = objective.backward(saved)
+        losses, seen, back = objective.loss(*inputs)
+        gradients, mean2d_bar = back()
         # The opacities are checked too: masking would hide a NaN among them from the loss.
         watched = (losses.L_total, gradients.vector, seen.alpha)
         if not all(np.isfinite(values).all() for values in watched):
@@ -176,9 +174,9 @@ class Trainer(Loop):
         The box is fixed the first time, when stage 4 starts.
         """
         x_a, tables = self.parameters["x_a"], [T for T, _ in self.design.levels()]
-        self.box = self.box or bounding_box(x_a)
-        x_a[...] = snap(x_a, *self.box, self.design.position_bits)[1]
-        self.located = hash_grid.locate(x_a, *self.box, self.design.grid, tables)
+        lo, hi = self.box = self.box or bounding_box(x_a)
+        x_a[...] = snap(x_a, lo, hi, self.design.position_bits)[1]
+        self.located = hash_grid.locate(x_a, lo, hi, self.design.grid, tables)
 
     def adjust(self):
         """Grow, re-seed, prune and mask as the preset says.

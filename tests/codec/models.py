@@ -20,14 +20,14 @@ from p4dgs_ref.training.presets import SMOKE
 from p4dgs_ref.training.trainer import assemble
 
 
-def random_model(seed=0, effects=MODEL_EFFECTS, points=None, **changes):
+def random_model(seed=0, effects=MODEL_EFFECTS, points=None, time_net=(), skip=False, **changes):
     """A model without zeros: attributes drawn from its own prior, three children of four kept.
 
-    `changes` replace fields of the preset.
+    `changes` replace fields of the preset. `time_net` and `skip` are those of D3DGS (Q1).
     """
     rng = np.random.default_rng(seed)
     preset = SMOKE._replace(deformation_gain=0.3, **changes)
-    design = design_of(preset, effects)
+    design = design_of(preset, effects)._replace(time_net=time_net, skip=skip)
     p = Parameters(initial_parameters(preset, design, rng, points).arrays)
     last = f"psi_p.b{len(design.context)}"
     p[last][...] = rng.uniform(-5, 0.5, p[last].shape)  # raw deviations from fine to coarse

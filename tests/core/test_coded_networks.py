@@ -42,7 +42,7 @@ def layout_of(shapes, rng):
 
 def test_scales_are_row_times_column_over_tensor():
     p, layout = layout_of([(3, 5), (5, 2), (2, 0)], np.random.default_rng(0))
-    n, floor = coded_networks.SHARED, coded_networks.LEAST_SCALE
+    n, floor = 4, 0.4
     expected = []
     for name in ("W0", "b0", "W1", "b1"):
         k = np.abs(p[f"psi_c.{name}"]).reshape(len(p[f"psi_c.{name}"]), -1)

@@ -1,4 +1,4 @@
-"""psi_d with D3DGS's time net and skip: against a loop over rows, its gradient, its size."""
+"""psi_d with D3DGS's time net and skip: its gradient, without both, in training and in a file."""
 
 import numpy as np
 import pytest
@@ -6,10 +6,11 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref.equations import deformation, deformation_d3dgs
 from p4dgs_ref.lab.random_inputs import random_network
-from p4dgs_ref.scenes import MODEL_EFFECTS
+from p4dgs_ref.model import deformation_layers
 from p4dgs_ref.table import Equation
 from p4dgs_ref.training.initial import design_of
-from p4dgs_ref.training.presets import PAPER_SYNTHETIC, choose
+from p4dgs_ref.training.presets import SMOKE
+from p4dgs_ref.training.trainer import Trainer
 from tests.core.adjoint import check_adjoint
 from tests.golden.cases import Case
 
@@ -28,10 +29,7 @@ EQUATION = Equation(
 def inputs(time_net, skip, seed=0):
     """Random inputs for five Gaussians; layers as `Design.layers` gives them."""
     rng = np.random.default_rng(seed)
-    preset = PAPER_SYNTHETIC._replace(
-        deformation=HIDDEN, L_x=L_X, L_t=L_T, time_net=time_net, skip=skip
-    )
-    layers = design_of(preset, MODEL_EFFECTS).layers()
+    layers = deformation_layers(L_X, L_T, HIDDEN, (3, 3, 4), time_net, skip)
     drawn = {}
     for name in ("psi_d", "psi_t"):
         pairs = [random_network(rng, *pair) for pair in layers.get(name, [])]
@@ -50,33 +48,6 @@ def inputs(time_net, skip, seed=0):
 
 VARIANTS = pytest.mark.parametrize("time_net", [(), (7, 4)])
 SKIPS = pytest.mark.parametrize("skip", [False, True])
-
-
-def encode(values, L):
-    """E of one row, number by number."""
-    row = list(values)
-    for j in range(L):
-        row += [np.sin(2**j * v) for v in values] + [np.cos(2**j * v) for v in values]
-    return np.array(row)
-
-
-@VARIANTS
-@SKIPS
-def test_against_a_loop_over_rows(time_net, skip):
-    """As D3DGS's code does it: after the middle layer the inputs are put before the hidden row."""
-    case = inputs(time_net, skip)
-    deltas, _ = deformation_d3dgs.forward(**case)
-    time = encode([case["t"]], L_T)
-    for i, (W, b) in enumerate(zip(case["time_weights"], case["time_biases"])):
-        time = (np.maximum(time, 0) if i else time) @ W + b
-    for row, x in enumerate(case["x"]):
-        start = hidden = np.concatenate([encode(x, L_X), time])
-        for i, (W, b) in enumerate(zip(case["weights"][:-3], case["biases"][:-3])):
-            hidden = np.maximum(hidden @ W + b, 0)
-            if skip and i == len(HIDDEN) // 2:
-                hidden = np.concatenate([start, hidden])
-        for delta, W, b in zip(deltas, case["weights"][-3:], case["biases"][-3:]):
-            assert np.allclose(delta[row], hidden @ W + b, rtol=1e-12, atol=1e-13)
 
 
 @VARIANTS
@@ -107,8 +78,8 @@ def test_training_and_file_carry_both():
     """Three layers as in the reference: the arrays of a short training come back from the bytes."""
     scene = p4.load_scene("bouncing", downscale=4)
     options = dict(deformation=(12, 11, 10), time_net=(9, 7), skip=True)
-    model = p4.train(scene, "smoke", **options)
-    start = p4.train(scene, "smoke", stage_ends=(10, 15, 15, 16), **options)
+    trainer = Trainer(scene, SMOKE, design=design_of(SMOKE, scene.effects)._replace(**options))
+    start, model = trainer.model(), trainer.run()
     for name in ("psi_d", "psi_t"):
         for before, after in zip(start.networks[name][0], model.networks[name][0]):
             assert not after.size or np.abs(after - before).max() > 0, name
@@ -117,9 +88,3 @@ def test_training_and_file_carry_both():
     for name in ("psi_d", "psi_t"):
         for stored, trained in zip(decoded.networks[name][0], model.networks[name][0]):
             assert np.array_equal(stored, trained.astype(np.float16))
-
-
-def test_a_skip_needs_three_layers():
-    with pytest.raises(ValueError, match="'skip'.*three layers"):
-        choose("tiny", {"skip": "true"})
-    assert choose("tiny", {"skip": "true", "deformation": "8,8,8", "time_net": "9,4"}).skip

@@ -85,11 +85,14 @@ def test_scaffold_clears_only_what_it_has_judged(scene):
     trainer, statistics = prepared(scene, preset)
     statistics.gradient[:] = 1e-9
     statistics.seen[2, 1], statistics.visits[3] = 40, 80
+    trainer.parameters["log_s"][7] = [-3, 0.04, 2]
     trainer.iteration = 1500  # growing begins after this iteration
     trainer.adjust()
+    assert trainer.parameters["log_s"][7].tolist() == np.float32([-3, 0.04, 2]).tolist()
     assert statistics.seen.sum() == 47 * 100 + 40 and statistics.visits.sum() == 11 * 100 + 80
     trainer.iteration = 1600
-    trainer.adjust()
+    trainer.adjust()  # clamps the scales, too
+    assert trainer.parameters["log_s"][7].tolist() == np.float32([-3, 0.04, 0.05]).tolist()
     after = trainer.statistics
     assert after.seen[2, 1] == 40 and after.gradient[2, 1] == 1e-9 and after.seen.sum() == 40
     assert after.visits[3] == 80 and after.opacity[3].tolist() == [50] * 4

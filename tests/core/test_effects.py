@@ -4,6 +4,7 @@ Absent means: no call, no parameter, no state of the optimiser, no byte in the f
 """
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from p4dgs_ref.codec import quantise
 from p4dgs_ref.codec.file import encode
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.lab.effects.work import counted, effect_bytes
-from p4dgs_ref.model import Anchors, predict, predict_backward
+from p4dgs_ref.model import Anchors, predict
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS
 from p4dgs_ref.splatting import covariance, projection, render
@@ -31,6 +32,7 @@ from tests.core.effect_scenes import (
     small_scene,
     trained,
 )
+from tests.sampling import few
 
 
 # --- what is off is absent ---
@@ -49,8 +51,7 @@ def weights_of(arrays, effect, d):
     )
 
 
-@pytest.mark.parametrize("effect", MODEL_EFFECTS)
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name, effect", few([*product(SCENES, MODEL_EFFECTS)], 9))
 def test_off_is_absent_and_on_is_there(name, effect):
     for on in (False, True):
         trainer, work, data = trained(name, effect, on)
@@ -161,7 +162,7 @@ def picture_and_gradients(p, design, view, background, image_bars):
         p["O_a"],
         np.ones(p["O_a"].shape[:2], bool),
     )
-    g, res_p = predict(design, networks, anchors, view.camera.center, view.time)
+    g, _, back = predict(design, networks, anchors, view.camera.center, view.time)
     (image, _, _), res = render.forward(
         g.x,
         g.s,
@@ -176,9 +177,7 @@ def picture_and_gradients(p, design, view, background, image_bars):
     found = []
     for bar in image_bars:
         bars = render.backward(res, bar)
-        rows, nets = predict_backward(
-            res_p, bars["x"], bars["s"], bars["r"], bars["alpha"], bars["color"]
-        )
+        rows, nets = back(*(bars[key] for key in ("x", "s", "r", "alpha", "color")))
         arrays = {name: rows[name] for name in ("x_a", "f_a", "s_a", "l_a", "O_a")}
         for net, bars_of in nets.items():
             arrays.update(
@@ -203,8 +202,7 @@ def one_by_one(bar):
         yield alone
 
 
-@pytest.mark.parametrize("effect", MOTION + tuple(SEEN_BY))
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name, effect", few([*product(SCENES, (*MOTION, *SEEN_BY))], 7))
 def test_off_equals_the_neutral_input(name, effect):
     scene = small_scene(name)
     view = scene.train[5 + MODEL_EFFECTS.index(effect)]

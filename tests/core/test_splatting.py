@@ -94,6 +94,18 @@ def test_paper_settings_differ_from_exact_where_they_should():
     assert 1e-5 < largest(paper, exact) < 0.05
 
 
+def test_equal_depths_stay_in_the_order_of_their_index():
+    """An unstable sort would show with some hundred depths of few values.
+
+    The other stable sort of the renderer, by the number of splats in a tile, only has to put
+    tiles of similar length into one group: every tile is composited by itself.
+    """
+    rng = np.random.default_rng(8)
+    depth, visible = rng.integers(0, 4, 999) / 4, rng.random(999) < 0.7
+    wanted = sorted(np.flatnonzero(visible).tolist(), key=lambda row: depth[row])
+    assert compositing.depth_order(depth, visible, True).tolist() == wanted
+
+
 def test_ellipse_test_is_exact():
     """A pair is listed exactly where alpha reaches the cut inside the tile's rectangle.
 

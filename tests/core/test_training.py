@@ -17,6 +17,9 @@ from p4dgs_ref.training.initial import initial_parameters, neighbour_distance
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, TINY, choose, differences
 from p4dgs_ref.training.trainer import Trainer
+from p4dgs_ref.training.watch import equation_codes, watching
+
+SHORT = SMOKE._replace(stage_ends=(1, 2, 3, 5))  # every stage, in five steps
 
 
 @pytest.fixture(scope="module")
@@ -279,9 +282,8 @@ def test_snap_rounds_to_nearest_and_survives_flat_boxes():
 
 def test_same_seed_same_parameters_other_seed_others(scene):
     def run(seed):
-        trainer = Trainer(scene, SMOKE, seed)
-        while trainer.iteration < 20:
-            trainer.step()
+        trainer = Trainer(scene, SHORT, seed)
+        trainer.run()
         return trainer.parameters.vector
 
     assert np.array_equal(run(3), run(3)) and not np.array_equal(run(3), run(4))
@@ -295,11 +297,9 @@ def test_every_view_comes_once_before_any_comes_twice(scene):
 
 
 def test_a_static_scene_owns_no_deformation():
-    trainer = Trainer(load_scene("static", downscale=4), SMOKE)
+    trainer = Trainer(load_scene("static", downscale=4), SHORT)
     assert not any(name.startswith("psi_d") for name in trainer.parameters.arrays)
-    while trainer.iteration < SMOKE.iterations:
-        trainer.step()
-    assert "psi_d" not in trainer.model().networks
+    assert "psi_d" not in trainer.run().networks
 
 
 # --- where did the NaN come from ---
@@ -357,18 +357,33 @@ def test_an_equation_inside_another_is_named_with_it(scene, monkeypatch):
         trainer.step()
 
 
+def test_calls_are_watched_from_outside(scene):
+    """In the order of the paper's figures; afterwards the profile function is the one before."""
+    trainer, seen, before = Trainer(scene, SMOKE), [], sys.getprofile()
+    with watching(equation_codes(), lambda event, mark, *_: seen.append((event, *mark))):
+        trainer.step()
+    trainer.step()
+    assert sys.getprofile() is before
+    forwards = [key for event, key, name in seen if (event, name) == ("call", "forward")]
+    assert forwards[:3] == ["view", "opacity", "mlp"] and forwards[-1] == "total_loss"
+    assert seen[-1] == ("return", "view", "backward")
+    assert seen.count(("call", "scale", "backward")) == 1
+    assert seen.count(("return", "compositing, fast", "forward")) == 1
+    assert sum(event == "call" for event, *_ in seen) == len(seen) / 2
+
+
 # --- memory ---
 def test_moments_of_the_pictures_stay_within_their_budget(scene, monkeypatch):
     """What is kept for SSIM is bounded, and training ends with the same bytes without it."""
     ends, most = [], []
     of_one_view = loop.held_bytes(ssim.moments(scene.train[0].image))
-    for budget in (loop.MOST_MOMENTS, 5 * of_one_view, 0):
+    for budget in (loop.MOST_MOMENTS, 2 * of_one_view, 0):
         monkeypatch.setattr(loop, "MOST_MOMENTS", budget)
-        trainer = Trainer(scene, SMOKE, seed=1)
+        trainer = Trainer(scene, SHORT, seed=1)
         trainer.run()
         ends.append(trainer.parameters.vector.tobytes())
         most.append(len(trainer.moments))
-    assert ends[0] == ends[1] == ends[2] and most == [45, 5, 0]
+    assert ends[0] == ends[1] == ends[2] and most == [5, 2, 0]
 
 
 def test_held_bytes_count_whole_arrays():
@@ -377,6 +392,7 @@ def test_held_bytes_count_whole_arrays():
     assert loop.held_bytes(ssim.moments(truth)) == 4 * truth.nbytes
 
 
+@pytest.mark.slow
 def test_prepare_comes_before_numpy():
     """From Python it sets one BLAS thread, and leaves a number that the user has set."""
     program = (

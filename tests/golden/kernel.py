@@ -389,7 +389,7 @@ def many_cases():
 def stage_cases():
     """The Gaussians of the golden model at t = 0.35, before the camera of `frames`."""
     m = golden_model()
-    g, _ = model.predict(m.design, m.networks, m.anchors, FRONT.center, 0.35)
+    g, *_ = model.predict(m.design, m.networks, m.anchors, FRONT.center, 0.35)
     named = {name: single(a) for name, a in g._asdict().items() if name != "index"}
     camera = {n: single(a) if a.dtype.kind == "f" else a for n, a in described(FRONT).items()}
     inputs = dict(**named, **camera, background=single(m.background))

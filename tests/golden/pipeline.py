@@ -75,7 +75,7 @@ def frames_vjp(
     camera = camera_of(W, T, focal, center, size)
     design = EMPTY._replace(L_x=L_x, L_t=L_t, tau_alpha=tau_alpha, effects=effects)
     anchors = Anchors(x_a, f_a, s_a, l_a, O_a, mask)
-    g, _ = model.predict(design, networks_of(networks), anchors, camera.center, t)
+    g, *_ = model.predict(design, networks_of(networks), anchors, camera.center, t)
     settings = SETTINGS[renderer]._replace(dtype="float64")
     (image, *_), _ = render.forward(
         g.x, g.s, g.r, g.alpha, g.color, camera, background, settings, "occlusion" in effects
@@ -199,9 +199,7 @@ def trace_vjp(
         effects=effects,
     )
     located = locate(x_a, lo, hi, resolutions, [len(grid) for grid in grids])
-    fixed = objective.Fixed(
-        mask, located, background, True, True, lambda_rate, lambda_ssim, 0.0, EXACT
-    )
+    fixed = objective.Fixed(mask, located, background, 4, lambda_rate, lambda_ssim, EXACT)
     names = [own_name(name) for name in arrays]
     rates = dict(zip(names, learning_rates.tolist(), strict=True))
     adam = Adam(p)
@@ -209,8 +207,8 @@ def trace_vjp(
     for v, noise in zip(views, u):
         camera = camera_of(W[v], T[v], focal[v], center[v], size)
         view = View("", truth[v], None, camera, times[v])
-        losses, _, saved = objective.forward(p, design, nets, levels, fixed, view, noise)
-        gradients, _ = objective.backward(saved)
+        losses, _, back = objective.loss(p, design, nets, levels, fixed, view, noise)
+        gradients, _ = back()
         adam.step(p, gradients, rates.get)
         for name in LOSSES:
             rows[name].append(getattr(losses, name))

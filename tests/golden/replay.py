@@ -41,8 +41,6 @@ PRESET = Preset(
     k=2,
     hidden=(6, 6),
     deformation=(7, 7),
-    time_net=(),
-    skip=False,
     L_x=2,
     L_t=1,
     context=(5, 5),
@@ -59,7 +57,6 @@ PRESET = Preset(
     lambda_rate=0.01,
     stage_ends=(0, 0, 6, 10),
     lambda_ssim=0.2,
-    lambda_volume=0.0,
     sparse_share=0.0,
     decay_from=2,
     lr_x=(0.002, 0.0005),
@@ -94,7 +91,12 @@ UNUSED = (
     *("deformation_gain", "sparse_share", "sparse_ssim", "sparse_lr_c"),
     *("coded", "position_bits", "network_ramp", "lr_step"),
 )
-SETTINGS = {name: value for name, value in PRESET._asdict().items() if name not in UNUSED}
+# What the vectors switch off and no preset can switch on, at its place among the settings.
+OFF_AFTER = {"deformation": {"time_net": (), "skip": False}, "lambda_ssim": {"lambda_volume": 0.0}}
+SETTINGS = {}
+for field in PRESET._fields:
+    if field not in UNUSED:
+        SETTINGS |= {field: getattr(PRESET, field), **OFF_AFTER.get(field, {})}
 
 
 class GivenNumbers:
@@ -153,7 +155,7 @@ def views_of(W, T, focal, center, size, times, truth):
 
 def trainer_of(trainer, state, views, background, iteration, effects, settings):
     """Return a Trainer in a given state: arrays, moments, steps, mask, sums and box."""
-    preset = PRESET._replace(**settings)
+    preset = PRESET._replace(**{n: v for n, v in settings.items() if n in PRESET._fields})
     scene = SimpleNamespace(train=views, effects=effects, background=background, points=None)
     trainer = trainer(scene, preset, settings=EXACT)
     p, m, v = (

@@ -34,10 +34,10 @@ def spatial_vjp(x_a, f_a, s_a, l_a, O_a, mask, x_c, tau_alpha, effects, **networ
     """
     design = EMPTY._replace(effects=effects, tau_alpha=tau_alpha)
     anchors = Anchors(x_a, f_a, s_a, l_a, O_a, mask)
-    gaussians, saved = model.predict(design, networks_of(networks), anchors, x_c)
+    gaussians, _, back = model.predict(design, networks_of(networks), anchors, x_c)
 
     def pullback(x_bar, s_bar, r_bar, alpha_bar, color_bar):
-        anchors_bar, bars = model.predict_backward(saved, x_bar, s_bar, r_bar, alpha_bar, color_bar)
+        anchors_bar, bars = back(x_bar, s_bar, r_bar, alpha_bar, color_bar)
         return {**anchors_bar, **flat_gradients(bars)}
 
     return gaussians._asdict(), pullback

@@ -25,11 +25,11 @@ def context_vjp(x_a, lo, hi, grids, resolutions, Q_0, d, k, **networks):
     )
     located = locate(x_a, lo, hi, resolutions, [len(grid) for grid in grids])
     design = EMPTY._replace(d=d, k=k, Q_0=tuple(Q_0))
-    context, saved = model.context(design, networks_of(networks), grids, located)
+    context, back = model.context(design, networks_of(networks), grids, located)
 
     def pullback(h_bar, q_bar, mu_bar, sigma_bar):
         direct = grid_pullback(h_bar=h_bar)["grids"]
-        through, bars = model.context_backward(saved, q_bar, mu_bar, sigma_bar)
+        through, bars = back(q_bar, mu_bar, sigma_bar)
         grids_bar = [a + b for a, b in zip(direct, through)]
         return {"grids": grids_bar, **flat_gradients(bars)}
 
@@ -87,14 +87,12 @@ def rate_vjp(noisy, mu, sigma, q, mask, grids, d, k):
     Masked offsets receive no gradient (Q15); gradients of the grids are straight-through.
     """
     design = EMPTY._replace(d=d, k=k)
-    (bits, L_rate), saved = objective.rate_forward(
-        noisy, Context(q, mu, sigma), grids, mask, design
-    )
+    (bits, L_rate), back = objective.rate(noisy, Context(q, mu, sigma), grids, mask, design)
 
     def pullback(bits_bar, L_rate_bar):
         both = L_rate_bar + noisy.size * bits_bar  # bits = A n L_rate
         names = ("noisy", "mu", "sigma", "q", "grids")
-        return dict(zip(names, objective.rate_backward(saved, both, design)))
+        return dict(zip(names, back(both)))
 
     return {"bits": bits, "L_rate": L_rate}, pullback
 

@@ -49,17 +49,14 @@ def gradients_of(i, state, view, u, box, n):
         state["mask"],
         located,
         i["background"],
-        stage >= 2,
-        stage >= 3,
+        stage,
         i["lambda_rate"],
         i["lambda_ssim"],
-        i["lambda_volume"],
         EXACT,
     )
     networks = {name: p.network(name) for name in DESIGN.layers()}
-    found = objective.forward(p, DESIGN, networks, p.listed("grid"), fixed, view, u)
-    losses, seen, saved = found
-    bars, mean2d_bar = objective.backward(saved)
+    losses, seen, back = objective.loss(p, DESIGN, networks, p.listed("grid"), fixed, view, u)
+    bars, mean2d_bar = back()
     return losses, {name: replay.joined(bars, name) for name in replay.ARRAYS}, seen, mean2d_bar
 
 

@@ -120,7 +120,7 @@ def test_ctrl_c_waits_for_the_end_of_the_step(
         signal.raise_signal(signal.SIGINT)
         return function(*args)
 
-    call_at(monkeypatch, objective, "backward", at, press)
+    call_at(monkeypatch, objective, "loss", at, press)
     with pytest.raises(KeyboardInterrupt):
         fit(scene, **settings, folder=tmp_path, save_every=1000)
     monkeypatch.undo()
@@ -145,7 +145,7 @@ def test_a_second_ctrl_c_does_not_wait(scene, tmp_path, monkeypatch, interruptib
         signal.raise_signal(signal.SIGINT)
         raise AssertionError("the second one must stop at once")
 
-    call_at(monkeypatch, objective, "backward", 30, press_twice)
+    call_at(monkeypatch, objective, "loss", 30, press_twice)
     with pytest.raises(KeyboardInterrupt):
         fit(scene, **LIVELY, folder=tmp_path, save_every=0)
     assert load(tmp_path)[1]["iteration"] == 30

@@ -7,7 +7,7 @@ import numpy as np
 from p4dgs_ref import PRESETS
 from p4dgs_ref.equations import hash_grid, likelihood
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.model import context, context_backward
+from p4dgs_ref.model import context
 from p4dgs_ref.oracle import published
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.training.initial import design_of
@@ -88,9 +88,9 @@ located = hash_grid.locate(
 networks = {
     name: (given[f"{name}_weights"], given[f"{name}_biases"]) for name in ("psi_q", "psi_p")
 }
-ctx, saved = context(design, networks, given["grids"], located)
+ctx, back = context(design, networks, given["grids"], located)
 none = np.zeros_like(ctx.mu)
-of_grids, of_networks = context_backward(saved, np.ones_like(ctx.q), none, none)
+of_grids, of_networks = back(np.ones_like(ctx.q), none, none)
 assert any(grid.any() for grid in of_grids)
 assert any(W.any() for W in of_networks["psi_q"]["weights"])
 assert not any(W.any() for W in of_networks["psi_p"]["weights"])

@@ -157,7 +157,7 @@ def test_answers_do_not_stand_below_their_blanks(tutorial):
 def test_checks_of_ports_call_the_package(tutorial):
     """So they print no formula that an exercise asks for."""
     port = ast.parse(source(tutorial).split("# ## Check your port", 1)[1])
-    called = {"forward", "backward", "vjp", "rate_forward", "decoded", "render"}
+    called = {"forward", "backward", "vjp", "rate", "decoded", "render"}
     checks = ("oracle.check", "lessons.passes", "lessons.caught")
     checked = set()
     for node in ast.walk(port):

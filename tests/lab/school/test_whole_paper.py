@@ -399,21 +399,19 @@ def test_whole_loss_and_its_gradient_are_those_of_the_package(stage, whole):
         mask=np.ones((whole.A, whole.k), bool),
         located=located,
         background=whole.BACKGROUND,
-        noisy=stage >= 2,
-        moving=stage >= 3,
+        stage=stage,
         lambda_rate=whole.LAMBDA_RATE,
         lambda_ssim=whole.LAMBDA_SSIM,
-        lambda_volume=0.0,
         settings=EXACT._replace(tan_clamp=1e9),
     )
     networks = {name: theirs.network(name) for name in design.layers()}
     one_view = View("7", image.reshape(size, size, 3), None, camera, t)
-    losses, _, saved = objective.forward(
+    losses, _, back = objective.loss(
         theirs, design, networks, theirs.listed("grid"), fixed, one_view, u
     )
     assert L == pytest.approx(losses.L_total, rel=1e-11)
     assert parts["bits"] == pytest.approx(losses.bits, rel=1e-11)
-    gradients, _ = objective.backward(saved)
+    gradients, _ = back()
     expected, _ = in_the_package(whole, {name: mine.get(name, 0 * p[name]) for name in p})
     for name, array in gradients.arrays.items():
         if not (name == "x_a" and stage == 4):  # positions are frozen there

@@ -1,0 +1,46 @@
+"""Eqs. (5) and (6): what no vector shows: no gradient of x, effects that are off, as printed."""
+
+import numpy as np
+
+from p4dgs_ref.equations import deformation, deformed
+from tests.golden.cases import cases_of
+
+
+def ordinary(key):
+    """The inputs of an equation's ordinary case."""
+    return next(case.inputs for case in cases_of(key) if case.name == "ordinary")
+
+
+def test_deformation_without_the_gradient_of_x():
+    deltas, saved = deformation.forward(**ordinary("deformation"))
+    rng = np.random.default_rng(6)
+    cotangents = [rng.normal(size=delta.shape) for delta in deltas]
+    full = deformation.backward(saved, *cotangents)
+    lean = deformation.backward(saved, *cotangents, needs_x=False)
+    assert set(full) - set(lean) == {"x"}
+    for name in lean:
+        for a, b in zip(lean[name], full[name], strict=True):
+            assert np.array_equal(a, b)
+
+
+def test_deformed_passes_what_is_off_through_untouched():
+    x, s, r = np.ones((5, 3)), np.ones((5, 3)), np.full((5, 4), 2.0)
+    off = np.zeros((5, 0))
+    (x_t, s_t, r_t), _ = deformed.forward(x, s, r, np.ones((5, 3)), off, off)
+    assert s_t is s and r_t is r
+    assert np.array_equal(x_t, np.full((5, 3), 2.0))
+
+
+def test_eq_6_as_printed_leaves_the_length_of_the_quaternion():
+    inputs = ordinary("deformed")
+    unit, _ = deformed.forward(**inputs)
+    printed, saved = deformed.as_printed(**inputs)
+    assert np.array_equal(printed[2], inputs["r"] + inputs["delta_r"])
+    length = np.linalg.norm(printed[2], axis=1, keepdims=True)
+    assert np.abs(length - 1).max() > 0.1
+    assert np.allclose(printed[2] / length, unit[2], rtol=1e-14, atol=0)
+    bars = [np.random.default_rng(7).normal(size=a.shape) for a in printed]
+    gradients = deformed.backward(saved, *bars)
+    for name, bar in zip(("x", "s", "r"), bars):  # each output is a sum of its two inputs
+        assert np.array_equal(gradients[name], bar)
+        assert np.array_equal(gradients[f"delta_{name}"], bar)
