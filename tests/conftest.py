@@ -1,8 +1,12 @@
-"""`--share 1/2` and `--share 2/2` divide the chosen tests between two processes."""
+"""`--share 1/2` and `--share 2/2` divide the chosen tests between two processes.
+
+The header shows the seed of the short lane's samples.
+"""
 
 import pytest
 
 import p4dgs_ref
+from tests.sampling import SEED
 
 # Before NumPy loads, as every command does it: processes that a test starts inherit this setting,
 # and with another number of BLAS threads the last digits differ.
@@ -12,6 +16,10 @@ p4dgs_ref.prepare()
 def pytest_addoption(parser):
     help_text = "run only the I-th of N equal shares of the chosen tests"
     parser.addoption("--share", metavar="I/N", default="1/1", help=help_text)
+
+
+def pytest_report_header():
+    return f"sampled tests: P4DGS_TEST_SEED={SEED}"
 
 
 @pytest.hookimpl(trylast=True)  # after -m and -k have chosen

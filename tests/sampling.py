@@ -1,15 +1,25 @@
-"""Of some parametrised tests the short lane runs a few, and the slow lane the others."""
+"""Of some parametrised tests the short lane runs a sample, and the slow lane the others.
+
+The sample is another one every day. `P4DGS_TEST_SEED=20260131 pytest` repeats that of a day.
+"""
+
+import os
+import random
+from datetime import date
 
 import pytest
 
+SEED = os.environ.get("P4DGS_TEST_SEED") or f"{date.today():%Y%m%d}"
+
 
 def few(values, count):
-    """The values for `parametrize`: `count` of them, evenly spread; the others are slow tests.
+    """The values for `parametrize`: `count` of them drawn by the seed; the others are slow tests.
 
-    A tuple gives several arguments.
+    A tuple gives several arguments. Order and ids are the same for every seed.
     """
-    values = [value if isinstance(value, tuple) else (value,) for value in values]
-    short = {i * len(values) // count for i in range(count)}
+    values = [value if type(value) is tuple else (value,) for value in values]
+    rng = random.Random(f"{SEED}: {count} of {len(values)}")
+    short = rng.sample(range(len(values)), count)
     return [
         pytest.param(*value, marks=() if i in short else pytest.mark.slow)
         for i, value in enumerate(values)
