@@ -307,7 +307,7 @@ def test_through_a_process(tmp_path, option, failing):
 def test_a_process_may_skip_version_2(ours):
     """A port that looks at the version alone skips `wrong_version` too, but has to refuse it."""
 
-    class Skips(streams.StreamFolder):
+    class Skips(FolderPort):
         def decode(self, name, data):
             if data[8:9] == b"\2":
                 raise PortError("skipped", "not written yet")
