@@ -1,0 +1,18 @@
+"""What several files of this room share."""
+
+import pytest
+
+from p4dgs_ref.oracle.export import export
+from tests.golden.kill_matrix import Judge
+
+
+@pytest.fixture(scope="session")
+def judge():
+    return Judge()
+
+
+@pytest.fixture(scope="session")
+def exported(tmp_path_factory):
+    """A folder with an export of the newest vectors, and what `export` returned."""
+    folder = tmp_path_factory.mktemp("exported") / "v1"
+    return folder, export(folder)
