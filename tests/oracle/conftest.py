@@ -2,8 +2,10 @@
 
 import pytest
 
+from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.export import export
 from tests.golden.kill_matrix import Judge
+from tests.oracle.answers import right, write
 
 
 @pytest.fixture(scope="session")
@@ -16,3 +18,10 @@ def exported(tmp_path_factory):
     """A folder with an export of the newest vectors, and what `export` returned."""
     folder = tmp_path_factory.mktemp("exported") / "v1"
     return folder, export(folder)
+
+
+@pytest.fixture(scope="session")
+def answered(tmp_path_factory):
+    """A folder with right answers to the paper's equations, and to nothing else."""
+    keys = published.equations()
+    return write(tmp_path_factory.mktemp("answered"), **{key: right(key) for key in keys})
