@@ -16,17 +16,12 @@ from tests.golden.mistakes import MISTAKES, NotApplicable
 from tests.golden.mistakes.__main__ import answers, files
 from tests.golden.mistakes.place import in_place
 from tests.golden.subjects import subjects
+from tests.sampling import few
 
 CLOSE = 1e-9  # of the largest number in an array
 NOISE = 1e-16  # what is left of a sum that is exactly zero
-# One of eight in the short lane, all in the long one.
-EVERY = pytest.mark.parametrize(
-    "mistake",
-    [
-        pytest.param(mistake, id=mistake.id, marks=[pytest.mark.slow] if i % 16 else [])
-        for i, mistake in enumerate(MISTAKES)
-    ],
-)
+# A few of them in the short lane, others every day; the slow lane has the rest.
+EVERY = pytest.mark.parametrize("mistake", few(MISTAKES, 24), ids=lambda mistake: mistake.id)
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # mistakes divide by zero
 
 
