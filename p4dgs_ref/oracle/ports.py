@@ -87,9 +87,8 @@ class FolderPort:
         except safetensors.TensorError as error:
             raise PortError("damaged", str(error)) from None
         except Exception as error:  # NumPy raises whatever its zip, header and type parsers raise
-            raise PortError(
-                "damaged", f"{file}: expected a valid npz of numbers ({type(error).__name__})"
-            ) from None
+            said = f"expected a valid npz of numbers ({type(error).__name__})"
+            raise PortError("damaged", f"{file}: {said}") from None
 
     def decode(self, name, _):
         """Return the arrays that the port found in a stream and None, or None and its refusal.
@@ -99,8 +98,8 @@ class FolderPort:
         file = self.folder / "codec" / "refusals.json"
         reasons = safetensors.json_object(file.read_bytes()) if file.is_file() else {}
         if reasons is None:
-            expected = "a JSON object {name of a stream: the reason of its refusal, or null}"
-            raise PortError("damaged", f"{file}: expected {expected}")
+            said = "a JSON object {name of a stream: the reason of its refusal, or null}"
+            raise PortError("damaged", f"{file}: expected {said}")
         reason = reasons.get(name)
         if isinstance(reason, str):
             return None, reason

@@ -74,8 +74,8 @@ def as_printed(case, got):
     mine, precise = dict(got), precision(got)
     stored = measured().get((case.id, precise), {})
     scales = {name: a for name, a in stored.items() if name.startswith("scale.")}
-    for name, a in stored.items():
-        tensor = name.removeprefix("range.")
+    for name in stored.keys() - scales.keys():
+        a, tensor = stored[name], name.removeprefix("range.")
         if tensor in mine and np.shape(mine[tensor]) == a.shape:
             least = np.finfo(precise).eps * case.tensors["scale." + tensor]
             kept = np.isfinite(mine[tensor]) & (np.abs(mine[tensor]) > least)

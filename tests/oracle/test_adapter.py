@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -59,33 +60,20 @@ class Port:
         return [int(line) for line in self.log.read_text().split()]
 
 
-class Here:
-    """In place of a process: the same port in this process, whose answer a line may change."""
+def here(twist):
+    """An adapter with the same port in this process, whose n-th answer the twist may change."""
+    made, count = Adapter(sys.executable), iter(range(1, 99))
 
-    def __init__(self, twist):
-        self.twist, self.n, self.ended = twist, 0, False
-
-    def exchange(self, line, _):
-        request, self.n = json.loads(line), self.n + 1
-        answer = {
-            "id": request["id"],
-            "out": {"y": request["in"]["x"]},
-            "in_bar": {"x": request["out_bar"]["y"]},
-        }
-        names = {"answer": answer, "n": self.n, "request": request, "json": json, "line": None}
-        exec(self.twist, names)
+    def exchange(line, _):
+        request = json.loads(line)
+        answer = {"id": request["id"], "out": {"y": request["in"]["x"]}}
+        answer["in_bar"] = {"x": request["out_bar"]["y"]}
+        names = {"answer": answer, "n": next(count), "json": json, "line": None}
+        exec(twist, names)
         line = json.dumps(answer) if names["line"] is None else names["line"]
         return line if isinstance(line, bytes) else line.encode()
 
-    def end(self, _):
-        self.ended = True
-        return "its last words"
-
-
-def here(twist):
-    """An adapter around a port in this process, which is given up with its first failure."""
-    made = Adapter(sys.executable)
-    made.child = Here(twist)
+    made.child = SimpleNamespace(exchange=exchange, end=lambda grace: "its last words")
     return made, made.child
 
 
@@ -286,11 +274,11 @@ SLEEPER = "open({!r}, 'a').write(str(subprocess.Popen(['sleep', '60']).pid) + '\
 @pytest.mark.parametrize("line", LOST)
 def test_a_line_that_is_no_answer(line):
     """The process may owe an answer and is not asked again."""
-    ask, child = here(f"if n == 2: line = {line}")
+    ask, _ = here(f"if n == 2: line = {line}")
     assert verdicts(ask, 1) == ["ok"]
     kind, message = failure(ask, case("1"))
     assert kind == "nonsense" and LOST[line] in message and len(message) < 800
-    assert child.ended and ask.child is None and "stderr: its last words" in message
+    assert ask.child is None and "stderr: its last words" in message
 
 
 @pytest.mark.parametrize("line", few(LOST, 1))

@@ -10,6 +10,7 @@ import shutil
 import struct
 import subprocess
 import sys
+from contextlib import redirect_stdout
 from functools import cache
 
 import numpy as np
@@ -56,21 +57,16 @@ def need(tool):
 
 def in_process(file, *argv, stdin=""):
     """Run a program of the page in this process; return its exit code, stdout and stderr."""
-    out, err, code = io.StringIO(), io.StringIO(), 0
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in {"stdin": io.StringIO(stdin), "stdout": out, "stderr": err}.items():
-            patch.setattr(sys, name, value)
-        patch.setattr(sys, "argv", [str(file), *map(str, argv)])
+    out, err, code = io.StringIO(), "", 0
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out):
+        patch.setattr(sys, "stdin", io.StringIO(stdin))
+        patch.setattr(sys, "argv", [str(file), *argv])
         patch.chdir(file.parent)
         try:
             runpy.run_path(str(file), run_name="__main__")
-        except SystemExit as end:
-            if isinstance(end.code, str):
-                print(end.code, file=err)
-            code = end.code if isinstance(end.code, int) else int(end.code is not None)
-        except Exception:
-            code = 1
-    return code, out.getvalue(), err.getvalue()
+        except (Exception, SystemExit) as error:
+            code, err = 1, str(error)
+    return code, out.getvalue(), err
 
 
 @pytest.fixture(scope="module")
@@ -250,7 +246,7 @@ def write(language, path, tensors):
     script.write_text(program(source, "Writers") + call, encoding="utf-8")
     rows = {n: [dtype, list(a.shape), a.ravel().tolist()] for n, (dtype, a) in tensors.items()}
     if language == "here":
-        assert in_process(script, path, stdin=json.dumps(rows)) == (0, "", "")
+        assert in_process(script, str(path), stdin=json.dumps(rows)) == (0, "", "")
     else:
         need(tool)
         command = [tool, str(script), str(path)]
