@@ -281,16 +281,6 @@ def test_a_line_that_is_no_answer(line):
     assert ask.child is None and "stderr: its last words" in message
 
 
-@pytest.mark.parametrize("line", few(LOST, 1))
-def test_after_such_a_line_another_process_is_started(port, line):
-    ask = port(
-        f"line = {line}\n"
-        "data = line.encode() if isinstance(line, str) else line\n"
-        "if n == 2: sys.stdout.buffer.write(data + b'\\n'); sys.stdout.flush(); continue"
-    )
-    assert verdicts(ask, 3) == ["ok", "nonsense", "ok"] and len(port.pids()) == 2
-
-
 @pytest.mark.parametrize(
     "twist, words",
     [

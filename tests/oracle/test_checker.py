@@ -72,19 +72,15 @@ def test_missing_extra_and_damaged_answers_are_reported(tmp_path):
     found = judge_folder(tmp_path, "offsets", got)
     kinds = {(f.tensor, f.kind) for f in found.first.findings}
     assert kinds == {("in_bar.l_a", "missing"), ("out.y", "extra")}
-
-    def verdicts():
-        results = checker.check_port(ports.FolderPort(tmp_path), only="offsets").results
-        assert all(r.wrong for r in results)
-        return {r.verdict for r in results}
-
-    (tmp_path / "offsets.safetensors").write_bytes(b"nonsense")
-    assert verdicts() == {"damaged"}
-    (tmp_path / "offsets.safetensors").unlink()
-    (tmp_path / "offsets.npz").write_bytes(b"PK nonsense")
-    assert verdicts() == {"damaged"}
-    (tmp_path / "offsets.npz").unlink()
-    assert verdicts() == {"missing"}
+    for suffix, data, verdict in (
+        ("safetensors", b"nonsense", "damaged"),
+        ("npz", b"PK nonsense", "damaged"),
+        ("txt", b"", "missing"),
+    ):
+        (folder := tmp_path / suffix).mkdir()
+        (folder / f"offsets.{suffix}").write_bytes(data)
+        results = checker.check_port(ports.FolderPort(folder), only="offsets").results
+        assert all(r.wrong and r.verdict == verdict for r in results)
 
 
 def test_a_misspelt_case_or_subject_is_refused(tmp_path):

@@ -118,7 +118,7 @@ def test_other_types_for_the_same_numbers(folder):
 ARRAYS = [(name, array) for name in ("static", "full", "escapes") for array in streams.BLAMED]
 
 
-@pytest.mark.parametrize("name, array", few(ARRAYS, 3))
+@pytest.mark.parametrize("name, array", few(ARRAYS, 2))
 def test_every_array_counts(folder, name, array):
     """The smallest change of one number of any array is found and blamed on what makes it."""
     if array not in read(folder, name):  # static: no motion
@@ -195,25 +195,18 @@ def test_what_is_not_there_or_damaged(folder):
 def test_refusals(folder):
     path = folder / "codec" / "refusals.json"
     reasons = json.loads(path.read_text())
-
-    def verdicts(changed, *names):
-        path.write_text(json.dumps(changed))
-        return {name: r.verdict for name, r in check(folder, *names).items()}
-
-    changed = {**reasons, "nothing": None, "truncated": 3, "full": "too large"}
-    found = verdicts(changed, "nothing", "truncated", "full")
-    assert found == {"nothing": "fail", "truncated": "damaged", "full": "fail"}
-    wrong = check(folder, "nothing", "full")
-    assert "a file of no bytes" in wrong["nothing"].explanation
-    assert "too large" in wrong["full"].explanation
-    without = {name: why for name, why in reasons.items() if name != "no_json"}
-    assert verdicts(without) == {"no_json": "missing"}
+    path.write_text(json.dumps({**reasons, "nothing": None, "truncated": 3, "full": "too large"}))
+    wrong = check(folder, "nothing", "truncated", "full")
+    found = {name: (r.verdict, r.explanation) for name, r in wrong.items()}
+    assert [verdict for verdict, _ in found.values()] == ["fail", "damaged", "fail"]
+    assert "too large" in found["full"][1] and "a file of no bytes" in found["nothing"][1]
+    path.write_text(json.dumps({name: why for name, why in reasons.items() if name != "no_json"}))
+    assert {name: r.verdict for name, r in check(folder).items()} == {"no_json": "missing"}
     shutil.copy(folder / "codec" / "full.safetensors", folder / "codec" / "no_json.safetensors")
-    assert verdicts(without) == {"no_json": "fail"}
-    assert set(verdicts([], "full", "no_json").values()) == {"damaged"}
-    for data in (b"{", b"\xff"):
+    assert check(folder, "no_json")["no_json"].verdict == "fail"
+    for data in (b"[]", b"{", b"\xff"):
         path.write_bytes(data)
-        assert check(folder, "full")["full"].verdict == "damaged"
+        assert {r.verdict for r in check(folder, "full", "nothing").values()} == {"damaged"}
     path.unlink()
     assert set(check(folder)) == set(BAD)
 
