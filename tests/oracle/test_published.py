@@ -67,7 +67,7 @@ def test_safetensors_come_back():
         (lambda d: d[:-1], "data_offsets"),
         (lambda d: d.replace(b'"F64"', b'"F65"'), "dtype"),
         (lambda d: d.replace(b"[3,2]", b"[3,3]"), "data_offsets"),
-        (lambda d: d.replace(b"[3,2]", b"[-3,2]").replace(b"  ", b" "), "header|shape"),
+        (lambda d: d.replace(b"[3,2]", b"[-6] "), "shape"),
         (lambda d: d.replace(b"{", b"<", 1), "header"),
     ],
 )
