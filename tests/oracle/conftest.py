@@ -4,6 +4,7 @@ import pytest
 
 from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.export import export
+from tests.golden import kill_matrix
 from tests.golden.kill_matrix import Judge
 from tests.oracle.answers import right, write
 
@@ -11,6 +12,12 @@ from tests.oracle.answers import right, write
 @pytest.fixture(scope="session")
 def judge():
     return Judge()
+
+
+@pytest.fixture
+def hasty(monkeypatch):
+    """A sampled mutation that never ends must not hold up the short lane."""
+    monkeypatch.setattr(kill_matrix, "PATIENCE", 8)
 
 
 @pytest.fixture(scope="session")

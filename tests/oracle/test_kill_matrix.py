@@ -57,7 +57,7 @@ def test_some_known_mistakes_again(judge):
         assert of_mistake(judge, mistake) == (True, True, True), mistake.id
 
 
-def test_some_mutations_again(judge):
+def test_some_mutations_again(judge, hasty):
     survivors = {survivor["id"] for survivor in committed()["mutations"]["survivors"]}
     for mutation in DRAW.sample(mutations(), 60):
         assert is_killed(judge, mutation) == (mutation.id not in survivors), mutation.id
