@@ -26,7 +26,7 @@ import contextlib
 import json
 import math
 import os
-import selectors
+import select
 import shlex
 import shutil
 import signal
@@ -37,7 +37,7 @@ import numpy as np
 
 from .ports import PortError
 from .precision import cast
-from .safetensors import DTYPES, NAMES
+from .safetensors import DTYPES, NAMES, json_object, naturals
 
 VERSION = 1
 LONGEST = 2**26  # bytes of an answer
@@ -64,7 +64,7 @@ class Adapter(contextlib.AbstractContextManager):
             raise AdapterError(f"adapter {command!r}: expected a command that can be run")
         self.timeout, self.dtype = timeout, np.dtype(dtype)
         self.child = None
-        self.lost = {}  # failures in a row, by subject or start of the process
+        self.lost = []  # the subject, or the start of the process, of each failure in a row
         self.last = None  # the last failure
 
     def run(self, case):
@@ -83,9 +83,8 @@ class Adapter(contextlib.AbstractContextManager):
             "out_bar": self._packed(case, "out_bar."),
         }
         answer = self._ask(request, case.subject, ("out", "skip", "error"))
-        outputs, gradients = unpacked(answer, "out"), unpacked(answer, "in_bar")
-        found = {f"out.{name}": a for name, a in outputs.items()}
-        return found | {f"in_bar.{name}": a for name, a in gradients.items()}
+        arrays = {role: unpacked(answer, role) for role in ("out", "in_bar")}
+        return {f"{role}.{name}": a for role, of in arrays.items() for name, a in of.items()}
 
     def decode(self, name, data):
         """Return the arrays that the port finds in a file and None, or None and its refusal.
@@ -98,14 +97,13 @@ class Adapter(contextlib.AbstractContextManager):
             return None, _short(str(answer["refused"]))
         return unpacked(answer, "arrays"), None
 
-    def close(self):
-        """End the process, if one is running, and all processes that it started."""
-        child, self.child = self.child, None
-        if child is not None:
-            child.end(grace=1.0)
-
     def __exit__(self, *_):
         self.close()
+
+    def close(self, grace=1.0):
+        """End the process, if one runs, and all that it started; return the end of its stderr."""
+        child, self.child = self.child, None
+        return child.end(grace) if child else ""
 
     def _packed(self, case, prefix):
         """Return the tensors of a role as ARRAYs in the precision of the check."""
@@ -119,43 +117,41 @@ class Adapter(contextlib.AbstractContextManager):
 
         After a failure the process is ended, and the next case starts a new one.
         """
-        if max(len(self.lost), self.lost.get(subject, 0)) >= PATIENCE:
+        if self.last and PATIENCE in (len({*self.lost}), self.lost.count(subject)):
             said = f"not asked, after {PATIENCE} failures in a row; the last: {self.last}"
             raise PortError(self.last.kind, said)
-        stage = f"start {len(self.lost)}"  # a new name each time, so that failed starts are counted
+        stage = len(self.lost)  # a start; each has its own name, so that failed ones are counted
         try:
             if self.child is None:
                 self.child = Child(self.command)
                 self._exchange({"p4dgs_oracle": VERSION, "dtype": self.dtype.name}, "p4dgs_oracle")
             stage = subject
             answer = self._exchange(request, "id")
-        except BaseException as error:  # after Ctrl-C too, no process may be left running
-            child, self.child = self.child, None
-            words = child.end(grace=0.0) if child else ""
-            if not isinstance(error, PortError):
-                raise
-            self.lost[stage] = self.lost.get(stage, 0) + 1
+        except PortError as error:
+            words = self.close(grace=0)
+            self.lost.append(stage)
             self.last = PortError(error.kind, f"{error}{f'; stderr: {words}' if words else ''}")
             raise self.last from None
+        except BaseException:  # after Ctrl-C too, no process may be left running
+            self.close(grace=0)
+            raise
         self.lost.clear()
         found = [kind for kind in kinds if answer.get(kind) is not None]
         if len(found) != 1:
             said = f"expected one of the fields {', '.join(kinds)}, got {', '.join(answer)}"
             raise PortError("nonsense", said)
-        if found[0] in ("skip", "error"):
-            kind = "skipped" if found[0] == "skip" else "error"
-            raise PortError(kind, _short(str(answer[found[0]])))
+        for field, kind in ("skip", "skipped"), ("error", "error"):
+            if field in found:
+                raise PortError(kind, _short(str(answer[field])))
         return answer
 
     def _exchange(self, request, field):
         """Return the object that answers a request; `field` must be the same in both."""
+        assert self.child, "a process runs"
         line = self.child.exchange(json.dumps(request).encode() + b"\n", self.timeout)
-        try:
-            answer = json.loads(line)
-        except (ValueError, RecursionError):
-            answer = None
-        if not isinstance(answer, dict):
-            said = _short(repr(bytes(line[:QUOTED]))[1:])
+        answer = json_object(line)
+        if answer is None:
+            said = _short(repr(line[:QUOTED])[1:])
             raise PortError("nonsense", f"expected a line with a JSON object, got {said}")
         if answer.get(field) != request[field]:
             want, got = json.dumps(request[field]), _short(json.dumps(answer.get(field)))
@@ -167,75 +163,67 @@ class Child:
     """A process and the three pipes to it, which are all served at once so that none blocks."""
 
     def __init__(self, command):
-        pipe = subprocess.PIPE
         try:
-            # In its own process group, which can be killed as a whole.
             self.process = subprocess.Popen(
-                command, stdin=pipe, stdout=pipe, stderr=pipe, bufsize=0, start_new_session=True
+                command,
+                bufsize=0,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                start_new_session=True,  # its own process group, which can be killed as a whole
             )
         except OSError as error:
             raise PortError("died", f"cannot be started ({error.strerror})") from None
+        pipes = self.process.stdin, self.process.stdout, self.process.stderr
+        self.stdin, self.stdout, self.stderr = filter(None, pipes)
+        for stream in (self.stdin, self.stdout, self.stderr):
+            os.set_blocking(stream.fileno(), False)
+        self.open = [self.stdout, self.stderr]  # not closed by the port
         self.unread = bytearray()  # bytes of stdout that are not yet a whole line
         self.words = b""  # the end of stderr
-        self.pipes = self.process.stdin, self.process.stdout, self.process.stderr
-        for stream in self.pipes:
-            os.set_blocking(stream.fileno(), False)
 
     def exchange(self, request, seconds):
         """Send a line and return the next line of the answer.
 
         Raises PortError of the kinds died, hung and nonsense (a line without an end).
         """
-        deadline, unsent, searched = time.monotonic() + seconds, memoryview(request), 0
-        with selectors.DefaultSelector() as ready:
-            for stream in self.pipes:
-                if not stream.closed:
-                    sends = stream is self.process.stdin
-                    ready.register(stream, selectors.EVENT_WRITE if sends else selectors.EVENT_READ)
-            while True:
-                end = self.unread.find(b"\n", searched)
-                if end >= 0 and not unsent:
-                    line = bytes(self.unread[:end])
-                    del self.unread[: end + 1]
-                    return line
-                searched = end if end >= 0 else len(self.unread)
-                if len(self.unread) > LONGEST:
-                    said = f"expected a line of at most {LONGEST:,} bytes, got more"
-                    raise PortError("nonsense", said)
-                left = deadline - time.monotonic()
-                if left <= 0:
-                    said = (
-                        f"no answer within {seconds:g} s, compilation included; --timeout raises it"
-                    )
-                    raise PortError("hung", said)
-                events = ready.select(min(left, 0.1))
-                # A child of a dead process may still hold its stdout.
-                if not events and self.process.poll() is not None:
-                    raise self._death()
-                for key, _ in events:
-                    unsent = self._serve(key.fileobj, ready, unsent)
+        deadline, unsent, end, searched = time.monotonic() + seconds, memoryview(request), -1, 0
+        while end < 0 or unsent:
+            left = deadline - time.monotonic()
+            if left <= 0:
+                said = f"no answer within {seconds:g} s, compilation included; --timeout raises it"
+                raise PortError("hung", said)
+            if len(self.unread) > LONGEST:
+                raise PortError(
+                    "nonsense", f"expected a line of at most {LONGEST:,} bytes, got more"
+                )
+            unsent = unsent[self._serve(unsent, min(left, 0.1)) :]
+            end = self.unread.find(b"\n", searched)
+            searched = len(self.unread) if end < 0 else end
+        line = bytes(self.unread[:end])
+        del self.unread[: end + 1]
+        return line
 
-    def _serve(self, stream, ready, unsent):
-        """Read from or write to a pipe that is ready; return the bytes still to be sent."""
-        if stream is self.process.stdin:
-            try:
-                unsent = unsent[os.write(stream.fileno(), unsent[: 2**16]) :] if unsent else unsent
-            except BrokenPipeError:
-                raise self._death() from None
-            if not unsent:
-                ready.unregister(stream)
-            return unsent
-        part = os.read(stream.fileno(), 2**16)
-        if stream is self.process.stdout:
+    def _serve(self, unsent, seconds):
+        """Read and write what the pipes are ready for; return the number of bytes sent."""
+        asked = [self.stdin] if unsent else []
+        readable, writable, _ = select.select(self.open, asked, [], seconds)
+        for stream in readable:
+            part = os.read(stream.fileno(), 2**16)
+            if stream is self.stdout:
+                self.unread += part
+            else:
+                self.words = (self.words + part)[-4 * QUOTED :]
             if not part:
-                raise self._death()
-            self.unread += part
-        elif part:
-            self.words = (self.words + part)[-4 * QUOTED :]
-        else:  # a port may close stderr
-            ready.unregister(stream)
-            stream.close()
-        return unsent
+                self.open.remove(stream)
+        # A process that the port started may still hold its stdout.
+        silent = not readable and not writable and self.process.poll() is not None
+        if silent or self.stdout not in self.open:
+            raise self._death()
+        try:
+            return os.write(self.stdin.fileno(), unsent[: 2**16]) if writable else 0
+        except BrokenPipeError:
+            raise self._death() from None
 
     def _death(self):
         """Return the PortError of a process that ended or closed its pipes."""
@@ -251,19 +239,16 @@ class Child:
 
     def end(self, grace):
         """Close stdin, wait `grace` seconds, kill the group; return the end of stderr."""
-        try:
-            self.process.stdin.close()
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(grace)
-        finally:
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(self.process.pid, signal.SIGKILL)
-            self.process.wait()
-            # stderr may be closed, or empty and still held by another process.
-            with contextlib.suppress(OSError, ValueError):
-                self.words += os.read(self.process.stderr.fileno(), 2**16)
-            for stream in self.pipes:
-                stream.close()
+        with self.process:  # closes the pipes
+            try:
+                self.stdin.close()
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    self.process.wait(grace)
+            finally:
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.killpg(self.process.pid, signal.SIGKILL)
+            with contextlib.suppress(BlockingIOError):  # empty and held by another process
+                self.words += os.read(self.stderr.fileno(), 2**16)
         lines = self.words[-4 * QUOTED :].decode(errors="replace").splitlines()
         return " / ".join(line.strip() for line in lines if line.strip())[-QUOTED:]
 
@@ -284,29 +269,24 @@ def unpacked(answer, role):
     if not isinstance(fields, dict):
         got = _short(json.dumps(fields))
         raise PortError("nonsense", f"field {role!r}: expected an object of arrays, got {got}")
-    try:
-        return {name: _array(field, f"{role}.{name}") for name, field in fields.items()}
-    except ValueError as error:
-        raise PortError("nonsense", str(error)) from None
+    return {name: _array(field, f"{role}.{name}") for name, field in fields.items()}
 
 
 def _array(field, name):
     def need(condition, expected):
         if not condition:
-            raise ValueError(f"{name}: expected {expected}")
+            raise PortError("nonsense", f"{name}: expected {expected}")
 
     complete = isinstance(field, dict) and {"dtype", "shape", "data"} <= set(field)
     need(complete, "the fields dtype, shape and data")
-    code, shape = DTYPES.get(str(field["dtype"])), field["shape"]
+    code, shape, text = DTYPES.get(str(field["dtype"])), field["shape"], field["data"]
     need(code, f"a dtype of {', '.join(DTYPES)}, got {_short(json.dumps(field['dtype']))}")
-    is_shape = isinstance(shape, list) and len(shape) <= 32
-    is_shape = is_shape and all(type(n) is int and 0 <= n < 2**31 for n in shape)
+    is_shape = naturals(shape) and len(shape) <= 32 and max(shape, default=0) < 2**31
     need(is_shape, "a shape, a list of non-negative integers")
-    need(isinstance(field["data"], str), "data in base64")
     try:
-        data = base64.b64decode(field["data"], validate=True)
-    except ValueError:
-        need(False, "data in base64")
+        data = base64.b64decode(text, validate=True)
+    except (TypeError, ValueError):
+        raise PortError("nonsense", f"{name}: expected data in base64") from None
     size = math.prod(shape) * np.dtype(code).itemsize
     need(len(data) == size, f"{size} bytes for {field['dtype']} {shape}, got {len(data)}")
     need(code != "|b1" or not data.strip(b"\0\1"), "bytes 0 and 1 for BOOL")

@@ -10,6 +10,8 @@ from .ports import FunctionPort, PortError
 from .published import FOLDER, GROUPS, LEVELS
 from .report import text
 
+SAYS = {**LEVELS, **GROUPS}
+
 
 class Report(NamedTuple):
     """All verdicts, in the order in which data flows."""
@@ -29,18 +31,20 @@ class Report(NamedTuple):
 
     def levels(self):
         """Return {level or group: {passed, acceptable, of, says}} of the required cases."""
-        found = {}
-        for level, says in {**LEVELS, **GROUPS}.items():
-            rows = [r for r in self.results if (r.group or r.level) == level and r.required]
-            if rows:
-                verdicts = [r.verdict for r in rows]
-                found[level] = {
-                    "passed": verdicts.count("pass"),
-                    "acceptable": verdicts.count("acceptable"),
-                    "of": len(rows),
-                    "says": says,
-                }
-        return found
+        verdicts = {}
+        for r in self.results:
+            if r.required:
+                verdicts.setdefault(r.group or r.level, []).append(r.verdict)
+        return {
+            level: {
+                "passed": verdicts[level].count("pass"),
+                "acceptable": verdicts[level].count("acceptable"),
+                "of": len(verdicts[level]),
+                "says": says,
+            }
+            for level, says in SAYS.items()
+            if level in verdicts
+        }
 
     def __str__(self):
         return text(self)
@@ -75,9 +79,7 @@ def check_port(
     only = {only} if isinstance(only, str) else set(only)
     manifest = published.read_manifest(folder, version)
     results = []
-    for level in LEVELS:
-        if levels and level not in levels:
-            continue
+    for level in (level for level in LEVELS if not levels or level in levels):
         if level == "L3" and (not only or "codec" in only):
             from . import streams  # loads the codec
 
@@ -85,8 +87,7 @@ def check_port(
             results += streams.check(port, {row["name"] for row in manifest["streams"]})
         for subject in manifest["subjects"]:
             names = {subject["key"], subject["equation"], subject.get("group")}
-            chosen = not only or names & only
-            if subject["level"] == level and chosen:
+            if subject["level"] == level and (not only or names & only):
                 progress(subject["key"])
                 results += check_subject(published.read(subject, folder), port, strict=strict)
     return Report(_shared(results))
@@ -97,16 +98,17 @@ def check_subject(cases, port, roles=("out.", "in_bar."), strict=False):
 
     A port may leave out a subject of a group, but not some of its cases.
     """
-    results, answers = [], []
-    for case in cases:
-        result, got = judge(case, port, roles, strict)
-        results.append(result)
-        if got is not None and result.verdict in ("pass", "fail") and not result.recipe:
-            answers.append(evidence(case, got, result))
+    judged = [judge(case, port, roles, strict) for case in cases]
+    results = [result for result, _ in judged]
     if cases[0].group and all(r.verdict in ("skipped", "missing", "unasked") for r in results):
         return [r._replace(required=False) for r in results]
     if not any(r.findings and not r.recipe for r in results):
         return results
+    answers = [
+        evidence(case, got, result)
+        for case, (result, got) in zip(cases, judged)
+        if result.verdict in ("pass", "fail") and not result.recipe
+    ]
     diagnoses = doctor.diagnose(cases[0].subject, answers)
     return [explained(r, diagnoses) for r in results]
 
@@ -117,9 +119,8 @@ def judge(case, port, roles=("out.", "in_bar."), strict=False):
         got = {name: np.asarray(a) for name, a in port.run(case).items()}
     except PortError as error:
         required = case.record["result"] == "valid" and error.kind != "unasked"
-        said = printable(str(error))
-        found = Result(case.id, case.equation, case.level, error.kind, required, (), said)
-        return found._replace(group=case.group), None
+        place = case.id, case.equation, case.level, error.kind, required
+        return Result(*place, explanation=printable(str(error)), group=case.group), None
     return judge_answer(case, got, roles, strict), got
 
 
@@ -130,15 +131,21 @@ def judge_answer(case, got, roles=("out.", "in_bar."), strict=False):
     got = {name: a for name, a in got.items() if name not in unasked}
     findings = findings_of(case, got, names) if names else []
     mistaken = findings_of(*printed.as_printed(case, got), names) if findings else []
-    recipe = printed.RECIPES[case.subject] if findings and not mistaken else ""
     if not findings:
         verdict = "pass" if names else "unasked"
     else:
         verdict = "fail" if is_valid and (mistaken or strict) else "acceptable"
-    said = tuple(mistaken or findings), "", ""  # no explanation and no hint yet
-    required = is_valid and bool(names)
-    place = case.id, case.equation, case.level
-    return Result(*place, verdict, required, *said, unasked, recipe, case.group)
+    return Result(
+        case.id,
+        case.equation,
+        case.level,
+        verdict,
+        required=is_valid and bool(names),
+        findings=tuple(mistaken or findings),
+        unasked=unasked,
+        recipe=printed.RECIPES[case.subject] if findings and not mistaken else "",
+        group=case.group,
+    )
 
 
 def findings_of(case, got, names):
@@ -166,10 +173,8 @@ def printable(text):
 def explained(result, diagnoses):
     """Return a result with what the diagnoses say of its case: an explanation or a hint."""
     rows = [row for row in diagnoses if result.id in row.cases]
-    said = " or ".join(map(str, rows))
-    if rows and rows[0].certain:
-        return result._replace(explanation=said)
-    return result._replace(hint=said)
+    field = "explanation" if rows and rows[0].certain else "hint"
+    return result._replace(**{field: " or ".join(map(str, rows))})
 
 
 def _shared(results):
@@ -179,11 +184,12 @@ def _shared(results):
     subject, that case contradicts it.
     """
     sources = {r.equation: r for r in reversed(results) if r.findings and r.explanation}
-    shared = []
-    for r in results:
+
+    def shared(r):
         source = sources.get(r.equation)
         silent = r.findings and not r.explanation and not r.hint and not r.recipe
         if silent and source and r.id.split("/")[0] != source.id.split("/")[0]:
-            r = r._replace(explanation=f"{source.explanation} (seen in {source.id})")
-        shared.append(r)
-    return shared
+            return r._replace(explanation=f"{source.explanation} (seen in {source.id})")
+        return r
+
+    return [shared(r) for r in results]

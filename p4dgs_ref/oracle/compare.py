@@ -39,8 +39,8 @@ class Result(NamedTuple):
     # or the kind of a PortError
     verdict: str
     required: bool
-    findings: tuple  # of Finding
-    explanation: str
+    findings: tuple = ()  # of Finding
+    explanation: str = ""
     hint: str = ""  # a known mistake that agrees with most of the wrong answers, not with all
     unasked: tuple = ()  # names of tensors that are not checked in this precision
     recipe: str = ""  # of the digits that an answer lacks which is as near as the printed formula
@@ -68,14 +68,17 @@ def too_wide(tensors, tolerance, precision):
     They would pass although every number were off by 1e-3 of itself, zero or negated. In float32
     some results cancel this far. A tensor of zeros is always judged: the right answer is zero.
     """
-    names = []
-    for name, right in expected(tensors).items():
-        if right.dtype.kind == "f" and right.any():
-            alone = {name: right, "scale." + name: tensors["scale." + name]}
-            wrong = (1.001 * right, np.zeros_like(right), -right)
-            if not all(compare(alone, {name: a.astype(precision)}, tolerance) for a in wrong):
-                names.append(name)
-    return names
+
+    def passes(name, wrong):
+        alone = {n: tensors[n] for n in (name, "scale." + name)}
+        return not compare(alone, {name: wrong.astype(precision)}, tolerance)
+
+    return [
+        name
+        for name, right in expected(tensors).items()
+        if right.dtype.kind == "f" and right.any()
+        if any(passes(name, wrong) for wrong in (1.001 * right, np.zeros_like(right), -right))
+    ]
 
 
 def compare(tensors, got, tolerance):
@@ -84,39 +87,41 @@ def compare(tensors, got, tolerance):
     `tensors` are those of the vectors with their scales, `tolerance` is the record of the port's
     precision.
     """
-    return list(differences(tensors, got, tolerance))
-
-
-def differences(tensors, got, tolerance):
-    """Yield what `compare` returns."""
     want = expected(tensors)
-    for name in expected(got):
-        if name not in want:
-            yield Finding(name, "extra", "not expected in this case")
-    for name, right in want.items():
-        if name in got:
-            mine = np.asarray(got[name])
-            finding = _difference(name, mine, right, tensors.get("scale." + name), tolerance)
-        else:
-            finding = Finding(name, "missing", f"expected {right.dtype} {right.shape}")
-        if finding:
-            yield finding
+    extra = [name for name in expected(got) if name not in want]
+    found = [
+        _difference(name, got.get(name), right, tensors.get("scale." + name), tolerance)
+        for name, right in want.items()
+    ]
+    return [
+        *(Finding(name, "extra", "not expected in this case") for name in extra),
+        *(finding for finding in found if finding),
+    ]
 
 
 def _difference(name, mine, right, scale, tolerance):
-    """Return a Finding if one tensor is wrong, else None."""
+    """Return a Finding if one tensor is missing or wrong, else None."""
+    if mine is None:
+        return Finding(name, "missing", f"expected {right.dtype} {right.shape}")
+    mine = np.asarray(mine)
     if mine.shape != right.shape:
         return Finding(name, "shape", f"{mine.shape}, expected {right.shape}")
     wrong_type = _wrong_type(mine, right)
     if wrong_type:
         return Finding(name, "dtype", f"{mine.dtype}, expected {wrong_type}")
     if right.dtype.kind == "f":
-        return _float_difference(name, mine, right, scale, tolerance)
-    if np.array_equal(mine, right):
+        return _float_difference(name, mine, right, scale, tolerance) if right.size else None
+    wrong = mine != right
+    if not wrong.any():
         return None
-    index = tuple(int(i) for i in np.argwhere(mine != right)[0])
+    index = first(wrong)
     said = _said(name, index, mine[index], right[index])
     return Finding(name, "value", said, index, float(mine[index]), float(right[index]))
+
+
+def first(wrong):
+    """Return the index of the first True of an array."""
+    return tuple(int(i) for i in np.argwhere(wrong)[0])
 
 
 def _wrong_type(mine, right):
@@ -157,28 +162,25 @@ def deviations(mine, right, scale, precision_of):
 
 
 def _float_difference(name, mine, right, scale, tolerance):
-    if not right.size:
-        return None
     absolute, scaled = deviations(mine, right, scale, mine.dtype)
-    bound, image = tolerance["eps_S"], name.split(".")[1] in IMAGES
+    bound, rms_bound = tolerance["eps_S"], np.inf
     worst = tuple(int(i) for i in np.unravel_index(np.argmax(scaled), scaled.shape))
-    largest = float(scaled[worst])
-    rms = largest
-    if image and 0 < largest < np.inf:
-        rms = float(largest * np.sqrt(((scaled / largest) ** 2).mean()))
-    if largest <= bound and (not image or rms <= tolerance["rms_eps_S"]):
+    largest = rms = float(scaled[worst])
+    said = f"worst {largest:.3g} eps S, allowed {bound:g}"
+    if name.split(".")[1] in IMAGES:
+        rms_bound = tolerance["rms_eps_S"]
+        if 0 < largest < np.inf:
+            rms = float(largest * np.sqrt(((scaled / largest) ** 2).mean()))
+        said += f"; root mean square {rms:.3g}, allowed {rms_bound:g}"
+    if largest <= bound and rms <= rms_bound:
         return None
+    off = f"{int((scaled > bound).sum())} of {scaled.size} numbers off"
     with np.errstate(all="ignore"):
         relative = float(absolute[worst] / abs(right[worst])) if right[worst] else np.inf
-    said = _said(name, worst, mine[worst], right[worst])
-    said += f" ({int((scaled > bound).sum())} of {scaled.size} numbers off;"
-    said += f" worst {largest:.3g} eps S, allowed {bound:g}"
-    if image:
-        said += f"; root mean square {rms:.3g}, allowed {tolerance['rms_eps_S']:g}"
     return Finding(
         name,
         "value",
-        said + ")",
+        f"{_said(name, worst, mine[worst], right[worst])} ({off}; {said})",
         worst,
         float(mine[worst]),
         float(right[worst]),

@@ -89,35 +89,33 @@ def diagnose(subject, answers):
         for case, got, wrong in answers
     ]
     mistakes = known(subject) + _scaled(answers)
-    whole, parts = explain(mistakes, answers), []
-    for part, role in ROLES.items():
-        of_role = _of(answers, role)
-        if _failing(of_role):
-            parts.append(explain(mistakes, of_role, part))
-    explained = _best(whole)
-    if not explained and all(map(_best, parts)):
-        return [row for rows in parts for row in _best(rows)]
+    whole = explain(mistakes, answers)
+    parts = {part: _of(answers, role) for part, role in ROLES.items()}
+    parts = [explain(mistakes, rows, part) for part, rows in parts.items() if _failing(rows)]
+    of_parts = [row for rows in parts for row in _best(rows)]
+    explained = _best(whole) or (of_parts if all(map(_best, parts)) else [])
     if explained and len(parts) == 1:  # the same mistake made in one direction fits as well
-        named = {row.mistake.id for row in explained} | {""}
-        explained += [row for row in _best(parts[0]) if row.mistake.id not in named]
+        return explained + _others(of_parts, explained)
     if explained:
         return explained
     hints = [row for row in whole if len(row.cases) >= MOST * row.failed]
     hints.sort(key=lambda row: len(row.cases), reverse=True)
-    named = {row.mistake.id for row in hints}
-    hints += [row for rows in parts for row in _best(rows) if row.mistake.id not in named]
-    return [row._replace(certain=False) for row in hints]
+    return [row._replace(certain=False) for row in hints + _others(of_parts, hints)]
 
 
 def explain(mistakes, answers, part=""):
     """Return a Diagnosis of every mistake that agrees with a failing case and with all others."""
-    failing, found = _failing(answers), []
-    for mistake in mistakes:
-        agree = [case.id for case, got, wrong in failing if _agrees(mistake, case, got, wrong)]
-        right = (row for row in answers if not row[2])
-        if agree and all(_agrees(mistake, *row) for row in right):
-            found.append(Diagnosis(mistake, tuple(agree), len(failing), part))
-    return found
+    failing, right = _failing(answers), [row for row in answers if not row[2]]
+    found = [
+        Diagnosis(
+            mistake,
+            tuple(row[0].id for row in failing if _agrees(mistake, *row)),
+            len(failing),
+            part,
+        )
+        for mistake in mistakes
+    ]
+    return [row for row in found if row.cases and all(_agrees(row.mistake, *r) for r in right)]
 
 
 def _failing(answers):
@@ -130,13 +128,22 @@ def _best(rows):
     return [row for row in complete if row.mistake.id] or complete
 
 
+def _others(rows, known):
+    """Return the diagnoses of mistakes that are not among the known ones."""
+    ids = {row.mistake.id for row in known}
+    return [row for row in rows if row.mistake.id not in ids]
+
+
 def _of(answers, prefix):
     """Return the answers of one role or quantity: "out", "in_bar.weights"."""
-    found = []
-    for case, got, wrong in answers:
-        names = {name for name in got if (name + ".").startswith(prefix + ".")}
-        found.append((case, {n: got[n] for n in names}, [n for n in wrong if n in names]))
-    return found
+
+    def within(name):
+        return (name + ".").startswith(prefix + ".")
+
+    return [
+        (case, {n: a for n, a in got.items() if within(n)}, [n for n in wrong if within(n)])
+        for case, got, wrong in answers
+    ]
 
 
 def _scaled(answers):
@@ -144,7 +151,7 @@ def _scaled(answers):
 
     Every wrong output or gradient has the factor with which most cases agree.
     """
-    found = []
+    found, together = [], {}
     names = (name for *_, wrong in answers for name in wrong)
     for quantity in dict.fromkeys(".".join(name.split(".")[:2]) for name in names):
         of_quantity = _of(answers, quantity)
@@ -152,14 +159,10 @@ def _scaled(answers):
         rows = explain(tried, of_quantity)
         if rows:
             found.append(max(rows, key=lambda row: len(row.cases)).mistake)
-    if not found:
-        return []
+            for name, tensors in found[-1].answers.items():
+                together.setdefault(name, {}).update(tensors)
     said = " and ".join(mistake.description for mistake in found)
-    together = {case.name: {} for case, *_ in answers}
-    for mistake in found:
-        for name, tensors in mistake.answers.items():
-            together[name].update(tensors)
-    return [found[0]._replace(description=said, answers=together)]
+    return [mistake._replace(description=said, answers=together) for mistake in found[:1]]
 
 
 def _times(factor, quantity, answers):

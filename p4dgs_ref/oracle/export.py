@@ -25,8 +25,8 @@ def export(folder, version=VERSIONS[-1]):
     manifest = read_manifest(version=version)
     with filled(folder) as beside:
         for file in sorted(FOLDER.iterdir()):
-            later = file.suffix == ".safetensors" and file.name not in manifest["files"]
-            if file.is_file() and not later:
+            asked = file.suffix != ".safetensors" or file.name in manifest["files"]
+            if file.is_file() and asked:
                 shutil.copyfile(file, beside / file.name)
         if version != VERSIONS[-1]:
             text = json.dumps(manifest, separators=(",", ":"))

@@ -24,11 +24,6 @@ class PortError(Exception):
         self.kind = kind
 
 
-def stream_names():
-    """Return the names of the conformance streams."""
-    return [row["name"] for row in read_manifest()["streams"]]
-
-
 def require_known(name, known, where):
     """Raise TensorError where a name is unknown; suggest the nearest that is known."""
     if name not in known:
@@ -37,29 +32,25 @@ def require_known(name, known, where):
         raise safetensors.TensorError(f"{where} {name!r}: not among the vectors{hint}")
 
 
-def require_answers(file):
-    """Raise TensorError where a file is a copy of one of the vectors."""
-    vectors = FOLDER / file.name
-    if vectors.is_file() and vectors.read_bytes() == file.read_bytes():
-        raise safetensors.TensorError(
-            f"{file}: expected a port's answers, got a copy of the published vectors"
-        )
-
-
 class FolderPort:
     """The answers that a port wrote: `<subject>.safetensors` or `<subject>.npz`.
 
-    The tensors are named "<case>/out.x".
+    The tensors are named "<case>/out.x". Its folder `codec` holds what it found in the streams.
     """
 
     def __init__(self, folder):
         """Raises TensorError where a file bears no subject's name, or is one of the vectors."""
         self.folder = Path(folder)
         self.loaded = {}  # subject -> (arrays, file)
-        for place, known in (self.folder, subjects()), (self.folder / "codec", stream_names()):
+        streams = [row["name"] for row in read_manifest()["streams"]]
+        for place, known in (self.folder, subjects()), (self.folder / "codec", streams):
             for file in sorted(place.glob("*.safetensors")) + sorted(place.glob("*.npz")):
                 require_known(file.stem, known, f"{file}: name")
-                require_answers(file)
+                vectors = FOLDER / file.name
+                if vectors.is_file() and vectors.read_bytes() == file.read_bytes():
+                    raise safetensors.TensorError(
+                        f"{file}: expected a port's answers, got a copy of the published vectors"
+                    )
 
     def run(self, case):
         """Return the tensors of one case.
@@ -96,9 +87,30 @@ class FolderPort:
         except safetensors.TensorError as error:
             raise PortError("damaged", str(error)) from None
         except Exception as error:  # NumPy raises whatever its zip, header and type parsers raise
-            raise PortError(
-                "damaged", f"{file}: expected a valid npz of numbers ({type(error).__name__})"
-            ) from None
+            said = f"expected a valid npz of numbers ({type(error).__name__})"
+            raise PortError("damaged", f"{file}: {said}") from None
+
+    def decode(self, name, _):
+        """Return the arrays that the port found in a stream and None, or None and its refusal.
+
+        Raises PortError.
+        """
+        file = self.folder / "codec" / "refusals.json"
+        reasons = safetensors.json_object(file.read_bytes()) if file.is_file() else {}
+        if reasons is None:
+            said = "a JSON object {name of a stream: the reason of its refusal, or null}"
+            raise PortError("damaged", f"{file}: expected {said}")
+        reason = reasons.get(name)
+        if isinstance(reason, str):
+            return None, reason
+        if reason is not None:
+            raise PortError("damaged", f"{file}: {name}: expected the reason as a text, or null")
+        try:
+            return self.load(f"codec/{name}")[0], None
+        except PortError as error:
+            if error.kind == "missing" and name in reasons:  # null: not refused, no arrays given
+                return {}, None
+            raise PortError(error.kind, f"{error}, or why it is refused in {file}") from None
 
     def close(self):
         """Do nothing; an adapter ends its process here."""
@@ -114,31 +126,32 @@ class FunctionPort:
         """Call the function with the inputs of a case. Raises PortError."""
         inputs = case.inputs()
         try:
-            got = self._arrays(self._named(self.forward(**inputs), case), "out.", case)
+            got = _arrays(_named(self.forward(**inputs), case), "out.", case)
             cotangents = case.cotangents()
             if self.vjp is not None and cotangents:
-                got.update(self._arrays(self.vjp(inputs, cotangents), "in_bar.", case))
+                got.update(_arrays(self.vjp(inputs, cotangents), "in_bar.", case))
         except Exception as error:  # any failure of a port is its verdict
             raise PortError("error", f"{type(error).__name__}: {error}") from None
         return got
 
-    @staticmethod
-    def _named(out, case):
-        """Return a function's outputs as {name: value}."""
-        if hasattr(out, "_asdict"):
-            return out._asdict()
-        if isinstance(out, dict):
-            return out
-        names = dict.fromkeys(n.split(".")[1] for n in case.tensors if n.startswith("out."))
-        several = isinstance(out, tuple) or len(names) > 1
-        return dict(zip(names, out if several else (out,), strict=True))
 
-    @staticmethod
-    def _arrays(values, prefix, case):
-        """Return the values as flat arrays; a value is a list where the case's tensor is one."""
-        found = {}
-        for name, value in values.items():
-            if value is not None:
-                is_list = f"{prefix}{name}.0" in case.tensors
-                found[name] = [np.asarray(b) for b in value] if is_list else np.asarray(value)
-        return flatten(found, prefix)
+def _named(out, case):
+    """Return a function's outputs as {name: value}."""
+    if hasattr(out, "_asdict"):
+        return out._asdict()
+    if isinstance(out, dict):
+        return out
+    names = dict.fromkeys(n.split(".")[1] for n in case.tensors if n.startswith("out."))
+    several = isinstance(out, tuple) or len(names) > 1
+    return dict(zip(names, out if several else (out,), strict=True))
+
+
+def _arrays(values, prefix, case):
+    """Return the values as flat arrays; a value is a list where the case's tensor is one."""
+
+    def array(name, value):
+        is_list = f"{prefix}{name}.0" in case.tensors
+        return [np.asarray(b) for b in value] if is_list else np.asarray(value)
+
+    given = {name: value for name, value in values.items() if value is not None}
+    return flatten({name: array(name, value) for name, value in given.items()}, prefix)

@@ -20,39 +20,28 @@ from .compare import precision
 
 FILE = Path(__file__).with_name("printed_v1.safetensors")
 
-TANH = "tanh'(y) = 4 e / (1 + e)^2 with e = exp(-2 |y|)"
 SIGMOID = "sigmoid'(y) = sigmoid(y) sigmoid(-y)"
 UNIT = (
     "|r| by hypot, without squares, and for the gradient the part of r_bar perpendicular to the "
     "unit vector n, sum over j of (r_bar_i n_j - n_i r_bar_j) n_j"
 )
-STEP = "q = 2 Q_0 sigmoid(2 u) above its floor, with the slope 4 Q_0 sigmoid(2 u) sigmoid(-2 u)"
-SSIM = (
+# What keeps the digits, and for which subjects.
+RECIPES_FOR = {
+    "tanh'(y) = 4 e / (1 + e)^2 with e = exp(-2 |y|)": ("tanh", "opacity"),
+    SIGMOID: ("sigmoid", "color", "scale"),
+    UNIT: ("unit_quaternion", "rotation", "deformed", "rotation_4d"),
+    f"{SIGMOID}; {UNIT}": ("activations",),
+    "q = 2 Q_0 sigmoid(2 u) above its floor, with the slope 4 Q_0 sigmoid(2 u) sigmoid(-2 u)": (
+        "step_floor",
+        "step",
+    ),
+    "delta_vc by hypot, without squares": ("view",),
     "1 - SSIM = mean(l + s - l s) with e = image - truth, l = mu_e^2 / (mu_x^2 + mu_y^2 + C1), "
-    "s = var_e / (var_x + var_y + C2)"
-)
-CONDITIONAL = (
+    "s = var_e / (var_x + var_y + C2)": ("ssim", "render_loss"),
     "Sigma_t = Y Y^T, where the rows of Y are those of R diag(s) for x, y and z without their "
-    "components along its last row"
-)
-RECIPES = {
-    "tanh": TANH,
-    "sigmoid": SIGMOID,
-    "unit_quaternion": UNIT,
-    "step_floor": STEP,
-    "view": "delta_vc by hypot, without squares",
-    "opacity": TANH,
-    "color": SIGMOID,
-    "rotation": UNIT,
-    "scale": SIGMOID,
-    "deformed": UNIT,
-    "step": STEP,
-    "ssim": SSIM,
-    "render_loss": SSIM,
-    "activations": f"{SIGMOID}; {UNIT}",
-    "rotation_4d": UNIT,
-    "conditional": CONDITIONAL,
+    "components along its last row": ("conditional",),
 }
+RECIPES = {subject: recipe for recipe, of in RECIPES_FOR.items() for subject in of}
 
 
 @cache
@@ -71,14 +60,14 @@ def as_printed(case, got):
     Where the formula leaves the range, infinities, NaN and what is as good as 0 are replaced by the
     expected numbers; anything else is judged.
     """
-    tensors, mine, precise = dict(case.tensors), dict(got), precision(got)
-    for name, a in measured().get((case.id, precise), {}).items():
-        tensor = name.removeprefix("range.")
-        if tensor == name:
-            tensors[name] = a
-        elif np.shape(mine.get(tensor)) == a.shape:
+    mine, precise = dict(got), precision(got)
+    stored = measured().get((case.id, precise), {})
+    scales = {name: a for name, a in stored.items() if name.startswith("scale.")}
+    for name in stored.keys() - scales.keys():
+        a, tensor = stored[name], name.removeprefix("range.")
+        if tensor in mine and np.shape(mine[tensor]) == a.shape:
             least = np.finfo(precise).eps * case.tensors["scale." + tensor]
             kept = np.isfinite(mine[tensor]) & (np.abs(mine[tensor]) > least)
             right = case.tensors[tensor].astype(mine[tensor].dtype)
             mine[tensor] = np.where(a & ~kept, right, mine[tensor])
-    return case._replace(tensors=tensors), mine
+    return case._replace(tensors=case.tensors | scales), mine

@@ -90,10 +90,13 @@ def limited(manifest, version):
 
     subjects = [{**s, "cases": joined(s["cases"])} for s in manifest["subjects"]]
     subjects = [subject for subject in subjects if subject["cases"]]
-    files = {s["file"]: manifest["files"][s["file"]] for s in subjects}
-    streams = joined(manifest["streams"])
-    parts = {"version": f"v{version}", "files": files, "subjects": subjects, "streams": streams}
-    return {**manifest, **parts}
+    return {
+        **manifest,
+        "version": f"v{version}",
+        "files": {s["file"]: manifest["files"][s["file"]] for s in subjects},
+        "subjects": subjects,
+        "streams": joined(manifest["streams"]),
+    }
 
 
 @cache
@@ -137,22 +140,19 @@ def read(subject, folder=FOLDER):
             f"{file}: expected a file of vectors ({error.strerror})"
         ) from None
     arrays = safetensors.load(data, file)
-    found = []
-    for case in subject["cases"]:
-        tensors = {t["name"]: arrays[f"{case['name']}/{t['name']}"] for t in case["tensors"]}
-        found.append(
-            Golden(
-                case["id"],
-                case["name"],
-                subject["key"],
-                subject["equation"],
-                subject["level"],
-                case,
-                tensors,
-                subject.get("group", ""),
-            )
+    return [
+        Golden(
+            case["id"],
+            case["name"],
+            subject["key"],
+            subject["equation"],
+            subject["level"],
+            case,
+            {t["name"]: arrays[f"{case['name']}/{t['name']}"] for t in case["tensors"]},
+            subject.get("group", ""),
         )
-    return found
+        for case in subject["cases"]
+    ]
 
 
 def flatten(values, prefix=""):

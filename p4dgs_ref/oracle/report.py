@@ -12,56 +12,48 @@ FEWER = "right formula, fewer digits here; the recipe is"
 
 def name_of(equation):
     """Return `Eq. (11) likelihood`, `D1 activations`, or the key alone where there is no number."""
-    subject = subjects().get(equation)
-    if subject and "group" in subject:
+    subject = subjects().get(equation, {"number": ""})
+    if "group" in subject:
         return f"{subject['number']} {equation}"
-    numbered = subject is not None and subject["number"][:1].isdigit()
-    return f"Eq. ({subject['number']}) {equation}" if numbered else equation
+    return f"Eq. ({subject['number']}) {equation}" if subject["number"][:1].isdigit() else equation
 
 
 def text(report):
     """Return the scores, the first divergence with its explanation, and what else failed."""
-    lines = []
+    results, lines = report.results, []
     for level, row in report.levels().items():
         also = f", {row['acceptable']} acceptable" if row["acceptable"] else ""
         lines.append(f"{f'{level} ' + row['says']:<18} {row['passed']:>4} of {row['of']}{also}")
+    asked = {_subject(r) for r in results if r.required}
     for group in GROUPS:
-        left = {r.id.split("/")[0] for r in report.results if r.group == group and not r.required}
-        left -= {r.id.split("/")[0] for r in report.results if r.required}
+        left = len({_subject(r) for r in results if r.group == group} - asked)
         if left:
-            lines.append(
-                f"{group}: {len(left)} equation{'s' * (len(left) > 1)} left out, which is allowed"
-            )
-    left = sum(r.level == "L3" and not r.required for r in report.results)
+            lines.append(f"{group}: {left} equation{'s' * (left > 1)} left out, which is allowed")
+    left = sum(r.level == "L3" and not r.required for r in results)
     if left:
         lines.append(f"version 2: {left} streams left out, which is allowed")
-    unasked = sum(r.verdict == "unasked" for r in report.results)
-    tensors = sum(len(r.unasked) for r in report.results if r.verdict != "unasked")
+    unasked = sum(r.verdict == "unasked" for r in results)
+    tensors = sum(len(r.unasked) for r in results if r.verdict != "unasked")
     if unasked or tensors:
         also = f" and {tensors} tensors of other cases" if tensors else ""
         lines.append(f"{unasked} cases{also} are not checked in this precision")
-    acceptable = [r for r in report.results if r.verdict == "acceptable"]
-    lines += _acceptable(acceptable)
-    how = "passes or is acceptable" if any(r.required for r in acceptable) else "passes"
+    acceptable = [r for r in results if r.verdict == "acceptable"]
+    for recipe in dict.fromkeys(r.recipe for r in acceptable):
+        ids = ", ".join(r.id for r in acceptable if r.recipe == recipe)
+        why = f"{FEWER}: {recipe}" if recipe else "another answer is defensible here"
+        lines += [f"acceptable: {ids}", f"  {why}"]
     first = report.first
-    if first is None:
+    if first:
+        lines += ["", f"first divergence: {name_of(first.equation)}", *_case(first)]
+        lines += _others([r for r in results if r.wrong and r is not first], first.explanation)
+    else:
+        how = "passes or is acceptable" if any(r.required for r in acceptable) else "passes"
         lines.append(f"every required case {how}" if report.ok else "no required case was run")
-        return "\n".join(lines)
-    lines += ["", f"first divergence: {name_of(first.equation)}", *_case(first)]
-    others = [r for r in report.results if r.wrong and r is not first]
-    return "\n".join(lines + _others(others, first.explanation))
+    return "\n".join(lines)
 
 
-def _acceptable(results):
-    """Return which cases differ from the vectors and are acceptable, and why."""
-    why = {}
-    for result in results:
-        why.setdefault(result.recipe, []).append(result.id)
-    return [
-        f"acceptable: {', '.join(ids)}\n  "
-        + (f"{FEWER}: {recipe}" if recipe else "another answer is defensible here")
-        for recipe, ids in why.items()
-    ]
+def _subject(result):
+    return result.id.split("/")[0]
 
 
 def _case(result):
@@ -87,17 +79,14 @@ def _reason(result):
 def _others(results, known):
     """Return what fails besides the first case, a line or two a subject."""
     lines = ["", f"{len(results)} more fail:"] if results else []
-    by_subject = {}
-    for result in results:
-        by_subject.setdefault(result.id.split("/")[0], []).append(result)
-    for key, rows in by_subject.items():
+    for key in dict.fromkeys(map(_subject, results)):
+        rows = [r for r in results if _subject(r) == key]
         names = [r.id.split("/")[1] for r in rows if r.verdict == "fail"]
-        said = ", ".join(names[:SHOWN])
-        if len(names) > SHOWN:
-            said += f" and {len(names) - SHOWN} more"
-        verdicts = [r.verdict for r in rows if r.verdict != "fail"]
-        counts = [f"{verdicts.count(v)} {v}" for v in sorted(set(verdicts))]
-        lines.append(f"  {key}: " + "; ".join([said] * bool(names) + counts))
+        more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+        counts = Counter(sorted(r.verdict for r in rows if r.verdict != "fail"))
+        said = [", ".join(names[:SHOWN]) + more] * bool(names)
+        said += [f"{count} {verdict}" for verdict, count in counts.items()]
+        lines.append(f"  {key}: {'; '.join(said)}")
         reasons = Counter(_reason(r) for r in rows if _reason(r)[1])
         for (head, said), count in list(reasons.items())[:REASONS]:
             where = f" ({count} of these)" if count < len(rows) else ""
@@ -134,10 +123,8 @@ def as_json(report):
 
 
 def _worst(findings):
-    if not findings:
-        return {}
-    worst = max(findings, key=lambda f: -1 if f.scaled is None else f.scaled)
-    return {**worst._asdict(), "index": list(worst.index)}
+    worst = max(findings, key=lambda f: -1 if f.scaled is None else f.scaled, default=None)
+    return worst._asdict() if worst else {}
 
 
 def listing(manifest):

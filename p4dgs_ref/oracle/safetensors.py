@@ -10,6 +10,7 @@ the rest         the numbers, row by row, little-endian; offsets count from here
 import json
 import math
 import struct
+from typing import Any
 
 import numpy as np
 
@@ -59,7 +60,7 @@ def dump(arrays, metadata=None):
     return struct.pack("<Q", len(text)) + text + b"".join(parts), places
 
 
-def load(data, source="safetensors"):
+def load(data, source: object = "safetensors"):
     """Return every tensor in the bytes of a file, {name: array}. Raises TensorError."""
 
     def need(condition, field, expected):
@@ -68,35 +69,38 @@ def load(data, source="safetensors"):
 
     need(len(data) >= 8, "length", "at least the 8 bytes of the header's length")
     n, rest = struct.unpack("<Q", data[:8])[0], len(data) - 8
-    need(
-        n <= min(rest, LONGEST_HEADER), "header", f"{n} bytes, the file has {rest} after its length"
-    )
-    try:
-        header = json.loads(data[8 : 8 + n])
-    except (ValueError, RecursionError):
-        header = None
-    need(isinstance(header, dict), "header", "a JSON object")
+    fits = n <= min(rest, LONGEST_HEADER)
+    need(fits, "header", f"{n} bytes, the file has {rest} after its length")
+    header = json_object(data[8 : 8 + n])
+    need(header is not None, "header", "a JSON object")
     header.pop("__metadata__", None)
     body, arrays = memoryview(data)[8 + n :], {}
     for name, h in header.items():
-        known = isinstance(h, dict) and isinstance(h.get("dtype"), str) and h["dtype"] in DTYPES
+        known = isinstance(header[name], dict) and str(h.get("dtype")) in DTYPES
         said = f"one of {', '.join(DTYPES)}; bfloat16 is not judged, the vectors' page says why"
         need(known, f"{name}.dtype", said)
         shape, offsets = h.get("shape"), h.get("data_offsets")
-        need(_naturals(shape), f"{name}.shape", "a list of integers, none of them negative")
-        two = _naturals(offsets) and len(offsets) == 2
+        need(naturals(shape), f"{name}.shape", "a list of integers, none of them negative")
+        two = naturals(offsets) and len(offsets) == 2
         need(two, f"{name}.data_offsets", "two integers, none of them negative")
         dtype, (start, end) = np.dtype(DTYPES[h["dtype"]]), offsets
         size = math.prod(shape) * dtype.itemsize  # Python's integers do not overflow
-        need(
-            start <= end <= len(body) and end - start == size,
-            f"{name}.data_offsets",
-            f"{size} bytes for {h['dtype']} {shape} within the {len(body)} of the file, "
-            f"got {start} to {end}",
-        )
+        said = f"{size} bytes for {h['dtype']} {shape} within the {len(body)} of the file"
+        inside = start <= end <= len(body) and end - start == size
+        need(inside, f"{name}.data_offsets", f"{said}, got {start} to {end}")
         arrays[name] = np.frombuffer(body[start:end], dtype).reshape(shape)
     return arrays
 
 
-def _naturals(value):
+def json_object(text) -> Any:
+    """Return the object that a text in JSON describes, or None where it describes none."""
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    return value if isinstance(value, dict) else None
+
+
+def naturals(value):
+    """Whether a value from JSON is a list of integers, none of them negative."""
     return isinstance(value, list) and all(type(n) is int and n >= 0 for n in value)

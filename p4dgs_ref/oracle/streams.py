@@ -16,8 +16,8 @@ import numpy as np
 from ..codec import published
 from ..codec.container import open_container
 from ..codec.file import quantised_of
-from .compare import Finding, Result
-from .ports import FolderPort, PortError
+from .compare import Finding, Result, first
+from .ports import PortError
 
 VERSION_2 = "codec/coded_"  # how the ids of its streams begin
 # The arrays in the order in which a decoder finds them, each with the equation (or the codec) to
@@ -58,11 +58,13 @@ def decoded(data):
 
 def check(port, names=None):
     """Return the results of all streams, or of those named, from a port or a folder of answers."""
-    decode = port.decode if hasattr(port, "decode") else StreamFolder(port.folder).decode
-    rows, results = read_rows(), []
-    for kind in ("good", "bad"):
-        asked = [row for row in rows[kind] if names is None or row["name"] in names]
-        results += [judge(row, kind == "good", decode) for row in asked]
+    rows = read_rows()
+    results = [
+        judge(row, kind == "good", port.decode)
+        for kind in ("good", "bad")
+        for row in rows[kind]
+        if names is None or row["name"] in names
+    ]
     return optional(results, {f"codec/{row['name']}" for row in rows["good"]})
 
 
@@ -83,87 +85,49 @@ def optional(results, valid):
 
 def judge(row, good, decode):
     """Return the Result of one stream."""
-    findings, said, verdict = [], "", None
+    id, findings, said = f"codec/{row['name']}", [], ""
     try:
         arrays, refused = decode(row["name"], (published.FOLDER / row["file"]).read_bytes())
     except PortError as error:
-        verdict, said = error.kind, str(error)
-    else:
-        if good and refused is None:
-            findings = compare(row, arrays)
-        elif good:
-            said = f"refused a valid stream: {refused}"
-        elif refused is None:
-            said = f"accepted a stream that must be refused: {row['says']}"
-        verdict = "fail" if findings or said else "pass"
+        return Result(id, "codec", "L3", error.kind, True, explanation=str(error))
+    if good and refused is None:
+        findings = compare(row, arrays)
+    elif good:
+        said = f"refused a valid stream: {refused}"
+    elif refused is None:
+        said = f"accepted a stream that must be refused: {row['says']}"
     blamed = BLAMED.get(findings[0].tensor, "codec") if findings else "codec"
-    id = f"codec/{row['name']}"
+    verdict = "fail" if findings or said else "pass"
     return Result(id, blamed, "L3", verdict, True, tuple(findings), said)
-
-
-class StreamFolder(FolderPort):
-    """The answers that a port wrote into its folder `codec`."""
-
-    def decode(self, name, _):
-        """Return the arrays that the port found in a stream and None, or None and its refusal.
-
-        Raises PortError.
-        """
-        reasons, file = self._reasons()
-        reason = reasons.get(name)
-        if reason is not None and not isinstance(reason, str):
-            raise PortError("damaged", f"{file}: {name}: expected the reason as a text, or null")
-        if reason is not None:
-            return None, reason
-        try:
-            return self.load(f"codec/{name}")[0], None
-        except PortError as error:
-            if error.kind == "missing" and name in reasons:  # null: not refused, no arrays given
-                return {}, None
-            raise PortError(error.kind, f"{error}, or why it is refused in {file}") from None
-
-    def _reasons(self):
-        """Return the port's reasons and the file that holds them; without a file, no reasons."""
-        file = self.folder / "codec" / "refusals.json"
-        try:
-            reasons = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
-        except (OSError, ValueError, RecursionError):
-            reasons = None
-        if not isinstance(reasons, dict):
-            expected = "a JSON object {name of a stream: the reason of its refusal, or null}"
-            raise PortError("damaged", f"{file}: expected {expected}")
-        return reasons, file
 
 
 def compare(row, arrays):
     """Return all differences of a port's arrays from a good stream, in the order of BLAMED."""
     wanted = {entry["name"]: entry for entry in row["arrays"]}
-    findings = []
-    for name in BLAMED:
-        if name in wanted and name in arrays:
-            findings.append(_difference(row, wanted[name], np.asarray(arrays[name])))
-        elif name in wanted:
-            said = f"expected {wanted[name]['type']} {tuple(wanted[name]['shape'])}"
-            findings.append(Finding(name, "missing", said))
     extra = [name for name in arrays if name not in wanted]
-    findings += [Finding(name, "extra", "not expected for this stream") for name in extra]
-    return [finding for finding in findings if finding]
+    found = [_difference(row, wanted[name], arrays.get(name)) for name in BLAMED if name in wanted]
+    return [
+        *(finding for finding in found if finding),
+        *(Finding(name, "extra", "not expected for this stream") for name in extra),
+    ]
 
 
 def _difference(row, entry, mine):
     """Return None if the array has the numbers of the stream's, bit for bit, else a Finding."""
     name, want = entry["name"], stored(row, entry)
     is_float = want.dtype.kind == "f"
+    if mine is None:
+        return Finding(name, "missing", f"expected {entry['type']} {want.shape}")
+    mine = np.asarray(mine)
     if mine.shape != want.shape:
         return Finding(name, "shape", f"{mine.shape}, expected {want.shape}")
-    if is_float and mine.dtype.newbyteorder("<") != want.dtype:
-        return Finding(name, "dtype", f"{mine.dtype}, expected {want.dtype}")
-    if not is_float and mine.dtype.kind not in "iub":
-        return Finding(name, "dtype", f"{mine.dtype}, expected integers")
+    if mine.dtype.newbyteorder("<") != want.dtype if is_float else mine.dtype.kind not in "iub":
+        expected = want.dtype if is_float else "integers"
+        return Finding(name, "dtype", f"{mine.dtype}, expected {expected}")
     wrong = _bits(mine, want.dtype) != _bits(want, want.dtype) if is_float else mine != want
     if not wrong.any():
         return None
-    index = tuple(int(i) for i in np.argwhere(wrong)[0])
+    index = first(wrong)
     got, right = mine[index].item(), want[index].item()
     said = f"{name}{list(index)}: got {got!r}, expected {right!r} "
     said += f"({int(wrong.sum())} of {wrong.size} numbers off; all bits must agree)"

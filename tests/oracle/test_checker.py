@@ -13,43 +13,23 @@ from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.oracle import checker, ports, published, report, safetensors
 from p4dgs_ref.table import EQUATIONS
 from tests.golden.vectors import damaged
+from tests.oracle.answers import broken, right, write
 
 
 # --- the checker --------------------------------------------------------------------------------
-def answers(key):
-    """What a perfect port writes for one subject."""
-    subject = next(s for s in published.read_manifest()["subjects"] if s["key"] == key)
-    return {
-        f"{case.name}/{name}": a
-        for case in published.read(subject)
-        for name, a in case.tensors.items()
-        if name.startswith(("out.", "in_bar."))
-    }
-
-
-def judge_folder(folder, key, arrays, suffix="safetensors"):
-    if suffix == "npz":
-        np.savez(folder / f"{key}.npz", **arrays)
-    else:
-        (folder / f"{key}.safetensors").write_bytes(safetensors.dump(arrays)[0])
-    return checker.check_port(ports.FolderPort(folder), only=key)
+def judge_folder(folder, key, arrays):
+    return checker.check_port(ports.FolderPort(write(folder, **{key: arrays})), only=key)
 
 
 @pytest.mark.parametrize("suffix", ["safetensors", "npz"])
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_a_right_port_passes(tmp_path, suffix, dtype):
-    got = {
-        name: a.astype(dtype) if a.dtype.kind == "f" else a
-        for name, a in answers("offsets").items()
-    }
-    found = judge_folder(tmp_path, "offsets", got, suffix)
+    if suffix == "npz":
+        np.savez(tmp_path / "offsets.npz", **right("offsets", dtype))
+    else:
+        write(tmp_path, offsets=right("offsets", dtype))
+    found = checker.check_port(ports.FolderPort(tmp_path), only="offsets")
     assert found.ok and found.first is None and found.levels()["L1"]["passed"] == len(found.results)
-
-
-def broken(key, name, change):
-    got = answers(key)
-    got[name] = change(np.array(got[name]))
-    return got
 
 
 @pytest.mark.parametrize(
@@ -65,9 +45,8 @@ def broken(key, name, change):
 )
 def test_a_wrong_tensor_fails(tmp_path, change, kind, says):
     found = judge_folder(tmp_path, "offsets", broken("offsets", "ordinary/out.x", change))
-    assert (
-        not found.ok and found.first.id == "offsets/ordinary" and found.first.equation == "offsets"
-    )
+    assert not found.ok
+    assert (found.first.id, found.first.equation) == ("offsets/ordinary", "offsets")
     assert found.first.findings[0].kind == kind
     assert re.search(says, str(found))
     assert sum(r.wrong for r in found.results) == 1, "the other cases are judged all the same"
@@ -79,62 +58,49 @@ def test_the_worst_element_is_named(tmp_path):
         a[0, 1, 1] -= 7e-6
         return a
 
-    finding = judge_folder(
-        tmp_path, "offsets", broken("offsets", "ordinary/out.x", change)
-    ).first.findings[0]
-    assert (
-        finding.index == (0, 1, 1)
-        and finding.absolute == pytest.approx(7e-6)
-        and finding.scaled > finding.bound
-    )
-    want = answers("offsets")["ordinary/out.x"][0, 1, 1]
-    assert finding.relative == pytest.approx(7e-6 / abs(want)) and finding.got == pytest.approx(
-        want - 7e-6
-    )
+    arrays = broken("offsets", "ordinary/out.x", change)
+    finding = judge_folder(tmp_path, "offsets", arrays).first.findings[0]
+    want = right("offsets")["ordinary/out.x"][0, 1, 1]
+    assert finding.index == (0, 1, 1) and finding.scaled > finding.bound
+    assert finding.absolute == pytest.approx(7e-6) and finding.got == pytest.approx(want - 7e-6)
+    assert finding.relative == pytest.approx(7e-6 / abs(want))
 
 
 def test_missing_extra_and_damaged_answers_are_reported(tmp_path):
-    got = answers("offsets")
+    got = right("offsets") | {"ordinary/out.y": np.ones(3)}
     del got["ordinary/in_bar.l_a"]
-    got["ordinary/out.y"] = np.ones(3)
     found = judge_folder(tmp_path, "offsets", got)
-    assert {(f.tensor, f.kind) for f in found.first.findings} == {
-        ("in_bar.l_a", "missing"),
-        ("out.y", "extra"),
-    }
-    (tmp_path / "offsets.safetensors").write_bytes(b"nonsense")
-    assert {
-        r.verdict for r in checker.check_port(ports.FolderPort(tmp_path), only="offsets").results
-    } == {"damaged"}
-    (tmp_path / "offsets.safetensors").unlink()
-    (tmp_path / "offsets.npz").write_bytes(b"PK nonsense")
-    assert {
-        r.verdict for r in checker.check_port(ports.FolderPort(tmp_path), only="offsets").results
-    } == {"damaged"}
-    (tmp_path / "offsets.npz").unlink()
-    lost = checker.check_port(ports.FolderPort(tmp_path), only="offsets")
-    assert {r.verdict for r in lost.results} == {"missing"} and not lost.ok
+    kinds = {(f.tensor, f.kind) for f in found.first.findings}
+    assert kinds == {("in_bar.l_a", "missing"), ("out.y", "extra")}
+    for suffix, data, verdict in (
+        ("safetensors", b"nonsense", "damaged"),
+        ("npz", b"PK nonsense", "damaged"),
+        ("txt", b"", "missing"),
+    ):
+        (folder := tmp_path / suffix).mkdir()
+        (folder / f"offsets.{suffix}").write_bytes(data)
+        results = checker.check_port(ports.FolderPort(folder), only="offsets").results
+        assert all(r.wrong and r.verdict == verdict for r in results)
 
 
 def test_a_misspelt_case_or_subject_is_refused(tmp_path):
-    misspelt = {**answers("offsets"), "ordinari/out.x": np.ones(2)}
+    misspelt = {**right("offsets"), "ordinari/out.x": np.ones(2)}
     with pytest.raises(safetensors.TensorError) as error:
         judge_folder(tmp_path, "offsets", misspelt)
     assert str(error.value) == (
         f"{tmp_path}/offsets.safetensors: case 'ordinari': not among the vectors; "
         "did you mean 'ordinary'?"
     )
-    for wrong, right in ("ofsets.npz", "offsets"), ("codec/ful.safetensors", "full"):
-        folder = tmp_path / right
+    for wrong, meant in ("ofsets.npz", "offsets"), ("codec/ful.safetensors", "full"):
+        folder = tmp_path / meant
         (folder / wrong).parent.mkdir(parents=True)
         (folder / wrong).write_bytes(b"")
-        with pytest.raises(safetensors.TensorError, match=f"did you mean '{right}'"):
+        with pytest.raises(safetensors.TensorError, match=f"did you mean '{meant}'"):
             ports.FolderPort(folder)
 
 
 def test_a_copy_of_a_vector_file_is_no_answer(tmp_path):
-    (tmp_path / "view.safetensors").write_bytes(safetensors.dump(answers("view"))[0])
-    assert checker.check_port(ports.FolderPort(tmp_path), only="view").ok
+    assert judge_folder(tmp_path, "view", right("view")).ok
     shutil.copy(published.FOLDER / "view.safetensors", tmp_path)
     with pytest.raises(safetensors.TensorError, match="view.safetensors: expected a port's answ"):
         ports.FolderPort(tmp_path)
@@ -146,8 +112,7 @@ def test_nothing_checked_is_not_success():
 
 # --- the group that a port may leave out --------------------------------------------------------
 def test_a_port_may_leave_out_a_baseline_but_not_some_of_its_cases(tmp_path):
-    port = ports.FolderPort(tmp_path)
-    (tmp_path / "activations.safetensors").write_bytes(safetensors.dump(answers("activations"))[0])
+    port = ports.FolderPort(write(tmp_path, activations=right("activations")))
     found = checker.check_port(port, ["L1"], "baselines")
     passed = len(published.cases("activations"))
     assert found.ok and found.levels().keys() == {"baselines"}
@@ -155,20 +120,16 @@ def test_a_port_may_leave_out_a_baseline_but_not_some_of_its_cases(tmp_path):
     assert f"baselines level L1    {passed} of {passed}\n" in str(found)
     assert "baselines: 9 equations left out, which is allowed" in str(found)
     assert {r.verdict for r in found.results} == {"pass", "missing"}
-    got = {n: a for n, a in answers("marginal").items() if not n.startswith("flashes/")}
+    got = {n: a for n, a in right("marginal").items() if not n.startswith("flashes/")}
     found = judge_folder(tmp_path, "marginal", got)
     assert [r.id for r in found.results if r.wrong] == ["marginal/flashes"]
 
 
-def test_a_port_without_any_baseline_passes(tmp_path):
-    for key in published.equations():
-        (tmp_path / f"{key}.safetensors").write_bytes(safetensors.dump(answers(key))[0])
-    found = checker.check_port(ports.FolderPort(tmp_path), ["L1"])
+def test_a_port_without_any_baseline_passes(answered):
+    found = checker.check_port(ports.FolderPort(answered), ["L1"])
     assert found.ok and found.levels().keys() == {"L1"}
     assert "baselines: 10 equations left out" in str(found) and found.first is None
     assert "beyond: 1 equation left out" in str(found)
-    (tmp_path / "view.safetensors").unlink()
-    assert checker.check_port(ports.FolderPort(tmp_path), ["L1"]).first.equation == "view"
 
 
 def test_a_process_may_skip_a_baseline():
@@ -187,92 +148,67 @@ def test_a_wrong_baseline_is_named_by_its_number(tmp_path):
 
 
 def test_the_first_divergence_is_where_data_flows_first(tmp_path):
-    for key in ("offsets", "total_loss", "likelihood"):
-        change = broken(
-            key,
-            "ordinary/out." + {"offsets": "x", "total_loss": "L_total", "likelihood": "bits"}[key],
-            lambda a: a + 1,
-        )
-        (tmp_path / f"{key}.safetensors").write_bytes(safetensors.dump(change)[0])
-    results = []
-    for key in ("total_loss", "likelihood", "offsets"):
-        results += checker.check_port(ports.FolderPort(tmp_path), ["L1"], key).results
-    order = list(published.subjects())
-    results.sort(key=lambda r: order.index(r.id.split("/")[0]))
-    assert checker.Report(results).first.equation == "offsets"
+    for key, name in ("total_loss", "L_total"), ("likelihood", "bits"), ("offsets", "x"):
+        write(tmp_path, **{key: broken(key, f"ordinary/out.{name}", lambda a: a + 1)})
+        names = ["total_loss", "likelihood", "offsets"]
+        found = checker.check_port(ports.FolderPort(tmp_path), ["L1"], names)
+        wrong = [r.equation for r in found.results if r.findings]
+        assert wrong[0] == key and found.first.equation == key
 
 
 def test_json_report_keeps_the_contract(tmp_path):
-    found = judge_folder(
-        tmp_path, "offsets", broken("offsets", "ordinary/out.x", lambda a: a * np.nan)
-    )
-    value = json.loads(json.dumps(report.as_json(found), allow_nan=False))
-    assert value["first_divergence"] == "offsets" and set(value) >= {
-        "levels",
-        "cases",
-        "first_divergence",
-    }
-    assert all(
-        set(case) >= {"id", "equation", "verdict", "worst", "explanation"}
-        for case in value["cases"]
-    )
+    arrays = broken("offsets", "ordinary/out.x", lambda a: a * np.nan)
+    value = report.as_json(judge_folder(tmp_path, "offsets", arrays))
+    value = json.loads(json.dumps(value, allow_nan=False))
+    assert value["first_divergence"] == "offsets"
+    assert set(value) >= {"levels", "cases", "first_divergence"}
+    for case in value["cases"]:
+        assert set(case) >= {"id", "equation", "verdict", "worst", "explanation"}
     assert report.as_json(checker.Report([]))["first_divergence"] is None
 
 
 def test_a_python_function_is_judged():
-    def offsets(x_a, O_a, l_a):
-        return {"x": (x_a[:, None] + O_a * l_a[:, None]).tolist()}  # whatever np.asarray reads
-
     eq = EQUATIONS["offsets"]
-    assert oracle.check(
-        lambda **inputs: eq(**inputs), "offsets", lambda i, c: eq.vjp(**i)[1](**c)
-    ).ok
+
+    def lists(**inputs):  # whatever np.asarray reads
+        return {"x": eq(**inputs)["x"].tolist()}
+
+    assert oracle.check(eq, "offsets", lambda i, c: eq.vjp(**i)[1](**c)).ok
     assert oracle.check(lambda **inputs: eq(**inputs)["x"], "offsets").ok
+    assert oracle.check(lists, "offsets").ok
     assert not oracle.check(lambda x_a, O_a, l_a: x_a[:, None] - O_a * l_a[:, None], "offsets").ok
     assert {r.verdict for r in oracle.check(lambda **inputs: 1 / 0, "offsets").results} == {"error"}
     with pytest.raises(KeyError, match="expected one of"):
-        oracle.check(offsets, "offset")
+        oracle.check(lists, "offset")
 
 
-def test_precision_is_that_of_the_answers_alone(tmp_path):
+@pytest.mark.parametrize(
+    "key, output, id", [("noise", "out.f_noisy", "noise/tiny"), ("tanh", "in_bar.y", "tanh/tails")]
+)
+def test_precision_is_that_of_the_answers_alone(tmp_path, key, output, id):
     """Scales are F32 and may be among the answers, which are judged as float64 all the same."""
-    found = judge_folder(
-        tmp_path,
-        "noise",
-        {
-            f"{case.name}/{name}": a * 3 if name == "out.f_noisy" else a
-            for case in published.read(subject_of("noise"))
-            for name, a in case.tensors.items()
-        },
-    )
-    assert "noise/tiny" in {r.id for r in found.results if r.wrong} and not any(
-        r.verdict == "unasked" for r in found.results
-    )
+    rows = [(case.name, n, a) for case in published.cases(key) for n, a in case.tensors.items()]
+    arrays = {f"{case}/{n}": a * 3 if n == output else a for case, n, a in rows}
+    found = judge_folder(tmp_path, key, arrays)
+    assert id in {r.id for r in found.results if r.wrong}
+    assert not any(r.verdict == "unasked" for r in found.results)
 
 
 def test_a_float32_port_may_leave_out_what_float32_cannot(tmp_path):
-    got = {
-        name: a.astype(np.float32)
-        for name, a in answers("noise").items()
-        if not name.startswith("tiny/")
-    }
-    found = judge_folder(tmp_path, "noise", got)
+    single, double = (
+        {n: a for n, a in right("noise", dtype).items() if not n.startswith("tiny/")}
+        for dtype in (np.float32, np.float64)
+    )
+    found = judge_folder(tmp_path, "noise", single)
     assert found.ok and [r.verdict for r in found.results if r.id == "noise/tiny"] == ["unasked"]
-    double = {name: a for name, a in answers("noise").items() if not name.startswith("tiny/")}
     assert judge_folder(tmp_path, "noise", double).first.id == "noise/tiny"
 
 
-def subject_of(key):
-    return next(s for s in published.read_manifest()["subjects"] if s["key"] == key)
-
-
 def test_what_was_answered_wrongly_comes_before_what_was_not_answered(tmp_path):
-    found = judge_folder(
-        tmp_path, "rounding", broken("rounding", "ties/out.symbols", lambda a: a + 1)
-    )
-    assert (
-        found.results[0].verdict == "missing" and found.first.id == "rounding/ties"
-    )  # L0 stands before and is missing
+    arrays = broken("rounding", "ties/out.symbols", lambda a: a + 1)
+    found = judge_folder(tmp_path, "rounding", arrays)
+    # L0 stands before and is missing.
+    assert found.results[0].verdict == "missing" and found.first.id == "rounding/ties"
     assert re.search(r"got -?\d+, expected -?\d+", str(found))
 
 
@@ -283,21 +219,18 @@ def test_a_mistake_in_one_direction_alone_is_explained():
         return eq.vjp(**inputs)[1](**bars)
 
     found = oracle.check(lambda **inputs: eq(**inputs)["bits"] * np.log(2), "likelihood", right)
-    assert (
-        "[likelihood-nats]" in found.first.explanation
-        and "the outputs alone" in found.first.explanation
-    )
+    assert "[likelihood-nats]" in found.first.explanation
+    assert "the outputs alone" in found.first.explanation
 
 
 def test_levels_and_names_may_be_repeated_in_any_order(tmp_path):
-    for key in ("step_floor", "step", "noise"):
-        (tmp_path / f"{key}.safetensors").write_bytes(safetensors.dump(answers(key))[0])
-    port = ports.FolderPort(tmp_path)
+    port = ports.FolderPort(
+        write(tmp_path, **{k: right(k) for k in ("step_floor", "step", "noise")})
+    )
     found = checker.check_port(port, ["L1", "L1", "L0"], ["step", "noise", "step"])
     assert [r.level for r in found.results] == sorted(r.level for r in found.results)
-    assert {r.equation for r in found.results} == {"step", "noise"} and len(
-        {r.id for r in found.results}
-    ) == len(found.results)
+    assert {r.equation for r in found.results} == {"step", "noise"}
+    assert len({r.id for r in found.results}) == len(found.results)
     assert found.ok and not any(r.verdict == "unasked" for r in found.results)
 
 
@@ -307,27 +240,36 @@ def run(capsys, *argv):
     return code, *capsys.readouterr()
 
 
-def test_commands(tmp_path, capsys):
+def test_commands(answered, capsys):
     code, out, _ = run(capsys, "path")
     assert code == 0 and Path(out.strip()) == published.FOLDER
     code, out, _ = run(capsys, "list")
     assert code == 0 and "likelihood/tail" in out and "codec/" in out
-    run(capsys, "export", str(tmp_path / "v1"))
-    code, out, _ = run(capsys, "export", str(tmp_path / "v1"))
-    count = sum(file.is_file() for file in (tmp_path / "v1").rglob("*"))
-    assert code == 0 and f": {count} files, " in out
-    assert damaged(tmp_path / "v1") == []
-    code, out, err = run(capsys, "check", str(tmp_path / "v1"), "--level", "L1")
-    assert code == 2 and not out and err.count("\n") == 1 and "the published vectors" in err
-    mine = tmp_path / "mine"
-    mine.mkdir()
-    for key in published.equations():
-        (mine / f"{key}.safetensors").write_bytes(safetensors.dump(answers(key))[0])
-    code, out, _ = run(capsys, "check", str(mine), "--level", "L1")
+    code, out, _ = run(capsys, "check", str(answered), "--only", "offsets")
     assert code == 0 and "every required case passes" in out
-    (mine / "view.safetensors").unlink()
-    code, out, _ = run(capsys, "check", str(mine), "--level", "L1", "--json")
-    assert code == 1 and json.loads(out)["first_divergence"] == "view"
+    check = ["check", str(answered), "--only", "offsets", "--only", "marginal"]
+    code, out, _ = run(capsys, *check, "--json")
+    assert code == 0 and json.loads(out)["first_divergence"] is None
+    code, out, _ = run(capsys, "check", str(answered), "--only", "tanh", "--json")
+    assert code == 1 and json.loads(out)["first_divergence"] == "opacity"
+
+
+def test_an_export_is_whole_and_no_answer(exported, capsys):
+    folder, done = exported
+    files = [file.stat().st_size for file in folder.rglob("*") if file.is_file()]
+    assert (done["files"], done["bytes"]) == (len(files), sum(files))
+    assert damaged(folder) == []
+    code, out, err = run(capsys, "check", str(folder), "--level", "L1")
+    assert code == 2 and not out and err.count("\n") == 1 and "the published vectors" in err
+
+
+@pytest.mark.slow
+def test_the_command_exports_twice(tmp_path, capsys):
+    for _ in range(2):  # the second time over what is there
+        code, out, _ = run(capsys, "export", str(tmp_path / "v1"))
+    files = [file.stat().st_size for file in (tmp_path / "v1").rglob("*") if file.is_file()]
+    assert code == 0 and f": {len(files)} files, " in out and sum(files) < 5_000_000
+    assert damaged(tmp_path / "v1") == []
 
 
 @pytest.mark.parametrize(

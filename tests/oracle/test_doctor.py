@@ -8,32 +8,24 @@ from p4dgs_ref import oracle
 from p4dgs_ref.oracle import checker, doctor, published
 from p4dgs_ref.oracle.compare import compare, expected
 from p4dgs_ref.table import EQUATIONS
+from tests.oracle.answers import in_precision
+from tests.sampling import few
 
 MISTAKES = [mistake for key in published.subjects() for mistake in doctor.known(key)]
-# One of eight in the short lane, all in the long one.
-EVERY = pytest.mark.parametrize(
-    "mistake",
-    [
-        pytest.param(mistake, id=mistake.id, marks=[pytest.mark.slow] if i % 32 else [])
-        for i, mistake in enumerate(MISTAKES)
-    ],
-)
+BOTH = ("out.", "in_bar.")
+NAMED = {"both": BOTH, "outputs": ("out.",), "gradients": ("in_bar.",)}
 
 
 class Patient:
     """A port with a known mistake, perhaps in outputs or gradients alone, perhaps in float32."""
 
-    def __init__(self, mistake, roles=("out.", "in_bar."), dtype=np.float64):
+    def __init__(self, mistake, roles=BOTH, dtype=np.float64):
         self.mistake, self.roles, self.dtype = mistake, roles, dtype
 
     def run(self, case):
         wrong = self.mistake.answers.get(case.name, {})
-        got = {}
-        for name, a in expected(case.tensors).items():
-            a = wrong.get(name, a) if name.startswith(self.roles) else a
-            with np.errstate(all="ignore"):
-                got[name] = a.astype(self.dtype) if a.dtype.kind == "f" else a
-        return got
+        wrong = {name: a for name, a in wrong.items() if name.startswith(self.roles)}
+        return in_precision(expected(case.tensors) | wrong, self.dtype)
 
 
 def diagnosis(patient):
@@ -42,7 +34,8 @@ def diagnosis(patient):
     return [r for r in results if r.verdict == "fail"]
 
 
-@EVERY
+# A few of 362 in the short lane, others every day; the slow lane has the rest.
+@pytest.mark.parametrize("mistake", few(MISTAKES, 14), ids=lambda m: m.id)
 def test_a_known_mistake_is_noticed_and_explained(mistake):
     wrong = diagnosis(Patient(mistake))
     assert wrong and {r.equation for r in wrong} == {mistake.equation}
@@ -52,12 +45,15 @@ def test_a_known_mistake_is_noticed_and_explained(mistake):
         assert not r.explanation.startswith(said + " (")
 
 
-@EVERY
-@pytest.mark.parametrize("role", [("out.", "in_bar."), ("out.",), ("in_bar.",)])
-def test_it_is_explained_in_one_direction_and_in_float32(mistake, role):
+@pytest.mark.parametrize(
+    "mistake, part",
+    few([(m, part) for m in MISTAKES for part in NAMED], 12),
+    ids=lambda value: getattr(value, "id", value),
+)
+def test_it_is_explained_in_one_direction_and_in_float32(mistake, part):
     """Other mistakes may have the same outputs, or the same gradients; then all are named."""
     for dtype in (np.float64, np.float32):
-        for r in diagnosis(Patient(mistake, role, dtype)):
+        for r in diagnosis(Patient(mistake, NAMED[part], dtype)):
             assert f"[{mistake.id}]" in r.explanation
 
 
@@ -66,8 +62,7 @@ def told(key, answer, dtype=np.float64, only=""):
     answers = []
     for case in (case for case in published.cases(key) if only in case.name):
         with np.errstate(all="ignore"):
-            given = {**expected(case.tensors), **answer(case)}
-            got = {n: a.astype(dtype) if a.dtype.kind == "f" else a for n, a in given.items()}
+            got = in_precision(expected(case.tensors) | answer(case), dtype)
         findings = compare(case.tensors, got, case.tolerance(np.dtype(dtype).name))
         answers.append((case, got, [finding.tensor for finding in findings]))
     assert any(wrong for *_, wrong in answers)
@@ -83,9 +78,8 @@ def test_a_mistake_that_contradicts_most_cases_is_not_named():
     """The gradient of O_a lacks l_a. Where l_a is 0 that is the gradient of O_a exp(l_a)."""
 
     def answer(case):
-        return {
-            "in_bar.O_a": np.broadcast_to(case.cotangents()["x_bar"], case.inputs()["O_a"].shape)
-        }
+        bar = case.cotangents()["x_bar"]
+        return {"in_bar.O_a": np.broadcast_to(bar, case.inputs()["O_a"].shape)}
 
     assert told("offsets", answer) == []
 
@@ -100,11 +94,8 @@ def test_a_length_that_overflows_is_not_an_epsilon():
         d = np.where(length > 0, v / np.where(length > 0, length, 1), 0)
         bar = bars["d_vc_bar"] - d * (d * bars["d_vc_bar"]).sum(axis=1, keepdims=True)
         bar = np.where(length > 0, bar / np.where(length > 0, length, 1), 0)
-        return {
-            "out.delta_vc": length,
-            "out.d_vc": d,
-            "in_bar.x_a": bar + bars["delta_vc_bar"] * d,
-        }
+        bar = bar + bars["delta_vc_bar"] * d
+        return {"out.delta_vc": length, "out.d_vc": d, "in_bar.x_a": bar}
 
     assert told("view", answer) == []
 
@@ -254,13 +245,9 @@ def halves(outputs, gradients):
     """An answer with the outputs of one mistake and the gradients of another."""
 
     def answer(case):
-        rows = (("out.", outputs), ("in_bar.", gradients))
-        return {
-            n: a
-            for role, m in rows
-            for n, a in Patient(m, (role,)).run(case).items()
-            if n.startswith(role)
-        }
+        wrong = Patient(gradients, ("in_bar.",)).run(case)
+        outputs_of = Patient(outputs, ("out.",)).run(case)
+        return wrong | {name: a for name, a in outputs_of.items() if name.startswith("out.")}
 
     return answer
 
@@ -364,14 +351,8 @@ def times(quantity, factor):
     return answer
 
 
-@pytest.mark.parametrize(
-    "i, key, quantity",
-    [
-        pytest.param(i, *row, id=" ".join(row), marks=[pytest.mark.slow] if i % 8 else [])
-        for i, row in enumerate(QUANTITIES)
-    ],
-)
-def test_zero_negated_doubled_and_halved(i, key, quantity):
+@pytest.mark.parametrize("key, quantity", few(QUANTITIES, 6))
+def test_zero_negated_doubled_and_halved(key, quantity):
     role, name = quantity.split(".")
     what = f"the output {name}" if role == "out" else f"the gradient of {name}"
     for factor, words in doctor.FACTORS.items():

@@ -8,16 +8,12 @@ import pytest
 from p4dgs_ref.oracle import published
 from tests.golden import kill_matrix
 from tests.golden.equivalent import EQUIVALENT
-from tests.golden.kill_matrix import Judge, committed, is_killed, laboratory, matrix, of_mistake
+from tests.golden.kill_matrix import committed, is_killed, laboratory, matrix, of_mistake
 from tests.golden.mistakes import MISTAKES
 from tests.golden.mutate import applied, mutations
+from tests.sampling import SEED
 
-SAMPLE = 80  # mutations
-
-
-@pytest.fixture(scope="module")
-def judge():
-    return Judge()
+DRAW = random.Random(SEED)
 
 
 # --- what the file says -------------------------------------------------------------------------
@@ -57,13 +53,13 @@ def test_the_pages_say_what_the_file_says():
 
 # --- whether it is true -------------------------------------------------------------------------
 def test_some_known_mistakes_again(judge):
-    for mistake in random.Random(5).sample(MISTAKES, 20):
+    for mistake in DRAW.sample(MISTAKES, 4):
         assert of_mistake(judge, mistake) == (True, True, True), mistake.id
 
 
-def test_some_mutations_again(judge):
+def test_some_mutations_again(judge, hasty):
     survivors = {survivor["id"] for survivor in committed()["mutations"]["survivors"]}
-    for mutation in random.Random(4).sample(mutations(), SAMPLE):
+    for mutation in DRAW.sample(mutations(), 60):
         assert is_killed(judge, mutation) == (mutation.id not in survivors), mutation.id
 
 
@@ -73,6 +69,7 @@ def test_everything_again(judge):
 
 
 # --- the judge ----------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_our_own_code_passes(judge):
     with laboratory():
         assert [case.id for case in judge.cases if judge.wrong(case)] == []

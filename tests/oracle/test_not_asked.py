@@ -6,13 +6,21 @@ import pytest
 from p4dgs_ref.oracle import checker, published, report
 from p4dgs_ref.oracle import printed as scales
 from p4dgs_ref.oracle.compare import expected
+from tests.oracle.answers import Port, in_precision
 from tests.sampling import few
 
-PRECISIONS = ("float64", "float32")
-
-
-def cases():
-    return [case for key in published.subjects() for case in published.cases(key)]
+# What is not checked in float32, of cases of version 1.0 that are checked in it; None is all.
+NOT_ASKED = {
+    "projection/H-G3.1e4px": ["out.conic", "in_bar.Sigma"],
+    "projection/H-G3.1e3px": ["out.conic", "in_bar.Sigma"],
+    "projection/H-G3.100px": ["out.conic", "in_bar.Sigma"],
+    "projection/H-G4.scale1e30": ["out.conic", "in_bar.x"],
+    "ssim/flat": ["in_bar.image"],
+    "render_loss/H-P7.nearly_equal": ["out.L_render", "out.L1", "out.D_SSIM"],
+    "hash_grid/H-P5.hashed_upper_face": ["in_bar.grids.1"],
+    "likelihood/H-R5.width1000": None,
+    "likelihood/H-R5.width1e+06": None,
+}
 
 
 def perturbed(case, name):
@@ -31,68 +39,59 @@ def perturbed(case, name):
     return [a + 1e-3 * S, a - 1e-3 * S]
 
 
-def cast(tensors, dtype):
-    with np.errstate(over="ignore"):
-        return {n: a.astype(dtype) if a.dtype.kind == "f" else a for n, a in tensors.items()}
-
-
-@pytest.mark.parametrize("dtype", few(PRECISIONS, 1))
-def test_no_wrong_tensor_passes(dtype):
-    """Nor is it acceptable, but where the printed formula has no more digits."""
-    judged = acceptable = 0
-    for case in cases():
-        unasked = case.unasked(dtype)
-        as_printed = scales.measured().get((case.id, dtype), {})
-        for name, right in expected(case.tensors).items():
-            if name in unasked or not right.size:
-                continue
+def judgements(case, dtype):
+    """Yield (name, Result) of every wrong tensor alone, in turn."""
+    for name, right in expected(case.tensors).items():
+        if name not in case.unasked(dtype) and right.size:
             alone = {n: case.tensors[n] for n in (name, "scale." + name) if n in case.tensors}
             for wrong in perturbed(case, name):
-                got = cast({name: wrong}, dtype)
-                result = checker.judge_answer(case._replace(tensors=alone), got)
-                judged += 1
-                acceptable += bool(result.recipe)
-                if result.recipe:
-                    assert f"scale.{name}" in as_printed, (case.id, name)
-                else:
-                    assert result.verdict != "pass" and result.findings, (case.id, name)
-                    assert result.wrong == result.required, (case.id, name)
-    assert judged > 3000 and acceptable < 0.05 * judged
+                got = in_precision({name: wrong}, dtype)
+                yield name, checker.judge_answer(case._replace(tensors=alone), got)
 
 
-def test_what_is_not_asked_in_float32():
-    assert not any(case.unasked("float64") for case in cases())
-    first = [case for case in cases() if "since" not in case.record]  # of version 1.0
-    found = {case.id: case.unasked("float32") for case in first if case.tolerance("float32")}
-    whole = {id for id in found if set(found[id]) >= set(by_id(id))}
-    assert whole == {"likelihood/H-R5.width1e+06", "likelihood/H-R5.width1000"}
-    rest = {f"{id} {name}" for id, names in found.items() if id not in whole for name in names}
-    for id in ("H-G3.1e4px", "H-G3.1e3px"):
-        for name in ("out.conic", "in_bar.Sigma"):
-            assert f"projection/{id} {name}" in rest
-    assert len(rest) == 13
+@pytest.mark.parametrize(
+    "key, dtype",
+    few([(key, t) for key in published.subjects() for t in ("float64", "float32")], 10),
+)
+def test_no_wrong_tensor_passes(key, dtype):
+    """Nor is it acceptable, but where the printed formula has no more digits."""
+    results = []
+    for case in published.cases(key):
+        as_printed = scales.measured().get((case.id, dtype), {})
+        for name, result in judgements(case, dtype):
+            results.append(result)
+            if result.recipe:
+                assert f"scale.{name}" in as_printed, (case.id, name)
+            else:
+                assert result.verdict != "pass" and result.findings, (case.id, name)
+                assert result.wrong == result.required, (case.id, name)
+    assert results and sum(bool(r.recipe) for r in results) < 0.2 * len(results)
 
 
-def by_id(id):
-    (case,) = (case for case in published.cases(id.split("/")[0]) if case.id == id)
-    return list(expected(case.tensors))
+@pytest.mark.parametrize("key", few(published.subjects(), 12))
+def test_what_is_not_asked_in_float32(key):
+    for case in published.cases(key):
+        assert not case.unasked("float64")
+        if "since" not in case.record and case.tolerance("float32"):
+            every = list(expected(case.tensors))
+            listed = NOT_ASKED.get(case.id, [])
+            assert case.unasked("float32") == (every if listed is None else listed), case.id
 
 
-class Single:
-    """A right port in float32; what float32 cannot compute is nonsense."""
-
-    def run(self, case):
-        with np.errstate(over="ignore"):
-            got = cast(expected(case.tensors), "float32")
-        return {n: a + np.inf if n in case.unasked("float32") else a for n, a in got.items()}
+def single(case, dtype):
+    """Right answers; what float32 cannot compute is nonsense."""
+    got = in_precision(expected(case.tensors), dtype)
+    return {n: a + np.inf if n in case.unasked("float32") else a for n, a in got.items()}
 
 
 def test_they_are_counted_apart():
-    results = []
-    for key in ("projection", "likelihood"):
-        results += checker.check_subject(published.cases(key), Single())
-    found = checker.Report(results)
-    verdicts = {r.id: r.verdict for r in results}
+    port = Port(single, np.float32)
+    results = [
+        result
+        for key in ("projection", "likelihood")
+        for result in checker.check_subject(published.cases(key), port)
+    ]
+    found, verdicts = checker.Report(results), {r.id: r.verdict for r in results}
     assert found.ok and verdicts["likelihood/H-R5.width1e+06"] == "unasked"
     assert verdicts["projection/H-G3.1e4px"] == "pass"
     count = sum(verdict == "unasked" for verdict in verdicts.values())

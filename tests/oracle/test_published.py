@@ -12,36 +12,17 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
-from p4dgs_ref.oracle import checker, published, report, safetensors
-from p4dgs_ref.oracle.export import export
-from p4dgs_ref.oracle.precision import cast
+from p4dgs_ref.oracle import checker, published, safetensors
 from tests.golden.cases import FLAGS
 from tests.golden.subjects import subjects
 from tests.golden.vectors import IDS, WRITTEN, damaged, listed
+from tests.oracle.answers import Port
+from tests.sampling import few
 
-SPEC = (
-    "offsets",
-    "view",
-    "opacity",
-    "masking",
-    "color",
-    "rotation",
-    "scale",
-    "positional_encoding",
-    "deformation",
-    "deformed",
-    "noise",
-    "step",
-    "hash_grid",
-    "rounding",
-    "likelihood",
-    "prior",
-    "anchor_rate",
-    "hash_rate",
-    "total_loss",
-    "render_loss",
-    "rate_loss",
-)
+SPEC = """
+offsets view opacity masking color rotation scale positional_encoding deformation deformed noise
+step hash_grid rounding likelihood prior anchor_rate hash_rate total_loss render_loss rate_loss
+""".split()
 GRADIENTLESS = {"rounding"}
 VERSION_1_0 = "d7ddee11f2361e3b"  # the hash of all its tensors
 
@@ -86,7 +67,7 @@ def test_safetensors_come_back():
         (lambda d: d[:-1], "data_offsets"),
         (lambda d: d.replace(b'"F64"', b'"F65"'), "dtype"),
         (lambda d: d.replace(b"[3,2]", b"[3,3]"), "data_offsets"),
-        (lambda d: d.replace(b"[3,2]", b"[-3,2]").replace(b"  ", b" "), "header|shape"),
+        (lambda d: d.replace(b"[3,2]", b"[-6] "), "shape"),
         (lambda d: d.replace(b"{", b"<", 1), "header"),
     ],
 )
@@ -103,12 +84,6 @@ def test_files_are_those_of_the_manifest(manifest):
     made = {name for name in files if name.endswith(".safetensors")}
     assert made == set(manifest["files"])
     assert files - made == {"manifest.json", "FLAGS.json", *WRITTEN}
-
-
-def test_the_vectors_are_small(tmp_path):
-    done = export(tmp_path / "v1")
-    assert done["bytes"] < 5_000_000
-    print(f"\n{done['files']} files, {done['bytes']:,} bytes, {done['cases']} cases")
 
 
 def test_every_offset_of_the_manifest_leads_to_its_numbers(manifest, golden):
@@ -137,27 +112,20 @@ def test_every_equation_of_the_paper_has_values_and_gradients(manifest):
 
 
 def test_ids_are_unique_and_records_complete(manifest):
-    ids = [case["id"] for s in manifest["subjects"] for case in s["cases"]] + [
-        stream["id"] for stream in manifest["streams"]
-    ]
+    cases = [case for subject in manifest["subjects"] for case in subject["cases"]]
+    ids = [row["id"] for row in cases + manifest["streams"]]
     assert len(set(ids)) == len(ids)
-    for subject in manifest["subjects"]:
-        for case in subject["cases"]:
-            assert case["result"] in ("valid", "acceptable") and ("why" in case) == (
-                case["result"] == "acceptable"
-            )
-            assert case["provenance"] in ("reference", "high-precision", "closed form")
-            assert set(case["flags"]) <= set(FLAGS) and case["flags"] and case["tests"]
-            for precision in ("float64", "float32"):
-                bound = case["tolerance"][precision]
-                assert (
-                    bound["eps_S"] >= 32 and bound["reason"]
-                    if bound
-                    else case["tolerance"]["float32_reason"]
-                )
-    assert {"reference", "high-precision", "closed form"} == {
-        c["provenance"] for s in manifest["subjects"] for c in s["cases"]
-    }
+    for case in cases:
+        assert case["result"] in ("valid", "acceptable")
+        assert ("why" in case) == (case["result"] == "acceptable")
+        assert set(case["flags"]) <= set(FLAGS) and case["flags"] and case["tests"]
+        for precision in ("float64", "float32"):
+            bound = case["tolerance"][precision]
+            if bound:
+                assert bound["eps_S"] >= 32 and bound["reason"]
+            else:
+                assert case["tolerance"]["float32_reason"]
+    assert {"reference", "high-precision", "closed form"} == {c["provenance"] for c in cases}
 
 
 def test_the_shapes_of_the_manifest_hold(manifest, golden):
@@ -228,61 +196,36 @@ def test_version_1_0_keeps_its_bytes():
 
 
 # --- honest -------------------------------------------------------------------------------------
-class Reference:
-    """This project's own code as a port, in one precision."""
-
-    def __init__(self, dtype):
-        self.dtype = dtype
-
-    def run(self, case):
-        if case.tolerance(np.dtype(self.dtype).name) is None:
-            return {"out.unasked": np.zeros(1, self.dtype)}
-        with np.errstate(all="ignore"):
-            inputs, cotangents = (
-                cast(case.inputs(), self.dtype),
-                cast(case.cotangents(), self.dtype),
-            )
-            return subjects()[case.subject].answer(inputs, cotangents)
-
-
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_the_reference_passes(manifest, golden, dtype):
+@pytest.mark.parametrize(
+    "key, dtype", few([(k, t) for k in published.subjects() for t in (np.float64, np.float32)], 25)
+)
+def test_the_reference_passes(golden, key, dtype):
     """Against numbers most of which are not its own: decimals, closed forms."""
-    port, results = Reference(dtype), []
-    for cases in golden.values():
-        results += checker.check_subject(cases, port)
-    wrong = [r for r in results if r.wrong]
-    assert not wrong, report.text(checker.Report(results))
+    found = checker.Report(checker.check_subject(golden[key], Port(dtype=dtype)))
+    assert not any(r.wrong for r in found.results), str(found)
 
 
 def test_no_golden_image_is_empty_and_no_gradient_nothing(golden):
     """Every gradient of a subject is alive in some case, and images show something."""
     images = 0
     for key, cases in golden.items():
-        alive = {}
+        alive = Counter()
         for case in cases:
             for name, a in case.tensors.items():
                 if name.startswith("in_bar."):
-                    alive[name.split(".")[1]] = max(
-                        alive.get(name.split(".")[1], 0), float((a != 0).mean() if a.size else 0)
-                    )
+                    share = float((a != 0).mean()) if a.size else 0
+                    alive[name.split(".")[1]] = max(alive[name.split(".")[1]], share)
                 if name in ("out.image", "out.images") and case.level in ("L2", "L4"):
-                    flat = a.reshape(-1, 3)
-                    images += 1
-                    assert (
-                        np.abs(flat - np.median(flat, axis=0)).max(axis=1) > 0.05
-                    ).mean() > 0.1, f"{case.id} is nearly empty"
-        assert all(share > 0.1 for share in alive.values()), (
-            f"{key}: gradients nearly zero: {alive}"
-        )
-        assert not subjects()[key].gradients or alive, key
+                    flat, images = a.reshape(-1, 3), images + 1
+                    far = np.abs(flat - np.median(flat, axis=0)).max(axis=1) > 0.05
+                    assert far.mean() > 0.1, f"{case.id} is nearly empty"
+        assert all(share > 0.1 for share in alive.values()), f"{key}: nearly zero: {alive}"
+        assert alive or not subjects()[key].gradients, key
     assert images >= 4
 
 
 def test_cotangents_are_not_ones(golden):
-    for cases in golden.values():
-        for case in cases:
-            for name, a in case.tensors.items():
-                assert (
-                    not name.startswith("out_bar.") or a.size < 2 or np.ptp(a) > 0 or not a.any()
-                ), f"{case.id}: {name}"
+    for case in (case for cases in golden.values() for case in cases):
+        for name, a in case.tensors.items():
+            if name.startswith("out_bar.") and a.size > 1 and a.any():
+                assert np.ptp(a) > 0, f"{case.id}: {name}"

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.__main__ import main
-from p4dgs_ref.oracle import checker, published, safetensors
-from p4dgs_ref.oracle.compare import expected
-from p4dgs_ref.oracle.export import export
+from p4dgs_ref.oracle import checker, published
 from p4dgs_ref.oracle.ports import FolderPort
-from tests.golden.vectors import damaged
+from tests.oracle.answers import right, write
 
 FIRST, LAST = published.VERSIONS[0], published.VERSIONS[-1]
 
@@ -24,14 +22,11 @@ def ids(version):
 @pytest.fixture(scope="module")
 def answers(tmp_path_factory):
     """A folder that a port of version 1.0 wrote, with all equations right."""
-    folder = tmp_path_factory.mktemp("answers")
+    folder, first = tmp_path_factory.mktemp("answers"), ids(FIRST)
     for subject in published.read_manifest(version=FIRST)["subjects"]:
-        arrays = {}
-        for case in published.read(subject):
-            if case.id in ids(FIRST):
-                arrays |= {f"{case.name}/{n}": a for n, a in expected(case.tensors).items()}
-        data, _ = safetensors.dump(arrays)
-        (folder / f"{subject['key']}.safetensors").write_bytes(data)
+        key = subject["key"]
+        arrays = right(key).items()
+        write(folder, **{key: {n: a for n, a in arrays if f"{key}/{n.split('/')[0]}" in first}})
     return folder
 
 
@@ -57,16 +52,16 @@ def test_what_joined_since_is_missing_from_them(answers):
     assert all(r.verdict == "pass" for r in report.results if r.id not in missing)
 
 
-def test_the_first_version_is_exported_as_it_was(tmp_path):
-    done = export(tmp_path / "v1", FIRST)
-    manifest = published.read_manifest(tmp_path / "v1")
-    assert manifest["version"] == "v1.0" and not damaged(tmp_path / "v1")
+def test_the_first_version_is_exported_as_it_was(exported):
+    folder, done = exported
+    manifest = published.read_manifest(folder)
+    assert manifest["version"] == "v1.0"
     assert done["cases"] == len(ids(FIRST)) + len(manifest["streams"])
     assert "since" not in json.dumps(manifest)
-    names = {file.name for file in (tmp_path / "v1").glob("*.safetensors")}
+    names = {file.name for file in folder.glob("*.safetensors")}
     assert names == set(manifest["files"]) and "kernel.safetensors" not in names
     for subject in manifest["subjects"]:
-        assert published.read(subject, tmp_path / "v1")
+        assert published.read(subject, folder)
 
 
 def test_commands_know_both_versions(capsys):
@@ -81,15 +76,15 @@ def test_commands_know_both_versions(capsys):
 
 
 def test_half_precision_is_told_why_it_is_not_judged(tmp_path):
-    case = published.cases("offsets")[0]
-    arrays = {f"{case.name}/{n}": a.astype(np.float16) for n, a in expected(case.tensors).items()}
-    data, _ = safetensors.dump(arrays)
-    file = tmp_path / "offsets.safetensors"
-    file.write_bytes(data)
-    result = checker.check_port(FolderPort(tmp_path), only="offsets").results[0]
+    result = judged(write(tmp_path, offsets=right("offsets", np.float16)))
     assert result.verdict == "fail" and "half precision is not judged" in result.findings[0].message
-    file.write_bytes(data.replace(b'"F16"', b'"BF1"').replace(b"BF1", b"B16"))
-    result = checker.check_port(FolderPort(tmp_path), only="offsets").results[0]
+    file = tmp_path / "offsets.safetensors"
+    file.write_bytes(file.read_bytes().replace(b'"F16"', b'"B16"'))
+    result = judged(tmp_path)
     assert result.verdict == "damaged" and "bfloat16 is not judged" in result.explanation
     page = (published.FOLDER / "README.md").read_text(encoding="utf-8")
     assert "Half and bfloat16 are not judged" in page and "compiling just in time" in page
+
+
+def judged(folder):
+    return checker.check_port(FolderPort(folder), only="offsets").results[0]

@@ -1,0 +1,58 @@
+"""What right ports answer, as arrays, as files and through ports."""
+
+import numpy as np
+
+from p4dgs_ref.oracle import published, safetensors
+from p4dgs_ref.oracle.compare import expected
+from p4dgs_ref.oracle.precision import cast
+from tests.golden.subjects import subjects
+
+
+def case_of(id):
+    """The published case with an id."""
+    return next(case for case in published.cases(id.split("/")[0]) if case.id == id)
+
+
+def in_precision(tensors, dtype):
+    """Tensors in a precision; what it cannot hold becomes infinite."""
+    with np.errstate(over="ignore"):
+        return cast(tensors, dtype)
+
+
+def right(key, dtype=np.float64):
+    """What a right port writes for one subject, {"ordinary/out.x": array}."""
+    cases = published.cases(key)
+    found = {f"{case.name}/{n}": a for case in cases for n, a in expected(case.tensors).items()}
+    return in_precision(found, dtype)
+
+
+def broken(key, name, change):
+    """The same with one tensor changed."""
+    found = right(key)
+    return found | {name: change(np.array(found[name]))}
+
+
+def write(folder, **answers):
+    """Write {tensor: array} of subjects into a folder, and return it."""
+    for key, arrays in answers.items():
+        (folder / f"{key}.safetensors").write_bytes(safetensors.dump(arrays)[0])
+    return folder
+
+
+def ours(case, dtype):
+    """What this project's own code answers in a precision."""
+    inputs, cotangents = cast(case.inputs(), dtype), cast(case.cotangents(), dtype)
+    return subjects()[case.subject].answer(inputs, cotangents)
+
+
+class Port:
+    """A port in one precision, `compute(case, dtype)`, perhaps with a change of its answers."""
+
+    def __init__(self, compute=ours, dtype=np.float64, change=lambda case, got: got):
+        self.compute, self.dtype, self.change = compute, dtype, change
+
+    def run(self, case):
+        if case.tolerance(np.dtype(self.dtype).name) is None:
+            return {"out.unasked": np.zeros(1, self.dtype)}
+        with np.errstate(all="ignore"):
+            return self.change(case, self.compute(case, self.dtype))

@@ -1,0 +1,34 @@
+"""What several files of this room share."""
+
+import pytest
+
+from p4dgs_ref.oracle import published
+from p4dgs_ref.oracle.export import export
+from tests.golden import kill_matrix
+from tests.golden.kill_matrix import Judge
+from tests.oracle.answers import right, write
+
+
+@pytest.fixture(scope="session")
+def judge():
+    return Judge()
+
+
+@pytest.fixture
+def hasty(monkeypatch):
+    """A sampled mutation that never ends must not hold up the short lane."""
+    monkeypatch.setattr(kill_matrix, "PATIENCE", 8)
+
+
+@pytest.fixture(scope="session")
+def exported(tmp_path_factory):
+    """A folder with an export of the first version, and what `export` returned."""
+    folder = tmp_path_factory.mktemp("exported") / "v1"
+    return folder, export(folder, published.VERSIONS[0])
+
+
+@pytest.fixture(scope="session")
+def answered(tmp_path_factory):
+    """A folder with right answers to the paper's equations, and to nothing else."""
+    keys = published.equations()
+    return write(tmp_path_factory.mktemp("answered"), **{key: right(key) for key in keys})
