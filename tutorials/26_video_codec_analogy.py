@@ -143,7 +143,7 @@ sizes = dict(
 
 def build(scene):
     """Train a model, write its file, and read it again."""
-    trained = fits.train(scene, fits.reduced(400, **sizes)).model
+    trained = p4.train(scene, fits.reduced(400, **sizes))
     data = p4.encode(trained)
     return p4.decode(data), data
 

@@ -308,11 +308,10 @@ COMMANDS = {
     ),
     "accuracy": (
         study.accuracy,
-        "what accuracy costs in time: studies, each with diagrams, tables and a reading",
+        "what accuracy costs in time and bytes: a table of knobs, with a figure for each",
         (
-            several("--only", "NAME", "only this study; may be repeated"),
+            several("--only", "NAME", "only this knob or harness; may be repeated"),
             switch("--quick", "small sizes, about a minute instead of ten"),
-            switch("--summary", "only error and time of the settings exact, paper and fast"),
             JOBS,
             QUIET,
             output(

@@ -6,15 +6,11 @@ from .base import Line, UsageError, report_folder, require_known, show
 
 
 def accuracy(arguments):
-    """Run the studies of accuracy against time, or print their summary."""
-    from ..lab.accuracy.report import STUDIES, describe, run, summary
+    """Turn the knobs that trade accuracy for time or bytes, and write a page about them."""
+    from ..lab.accuracy.knobs import NAMES
+    from ..lab.accuracy.report import describe, run
 
-    if arguments.summary:
-        if arguments.only or arguments.quick:
-            raise UsageError("--summary: expected without --only and --quick; its size is fixed")
-        rows, lines = summary()
-        return show(arguments, {"settings": rows}, lines)
-    require_known("--only", arguments.only, STUDIES)
+    require_known("--only", arguments.only, NAMES)
     with Line(arguments) as line, report_folder(arguments.output) as beside:
         result = run(arguments.only or None, beside, arguments.quick, line, arguments.jobs)
     show(arguments, result, describe(result, arguments.output))
