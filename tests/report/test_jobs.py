@@ -7,12 +7,9 @@ import time
 import pytest
 
 from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.lab.accuracy import diagram, quantisation, training
-from p4dgs_ref.lab.accuracy.fits import reduced
+from p4dgs_ref.lab.accuracy.harness import train_one
 from p4dgs_ref.report.jobs import in_processes
 from p4dgs_ref.training.finite import NotFinite
-
-SHORT = reduced(12, anchors=20)
 
 
 def place(seconds):
@@ -35,20 +32,9 @@ def test_an_overflow_in_another_process_keeps_its_message():
 
 
 def test_two_processes_train_what_one_trains():
-    runs = [training.Run("seeds", seed, SHORT, seed=seed) for seed in range(2)]
-    runs.append(training.Run("anchors rated", 0.5, SHORT, 0.5))
-    alone, together = (list(in_processes(training.train_one, runs, jobs)) for jobs in (1, 2))
+    tasks = [(dict(anchors=20, downscale=4), 12, seed) for seed in range(2)]
+    alone, together = (list(in_processes(train_one, tasks, jobs)) for jobs in (1, 2))
     assert alone == together and alone[0]["psnr_db"] != alone[1]["psnr_db"]
-
-
-@pytest.mark.slow
-def test_quantisation_is_the_same_in_two_processes():
-    alone, together = (
-        quantisation.measure(8, (1.0,), (0.5,), lambda line: None, jobs) for jobs in (1, 2)
-    )
-    assert alone == together and len(alone) == 2 + 3
-    kinds = {row["method"] for row in alone}
-    assert kinds == set(diagram.FAMILIES[5]) and len(kinds) == 5
 
 
 def test_the_command_takes_all_cores():

@@ -5,6 +5,8 @@ psnr_db, bytes and seconds (training). Times are processor times of this process
 trainings may run in others.
 """
 
+from functools import cache
+
 import numpy as np
 
 from ...codec.file import ATTRIBUTE_SECTIONS, decode, encode
@@ -52,10 +54,16 @@ def measure_file(knob, model, scene):
 
 
 # --- training ------------------------------------------------------------------------------------
+@cache
+def scene_of(downscale=1):
+    """The scene of all trainings, with views of some size."""
+    return load_scene(SCENE, downscale=downscale)
+
+
 def prepared(changes, iterations):
     """The scene, the preset and the Trainer's options of a training with some changes."""
     changes = dict(changes)
-    scene = load_scene(SCENE, downscale=changes.pop("downscale", 1))
+    scene = scene_of(changes.pop("downscale", 1))
     options = {name: changes.pop(name) for name in ("settings",) if name in changes}
     return scene, reduced(changes.pop("iterations", iterations), **changes), options
 
@@ -70,19 +78,19 @@ def trained(changes, iterations, seed=0):
 def train_one(task):
     """PSNR and bytes of the file of one training: task = (changes, iterations, seed)."""
     data = encode(trained(*task))
-    metrics = evaluate(decode(data), load_scene(SCENE))[0]
+    metrics = evaluate(decode(data), scene_of())[0]
     return {"psnr_db": metrics["psnr_db"], "bytes": len(data), "anchors": metrics["anchors"]}
 
 
-def seconds(runs):
-    """Columns of the processor seconds of trainings, one of each of `runs` {name: changes}.
+def seconds(runs, iterations):
+    """Columns of the processor seconds of trainings, {name: columns} for {name: changes}.
 
     Steps of all runs in all stages are timed in turn, at their first parameters; a stage takes as
     many of them as it has iterations.
     """
     steps, lengths = {}, {}
     for name, changes in runs.items():
-        scene, preset, options = prepared(changes, ITERATIONS)
+        scene, preset, options = prepared(changes, iterations)
         lengths[name] = np.diff([0, *preset.stage_ends])
         for stage in range(1, 5):
             steps[name, stage] = step_at(scene, preset, stage, **options)
@@ -96,7 +104,7 @@ def seconds(runs):
     return found
 
 
-def measure_trainings(knobs, quick, progress, jobs, iterations=ITERATIONS):
+def measure_trainings(knobs, quick, progress, jobs, iterations):
     """Rows of all knobs of training, {name: rows}, and how far seeds differ, in dB.
 
     Trainings that several knobs share are done once. `quick` trains nothing: its rows have only the
@@ -109,7 +117,7 @@ def measure_trainings(knobs, quick, progress, jobs, iterations=ITERATIONS):
             runs[repr(changes)] = changes
             places.setdefault(knob.name, {})[value] = repr(changes)
     progress("training: times of steps")
-    found, spread = seconds(runs), 0.0
+    found, spread = seconds(runs, iterations), 0.0
     if not quick:
         tasks = [(changes, iterations, 0) for changes in runs.values()]
         tasks += [({}, iterations, seed) for seed in range(SEEDS)]

@@ -10,7 +10,6 @@ import numpy as np
 import scipy
 
 from ...report.figures import write_csv
-from ...scenes import load_scene
 from ..clock import disturbance, stretch_of
 from .diagram import draw, lines_of
 from .harness import (
@@ -28,6 +27,7 @@ from .harness import (
     measure_trainings,
     pays_from,
     saved,
+    scene_of,
     trained,
 )
 from .knobs import HARNESSES, chosen, file_name
@@ -94,13 +94,12 @@ def measure(knobs, quick, progress, jobs):
         progress(f"formula: {knob.name}")
         rows[knob.name] = measure_forms(knob.values(quick), 3 if quick else 5)
     if of["training"]:
-        found, spread = measure_trainings(of["training"], quick, progress, jobs)
+        found, spread = measure_trainings(of["training"], quick, progress, jobs, ITERATIONS)
         rows |= found
     if of["file"]:
         progress("file: the model that is written")
         model = trained({}, QUICK_ITERATIONS if quick else ITERATIONS)
-        scene = load_scene(SCENE)
-        rows |= {knob.name: measure_file(knob, model, scene) for knob in of["file"]}
+        rows |= {knob.name: measure_file(knob, model, scene_of()) for knob in of["file"]}
     return rows, spread
 
 
