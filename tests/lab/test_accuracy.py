@@ -218,7 +218,8 @@ def test_trainings_are_done_once_and_timed_by_their_steps(monkeypatch):
     assert spread == harness.SEEDS - 1 and len(tasks) == 3 + harness.SEEDS
     assert rows["children k"][0] | {"value": ""} == rows["image size"][0] | {"value": ""}
     for row in (row for own in rows.values() for row in own):
-        assert [row[f"seconds{end}"] for end in ("", "_low", "_high")] == [0.024, 0.012, 0.048]
+        # 12 iterations; a step of stage 3 and one of stage 4 take 2 ms together.
+        assert [row[f"seconds{end}"] for end in ("", "_low", "_high")] == [0.012, 0.006, 0.024]
         assert row["stretch"] == 1.5
     quick, spread = harness.measure_trainings(small, True, silent, 1, 12)
     assert spread == 0 and set(quick["image size"][1]) == {"line", "value", "stretch"} | {

@@ -23,7 +23,7 @@ from ...codec.streams import (
 )
 from ...equations import likelihood
 from ...oracle.precision import cast
-from ...splatting import compositing, fast
+from ...splatting import fast
 from ...splatting.settings import EXACT, FAST, PAPER
 from ...table import EQUATIONS
 from ..random_inputs import cov2d_of, random_anchor_network, random_splats
@@ -53,9 +53,10 @@ def draw(scene, settings):
     """The image, its gradients, and how many pairs of a Gaussian and a pixel were evaluated."""
     splats, cov2d, frame, image_bar = scene
     if settings.footprint == "all":
-        (image, _), saved = compositing.forward(**cast({**splats, **frame}, settings.dtype))
-        gradients = compositing.backward(saved, image_bar.astype(settings.dtype))
-        return image, gradients, image[:, :, 0].size * int(splats["visible"].sum())
+        given = cast({**splats, **frame}, settings.dtype)
+        outputs, pullback = EQUATIONS["compositing"].vjp(**given)
+        pairs = frame["height"] * frame["width"] * int(splats["visible"].sum())
+        return outputs["image"], pullback(image_bar=image_bar.astype(settings.dtype)), pairs
     (image, _), saved = fast.forward(**splats, cov2d=cov2d, **frame, settings=settings)
     return image, fast.backward(saved, image_bar), sum(chunk.A.size for chunk in saved[0])
 
@@ -145,7 +146,7 @@ USUAL = (1e-2, 3), (1e-2, 10)
 def bins(limits, n):
     """n random distances and widths, numbers that float32 can hold."""
     rng = np.random.default_rng(0)
-    drawn = (np.exp(rng.uniform(*np.log(ends), n)) for ends in limits)
+    drawn = (np.exp(rng.uniform(np.log(low), np.log(high), n)) for low, high in limits)
     return [a.astype(np.float32).astype(float) for a in drawn]
 
 
@@ -207,7 +208,7 @@ def noise_draws(_quick):
         return sum(price(rng.uniform(-0.5, 0.5, len(mu))) for _ in range(draws)) / draws
 
     nodes, weights = roots_legendre(32)
-    truth = sum(weight / 2 * price(node / 2) for node, weight in zip(nodes, weights))
+    truth = weights / 2 @ np.array([price(node / 2) for node in nodes])
 
     def judge(found):
         """The standard error of the rate, the sum of all bits, relative to the rate."""
