@@ -27,6 +27,7 @@ from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator.description import describe
 from p4dgs_ref.scenes.simulator.simulate import place_cameras
 from p4dgs_ref.scenes.simulator.trace import trace
+from p4dgs_ref.training.trainer import Trainer
 from tutorials.tools import architecture
 
 plt = lessons.pyplot()
@@ -143,7 +144,7 @@ sizes = dict(
 
 def build(scene):
     """Train a model, write its file, and read it again."""
-    trained = p4.train(scene, fits.reduced(400, **sizes))
+    trained = Trainer(scene, fits.reduced(400, **sizes)).run()
     data = p4.encode(trained)
     return p4.decode(data), data
 

@@ -177,6 +177,8 @@ def test_without_context_the_symbols_stay_and_the_networks_go(short_model):
         assert np.array_equal(a, b)
     rows = harness.measure_file(KNOBS["context"], short_model, SMALL)
     assert rows[0]["psnr_db"] == rows[1]["psnr_db"] and rows[0]["bytes"] > rows[1]["bytes"] + 3000
+    q = quantise(written.without_context(short_model))
+    assert np.allclose(q.symbols.mean(axis=0)[:22], q.context.mu_units[0, :22] / 1024, atol=0.05)
     made = {"bytes": 4900, "attribute_bytes": 1000, "anchors": 100}
     without = {"bytes": 1300, "attribute_bytes": 1200, "anchors": 100}
     assert harness.pays_from([made, without]) == 1900  # 3,800 bytes at 2 an anchor
