@@ -379,10 +379,16 @@ def check_page(folder, result):
 def test_chosen_knobs_make_a_page(tmp_path, overlapping, monkeypatch):
     monkeypatch.setattr(report, "stretch_of", lambda rows: 2.5)
     monkeypatch.setattr(report, "QUICK_ITERATIONS", 40)
-    result = report.run(["precision", "context"], tmp_path, True, silent)
+    finding, no = report.finding, {"precision": {"verdict": "no"}}
+    monkeypatch.setattr(report, "finding", lambda k, *rows: finding(k, *rows) | no.get(k.name, {}))
+    result = report.run(["precision", "likelihood_table", "context"], tmp_path, True, silent)
     page = check_page(tmp_path, result)
     assert page.splitlines()[2].startswith("Disturbed: ") and overlapping == []
-    assert [found["knob"] for found in result["knobs"]] == ["precision", "context"]
+    assert [found["knob"] for found in result["knobs"]] == [
+        "likelihood table",
+        "precision",
+        "context",
+    ]
     assert page.count(harness.NOT_TOLD) == 5 and "dB" not in page.split("### context")[1]
 
 
