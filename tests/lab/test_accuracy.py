@@ -29,10 +29,6 @@ SMALL = load_scene("bouncing", downscale=8)
 KNOBS = {knobs.file_name(knob): knob for knob in knobs.KNOBS}
 
 
-def silent(_line):
-    """Stands for a progress line."""
-
-
 # --- Eq. (11) ------------------------------------------------------------------------------------
 def test_the_truth_agrees_with_stored_constants_and_with_sixty_digits():
     log_p, slope_z, slope_w = formulas.truth(np.abs(Z), W)
@@ -223,7 +219,7 @@ def test_trainings_are_done_once_and_timed_by_their_steps(monkeypatch):
         # 12 iterations; a step of stage 3 and one of stage 4 take 2 ms together.
         assert [row[f"seconds{end}"] for end in ("", "_low", "_high")] == [0.012, 0.006, 0.024]
         assert row["stretch"] == 1.5
-    quick, spread = harness.measure_trainings(small, True, silent, 1, 12)
+    quick, spread = harness.measure_trainings(small, True, said.append, 1, 12)
     assert spread == 0 and set(quick["image size"][1]) == {"line", "value", "stretch"} | {
         f"seconds{end}" for end in ("", "_low", "_high")
     }
@@ -283,13 +279,6 @@ def test_a_verdict_is_computed_from_the_numbers(kind, points, quick, wanted):
     shown = [found[name] for name in ("cheap", "lost", "saved", "verdict")]
     assert [text.removesuffix(" of the picture") for text in shown] == wanted
     assert found["verdict"] in harness.ORDER and len(found["verdict"].split()) <= 5
-
-
-@pytest.mark.parametrize(
-    "value, text", [(0, "0"), (0.5, "0.5"), (3.2e-7, "3.2e-07"), (math.nan, "infinite")]
-)
-def test_numbers_for_sentences(value, text):
-    assert diagram.number(value) == text
 
 
 # --- figures -------------------------------------------------------------------------------------
@@ -381,7 +370,7 @@ def test_chosen_knobs_make_a_page(tmp_path, overlapping, monkeypatch):
     monkeypatch.setattr(report, "QUICK_ITERATIONS", 40)
     finding, no = report.finding, {"precision": {"verdict": "no"}}
     monkeypatch.setattr(report, "finding", lambda k, *rows: finding(k, *rows) | no.get(k.name, {}))
-    result = report.run(["precision", "likelihood_table", "context"], tmp_path, True, silent)
+    result = report.run(["precision", "likelihood_table", "context"], tmp_path, True)
     page = check_page(tmp_path, result)
     assert page.splitlines()[2].startswith("Disturbed: ") and overlapping == []
     assert [found["knob"] for found in result["knobs"]] == [
