@@ -25,7 +25,9 @@ NOT_TOLD = "not told by --quick"
 LEAST = 1.01  # a knob that saves a smaller factor saves nothing
 # What a knob is for that loses up to ten times more than is enough, by what it saves.
 USES = {"ms": "for rough work", "seconds": "to try things out", "bytes": "at low rates"}
-ORDER = ("always", *USES.values(), "saves nothing", "no", NOT_TOLD)  # of verdicts in the table
+HIDDEN = "seeds differ by more"
+# The order of verdicts in the table.
+ORDER = ("always", *USES.values(), HIDDEN, "saves nothing", "no", NOT_TOLD)
 
 
 def measure_forms(forms, repeats):
@@ -143,11 +145,11 @@ def factor(knob, row, dear):
     return dear[knob.spent] / row[knob.spent]
 
 
-def finding(knob, rows, quick, enough):
+def finding(knob, rows, quick, spread=0.0):
     """What the first line of a knob says: the row of the page's table.
 
     The value told is the cheapest one that loses no more than is enough. Where there is none, it is
-    the first one that saves anything.
+    the first one that saves anything. `spread` is the difference in dB that seeds alone make.
     """
     dear, *cheaper = next(iter(lines_of(rows).values()))
     about = {"knob": knob.name, "dear": dear["value"]}
@@ -157,24 +159,26 @@ def finding(knob, rows, quick, enough):
         spent = NOT_TOLD if "bytes" in row else saved(row, dear)
     else:
         helps = [row for row in cheaper if factor(knob, row, dear) >= LEAST]
-        free = [row for row in helps if loss(row, dear) <= enough]
+        free = [row for row in helps if loss(row, dear) <= knob.enough]
         row = (helps or cheaper)[0]
         if free:
             row = max(free, key=lambda row: factor(knob, row, dear))
         times = factor(knob, row, dear)
         told = {"lost": lost(knob, row, dear), "factor": times}
-        told["verdict"] = verdict(knob, loss(row, dear), times, enough)
+        told["verdict"] = verdict(knob, loss(row, dear), times, spread)
         spent = saved(row, dear)
     return {**about, "cheap": row["value"], "saved": spent, **told}
 
 
-def verdict(knob, lost, times, enough):
+def verdict(knob, lost, times, spread):
     """A verdict on a loss and a saving, of at most five words."""
     if times < LEAST:
         return "saves nothing"
-    if lost <= enough:
+    if lost <= knob.enough:
         return "always"
-    return USES[knob.spent] if lost <= 10 * enough else "no"
+    if lost <= spread:
+        return HIDDEN
+    return USES[knob.spent] if lost <= 10 * knob.enough else "no"
 
 
 def lost(knob, row, dear):
