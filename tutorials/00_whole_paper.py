@@ -955,7 +955,7 @@ if __name__ == "__main__":
 # anchor costs about 14 bytes for its 26 numbers, and 6 for its position. Most of the grid's signs
 # are equal, so h varies little from anchor to anchor. With seeds 0 to 4 the context saves 4, 6, 0,
 # 2 and 5 % of the anchors' bits against one mean and deviation for each of the 26 numbers: less
-# than 70 bytes, and its two networks take 3,312. `p4dgs-ref accuracy --only hash_grid` measures
+# than 70 bytes, and its two networks take 3,312. `p4dgs-ref accuracy --only context` measures
 # from how many anchors on it pays.
 #
 # The package has what this file leaves out: permanent masks and growing (`training/density.py`);

@@ -6,7 +6,7 @@
 # seconds on two cores, 25 minutes of reading and 45 of exercises.
 #
 # **Files:** [formulas.py](../p4dgs_ref/lab/accuracy/formulas.py),
-# [rendering.py](../p4dgs_ref/lab/accuracy/rendering.py),
+# [forms.py](../p4dgs_ref/lab/accuracy/forms.py),
 # [diagram.py](../p4dgs_ref/lab/accuracy/diagram.py).
 
 # %%
@@ -19,9 +19,10 @@ from p4dgs_ref.codec import streams
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.lab import clock
-from p4dgs_ref.lab.accuracy import diagram, formulas, rendering
-from p4dgs_ref.lab.accuracy import likelihood as study
+from p4dgs_ref.lab.accuracy import diagram, forms, formulas
+from p4dgs_ref.lab.accuracy.harness import measure_forms
 from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
 
 plt = lessons.begin("23_accuracy_versus_time")
 
@@ -146,22 +147,27 @@ lessons.show(figure, "23_accuracy_versus_time_order")
 
 # %% [markdown]
 # ## In code
-# Here are two of the project's studies on a small scale. The first is about the renderer, which
-# has three settings. `exact`, which is the truth here, evaluates every pair of a Gaussian and a
-# pixel in `float64`. `fast` ends a Gaussian where its opacity falls below a **cut**, which is the
-# parameter of this diagram. `paper` has the constants of the published kernel: a square box of
-# three standard deviations, and no opacity below $1/255$ at any pixel.
+# `p4dgs-ref accuracy` turns more than twenty knobs of this project. Here are two of them on a
+# small scale. A *form* of a function is a way to compute it; each form is timed, and its result
+# is compared with the truth. The first function is the renderer, which has three settings.
+# `exact`, which is the truth here, evaluates every pair of a Gaussian and a pixel in `float64`.
+# `fast` ends a Gaussian where its opacity falls below a **cut**, which is the parameter of this
+# diagram. `paper` has the constants of the published kernel: a square box of three standard
+# deviations, and no opacity below $1/255$ at any pixel.
 
 # %%
-wanted = dict(tile=8, stop="1e-4", footprint="ellipse")
-combinations = []
-for what, settings in rendering.grid(True):
-    if all(what[name] == value for name, value in wanted.items()):
-        combinations.append((what, settings))
-drawn = rendering.measure("small splats", 300, 48, combinations, 9)
-exact, paper, fast = (diagram.at(drawn, footprint=name) for name in ("exact", "paper", "fast"))
+choices = {}
+for dtype in ("float32", "float64"):
+    for name in ("1/255", "5e-5", "1e-6"):
+        settings = FAST._replace(cut=forms.CUTS[name], dtype=dtype)
+        choices[f"cut labelled, {dtype}", name] = settings
+for settings in (EXACT, PAPER, FAST):
+    choices[f"setting `{settings.name}`", ""] = settings
+scene = forms.splat_scene(300, 48)
+drawn = measure_forms(forms.rendered(choices, scene), 9)
+exact, paper, fast = drawn[-3:]
 for row in (exact, paper, fast):
-    print(f"{row['footprint']:5s} {row['ms']:6.2f} ms, {row['pairs']:7,} pairs", end=", ")
+    print(f"{row['line']:15s} {row['ms']:6.2f} ms, {row['pairs']:7,} pairs", end=", ")
     print(f"error of the image {row['error']:.1e}, of the gradients {row['gradient_error']:.1e}")
 assert exact["error"] == 0
 assert exact["pairs"] == 300 * 48 * 48
@@ -180,10 +186,11 @@ assert round(half_step, 5) == 0.00196
 assert fast["error"] < half_step < paper["error"]
 
 # %% [markdown]
-# The second study compares six formulas for the bits of Eq. (11), for bins up to 3 standard
-# deviations from the mean and up to 1000. Near the mean, all of them are accurate to better than
-# one percent. Far from it, the printed formula, called `literal`, is infinite or NaN in more than
-# 99 % of the bins.
+# The second function is Eq. (11), the bits of a symbol, of which the project has six formulas.
+# They are measured on bins of a usual width up to 3 standard deviations from the mean, and on the
+# whole domain of distances and widths for which the project promises its digits. Near the mean,
+# all of them are accurate to better than one percent. In the whole domain the printed formula,
+# called `literal`, is infinite or NaN in a third of the bins.
 #
 # The other five are these. HAC is an earlier codec; its mass never falls below $10^{-6}$.
 # *Tail-symmetric* subtracts on the side where $\Phi$ is small, and *log domain* does the same
@@ -192,34 +199,27 @@ assert fast["error"] < half_step < paper["error"]
 # `10_prior_and_likelihood` derives.
 
 # %%
-priced = study.timed_rows(2000, 3)
-
-
-def bits_row(method, reach, knob="float64"):
-    return diagram.at(priced, method=method, knob=knob, reach=reach)
-
-
-for row in priced:
-    if row["knob"] in ("float64", "256/σ"):
-        print(f"{row['method']:18s} to {row['reach']:4d} σ: {row['ns']:5.1f} ns", end=", ")
-        print(f"{row['special_per_value']:4.1f} special functions", end=", ")
-        print(f"error {row['bits_error']:.1e}")
-        assert row["reach"] > 3 or row["bits_error"] < 0.01
-assert len({row["method"] for row in priced}) == 6
-assert bits_row("literal", 1000)["failed_share"] > 0.99
-assert bits_row("stable", 1000)["bits_error"] < 1e-12
+choices = {}
+for domain, limits in {"to 3 σ": forms.USUAL, "everywhere": forms.DOMAIN}.items():
+    for name, formula in formulas.FORMULAS.items():
+        choices[domain, name] = formula, limits
+for entries in formulas.TABLES:
+    choices["tables", f"{entries}/σ"] = formulas.table(entries), forms.USUAL
+rows = measure_forms(forms.priced(choices, quick=True), 3)
+priced = {(row["line"], row["value"]): row for row in rows}
+for (domain, name), row in priced.items():
+    ns = 1e6 * row["ms"] / 2000  # each call computes 2000 bins
+    print(f"{name:18s} {domain:10s}: {ns:5.1f} ns, error of the bits {row['bits_error']:.1e}")
+    assert domain != "to 3 σ" or row["bits_error"] < 0.01
+assert 0.3 < priced["everywhere", "literal"]["failed_share"] < 0.4
+assert priced["everywhere", "stable"]["bits_error"] < 1e-12
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(15, 6.6), layout="constrained")
-names = (
-    "ellipse, cut labelled, float32",
-    "ellipse, cut labelled, float64",
-    "exact twin, float32",
-    "setting `paper`",
-    "setting `fast`",
-)
-shown = [row for row in rendering.method_rows(drawn) if row["method"] in names]
-diagram.lines(left, shown, diagram.TIME)
+for panel in (left, right):
+    panel.set(xscale="log", yscale="log")
+shown = [row for row in drawn if row is not exact]
+diagram.lines(left, shown, "ms", "error")
 left.axhline(half_step, color="0.4", ls="--")
 edge = 0.98 * left.get_xlim()[1]
 left.text(edge, half_step * 1.15, "half a step of an 8-bit picture", ha="right", fontsize=11)
@@ -229,12 +229,17 @@ left.set(
     xlabel="processor time (ms, forward and backward)",
 )
 near = []
-for row in priced:
-    if row["reach"] == 3 and row["knob"] != "float32":
-        near.append({**row, "knob": row["knob"].replace("float64", "")})
-axes = diagram.Axes("ns", "bits_error", "processor time (ns a value)", "largest relative error")
-diagram.lines(right, near, axes)
-right.set(title="Eq. (11) to 3 σ in float64: what the last digits cost")
+for (domain, name), row in priced.items():
+    if domain == "tables":
+        near.append({**row, "line": "table, entries labelled"})
+    elif domain == "to 3 σ" and not name.startswith("table"):
+        near.append({**row, "line": name, "value": ""})
+diagram.lines(right, near, "ms", "bits_error")
+right.set(
+    title="Eq. (11) to 3 σ in float64: what the last digits cost",
+    ylabel="largest relative error",
+    xlabel="processor time (ms, 2000 values)",
+)
 right.margins(x=0.2)
 for panel in (left, right):
     diagram.readable_ticks(panel.xaxis)
@@ -292,13 +297,12 @@ for n in (64, 256):
     assert np.isclose(slope_error, second_derivative * h / 2, rtol=0.02)
 
 # %% [markdown]
-# The tables of the study behave exactly like this. With 64 times as many entries the bits are
+# The tables of Eq. (11) behave exactly like this. With 64 times as many entries the bits are
 # better by about $64^2$, but the gradient only by about 64. A diagram of the value alone shows an
 # error below 1e-6 and hides an error of almost 1e-3 in the gradient.
 
 # %%
-coarse = bits_row("table, float64", 3, "64/σ")
-fine = bits_row("table, float64", 3, "4096/σ")
+coarse, fine = priced["tables", "64/σ"], priced["tables", "4096/σ"]
 gain_of_bits = coarse["bits_error"] / fine["bits_error"]
 gain_of_gradient = coarse["gradient_error"] / fine["gradient_error"]
 print(f"gain of the bits {gain_of_bits:.0f}, of the gradient {gain_of_gradient:.0f}")
@@ -329,7 +333,7 @@ assert 0.5e-6 < seeming_error < 2e-6
 # %%
 log_p, *_ = formulas.truth(z[0], w[0])
 truth = -log_p[0] / math.log(2)
-assert max(study.check_truth(quick=True)) < 2e-14
+assert max(formulas.check_truth()) < 2e-14
 assert abs(stable - truth) / abs(truth) < 1e-15
 assert abs(printed - truth) / abs(truth) > 0.5e-6
 

@@ -19,10 +19,9 @@ from scipy.special import expit, ndtr
 
 from p4dgs_ref import oracle
 from p4dgs_ref.equations import ssim, step
-from p4dgs_ref.lab.accuracy import heatmap
 from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.stability import heatmap, table
 from p4dgs_ref.lab.stability import map as stability_map
-from p4dgs_ref.lab.stability import table
 from p4dgs_ref.splatting import compositing, projection
 
 plt = lessons.begin("24_hard_cases")

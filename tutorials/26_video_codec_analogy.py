@@ -25,6 +25,7 @@ from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator.description import describe
 from p4dgs_ref.scenes.simulator.simulate import place_cameras
 from p4dgs_ref.scenes.simulator.trace import trace
+from p4dgs_ref.training.trainer import Trainer
 
 plt = lessons.begin("26_video_codec_analogy")
 
@@ -137,7 +138,7 @@ sizes = dict(
 
 def build(scene):
     """Train a model, write its file, and read it again."""
-    trained = fits.train(scene, fits.reduced(400, **sizes)).model
+    trained = Trainer(scene, fits.reduced(400, **sizes)).run()
     data = p4.encode(trained)
     return p4.decode(data), data
 

@@ -7,8 +7,8 @@
 #
 #     python tutorials/beyond_context.py report/bouncing.p4dgs
 #
-# **Files:** [hash_grid.py](../p4dgs_ref/lab/accuracy/hash_grid.py) (the study whose functions
-# are used here), [beyond_networks.py](beyond_networks.py) (coded networks, B1).
+# **Files:** [written.py](../p4dgs_ref/lab/accuracy/written.py) (how the same model is written
+# without context), [beyond_networks.py](beyond_networks.py) (coded networks, B1).
 
 # %%
 import sys
@@ -17,12 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from p4dgs_ref import decode
-from p4dgs_ref.codec.quantise import quantise
-from p4dgs_ref.lab.accuracy.hash_grid import COMMON, ContextFit, pays_from, without_context, written
-from p4dgs_ref.lab.accuracy.quantisation import fixed
+from p4dgs_ref import decode, encode
+from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS
+from p4dgs_ref.lab.accuracy.written import fixed, without_context
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.model import Anchors
 from p4dgs_ref.report.inspect import components
 
 plt = lessons.pyplot()
@@ -35,8 +33,8 @@ model, sizes = decode(data), components(data)
 # ## Hypothesis
 # The hash grid and two networks, $\psi_p$ and $\psi_q$, predict the distribution of every attribute
 # (Eqs. 8, 9 and 12). The decoder needs them, so the file holds them. With few anchors they cost
-# more than they save. As float16 they take 4,112 bytes and pay from about 2,900 anchors on
-# (`p4dgs-ref accuracy --only hash_grid`); our scenes have 200.
+# more than they save. As float16 they take 4,112 bytes, and they pay from thousands of anchors on
+# (`p4dgs-ref accuracy --only context`); our scenes have 200.
 #
 # Without them a file would hold one mean, one deviation and one step for each of the 34 channels of
 # an anchor. A rate-adaptive encoder could choose the smaller form. We expected this choice to
@@ -45,23 +43,23 @@ model, sizes = decode(data), components(data)
 
 # %% [markdown]
 # ## What the context saves in this file
-# The functions of the study write the attributes of this model again: once with the trained
-# context, and once with one Gaussian per channel. Steps and symbols are the same in both.
+# This model is written twice more in the paper's design: with its own context, and with one
+# Gaussian per channel, which is a hash grid of one node and networks without hidden layers. All
+# steps are Q_0 in both files, so that their symbols are the same.
 
 # %%
-# The same anchors in the paper's design: float16 networks, positions of 16 bits.
 plain = replace(model, design=model.design._replace(coded=False, position_bits=16), steps=None)
 
 
-def with_context(model):
-    """Bytes of the attributes, and of grid and float16 networks, with the model's own context."""
-    found = written(model, model.design, model.networks, model.grids)
-    return found["attribute_bytes"], found["grid_bytes"] + found["mlp_bytes"]
+def parts(model):
+    """Bytes of the attributes in the file of a model, and of hash grid and context networks."""
+    found = components(encode(model))
+    attributes = sum(found[name] for name in ATTRIBUTE_SECTIONS)
+    return attributes, found["hash_grid"] + found["context_mlps"]
 
 
-moments = 4 * sum(model.design.widths)  # means and deviations as float16
-trained, context_bytes = with_context(plain)
-alone = without_context(plain, quantise(plain))["attribute_bytes"]
+trained, context_bytes = parts(fixed(plain))
+alone, moments = parts(without_context(plain))
 saved = alone - trained
 costs = {
     "float16 networks": context_bytes - moments,
@@ -75,56 +73,20 @@ for name, cost in costs.items():
 
 # %% [markdown]
 # ## From how many anchors on the context pays
-# Now a new context learns the attributes of some of the anchors, drawn at random, all with the
-# steps $Q_0$. Beyond the anchors of the file, the saving per anchor is taken to stay the same. The
-# cost of coded networks is that of the file. It would grow with the anchors, but only where this
-# saves more than it costs.
-
+# The saving per anchor is taken to stay the same where there are more anchors. The cost of coded
+# networks is that of the file. It would grow with the anchors, but only where this saves more than
+# it costs.
 
 # %%
-def some(model, A):
-    """The model with A of its anchors, all steps Q_0."""
-    chosen = np.sort(np.random.default_rng(A).permutation(model.primitives)[:A])
-    return fixed(replace(model, anchors=Anchors(*(a[chosen] for a in model.anchors))))
-
-
-def saved_by_new_context(A, steps=300):
-    """Bytes of the attributes of A anchors that a newly trained context saves."""
-    part = some(plain, A)
-    q = quantise(part)
-    fit = ContextFit(part, q, *COMMON)
-    for _ in range(steps):
-        fit.step()
-    stored = written(part, fit.design, fit.networks, fit.p.listed("grid"))
-    return without_context(part, q)["attribute_bytes"] - stored["attribute_bytes"]
-
-
 most = model.primitives
-measured = {A: saved_by_new_context(A) for A in (most // 2, 3 * most // 4, most)}
-print("saved by a new context:", ", ".join(f"{n} of {A} anchors" for A, n in measured.items()))
-
-
-def break_even(cost, measured):
-    """The anchors from which the context pays, by the rule of the study."""
-    return pays_from(
-        [
-            {"anchors": A, "saved_bytes": n, "cost_bytes": cost, "net_bytes": n - cost}
-            for A, n in measured.items()
-        ]
-    )
-
-
 for name, cost in costs.items():
-    ends = break_even(cost, measured), break_even(cost, {most: saved})
-    print(f"{name}: pays from {ends[0]:,.0f} anchors (new context), {ends[1]:,.0f} (the file's)")
+    print(f"{name}: pays from {most * cost / saved:,.0f} anchors")
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 4.2), layout="constrained")
 anchors = np.array([60, 6000])
-left.loglog(list(measured), list(measured.values()), "o", label="saved by a new context")
-left.loglog(most, saved, "s", label="by the file's context")
-for at, n in enumerate((measured[most], saved)):
-    left.loglog(anchors, n * anchors / most, ":", color=lessons.COLORS[at])
+left.loglog(most, saved, "s", label="saved by the context")
+left.loglog(anchors, saved * anchors / most, ":", color=lessons.COLORS[0])
 for (name, cost), style in zip(costs.items(), ("-", "--")):
     left.axhline(cost, color="black", ls=style, label=f"cost: {name}")
 lessons.finish(
@@ -155,14 +117,15 @@ lessons.show(figure, "beyond_context")
 # **Not built.** The format keeps its one form, with context.
 #
 # - **Bytes.** Before coded networks a mode without context would have saved 3.9 kB of 38.7, ten
-#   percent. With them it saves 228 of this file's 9,026 bytes, 2.5 %.
+#   percent. With them it saves 67 of this file's 9,026 bytes, or 223, 2.5 %, in a format made for
+#   it, which would store 136 bytes of means and deviations and no networks.
 # - **PSNR.** Trainings with one mean, deviation and step per channel (an experiment before B1 was
 #   finished, with networks coded at a similar rate) saved 255 bytes, also 2.5 %, and lost 0.14 dB.
 #   Two trainings of one scene differ by as much, so there is no gain to speak of.
-# - **Break-even.** With float16 networks the context of this file pays from thousands of anchors
-#   on, the study says 2,900. With coded networks both measurements divide by ten: 230 anchors for
-#   a context that is trained alone, 450 for the one in the file, which is trained with everything
-#   else and for its own bits too. The paper's scenes have tens of thousands.
+# - **Break-even.** With float16 networks the context of this file pays from about 4,000 anchors
+#   on, with coded networks from about 270. A context that was trained alone, on the symbols of a
+#   trained model, paid from 2,900 and from 230 anchors on. The paper's scenes have tens of
+#   thousands.
 # - **Time.** The context takes about 6 % of the time in which this file is decoded.
 # - **Price of building it.** A second meaning of sections in the format, a flag, a second path in
 #   training and in every port.
@@ -171,6 +134,4 @@ lessons.show(figure, "beyond_context")
 # training keeps only as much of the context as pays: 434 instead of 4,112 bytes in this file.
 #
 # What these figures leave out: the file's context also chooses a step for every anchor (Eq. 8),
-# and the table counts this at nothing. Random subsets of anchors are farther apart than trained
-# ones, so that a context finds less in them than in models with so few anchors. One scene, one
-# seed.
+# and the table counts this at nothing. One scene, one seed.

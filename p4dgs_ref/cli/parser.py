@@ -328,10 +328,10 @@ GROUPS = {
     "Measure, for those who ask what a choice costs": {
         "accuracy": (
             "study.accuracy",
-            "what accuracy costs in time: studies with diagrams and tables",
+            "what accuracy costs in time and bytes: a table of knobs, with a figure for each",
             (
                 JSON,
-                several("--only", "NAME", "only this study; may be repeated"),
+                several("--only", "NAME", "only this knob or harness; may be repeated"),
                 switch("--quick", "small sizes, about a minute instead of ten"),
                 JOBS,
                 output(

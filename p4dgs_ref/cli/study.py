@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ..lab import bench as times
-from ..lab.accuracy import report
+from ..lab.accuracy import knobs, report
 from ..lab.effects import ledger
 from ..lab.effects.suggest import foretold, suggest
 from ..lab.stability import table
@@ -15,9 +15,9 @@ from .job import read_scene
 
 
 def accuracy(arguments):
-    """Run the studies of accuracy against time."""
+    """Turn the knobs that trade accuracy for time or bytes, and write a page about them."""
     only = arguments.only
-    expect_known("--only", only, report.STUDIES)
+    expect_known("--only", only, knobs.NAMES)
     with filled(arguments.output) as beside:
         result = report.run(only or None, beside, arguments.quick, progress, arguments.jobs)
     show(arguments, result, report.describe(result, arguments.output))

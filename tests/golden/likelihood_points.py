@@ -2,24 +2,25 @@
 
     python -m tests.golden.likelihood_points
 
-Some points are drawn from each of the study's two planes. Their bits and slopes are computed with
-60 digits, rounded to float64 and stored beside the study.
+Some points are drawn from the plane of the stability map. Their bits and slopes are computed with
+60 digits, rounded to float64 and stored beside the formulas.
 """
 
 import json
 
 import numpy as np
 
-from p4dgs_ref.lab.accuracy.likelihood import DIGITS, plane
+from p4dgs_ref.lab.accuracy.formulas import DIGITS
+from p4dgs_ref.lab.stability.heatmap import plane
 
 from .sixty_digits import gradient, value
 
-COUNTS = {"quick": 4, "full": 30}
+COUNT = 30
 
 
-def rows(quick, count):
+def rows(count):
     """[z, w, bits, slope in f_noisy, slope in q] of `count` points, for mu = 0 and sigma = 1."""
-    z, w = (a.ravel() for a in np.meshgrid(*plane(quick), indexing="ij"))
+    z, w = (a.ravel() for a in np.meshgrid(*plane(), indexing="ij"))
     chosen = np.random.default_rng(0).choice(len(z), count, replace=False)
     one = np.ones((1, 1))
     found = []
@@ -32,5 +33,4 @@ def rows(quick, count):
 
 
 if __name__ == "__main__":
-    planes = {name: rows(name == "quick", count) for name, count in COUNTS.items()}
-    DIGITS.write_text(json.dumps(planes, indent=1) + "\n", encoding="utf-8")
+    DIGITS.write_text(json.dumps(rows(COUNT), indent=1) + "\n", encoding="utf-8")

@@ -1,23 +1,29 @@
 """What a figure shows: the texts that matplotlib really draws, and which of them overlap."""
 
+import inspect
+import sys
 from itertools import combinations
 
 from matplotlib.text import Text
 
-from p4dgs_ref.lab.bench import replaced
+DRAW = inspect.unwrap(Text.draw).__code__
 
 
 def texts(figure):
     """[(text, box in pixels)] of all texts that are drawn."""
-    found, draw = [], Text.draw
+    found, before = [], sys.getprofile()
 
-    def watched(text, renderer):
-        if text.get_visible() and text.get_text().strip():
-            found.append((text.get_text(), Text.get_window_extent(text, renderer)))
-        draw(text, renderer)
+    def watch(frame, event, _):
+        if event == "call" and frame.f_code is DRAW:
+            text, renderer = frame.f_locals["self"], frame.f_locals["renderer"]
+            if text.get_visible() and text.get_text().strip():
+                found.append((text.get_text(), Text.get_window_extent(text, renderer)))
 
-    with replaced(Text, draw=watched):
+    sys.setprofile(watch)
+    try:
         figure.canvas.draw()
+    finally:
+        sys.setprofile(before)
     return found
 
 

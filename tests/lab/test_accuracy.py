@@ -1,6 +1,6 @@
-"""The studies of accuracy against time: how they measure, rendering, likelihood and coder.
+"""The knobs of accuracy: their forms, the harnesses that measure them, the page and its figures.
 
-The tests look at counted work and at the order of errors, never at times.
+The tests look at errors, bytes and counted pairs, never at times.
 """
 
 import json
@@ -10,118 +10,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from p4dgs_ref.codec.streams import decode_symbols
+from p4dgs_ref.codec.file import decode, encode
+from p4dgs_ref.codec.gaussian_table import gaussian_model
+from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.equations import likelihood
-from p4dgs_ref.lab import bench
-from p4dgs_ref.lab.accuracy import coder, diagram, formulas, rendering, report, timing
-from p4dgs_ref.lab.accuracy import likelihood as likelihood_study
-from p4dgs_ref.splatting.settings import Settings
+from p4dgs_ref.lab import clock
+from p4dgs_ref.lab.accuracy import diagram, forms, formulas, harness, knobs, report, written
+from p4dgs_ref.lab.stability.heatmap import plane
+from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.training.presets import TINY
+from tests.lab import drawn
 
 TABLE = json.loads(
     (Path(__file__).parents[1] / "golden" / "data" / "gaussian_bin_constants.json").read_text()
 )
 Z, W, BITS, BITS_X, BITS_Q = (np.array(column) for column in zip(*TABLE["rows"]))
+SMALL = load_scene("bouncing", downscale=8)
+KNOBS = {knobs.file_name(knob): knob for knob in knobs.KNOBS}
 
 
-# --- how it is measured --------------------------------------------------------------------------
-def test_special_functions_are_counted_and_left_as_they_were():
-    before = dict(vars(formulas))
-    x = np.linspace(0.1, 2, 7)[None]
-    one = np.ones_like(x)
-    assert timing.special_calls(formulas, lambda: formulas.literal(x, 0 * x, one, one)) == 35
-    assert dict(vars(formulas)) == before
-    with pytest.raises(ZeroDivisionError), bench.replaced(formulas, ndtr=None):
-        1 / 0
-    assert formulas.ndtr is before["ndtr"]
-
-
-def test_failures_are_drawn_in_red_at_the_edge_and_stay_out_of_the_line():
-    rows = [
-        {"method": "stable", "knob": i, "ms": 1.0 + i, "error": e}
-        for i, e in enumerate((0.1, math.inf, 0.001, 0.0))
-    ]
-    figure, (ax,) = diagram.figure()
-    diagram.lines(ax, rows, diagram.TIME)
-    line, *marks = ax.lines
-    assert list(line.get_ydata()) == [0.1, 0.001]
-    assert [(mark.get_color(), mark.get_ydata()[0] > 0.1) for mark in marks] == [
-        ("red", True),
-        (diagram.STYLES["stable"]["color"], False),
-    ]
-    diagram.pyplot().close(figure)
-
-
-@pytest.mark.parametrize(
-    "value, text",
-    [
-        (0, "0"),
-        (0.5, "0.5"),
-        (3.2e-7, "3.2e-07"),
-        (math.inf, "infinite"),
-        (math.nan, "not a number"),
-        (250000, "2.5e+05"),
-    ],
-)
-def test_numbers_for_sentences(value, text):
-    assert diagram.number(value) == text
-
-
-# --- rendering -----------------------------------------------------------------------------------
-def rendered(name="small splats", n=120, side=32, **settings):
-    """The errors and pairs of the fast renderer under some settings."""
-    scene = rendering.splat_scene(name, n, side)
-    settings = {"dtype": "float64", "footprint": "ellipse", **settings}
-    found = rendering.tiled(scene, Settings("test", **settings))
-    return rendering.errors(found, rendering.exact(scene))
-
-
-def test_listing_everything_costs_every_pair_and_errs_by_rounding_alone():
-    row = rendered(footprint="all")
-    _, _, pairs = rendering.exact(rendering.splat_scene("small splats", 120, 32))
-    assert row["pairs"] == pairs == 120 * 32 * 32
-    assert row["error"] < 1e-13 and row["gradient_error"] < 1e-12
-    assert 1e-9 < rendered(footprint="all", dtype="float32")["gradient_error"] < 1e-5
-
-
-def test_a_lower_cut_costs_pairs_and_buys_accuracy():
-    rows = [rendered(cut=cut) for cut in rendering.CUTS.values()]
-    assert list(rendering.CUTS.values()) == sorted(rendering.CUTS.values(), reverse=True)
-    for key in ("error", "rms_error", *(f"{name}_error" for name in rendering.GRADIENTS)):
-        values = [row[key] for row in rows]
-        assert values == sorted(values, reverse=True) and values[-1] < 1e-6 < values[0], key
-    pairs = [row["pairs"] for row in rows]
-    assert pairs == sorted(pairs) and pairs[0] < pairs[-1] < 120 * 32 * 32
-
-
-def test_the_stop_saves_pairs_where_splats_are_opaque():
-    without, early = (rendered("large, opaque", 400, cut=5e-5, stop=stop) for stop in (0.0, 1e-2))
-    assert early["pairs"] < 0.8 * without["pairs"] and without["error"] < early["error"] <= 0.02
-
-
-def test_fast_is_more_accurate_than_paper_with_fewer_pairs():
-    rows, text = report.summary(1)
-    exact, paper, fast_ = rows
-    assert [row["settings"] for row in rows] == ["exact", "paper", "fast"] and json.dumps(rows)
-    for key in ("error", "rms_error", *(f"{name}_error" for name in rendering.GRADIENTS)):
-        assert exact[key] == 0 < fast_[key] < 0.1 * paper[key], key
-    assert fast_["pairs"] < paper["pairs"] < exact["pairs"] == 1000 * 64 * 64
-    assert len(text.splitlines()) == 5 + ("Disturbed" in text)
-    assert all(f"\n{name}" in text for name in ("exact", "paper", "fast"))
-
-
-# --- likelihood ----------------------------------------------------------------------------------
-def test_the_truth_of_the_plane_agrees_with_stored_constants():
+# --- Eq. (11) ------------------------------------------------------------------------------------
+def test_the_truth_agrees_with_stored_constants_and_with_sixty_digits():
     log_p, slope_z, slope_w = formulas.truth(np.abs(Z), W)
     assert np.all(np.abs(-log_p / math.log(2) - BITS) <= 1e-12 * np.maximum(BITS, 1e-6))
     largest = np.maximum(np.abs(BITS_X), np.abs(BITS_Q))
     for slope, wanted in ((slope_z * np.sign(Z), BITS_X), (slope_w, BITS_Q)):
         assert np.all(np.abs(-slope / math.log(2) - wanted) <= 1e-12 * largest + 1e-300)
-
-
-def test_the_truth_of_the_plane_agrees_with_sixty_digits():
-    for quick in (True, False):
-        bits, slopes = likelihood_study.check_truth(quick)
-        assert bits < 1e-13 and slopes < 1e-12
+    bits, slopes = formulas.check_truth()
+    assert bits < 1e-15 and slopes < 2e-14
 
 
 def test_formulas_agree_where_all_of_them_work():
@@ -140,11 +56,8 @@ def test_formulas_agree_where_all_of_them_work():
 
 
 def test_errors_over_the_plane_are_ordered():
-    z, w = (a.ravel() for a in np.meshgrid(*likelihood_study.plane(True), indexing="ij"))
-    found = {
-        name: likelihood_study.errors(formula, z, w, "float64")
-        for name, formula in formulas.FORMULAS.items()
-    }
+    z, w = (a.ravel() for a in np.meshgrid(*(axis[::3] for axis in plane()), indexing="ij"))
+    found = {n: formulas.errors(f, z, w, "float64") for n, f in formulas.FORMULAS.items()}
     failed = {name: np.mean(~np.isfinite(bits)) for name, (bits, _) in found.items()}
     assert failed["stable"] == failed["log domain"] == failed["HAC, floor 1e-6"] == 0
     assert failed["literal"] > failed["tail-symmetric"] > 0.1
@@ -156,82 +69,334 @@ def test_errors_over_the_plane_are_ordered():
     assert np.isfinite(found["tail-symmetric"][0][z < 30]).all()
 
 
-def test_rows_of_the_diagram_count_and_order():
-    rows = likelihood_study.timed_rows(300, 1)
-    near, far = (
-        {(row["method"], row["knob"]): row for row in rows if row["reach"] == reach}
-        for reach in likelihood_study.REACHES
+def test_the_floor_of_hac_limits_the_bits_and_stops_the_gradient():
+    one = np.ones((1, 3))
+    bits, saved = formulas.hac(np.array([[4.0, 5.5, 9.0]]), 0 * one, one, one)
+    assert bits[0] == pytest.approx([12.0909, 19.9316, 19.9316], abs=1e-4)
+    slopes = likelihood.backward(saved, one)
+    assert slopes["f_noisy"][0, 0] > 5
+    # Values in the tail are never pulled back.
+    assert not any(slope[0, 1:].any() for slope in slopes.values())
+
+
+# --- forms of functions --------------------------------------------------------------------------
+def judged(name):
+    """What the forms of a knob give, {(line, value): columns}, without times."""
+    with np.errstate(all="ignore"):
+        return {key: judge(run()) for key, (run, judge) in KNOBS[name].values(True).items()}
+
+
+# The largest error of a line's first value, and the smallest of its last one.
+ENDS = {
+    ("renderer", ""): (0, 1 / 510),
+    ("cut", "float32"): (1e-6, 1e-3),
+    ("cut", "float64"): (1e-8, 1e-3),
+    ("stop", "tiles of 8 pixels"): (1e-4, 1e-3),
+    ("stop", "tiles of 16 pixels"): (1e-4, 1e-3),
+    ("precision", "compositing"): (0, 1e-8),
+    ("precision", "likelihood"): (0, 1e-8),
+    ("precision", "opacity"): (0, 1e-8),
+    ("likelihood", "the declared domain"): (1e-9, math.inf),
+    ("likelihood", "up to 3 σ, bins of 0.01 to 10 σ"): (1e-13, 1e-13),
+    ("likelihood_table", ""): (1e-13, 0.1),
+    ("noise_draws", ""): (2e-3, 2e-3),
+    ("lanes", ""): (0.005, 0.02),
+    ("frequency_bits", ""): (0.005, 0.02),
+    ("context_bits", "mean"): (0.005, 0.04),
+    ("context_bits", "log2 deviation"): (0.005, 0.01),
+}
+
+
+@pytest.fixture(scope="module")
+def errors():
+    return {name: judged(name) for name in dict.fromkeys(name for name, _ in ENDS)}
+
+
+def test_cheaper_forms_err_more(errors):
+    formula_knobs = [name for name, knob in KNOBS.items() if knob.harness == "formula"]
+    assert set(errors) == set(formula_knobs)
+    for (name, line), (most, least) in ENDS.items():
+        along = [row["error"] for (own, _), row in errors[name].items() if own == line]
+        assert along[0] <= most and along[-1] >= least, (name, line, along)
+        if line != "up to 3 σ, bins of 0.01 to 10 σ":
+            # The coder's first digits cost less than one symbol.
+            rises = np.diff(np.minimum(along, 1e9)) >= -1e-4 * (name.endswith("bits"))
+            assert rises.all(), (name, line, along)
+
+
+def test_forms_of_the_renderer_count_their_pairs(errors):
+    exact, fast, paper = (
+        errors["renderer"]["", name]["pairs"] for name in ("exact", "fast", "paper")
     )
-    work = {key: row["special_per_value"] for key, row in near.items()}
-    assert work["literal", "float64"] == work["tail-symmetric", "float32"] == 5
-    assert work["log domain", "float64"] == 6
-    assert work["table, float64", "256/σ"] == 1 < work["stable", "float64"] < 10
-    table = [near["table, float64", f"{n}/σ"]["bits_error"] for n in formulas.TABLES]
-    assert table == sorted(table, reverse=True) and table[-1] < 1e-3 * table[0]
-    assert far["literal", "float64"]["bits_error"] == math.inf
-    assert far["stable", "float64"]["bits_error"] < 1e-12
-    assert far["stable", "float32"]["bits_error"] < 2e-6
+    assert fast < paper < exact == 300 * 48 * 48
+    pairs = [row["pairs"] for (line, _), row in errors["cut"].items() if line == "float32"]
+    assert pairs == sorted(pairs, reverse=True) and pairs[-1] < 0.7 * pairs[0]
+    of_8 = [row["pairs"] for (line, _), row in errors["stop"].items() if "8" in line]
+    assert of_8[0] >= of_8[1] > of_8[2]
 
 
-# --- entropy coder -------------------------------------------------------------------------------
-def test_frequencies_add_up_to_their_precision():
-    symbols, mu, sigma, _ = coder.message(200)
-    for precision in (12, 24):
-        model_ = coder.model_of(mu, sigma, precision, 4, 2, 5.0)
-        unit = 1 << 24 - precision
-        assert np.all(np.diff(model_.keys) >= unit) and not np.any(model_.keys % unit)
-        assert np.array_equal(
-            model_.keys[np.append(model_.first, len(model_.keys) - 1)] >> 24,
-            np.arange(len(model_.first) + 1),
-        )
-        escapes = model_.first + model_.blocks
-        assert np.all(
-            np.diff(model_.keys)[escapes] == unit
-        )  # one count, so all others are the window's
-        deviation = sigma.max()
-        assert (
-            model_.blocks.max()
-            == 2 * (1 + math.ceil(5 * 2 ** (round(4 * math.log2(deviation)) / 4))) + 1
-        )
-    with pytest.raises(ValueError, match="does not fit"):
-        coder.model_of(mu, sigma, 8, 4, 2, 12.0)
+def test_tables_have_errors_of_second_order_and_gradients_of_first(errors):
+    coarse, fine = (errors["likelihood_table"]["", n] for n in ("64", "4096"))
+    assert 0.3 < coarse["bits_error"] / fine["bits_error"] / 64**2 < 3
+    assert 0.3 < coarse["gradient_error"] / fine["gradient_error"] / 64 < 3
+    assert errors["likelihood"]["the declared domain", "literal"]["failed_share"] > 0.3
 
 
-def test_symbols_and_escapes_are_decoded():
-    symbols, mu, sigma, _ = coder.message(400, seed=5)
+def test_coarse_frequencies_add_up_and_escapes_are_decoded():
+    symbols, mu, sigma = forms.message(400)
+    units = forms.in_units(mu, 10, 10), forms.in_units(np.log2(sigma), 4, 4)
+    model = forms.coarse(gaussian_model(*units), 12)
+    assert np.all(np.diff(model.keys) >= 1 << 12) and not np.any(model.keys % (1 << 12))
+    owners = np.append(model.first, len(model.keys) - 1)
+    assert np.array_equal(model.keys[owners] >> 24, np.arange(len(owners)))
+    escapes = model.first + model.blocks
+    assert np.all(np.diff(model.keys)[escapes] == 1 << 12)  # one count
     symbols[::50] += np.array([1, -1] * 4) * np.array([100, 40, 7000, 9, 12, 33, 2**20, 2**30])
-    model_ = coder.model_of(mu, sigma, 10, 3, 3, 3.0)
-    data, ideal, escapes = coder.encode(symbols, model_)
-    assert escapes >= 5 and np.array_equal(decode_symbols(data, model_), symbols)
-    assert 0 <= 8 * len(data) - ideal < 200
+    data, decoded = forms.with_frequencies(symbols, mu, sigma, 12)
+    assert np.array_equal(decoded, symbols)
+    _, judge = forms.coded({"": None}, symbols, mu, sigma)[""]
+    with pytest.raises(AssertionError, match="other symbols"):
+        judge((data, decoded + 1))
 
 
-def test_more_bits_never_cost_more_than_they_save():
-    rows = coder.code(1500, 1, lambda line: None)
-    for method, least in (
-        ("frequencies, 12σ window", 5),
-        ("frequencies, fitted window", 9),
-        ("mean", 8),
-        ("log2 deviation", 6),
-    ):
-        line = [row["model_percent"] for row in rows if row["method"] == method]
-        assert len(line) >= least and line[0] > line[2] > line[-1], method
-    codec = diagram.at(rows, method="the codec")
-    own = diagram.at(rows, method="mean", knob=10)
-    assert (
-        abs(codec["model_percent"] - own["model_percent"]) < 0.05
-        and codec["table_entries"] < own["table_entries"] / 2
-    )
-    assert all(
-        row["symbols"] == 1500 and row["percent"] > row["model_percent"] - 1e-9 for row in rows
-    )
+# --- one model, written otherwise ----------------------------------------------------------------
+def test_fixed_steps_are_exactly_the_base_steps(short_model):
+    Q_0 = np.array(short_model.design.Q_0)
+    assert not np.all(quantise(short_model).context.q == Q_0)
+    assert np.all(quantise(written.fixed(short_model)).context.q == Q_0)
+    assert np.all(quantise(written.scaled(written.fixed(short_model), 4)).context.q == 4 * Q_0)
 
 
-def test_lanes_cost_bytes_and_decode_to_the_same_symbols():
-    rows = coder.code(3000, 1, lambda line: None)
-    laned = diagram.select(rows, method=coder.LANED)
-    sizes = [row["bytes"] for row in laned]
-    assert [row["knob"] for row in laned] == [1, 8, 32, 128]  # too few symbols for 512
-    assert sizes == sorted(set(sizes)) and sizes[0] == diagram.at(rows, method=coder.CODEC)["bytes"]
-    # Closing a lane takes about 4.5 bits, and the tail is coded in the first lane alone.
-    assert all(row["bytes"] - sizes[0] < 8 + 4 * row["knob"] for row in laned)
+def test_without_context_the_symbols_stay_and_the_networks_go(short_model):
+    own, alone = (decode(encode(m)) for m in written.context(short_model).values())
+    for a, b in zip(own.anchors, alone.anchors):
+        assert np.array_equal(a, b)
+    rows = harness.measure_file(KNOBS["context"], short_model, SMALL)
+    assert rows[0]["psnr_db"] == rows[1]["psnr_db"] and rows[0]["bytes"] > rows[1]["bytes"] + 3000
+    q = quantise(written.without_context(short_model))
+    assert np.allclose(q.symbols.mean(axis=0)[:22], q.context.mu_units[0, :22] / 1024, atol=0.05)
+    made = {"bytes": 4900, "attribute_bytes": 1000, "anchors": 100}
+    without = {"bytes": 1300, "attribute_bytes": 1200, "anchors": 100}
+    assert harness.pays_from([made, without]) == 1900  # 3,800 bytes at 2 an anchor
+
+
+@pytest.mark.parametrize(
+    "name, factor",
+    [
+        ("weight_bits", 2.5),
+        ("steps", 1.01),
+        pytest.param("position_bits", 1.005, marks=pytest.mark.slow),
+    ],
+)
+def test_coarser_files_need_fewer_bytes(short_model, name, factor):
+    rows = harness.measure_file(KNOBS[name], short_model, SMALL)
+    for own in diagram.lines_of(rows).values():
+        sizes = [row["bytes"] for row in own]
+        assert sizes == sorted(sizes, reverse=True) and sizes[0] > factor * sizes[-1], name
+
+
+# --- trainings -----------------------------------------------------------------------------------
+ONE = clock.Times(2.0, 1.0, 4.0, 1.5)
+
+
+def test_trainings_are_done_once_and_timed_by_their_steps(monkeypatch):
+    monkeypatch.setattr(harness, "alternate", lambda steps, _: dict.fromkeys(steps, ONE))
+    small = [
+        KNOBS["children_k"]._replace(values={"4": {}, "1": dict(k=1, anchors=20)}),
+        KNOBS["image_size"]._replace(values={"64 px": {}, "16 px": dict(downscale=4)}),
+    ]
+    tasks, said = [], []
+
+    def train_one(task):
+        tasks.append(task)
+        return {"psnr_db": 20.0 + task[2], "bytes": 100, "anchors": 1}
+
+    monkeypatch.setattr(harness, "train_one", train_one)
+    rows, spread = harness.measure_trainings(small, False, said.append, 1, 12)
+    assert spread == harness.SEEDS - 1 and len(tasks) == 3 + harness.SEEDS
+    assert rows["children k"][0] | {"value": ""} == rows["image size"][0] | {"value": ""}
+    for row in (row for own in rows.values() for row in own):
+        # 12 iterations; a step of stage 3 and one of stage 4 take 2 ms together.
+        assert [row[f"seconds{end}"] for end in ("", "_low", "_high")] == [0.012, 0.006, 0.024]
+        assert row["stretch"] == 1.5
+    quick, spread = harness.measure_trainings(small, True, said.append, 1, 12)
+    assert spread == 0 and set(quick["image size"][1]) == {"line", "value", "stretch"} | {
+        f"seconds{end}" for end in ("", "_low", "_high")
+    }
+
+
+ELSEWHERE = {"downscale", "settings"}  # changes that are no fields of a preset
+
+
+def test_the_table_of_knobs_is_about_this_package():
+    assert len(KNOBS) == len(knobs.KNOBS) and not set(KNOBS) & set(knobs.HARNESSES)
+    bases = {}
+    for knob in (knob for knob in knobs.KNOBS if knob.harness == "training"):
+        for value, changes in knob.values.items():
+            _, preset, _ = harness.prepared(changes, 38)
+            assert (preset != harness.reduced(38)) == bool(changes.keys() - ELSEWHERE), value
+        if knob.name != "iterations":
+            (bases[knob.set_by],) = (value for value, changes in knob.values.items() if not changes)
+    for field in ("k", "d", "L_x", "L_t", "anchors", "lambda_rate"):
+        assert float(bases[f"`--set {field}`"]) == getattr(TINY, field)
+    assert harness.prepared(knobs.steps_times(1), 38)[1] == harness.reduced(38)
+    with pytest.raises(ValueError, match="knob 'colour': expected one of formula, file, training"):
+        knobs.chosen(["renderer", "colour"])
+    assert {knob.harness for knob in knobs.chosen(["file"])} == {"file"}
+
+
+# --- what the rows say ---------------------------------------------------------------------------
+def rows_of(kind, *points):
+    """Rows of (value, ms, error) or of (value, bytes, psnr_db)."""
+    if kind == "bytes":
+        return [dict(line="", value=v, bytes=size, psnr_db=psnr) for v, size, psnr in points]
+    quartiles = [dict(ms=ms, ms_low=ms - 0.5, ms_high=ms + 0.5) for _, ms, _ in points]
+    return [
+        dict(line="", value=value, error=error, stretch=1.0, **times)
+        for (value, _, error), times in zip(points, quartiles)
+    ]
+
+
+NOT_TOLD = [harness.NOT_TOLD] * 3
+SAID = [  # points, --quick, what is told: the cheap value, its loss, its saving, the verdict
+    ("ms", [("b", 3, 0.001), ("c", 1, 0.02)], True, ["b", "0.1 %", "9 → 3 ms", "always"]),
+    ("ms", [("b", 3, 0.001), ("c", 4, 0)], True, ["b", "0.1 %", "9 → 3 ms", "always"]),
+    ("ms", [("b", 3, 0.01)], False, ["b", "1 %", "9 → 3 ms", "for rough work"]),
+    ("ms", [("b", 3, math.inf)], False, ["b", "infinite", "9 → 3 ms", "no"]),
+    ("ms", [("b", 8.5, 0)], True, ["b", "0", "9 → 8.5 ms", "saves nothing"]),
+    ("bytes", [("b", 4000, 30.01)], False, ["b", "+0.01 dB", "9,000 → 4,000 bytes", "always"]),
+    ("bytes", [("b", 4000, 29.7)], False, ["b", "−0.30 dB", "9,000 → 4,000 bytes", "at low rates"]),
+    ("bytes", [("b", 4000, 20)], False, ["b", "−10.00 dB", "9,000 → 4,000 bytes", "no"]),
+    ("bytes", [("b", 4000, 29.7)], True, ["b", *NOT_TOLD]),
+]
+
+
+@pytest.mark.parametrize("kind, points, quick, wanted", SAID)
+def test_a_verdict_is_computed_from_the_numbers(kind, points, quick, wanted):
+    knob = {"ms": KNOBS["cut"], "bytes": KNOBS["weight_bits"]}[kind]
+    dear = {"ms": ("a", 9, 0), "bytes": ("a", 9000, 30)}[kind]
+    found = harness.finding(knob, rows_of(kind, dear, *points), quick)
+    shown = [found[name] for name in ("cheap", "lost", "saved", "verdict")]
+    assert [text.removesuffix(" of the picture") for text in shown] == wanted
+    if wanted[-1] == "at low rates":
+        hidden = harness.finding(knob, rows_of(kind, dear, *points), quick, spread=0.31)
+        assert hidden["verdict"] == harness.HIDDEN
+    assert found["verdict"] in harness.ORDER and len(found["verdict"].split()) <= 5
+
+
+# --- figures -------------------------------------------------------------------------------------
+@pytest.fixture
+def saved(monkeypatch):
+    """Figures as they are just before they are written, {file: figure}."""
+    figures = {}
+    monkeypatch.setattr(diagram, "save_figure", lambda fig, path: figures.update({path.name: fig}))
+    yield figures
+    for figure in figures.values():
+        diagram.pyplot().close(figure)
+
+
+def crowd(line, n=9):
+    """Points so close together that labels at the same side of all of them would overlap."""
+    return [
+        {"line": line, "value": f"{i} entries", "ms": 1 + 0.01 * i, "error": 1e-3 * (1 + i)}
+        | {"ms_low": 1 + 0.01 * i - 0.1, "ms_high": 1 + 0.01 * i + 0.2}
+        for i in range(n)
+    ]
+
+
+LOGARITHMIC = dict(xscale="log", yscale="log")
+
+
+def test_labels_of_close_points_do_not_overlap(saved, tmp_path, monkeypatch):
+    panel = "a crowd", crowd("one") + crowd("other"), "ms", "error", 1e-3, LOGARITHMIC
+    diagram.draw(tmp_path / "crowd.png", [panel], (8, 5))
+    assert drawn.overlaps(saved["crowd.png"]) == []
+    shown = [text for text, _ in drawn.texts(saved["crowd.png"]) if text.endswith("entries")]
+    assert len(shown) > 6  # most of them find a place
+    monkeypatch.setattr(diagram, "place_labels", lambda fig: None)
+    diagram.draw(tmp_path / "naive.png", [panel], (8, 5))
+    assert len(drawn.overlaps(saved["naive.png"])) > 5
+
+
+def test_failures_are_red_at_the_top_and_lines_can_be_told_apart():
+    rows = rows_of("ms", ("a", 1, 0.1), ("b", 2, math.inf), ("c", 3, 0.001), ("d", 4, 0.0))
+    rows += [{**rows[0], "line": f"line {i}"} for i in range(12)]
+    figure, ax = diagram.pyplot().subplots()
+    ax.set(**LOGARITHMIC)
+    diagram.lines(ax, rows, "ms", "error")
+    first, *others = ax.lines
+    assert list(first.get_ydata()) == pytest.approx([0.1, math.nan, 0.001, 1e-17], nan_ok=True)
+    assert [a.get_xdata()[0] for a in others if a.get_color() == "red"] == [2]
+    bars = [list(a.get_xdata()) for a in others if len(a.get_xdata()) == 2]
+    assert bars[:2] == [[0.5, 1.5], [1.5, 2.5]]
+    looks = [(a.get_color(), a.get_marker()) for a in ax.lines if a.get_label()[0] != "_"]
+    assert len(set(looks)) == 12
+    diagram.pyplot().close(figure)
+
+
+# --- the page ------------------------------------------------------------------------------------
+@pytest.fixture
+def overlapping(monkeypatch):
+    """The texts that overlap in any figure of a page, [(file, text, text)]."""
+    found, save = [], diagram.save_figure
+
+    def watched(figure, path):
+        found.extend((path.name, *pair) for pair in drawn.overlaps(figure))
+        save(figure, path)
+
+    monkeypatch.setattr(diagram, "save_figure", watched)
+    return found
+
+
+def check_page(folder, result):
+    """Every knob has a row, a section, its numbers, and a figure where something can be told."""
+    page = (folder / report.PAGE).read_text(encoding="utf-8")
+    assert json.dumps(result) and page.startswith("# What accuracy costs in time and bytes\n")
+    files, table = {report.PAGE, "knobs.csv"}, page.split("\n\n")[1 + ("\nDisturbed" in page)]
+    assert len(table.splitlines()) == 2 + len(result["knobs"])
+    ranks = [report.rank(found) for found in result["knobs"]]
+    assert ranks == sorted(ranks)
+    for found in result["knobs"]:
+        name = found["knob"].replace(" ", "_").replace("λ", "lambda")
+        assert f"| {found['knob']} " in table and f"### {found['knob']}\n" in page
+        told = found["verdict"] != harness.NOT_TOLD
+        assert (f"![{found['knob']}]({name}.png)" in page) == told
+        files |= {f"{name}.csv"} | ({f"{name}.png", "knobs.png"} if told else set())
+        assert len((folder / f"{name}.csv").read_text().splitlines()) > 2
+    assert {file.name for file in folder.iterdir()} == files
+    assert report.describe(result, folder).splitlines()[0] == table.splitlines()[0]
+    return page
+
+
+def test_chosen_knobs_make_a_page(tmp_path, overlapping, monkeypatch):
+    monkeypatch.setattr(report, "stretch_of", lambda rows: 2.5)
+    monkeypatch.setattr(report, "QUICK_ITERATIONS", 40)
+    finding, no = report.finding, {"precision": {"verdict": "no"}}
+    monkeypatch.setattr(report, "finding", lambda k, *rows: finding(k, *rows) | no.get(k.name, {}))
+    result = report.run(["precision", "likelihood_table", "context"], tmp_path, True)
+    page = check_page(tmp_path, result)
+    assert page.splitlines()[2].startswith("Disturbed: ") and overlapping == []
+    assert [found["knob"] for found in result["knobs"]] == [
+        "likelihood table",
+        "precision",
+        "context",
+    ]
+    assert page.count(harness.NOT_TOLD) == 5 and "dB" not in page.split("### context")[1]
+
+
+@pytest.mark.slow
+def test_all_knobs_quickly(tmp_path, overlapping):
+    result = report.run(None, tmp_path, True)
+    assert {found["knob"] for found in result["knobs"]} == {knob.name for knob in knobs.KNOBS}
+    check_page(tmp_path, result)
+    assert overlapping == []
+
+
+@pytest.mark.slow
+def test_a_full_page_tells_all_harnesses(tmp_path, overlapping, monkeypatch):
+    monkeypatch.setattr(report, "ITERATIONS", 40)
+    names = ["noise_draws", "weight_bits", "context", "hash_grid", "image_size"]
+    result = report.run(names, tmp_path, jobs=2)
+    page = check_page(tmp_path, result)
+    assert harness.NOT_TOLD not in page and "anchors |" in page and "3 seeds" in page
+    assert overlapping == []

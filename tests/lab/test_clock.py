@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from p4dgs_ref.lab import bench, clock
-from p4dgs_ref.lab.accuracy import likelihood, size
+from p4dgs_ref.lab import clock
 
 
 class BusyMachine:
@@ -64,7 +63,7 @@ def test_waiting_for_other_programs_is_no_time(machine):
     assert clock.disturbance(clock.DISTURBED) == "" != clock.disturbance(clock.DISTURBED + 0.01)
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("slower", [1, 1.2, 2, 5])
 def test_the_slower_function_is_never_called_the_faster_one(machine, seed, slower):
     rows = columns(machine(slower, 9, seed), literal=0.010, stable=0.013)
@@ -86,100 +85,7 @@ def test_a_spread_larger_than_the_difference_is_no_reading(machine):
     )
 
 
-@pytest.mark.parametrize("ratio", [*np.linspace(0.5, 2, 301), 10.0, 1e3])
+@pytest.mark.parametrize("ratio", [*np.linspace(0.5, 2, 31), 0.949, 1.051, 10.0, 1e3])
 def test_no_ratio_is_one_times(ratio):
     words = clock.how_long(ratio)
     assert not words.startswith(("1 times", "100 %")), words
-
-
-# --- the paper's scenes --------------------------------------------------------------------------
-GOAL = {part: 1e6 for part in size.UNITS}
-SIZES = ((100, 64), (50, 64), (200, 64), (100, 32), (100, 128))
-
-
-def laws():
-    """{part: nanoseconds per unit of work} of a machine that works for itself."""
-    return {part: 10.0 * (i + 1) for i, part in enumerate(size.UNITS)}
-
-
-def measured(busy, rounds=3):
-    """Rows of all parts at all sizes, taken on a machine whose work follows the laws."""
-    rows = []
-    for A, side in SIZES:
-        work = {part: 100.0 * A + side**2 for part in size.UNITS}
-        steps = []
-        for _ in range(rounds):
-            taken = {}
-            for part, ns in laws().items():
-                _, taken[part] = clock.clocked(busy.work, 1e-9 * ns * work[part])
-            steps.append(taken)
-        for part, amount in work.items():
-            times = clock.times_of([step[part] for step in steps])
-            rows.append(
-                {"part": part, "anchors": A, "work": amount, "mb": amount / 1e3, **times.columns()}
-            )
-    return rows
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_the_hours_at_the_papers_size_stay_within_what_the_machine_slows_down(machine, seed):
-    slower = 3.0
-    found = size.hours(measured(machine(slower, 20, seed)), GOAL)
-    ends = {"deformation": 35_000, "rate": 30_000}
-    for row in found:
-        steps = ends.get(row["part"], 40_000)
-        alone = laws()[row["part"]] * 1e-9 * GOAL[row["part"]] * steps / 3600
-        assert alone <= row["hours"] * 1.0001 and row["hours"] <= slower * alone
-        assert row["hours_low"] <= row["hours"] <= row["hours_high"]
-        assert np.isclose(row["gb"], GOAL[row["part"]] / 1e6)
-    assert sum(row["hours"] for row in found) < slower * 31
-
-
-def test_hours_that_nobody_knows_are_not_printed(machine):
-    rows = measured(machine(slower=100, waiting=3, seed=1), rounds=2)
-    found = size.hours(rows, GOAL)
-    for row in found:
-        row["hours_high"] = 5 * row["hours"]
-    about = [{"anchors": 100, "side": 64}]
-    assert "we cannot tell how long training takes" in size.read(about, found)
-    for row in found:
-        row["hours_low"] = row["hours_high"] = row["hours"]
-    assert "we cannot tell" not in size.read(about, found)
-
-
-def test_a_study_on_a_busy_machine_says_so(machine, monkeypatch):
-    """The whole way: steps of real trainers, timed by clocks of a disturbed machine."""
-    busy = machine(slower=3, waiting=20)
-
-    def ticking():
-        busy.work(0.001)
-        return busy.now.copy()
-
-    monkeypatch.setattr(clock, "clocks", ticking)
-    rows = size.measure([(20, 32), (60, 32)], 3, lambda line: None)
-    assert clock.stretch_of(rows) > clock.DISTURBED
-    parts = {row["part"] for row in rows}
-    assert parts == {*bench.PARTS, "whole step"} == {*size.UNITS, "whole step"}
-    found = size.hours(rows, {part: 2.0 * row["work"] for part, row in at_60(rows).items()})
-    for row in found:
-        largest = at_60(rows)[row["part"]]
-        if row["part"] == "loss":  # does not grow with the anchors
-            continue
-        assert np.isclose(row["hours"], 2 * largest["ms"] * row["steps"] / 3.6e6)
-
-
-def at_60(rows):
-    return {row["part"]: row for row in rows if row["anchors"] == 60 and row["work"] != ""}
-
-
-def test_likelihood_reading_compares_only_what_can_be_told(machine):
-    row = {"special_per_value": 5.0, "bits_error": 1e-15, "reach": 3, "knob": "float64"}
-    near = [
-        {**row, "method": "stable", "ns": 20, "ns_low": 10, "ns_high": 40},
-        {**row, "method": "literal", "ns": 25, "ns_low": 20, "ns_high": 60},
-        {**row, "method": "stable", "knob": "float32", "reach": 1000},
-    ]
-    zeros = [np.zeros((2, 2))] * 2
-    names = ("literal", "stable", "HAC, floor 1e-6", "tail-symmetric", "log domain")
-    maps = {(name, "float64"): zeros for name in names}
-    assert likelihood.read(near, maps).startswith("We cannot tell: `stable` takes 20 ns (10 to 40)")

@@ -3,7 +3,6 @@
 import csv
 import json
 import math
-import time
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,7 @@ import pytest
 
 from p4dgs_ref.__main__ import main
 from p4dgs_ref.equations import likelihood, view
-from p4dgs_ref.lab.accuracy import diagram, formulas, heatmap
-from p4dgs_ref.lab.accuracy import likelihood as likelihood_study
-from p4dgs_ref.lab.accuracy.timing import special_calls
+from p4dgs_ref.lab.accuracy import formulas
 from p4dgs_ref.lab.stability import judge, table
 from p4dgs_ref.lab.stability import map as stability_map
 from p4dgs_ref.lab.stability.cases import hard_cases
@@ -184,28 +181,6 @@ def test_an_outlier_comes_back(formula, comes_back):
     assert bool(abs(x[0, 0]) < 1) is comes_back and bool(x[0, 0] == 40) is not comes_back
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_stable_does_at_most_three_times_the_work_of_the_literal_formula(dtype):
-    """Values of special functions are counted; times depend on the machine and are printed."""
-    inputs = [np.tile(a.astype(dtype), (100, 1)) for a in draw(600, 6)]
-    ratios = []
-    for _ in range(5):
-        spent = {likelihood.forward: [], formulas.literal: []}
-        for _ in range(9):
-            for formula, times in spent.items():
-                start = time.perf_counter()
-                likelihood.backward(formula(*inputs)[1], inputs[0])
-                times.append(time.perf_counter() - start)
-        medians = [np.median(times) for times in spent.values()]
-        ratios.append(medians[0] / medians[1])
-    name = np.dtype(dtype).name
-    print(f"\n{name}: {min(ratios):.2f} to {max(ratios):.2f} times the literal formula's time")
-    ours = special_calls(likelihood, lambda: likelihood.forward(*inputs))
-    printed = special_calls(formulas, lambda: formulas.literal(*inputs))
-    assert printed > 0 and 0 < ours <= 3 * printed
-
-
 # --- the map -------------------------------------------------------------------------------------
 def test_the_map_is_red_where_the_literal_formula_fails(tmp_path):
     from imageio.v3 import imread
@@ -227,40 +202,6 @@ def test_the_map_is_red_where_the_literal_formula_fails(tmp_path):
         assert errors("stable", dtype).max() <= worst
         assert np.isinf(errors("literal", dtype)).mean() > 0.2
         assert errors("HAC, floor 1e-6", dtype).max() > -2
-
-
-@pytest.mark.slow
-def test_the_map_and_the_study_share_axes_and_colours(tmp_path, monkeypatch):
-    """The panels that both pictures have are equal, and so is everything around them."""
-    figures = {}
-    for module in (stability_map, diagram):
-        monkeypatch.setattr(module, "save_figure", lambda fig, path: figures.update({path: fig}))
-    stability_map.draw_map(tmp_path / "map.png")
-    z, w = np.meshgrid(*heatmap.plane(), indexing="ij")
-    maps = {}
-    for name, formula in formulas.FORMULAS.items():
-        found = likelihood_study.errors(formula, z.ravel(), w.ravel(), "float64")
-        maps[name, "float64"] = [error.reshape(z.shape) for error in found]
-    likelihood_study.draw_map(tmp_path / "bits.png", *heatmap.plane(), maps, "bits")
-
-    ours, study = (figures[tmp_path / name] for name in ("map.png", "bits.png"))
-    panels = {ax.get_title().removesuffix(", float64"): ax for ax in ours.axes}
-    shared = [ax for ax in study.axes if ax.get_title() in stability_map.FORMULAS]
-    assert [ax.get_title() for ax in shared] == list(stability_map.FORMULAS)
-    for ax in shared:
-        own, (mesh,) = panels[ax.get_title()], ax.collections
-        (own_mesh,) = own.collections
-        assert own.get_xlim() == ax.get_xlim() == (w.min(), w.max())
-        assert own.get_ylim() == ax.get_ylim() == (z.min(), z.max())
-        assert own.get_xscale() == own.get_yscale() == "log"
-        assert np.array_equal(own_mesh.get_array(), mesh.get_array())
-        assert np.array_equal(own_mesh.to_rgba([-99, -9, 99]), mesh.to_rgba([-99, -9, 99]))
-        assert own_mesh.get_clim() == mesh.get_clim() == heatmap.LEVELS
-    for text in ("get_supxlabel", "get_supylabel"):
-        assert getattr(ours, text)() == getattr(study, text)()
-    assert ours.axes[-1].get_ylabel() == study.axes[-1].get_ylabel()  # of the bar
-    for figure in (ours, study):
-        stability_map.pyplot().close(figure)
 
 
 # --- what the search found, in numbers that a reader can follow ----------------------------------

@@ -1,4 +1,4 @@
-"""The pictures of tutorials/README.md, which come from the demo, two studies and the tutorials.
+"""The pictures of tutorials/README.md, which come from commands and from the tutorials.
 
 `python -m tutorials.tools.syllabus` draws them anew and reduces them in size. Which code drew a
 picture is recorded in gallery.json, so that a test notices pictures that are out of date.
@@ -15,7 +15,9 @@ import imageio.v3 as iio
 import numpy as np
 
 from p4dgs_ref.codec.file import decode
-from p4dgs_ref.lab.accuracy import diagram, heatmap, likelihood, rendering, report
+from p4dgs_ref.lab.accuracy import diagram, forms, report
+from p4dgs_ref.lab.stability import heatmap
+from p4dgs_ref.lab.stability import map as stability_map
 from p4dgs_ref.report.figures import draw_comparison, draw_size
 from p4dgs_ref.report.main_job import main_job
 from p4dgs_ref.scenes import load_scene
@@ -94,13 +96,13 @@ PICTURES = {
     ),
     "accuracy_rendering.png": Picture(
         "accuracy",
-        "rendering.png",
-        "Rendering: error against time for different cuts, boxes and precisions",
+        "cut.png",
+        "Rendering: error against time for different cuts and precisions",
     ),
     "accuracy_likelihood.png": Picture(
         "accuracy",
-        "likelihood_bits.png",
-        "Six ways to compute Eq. (11), over distance and bin width; failures are red",
+        "stability.png",
+        "Three ways to compute Eq. (11), over distance and bin width; failures are red",
     ),
     "rate_distortion.png": Picture(
         "tutorial",
@@ -118,8 +120,8 @@ DRAW = {  # what draws the pictures that come from no tutorial
     "demo.png": (draw_comparison,),
     "demo_size.png": (draw_size,),
     "demo.gif": (animation,),
-    "accuracy_rendering.png": (rendering.run, diagram.lines, diagram.place_labels),
-    "accuracy_likelihood.png": (likelihood.draw_map, heatmap),
+    "accuracy_rendering.png": (forms.cut, diagram.lines, diagram.place_labels),
+    "accuracy_likelihood.png": (stability_map.draw_map, heatmap),
 }
 
 
@@ -194,8 +196,9 @@ def draw_demo(out):
 
 
 def draw_accuracy(out):
-    """Run the two studies whose pictures are shown, and leave these in the folder `out`."""
-    report.run(["rendering", "likelihood"], out)
+    """Turn the knob whose picture is shown and draw the stability map, both into `out`."""
+    report.run(["cut"], out)
+    stability_map.draw_map(Path(out) / PICTURES["accuracy_likelihood.png"].figure)
 
 
 def shrink(source, target):

@@ -5,8 +5,10 @@ them. With z = |f_noisy - mu| / sigma and w = q / sigma, a bin reaches from low 
 high = z + w/2, in sigmas from the mean.
 """
 
+import json
 import math
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 from scipy.special import log_ndtr, ndtr, roots_legendre
@@ -14,6 +16,10 @@ from scipy.special import log_ndtr, ndtr, roots_legendre
 from ...equations import likelihood
 from ...equations.likelihood import PHI_0
 
+# Bits and slopes of points of the plane of bins, from 60-digit arithmetic.
+# `python -m tests.golden.likelihood_points` writes them in a checkout.
+DIGITS = Path(__file__).with_name("sixty_digits.json")
+LEAST_BITS = 1e-6  # errors of fewer bits are relative to this
 HAC_FLOOR = 1e-6  # of p, in HAC: at most 19.93 bits
 TABLE_REACH = 8.0  # sigmas: beyond, the tables are constant
 TABLE_FLOOR = 2.0**-24  # the smallest mass of a table, as in a coder with 24-bit frequencies
@@ -185,3 +191,44 @@ def quadrature(panels=8, points=20):
     nodes, weights = roots_legendre(points)
     starts = np.arange(panels)[:, None] / panels
     return (starts + (nodes + 1) / (2 * panels)).ravel(), np.tile(weights / (2 * panels), panels)
+
+
+def check_truth():
+    """The largest relative distance of the quadrature from 60-digit values: of bits, of slopes."""
+    points = json.loads(DIGITS.read_text(encoding="utf-8"))
+    z, w, bits, *slopes = np.array(points).T
+    found_bits, *found_slopes = (-a / math.log(2) for a in truth(z, w))
+    bits_error = np.abs(found_bits - bits) / np.maximum(bits, LEAST_BITS)
+    gap = np.abs(np.array(found_slopes) - slopes).max(axis=0)
+    return bits_error.max(), relative_to(np.abs(slopes).max(axis=0), gap).max()
+
+
+# --- errors --------------------------------------------------------------------------------------
+def inputs(z, w, dtype):
+    """Inputs of Eq. (11) with mu = 0 and sigma = 1, as one row."""
+    z, w = (np.asarray(a, dtype).reshape(1, -1) for a in (z, w))
+    return dict(f_noisy=z, mu=np.zeros_like(z), sigma=np.ones_like(z), q=w)
+
+
+def errors(formula, z, w, dtype):
+    """Errors of the bits, relative above LEAST_BITS, and of the slopes, relative to the larger one.
+
+    z and w are vectors of numbers that float32 can hold, so that both precisions have one truth.
+    """
+    with np.errstate(all="ignore"):
+        bits, (f_slope, _, q_slope) = formula(**inputs(z, w, dtype))
+    true_bits, *true_slopes = (-a / math.log(2) for a in truth(z, w))
+    bits_error = np.abs(bits[0].astype(float) - true_bits) / np.maximum(true_bits, LEAST_BITS)
+    slopes = np.concatenate([f_slope, q_slope]).astype(float)
+    gap = np.abs(slopes - true_slopes).max(axis=0)
+    return bits_error, relative_to(np.abs(true_slopes).max(axis=0), gap)
+
+
+def relative_to(largest, gap):
+    """gap / largest; where both are 0 there is no error, where only `largest` is 0 it is 1.
+
+    Gaps that float64 holds with fewer digits than others are none.
+    """
+    gap = np.where(gap < np.finfo(float).tiny, 0.0, gap)
+    without_scale = np.where(gap == 0, 0.0, np.where(np.isfinite(gap), 1.0, gap))
+    return np.divide(gap, largest, out=without_scale, where=largest > 0)

@@ -4,8 +4,7 @@ import numpy as np
 
 from ...report.figures import pyplot, save_figure, write_csv
 from ..accuracy import formulas
-from ..accuracy.heatmap import FAILED, draw_heatmap, label_heatmaps, log_error, plane
-from ..accuracy.likelihood import errors
+from .heatmap import FAILED, draw_heatmap, label_heatmaps, log_error, plane
 from .table import DTYPES
 
 FORMULAS = ("literal", "HAC, floor 1e-6", "stable")
@@ -20,7 +19,7 @@ def maps():
     found = {}
     for dtype in DTYPES:
         for name in FORMULAS:
-            error, _ = errors(formulas.FORMULAS[name], z.ravel(), w.ravel(), dtype)
+            error, _ = formulas.errors(formulas.FORMULAS[name], z.ravel(), w.ravel(), dtype)
             found[name, dtype] = log_error(error).reshape(z.shape)
     return found
 

@@ -7,14 +7,13 @@ from ...report.figures import pyplot
 DISTANCES, WIDTHS = (-2, 3), (-12, 6)  # log10 of the limits of |x - mu| / sigma and q / sigma
 LEVELS = (-16, 0)  # log10 of the errors that the colours distinguish
 COLORS = "viridis"
-FAILED = "infinite or not a number"
+FAILED = "infinite or NaN"
 
 
-def plane(quick=False):
+def plane():
     """Distances and widths of the plane: two axes of numbers that float32 can hold."""
-    n = 25 if quick else 73
     return tuple(
-        np.logspace(*limits, n).astype(np.float32).astype(float) for limits in (DISTANCES, WIDTHS)
+        np.logspace(*limits, 73).astype(np.float32).astype(float) for limits in (DISTANCES, WIDTHS)
     )
 
 

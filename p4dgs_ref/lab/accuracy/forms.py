@@ -1,0 +1,287 @@
+"""Cheaper forms of a function beside its true value: what the harness of formulas measures.
+
+Each function below returns {(line, value): (run, judge)}. `run()` computes one form and is timed;
+`judge(result)` returns the columns of its errors, of which `error` is drawn. Values of a knob go
+from dear to cheap, and the first line is the one that the page's table tells.
+"""
+
+from functools import partial
+
+import numpy as np
+from numpy.linalg import norm
+from scipy.special import roots_legendre
+
+from ...codec import rans
+from ...codec.gaussian_table import MU_BITS, PRECISION, SIGMA_BITS, gaussian_model
+from ...codec.streams import (
+    decode_gaussian,
+    decode_symbols,
+    encode_gaussian,
+    find_entries,
+    gamma_fields,
+    pack_fields,
+)
+from ...equations import likelihood
+from ...oracle.precision import cast
+from ...splatting import fast
+from ...splatting.settings import EXACT, FAST, PAPER
+from ...table import EQUATIONS
+from ..random_inputs import cov2d_of, random_anchor_network, random_splats
+from . import formulas
+
+CUTS = {"1e-9": 1e-9, "1e-6": 1e-6, "5e-5": 5e-5, "1e-3": 1e-3, "1/255": 1 / 255, "1e-2": 1e-2}
+STOPS = {"0": 0.0, "1e-4": 1e-4, "1e-2": 1e-2}
+PER_ANCHOR = 34  # coded numbers of an anchor in the preset `tiny`
+
+
+def gradient_errors(truth, found):
+    """The largest error of the arrays of a gradient, each relative to the length of its array."""
+    pairs = [(truth[name], found[name]) for name in truth]
+    return {"error": float(max(norm(got - true) / norm(true) for true, got in pairs))}
+
+
+# --- rendering -----------------------------------------------------------------------------------
+def splat_scene(n, side, **spread):
+    """Splats, their covariances, the frame of an image, and a white-noise cotangent."""
+    splats = random_splats(np.random.default_rng(0), n, side, side, **spread)
+    frame = dict(background=np.array([0.9, 0.5, 0.2]), height=side, width=side)
+    image_bar = np.random.default_rng(1).normal(size=(side, side, 3))
+    return splats, cov2d_of(splats["conic"]), frame, image_bar
+
+
+def draw(scene, settings):
+    """The image, its gradients, and how many pairs of a Gaussian and a pixel were evaluated."""
+    splats, cov2d, frame, image_bar = scene
+    if settings.footprint == "all":
+        given = cast({**splats, **frame}, settings.dtype)
+        outputs, pullback = EQUATIONS["compositing"].vjp(**given)
+        pairs = frame["height"] * frame["width"] * int(splats["visible"].sum())
+        return outputs["image"], pullback(image_bar=image_bar.astype(settings.dtype)), pairs
+    (image, _), saved = fast.forward(**splats, cov2d=cov2d, **frame, settings=settings)
+    return image, fast.backward(saved, image_bar), sum(chunk.A.size for chunk in saved[0])
+
+
+def image_errors(truth, found):
+    """Errors of an image and of its gradients, beside those of the exact twin."""
+    gap = found[0].astype(float) - truth[0]
+    return {
+        "error": float(np.abs(gap).max()),
+        "rms_error": float(np.sqrt((gap**2).mean())),
+        "gradient_error": gradient_errors(truth[1], found[1])["error"],
+        "pairs": found[2],
+    }
+
+
+def rendered(choices, scene):
+    """Forms of the renderer, {(line, value): Settings}, for one scene."""
+    judge = partial(image_errors, draw(scene, EXACT))
+    return {key: (partial(draw, scene, settings), judge) for key, settings in choices.items()}
+
+
+def renderer(quick):
+    """The three named settings, on small splats."""
+    scene = splat_scene(*((300, 48) if quick else (1000, 64)))
+    return rendered({("", s.name): s for s in (EXACT, FAST, PAPER)}, scene)
+
+
+def cut(quick):
+    """Where a Gaussian ends, in both precisions."""
+    scene = splat_scene(*((300, 48) if quick else (1000, 64)))
+    choices = {
+        (dtype, name): FAST._replace(cut=cut, dtype=dtype)
+        for dtype in ("float32", "float64")
+        for name, cut in CUTS.items()
+    }
+    return rendered(choices, scene)
+
+
+def stop(quick):
+    """Where a ray ends, behind large opaque splats, with small and with large tiles."""
+    scene = splat_scene(*((150, 48) if quick else (350, 64)), sigma=(4.0, 12.0), alpha=(0.5, 0.98))
+    choices = {
+        (f"tiles of {tile} pixels", name): FAST._replace(tile=tile, stop=stop)
+        for tile in (8, 16)
+        for name, stop in STOPS.items()
+    }
+    return rendered(choices, scene)
+
+
+# --- gradients -----------------------------------------------------------------------------------
+def precision(quick):
+    """Three equations, forward and backward, in float64 and float32."""
+    rng, n = np.random.default_rng(0), 1 if quick else 4
+    splats, _, frame, _ = splat_scene(30 * n, 24)
+    sigma = rng.lognormal(size=(200 * n, PER_ANCHOR))
+    noise = rng.normal(size=sigma.shape)
+    given = {
+        "compositing": {**splats, **frame},
+        "likelihood": dict(f_noisy=sigma * noise, mu=0 * sigma, sigma=sigma, q=0.5 * sigma),
+        "opacity": random_anchor_network(rng, A=500 * n, d=16, k=4, hidden=(32, 32)),
+    }
+    forms = {}
+    for key, inputs in given.items():
+        outputs = EQUATIONS[key](**inputs)
+        bars = {f"{name}_bar": rng.normal(size=np.shape(a)) for name, a in outputs.items()}
+        runs = {
+            dtype: partial(gradients_of, key, cast(inputs, dtype), cast(bars, dtype))
+            for dtype in ("float64", "float32")
+        }
+        judge = partial(gradient_errors, runs["float64"]())
+        forms |= {(key, dtype): (run, judge) for dtype, run in runs.items()}
+    return forms
+
+
+def gradients_of(key, inputs, bars):
+    """The arrays of an equation's gradient, {name: array}; those of lists are left out."""
+    _, pullback = EQUATIONS[key].vjp(**inputs)
+    return {name: a for name, a in pullback(**bars).items() if isinstance(a, np.ndarray)}
+
+
+# --- Eq. (11) ------------------------------------------------------------------------------------
+# Limits of distances and widths in sigmas: the declared domain, and the values of a trained model.
+DOMAIN = (1e-2, 1e3), (1e-12, 1e6)
+USUAL = (1e-2, 3), (1e-2, 10)
+
+
+def bins(limits, n):
+    """n random distances and widths, numbers that float32 can hold."""
+    rng = np.random.default_rng(0)
+    drawn = (np.exp(rng.uniform(np.log(low), np.log(high), n)) for low, high in limits)
+    return [a.astype(np.float32).astype(float) for a in drawn]
+
+
+def priced(choices, quick):
+    """Forms of Eq. (11), {(line, value): (formula, limits)}."""
+    forms = {}
+    for key, (formula, limits) in choices.items():
+        z, w = bins(limits, 2000 if quick else 20_000)
+        run = partial(formula, **formulas.inputs(z, w, "float64"))
+        forms[key] = run, partial(bin_errors, formula, z, w)
+    return forms
+
+
+def bin_errors(formula, z, w, found):
+    """The largest errors of bits and gradient over some bins; infinite where one is not finite."""
+    bits, slopes = (
+        float(a.max()) if np.isfinite(a).all() else np.inf
+        for a in formulas.errors(formula, z, w, "float64")
+    )
+    failed = float(np.mean(~np.isfinite(found[0])))
+    worst = max(bits, slopes)
+    return {"error": worst, "bits_error": bits, "gradient_error": slopes, "failed_share": failed}
+
+
+def likelihood_formula(quick):
+    """Formulas of Eq. (11) over the declared domain, and over the values of a trained model."""
+    order = ("stable", "log domain", "HAC, floor 1e-6", "tail-symmetric", "literal")
+    lines = {"the declared domain": DOMAIN, "up to 3 σ, bins of 0.01 to 10 σ": USUAL}
+    choices = {
+        (line, name): (formulas.FORMULAS[name], limits)
+        for line, limits in lines.items()
+        for name in order
+    }
+    return priced(choices, quick)
+
+
+def likelihood_table(quick):
+    """Eq. (11) from tables of the normal distribution, entries per sigma."""
+    tables = {("", f"{n}"): (formulas.table(n), USUAL) for n in formulas.TABLES[::-1]}
+    return priced({("", "stable"): (likelihood.forward, USUAL), **tables}, quick)
+
+
+def message(n):
+    """n symbols with their means and deviations in steps."""
+    rng = np.random.default_rng(0)
+    sigma, mu = np.exp(rng.uniform(np.log(0.15), np.log(8), n)), 3 * rng.normal(size=n)
+    return np.rint(mu + sigma * rng.normal(size=n)).astype(np.int64), mu, sigma
+
+
+def noise_draws(_quick):
+    """Bits of noisy symbols, averaged over some draws, against their mean over all noise."""
+    symbols, mu, sigma = message(200 * PER_ANCHOR)
+
+    def price(u):
+        return likelihood.forward(symbols + u, mu, sigma, np.ones(len(mu)))[0]
+
+    def run(draws):
+        rng = np.random.default_rng(1)
+        return sum(price(rng.uniform(-0.5, 0.5, len(mu))) for _ in range(draws)) / draws
+
+    nodes, weights = roots_legendre(32)
+    truth = weights / 2 @ np.array([price(node / 2) for node in nodes])
+
+    def judge(found):
+        """The standard error of the rate, the sum of all bits, relative to the rate."""
+        return {"error": float(norm(found - truth) / truth.sum())}
+
+    return {("", f"{n}"): (partial(run, n), judge) for n in (64, 16, 4, 1)}
+
+
+# --- the entropy coder ---------------------------------------------------------------------------
+def coded(writers, symbols, mu, sigma):
+    """Forms of the coder, {(line, value): function that writes and reads: (bytes, symbols)}."""
+    bits = float(likelihood.forward(symbols.astype(float), mu, sigma, np.ones(len(mu)))[0].sum())
+
+    def judge(found):
+        data, decoded = found
+        if not np.array_equal(decoded, symbols):
+            raise AssertionError("the decoder found other symbols")
+        return {"error": 8 * len(data) / bits - 1, "bytes": len(data)}
+
+    return {key: (write, judge) for key, write in writers.items()}
+
+
+def in_units(values, total, bits):
+    """Values as integers of 2^-total that have only `bits` fractional bits."""
+    return (np.rint(values * 2.0**bits) * 2.0 ** (total - bits)).astype(np.int64)
+
+
+def streamed(symbols, mu, sigma, lanes=None, mu_bits=MU_BITS, sigma_bits=SIGMA_BITS):
+    """Write and read symbols by the codec's own coder: its bytes, and the symbols read."""
+    units = in_units(mu, MU_BITS, mu_bits), in_units(np.log2(sigma), SIGMA_BITS, sigma_bits)
+    data = encode_gaussian(symbols, *units, lanes)
+    return data, decode_gaussian(data, *units)
+
+
+def lanes(quick):
+    """Lanes of the coder: each is closed by some bits, and all of a row are one array operation."""
+    sent = message(8000 if quick else 20_000)
+    counts = (1, 8, 32, 128) if quick else (1, 8, 32, 128, 512)
+    return coded({("", f"{n}"): partial(streamed, *sent, lanes=n) for n in counts}, *sent)
+
+
+def context_bits(quick):
+    """Fractional bits of the integer means and deviations; fewer need fewer frequency tables."""
+    sent, writers = message(8000 if quick else 20_000), {}
+    for bits in (10, 8, 6, 4, 3, 2, 1, 0):
+        writers["mean", f"{bits}"] = partial(streamed, *sent, mu_bits=bits)
+    for bits in (4, 3, 2, 1, 0):
+        writers["log2 deviation", f"{bits}"] = partial(streamed, *sent, sigma_bits=bits)
+    return coded(writers, *sent)
+
+
+def coarse(model, bits):
+    """A model whose frequencies total 2^bits; multiplied by 2^(24 - bits) they serve the coder."""
+    table, cumulative = model.keys[:-1] >> PRECISION, model.keys[:-1] & (1 << PRECISION) - 1
+    entries = model.blocks[table] + 1
+    place = np.arange(len(table)) - model.first[table]
+    room, all_room = (1 << bits) - entries, (1 << PRECISION) - entries
+    shrunk = (cumulative - place) * room // all_room + place  # no frequency becomes 0
+    keys = (table << PRECISION) + (shrunk << PRECISION - bits)
+    return model._replace(keys=np.append(keys, model.keys[-1]))
+
+
+def with_frequencies(symbols, mu, sigma, bits):
+    """Write and read symbols as the codec does, with coarser frequencies."""
+    units = in_units(mu, MU_BITS, MU_BITS), in_units(np.log2(sigma), SIGMA_BITS, SIGMA_BITS)
+    model = coarse(gaussian_model(*units), bits)
+    entries, gamma = find_entries(symbols, model)
+    data = rans.encode(entries, model.keys) + pack_fields(*gamma_fields(gamma))
+    return data, decode_symbols(data, model)
+
+
+def frequency_bits(quick):
+    """Bits of the coder's frequencies, in the window of 12 sigma."""
+    sent = message(8000 if quick else 20_000)
+    counts = (24, 20, 16, 14, 12, 10, 9)
+    return coded({("", f"{n}"): partial(with_frequencies, *sent, n) for n in counts}, *sent)

@@ -1,0 +1,209 @@
+"""The three harnesses, which turn a knob into rows, and the verdict of a row.
+
+A row has the columns line and value, then error and ms (formulas), psnr_db and bytes (files), or
+psnr_db, bytes and seconds (training). Times are processor times of this process, taken in turn;
+trainings may run in others.
+"""
+
+from functools import cache
+
+import numpy as np
+
+from ...codec.file import ATTRIBUTE_SECTIONS, decode, encode
+from ...report.evaluate import evaluate
+from ...report.inspect import components
+from ...report.jobs import in_processes
+from ...scenes import load_scene
+from ...training.trainer import Trainer
+from ..clock import alternate, can_tell
+from .diagram import lines_of, number
+from .fits import reduced, step_at
+
+SCENE, ITERATIONS, SEEDS = "bouncing", 950, 3
+QUICK_ITERATIONS = 240  # of the model that --quick writes otherwise; nothing else is trained
+NOT_TOLD = "not told by --quick"
+LEAST = 1.01  # a knob that saves a smaller factor saves nothing
+# What a knob is for that loses up to ten times more than is enough, by what it saves.
+USES = {"ms": "for rough work", "seconds": "to try things out", "bytes": "at low rates"}
+HIDDEN = "seeds differ by more"
+# The order of verdicts in the table.
+ORDER = ("always", *USES.values(), HIDDEN, "saves nothing", "no", NOT_TOLD)
+
+
+def measure_forms(forms, repeats):
+    """Rows of the forms of a function: error and time."""
+    with np.errstate(all="ignore"):
+        times = alternate({key: run for key, (run, _) in forms.items()}, repeats)
+        return [
+            {"line": line, "value": value, **judge(run()), **times[line, value].columns()}
+            for (line, value), (run, judge) in forms.items()
+        ]
+
+
+def measure_file(knob, model, scene):
+    """Rows of a knob of files: PSNR of the decoded file, and bytes."""
+    rows = []
+    for (line, value), changed in knob.values(model).items():
+        data = encode(changed)
+        metrics, sizes = evaluate(decode(data), scene)[0], components(data)
+        about = {
+            "attribute_bytes": sum(sizes[name] for name in ATTRIBUTE_SECTIONS),
+            "anchors": metrics["anchors"],
+        }
+        measured = {"psnr_db": metrics["psnr_db"], "bytes": len(data)}
+        rows.append({"line": line, "value": value, **measured, **about})
+    return rows
+
+
+# --- training ------------------------------------------------------------------------------------
+@cache
+def scene_of(downscale=1):
+    """The scene of all trainings, with views of some size."""
+    return load_scene(SCENE, downscale=downscale)
+
+
+def prepared(changes, iterations):
+    """The scene, the preset and the Trainer's options of a training with some changes."""
+    changes = dict(changes)
+    scene = scene_of(changes.pop("downscale", 1))
+    options = {name: changes.pop(name) for name in ("settings",) if name in changes}
+    return scene, reduced(changes.pop("iterations", iterations), **changes), options
+
+
+def trained(changes, iterations, seed=0):
+    """The model of a training with some changes."""
+    scene, preset, options = prepared(changes, iterations)
+    with np.errstate(all="ignore"):  # the trainer itself looks for overflows
+        return Trainer(scene, preset, seed, **options).run()
+
+
+def train_one(task):
+    """PSNR and bytes of the file of one training: task = (changes, iterations, seed)."""
+    data = encode(trained(*task))
+    metrics = evaluate(decode(data), scene_of())[0]
+    return {"psnr_db": metrics["psnr_db"], "bytes": len(data), "anchors": metrics["anchors"]}
+
+
+def seconds(runs, iterations):
+    """Columns of the processor seconds of trainings, {name: columns} for {name: changes}.
+
+    A step of stage 3 and one of stage 4 of all runs are timed in turn, at their first parameters.
+    Half of the iterations count as the one, half as the other; stages 1 and 2 are short.
+    """
+    pairs, ms_to_seconds = {}, {}
+    for name, changes in runs.items():
+        scene, preset, options = prepared(changes, iterations)
+        steps = [step_at(scene, preset, stage, **options) for stage in (3, 4)]
+        pairs[name] = lambda steps=steps: [step() for step in steps]
+        ms_to_seconds[name] = 1e-3 * preset.iterations / len(steps)
+    with np.errstate(all="ignore"):
+        times = alternate(pairs, 5)
+    return {name: times[name].columns("seconds", ms_to_seconds[name]) for name in runs}
+
+
+def measure_trainings(knobs, quick, progress, jobs, iterations):
+    """Rows of all knobs of training, {name: rows}, and how far seeds differ, in dB.
+
+    Trainings that several knobs share are done once. `quick` trains nothing: its rows have only the
+    seconds of the dearest and the cheapest value.
+    """
+    runs, places = {}, {}
+    for knob in knobs:
+        values = list(knob.values.items())
+        for value, changes in values[:: len(values) - 1] if quick else values:
+            runs[repr(changes)] = changes
+            places.setdefault(knob.name, {})[value] = repr(changes)
+    progress("training: times of steps")
+    found, spread = seconds(runs, iterations), 0.0
+    if not quick:
+        tasks = [(changes, iterations, 0) for changes in runs.values()]
+        tasks += [({}, iterations, seed) for seed in range(SEEDS)]
+        results = []
+        for result in in_processes(train_one, tasks, jobs):
+            results.append(result)
+            progress(f"training: {len(results)} of {len(tasks)} trainings")
+        spread = float(np.ptp([result["psnr_db"] for result in results[len(runs) :]]))
+        for name, result in zip(runs, results):
+            found[name] = result | found[name]
+    rows = {
+        name: [{"line": "", "value": value, **found[key]} for value, key in of_knob.items()]
+        for name, of_knob in places.items()
+    }
+    return rows, spread
+
+
+# --- what the rows say ---------------------------------------------------------------------------
+def loss(row, dear):
+    """The error of a row, or the dB that it loses against the dear one."""
+    return row["error"] if "error" in row else dear["psnr_db"] - row["psnr_db"]
+
+
+def factor(knob, row, dear):
+    """How many times as much the dear value spends; 1 where two times cannot be told apart."""
+    if knob.spent != "bytes" and not can_tell(row, dear, knob.spent):
+        return 1.0
+    return dear[knob.spent] / row[knob.spent]
+
+
+def finding(knob, rows, quick, spread=0.0):
+    """What the first line of a knob says: the row of the page's table.
+
+    The value told is the cheapest one that loses no more than is enough. Where there is none, it is
+    the first one that saves anything. `spread` is the difference in dB that seeds alone make.
+    """
+    dear, *cheaper = next(iter(lines_of(rows).values()))
+    about = {"knob": knob.name, "dear": dear["value"]}
+    if quick and knob.harness != "formula":
+        # The seconds of a training are known from single steps, but no bytes and no PSNR.
+        row, told = cheaper[-1], dict(lost=NOT_TOLD, factor=1.0, verdict=NOT_TOLD)
+        spent = NOT_TOLD if "bytes" in row else saved(row, dear)
+    else:
+        helps = [row for row in cheaper if factor(knob, row, dear) >= LEAST]
+        free = [row for row in helps if loss(row, dear) <= knob.enough]
+        row = (helps or cheaper)[0]
+        if free:
+            row = max(free, key=lambda row: factor(knob, row, dear))
+        times = factor(knob, row, dear)
+        told = {"lost": lost(knob, row, dear), "factor": times}
+        told["verdict"] = verdict(knob, loss(row, dear), times, spread)
+        spent = saved(row, dear)
+    return {**about, "cheap": row["value"], "saved": spent, **told}
+
+
+def verdict(knob, lost, times, spread):
+    """A verdict on a loss and a saving, of at most five words."""
+    if times < LEAST:
+        return "saves nothing"
+    if lost <= knob.enough:
+        return "always"
+    if lost <= spread:
+        return HIDDEN
+    return USES[knob.spent] if lost <= 10 * knob.enough else "no"
+
+
+def lost(knob, row, dear):
+    """The loss of a row in words."""
+    if "error" in row:
+        error = row["error"]
+        return f"{f'{100 * error:.2g} %' if 1e-3 <= error < 1 else number(error)} {knob.unit}"
+    return f"{row['psnr_db'] - dear['psnr_db']:+.2f} dB".replace("-", "−")
+
+
+def saved(row, dear):
+    """All that a row spends instead of the dear one, in words."""
+    units = {"ms": "ms", "seconds": "s", "bytes": "bytes"}
+    columns = [name for name in units if name in row and not (name == "bytes" and "ms" in row)]
+    return ", ".join(f"{amount(dear[c])} → {amount(row[c])} {units[c]}" for c in columns)
+
+
+def amount(value):
+    """A time or a size in three digits or more."""
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+
+def pays_from(rows):
+    """From how many anchors on the context pays, extrapolated from the two rows of its knob."""
+    prior, alone = rows
+    per_anchor = (alone["attribute_bytes"] - prior["attribute_bytes"]) / prior["anchors"]
+    cost = (prior["bytes"] - prior["attribute_bytes"]) - (alone["bytes"] - alone["attribute_bytes"])
+    return float(f"{cost / max(per_anchor, 1e-9):.2g}")

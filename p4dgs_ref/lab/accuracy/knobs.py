@@ -1,0 +1,228 @@
+"""The table of knobs: what each changes, its values from dear to cheap, and how it is set."""
+
+from typing import Any, NamedTuple
+
+from ...splatting.settings import FAST, PAPER
+from . import forms, written
+
+NODES = ((8, 16), (16, 32))  # resolutions of a hash grid of eight levels: of space, of planes
+
+
+class Knob(NamedTuple):
+    """A row of the table of knobs."""
+
+    name: str
+    harness: str  # "formula", "file" or "training"
+    # Of "formula" and "file" a function that returns the forms, of "training" {value: changes},
+    # where `changes` are fields of the preset, or its iterations, downscale or settings.
+    values: Any
+    changes: str  # what the knob is, in words
+    set_by: str  # where a user of the package sets it
+    enough: float = 0.1  # a loss that does not matter: an error, or dB
+    unit: str = "dB"  # of the loss
+    spent: str = "bytes"  # the column that the knob saves: "ms", "seconds" or "bytes"
+
+
+def formula(name, values, changes, set_by, enough, unit):
+    """A knob whose values are forms of one function."""
+    return Knob(name, "formula", values, changes, set_by, enough, unit, "ms")
+
+
+def training(name, values, changes, set_by="fields", spent="seconds"):
+    """A knob whose values are changes to the training."""
+    return Knob(name, "training", values, changes, set_by, spent=spent)
+
+
+def field(name, label, values, base, changes, **options):
+    """A knob that is one field of the preset; `base` is its value in `tiny`."""
+    choices = {f"{value:g}": {} if value == base else {name: value} for value in values}
+    return training(label, choices, changes, f"`--set {name}`", **options)
+
+
+def steps_times(factor):
+    """The base steps of `tiny`, times a factor."""
+    return dict(Q_f=0.25 * factor, Q_s=0.01 * factor, Q_l=0.01 * factor, Q_O=0.1 * factor)
+
+
+SEEN = 0.5 / 255, "of the picture"  # half a step of 8 bits
+RATE = 0.01, "of the bits"
+SIZE = 0.01, "of the bytes"
+SLOPE = 1e-3, "of the gradient"
+
+KNOBS = (
+    formula(
+        "renderer",
+        forms.renderer,
+        "Which Gaussians are evaluated at which pixels, and in which precision",
+        "`settings` of `render` and `train`",
+        *SEEN,
+    ),
+    formula("cut", forms.cut, "The opacity below which a Gaussian ends", "`Settings.cut`", *SEEN),
+    formula(
+        "stop",
+        forms.stop,
+        "The transmittance below which a ray ends, behind large opaque splats",
+        "`Settings.stop`",
+        *SEEN,
+    ),
+    formula(
+        "precision",
+        forms.precision,
+        "The floating-point type of an equation, forward and backward",
+        "the inputs' dtype; `Settings.dtype`",
+        *SLOPE,
+    ),
+    formula(
+        "likelihood",
+        forms.likelihood_formula,
+        "The formula for the bits of a symbol, Eq. (11)",
+        "`equations/likelihood.py`",
+        *RATE,
+    ),
+    formula(
+        "likelihood table",
+        forms.likelihood_table,
+        "Eq. (11) from a table of the normal distribution, entries per σ",
+        "`lab/accuracy/formulas.py`",
+        *RATE,
+    ),
+    formula(
+        "noise draws",
+        forms.noise_draws,
+        "How many draws of the quantisation noise estimate the rate of 200 anchors",
+        "one draw in `training/objective.py`",
+        *RATE,
+    ),
+    formula(
+        "lanes",
+        forms.lanes,
+        "How many states of the entropy coder take turns",
+        "`lanes` of `encode_gaussian`",
+        *SIZE,
+    ),
+    formula(
+        "frequency bits",
+        forms.frequency_bits,
+        "Bits of the entropy coder's frequencies",
+        "`PRECISION`, fixed by the format",
+        *SIZE,
+    ),
+    formula(
+        "context bits",
+        forms.context_bits,
+        "Fractional bits of the integer means and deviations of the coder",
+        "`MU_BITS`, `SIGMA_BITS`, fixed by the format",
+        *SIZE,
+    ),
+    Knob(
+        "weight bits",
+        "file",
+        written.weight_bits,
+        "Bits of a network's weight: 16 as they are, fewer entropy coded",
+        "`Model.steps` and `coded`",
+    ),
+    Knob(
+        "position bits",
+        "file",
+        written.position_bits,
+        "Bits of an anchor's position per axis, in the coded design",
+        "`--set position_bits`",
+    ),
+    Knob(
+        "steps",
+        "file",
+        written.steps,
+        "The quantisation steps in multiples of `tiny`'s, of a model trained at 1",
+        "`Design.Q_0`",
+    ),
+    Knob(
+        "context",
+        "file",
+        written.context,
+        "What predicts the symbols: hash grid and ψ_p, or one Gaussian per channel",
+        "`Design.grid` and `context`",
+    ),
+    training(
+        "iterations",
+        {f"{n:,}": dict(iterations=n) for n in (3800, 1900, 950, 475, 240)},
+        "The length of the training; all stages shrink alike",
+        "`--set stage_ends` and others",
+    ),
+    training(
+        "image size",
+        {"64 px": {}, "32 px": dict(downscale=2), "16 px": dict(downscale=4)},
+        "The side of the training views; the test views keep 64 pixels",
+        "`--downscale`",
+    ),
+    training(
+        "training renderer",
+        {"float64": dict(settings=FAST._replace(dtype="float64")), "fast": {}}
+        | {"paper": dict(settings=PAPER)},
+        "The renderer that the training uses; the test views are drawn by `fast`",
+        "`settings` of `train`",
+    ),
+    field("anchors", "anchors", (400, 200, 100, 50), 200, "The anchors at the start"),
+    field("k", "children k", (8, 4, 2, 1), 4, "The Gaussians of an anchor"),
+    field("d", "features d", (32, 16, 8, 4), 16, "The width of an anchor's feature", spent="bytes"),
+    training(
+        "deformation width",
+        {f"{n}": {} if n == 64 else dict(deformation=(n, n)) for n in (128, 64, 32, 16)},
+        "The units of both hidden layers of the deformation network",
+        "`--set deformation`",
+        spent="bytes",
+    ),
+    field(
+        "L_x", "L_x", (8, 4, 2, 1), 4, "Frequencies of the positional encoding of x", spent="bytes"
+    ),
+    field(
+        "L_t", "L_t", (8, 4, 2, 1), 4, "Frequencies of the positional encoding of t", spent="bytes"
+    ),
+    training(
+        "hash grid",
+        {
+            "8 levels": dict(zip(("grid_3d", "grid_2d"), NODES)),
+            "4 levels": {},
+            "1 level": dict(grid_2d=()),
+            "64 entries": dict(grid_2d=(), table_3d=64),
+        },
+        "The levels of the hash grid; last, a table smaller than its one level",
+        "`--set grid_2d`, `table_3d`",
+        spent="bytes",
+    ),
+    field(
+        "lambda_rate",
+        "λ_rate",
+        (1e-4, 5e-4, 2e-3, 1e-2),
+        5e-4,
+        "The price of a bit in the loss",
+        spent="bytes",
+    ),
+    training(
+        "trained steps",
+        {f"{n:g}": {} if n == 1 else steps_times(n) for n in (0.5, 1, 2, 4)},
+        "The quantisation steps in multiples of `tiny`'s, with which the model is trained",
+        "`--set Q_f`, `Q_s`, `Q_l`, `Q_O`",
+        spent="bytes",
+    ),
+)
+HARNESSES = {
+    "formula": "Cheaper forms of a function, against its true value",
+    "file": "The same trained model, written otherwise",
+    "training": "Trained with another field of the preset",
+}
+
+
+def file_name(knob):
+    """The knob's name on the command line and in file names."""
+    return knob.name.replace(" ", "_").replace("λ", "lambda")
+
+
+NAMES = (*HARNESSES, *map(file_name, KNOBS))
+
+
+def chosen(names):
+    """The knobs of these names or harnesses; None for all. Raises ValueError for another name."""
+    for name in names or ():
+        if name not in NAMES:
+            raise ValueError(f"knob {name!r}: expected one of {', '.join(NAMES)}")
+    return [k for k in KNOBS if not names or {file_name(k), k.harness} & set(names)]
