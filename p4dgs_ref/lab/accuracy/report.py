@@ -208,8 +208,9 @@ def page(result, sections):
 
 def describe(result, folder):
     """The text that the command prints: the table, and where the page is."""
-    end = f"{Path(folder) / PAGE}: {result['seconds']:.0f} s in all"
-    return "\n".join([*table(result["knobs"]), "", disturbance(result["stretch"]), end])
+    end = f"{Path(folder) / PAGE}: {result['seconds']:.0f} s in all. "
+    end += disturbance(result["stretch"])
+    return "\n".join([*table(result["knobs"]), "", end.rstrip()])
 
 
 def machine():
