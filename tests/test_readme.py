@@ -456,8 +456,8 @@ def test_demo_figures_are_those_of_the_demo(column, preset):
     measured, _, _ = evaluate(model, scene)
     measured.update(bytes=len(data), explicit_bytes=explicit_bytes(model, measured["gaussians"]))
     slack = {
-        "psnr_db": 0.6,
-        "psnr_fg_db": 0.6,
+        "psnr_db": 1.1,
+        "psnr_fg_db": 1.1,
         "ssim": 0.006,
         "bytes": 1500,
         "anchors": 20,
