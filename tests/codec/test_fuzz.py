@@ -51,7 +51,7 @@ def least():
     return fuzz.good_files()[1]
 
 
-@pytest.mark.parametrize("count", few([150, 8000], 1))
+@pytest.mark.parametrize("count", [150, pytest.param(8000, marks=pytest.mark.slow)])
 def test_damage_is_refused_or_within_limits(count):
     seed = date.today().toordinal()
     answers, failures = fuzz.fuzz(count, seed)
