@@ -212,17 +212,6 @@ def test_what_was_answered_wrongly_comes_before_what_was_not_answered(tmp_path):
     assert re.search(r"got -?\d+, expected -?\d+", str(found))
 
 
-def test_a_mistake_in_one_direction_alone_is_explained():
-    eq = EQUATIONS["likelihood"]
-
-    def right(inputs, bars):
-        return eq.vjp(**inputs)[1](**bars)
-
-    found = oracle.check(lambda **inputs: eq(**inputs)["bits"] * np.log(2), "likelihood", right)
-    assert "[likelihood-nats]" in found.first.explanation
-    assert "the outputs alone" in found.first.explanation
-
-
 def test_levels_and_names_may_be_repeated_in_any_order(tmp_path):
     port = ports.FolderPort(
         write(tmp_path, **{k: right(k) for k in ("step_floor", "step", "noise")})
@@ -261,15 +250,6 @@ def test_an_export_is_whole_and_no_answer(exported, capsys):
     assert damaged(folder) == []
     code, out, err = run(capsys, "check", str(folder), "--level", "L1")
     assert code == 2 and not out and err.count("\n") == 1 and "the published vectors" in err
-
-
-@pytest.mark.slow
-def test_the_command_exports_twice(tmp_path, capsys):
-    for _ in range(2):  # the second time over what is there
-        code, out, _ = run(capsys, "export", str(tmp_path / "v1"))
-    files = [file.stat().st_size for file in (tmp_path / "v1").rglob("*") if file.is_file()]
-    assert code == 0 and f": {len(files)} files, " in out and sum(files) < 5_000_000
-    assert damaged(tmp_path / "v1") == []
 
 
 @pytest.mark.parametrize(
