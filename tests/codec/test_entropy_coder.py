@@ -179,9 +179,9 @@ def test_lanes_are_chosen_by_the_length_of_the_message():
         encode_gaussian(symbols[:500], mu[:500], sigma[:500], lanes=64)
 
 
-@pytest.mark.parametrize("n", few([100_000, 1_000_000], 1))
 @pytest.mark.parametrize("mu, period, bits", [(0, 1, 0), (512, 2, 1)])
-def test_many_equal_or_alternating_symbols(n, mu, period, bits):
+def test_many_equal_or_alternating_symbols(mu, period, bits):
+    n = 100_000
     symbols, (mu, sigma) = np.arange(n) % period, constant(n, mu, SIGMA_MIN)
     data = encode_gaussian(symbols, mu, sigma)
     assert len(data) <= 1.001 * bits * n / 8 + 8

@@ -5,10 +5,9 @@ import pytest
 
 from p4dgs_ref.codec import rans
 from p4dgs_ref.codec.container import BitstreamError
-from p4dgs_ref.codec.gaussian_table import SIGMA_MAX, SIGMA_MIN, gaussian_model
+from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.codec.streams import decode_bits, decode_gaussian, encode_bits, encode_gaussian
 from tests.codec.models import flips, prefixes, refusal
-from tests.sampling import few
 
 
 def inputs(n, sigma_low, sigma_high, seed=4):
@@ -50,13 +49,12 @@ def test_every_truncation_and_every_extension_is_refused(message):
             assert is_refused(data + bytes([byte]) * n, mu, sigma)
 
 
-@pytest.mark.parametrize("count", few([150, 1000], 1))
-def test_flipped_bits_never_pass_the_coder(message, count):
+def test_flipped_bits_never_pass_the_coder(message):
     _, mu, sigma, data = message
     rng, model = np.random.default_rng(5), gaussian_model(mu, sigma)
     _, raw = rans.decode(data, model.table, model.keys)
     seen = set()
-    for _ in range(count):
+    for _ in range(150):
         at = int(rng.integers(len(data)))
         bad = bytearray(data)
         bad[at] ^= 1 << int(rng.integers(8))
@@ -67,17 +65,6 @@ def test_flipped_bits_never_pass_the_coder(message, count):
             assert at >= raw  # raw bits have no redundancy; the container's checksum has
     assert any(answer.startswith("lane 0 ends in") for answer in seen)
     assert ("a lane does not end where lanes start" in seen) == (data[0] & 15 > 0)
-
-
-def test_nonsense_is_refused_or_decoded_within_limits(message):
-    _, mu, sigma, data = message
-    rng = np.random.default_rng(6)
-    for _ in range(40):
-        outcome(rng.bytes(int(rng.integers(1200))), mu, sigma)
-        outcome(data, np.roll(mu, int(rng.integers(1, 9))), sigma)
-        outcome(data, mu, np.clip(sigma + rng.integers(-3, 4, sigma.shape), SIGMA_MIN, SIGMA_MAX))
-        n = int(rng.integers(len(mu)))
-        outcome(data, mu[:n], sigma[:n])
 
 
 @pytest.mark.parametrize(
