@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.cli import job
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.adam import Adam
@@ -161,15 +160,9 @@ def test_killed_in_the_middle_of_a_checkpoint(scene, whole, tmp_path, monkeypatc
     with pytest.raises(KeyboardInterrupt):
         fit(scene, **settings, folder=tmp_path, save_every=0)
     monkeypatch.undo()
-    assert [path.name for path in tmp_path.iterdir()] == [CHECKPOINT] and load(tmp_path)[1][
-        "iteration"
-    ] == 19
-    left = tmp_path / ".part-0a_b1c2d"  # what a killed process leaves
-    left.mkdir()
-    (left / CHECKPOINT).write_bytes(b"half of a checkp")
-    os.utime(left, (0, 0))
-    assert [*go_on(scene, settings, tmp_path)] == want
     assert [path.name for path in tmp_path.iterdir()] == [CHECKPOINT]
+    assert load(tmp_path)[1]["iteration"] == 19
+    assert [*go_on(scene, settings, tmp_path)] == want
 
 
 def test_training_in_a_thread(scene):
@@ -178,15 +171,6 @@ def test_training_in_a_thread(scene):
     thread.start()
     thread.join(60)
     assert len(done) == 1
-
-
-def test_ctrl_c_without_a_checkpoint(tmp_path, monkeypatch, capsys):
-    def stop(*args):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(job, "read_scene", stop)
-    assert cli.run(["train", "bouncing", "-o", str(tmp_path)], time.perf_counter()) == 130
-    assert capsys.readouterr().err == "p4dgs-ref: stopped\n"
 
 
 def test_ctrl_c_in_the_demo_leaves_nothing(tmp_path, monkeypatch, capsys):
@@ -206,92 +190,49 @@ def test_ctrl_c_in_the_demo_leaves_nothing(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().err == "p4dgs-ref: stopped\n" and not list(tmp_path.iterdir())
 
 
-def start(argv, cwd):
+OPTIONS = (
+    "--preset smoke --seed 2 --downscale 4 --set grow=reseed --set stage_ends=40,60,120,240 "
+    "--save-every 0"
+)
+
+
+def start(line, cwd):
     """Start the command line in a process of its own, to which Ctrl-C can be sent."""
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
-        [sys.executable, "-m", "p4dgs_ref", *argv],
+        [sys.executable, "-m", "p4dgs_ref", *shlex.split(line)],
         cwd=cwd,
-        env=env,
-        stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
         stderr=subprocess.PIPE,
         text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
 
-def stop_at(iteration, argv, cwd, how):
-    """Start a training, send it a signal at a checkpoint, and wait for its end."""
-    process, checkpoint = start(argv, cwd), cwd / argv[argv.index("-o") + 1]
+def stop_at(iteration, process, run, how):
+    """Send a signal to a training at a checkpoint; its exit code and what it says at its end."""
     deadline = time.monotonic() + 40
-    while not (
-        (checkpoint / CHECKPOINT).exists() and load(checkpoint)[1]["iteration"] >= iteration
-    ):
+    while not (run / CHECKPOINT).exists() or load(run)[1]["iteration"] < iteration:
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.01)
     process.send_signal(how)
-    return process.wait(timeout=60), process.stderr.read()
-
-
-def command(run, *more, last):
-    ends = f"stage_ends={last // 6},{last // 4},{last // 2},{last}"
-    return [
-        "train",
-        "bouncing",
-        "-o",
-        run,
-        "--preset",
-        "smoke",
-        "--seed",
-        "2",
-        "--downscale",
-        "4",
-        "--set",
-        ends,
-        "--set",
-        "grow=reseed",
-        "--save-every",
-        "0",
-        *more,
-    ]
-
-
-def run_to_the_end(argv, cwd):
-    process = start(argv, cwd)
-    out, err = process.communicate(timeout=120)
-    assert process.returncode == 0, err
-    return out
+    return process.communicate(timeout=60)[1], process.returncode
 
 
 @pytest.mark.slow
 def test_interrupted_then_killed_then_resumed(tmp_path):
-    uninterrupted = start(command("a run", "--quiet", last=240), tmp_path)
-    code, err = stop_at(50, command("b run", last=240), tmp_path, signal.SIGINT)
+    """In other processes, with the command that the interrupted one prints."""
+    uninterrupted = start(f"train bouncing -o 'a run' {OPTIONS} --quiet", tmp_path)
+    run = tmp_path / "b run"
+    first = start(f"train bouncing -o 'b run' {OPTIONS}", tmp_path)
+    err, code = stop_at(50, first, run, signal.SIGINT)
     assert code == 130 and "Traceback" not in err
-    told = re.search(r"go on with: (p4dgs-ref train .*)\n$", err)
-    resume = shlex.split(told[1])[1:]
-    iteration = load(tmp_path / "b run")[1]["iteration"]
-    assert 50 <= iteration < 240
-    assert stop_at(iteration + 40, resume, tmp_path, signal.SIGKILL)[0] == -signal.SIGKILL
-    assert iteration + 40 <= load(tmp_path / "b run")[1]["iteration"] < 240
-    run_to_the_end(resume, tmp_path)
-    assert uninterrupted.communicate(timeout=120)[1] == "" and uninterrupted.returncode == 0
-    for name in ("a", "b"):
-        run_to_the_end(["encode", f"{name} run", "-o", f"{name}.p4dgs"], tmp_path)
-    assert (tmp_path / "a.p4dgs").read_bytes() == (tmp_path / "b.p4dgs").read_bytes()
-    for name in ("training.csv", "training.png"):
-        assert (tmp_path / "a run" / name).read_bytes() == (tmp_path / "b run" / name).read_bytes()
-    assert not list((tmp_path / "b run").glob(".*"))
-
-
-@pytest.mark.slow
-def test_killed_again_and_again(tmp_path):
-    """A training that was killed at a dozen places, in every stage, ends like one that was not."""
-    last = 900
-    run_to_the_end(command("whole", "--quiet", last=last), tmp_path)
-    stop_at(30, command("broken", last=last), tmp_path, signal.SIGKILL)
-    for at in range(100, 860, 70):
-        stop_at(at, command("broken", "--resume", last=last), tmp_path, signal.SIGKILL)
-    run_to_the_end(command("broken", "--resume", last=last), tmp_path)
-    files = [p4.encode(load_model(tmp_path / run)[0]) for run in ("whole", "broken")]
+    resume = re.search(r"go on with: p4dgs-ref (train .*)\n$", err)[1]
+    for at in (90, 130, 180):  # in other stages
+        assert stop_at(at, start(resume, tmp_path), run, signal.SIGKILL)[1] == -signal.SIGKILL
+        assert at <= load(run)[1]["iteration"] < 240
+    for process in (uninterrupted, start(resume, tmp_path)):
+        assert process.communicate(timeout=120) and process.returncode == 0
+    files = [p4.encode(load_model(tmp_path / name)[0]) for name in ("a run", "b run")]
     assert files[0] == files[1]
+    for name in ("training.csv", "training.png"):
+        assert (tmp_path / "a run" / name).read_bytes() == (run / name).read_bytes()
