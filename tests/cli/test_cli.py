@@ -251,6 +251,7 @@ def test_every_command_has_its_function():
             assert callable(getattr(import_module(f"p4dgs_ref.cli.{module}"), function))
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_error():
     process = start("oracle", "equations")
     process.stdout.close()  # before the first line is written

@@ -17,7 +17,7 @@ from tests.sampling import few
 
 ROOT = Path(p4.__file__).resolve().parents[1]
 NUMBERS = {"INT": signal.SIGINT, "TERM": signal.SIGTERM}
-SIGNALS = pytest.mark.parametrize("name", few(NUMBERS, 1))
+SIGNALS = pytest.mark.parametrize("name", NUMBERS)
 # Before the import of a module, say so and wait, as a slow disk would.
 SLOW = """
 import sys, time
@@ -92,7 +92,9 @@ def at_work(line, cwd, pattern):
     return process
 
 
-@pytest.mark.parametrize("line, name", few(itertools.product(LINES, NUMBERS), 3))
+@pytest.mark.slow
+@pytest.mark.parametrize("line", LINES)
+@SIGNALS
 def test_long_commands_stop_cleanly(tmp_path, files, line, name):
     """Nothing is left behind, but for the checkpoint of a training, which says how to go on."""
     process = at_work(line.format(files=files), tmp_path, LINES[line])
