@@ -337,6 +337,12 @@ def test_mistakes_on_the_command_line(original, refused, monkeypatch, line, word
     refused(line, words)
 
 
+def test_a_pipe_is_not_read(place, refused):
+    """Its reader would wait for ever."""
+    os.mkfifo("pipe")
+    refused("decode pipe -o new", ("p4dgs-ref: pipe: ", "regular file"))
+
+
 def test_no_test_views():
     view = p4.load_scene("bouncing", downscale=8).train[0]
     scene = p4.Scene("only", (view,))
