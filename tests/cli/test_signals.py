@@ -109,20 +109,6 @@ def test_long_commands_stop_cleanly(tmp_path, files, line, name):
 
 
 @pytest.mark.slow
-def test_a_second_training_is_refused_while_the_first_one_lives(tmp_path):
-    first = at_work(RUN, tmp_path, LINES[RUN])
-    again = f"{RUN} --resume --set stage_ends=1,1,1,1"
-    out, err = at_work(again, tmp_path, "").communicate(timeout=60)
-    assert (out, err.count("\n")) == ("", 1), err
-    assert err.startswith("p4dgs-ref: run: another process is writing to it")
-    first.kill()
-    first.communicate()
-    third = at_work(again, tmp_path, "")
-    _, err = third.communicate(timeout=60)  # the lock is gone; the checkpoint is of other stages
-    assert third.returncode == 2 and "field 'preset.stage_ends'" in err
-
-
-@pytest.mark.slow
 @SIGNALS
 def test_at_twenty_moments_of_the_start(tmp_path, name):
     argv = ["demo", "bouncing", "-o", "out", "--quiet"]

@@ -221,7 +221,7 @@ DEATHS = {
 }
 
 
-@pytest.mark.parametrize("twist", few(DEATHS, 3))
+@pytest.mark.parametrize("twist", few(DEATHS, 1))
 def test_a_death_costs_one_case(port, twist):
     ask = port(f"if n == 3: {twist}")
     assert verdicts(ask, 2) == ["ok", "ok"]
@@ -230,19 +230,17 @@ def test_a_death_costs_one_case(port, twist):
     assert verdicts(ask, 2) == ["ok", "ok"] and len(port.pids()) == 2
 
 
-@pytest.mark.parametrize(
-    "twist",
-    few(
-        [
-            "if n == 2: time.sleep(60)",
-            "if n == 2: send(json.dumps(answer)); time.sleep(60)",  # never ends its line
-            "while n == 2: print('still at it', file=sys.stderr)",
-            "if n == 2: subprocess.Popen(['sleep', '60']).wait()",
-            "if n == 2: signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)",
-        ],
-        1,
-    ),
-)
+HANGS = [
+    "if n == 2: time.sleep(60)",
+    "if n == 2: send(json.dumps(answer)); time.sleep(60)",  # never ends its line
+    "while n == 2: print('still at it', file=sys.stderr)",
+    "if n == 2: subprocess.Popen(['sleep', '60']).wait()",
+    "if n == 2: signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)",
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("twist", HANGS)
 def test_a_port_that_hangs_is_stopped(port, twist):
     ask, started = port(twist, timeout=1.0), time.monotonic()
     assert verdicts(ask, 3) == ["ok", "hung", "ok"] and time.monotonic() - started < 5.5
