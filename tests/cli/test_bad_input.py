@@ -328,6 +328,21 @@ LINES = [
     ("accuracy --only speed", ("--only speed", "renderer")),
     ("stability --only H-R", ("--only H-R", "H-R1")),
     ("inspect good.p4dgs --heat", ("--heat", "-o FOLDER")),
+    ("ablate nowhere -o out", ("nowhere", "packaged")),
+    ("ablate bouncing --iterations 3 -o out", ("--iterations", "'3'")),
+    ("ablate bouncing -o text/out", ("text/out", "folder that can be written")),
+    ("sweep bouncing --lambda-rate , -o out", ("lambda_rate", "empty sweep")),
+    ("sweep bouncing --collect -o out", ("out", "empty sweep")),
+    ("sweep bouncing --point 4/3 -o out", ("--point 4/3", "1 to 15")),
+    ("sweep bouncing --lambda-rate 1,-2 -o out", ("--lambda-rate", "'-2'")),
+    ("sweep bouncing --lambda-rate 1,x -o out", ("--lambda-rate", "'x'")),
+    ("sweep bouncing --point 1 -o out", ("--point", "I/N")),
+    ("sweep bouncing --method nerf -o out", ("method 'nerf'",)),
+    ("compare --method nerf -o out", ("method 'nerf'", "p4dgs, p4dgs_coded, d3dgs")),
+    ("compare nowhere -o out", ("nowhere", "packaged")),
+    ("compare --iterations 0 -o out", ("--iterations", "'0'")),
+    ("compare --seeds 0 -o out", ("--seeds", "'0'")),
+    ("compare bouncing -o text", ("text", "folder that can be written")),
 ]
 
 
