@@ -8,6 +8,7 @@ import json
 import math
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -86,17 +87,21 @@ def demo(column):
 @pytest.mark.parametrize(
     "program, output", PROGRAMS, ids=["example", "face", "port", "slips", "sizes"]
 )
-def test_program_prints_what_stands_below_it(program, output):
-    done = run(program)
-    assert (done.stdout, done.stderr) == (output, "")
+def test_program_prints_what_stands_below_it(run, program, output):
+    assert run(program) == (output, "")
 
 
-def run(program):
-    """The process of a Python program, run from the top of the checkout on one thread."""
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8"}
-    return subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, env=environment, capture_output=True, text=True
-    )
+@pytest.fixture
+def run(tmp_path, capfd, monkeypatch):
+    """A function that runs a Python program at the top of the checkout: its stdout and stderr."""
+    monkeypatch.chdir(ROOT)
+
+    def run(program):
+        (tmp_path / "program.py").write_text(program, encoding="utf-8")
+        runpy.run_path(str(tmp_path / "program.py"), run_name="__main__")
+        return capfd.readouterr()
+
+    return run
 
 
 def test_every_program_is_run_and_the_first_is_short():
@@ -106,16 +111,16 @@ def test_every_program_is_run_and_the_first_is_short():
     assert slope == quotient != 0
 
 
-def test_five_lines_run_and_print_the_figures_of_the_demo():
+def test_five_lines_run_and_print_the_figures_of_the_demo(run):
     """With another preset, which takes a second; the demo's own figures are measured below."""
     program, output = FIVE_LINES
     m = demo(PAPER_DESIGN)
     assert output == f"{m['psnr_db']:.2f} dB on 10 test views from {m['bytes']:,.0f} bytes\n"
     assert program.startswith("import p4dgs_ref as p4\n\n") and program.count("\n") == 7
     assert SMOKE_INSTEAD[0] in program
-    done = run(program.replace(*SMOKE_INSTEAD))
-    forms = [re.sub(r"\d[\d,.]*", "N", text) for text in (done.stdout, output)]
-    assert forms[0] == forms[1] and done.stderr == ""
+    out, err = run(program.replace(*SMOKE_INSTEAD))
+    forms = [re.sub(r"\d[\d,.]*", "N", text) for text in (out, output)]
+    assert forms[0] == forms[1] and err == ""
 
 
 def test_one_equation_is_shown_as_its_file_has_it():

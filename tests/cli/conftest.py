@@ -74,13 +74,12 @@ def scene(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def files(tmp_path_factory):
+def files(trained, tmp_path_factory):
     """A file named after its scene, as `demo` names it, and one of a scene without occlusion."""
     folder = tmp_path_factory.mktemp("files")
+    (folder / "bouncing.p4dgs").write_bytes(trained.data)
+    static = p4.load_scene("static", downscale=8)
     with pytest.warns(UserWarning):
-        model = p4.train(p4.load_scene("bouncing", downscale=4), "smoke")
-        (folder / "bouncing.p4dgs").write_bytes(p4.encode(model))
-        static = p4.load_scene("static", downscale=4)
         model = p4.train(p4.Scene("sum", static.train, effects=()), "smoke")
-        (folder / "sum.p4dgs").write_bytes(p4.encode(model))
+    (folder / "sum.p4dgs").write_bytes(p4.encode(model))
     return folder

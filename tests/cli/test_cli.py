@@ -5,6 +5,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import time
@@ -19,7 +20,9 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref.cli import base
 from p4dgs_ref.cli import parser as cli
+from p4dgs_ref.lab.baselines import METHODS
 from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
+from p4dgs_ref.lab.tables import compare
 from tests.budget import subcommands
 
 ROOT = Path(p4.__file__).resolve().parents[1]
@@ -251,6 +254,7 @@ def test_every_command_has_its_function():
             assert callable(getattr(import_module(f"p4dgs_ref.cli.{module}"), function))
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_error():
     process = start("oracle", "equations")
     process.stdout.close()  # before the first line is written
@@ -288,3 +292,43 @@ def test_python_face_has_every_name():
 def test_importing_the_package_leaves_numpy_alone():
     code = "import sys, p4dgs_ref, p4dgs_ref.cli.parser; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+
+
+@pytest.fixture
+def place(scene, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(compare, "TURNS", 1)
+    shutil.copytree(scene, "scene")
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_compare_quick_has_one_row_a_method(place, run):
+    code, out, err = run("compare scene --quick -o out --json --iterations 4")
+    assert (code, err) == (0, "")
+    result = json.loads((place / "out/compare.json").read_text())
+    assert json.loads(out) == result
+    rows = result["methods"]
+    assert [row["method"] for row in rows] == ["p4dgs", *METHODS]
+    assert {(row["scene"], row["seed"]) for row in rows} == {("scene", 0)}
+    for row in rows:
+        ending = "p4dgs" if row["method"] == "p4dgs" else "ply"
+        file = place / "out" / f"scene_{row['method']}_seed0.{ending}"
+        assert file.stat().st_size == row["bytes"]
+
+
+def test_sweep_point_by_point(place, run, refused):
+    sweep, folder = "sweep scene --seeds 1 --lambda-rate 0,0.5 --iterations 4", "report/sweep"
+    assert run(f"{sweep} --point 2/2")[0] == 0
+    assert not (place / folder / "sweep.csv").exists()
+    assert run(f"{sweep} --collect")[0] == 0
+    assert len((place / folder / "sweep.csv").read_text().splitlines()) == 2
+    refused(f"{sweep} --point 3/3", ("--point 3/3", "1 to 2"))
+    refused(f"{sweep} --point 0/2", ("--point 0/2", "1 to 2"))
+    code, out, err = run(f"{sweep} --json --jobs 1")
+    assert (code, err) == (0, "") and json.loads(out)["missing"] == 0
+    assert len((place / folder / "sweep.csv").read_text().splitlines()) == 3
+    assert len((place / folder / "composition.csv").read_text().splitlines()) == 10
+    for damage, words in (('{"version": 0}', ("'version'", "expected 2")), ("{", ("JSON",))):
+        (place / folder / "sweep.json").write_text(damage)
+        refused(f"{sweep} --collect", ("sweep.json", *words))

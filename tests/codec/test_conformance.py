@@ -1,20 +1,55 @@
-"""The conformance streams: how they are built, and how they are decoded or refused."""
+"""The conformance streams: how they are built, and how they are decoded or refused.
 
+By this project's decoder and by the plain one, which also reads the models of the tests.
+"""
+
+import ast
 import hashlib
 import json
 import re
+import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from p4dgs_ref.codec import context, file, fixed_point
 from p4dgs_ref.codec.container import SECTIONS, layout, read_container
 from p4dgs_ref.codec.file import NETWORK_SECTIONS, decode, encode, quantised_of
 from p4dgs_ref.codec.published import FOLDER
 from p4dgs_ref.model import join
 from p4dgs_ref.report.inspect import ledger
-from tests.codec.models import refusal
-from tests.codec.streams import BAD, GOOD, MANIFEST, arrays_of, read
-from tests.golden import conformance
+from tests.codec.models import CODED, MAKE, refusal
+from tests.golden import conformance, plain_decoder
+from tests.sampling import few
+
+MANIFEST = json.loads((FOLDER / "manifest.json").read_text())
+GOOD, BAD = ({row["name"]: row for row in MANIFEST[key]} for key in ("good", "bad"))
+
+
+def read(name):
+    return (FOLDER / name).read_bytes()
+
+
+def arrays_of(row):
+    """The expected arrays of a good stream, {name: array}, read as the manifest describes them."""
+    body, arrays, end = read(row["expected"]), {}, 0
+    for entry in row["arrays"]:
+        count, start = int(np.prod(entry["shape"])), entry["offset"]
+        assert start == end
+        if entry["type"] == "bit":
+            end += (count + 7) // 8
+            array = np.unpackbits(np.frombuffer(body[start:end], np.uint8), bitorder="little")
+            assert not array[count:].any()
+        else:
+            kind = np.dtype(f"<{entry['type'][0]}{int(entry['type'][1:]) // 8}")
+            end += count * kind.itemsize
+            array = np.frombuffer(body[start:end], kind)
+        assert hashlib.sha256(body[start:end]).hexdigest() == entry["sha256"], entry["name"]
+        arrays[entry["name"]] = array[:count].reshape(entry["shape"])
+    assert end == len(body)
+    return arrays
+
 
 # The encoder writes other bytes for these: it drops an anchor, stores 0 where the box has no
 # extent, or chooses another number of lanes.
@@ -156,3 +191,79 @@ def test_streams_test_what_their_names_say(name):
 
 def test_every_kind_of_error_has_a_stream():
     assert len(GOOD) >= 12 and set(KINDS) == {row["kind"] for row in BAD.values()}
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_the_plain_decoder_finds_what_is_expected(name):
+    found = plain_decoder.decode(read(GOOD[name]["file"]))
+    assert found["header"] == GOOD[name]["header"]
+    expected = {key: array.ravel() for key, array in arrays_of(GOOD[name]).items()}
+    expected["signs"] = 2 * expected["signs"].astype(int) - 1
+    for key, numbers in expected.items():
+        assert list(found[key]) == numbers.tolist(), key
+    # also the sign of zero
+    assert np.array(found["attributes"], float).tobytes() == expected["attributes"].tobytes()
+
+
+@pytest.mark.parametrize("row", BAD.values(), ids=BAD)
+def test_the_plain_decoder_refuses_bad_streams(row):
+    with pytest.raises(ValueError) as caught:
+        plain_decoder.decode(read(row["file"]))
+    assert caught.value.args[0] == row["section"]
+
+
+PAPER = {name: MAKE[name] for name in ("random", "no_effects", "turning", "flat", "trained")}
+
+
+@pytest.mark.parametrize("make", few([*PAPER.values(), *CODED.values()], 6))
+def test_the_plain_decoder_reads_other_models(make):
+    data = encode(make())
+    found, quantised = plain_decoder.decode(data), quantised_of(read_container(data), data[8])
+    ctx = quantised.context
+    for key, array in (
+        ("positions", quantised.positions),
+        ("symbols", quantised.symbols),
+        ("mu_units", ctx.mu_units),
+        ("sigma_units", ctx.sigma_units),
+        ("q", ctx.q),
+        ("x_a", quantised.model.anchors.x_a),
+        ("masks", quantised.model.anchors.mask),
+    ):
+        assert list(found[key]) == array.ravel().tolist(), key
+
+
+def test_worked_numbers_of_the_format_page():
+    """The plain decoder computes the worked numbers, and the page states them."""
+    grid = {"grid": [("xy", 3)], "F": 1, "Q_0": [0.1]}
+    signs = [1, 1, 1, 1, -1, 1, -1, 1, 1]
+    assert plain_decoder.hash_feature((20000, 50000, 7), grid, [signs]) == [375]
+    numbers = struct.unpack("<3e", struct.pack("<3e", 0.5, -0.3, 0.1))
+    output = plain_decoder.run_network([16384, -8192], (2, 1), numbers)
+    assert output == ([456327168], 30, 966393856)
+    halved = plain_decoder.run_network([16384, -8192], (2, 1, 1), (*numbers, 1.0, 0.0))
+    assert halved == ([1782528 << 14], 36, 3774976 << 14)  # n is 14 for a weight of 1
+    layers = {"psi_p": ([456327168, -229376 << 14], 30, 966393856), "psi_q": ([456327168], 30, 0)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plain_decoder, "run_network", lambda x, name: layers[name])
+        found = plain_decoder.context((20000, 50000, 7), grid, [signs], [1], ["psi_p"], ["psi_q"])
+    assert found == ([375], [45913], [3106], [-35])
+    assert 45913 * (0.1 * 2.0**-15) == 0.1401153564453125
+    assert -1.5 + 20000 * (3 / 65535) == -0.5844586861982147
+    of_context = ("h = 375", "q_units = 45913", "q = 0.1401153564453125", "mu_units = 3106")
+    pages = {
+        context: (*of_context, "sigma_units = -35"),
+        fixed_point: ("y = 456327168", "966393856", "x = 1782528", "X = 3774976"),
+        file: ("-0.5844586861982147",),
+    }
+    for module, texts in pages.items():
+        page = " ".join(module.__doc__.split())
+        assert all(text in page for text in texts), module.__name__
+
+
+def test_the_plain_decoder_is_short_and_uses_nothing_of_the_package():
+    tree = ast.parse(Path(plain_decoder.__file__).read_text(encoding="utf-8"))
+    nodes = list(ast.walk(tree))
+    names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
+    assert names == {"json", "struct", "zlib", "bisect", "itertools", "math", "pathlib"}
+    assert sum(isinstance(node, ast.stmt) for node in nodes) <= 380  # of both versions

@@ -1,13 +1,25 @@
-"""The container accounts for every byte and refuses every damage, in both versions."""
+"""The container accounts for every byte and refuses every damage, in both versions.
+
+Of a file with a wrong frame only the frame is read.
+"""
 
 import struct
+import tracemalloc
 import zlib
 
 import numpy as np
 import pytest
 
 from p4dgs_ref.codec import container
-from p4dgs_ref.codec.container import MAGIC, SECTIONS, layout, read_container, write_container
+from p4dgs_ref.codec.container import (
+    MAGIC,
+    SECTIONS,
+    layout,
+    read_container,
+    read_file,
+    write_container,
+)
+from p4dgs_ref.codec.published import FOLDER
 from tests.codec.models import flips, prefixes, refusal
 
 EMPTY = write_container({})
@@ -113,11 +125,53 @@ def test_damaged_section_is_named(sections):
     assert str(refusal(read_container, data)).startswith(f"section '{last}', byte 0: checksum")
 
 
-def test_a_file_may_not_be_longer_than_its_format_allows(tmp_path):
-    """2^29 bytes: only the frame is read."""
-    path = tmp_path / "long.p4dgs"
-    head = MAGIC + b"\2\4" + struct.pack("<11I", 2**29 + 1, *[0] * 10) + bytes(4)
+LARGE = 3 * 2**30
+
+
+def sparse(path, start, size=LARGE):
+    """A file that begins with some bytes and goes on with zeros, which take no room on the disk."""
     with open(path, "wb") as file:
-        file.write(head)
-        file.truncate(len(head) + 2**29)
-    assert "add up to" in refusal(container.read_file, path).message
+        file.write(start)
+        file.truncate(size)
+    return path
+
+
+def frame(total, rows=b""):
+    """The head of a file with a valid checksum."""
+    head = MAGIC + struct.pack("<BBI", 1, len(rows) // 9, total) + rows
+    return head + struct.pack("<I", zlib.crc32(head))
+
+
+def test_good_files_are_read_whole(tmp_path):
+    path = tmp_path / "good.p4dgs"
+    for data in ((FOLDER / "full.p4dgs").read_bytes(), write_container({})):
+        path.write_bytes(data)
+        assert read_file(path) == data
+
+
+@pytest.mark.parametrize(
+    "start, size, message",
+    [
+        (b"", LARGE, "not a P-4DGS file: wrong magic number, expected 89 50 34 44"),
+        (MAGIC + b"\3", LARGE, "version 3"),
+        (frame(18), LARGE, f"total length 18, but the file has {LARGE} bytes"),
+        (frame(LARGE), LARGE, f"total length {LARGE}, expected at most {2**29}"),
+        (frame(2**29), 2**29, "the lengths of the sections add up to 18"),
+        (frame(2**29)[:-1], 2**29, "wrong checksum"),
+        (b"", 5, "not a P-4DGS file: expected at least 18 bytes"),
+        (
+            MAGIC + b"\2\4" + struct.pack("<11I", 2**29 + 1, *[0] * 10) + bytes(4),
+            2**29 + 58,
+            "add up to",
+        ),
+    ],
+)
+def test_only_the_frame_of_a_wrong_file_is_read(tmp_path, start, size, message):
+    path = sparse(tmp_path / "wrong.p4dgs", start, size)
+    tracemalloc.start()
+    try:
+        error = refusal(read_file, path)
+        assert tracemalloc.get_traced_memory()[1] < 2**18
+    finally:
+        tracemalloc.stop()
+    assert error.section == "container" and message in error.message

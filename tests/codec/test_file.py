@@ -1,10 +1,6 @@
 """The file of a model decodes to the quantised model, bit for bit, and has its entropy's size."""
 
 import dataclasses
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +15,6 @@ from p4dgs_ref.report.inspect import components, ledger
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.training.presets import SMOKE, TINY
 from tests.codec.models import (
-    DECODE_AND_PRINT,
     MAKE,
     arrays_of,
     changed,
@@ -29,7 +24,6 @@ from tests.codec.models import (
 from tests.golden.sample_model import sample_model
 from tests.sampling import few
 
-ROOT = Path(__file__).resolve().parents[2]
 EYES = ((1.5, -2.5, 1.0), (-0.4, 2.8, 0.6))
 CAMERAS = [look_at(eye, (0, 0, 0), 30.0, 28.0, 40, 24) for eye in EYES]
 
@@ -114,22 +108,6 @@ def test_units_that_hang_on_the_last_bit_are_removed_until_none_is_silent():
     for seed in range(8):
         data = encode(cancelling_model(seed, half=3 + seed % 13))
         assert encode(decode(data)) == data, seed
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("threads", ["3", "1"])
-def test_another_process_decodes_the_same(tmp_path, threads):
-    for name in ("trained", "many"):
-        path = tmp_path / f"{name}.p4dgs"
-        path.write_bytes(encode(MAKE[name]()))
-        out = subprocess.run(
-            [sys.executable, "-W", "error", "-c", DECODE_AND_PRINT, path],
-            cwd=ROOT,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": threads},
-            capture_output=True,
-            text=True,
-        )
-        assert out.stdout.split() == [digest(decode(path.read_bytes())), "True"], out.stderr
 
 
 def test_rounding_is_that_of_the_paper(made):

@@ -20,7 +20,7 @@ from p4dgs_ref.codec.gaussian_table import SIGMA_MAX, SIGMA_MIN, gaussian_model
 from p4dgs_ref.codec.header import MOST_NUMBERS, declared_numbers
 from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.codec.streams import decode_symbols, encode_bits, encode_gaussian
-from tests.codec.models import flips, prefixes, refusal
+from tests.codec.models import refusal
 from tests.golden import fuzz
 from tests.golden.damage import Mutation, assemble, mutation
 from tests.golden.sample_model import sample_model
@@ -63,14 +63,6 @@ def test_damage_is_refused_or_within_limits(count):
         # Repaired checksums let some changes through, so decoded models were checked too.
         for kind in ("flip", "overwrite", "header field"):
             assert answers[f"repaired {kind}"]["within limits"]
-
-
-@pytest.mark.parametrize("i", range(4))
-def test_every_prefix_and_every_flipped_bit_is_refused(i):
-    data = fuzz.good_files()[i]
-    assert decode(data)
-    for bad in (*prefixes(data), *flips(data, 7)):
-        refusal(decode, bad)
 
 
 def test_a_mutation_is_always_the_same():
@@ -240,13 +232,13 @@ def test_megabytes_of_nonsense_cost_no_memory(least):
                 refusal(decode, data)
 
 
-def test_hostile_headers_cost_no_memory(least):
+def test_hostile_headers_cost_no_memory():
     """Headers that declare more than the file holds are refused before arrays are allocated."""
-    sections = read_container(least)
-    header = json.loads(sections["header"])
+    first, second = (read_container(fuzz.good_files()[i]) for i in (1, 3))
     full = {"hash_grid": encode_bits(np.ones(1, bool)), "masks": encode_bits(np.ones(1, bool))}
     large = dict(F=64, grid=[["xyz", 63]], table=[2**24, 2**24])
-    for fields, where in (
+    for fields, where, *version in (
+        (dict(anchors=2**17), "positions", 2),
         (dict(anchors=2**18), "positions"),
         (dict(anchors=2**21), "header"),
         (dict(anchors=2**22), "header"),
@@ -260,20 +252,11 @@ def test_hostile_headers_cost_no_memory(least):
         (large, "header"),
         (dict(large, grid=[["xyz", 63]] * 2), "header"),
     ):
-        body = json.dumps({**header, **fields}).encode()
-        data = write_container({**sections, **full, "header": body})
+        sections = second if version else {**first, **full}
+        body = json.dumps({**json.loads(sections["header"]), **fields}).encode()
+        data = write_container({**sections, "header": body}, *version)
         with traced(2**20):
             assert refusal(decode, data).section == where, fields
-
-
-def test_a_wrong_number_of_coded_positions_costs_no_memory():
-    sections = read_container(fuzz.good_files()[3])
-    fields = {**json.loads(sections["header"]), "anchors": 2**17}
-    for bits in (b"\0", sections["positions"][24:]):
-        body = {"header": json.dumps(fields).encode(), "positions": bytes(24) + bits}
-        data = write_container({**sections, **body}, 2)
-        with traced(2**20):
-            assert refusal(decode, data).section == "positions"
 
 
 def test_the_largest_model_has_256_mib():

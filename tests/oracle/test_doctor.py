@@ -1,15 +1,22 @@
-"""The doctor: what it says of every known mistake, of mistakes in one direction, and of others."""
+"""The doctor: what it says of every known mistake, of mistakes in one direction, and of others.
+
+What it says of wrong formulas that it does not know is contradicted by no answer.
+"""
+
+import random
+from collections import Counter
 
 import numpy as np
 import pytest
-from scipy.ndimage import map_coordinates
 
 from p4dgs_ref import oracle
 from p4dgs_ref.oracle import checker, doctor, published
 from p4dgs_ref.oracle.compare import compare, expected
 from p4dgs_ref.table import EQUATIONS
+from tests.golden.kill_matrix import laboratory
+from tests.golden.mutate import applied, mutations
 from tests.oracle.answers import in_precision
-from tests.sampling import few
+from tests.sampling import SEED, few
 
 MISTAKES = [mistake for key in published.subjects() for mistake in doctor.known(key)]
 BOTH = ("out.", "in_bar.")
@@ -63,10 +70,14 @@ def told(key, answer, dtype=np.float64, only=""):
     for case in (case for case in published.cases(key) if only in case.name):
         with np.errstate(all="ignore"):
             got = in_precision(expected(case.tensors) | answer(case), dtype)
-        findings = compare(case.tensors, got, case.tolerance(np.dtype(dtype).name))
-        answers.append((case, got, [finding.tensor for finding in findings]))
+        answers.append((case, got, wrong_names(case, got, np.dtype(dtype).name)))
     assert any(wrong for *_, wrong in answers)
     return doctor.diagnose(key, answers)
+
+
+def wrong_names(case, got, precision="float64"):
+    """The tensors that are wrong, in their order."""
+    return [finding.tensor for finding in compare(case.tensors, got, case.tolerance(precision))]
 
 
 def by_id(id):
@@ -133,40 +144,19 @@ def test_lost_digits_are_not_a_mistake():
 
 
 # --- ports with mistakes, written without the definitions of `tests/golden/mistakes` -------------
-def losses(case):
-    """The parts of Eq. (16): given, L1, D_SSIM, their whole cotangents, the pullback."""
-    given, bars = case.inputs(), case.cotangents()
-    out, pullback = EQUATIONS["render_loss"].vjp(**given)
-    weights = {"L1": 1 - given["lambda_ssim"], "D_SSIM": given["lambda_ssim"]}
-    whole = {n: bars[n + "_bar"] + w * bars["L_render_bar"] for n, w in weights.items()}
-    return given, out["L1"], out["D_SSIM"], whole, pullback
-
-
-def loss_answer(given, L1, D, image_bar):
-    weight = given["lambda_ssim"]
-    L = np.asarray((1 - weight) * L1 + weight * D)
-    outputs = {"out.L_render": L, "out.L1": np.asarray(L1), "out.D_SSIM": np.asarray(D)}
-    return outputs | {"in_bar.image": image_bar}
 
 
 def halved_dissimilarity(case):
-    given, L1, D, whole, pullback = losses(case)
-    bars = pullback(L_render_bar=0.0, L1_bar=whole["L1"], D_SSIM_bar=whole["D_SSIM"] / 2)
-    return loss_answer(given, L1, D / 2, bars["image"])
-
-
-def squares(case):
-    given, _, D, whole, pullback = losses(case)
-    e = given["image"] - given["truth"]
-    bars = pullback(L_render_bar=0.0, L1_bar=0.0, D_SSIM_bar=whole["D_SSIM"])
-    return loss_answer(given, np.mean(e**2), D, bars["image"] + whole["L1"] * 2 * e / e.size)
-
-
-def slope_one_at_equality(case):
-    given, L1, D, whole, pullback = losses(case)
-    equal = given["image"] == given["truth"]
-    bars = pullback(L_render_bar=0.0, L1_bar=whole["L1"], D_SSIM_bar=whole["D_SSIM"])
-    return loss_answer(given, L1, D, bars["image"] + whole["L1"] * equal / equal.size)
+    """1 - SSIM is halved, as in some papers, and its part of the gradients too."""
+    given, bars = case.inputs(), case.cotangents()
+    out, pullback = EQUATIONS["render_loss"].vjp(**given)
+    weight, L_bar = given["lambda_ssim"], bars["L_render_bar"]
+    L1_bar = bars["L1_bar"] + (1 - weight) * L_bar
+    D_SSIM_bar = (bars["D_SSIM_bar"] + weight * L_bar) / 2
+    back = pullback(L_render_bar=0.0, L1_bar=L1_bar, D_SSIM_bar=D_SSIM_bar)
+    L1, D = out["L1"], np.asarray(out["D_SSIM"] / 2)
+    L = np.asarray((1 - weight) * L1 + weight * D)
+    return {"out.L_render": L, "out.D_SSIM": D, "in_bar.image": back["image"]}
 
 
 def mean_over_all_entries(case):
@@ -174,47 +164,6 @@ def mean_over_all_entries(case):
     with np.errstate(all="ignore"):
         right = expected(case.tensors).items()
         return {name: np.asarray(a / np.float64(entries)) for name, a in right}
-
-
-def levels(case):
-    """For every level of the hash grid: its axes, its signs at all nodes, u of the positions."""
-    given = case.inputs()
-    extent = given["hi"] - given["lo"]
-    moved = np.where(extent > 0, (given["x_a"] - given["lo"]) / np.where(extent > 0, extent, 1), 0)
-    u = np.clip(moved, 0, 1)
-    for (axes, res), grid in zip(given["resolutions"], given["grids"]):
-        axes = ["xyz".index(a) for a in axes]
-        x_a = np.zeros((res ** len(axes), 3))
-        nodes = np.indices((res,) * len(axes)).reshape(len(axes), -1)
-        x_a[:, axes] = nodes.T / (res - 1)
-        of_level = {"grids": [grid], "resolutions": (("".join("xyz"[i] for i in axes), res),)}
-        h = EQUATIONS["hash_grid"](x_a=x_a, lo=np.zeros(3), hi=np.ones(3), **of_level)["h"]
-        yield axes, np.rint(h).reshape(*nodes.max(axis=1) + 1, -1), u
-
-
-def interpolated(signs, place):
-    """Multilinear reads at places in units of nodes, clamped to the border."""
-    reads = [
-        map_coordinates(of, place.T, order=1, mode="nearest") for of in np.moveaxis(signs, -1, 0)
-    ]
-    return np.stack(reads, axis=1)
-
-
-def half_cells(case):
-    h = [interpolated(signs, u[:, axes] * len(signs) - 0.5) for axes, signs, u in levels(case)]
-    return {"out.h": np.concatenate(h, axis=1)}
-
-
-def planes_xy_yz_xz(case):
-    other = {(0, 2): [1, 2], (1, 2): [0, 2]}
-    found = list(levels(case))
-    if len(found) < 4:
-        return {}
-    h = [
-        interpolated(signs, u[:, other.get(tuple(axes), axes)] * (len(signs) - 1))
-        for axes, signs, u in found
-    ]
-    return {"out.h": np.concatenate(h, axis=1)}
 
 
 def columns_xy_yz_xz(case):
@@ -226,12 +175,8 @@ def columns_xy_yz_xz(case):
 @pytest.mark.parametrize(
     "answer, id",
     [
-        (planes_xy_yz_xz, "hash-grid-planes-by-place"),
         (columns_xy_yz_xz, "hash-grid-planes"),
-        (half_cells, "hash-grid-cells"),
         (halved_dissimilarity, "render-loss-halved"),
-        (squares, "render-loss-squares"),
-        (slope_one_at_equality, "render-loss-sign-of-zero"),
         (mean_over_all_entries, "anchor-rate-mean-of-entries"),
     ],
 )
@@ -382,3 +327,108 @@ def test_the_data_are_small_together():
     folders = (published.FOLDER, doctor.FOLDER)
     sizes = [file.stat().st_size for folder in folders for file in folder.iterdir()]
     assert sum(sizes) < 5_500_000
+
+
+# --- formulas that are wrong otherwise -----------------------------------------------------------
+CLOSE = 1e-6  # of the largest number in an array
+
+
+def close(a, b):
+    """Whether two arrays are the same numbers. A NaN equals a NaN."""
+    if a.shape != b.shape:
+        return False
+    size = np.abs(b[np.isfinite(b)]).max(initial=0)
+    return np.allclose(a, b, rtol=0, atol=CLOSE * float(size), equal_nan=True)
+
+
+def contradictions(diagnoses, answers):
+    """The (mistake, case, tensor) in which a port differs from a mistake that is named.
+
+    Where the port is wrong, the mistake must be wrong and equal to it; where the port is right, the
+    mistake must be right. A hint is held to this in the cases that it names.
+    """
+    found = []
+    for row in diagnoses:
+        role = doctor.ROLES.get(row.part, "")
+        for case, got, wrong in answers:
+            if row.certain or case.id in row.cases:
+                would = expected(case.tensors) | row.mistake.answers.get(case.name, {})
+                shown = wrong_names(case, {name: would[name] for name in got})
+                for name in (n for n in got if n.startswith(role)):
+                    agrees = (name in shown) == (name in wrong)
+                    if not agrees or name in wrong and not close(got[name], would[name]):
+                        found.append((row.mistake.id, case.id, name))
+    return found
+
+
+def verdict(diagnoses):
+    """`explained`, `hint` or `silent`."""
+    if not diagnoses:
+        return "silent"
+    return "explained" if diagnoses[0].certain else "hint"
+
+
+def survey(judge, sample):
+    """Count the verdicts on mutated programs. None may contain a contradiction."""
+    counts = Counter()
+    for mutation in sample:
+        try:
+            with laboratory(), applied(mutation):
+                answers = judge.answers(mutation.equation)
+        except Exception:  # the changed file cannot be loaded, or never ends
+            continue
+        if any(wrong for *_, wrong in answers):
+            diagnoses = doctor.diagnose(mutation.equation, answers)
+            assert contradictions(diagnoses, answers) == [], mutation.id
+            counts[verdict(diagnoses)] += 1
+    return counts
+
+
+def chosen():
+    """Mutations of files that serve one equation; of these the short lane surveys a sample."""
+    return random.Random(12).sample([m for m in mutations() if m.equation], 200)
+
+
+def test_mutations_of_our_code(judge, hasty):
+    assert survey(judge, random.Random(SEED).sample(chosen(), 12))
+
+
+@pytest.mark.slow
+def test_more_mutations_of_our_code(judge):
+    counts = survey(judge, chosen())
+    assert counts.total() >= 100 and counts["silent"] > counts["explained"] > 0
+
+
+def mixed(rng, mistakes, cases):
+    """The answers of a port that has another of some mistakes in every case and direction."""
+    answers = []
+    for case in cases:
+        got = {}
+        for role in doctor.ROLES.values():
+            stored = rng.choice(mistakes).answers.get(case.name, {})
+            got |= {
+                n: stored.get(n, a) for n, a in expected(case.tensors).items() if n.startswith(role)
+            }
+        answers.append((case, got, wrong_names(case, got)))
+    return answers
+
+
+@pytest.mark.parametrize("key, seed", few([(key, n) for key in EQUATIONS for n in range(6)], 10))
+def test_mixtures_of_known_mistakes(key, seed):
+    """Two mistakes in turns, of which one may be in most of the cases."""
+    rng = random.Random(f"{key} {seed}")
+    two = rng.sample(doctor.known(key), 2)
+    answers = mixed(rng, [two[0]] * rng.choice([1, 2, 4]) + two[1:], published.cases(key))
+    assert contradictions(doctor.diagnose(key, answers), answers) == []
+
+
+def test_a_contradiction_is_seen():
+    """Answers with which a mistake agrees, then the same with one array changed."""
+    mistake = next(m for m in doctor.known("offsets") if m.id == "offsets-not-scaled")
+    answers = mixed(random.Random(0), [mistake], published.cases("offsets"))
+    diagnoses = doctor.diagnose("offsets", answers)
+    assert verdict(diagnoses) == "explained" and contradictions(diagnoses, answers) == []
+    got = answers[0][1]
+    got["out.x"] = 1.01 * got["out.x"]
+    assert len(contradictions(diagnoses, answers)) == 1
+    assert verdict(doctor.diagnose("offsets", answers)) == "hint"

@@ -1,78 +1,23 @@
-"""A right port on the printed formulas with textbook slopes is acceptable, a wrong one fails."""
+"""A right port with fewer digits passes or is acceptable, and nothing else is.
+
+A port on the formulas as printed, differentiated by a tape, is right; a tensor that is off by 1e-3,
+zero or negated is wrong.
+"""
 
 import json
-import sys
 
 import numpy as np
 import pytest
 
-from p4dgs_ref import oracle
 from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.equations import numerics
 from p4dgs_ref.oracle import checker, doctor, published, report, safetensors
 from p4dgs_ref.oracle import printed as scales
 from p4dgs_ref.oracle.compare import expected
-from p4dgs_ref.table import EQUATIONS
 from tests.golden import printed
-from tests.golden.subjects import subjects
-from tests.oracle.answers import Port, case_of, ours, write
+from tests.oracle.answers import Port, case_of, in_precision, ours, write
 from tests.sampling import few
 
 PRECISIONS = (np.float64, np.float32)
-# Cases that a port on stock automatic differentiation missed when it was checked without mercy.
-MISSED = {
-    *("tanh/tails", "sigmoid/tails", "step_floor/large", "step/large"),
-    *("step/H-R4.u-10", "step/H-R4.u-19", "step/H-R4.u-100"),
-    *("opacity/H-S1.tanh", "color/H-S1.color", "scale/H-S1.scale"),
-    *("deformed/H-G5.nearly_w", "deformed/H-P2.zero", "deformed/H-P2.negative"),
-    *("view/far", "view/near"),
-    *("activations/saturated", "activations/far_logits", "conditional/lasting"),
-    *("rotation_4d/identity", "rotation_4d/left_by_i", "rotation_4d/right_by_minus_i"),
-}
-
-
-# --- two ports ----------------------------------------------------------------------------------
-def sigmoid_slope(y):
-    s = numerics.sigmoid(y)
-    return s * (1 - s)
-
-
-def tanh_slope(y):
-    t = np.tanh(y)
-    return 1 - t * t
-
-
-def length(v):
-    return np.sqrt((v * v).sum(axis=-1, keepdims=True))
-
-
-def normalise(r):
-    norm = np.sqrt((r * r).sum(axis=-1, keepdims=True) + r.dtype.type(1e-24))
-    return r / norm, norm
-
-
-def normalise_backward(unit, norm, unit_bar):
-    r = unit * norm
-    return unit_bar / norm - r * ((unit_bar * r).sum(axis=-1, keepdims=True) / norm**3)
-
-
-def perpendicular(unit, v):
-    along = v - unit * (unit * v).sum(axis=-1, keepdims=True)
-    return np.where(unit.any(axis=-1, keepdims=True), along, 0)
-
-
-TEXTBOOK = (sigmoid_slope, tanh_slope, length, normalise, normalise_backward, perpendicular)
-
-
-@pytest.fixture
-def textbook(monkeypatch):
-    """This project's own code, with textbook forms in place of all that keeps digits."""
-    subjects()
-    for function in TEXTBOOK:
-        careful = getattr(numerics, function.__name__)
-        for module in list(sys.modules.values()):
-            if getattr(module, function.__name__, None) is careful:
-                monkeypatch.setattr(module, function.__name__, function)
 
 
 def as_printed(case, dtype):
@@ -82,48 +27,39 @@ def as_printed(case, dtype):
     return {name: a.reshape(case.tensors[name].shape) for name, a in got.items()}
 
 
-def judged(key, port, strict=False):
+def judged(key, dtype, strict=False):
+    """The report of a port on the formulas as printed."""
+    port = Port(as_printed, dtype)
     return checker.Report(checker.check_subject(published.cases(key), port, strict=strict))
 
 
 # --- right formulas -----------------------------------------------------------------------------
-EVERY = [(key, dtype) for key in published.subjects() for dtype in PRECISIONS]
 CONCERNED = [(key, dtype) for key in scales.RECIPES for dtype in PRECISIONS]
+# Some of the cases that such a port missed when it was checked without mercy.
+MISSED = {
+    *("tanh/tails", "sigmoid/tails", "step/H-R4.u-10", "step/H-R4.u-100", "opacity/H-S1.tanh"),
+    *("deformed/H-G5.nearly_w", "deformed/H-P2.zero", "view/far", "view/near", "ssim/flat"),
+    *("activations/saturated", "conditional/lasting", "rotation_4d/identity"),
+}
 
 
-@pytest.mark.parametrize("key, dtype", few(EVERY, 16))
-def test_textbook_slopes_are_acceptable_and_fail_strictly(key, dtype, textbook):
-    found, strictly = (judged(key, Port(ours, dtype), strict) for strict in (False, True))
-    assert not any(r.wrong for r in found.results) and found.first is None, str(found)
+@pytest.mark.parametrize("key, dtype", few(CONCERNED, 12))
+def test_the_formulas_as_printed_are_acceptable_and_fail_strictly(key, dtype):
+    """SSIM and its loss are among them."""
+    found, strictly = (judged(key, dtype, strict) for strict in (False, True))
+    assert found.ok and found.first is None, str(found)
     acceptable = {r.id for r in found.results if r.verdict == "acceptable" and r.required}
     assert acceptable == {r.id for r in strictly.results if r.wrong}
     if dtype is np.float64:
-        assert acceptable == {id for id in MISSED if id.startswith(f"{key}/")}
+        assert {id for id in MISSED if id.startswith(f"{key}/")} <= acceptable
     counts = found.levels().values()
-    assert sum(row["acceptable"] for row in counts) == len(acceptable)
+    assert sum(row["acceptable"] for row in counts) == len(acceptable) < len(found.results)
     assert all(row["passed"] + row["acceptable"] == row["of"] for row in counts)
     assert {r.recipe for r in found.results} <= {"", scales.RECIPES.get(key)}
 
 
-@pytest.mark.parametrize("key, dtype", few(CONCERNED, 10))
-def test_the_formulas_as_printed_are_acceptable(key, dtype):
-    """They are differentiated by a tape; SSIM and its loss are among them."""
-    found = judged(key, Port(as_printed, dtype))
-    assert found.ok, str(found)
-    acceptable = {r.id for r in found.results if r.recipe}
-    if dtype is np.float64:
-        typical = {"ssim/flat", "tanh/tails", "deformed/H-G5.nearly_w"}
-        assert {id for id in typical if id.startswith(f"{key}/")} <= acceptable
-    assert len(acceptable) < len(found.results)
-
-
-def test_the_report_says_so(textbook, capsys):
-    def vjp(inputs, cotangents):
-        return EQUATIONS["deformed"].vjp(**inputs)[1](**cotangents)
-
-    with np.errstate(all="ignore"):
-        found = oracle.check(EQUATIONS["deformed"], "deformed", vjp)
-        strictly = oracle.check(EQUATIONS["deformed"], "deformed", vjp, strict=True)
+def test_the_report_says_so():
+    found, strictly = (judged("deformed", np.float64, strict) for strict in (False, True))
     said = "right formula, fewer digits here; the recipe is: |r| by hypot"
     for text in (str(found), str(strictly)):
         assert said in text
@@ -147,31 +83,6 @@ def test_the_command_has_an_option_that_is_strict(tmp_path, capsys):
 
 
 # --- wrong formulas -----------------------------------------------------------------------------
-def tensor(name, change):
-    """A change of one tensor wherever a case has it."""
-
-    def apply(case, got):
-        return {n: change(a, got) if n == name else a for n, a in got.items()}
-
-    return apply
-
-
-WRONG = {
-    "opacity": tensor("in_bar.biases.2", lambda a, got: -a),
-    "tanh": tensor("in_bar.y", lambda a, got: 2 * a),
-    "sigmoid": lambda case, got: {**got, "in_bar.y": case.tensors["out_bar.color"][:, 0]},
-    "step": tensor("in_bar.biases.0", lambda a, got: a / 2),
-    "view": tensor("out.d_vc", lambda a, got: -a),
-    "deformed": tensor("in_bar.r", lambda a, got: got["in_bar.delta_r"] * 1.001),
-    "ssim": tensor("out.ssim", lambda a, got: 1 - (1 - a) / 2),
-    "render_loss": tensor("in_bar.image", lambda a, got: a + a.dtype.type(1e-4)),
-}
-
-
-@pytest.mark.parametrize("key, dtype", few([(key, t) for key in WRONG for t in PRECISIONS], 6))
-def test_a_wrong_formula_fails(key, dtype):
-    assert judged(key, Port(as_printed, dtype)).ok
-    assert not judged(key, Port(as_printed, dtype, WRONG[key])).ok
 
 
 KNOWN = [mistake for key in printed.FORMULAS for mistake in doctor.known(key)]
@@ -246,3 +157,97 @@ def test_only_subjects_with_a_recipe_have_wider_scales():
         for name, wide in scales.as_printed(case, got)[0].tensors.items():
             if name.startswith("scale."):
                 assert wide.shape == case.tensors[name].shape and (wide >= case.tensors[name]).all()
+
+
+# --- tensors that are wrong, or not asked --------------------------------------------------------
+# What is not checked in float32, of cases of version 1.0 that are checked in it; None is all.
+NOT_ASKED = {
+    "projection/H-G3.1e4px": ["out.conic", "in_bar.Sigma"],
+    "projection/H-G3.1e3px": ["out.conic", "in_bar.Sigma"],
+    "projection/H-G3.100px": ["out.conic", "in_bar.Sigma"],
+    "projection/H-G4.scale1e30": ["out.conic", "in_bar.x"],
+    "ssim/flat": ["in_bar.image"],
+    "render_loss/H-P7.nearly_equal": ["out.L_render", "out.L1", "out.D_SSIM"],
+    "hash_grid/H-P5.hashed_upper_face": ["in_bar.grids.1"],
+    "likelihood/H-R5.width1000": None,
+    "likelihood/H-R5.width1e+06": None,
+}
+
+
+def perturbed(case, name):
+    """Return a tensor off by 1e-3, zero and negated.
+
+    What is all zero is changed by 1e-3 of its S, and by 1e-3 where S is 0.
+    """
+    a = case.tensors[name]
+    if a.dtype.kind == "b":
+        return [~a]
+    if a.dtype.kind != "f":
+        return [a + 1, -a - 1]
+    if a.any():
+        return [1.001 * a, np.zeros_like(a), -a]
+    S = np.where(case.tensors["scale." + name] == 0, 1, case.tensors["scale." + name])
+    return [a + 1e-3 * S, a - 1e-3 * S]
+
+
+def judgements(case, dtype):
+    """Yield (name, Result) of every wrong tensor alone, in turn."""
+    for name, right in expected(case.tensors).items():
+        if name not in case.unasked(dtype) and right.size:
+            alone = {n: case.tensors[n] for n in (name, "scale." + name) if n in case.tensors}
+            for wrong in perturbed(case, name):
+                got = in_precision({name: wrong}, dtype)
+                yield name, checker.judge_answer(case._replace(tensors=alone), got)
+
+
+@pytest.mark.parametrize(
+    "key, dtype",
+    few([(key, t) for key in published.subjects() for t in ("float64", "float32")], 10),
+)
+def test_no_wrong_tensor_passes(key, dtype):
+    """Nor is it acceptable, but where the printed formula has no more digits."""
+    results = []
+    for case in published.cases(key):
+        as_printed = scales.measured().get((case.id, dtype), {})
+        for name, result in judgements(case, dtype):
+            results.append(result)
+            if result.recipe:
+                assert f"scale.{name}" in as_printed, (case.id, name)
+            else:
+                assert result.verdict != "pass" and result.findings, (case.id, name)
+                assert result.wrong == result.required, (case.id, name)
+    assert results and sum(bool(r.recipe) for r in results) < 0.2 * len(results)
+
+
+@pytest.mark.parametrize("key", few(published.subjects(), 12))
+def test_what_is_not_asked_in_float32(key):
+    for case in published.cases(key):
+        assert not case.unasked("float64")
+        if "since" not in case.record and case.tolerance("float32"):
+            every = list(expected(case.tensors))
+            listed = NOT_ASKED.get(case.id, [])
+            assert case.unasked("float32") == (every if listed is None else listed), case.id
+
+
+def single(case, dtype):
+    """Right answers; what float32 cannot compute is nonsense."""
+    got = in_precision(expected(case.tensors), dtype)
+    return {n: a + np.inf if n in case.unasked("float32") else a for n, a in got.items()}
+
+
+def test_they_are_counted_apart():
+    port = Port(single, np.float32)
+    results = [
+        result
+        for key in ("projection", "likelihood")
+        for result in checker.check_subject(published.cases(key), port)
+    ]
+    found, verdicts = checker.Report(results), {r.id: r.verdict for r in results}
+    assert found.ok and verdicts["likelihood/H-R5.width1e+06"] == "unasked"
+    assert verdicts["projection/H-G3.1e4px"] == "pass"
+    count = sum(verdict == "unasked" for verdict in verdicts.values())
+    assert f"{count} cases and 8 tensors of other cases are not checked" in str(found)
+    assert found.levels()["L1"]["passed"] == len(results) - count
+    rows = {row["id"]: row for row in report.as_json(found)["cases"]}
+    assert rows["projection/H-G3.1e3px"]["unasked"] == ["out.conic", "in_bar.Sigma"]
+    assert not rows["likelihood/H-R5.width1e+06"]["required"]

@@ -270,15 +270,6 @@ def offsets(at):
     }
 
 
-def noise(at):
-    f, u, q, f_bar = (at[name] for name in ("in.f", "in.u", "in.q", "out_bar.f_noisy"))
-    return {
-        "out.f_noisy": f + u * q,
-        "in_bar.f": f_bar,
-        "in_bar.q": (f_bar * u).sum(1, keepdims=True),
-    }
-
-
 @pytest.mark.parametrize("dtype", ("F64", "F32"))
 @WRITERS
 def test_answers_that_a_writer_wrote_pass(language, dtype, tmp_path, capsys):
@@ -310,15 +301,6 @@ def test_a_writer_writes_every_type(language, tmp_path):
         assert found[name].dtype == TYPES[dtype] and np.array_equal(
             found[name], a.astype(TYPES[dtype])
         ), name
-
-
-def test_precision_is_that_of_the_answers(tmp_path):
-    """A case without a tolerance in float32 is asked in float64 only."""
-    for dtype, verdicts in (("F64", {"pass"}), ("F32", {"pass", "unasked"})):
-        rows = {name: (dtype, a) for name, a in answers("noise", noise).items()}
-        write("python", tmp_path / "noise.safetensors", rows)
-        report = check_port(FolderPort(tmp_path), only=["noise"])
-        assert report.ok and {r.verdict for r in report.results} == verdicts
 
 
 @pytest.mark.slow

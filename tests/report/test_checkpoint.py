@@ -1,12 +1,22 @@
-"""Edited checkpoints are refused in one line; good ones go on to the same bytes."""
+"""Edited checkpoints are refused in one line; good ones go on to the same bytes.
+
+Whatever stops a training, resuming it gives the bytes of an uninterrupted one.
+"""
 
 import hashlib
 import io
 import json
 import os
+import re
+import shlex
 import shutil
+import signal
+import subprocess
+import sys
+import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,12 +25,35 @@ import p4dgs_ref as p4
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.scenes.output import OutputError
 from p4dgs_ref.splatting.settings import EXACT
+from p4dgs_ref.training import objective
+from p4dgs_ref.training.adam import Adam
 from p4dgs_ref.training.checkpoint import CHECKPOINT, RunError, load
 from p4dgs_ref.training.fit import fit, load_model
+from tests.sampling import few
 
 pytestmark = pytest.mark.filterwarnings("ignore:scene bouncing")  # nine steps learn nothing
 # Seven of nine iterations, so that the box is fixed and a window is half full.
 SETTINGS = ("stage_ends=2,4,6,9", "grow=reseed", "grow_from=1", "grow_every=3", "grow_until=5")
+
+
+def call_at(monkeypatch, owner, name, number, action):
+    """Replace one call of a function, counted from 0, by `action(function, *arguments)`."""
+    function, calls = getattr(owner, name), []
+
+    def counted(*args):
+        calls.append(None)
+        return action(function, *args) if len(calls) == number + 1 else function(*args)
+
+    monkeypatch.setattr(owner, name, counted)
+
+
+def half_step(step, adam, parameters, *rest):
+    """A step of Adam that is stopped after it has moved the first half of the parameters."""
+    before = parameters.vector.copy()
+    step(adam, parameters, *rest)
+    half = len(before) // 2
+    parameters.vector[half:] = before[half:]
+    raise KeyboardInterrupt
 
 
 @pytest.fixture(scope="module")
@@ -29,33 +62,11 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     scene = p4.load_scene("bouncing", downscale=8)
     changes = dict(setting.split("=") for setting in SETTINGS)
-
-    class Stopped(Exception):
-        pass
-
-    def stop(trainer, *seen):
-        if trainer.iteration == 8:
-            raise Stopped
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("p4dgs_ref.training.fit.Progress", lambda stream: Reporter(stop))
-        with pytest.raises(Stopped):
-            fit(scene, "smoke", 0, folder=folder, save_every=0, **changes)
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        call_at(patch, Adam, "step", 7, half_step)
+        fit(scene, "smoke", 0, folder=folder, save_every=0, **changes)
     assert load(folder)[1]["iteration"] == 7
     return folder, scene, changes
-
-
-class Reporter:
-    """A progress line that only calls a function."""
-
-    def __init__(self, call):
-        self.call = call
-
-    def __call__(self, trainer, *seen):
-        self.call(trainer, *seen)
-
-    def close(self):
-        pass
 
 
 def write(path, arrays, values, save=np.savez, sealed=True):
@@ -188,3 +199,201 @@ def test_the_folder_of_another_training_is_refused(copied, run):
         fit(run[1], "smoke", 0, folder=copied, resume=True, **run[2], lr_f=(0.1, 0.1))
     with pytest.raises(RunError, match="field 'settings.name'"):
         fit(run[1], "smoke", 0, EXACT, folder=copied, resume=True, **run[2])
+
+
+ROOT = Path(p4.__file__).resolve().parents[1]
+# Every stage, re-seeding and masking, so that a checkpoint has to carry everything.
+LIVELY = dict(
+    preset="smoke",
+    seed=5,
+    stage_ends=(12, 20, 40, 60),
+    grow="reseed",
+    grow_from=5,
+    grow_every=10,
+    grow_until=35,
+    mask_from=45,
+    min_opacity=0.2,
+)
+SCAFFOLD = {
+    **LIVELY,
+    "grow": "scaffold",
+    "min_opacity": 0.1,
+    "gradient_threshold": 1e-6,
+    "voxel": 0.02,
+    "stage_ends": (12, 20, 40, 50),
+}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return p4.load_scene("bouncing", downscale=4)
+
+
+CODED = {**LIVELY, "coded": True, "position_bits": 10, "network_ramp": 9, "lr_step": (0.02, 0.01)}
+KINDS = {"coded": CODED, "reseed": LIVELY, "scaffold": SCAFFOLD}
+
+
+@pytest.fixture(scope="module", params=few(KINDS, 1))
+def whole(request, scene):
+    """Settings, and the bytes and the history of an uninterrupted training."""
+    settings = KINDS[request.param]
+    trainer = fit(scene, **settings)
+    assert trainer.mask.any() and not trainer.mask.all()
+    return settings, p4.encode(trainer.model()), trainer.history
+
+
+@pytest.fixture
+def interruptible():
+    """Set Python's own handler of Ctrl-C; a training must put back what it found."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    signal.signal(signal.SIGINT, before)
+
+
+def go_on(scene, settings, folder):
+    trainer = fit(scene, **settings, folder=folder, resume=True)
+    assert p4.encode(load_model(folder)[0]) == p4.encode(trainer.model())
+    return p4.encode(trainer.model()), trainer.history
+
+
+@pytest.mark.parametrize("at", few([30, 7, 0, 15, 45], 1))
+@pytest.mark.parametrize("save_every", few([0, 1000], 1))
+def test_stopped_inside_a_step(scene, whole, tmp_path, monkeypatch, at, save_every):
+    settings, *want = whole
+    call_at(monkeypatch, Adam, "step", at, half_step)
+    with pytest.raises(KeyboardInterrupt):
+        fit(scene, **settings, folder=tmp_path, save_every=save_every)
+    monkeypatch.undo()
+    assert load(tmp_path)[1]["iteration"] == (at if save_every == 0 else 0)
+    assert [*go_on(scene, settings, tmp_path)] == want
+
+
+@pytest.mark.parametrize("at", few([25, 0, 11, 44, -1], 1))
+def test_ctrl_c_waits_for_the_end_of_the_step(
+    scene, whole, tmp_path, monkeypatch, interruptible, at
+):
+    settings, *want = whole
+    at %= settings["stage_ends"][-1]
+
+    def press(function, *args):
+        signal.raise_signal(signal.SIGINT)
+        return function(*args)
+
+    call_at(monkeypatch, objective, "loss", at, press)
+    with pytest.raises(KeyboardInterrupt):
+        fit(scene, **settings, folder=tmp_path, save_every=1000)
+    monkeypatch.undo()
+    assert load(tmp_path)[1]["iteration"] == at + 1
+    assert [*go_on(scene, settings, tmp_path)] == want
+
+
+def test_ctrl_c_after_the_last_step_stops_too(scene, tmp_path, monkeypatch, interruptible):
+    def press(replace, *args):
+        signal.raise_signal(signal.SIGINT)
+        replace(*args)
+
+    call_at(monkeypatch, os, "replace", 1, press)  # 0 is the first checkpoint, 1 the last
+    with pytest.raises(KeyboardInterrupt):
+        fit(scene, **LIVELY, folder=tmp_path, save_every=1000)
+    assert load(tmp_path)[1]["iteration"] == 60
+
+
+def test_a_second_ctrl_c_does_not_wait(scene, tmp_path, monkeypatch, interruptible):
+    def press_twice(function, *args):
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        raise AssertionError("the second one must stop at once")
+
+    call_at(monkeypatch, objective, "loss", 30, press_twice)
+    with pytest.raises(KeyboardInterrupt):
+        fit(scene, **LIVELY, folder=tmp_path, save_every=0)
+    assert load(tmp_path)[1]["iteration"] == 30
+
+
+def test_killed_in_the_middle_of_a_checkpoint(scene, whole, tmp_path, monkeypatch):
+    settings, *want = whole
+
+    def killed(*args):
+        raise KeyboardInterrupt
+
+    call_at(monkeypatch, os, "replace", 20, killed)
+    with pytest.raises(KeyboardInterrupt):
+        fit(scene, **settings, folder=tmp_path, save_every=0)
+    monkeypatch.undo()
+    assert [path.name for path in tmp_path.iterdir()] == [CHECKPOINT]
+    assert load(tmp_path)[1]["iteration"] == 19
+    assert [*go_on(scene, settings, tmp_path)] == want
+
+
+def test_training_in_a_thread(scene):
+    done = []
+    thread = threading.Thread(target=lambda: done.append(p4.train(scene, "smoke")))
+    thread.start()
+    thread.join(60)
+    assert len(done) == 1
+
+
+def test_ctrl_c_in_the_demo_leaves_nothing(tmp_path, monkeypatch, capsys):
+    call_at(monkeypatch, Adam, "step", 3, half_step)
+    argv = [
+        "demo",
+        "bouncing",
+        "--downscale",
+        "8",
+        "--preset",
+        "smoke",
+        "--quiet",
+        "-o",
+        str(tmp_path / "new" / "out"),
+    ]
+    assert cli.run(argv, time.perf_counter()) == 130
+    assert capsys.readouterr().err == "p4dgs-ref: stopped\n" and not list(tmp_path.iterdir())
+
+
+OPTIONS = (
+    "--preset smoke --seed 2 --downscale 4 --set grow=reseed --set stage_ends=40,60,120,240 "
+    "--save-every 0"
+)
+
+
+def start(line, cwd):
+    """Start the command line in a process of its own, to which Ctrl-C can be sent."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "p4dgs_ref", *shlex.split(line)],
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+
+
+def stop_at(iteration, process, run, how):
+    """Send a signal to a training at a checkpoint; its exit code and what it says at its end."""
+    deadline = time.monotonic() + 40
+    while not (run / CHECKPOINT).exists() or load(run)[1]["iteration"] < iteration:
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.01)
+    process.send_signal(how)
+    return process.communicate(timeout=60)[1], process.returncode
+
+
+@pytest.mark.slow
+def test_interrupted_then_killed_then_resumed(tmp_path):
+    """In other processes, with the command that the interrupted one prints."""
+    uninterrupted = start(f"train bouncing -o 'a run' {OPTIONS} --quiet", tmp_path)
+    run = tmp_path / "b run"
+    first = start(f"train bouncing -o 'b run' {OPTIONS}", tmp_path)
+    err, code = stop_at(50, first, run, signal.SIGINT)
+    assert code == 130 and "Traceback" not in err
+    resume = re.search(r"go on with: p4dgs-ref (train .*)\n$", err)[1]
+    for at in (90, 130, 180):  # in other stages
+        assert stop_at(at, start(resume, tmp_path), run, signal.SIGKILL)[1] == -signal.SIGKILL
+        assert at <= load(run)[1]["iteration"] < 240
+    for process in (uninterrupted, start(resume, tmp_path)):
+        assert process.communicate(timeout=120) and process.returncode == 0
+    files = [p4.encode(load_model(tmp_path / name)[0]) for name in ("a run", "b run")]
+    assert files[0] == files[1]
+    for name in ("training.csv", "training.png"):
+        assert (tmp_path / "a run" / name).read_bytes() == (run / name).read_bytes()

@@ -21,7 +21,7 @@ from p4dgs_ref.report import figures as report
 from p4dgs_ref.report.figures import heat_image
 from p4dgs_ref.report.inspect import anchor_bits, components, ledger, symbol_bits
 from p4dgs_ref.splatting.camera import look_at
-from tests.codec.models import MAKE
+from tests.codec.models import MAKE, coded
 
 
 @pytest.fixture(scope="module")
@@ -29,9 +29,10 @@ def data(trained):
     return trained.data
 
 
-@pytest.fixture(scope="module", params=MAKE)
+@pytest.fixture(scope="module", params=[*MAKE, "coded"])
 def anything(request):
-    return p4.encode(MAKE[request.param]())
+    """A file of every kind of model; the last is one of version 2."""
+    return p4.encode({**MAKE, "coded": coded}[request.param]())
 
 
 def test_every_byte_is_accounted_for(anything):
@@ -50,12 +51,6 @@ def test_gaps_have_the_sizes_that_are_claimed(anything):
     for row in ledger(anything):
         gap = row["payload_bytes"] - row["integer_bytes"]
         assert -1 <= gap <= 0.003 * row["integer_bytes"] + 12, row
-
-
-def test_coded_size_is_within_three_per_mille_of_the_float_entropy(data):
-    for row in ledger(data):
-        if row["name"] not in ("container", "header", "positions"):
-            assert row["bytes"] <= 1.003 * row["estimate_bytes"] + 16, row
 
 
 def test_anchor_bits_add_up_to_the_cost_of_all_anchors(data):

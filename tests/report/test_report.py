@@ -1,22 +1,32 @@
-"""The report of a run: measures against independent sums, pictures, all files or none."""
+"""The report of a run: measures against independent sums, pictures, all files or none.
+
+Trainings in two processes give the same results as in one, and no process is left behind.
+"""
 
 import csv
 import io
 import json
 import math
 import multiprocessing
+import os
 import sys
+import time
 
 import imageio.v3 as iio
 import numpy as np
 import pytest
 
 import p4dgs_ref as p4
+from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.cli import text
+from p4dgs_ref.lab.tables import methods
 from p4dgs_ref.report import figures as report
 from p4dgs_ref.report import main_job as job
-from p4dgs_ref.report.evaluate import decibel, explicit_bytes, json_safe, score
-from p4dgs_ref.scenes.output import OutputError, filled, write_atomically
+from p4dgs_ref.report.evaluate import decibel, explicit_bytes, score
+from p4dgs_ref.report.jobs import in_processes
+from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.scenes.output import OutputError
+from p4dgs_ref.training.finite import NotFinite
 from p4dgs_ref.training.fit import fit
 from p4dgs_ref.training.presets import TINY, TINY_CODED, paper_design
 from p4dgs_ref.training.progress import COLUMNS
@@ -190,15 +200,6 @@ def test_both_designs_at_once(scene, tmp_path):
         assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
 
 
-def test_json_safe():
-    assert json_safe({"psnr_db": 20.0, "psnr_fg_db": None}) == {"psnr_db": 20.0, "psnr_fg_db": None}
-    assert json_safe({"psnr_db": math.inf, "ssim": 1.0}) == {
-        "psnr_db": None,
-        "ssim": 1.0,
-        "exact": True,
-    }
-
-
 @pytest.mark.parametrize("broken", few(["draw_comparison", "write_motion", "draw_training"], 1))
 def test_a_failed_report_leaves_nothing(scene, tmp_path, monkeypatch, broken):
     def fail(*args):
@@ -222,22 +223,6 @@ def test_folder_is_tried_before_the_work(scene, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(OutputError, match="file/report: expected a folder"):
         p4.main_job(scene, "smoke", 0, tmp_path / "file" / "report")
-
-
-def test_filled_and_written_atomically(tmp_path):
-    with filled(tmp_path / "a" / "b") as beside:
-        (beside / "x").write_text("new")
-        assert [path for path in (tmp_path / "a" / "b").iterdir() if path.is_file()] == []
-    assert [path.name for path in (tmp_path / "a" / "b").iterdir()] == ["x"]
-
-    def half(file):
-        file.write(b"half")
-        raise OSError("disk full")
-
-    with pytest.raises(OSError, match="disk full"):
-        write_atomically(tmp_path / "a" / "b" / "x", half)
-    assert (tmp_path / "a" / "b" / "x").read_text() == "new"
-    assert [path.name for path in (tmp_path / "a" / "b").iterdir()] == ["x"]
 
 
 def test_a_few_views_and_a_short_training(scene, tmp_path):
@@ -276,3 +261,63 @@ def test_progress_shows_what_history_keeps(scene):
     assert f"{final[4]:.2f} bits/parameter  {final[5]} anchors  {final[6]} Gaussians" in last
     losses = [row[2] for row in trainer.history]
     assert f"loss {np.mean(losses):.4f}" in last and len(losses) == 45
+
+
+def place(seconds):
+    """A task that takes some time and says where it ran."""
+    time.sleep(seconds)
+    return seconds, os.getpid()
+
+
+def refuse(task):
+    raise LookupError(f"task {task}")
+
+
+def explode(task):
+    raise NotFinite(task, "f_a[3, 1] is nan")
+
+
+@pytest.mark.slow
+def test_an_overflow_in_another_process_keeps_its_message():
+    with pytest.raises(NotFinite, match=r"^iteration 7: f_a\[3, 1\] is nan$"):
+        list(in_processes(explode, [7, 8], 2))
+
+
+@pytest.mark.slow
+def test_two_processes_train_what_one_trains(tmp_path):
+    scene, found = load_scene("bouncing", downscale=8), []
+    for jobs in (1, 2):
+        (tmp_path / str(jobs)).mkdir()
+        task = methods.Task(scene, "p4dgs", 0, tmp_path / str(jobs), 6, {"anchors": 20})
+        tasks = [task, task._replace(seed=1)]
+        for row in in_processes(methods.make, tasks, jobs):
+            row.pop("train_seconds")
+            found.append((row, (tmp_path / str(jobs) / row["file"]).read_bytes()))
+    assert found[:2] == found[2:] and found[0][0]["psnr_db"] != found[1][0]["psnr_db"]
+
+
+def test_the_command_takes_all_cores():
+    for command in ("accuracy", "effects static"):
+        assert cli.parser().parse_args(command.split()).jobs == os.cpu_count()
+        assert cli.parser().parse_args([*command.split(), "--jobs", "3"]).jobs == 3
+
+
+@pytest.mark.slow
+def test_results_keep_the_order_of_their_tasks():
+    found = list(in_processes(place, [0.3, 0.0, 0.1], 2))
+    assert [seconds for seconds, _ in found] == [0.3, 0.0, 0.1]
+    assert os.getpid() not in {process for _, process in found}
+    assert {process for _, process in in_processes(place, [0.0, 0.0], 1)} == {os.getpid()}
+
+
+@pytest.mark.slow
+def test_no_process_is_left_behind():
+    before = set(multiprocessing.active_children())
+    results, start = in_processes(place, [0.0, 300.0, 300.0], 2), time.monotonic()
+    assert next(results)[0] == 0.0
+    assert set(multiprocessing.active_children()) - before
+    results.close()  # as Ctrl-C does
+    with pytest.raises(LookupError, match="task 7"):
+        list(in_processes(refuse, [7, 8], 2))
+    assert set(multiprocessing.active_children()) <= before
+    assert time.monotonic() - start < 150
