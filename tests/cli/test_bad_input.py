@@ -354,7 +354,7 @@ LINES = [
     ("bench --json=yes", ("--json",)),
     ("effects scene --apply", ("--apply", "--suggest")),
     ("effects scene --suggest --quick", ("--suggest", "--quick")),
-    ("accuracy --only speed", ("--only speed", "rendering")),
+    ("accuracy --only speed", ("--only speed", "weight_bits")),
     ("stability --only H-R", ("--only H-R", "H-R1")),
     ("inspect good.p4dgs --heat", ("--heat", "-o FOLDER")),
 ]
