@@ -102,8 +102,12 @@ def draw_pictures(path, title, rows):
     save_figure(figure, path)
 
 
-def draw_comparison(path, scene, rows, images, count=4):
-    """Truth, decoded image and absolute error of a few test views spread over time."""
+def write_comparison(folder, scene, rows, images, count=4):
+    """comparison.csv, and comparison.png: truth, decoded image and absolute error of a few views.
+
+    The views are test views spread over time.
+    """
+    write_csv(folder / "comparison.csv", rows)
     order = np.argsort([view.time for view in scene.test], kind="stable")
     chosen = order[np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)]
     views, images = [scene.test[i] for i in chosen], [np.clip(images[i], 0, 1) for i in chosen]
@@ -113,7 +117,8 @@ def draw_comparison(path, scene, rows, images, count=4):
         ("decoded", [*zip(images, psnr)]),
         ("absolute error", [error_of(image, view.image) for image, view in zip(images, views)]),
     ]
-    draw_pictures(path, f"{scene.name}: test views, not used in training", pictures)
+    title = f"{scene.name}: test views, not used in training"
+    draw_pictures(folder / "comparison.png", title, pictures)
 
 
 def write_gif(path, images):
@@ -130,15 +135,21 @@ def write_motion(path, model, camera, frames=24, zoom=4):
     write_gif(path, [image.repeat(zoom, 0).repeat(zoom, 1) for image in images])
 
 
-def draw_size(path, designs, explicit):
-    """Bytes by component of one or two designs {label: {component: bytes}}.
+def write_size(folder, preset, own, paper=None):
+    """size.csv and size.png: bytes by component, from the metrics of one or two designs.
 
-    Bars are sorted by the last design. The title compares the first one with the same Gaussians as
-    float32.
+    They are those of a preset's file and of the paper's design. Bars are sorted by the last design.
+    The title compares the first one with the same Gaussians as float32.
     """
+    designs, columns = {preset: own["components"]}, ["component", "bytes"]
+    if paper is not None:
+        designs["the paper's design"] = paper["components"]
+        columns.append("paper_design_bytes")
+    rows = [[name, *(of[name] for of in designs.values())] for name in own["components"]]
+    write_csv(folder / "size.csv", rows, columns)
     sizes = {label: sum(components.values()) for label, components in designs.items()}
-    first, last = list(designs)[0], list(designs)[-1]
-    names = sorted(designs[last], key=designs[last].get)
+    explicit, last = own["explicit_bytes"], [*designs.values()][-1]
+    names = sorted(last, key=last.get)
     largest = max(max(components.values()) for components in designs.values())
     figure, ax = pyplot().subplots(figsize=(8.5, 2.5 + 2.75 * len(designs)))
     height = 0.8 / len(designs)
@@ -155,11 +166,11 @@ def draw_size(path, designs, explicit):
         ax.legend(loc="lower right", frameon=False)
     figure.suptitle(
         "; ".join(f"{label}: {size:,} bytes" for label, size in sizes.items())
-        + f"\nthe Gaussians of {first} as float32: {explicit:,} bytes, "
-        f"{explicit / sizes[first]:.1f} times as many",
+        + f"\nthe Gaussians of {preset} as float32: {explicit:,} bytes, "
+        f"{explicit / sizes[preset]:.1f} times as many",
         fontsize=14,
     )
-    save_figure(figure, path)
+    save_figure(figure, folder / "size.png")
 
 
 def draw_ledger(path, rows):
@@ -236,8 +247,9 @@ def draw_heat(path, image, bits, limits):
     save_figure(figure, path)
 
 
-def draw_training(path, history, stage_ends):
-    """PSNR of the training views and L_rate over the iterations and four stages."""
+def write_training(folder, history, stage_ends):
+    """training.csv, and training.png: PSNR of the training views and L_rate over four stages."""
+    write_csv(folder / "training.csv", history, COLUMNS)
     table = dict(zip(COLUMNS, np.array(history, float).T))
     figure, (top, bottom) = pyplot().subplots(
         2, 1, figsize=(8.5, 6), sharex=True, layout="constrained"
@@ -272,27 +284,4 @@ def draw_training(path, history, stage_ends):
                 va="bottom",
                 transform=top.get_xaxis_transform(),
             )
-    save_figure(figure, path)
-
-
-def write_comparison(folder, scene, rows, images):
-    """Write comparison.png and .csv."""
-    draw_comparison(folder / "comparison.png", scene, rows, images)
-    write_csv(folder / "comparison.csv", rows)
-
-
-def write_training(folder, history, stage_ends):
-    """Write training.png and .csv."""
-    draw_training(folder / "training.png", history, stage_ends)
-    write_csv(folder / "training.csv", history, COLUMNS)
-
-
-def write_size(folder, preset, own, paper=None):
-    """Write size.png and .csv from the metrics of a preset's file and of the paper's design."""
-    designs, columns = {preset: own["components"]}, ["component", "bytes"]
-    if paper is not None:
-        designs["the paper's design"] = paper["components"]
-        columns.append("paper_design_bytes")
-    draw_size(folder / "size.png", designs, own["explicit_bytes"])
-    rows = [[name, *(of[name] for of in designs.values())] for name in own["components"]]
-    write_csv(folder / "size.csv", rows, columns)
+    save_figure(figure, folder / "training.png")

@@ -199,7 +199,7 @@ def test_json_safe():
     }
 
 
-@pytest.mark.parametrize("broken", few(["draw_comparison", "write_motion", "draw_training"], 1))
+@pytest.mark.parametrize("broken", few(["write_comparison", "write_motion", "write_training"], 1))
 def test_a_failed_report_leaves_nothing(scene, tmp_path, monkeypatch, broken):
     def fail(*args):
         raise RuntimeError("no ink")
