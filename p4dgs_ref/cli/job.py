@@ -154,8 +154,10 @@ def encode(arguments):
         write_atomically(output, lambda file: file.write(data))
     lost = quantise.underflows(model.networks)  # too small for float16 (Q18)
     note = f"; {lost} network weights are too small for float16 and became 0" if lost else ""
-    size, iteration = len(data), values["iteration"]
-    tell(f"{output}: {size:,} bytes, from iteration {iteration}, {seconds:.3f} s{note}")
+    tell(
+        f"{output}: {len(data):,} bytes, from iteration {values['iteration']}, "
+        f"{seconds:.3f} s{note}"
+    )
 
 
 def decode(arguments):
@@ -170,8 +172,7 @@ def decode(arguments):
     with filled(arguments.output) as beside:
         np.savez(beside / "model.npz", **arrays)
         (beside / "model.json").write_text(json.dumps(model.design._asdict(), indent=1) + "\n")
-    count = len(arrays)
-    tell(f"{arguments.output}: model.npz with {count} arrays, model.json; {seconds:.3f} s")
+    tell(f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json; {seconds:.3f} s")
 
 
 CAMERA = {"azimuth": 40.0, "elevation": 30.0, "distance": 3.6, "size": 128}
@@ -263,10 +264,7 @@ def evaluate(arguments):
     metrics, rows, images = p4.evaluate(model, scene)
     try:
         encoding = timed(p4.encode, model)[1]
-    except (
-        OverflowError,
-        quantise.EncodeError,
-    ):  # a file can hold numbers that our encoder refuses
+    except (OverflowError, quantise.EncodeError):  # a file may hold what our encoder refuses
         encoding = None
     metrics = {
         "scene": scene.name,

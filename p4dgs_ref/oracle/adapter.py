@@ -83,8 +83,11 @@ class Adapter(contextlib.AbstractContextManager):
             "out_bar": self._packed(case, "out_bar."),
         }
         answer = self._ask(request, case.subject, ("out", "skip", "error"))
-        arrays = {role: unpacked(answer, role) for role in ("out", "in_bar")}
-        return {f"{role}.{name}": a for role, of in arrays.items() for name, a in of.items()}
+        return {
+            f"{role}.{name}": a
+            for role in ("out", "in_bar")
+            for name, a in unpacked(answer, role).items()
+        }
 
     def decode(self, name, data):
         """Return the arrays that the port finds in a file and None, or None and its refusal.
@@ -138,8 +141,10 @@ class Adapter(contextlib.AbstractContextManager):
         self.lost.clear()
         found = [kind for kind in kinds if answer.get(kind) is not None]
         if len(found) != 1:
-            said = f"expected one of the fields {', '.join(kinds)}, got {', '.join(answer)}"
-            raise PortError("nonsense", said)
+            raise PortError(
+                "nonsense",
+                f"expected one of the fields {', '.join(kinds)}, got {', '.join(answer)}",
+            )
         for field, kind in ("skip", "skipped"), ("error", "error"):
             if field in found:
                 raise PortError(kind, _short(str(answer[field])))
@@ -151,8 +156,10 @@ class Adapter(contextlib.AbstractContextManager):
         line = self.child.exchange(json.dumps(request).encode() + b"\n", self.timeout)
         answer = json_object(line)
         if answer is None:
-            said = _short(repr(line[:QUOTED])[1:])
-            raise PortError("nonsense", f"expected a line with a JSON object, got {said}")
+            raise PortError(
+                "nonsense",
+                f"expected a line with a JSON object, got {_short(repr(line[:QUOTED])[1:])}",
+            )
         if answer.get(field) != request[field]:
             want, got = json.dumps(request[field]), _short(json.dumps(answer.get(field)))
             raise PortError("nonsense", f"expected {field} {want}, got {got}")
@@ -191,8 +198,10 @@ class Child:
         while end < 0 or unsent:
             left = deadline - time.monotonic()
             if left <= 0:
-                said = f"no answer within {seconds:g} s, compilation included; --timeout raises it"
-                raise PortError("hung", said)
+                raise PortError(
+                    "hung",
+                    f"no answer within {seconds:g} s, compilation included; --timeout raises it",
+                )
             if len(self.unread) > LONGEST:
                 raise PortError(
                     "nonsense", f"expected a line of at most {LONGEST:,} bytes, got more"
@@ -267,8 +276,10 @@ def unpacked(answer, role):
     """
     fields = answer.get(role)
     if not isinstance(fields, dict):
-        got = _short(json.dumps(fields))
-        raise PortError("nonsense", f"field {role!r}: expected an object of arrays, got {got}")
+        raise PortError(
+            "nonsense",
+            f"field {role!r}: expected an object of arrays, got {_short(json.dumps(fields))}",
+        )
     return {name: _array(field, f"{role}.{name}") for name, field in fields.items()}
 
 

@@ -115,8 +115,8 @@ def _difference(name, mine, right, scale, tolerance):
     if not wrong.any():
         return None
     index = first(wrong)
-    said = _said(name, index, mine[index], right[index])
-    return Finding(name, "value", said, index, float(mine[index]), float(right[index]))
+    got, want = mine[index], right[index]
+    return Finding(name, "value", _said(name, index, got, want), index, float(got), float(want))
 
 
 def first(wrong):

@@ -79,8 +79,7 @@ def optional(results, valid):
     left |= {r.id for r in coded if r.id in valid and r.verdict == "fail" and not r.findings}
     if any(r.id in valid - left for r in coded):
         return results
-    said = {"verdict": "skipped", "required": False}
-    return [r._replace(**said) if r.id in left else r for r in results]
+    return [r._replace(verdict="skipped", required=False) if r.id in left else r for r in results]
 
 
 def judge(row, good, decode):

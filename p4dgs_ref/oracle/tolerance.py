@@ -82,10 +82,8 @@ def _spread(answer, inputs, cotangents, flat, delta, rng):
     squares = {name: np.zeros(a.shape) for name, a in flat.items() if a.dtype.kind == "f"}
     with np.errstate(all="ignore"):
         for _ in range(PROBES):
-            moved_inputs = change_floats(inputs, move)
-            moved_cotangents = change_floats(cotangents, move)
             try:
-                moved = answer(moved_inputs, moved_cotangents)
+                moved = answer(change_floats(inputs, move), change_floats(cotangents, move))
             except ValueError:  # at a threshold the number of kept Gaussians may change
                 continue
             for name in squares:
