@@ -96,9 +96,13 @@ def demo(arguments):
 
 def simulate(arguments):
     """Draw the pictures of a scene.json."""
-    scene, folder = arguments.scene, arguments.output
-    _, seconds = timed(p4.simulate, scene, folder, lambda i, n: progress(f"{i}/{n} pictures"))
-    tell(f"{folder}: drawn in {seconds:.1f} s")
+    _, seconds = timed(
+        p4.simulate,
+        arguments.scene,
+        arguments.output,
+        lambda i, n: progress(f"{i}/{n} pictures"),
+    )
+    tell(f"{arguments.output}: drawn in {seconds:.1f} s")
 
 
 def train(arguments):
@@ -293,18 +297,9 @@ def inspect(arguments):
             figures.write_csv(beside / "size.csv", rows)
             figures.draw_ledger(beside / "size.png", rows)
         if arguments.heat:
-            write_heat(data, beside)
+            model, bits = sizes.anchor_bits(data)
+            figures.write_heat(beside, model, bits, held_camera(model, **CAMERA))
     show(arguments, {"bytes": len(data), "sections": rows, "gaps": gaps}, text.ledger(rows, gaps))
-
-
-def write_heat(data, folder):
-    """Write heat.png, the scene in colours that show the bits of its anchors, and heat.csv."""
-    model, bits = sizes.anchor_bits(data)
-    limits, camera = (bits.min(), bits.max()), held_camera(model, **CAMERA)
-    image = figures.heat_image(model, bits, camera, 0.5, limits, figures.HEAT)
-    rows = [[a, *x, b] for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))]
-    figures.write_csv(folder / "heat.csv", rows, ("anchor", "x", "y", "z", "bits"))
-    figures.draw_heat(folder / "heat.png", image, bits, limits)
 
 
 def presets(arguments):

@@ -483,17 +483,18 @@ def in_groups():
     return "\n".join(lines)
 
 
-def wide(prog):
-    """The form of a command's help, with a column for the longest option."""
-    return argparse.HelpFormatter(prog, max_help_position=28)
-
-
 def add_commands(parent, kind, table, **shown):
     """Divide a parser into the commands of a table, a command perhaps into those of its own."""
     named = {"dest": kind, "metavar": kind.upper(), "prog": parent.prog}
     commands = parent.add_subparsers(required=True, **named, **shown)
     for name, (function, help, arguments) in table.items():
-        entry = commands.add_parser(name, help=help, description=help, formatter_class=wide)
+        entry = commands.add_parser(
+            name,
+            help=help,
+            description=help,
+            # a column for the longest option
+            formatter_class=lambda prog: argparse.HelpFormatter(prog, max_help_position=28),
+        )
         entry.set_defaults(function=function)
         if isinstance(arguments, dict):
             add_commands(entry, "action", arguments)

@@ -72,16 +72,15 @@ BETWEEN = {
 
 def ledger(rows, gaps):
     """The sections of a file: bytes by the entropy, bytes in the file, and why they differ."""
-    file = {"name": "file", **{key: sum(row[key] for row in rows) for key in BYTES}}
+    file = {"name": "file", "symbols": None, "bits_per_symbol": None}
+    file.update({key: sum(row[key] for row in rows) for key in BYTES})
     lines = [LEDGER.format(*HEADS.split(), "bits each")]
     for row in [*rows, file]:
         estimate, integer, *rest = (row[key] for key in BYTES)
-        last = ("", "", "")
-        if row is not file:
-            share, each = row["bytes"] / file["bytes"], row["bits_per_symbol"]
-            symbols = "" if row["symbols"] is None else row["symbols"]
-            last = f"{100 * share:.1f}%", symbols, "" if each is None else f"{each:.3f}"
-        cells = f"{estimate:.1f}", f"{integer:.1f}", *rest, *last
+        share = "" if row is file else f"{100 * row['bytes'] / file['bytes']:.1f}%"
+        symbols = "" if row["symbols"] is None else row["symbols"]
+        each = "" if row["bits_per_symbol"] is None else f"{row['bits_per_symbol']:.3f}"
+        cells = f"{estimate:.1f}", f"{integer:.1f}", *rest, share, symbols, each
         lines.append(LEDGER.format(row["name"], *cells).rstrip())
     lines += ["", "In bytes. The columns differ because of:"]
     return "\n".join([*lines, *(f"  {BETWEEN[name]:20} {why}" for name, why in gaps.items())])

@@ -203,13 +203,13 @@ def draw_ledger(path, rows):
     save_figure(figure, path)
 
 
-def heat_image(model, bits, camera, t, limits, name):
+def heat_image(model, bits, camera, t, limits):
     """The model at time t over white, (H, W, 3), coloured by the bits (A,) of the anchors.
 
-    The colours are those of matplotlib's map `name`; bits outside the limits take its end colours.
+    The colours are those of the map HEAT; bits outside the limits take its end colours.
     """
     low, high = limits
-    colors = pyplot().get_cmap(name)((bits - low) / max(high - low, 1e-9))[:, :3]
+    colors = pyplot().get_cmap(HEAT)((bits - low) / max(high - low, 1e-9))[:, :3]
     g = model.gaussians(t, camera)
     looks = camera, np.ones(3), FAST, "occlusion" in model.design.effects
     (image, *_), _ = render.forward(
@@ -218,13 +218,18 @@ def heat_image(model, bits, camera, t, limits, name):
     return image
 
 
-def draw_heat(path, image, bits, limits):
-    """Every Gaussian in a colour for the bits of its anchor, and the histogram of the bits."""
-    plt = pyplot()
+def write_heat(folder, model, bits, camera):
+    """heat.csv, and heat.png: Gaussians in colours for the bits (A,) of their anchors, histogram.
+
+    The model is drawn at the middle of its time.
+    """
+    rows = [[a, *x, b] for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))]
+    write_csv(folder / "heat.csv", rows, ("anchor", "x", "y", "z", "bits"))
+    plt, limits = pyplot(), (bits.min(), bits.max())
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(11, 5), layout="constrained", width_ratios=(1.2, 1)
     )
-    left.imshow(np.clip(image, 0, 1))
+    left.imshow(np.clip(heat_image(model, bits, camera, 0.5, limits), 0, 1))
     left.set(xticks=[], yticks=[], title="bits of the anchors, in place")
     left.spines[:].set_visible(False)
     scale = plt.cm.ScalarMappable(plt.Normalize(*limits), HEAT)
@@ -244,7 +249,7 @@ def draw_heat(path, image, bits, limits):
         ylabel="anchors",
         title=f"{len(bits):,} anchors, {bits.mean():.0f} bits on average",
     )
-    save_figure(figure, path)
+    save_figure(figure, folder / "heat.png")
 
 
 def write_training(folder, history, stage_ends):
