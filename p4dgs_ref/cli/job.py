@@ -18,7 +18,7 @@ from ..scenes.load import find_scene, read_description, read_points_for
 from ..scenes.output import filled, made, new_file, write_atomically
 from ..training.checkpoint import CHECKPOINT
 from ..training.fit import fit, load_model
-from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, SOURCES, choose, differences
+from ..training.presets import SOURCES, choose, differences
 from ..training.trainer import Trainer
 from . import text
 from .base import UsageError, expect, expect_known, progress, report_folder, say, show, tell
@@ -26,8 +26,11 @@ from .base import UsageError, expect, expect_known, progress, report_folder, say
 
 def read_scene(arguments, split="train", purpose="train"):
     """The scene that the command line names, with views of the split for a purpose."""
-    background = getattr(arguments, "background", "white")  # some commands need cameras alone
-    scene = p4.load_scene(arguments.scene, background, getattr(arguments, "downscale", 1))
+    scene = p4.load_scene(
+        arguments.scene,
+        getattr(arguments, "background", "white"),  # some commands need cameras alone
+        getattr(arguments, "downscale", 1),
+    )
     expect(
         getattr(scene, split),
         f"{scene.source}: split '{split}': no views; expected at least one to {purpose}",
@@ -194,8 +197,8 @@ def held_camera(model, azimuth, elevation, distance, size):
 
 def views_to_render(arguments, model):
     """The (name, camera, time) of every picture: views of a scene, or times of a held camera."""
-    options = {name: getattr(arguments, name) for name in (*CAMERA, "frames")}.items()
-    given = {name: value for name, value in options if value is not None}
+    asked = {name: getattr(arguments, name) for name in (*CAMERA, "frames")}
+    given = {name: value for name, value in asked.items() if value is not None}
     if arguments.scene:
         expect(
             not given,
@@ -240,12 +243,15 @@ def header_of(model, camera, name):
     frozen = {"view_color": "colours", "view_geometry": "opacities, scales and rotations"}
     seen = [words for effect, words in frozen.items() if effect in effects] or ["no attributes"]
     x, y, z = camera.center
-    adds_up = "the model adds up all light, a viewer hides what is behind"
     return [
         f"frozen view: {name}, camera at {x:.4g} {y:.4g} {z:.4g}",
         f"of this view alone: {' and '.join(seen)}",
         "background of the model: {:.3g} {:.3g} {:.3g}".format(*model.background),
-        *([] if "occlusion" in effects else [adds_up]),
+        *(
+            []
+            if "occlusion" in effects
+            else ["the model adds up all light, a viewer hides what is behind"]
+        ),
     ]
 
 
@@ -307,14 +313,15 @@ def presets(arguments):
     names = [arguments.preset] if arguments.preset else list(p4.PRESETS)
     expect_known("preset", names, p4.PRESETS)
     chosen = [p4.PRESETS[name] for name in names]
-    heads = ("field", "paper", "here")
     value = {
         preset.name: {
             "fields": preset._asdict(),
-            "differs": [dict(zip(heads, row)) for row in differences(preset)],
+            "differs": [
+                {"field": field, "paper": paper, "here": here}
+                for field, paper, here in differences(preset)
+            ],
             "sources_of_paper_presets": SOURCES,
         }
         for preset in chosen
     }
-    paper, every_field = (PAPER_SYNTHETIC, PAPER_REAL), bool(arguments.preset)
-    show(arguments, value, text.presets(chosen, paper, differences, SOURCES, every_field))
+    show(arguments, value, text.presets(chosen, bool(arguments.preset)))

@@ -19,9 +19,10 @@ from .job import read_scene
 def turn_knobs(arguments):
     """Turn the knobs that trade accuracy for time or bytes, and write a page about them."""
     expect_known("--only", arguments.only, knobs.NAMES)
-    options = arguments.quick, progress, arguments.jobs
     with filled(arguments.output) as beside:
-        result = accuracies.run(arguments.only or None, beside, *options)
+        result = accuracies.run(
+            arguments.only or None, beside, arguments.quick, progress, arguments.jobs
+        )
     show(arguments, result, accuracies.describe(result, arguments.output))
 
 
@@ -144,10 +145,15 @@ def classroom(arguments):
 
 def grade(arguments):
     """Judge what students wrote."""
-    names = ("classroom", "seed", "timeout", "reveal")
-    options = {name: getattr(arguments, name) for name in names}
     with report_folder(arguments.output) as beside:
-        grades = school.grade(*arguments.folders, **options, progress=progress)
+        grades = school.grade(
+            *arguments.folders,
+            classroom=arguments.classroom,
+            seed=arguments.seed,
+            timeout=arguments.timeout,
+            reveal=arguments.reveal,
+            progress=progress,
+        )
         if beside:
             school.write(grades, beside)
     show(arguments, school.as_json(grades), school.text(grades))

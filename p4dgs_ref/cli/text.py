@@ -1,5 +1,7 @@
 """What the commands print for people; --json prints the same values."""
 
+from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, SOURCES, differences
+
 
 def quality(m):
     """PSNR, also of the object alone where the scene has an alpha, and SSIM."""
@@ -94,12 +96,12 @@ def setting(value):
     return ",".join(parts if len(parts) < 6 else [*parts[:2], "...", parts[-1]])
 
 
-def presets(chosen, paper, differences, sources, every_field):
+def presets(chosen, every_field):
     """The presets beside the paper's two: all fields, or those that differ, with a star.
 
     The last column says where the values of the paper's presets come from.
     """
-    blocks = []
+    paper, blocks = (PAPER_SYNTHETIC, PAPER_REAL), []
     for preset in chosen:
         changed = {field for field, *_ in differences(preset)}
         columns, count = paper, "the paper's values, and where it gives none those of the source"
@@ -111,7 +113,7 @@ def presets(chosen, paper, differences, sources, every_field):
             if every_field or field in changed:
                 star = "* " if field in changed and preset not in paper else "  "
                 values = [setting(getattr(p, field)) for p in columns]
-                table.append([star + field, *values, sources[field]])
+                table.append([star + field, *values, SOURCES[field]])
         widths = [max(map(len, column)) for column in zip(*table)]
         lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in table]
         blocks.append("\n".join([f"{preset.name}: {count}", *(lines if len(table) > 1 else [])]))

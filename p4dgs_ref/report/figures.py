@@ -141,10 +141,9 @@ def write_size(folder, preset, own, paper=None):
     They are those of a preset's file and of the paper's design. Bars are sorted by the last design.
     The title compares the first one with the same Gaussians as float32.
     """
-    designs, columns = {preset: own["components"]}, ["component", "bytes"]
-    if paper is not None:
-        designs["the paper's design"] = paper["components"]
-        columns.append("paper_design_bytes")
+    measured = {preset: own, "the paper's design": paper}
+    designs = {label: m["components"] for label, m in measured.items() if m is not None}
+    columns = ("component", "bytes", "paper_design_bytes")[: 1 + len(designs)]
     rows = [[name, *(of[name] for of in designs.values())] for name in own["components"]]
     write_csv(folder / "size.csv", rows, columns)
     sizes = {label: sum(components.values()) for label, components in designs.items()}
@@ -157,8 +156,8 @@ def write_size(folder, preset, own, paper=None):
         values = [components[name] for name in names]
         bars = ax.barh(np.arange(len(names)) - i * height, values, height, color=color, label=label)
         ax.bar_label(bars, [f" {v:,} ({100 * v / sizes[label]:.1f} %)" for v in values])
-    middle = (len(designs) - 1) * height / 2
-    ax.set_yticks(np.arange(len(names)) - middle, [LABELS[name] for name in names])
+    middles = np.arange(len(names)) - (len(designs) - 1) * height / 2
+    ax.set_yticks(middles, [LABELS[name] for name in names])
     ax.set(xlabel="bytes in the file", xlim=(0, 1.35 * largest))
     ax.xaxis.set_major_formatter("{x:,.0f}")
     ax.locator_params(axis="x", nbins=5)
@@ -211,9 +210,16 @@ def heat_image(model, bits, camera, t, limits):
     low, high = limits
     colors = pyplot().get_cmap(HEAT)((bits - low) / max(high - low, 1e-9))[:, :3]
     g = model.gaussians(t, camera)
-    looks = camera, np.ones(3), FAST, "occlusion" in model.design.effects
     (image, *_), _ = render.forward(
-        g.x, g.s, g.r, g.alpha, colors[g.index // model.design.k], *looks
+        g.x,
+        g.s,
+        g.r,
+        g.alpha,
+        colors[g.index // model.design.k],
+        camera,
+        np.ones(3),
+        FAST,
+        "occlusion" in model.design.effects,
     )
     return image
 
