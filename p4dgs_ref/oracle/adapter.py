@@ -94,8 +94,11 @@ class Adapter(contextlib.AbstractContextManager):
 
         Raises PortError as `run` does.
         """
-        request = {"id": f"codec/{name}", "stream": base64.b64encode(data).decode()}
-        answer = self._ask(request, "codec", ("arrays", "refused", "skip", "error"))
+        answer = self._ask(
+            {"id": f"codec/{name}", "stream": base64.b64encode(data).decode()},
+            "codec",
+            ("arrays", "refused", "skip", "error"),
+        )
         if answer.get("refused") is not None:
             return None, _short(str(answer["refused"]))
         return unpacked(answer, "arrays"), None

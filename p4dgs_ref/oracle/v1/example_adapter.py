@@ -9,22 +9,16 @@ import numpy as np
 TYPES = {"F64": "<f8", "F32": "<f4"}
 
 
-def unpacked(fields):
-    """Return the arrays of one field of a request."""
-    arrays = {}
-    for name, field in fields.items():
-        data = base64.b64decode(field["data"])
-        arrays[name] = np.frombuffer(data, TYPES[field["dtype"]]).reshape(field["shape"])
-    return arrays
+def unpacked(field):
+    """Return the array that a field of a request holds."""
+    numbers = np.frombuffer(base64.b64decode(field["data"]), TYPES[field["dtype"]])
+    return numbers.reshape(field["shape"])
 
 
-def packed(arrays):
-    """Return arrays in the form that the protocol sends."""
-    fields = {}
-    for name, a in arrays.items():
-        data = base64.b64encode(a.tobytes()).decode()
-        fields[name] = {"dtype": f"F{8 * a.itemsize}", "shape": a.shape, "data": data}
-    return fields
+def packed(a):
+    """Return an array in the form that the protocol sends."""
+    data = base64.b64encode(a.tobytes()).decode()
+    return {"dtype": f"F{8 * a.itemsize}", "shape": a.shape, "data": data}
 
 
 def offsets(x_a, O_a, l_a, x_bar):
@@ -50,10 +44,14 @@ def answer_to(request):
     equation = PORT.get(request.get("subject"))
     if equation is None:
         return {"id": request["id"], "skip": "not written yet"}
-    inputs = unpacked(request["in"])
-    cotangents = {f"{name}_bar": bar for name, bar in unpacked(request["out_bar"]).items()}
+    inputs = {name: unpacked(field) for name, field in request["in"].items()}
+    cotangents = {f"{name}_bar": unpacked(bar) for name, bar in request["out_bar"].items()}
     outputs, gradients = equation(**inputs, **cotangents)
-    return {"id": request["id"], "out": packed(outputs), "in_bar": packed(gradients)}
+    return {
+        "id": request["id"],
+        "out": {name: packed(a) for name, a in outputs.items()},
+        "in_bar": {name: packed(a) for name, a in gradients.items()},
+    }
 
 
 for line in sys.stdin:
