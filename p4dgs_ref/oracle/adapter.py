@@ -184,8 +184,9 @@ class Child:
             )
         except OSError as error:
             raise PortError("died", f"cannot be started ({error.strerror})") from None
-        pipes = self.process.stdin, self.process.stdout, self.process.stderr
-        self.stdin, self.stdout, self.stderr = filter(None, pipes)
+        self.stdin, self.stdout, self.stderr = filter(
+            None, (self.process.stdin, self.process.stdout, self.process.stderr)
+        )
         for stream in (self.stdin, self.stdout, self.stderr):
             os.set_blocking(stream.fileno(), False)
         self.open = [self.stdout, self.stderr]  # not closed by the port
@@ -218,8 +219,9 @@ class Child:
 
     def _serve(self, unsent, seconds):
         """Read and write what the pipes are ready for; return the number of bytes sent."""
-        asked = [self.stdin] if unsent else []
-        readable, writable, _ = select.select(self.open, asked, [], seconds)
+        readable, writable, _ = select.select(
+            self.open, [self.stdin] if unsent else [], [], seconds
+        )
         for stream in readable:
             part = os.read(stream.fileno(), 2**16)
             if stream is self.stdout:

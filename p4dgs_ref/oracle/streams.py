@@ -121,15 +121,18 @@ def _difference(row, entry, mine):
     if mine.shape != want.shape:
         return Finding(name, "shape", f"{mine.shape}, expected {want.shape}")
     if mine.dtype.newbyteorder("<") != want.dtype if is_float else mine.dtype.kind not in "iub":
-        expected = want.dtype if is_float else "integers"
-        return Finding(name, "dtype", f"{mine.dtype}, expected {expected}")
+        return Finding(
+            name, "dtype", f"{mine.dtype}, expected {want.dtype if is_float else 'integers'}"
+        )
     wrong = _bits(mine, want.dtype) != _bits(want, want.dtype) if is_float else mine != want
     if not wrong.any():
         return None
     index = first(wrong)
     got, right = mine[index].item(), want[index].item()
-    said = f"{name}{list(index)}: got {got!r}, expected {right!r} "
-    said += f"({int(wrong.sum())} of {wrong.size} numbers off; all bits must agree)"
+    said = (
+        f"{name}{list(index)}: got {got!r}, expected {right!r} "
+        f"({int(wrong.sum())} of {wrong.size} numbers off; all bits must agree)"
+    )
     return Finding(name, "value", said, index, float(got), float(right))
 
 

@@ -76,8 +76,7 @@ def _spread(answer, inputs, cotangents, flat, delta, rng):
     """Return the root mean square change of every number, divided by delta."""
 
     def move(a):
-        signs = rng.choice([-1.0, 1.0], np.shape(a))
-        return (a * (1 + delta * signs)).astype(a.dtype)
+        return (a * (1 + delta * rng.choice([-1.0, 1.0], np.shape(a)))).astype(a.dtype)
 
     squares = {name: np.zeros(a.shape) for name, a in flat.items() if a.dtype.kind == "f"}
     with np.errstate(all="ignore"):
