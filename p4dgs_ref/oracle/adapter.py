@@ -35,8 +35,8 @@ import time
 
 import numpy as np
 
+from .compare import cast
 from .ports import PortError
-from .precision import cast
 from .safetensors import DTYPES, NAMES, json_object, naturals
 
 VERSION = 1

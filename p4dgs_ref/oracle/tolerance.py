@@ -22,8 +22,7 @@ import zlib
 
 import numpy as np
 
-from .compare import IMAGES
-from .precision import change_floats
+from .compare import IMAGES, change_floats
 from .published import flatten
 
 PROBES = 12
