@@ -18,7 +18,7 @@ from ..scenes.load import find_scene, read_description, read_points_for
 from ..scenes.output import filled, made, new_file, write_atomically
 from ..training.checkpoint import CHECKPOINT
 from ..training.fit import fit, load_model
-from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, SOURCES, choose, differences
+from ..training.presets import SOURCES, choose, differences
 from ..training.trainer import Trainer
 from . import text
 from .base import UsageError, expect, expect_known, progress, report_folder, say, show, tell
@@ -26,8 +26,11 @@ from .base import UsageError, expect, expect_known, progress, report_folder, say
 
 def read_scene(arguments, split="train", purpose="train"):
     """The scene that the command line names, with views of the split for a purpose."""
-    background = getattr(arguments, "background", "white")  # some commands need cameras alone
-    scene = p4.load_scene(arguments.scene, background, getattr(arguments, "downscale", 1))
+    scene = p4.load_scene(
+        arguments.scene,
+        getattr(arguments, "background", "white"),  # some commands need cameras alone
+        getattr(arguments, "downscale", 1),
+    )
     expect(
         getattr(scene, split),
         f"{scene.source}: split '{split}': no views; expected at least one to {purpose}",
@@ -96,9 +99,13 @@ def demo(arguments):
 
 def simulate(arguments):
     """Draw the pictures of a scene.json."""
-    scene, folder = arguments.scene, arguments.output
-    _, seconds = timed(p4.simulate, scene, folder, lambda i, n: progress(f"{i}/{n} pictures"))
-    tell(f"{folder}: drawn in {seconds:.1f} s")
+    _, seconds = timed(
+        p4.simulate,
+        arguments.scene,
+        arguments.output,
+        lambda i, n: progress(f"{i}/{n} pictures"),
+    )
+    tell(f"{arguments.output}: drawn in {seconds:.1f} s")
 
 
 def train(arguments):
@@ -154,8 +161,10 @@ def encode(arguments):
         write_atomically(output, lambda file: file.write(data))
     lost = quantise.underflows(model.networks)  # too small for float16 (Q18)
     note = f"; {lost} network weights are too small for float16 and became 0" if lost else ""
-    size, iteration = len(data), values["iteration"]
-    tell(f"{output}: {size:,} bytes, from iteration {iteration}, {seconds:.3f} s{note}")
+    tell(
+        f"{output}: {len(data):,} bytes, from iteration {values['iteration']}, "
+        f"{seconds:.3f} s{note}"
+    )
 
 
 def decode(arguments):
@@ -170,8 +179,7 @@ def decode(arguments):
     with filled(arguments.output) as beside:
         np.savez(beside / "model.npz", **arrays)
         (beside / "model.json").write_text(json.dumps(model.design._asdict(), indent=1) + "\n")
-    count = len(arrays)
-    tell(f"{arguments.output}: model.npz with {count} arrays, model.json; {seconds:.3f} s")
+    tell(f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json; {seconds:.3f} s")
 
 
 CAMERA = {"azimuth": 40.0, "elevation": 30.0, "distance": 3.6, "size": 128}
@@ -189,8 +197,8 @@ def held_camera(model, azimuth, elevation, distance, size):
 
 def views_to_render(arguments, model):
     """The (name, camera, time) of every picture: views of a scene, or times of a held camera."""
-    options = {name: getattr(arguments, name) for name in (*CAMERA, "frames")}.items()
-    given = {name: value for name, value in options if value is not None}
+    asked = {name: getattr(arguments, name) for name in (*CAMERA, "frames")}
+    given = {name: value for name, value in asked.items() if value is not None}
     if arguments.scene:
         expect(
             not given,
@@ -235,12 +243,15 @@ def header_of(model, camera, name):
     frozen = {"view_color": "colours", "view_geometry": "opacities, scales and rotations"}
     seen = [words for effect, words in frozen.items() if effect in effects] or ["no attributes"]
     x, y, z = camera.center
-    adds_up = "the model adds up all light, a viewer hides what is behind"
     return [
         f"frozen view: {name}, camera at {x:.4g} {y:.4g} {z:.4g}",
         f"of this view alone: {' and '.join(seen)}",
         "background of the model: {:.3g} {:.3g} {:.3g}".format(*model.background),
-        *([] if "occlusion" in effects else [adds_up]),
+        *(
+            []
+            if "occlusion" in effects
+            else ["the model adds up all light, a viewer hides what is behind"]
+        ),
     ]
 
 
@@ -263,10 +274,7 @@ def evaluate(arguments):
     metrics, rows, images = p4.evaluate(model, scene)
     try:
         encoding = timed(p4.encode, model)[1]
-    except (
-        OverflowError,
-        quantise.EncodeError,
-    ):  # a file can hold numbers that our encoder refuses
+    except (OverflowError, quantise.EncodeError):  # a file may hold what our encoder refuses
         encoding = None
     metrics = {
         "scene": scene.name,
@@ -295,18 +303,9 @@ def inspect(arguments):
             figures.write_csv(beside / "size.csv", rows)
             figures.draw_ledger(beside / "size.png", rows)
         if arguments.heat:
-            write_heat(data, beside)
+            model, bits = sizes.anchor_bits(data)
+            figures.write_heat(beside, model, bits, held_camera(model, **CAMERA))
     show(arguments, {"bytes": len(data), "sections": rows, "gaps": gaps}, text.ledger(rows, gaps))
-
-
-def write_heat(data, folder):
-    """Write heat.png, the scene in colours that show the bits of its anchors, and heat.csv."""
-    model, bits = sizes.anchor_bits(data)
-    limits, camera = (bits.min(), bits.max()), held_camera(model, **CAMERA)
-    image = figures.heat_image(model, bits, camera, 0.5, limits, figures.HEAT)
-    rows = [[a, *x, b] for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))]
-    figures.write_csv(folder / "heat.csv", rows, ("anchor", "x", "y", "z", "bits"))
-    figures.draw_heat(folder / "heat.png", image, bits, limits)
 
 
 def presets(arguments):
@@ -314,14 +313,15 @@ def presets(arguments):
     names = [arguments.preset] if arguments.preset else list(p4.PRESETS)
     expect_known("preset", names, p4.PRESETS)
     chosen = [p4.PRESETS[name] for name in names]
-    heads = ("field", "paper", "here")
     value = {
         preset.name: {
             "fields": preset._asdict(),
-            "differs": [dict(zip(heads, row)) for row in differences(preset)],
+            "differs": [
+                {"field": field, "paper": paper, "here": here}
+                for field, paper, here in differences(preset)
+            ],
             "sources_of_paper_presets": SOURCES,
         }
         for preset in chosen
     }
-    paper, every_field = (PAPER_SYNTHETIC, PAPER_REAL), bool(arguments.preset)
-    show(arguments, value, text.presets(chosen, paper, differences, SOURCES, every_field))
+    show(arguments, value, text.presets(chosen, bool(arguments.preset)))

@@ -58,9 +58,15 @@ def check(arguments):
     level, only = arguments.level, arguments.only
     for name in only:
         require_known(name, published.names(), "--only")
-    options = {"version": arguments.vectors, "strict": arguments.strict}
     with closing(port_of(arguments)) as port:
-        report = check_port(port, level, only, progress=progress, **options)
+        report = check_port(
+            port,
+            level,
+            only,
+            progress=progress,
+            version=arguments.vectors,
+            strict=arguments.strict,
+        )
     expect(
         report.results,
         f"--level {' '.join(level)} --only {' '.join(only)}: no such case; "

@@ -327,7 +327,7 @@ GROUPS = {
     },
     "Measure, for those who ask what a choice costs": {
         "accuracy": (
-            "study.accuracy",
+            "lab.turn_knobs",
             "what accuracy costs in time and bytes: a table of knobs, with a figure for each",
             (
                 JSON,
@@ -341,7 +341,7 @@ GROUPS = {
             ),
         ),
         "stability": (
-            "study.stability",
+            "lab.hard_cases",
             "hard cases: the literal formula, ours, the true value; and a map of errors",
             (
                 JSON,
@@ -350,7 +350,7 @@ GROUPS = {
             ),
         ),
         "effects": (
-            "study.effects",
+            "lab.effects",
             "what each effect of a scene costs and is worth, or which effects it needs",
             (
                 SCENE,
@@ -365,7 +365,7 @@ GROUPS = {
             ),
         ),
         "compare": (
-            "experiments.compare",
+            "lab.compare_methods",
             "the paper's tables 1 and 2 on tiny scenes, with the methods compared there",
             (
                 option("scenes", nargs="*", help=f"{SCENE_HELP} (default: all that move)"),
@@ -376,7 +376,7 @@ GROUPS = {
             ),
         ),
         "sweep": (
-            "experiments.sweep",
+            "lab.sweep_rates",
             "rate-distortion: PSNR against bytes over lambda_rate",
             (
                 SCENE,
@@ -408,7 +408,7 @@ GROUPS = {
             ),
         ),
         "ablate": (
-            "experiments.ablate",
+            "lab.ablate_parts",
             "the paper's table 3: from D3DGS to P-4DGS step by step, parts left out",
             (
                 SCENE,
@@ -417,14 +417,14 @@ GROUPS = {
             ),
         ),
         "bench": (
-            "study.bench",
+            "lab.times",
             "time the renderer, the parts of a training step and the coder",
             (JSON, switch("--quick", "small sizes, a few seconds")),
         ),
     },
     "Teach, for teachers and their students": {
         "classroom": (
-            "school.classroom",
+            "lab.classroom",
             "write the equations with bodies removed for students, and the key",
             (
                 option(
@@ -436,7 +436,7 @@ GROUPS = {
             ),
         ),
         "grade": (
-            "school.grade",
+            "lab.grade",
             "points by student and equation, on inputs that the students have not seen",
             (
                 option(
@@ -483,17 +483,18 @@ def in_groups():
     return "\n".join(lines)
 
 
-def wide(prog):
-    """The form of a command's help, with a column for the longest option."""
-    return argparse.HelpFormatter(prog, max_help_position=28)
-
-
 def add_commands(parent, kind, table, **shown):
     """Divide a parser into the commands of a table, a command perhaps into those of its own."""
     named = {"dest": kind, "metavar": kind.upper(), "prog": parent.prog}
     commands = parent.add_subparsers(required=True, **named, **shown)
     for name, (function, help, arguments) in table.items():
-        entry = commands.add_parser(name, help=help, description=help, formatter_class=wide)
+        entry = commands.add_parser(
+            name,
+            help=help,
+            description=help,
+            # a column for the longest option
+            formatter_class=lambda prog: argparse.HelpFormatter(prog, max_help_position=28),
+        )
         entry.set_defaults(function=function)
         if isinstance(arguments, dict):
             add_commands(entry, "action", arguments)

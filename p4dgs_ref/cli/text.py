@@ -1,5 +1,7 @@
 """What the commands print for people; --json prints the same values."""
 
+from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, SOURCES, differences
+
 
 def quality(m):
     """PSNR, also of the object alone where the scene has an alpha, and SSIM."""
@@ -72,16 +74,15 @@ BETWEEN = {
 
 def ledger(rows, gaps):
     """The sections of a file: bytes by the entropy, bytes in the file, and why they differ."""
-    file = {"name": "file", **{key: sum(row[key] for row in rows) for key in BYTES}}
+    file = {"name": "file", "symbols": None, "bits_per_symbol": None}
+    file.update({key: sum(row[key] for row in rows) for key in BYTES})
     lines = [LEDGER.format(*HEADS.split(), "bits each")]
     for row in [*rows, file]:
         estimate, integer, *rest = (row[key] for key in BYTES)
-        last = ("", "", "")
-        if row is not file:
-            share, each = row["bytes"] / file["bytes"], row["bits_per_symbol"]
-            symbols = "" if row["symbols"] is None else row["symbols"]
-            last = f"{100 * share:.1f}%", symbols, "" if each is None else f"{each:.3f}"
-        cells = f"{estimate:.1f}", f"{integer:.1f}", *rest, *last
+        share = "" if row is file else f"{100 * row['bytes'] / file['bytes']:.1f}%"
+        symbols = "" if row["symbols"] is None else row["symbols"]
+        each = "" if row["bits_per_symbol"] is None else f"{row['bits_per_symbol']:.3f}"
+        cells = f"{estimate:.1f}", f"{integer:.1f}", *rest, share, symbols, each
         lines.append(LEDGER.format(row["name"], *cells).rstrip())
     lines += ["", "In bytes. The columns differ because of:"]
     return "\n".join([*lines, *(f"  {BETWEEN[name]:20} {why}" for name, why in gaps.items())])
@@ -95,12 +96,12 @@ def setting(value):
     return ",".join(parts if len(parts) < 6 else [*parts[:2], "...", parts[-1]])
 
 
-def presets(chosen, paper, differences, sources, every_field):
+def presets(chosen, every_field):
     """The presets beside the paper's two: all fields, or those that differ, with a star.
 
     The last column says where the values of the paper's presets come from.
     """
-    blocks = []
+    paper, blocks = (PAPER_SYNTHETIC, PAPER_REAL), []
     for preset in chosen:
         changed = {field for field, *_ in differences(preset)}
         columns, count = paper, "the paper's values, and where it gives none those of the source"
@@ -112,7 +113,7 @@ def presets(chosen, paper, differences, sources, every_field):
             if every_field or field in changed:
                 star = "* " if field in changed and preset not in paper else "  "
                 values = [setting(getattr(p, field)) for p in columns]
-                table.append([star + field, *values, sources[field]])
+                table.append([star + field, *values, SOURCES[field]])
         widths = [max(map(len, column)) for column in zip(*table)]
         lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in table]
         blocks.append("\n".join([f"{preset.name}: {count}", *(lines if len(table) > 1 else [])]))

@@ -35,8 +35,8 @@ import time
 
 import numpy as np
 
+from .compare import cast
 from .ports import PortError
-from .precision import cast
 from .safetensors import DTYPES, NAMES, json_object, naturals
 
 VERSION = 1
@@ -83,16 +83,22 @@ class Adapter(contextlib.AbstractContextManager):
             "out_bar": self._packed(case, "out_bar."),
         }
         answer = self._ask(request, case.subject, ("out", "skip", "error"))
-        arrays = {role: unpacked(answer, role) for role in ("out", "in_bar")}
-        return {f"{role}.{name}": a for role, of in arrays.items() for name, a in of.items()}
+        return {
+            f"{role}.{name}": a
+            for role in ("out", "in_bar")
+            for name, a in unpacked(answer, role).items()
+        }
 
     def decode(self, name, data):
         """Return the arrays that the port finds in a file and None, or None and its refusal.
 
         Raises PortError as `run` does.
         """
-        request = {"id": f"codec/{name}", "stream": base64.b64encode(data).decode()}
-        answer = self._ask(request, "codec", ("arrays", "refused", "skip", "error"))
+        answer = self._ask(
+            {"id": f"codec/{name}", "stream": base64.b64encode(data).decode()},
+            "codec",
+            ("arrays", "refused", "skip", "error"),
+        )
         if answer.get("refused") is not None:
             return None, _short(str(answer["refused"]))
         return unpacked(answer, "arrays"), None
@@ -138,8 +144,10 @@ class Adapter(contextlib.AbstractContextManager):
         self.lost.clear()
         found = [kind for kind in kinds if answer.get(kind) is not None]
         if len(found) != 1:
-            said = f"expected one of the fields {', '.join(kinds)}, got {', '.join(answer)}"
-            raise PortError("nonsense", said)
+            raise PortError(
+                "nonsense",
+                f"expected one of the fields {', '.join(kinds)}, got {', '.join(answer)}",
+            )
         for field, kind in ("skip", "skipped"), ("error", "error"):
             if field in found:
                 raise PortError(kind, _short(str(answer[field])))
@@ -151,8 +159,10 @@ class Adapter(contextlib.AbstractContextManager):
         line = self.child.exchange(json.dumps(request).encode() + b"\n", self.timeout)
         answer = json_object(line)
         if answer is None:
-            said = _short(repr(line[:QUOTED])[1:])
-            raise PortError("nonsense", f"expected a line with a JSON object, got {said}")
+            raise PortError(
+                "nonsense",
+                f"expected a line with a JSON object, got {_short(repr(line[:QUOTED])[1:])}",
+            )
         if answer.get(field) != request[field]:
             want, got = json.dumps(request[field]), _short(json.dumps(answer.get(field)))
             raise PortError("nonsense", f"expected {field} {want}, got {got}")
@@ -174,8 +184,9 @@ class Child:
             )
         except OSError as error:
             raise PortError("died", f"cannot be started ({error.strerror})") from None
-        pipes = self.process.stdin, self.process.stdout, self.process.stderr
-        self.stdin, self.stdout, self.stderr = filter(None, pipes)
+        self.stdin, self.stdout, self.stderr = filter(
+            None, (self.process.stdin, self.process.stdout, self.process.stderr)
+        )
         for stream in (self.stdin, self.stdout, self.stderr):
             os.set_blocking(stream.fileno(), False)
         self.open = [self.stdout, self.stderr]  # not closed by the port
@@ -191,8 +202,10 @@ class Child:
         while end < 0 or unsent:
             left = deadline - time.monotonic()
             if left <= 0:
-                said = f"no answer within {seconds:g} s, compilation included; --timeout raises it"
-                raise PortError("hung", said)
+                raise PortError(
+                    "hung",
+                    f"no answer within {seconds:g} s, compilation included; --timeout raises it",
+                )
             if len(self.unread) > LONGEST:
                 raise PortError(
                     "nonsense", f"expected a line of at most {LONGEST:,} bytes, got more"
@@ -206,8 +219,9 @@ class Child:
 
     def _serve(self, unsent, seconds):
         """Read and write what the pipes are ready for; return the number of bytes sent."""
-        asked = [self.stdin] if unsent else []
-        readable, writable, _ = select.select(self.open, asked, [], seconds)
+        readable, writable, _ = select.select(
+            self.open, [self.stdin] if unsent else [], [], seconds
+        )
         for stream in readable:
             part = os.read(stream.fileno(), 2**16)
             if stream is self.stdout:
@@ -267,8 +281,10 @@ def unpacked(answer, role):
     """
     fields = answer.get(role)
     if not isinstance(fields, dict):
-        got = _short(json.dumps(fields))
-        raise PortError("nonsense", f"field {role!r}: expected an object of arrays, got {got}")
+        raise PortError(
+            "nonsense",
+            f"field {role!r}: expected an object of arrays, got {_short(json.dumps(fields))}",
+        )
     return {name: _array(field, f"{role}.{name}") for name, field in fields.items()}
 
 

@@ -10,8 +10,6 @@ from .ports import FunctionPort, PortError
 from .published import FOLDER, GROUPS, LEVELS
 from .report import text
 
-SAYS = {**LEVELS, **GROUPS}
-
 
 class Report(NamedTuple):
     """All verdicts, in the order in which data flows."""
@@ -42,7 +40,7 @@ class Report(NamedTuple):
                 "of": len(verdicts[level]),
                 "says": says,
             }
-            for level, says in SAYS.items()
+            for level, says in {**LEVELS, **GROUPS}.items()
             if level in verdicts
         }
 
@@ -118,9 +116,16 @@ def judge(case, port, roles=("out.", "in_bar."), strict=False):
     try:
         got = {name: np.asarray(a) for name, a in port.run(case).items()}
     except PortError as error:
-        required = case.record["result"] == "valid" and error.kind != "unasked"
-        place = case.id, case.equation, case.level, error.kind, required
-        return Result(*place, explanation=printable(str(error)), group=case.group), None
+        result = Result(
+            case.id,
+            case.equation,
+            case.level,
+            verdict=error.kind,
+            required=case.record["result"] == "valid" and error.kind != "unasked",
+            explanation=printable(str(error)),
+            group=case.group,
+        )
+        return result, None
     return judge_answer(case, got, roles, strict), got
 
 

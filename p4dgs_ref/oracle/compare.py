@@ -51,6 +51,23 @@ class Result(NamedTuple):
         return self.required and self.verdict not in ("pass", "acceptable", "unasked")
 
 
+def change_floats(values, change):
+    """Apply `change` to every float array of {name: array, list of arrays or setting}."""
+
+    def visit(value):
+        if isinstance(value, list):
+            return [visit(b) for b in value]
+        is_array = isinstance(value, (np.ndarray, np.generic))
+        return change(value) if is_array and value.dtype.kind == "f" else value
+
+    return {name: visit(value) for name, value in values.items()}
+
+
+def cast(values, dtype):
+    """The same values with every float array in another precision."""
+    return change_floats(values, lambda a: np.asarray(a, dtype))
+
+
 def expected(tensors):
     """Return the tensors of a case that a port must give: outputs and gradients."""
     return {name: a for name, a in tensors.items() if name.startswith(("out.", "in_bar."))}
@@ -115,8 +132,8 @@ def _difference(name, mine, right, scale, tolerance):
     if not wrong.any():
         return None
     index = first(wrong)
-    said = _said(name, index, mine[index], right[index])
-    return Finding(name, "value", said, index, float(mine[index]), float(right[index]))
+    got, want = mine[index], right[index]
+    return Finding(name, "value", _said(name, index, got, want), index, float(got), float(want))
 
 
 def first(wrong):

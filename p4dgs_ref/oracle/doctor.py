@@ -68,8 +68,7 @@ def known(subject):
     found = {row["id"]: Mistake(**row, answers={}) for row in rows if row["subject"] == subject}
     if found:
         file = FOLDER / f"{subject}.safetensors.gz"
-        arrays = safetensors.load(gzip.decompress(file.read_bytes()), file)
-        for name, array in arrays.items():
+        for name, array in safetensors.load(gzip.decompress(file.read_bytes()), file).items():
             id, case, tensor = name.split("/")
             found[id].answers.setdefault(case, {})[tensor] = array
     return list(found.values())
@@ -155,8 +154,7 @@ def _scaled(answers):
     names = (name for *_, wrong in answers for name in wrong)
     for quantity in dict.fromkeys(".".join(name.split(".")[:2]) for name in names):
         of_quantity = _of(answers, quantity)
-        tried = [_times(factor, quantity, of_quantity) for factor in FACTORS]
-        rows = explain(tried, of_quantity)
+        rows = explain([_times(factor, quantity, of_quantity) for factor in FACTORS], of_quantity)
         if rows:
             found.append(max(rows, key=lambda row: len(row.cases)).mistake)
             for name, tensors in found[-1].answers.items():
@@ -211,7 +209,9 @@ def _is_mistake(mine, would, right, scale, bound):
     if would.shape != right.shape:
         right, scale = np.full(would.shape, np.nan), np.zeros(would.shape)
     with np.errstate(over="ignore"):
-        mine, would = _without_nan(mine), _without_nan(would.astype(mine.dtype))
+        would = would.astype(mine.dtype)
+    # A mistake may produce NaN, which must then agree: a very large number stands for it.
+    mine, would = (np.where(np.isnan(a), a.dtype.type(HUGE), a) for a in (mine, would))
     size = np.maximum(scale, np.abs(would)).astype(float)
     residual, scaled = deviations(mine, would, size, mine.dtype)
     # A mistake may sum other terms than S describes: then the largest S of the array counts, as
@@ -225,8 +225,3 @@ def _is_mistake(mine, would, right, scale, bound):
     error, units = deviations(mine, right, scale, mine.dtype)
     worst = units == units.max(initial=0)
     return bool(near.all() and (CLOSER * residual[worst] <= error[worst]).all())
-
-
-def _without_nan(a):
-    """Replace NaN by a very large number: mistakes may produce NaN, which must then agree."""
-    return np.where(np.isnan(a), a.dtype.type(HUGE), a)

@@ -29,8 +29,9 @@ def export(folder, version=VERSIONS[-1]):
             if file.is_file() and asked:
                 shutil.copyfile(file, beside / file.name)
         if version != VERSIONS[-1]:
-            text = json.dumps(manifest, separators=(",", ":"))
-            (beside / "manifest.json").write_text(text, encoding="utf-8")
+            (beside / "manifest.json").write_text(
+                json.dumps(manifest, separators=(",", ":")), encoding="utf-8"
+            )
         copy_streams(beside)
         write_expected(beside)
         sizes = [file.stat().st_size for file in beside.rglob("*") if file.is_file()]

@@ -87,8 +87,9 @@ class FolderPort:
         except safetensors.TensorError as error:
             raise PortError("damaged", str(error)) from None
         except Exception as error:  # NumPy raises whatever its zip, header and type parsers raise
-            said = f"expected a valid npz of numbers ({type(error).__name__})"
-            raise PortError("damaged", f"{file}: {said}") from None
+            raise PortError(
+                "damaged", f"{file}: expected a valid npz of numbers ({type(error).__name__})"
+            ) from None
 
     def decode(self, name, _):
         """Return the arrays that the port found in a stream and None, or None and its refusal.
@@ -98,8 +99,11 @@ class FolderPort:
         file = self.folder / "codec" / "refusals.json"
         reasons = safetensors.json_object(file.read_bytes()) if file.is_file() else {}
         if reasons is None:
-            said = "a JSON object {name of a stream: the reason of its refusal, or null}"
-            raise PortError("damaged", f"{file}: expected {said}")
+            raise PortError(
+                "damaged",
+                f"{file}: expected a JSON object {{name of a stream: the reason of its refusal, "
+                "or null}",
+            )
         reason = reasons.get(name)
         if isinstance(reason, str):
             return None, reason
@@ -153,5 +157,5 @@ def _arrays(values, prefix, case):
         is_list = f"{prefix}{name}.0" in case.tensors
         return [np.asarray(b) for b in value] if is_list else np.asarray(value)
 
-    given = {name: value for name, value in values.items() if value is not None}
-    return flatten({name: array(name, value) for name, value in given.items()}, prefix)
+    given = {name: array(name, value) for name, value in values.items() if value is not None}
+    return flatten(given, prefix)

@@ -107,8 +107,7 @@ def subjects():
 
 def equations():
     """Return the keys of the paper's equations, in the order in which data flows."""
-    rows = subjects().items()
-    return [key for key, row in rows if row["level"] == "L1" and "group" not in row]
+    return [key for key, row in subjects().items() if row["level"] == "L1" and "group" not in row]
 
 
 def names():

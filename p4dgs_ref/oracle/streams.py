@@ -79,8 +79,7 @@ def optional(results, valid):
     left |= {r.id for r in coded if r.id in valid and r.verdict == "fail" and not r.findings}
     if any(r.id in valid - left for r in coded):
         return results
-    said = {"verdict": "skipped", "required": False}
-    return [r._replace(**said) if r.id in left else r for r in results]
+    return [r._replace(verdict="skipped", required=False) if r.id in left else r for r in results]
 
 
 def judge(row, good, decode):
@@ -122,15 +121,18 @@ def _difference(row, entry, mine):
     if mine.shape != want.shape:
         return Finding(name, "shape", f"{mine.shape}, expected {want.shape}")
     if mine.dtype.newbyteorder("<") != want.dtype if is_float else mine.dtype.kind not in "iub":
-        expected = want.dtype if is_float else "integers"
-        return Finding(name, "dtype", f"{mine.dtype}, expected {expected}")
+        return Finding(
+            name, "dtype", f"{mine.dtype}, expected {want.dtype if is_float else 'integers'}"
+        )
     wrong = _bits(mine, want.dtype) != _bits(want, want.dtype) if is_float else mine != want
     if not wrong.any():
         return None
     index = first(wrong)
     got, right = mine[index].item(), want[index].item()
-    said = f"{name}{list(index)}: got {got!r}, expected {right!r} "
-    said += f"({int(wrong.sum())} of {wrong.size} numbers off; all bits must agree)"
+    said = (
+        f"{name}{list(index)}: got {got!r}, expected {right!r} "
+        f"({int(wrong.sum())} of {wrong.size} numbers off; all bits must agree)"
+    )
     return Finding(name, "value", said, index, float(got), float(right))
 
 

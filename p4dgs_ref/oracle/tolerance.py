@@ -22,8 +22,7 @@ import zlib
 
 import numpy as np
 
-from .compare import IMAGES
-from .precision import change_floats
+from .compare import IMAGES, change_floats
 from .published import flatten
 
 PROBES = 12
@@ -76,16 +75,13 @@ def _spread(answer, inputs, cotangents, flat, delta, rng):
     """Return the root mean square change of every number, divided by delta."""
 
     def move(a):
-        signs = rng.choice([-1.0, 1.0], np.shape(a))
-        return (a * (1 + delta * signs)).astype(a.dtype)
+        return (a * (1 + delta * rng.choice([-1.0, 1.0], np.shape(a)))).astype(a.dtype)
 
     squares = {name: np.zeros(a.shape) for name, a in flat.items() if a.dtype.kind == "f"}
     with np.errstate(all="ignore"):
         for _ in range(PROBES):
-            moved_inputs = change_floats(inputs, move)
-            moved_cotangents = change_floats(cotangents, move)
             try:
-                moved = answer(moved_inputs, moved_cotangents)
+                moved = answer(change_floats(inputs, move), change_floats(cotangents, move))
             except ValueError:  # at a threshold the number of kept Gaussians may change
                 continue
             for name in squares:

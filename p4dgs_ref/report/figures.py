@@ -102,8 +102,12 @@ def draw_pictures(path, title, rows):
     save_figure(figure, path)
 
 
-def draw_comparison(path, scene, rows, images, count=4):
-    """Truth, decoded image and absolute error of a few test views spread over time."""
+def write_comparison(folder, scene, rows, images, count=4):
+    """comparison.csv, and comparison.png: truth, decoded image and absolute error of a few views.
+
+    The views are test views spread over time.
+    """
+    write_csv(folder / "comparison.csv", rows)
     order = np.argsort([view.time for view in scene.test], kind="stable")
     chosen = order[np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)]
     views, images = [scene.test[i] for i in chosen], [np.clip(images[i], 0, 1) for i in chosen]
@@ -113,7 +117,8 @@ def draw_comparison(path, scene, rows, images, count=4):
         ("decoded", [*zip(images, psnr)]),
         ("absolute error", [error_of(image, view.image) for image, view in zip(images, views)]),
     ]
-    draw_pictures(path, f"{scene.name}: test views, not used in training", pictures)
+    title = f"{scene.name}: test views, not used in training"
+    draw_pictures(folder / "comparison.png", title, pictures)
 
 
 def write_gif(path, images):
@@ -130,15 +135,20 @@ def write_motion(path, model, camera, frames=24, zoom=4):
     write_gif(path, [image.repeat(zoom, 0).repeat(zoom, 1) for image in images])
 
 
-def draw_size(path, designs, explicit):
-    """Bytes by component of one or two designs {label: {component: bytes}}.
+def write_size(folder, preset, own, paper=None):
+    """size.csv and size.png: bytes by component, from the metrics of one or two designs.
 
-    Bars are sorted by the last design. The title compares the first one with the same Gaussians as
-    float32.
+    They are those of a preset's file and of the paper's design. Bars are sorted by the last design.
+    The title compares the first one with the same Gaussians as float32.
     """
+    measured = {preset: own, "the paper's design": paper}
+    designs = {label: m["components"] for label, m in measured.items() if m is not None}
+    columns = ("component", "bytes", "paper_design_bytes")[: 1 + len(designs)]
+    rows = [[name, *(of[name] for of in designs.values())] for name in own["components"]]
+    write_csv(folder / "size.csv", rows, columns)
     sizes = {label: sum(components.values()) for label, components in designs.items()}
-    first, last = list(designs)[0], list(designs)[-1]
-    names = sorted(designs[last], key=designs[last].get)
+    explicit, last = own["explicit_bytes"], [*designs.values()][-1]
+    names = sorted(last, key=last.get)
     largest = max(max(components.values()) for components in designs.values())
     figure, ax = pyplot().subplots(figsize=(8.5, 2.5 + 2.75 * len(designs)))
     height = 0.8 / len(designs)
@@ -146,8 +156,8 @@ def draw_size(path, designs, explicit):
         values = [components[name] for name in names]
         bars = ax.barh(np.arange(len(names)) - i * height, values, height, color=color, label=label)
         ax.bar_label(bars, [f" {v:,} ({100 * v / sizes[label]:.1f} %)" for v in values])
-    middle = (len(designs) - 1) * height / 2
-    ax.set_yticks(np.arange(len(names)) - middle, [LABELS[name] for name in names])
+    middles = np.arange(len(names)) - (len(designs) - 1) * height / 2
+    ax.set_yticks(middles, [LABELS[name] for name in names])
     ax.set(xlabel="bytes in the file", xlim=(0, 1.35 * largest))
     ax.xaxis.set_major_formatter("{x:,.0f}")
     ax.locator_params(axis="x", nbins=5)
@@ -155,11 +165,11 @@ def draw_size(path, designs, explicit):
         ax.legend(loc="lower right", frameon=False)
     figure.suptitle(
         "; ".join(f"{label}: {size:,} bytes" for label, size in sizes.items())
-        + f"\nthe Gaussians of {first} as float32: {explicit:,} bytes, "
-        f"{explicit / sizes[first]:.1f} times as many",
+        + f"\nthe Gaussians of {preset} as float32: {explicit:,} bytes, "
+        f"{explicit / sizes[preset]:.1f} times as many",
         fontsize=14,
     )
-    save_figure(figure, path)
+    save_figure(figure, folder / "size.png")
 
 
 def draw_ledger(path, rows):
@@ -192,28 +202,40 @@ def draw_ledger(path, rows):
     save_figure(figure, path)
 
 
-def heat_image(model, bits, camera, t, limits, name):
+def heat_image(model, bits, camera, t, limits):
     """The model at time t over white, (H, W, 3), coloured by the bits (A,) of the anchors.
 
-    The colours are those of matplotlib's map `name`; bits outside the limits take its end colours.
+    The colours are those of the map HEAT; bits outside the limits take its end colours.
     """
     low, high = limits
-    colors = pyplot().get_cmap(name)((bits - low) / max(high - low, 1e-9))[:, :3]
+    colors = pyplot().get_cmap(HEAT)((bits - low) / max(high - low, 1e-9))[:, :3]
     g = model.gaussians(t, camera)
-    looks = camera, np.ones(3), FAST, "occlusion" in model.design.effects
     (image, *_), _ = render.forward(
-        g.x, g.s, g.r, g.alpha, colors[g.index // model.design.k], *looks
+        g.x,
+        g.s,
+        g.r,
+        g.alpha,
+        colors[g.index // model.design.k],
+        camera,
+        np.ones(3),
+        FAST,
+        "occlusion" in model.design.effects,
     )
     return image
 
 
-def draw_heat(path, image, bits, limits):
-    """Every Gaussian in a colour for the bits of its anchor, and the histogram of the bits."""
-    plt = pyplot()
+def write_heat(folder, model, bits, camera):
+    """heat.csv, and heat.png: Gaussians in colours for the bits (A,) of their anchors, histogram.
+
+    The model is drawn at the middle of its time.
+    """
+    rows = [[a, *x, b] for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))]
+    write_csv(folder / "heat.csv", rows, ("anchor", "x", "y", "z", "bits"))
+    plt, limits = pyplot(), (bits.min(), bits.max())
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(11, 5), layout="constrained", width_ratios=(1.2, 1)
     )
-    left.imshow(np.clip(image, 0, 1))
+    left.imshow(np.clip(heat_image(model, bits, camera, 0.5, limits), 0, 1))
     left.set(xticks=[], yticks=[], title="bits of the anchors, in place")
     left.spines[:].set_visible(False)
     scale = plt.cm.ScalarMappable(plt.Normalize(*limits), HEAT)
@@ -233,11 +255,12 @@ def draw_heat(path, image, bits, limits):
         ylabel="anchors",
         title=f"{len(bits):,} anchors, {bits.mean():.0f} bits on average",
     )
-    save_figure(figure, path)
+    save_figure(figure, folder / "heat.png")
 
 
-def draw_training(path, history, stage_ends):
-    """PSNR of the training views and L_rate over the iterations and four stages."""
+def write_training(folder, history, stage_ends):
+    """training.csv, and training.png: PSNR of the training views and L_rate over four stages."""
+    write_csv(folder / "training.csv", history, COLUMNS)
     table = dict(zip(COLUMNS, np.array(history, float).T))
     figure, (top, bottom) = pyplot().subplots(
         2, 1, figsize=(8.5, 6), sharex=True, layout="constrained"
@@ -272,27 +295,4 @@ def draw_training(path, history, stage_ends):
                 va="bottom",
                 transform=top.get_xaxis_transform(),
             )
-    save_figure(figure, path)
-
-
-def write_comparison(folder, scene, rows, images):
-    """Write comparison.png and .csv."""
-    draw_comparison(folder / "comparison.png", scene, rows, images)
-    write_csv(folder / "comparison.csv", rows)
-
-
-def write_training(folder, history, stage_ends):
-    """Write training.png and .csv."""
-    draw_training(folder / "training.png", history, stage_ends)
-    write_csv(folder / "training.csv", history, COLUMNS)
-
-
-def write_size(folder, preset, own, paper=None):
-    """Write size.png and .csv from the metrics of a preset's file and of the paper's design."""
-    designs, columns = {preset: own["components"]}, ["component", "bytes"]
-    if paper is not None:
-        designs["the paper's design"] = paper["components"]
-        columns.append("paper_design_bytes")
-    draw_size(folder / "size.png", designs, own["explicit_bytes"])
-    rows = [[name, *(of[name] for of in designs.values())] for name in own["components"]]
-    write_csv(folder / "size.csv", rows, columns)
+    save_figure(figure, folder / "training.png")

@@ -28,8 +28,9 @@ def entropy_bits(flags):
 def float_context(model):
     """The context as training computes it, in float64; `context.py` computes it in integers."""
     design, (lo, hi) = model.design, (corner.astype(float) for corner in model.box)
-    tables = [T for T, _ in design.levels()]
-    located = hash_grid.locate(model.anchors.x_a, lo, hi, design.grid, tables)
+    located = hash_grid.locate(
+        model.anchors.x_a, lo, hi, design.grid, [T for T, _ in design.levels()]
+    )
     return context(design, model.networks, model.grids, located)[0]
 
 

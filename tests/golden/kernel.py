@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from p4dgs_ref import model
-from p4dgs_ref.oracle.precision import cast
+from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.oracle.published import flatten
 from p4dgs_ref.splatting import covariance, fast, projection, render
 from p4dgs_ref.splatting.settings import PAPER

@@ -23,8 +23,7 @@ from p4dgs_ref.equations import grid_nodes, likelihood
 from p4dgs_ref.lab.baselines import plane_features
 from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
 from p4dgs_ref.oracle import checker, doctor, published
-from p4dgs_ref.oracle.compare import compare
-from p4dgs_ref.oracle.precision import cast
+from p4dgs_ref.oracle.compare import cast, compare
 from p4dgs_ref.splatting import compositing
 from tests.golden.equivalent import EQUIVALENT
 from tests.golden.mistakes import MISTAKES

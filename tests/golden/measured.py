@@ -7,8 +7,7 @@ up to a power of two. It is at least FLOOR, because the order of a sum is free.
 
 import numpy as np
 
-from p4dgs_ref.oracle.compare import IMAGES
-from p4dgs_ref.oracle.precision import cast
+from p4dgs_ref.oracle.compare import IMAGES, cast
 
 SAFETY, FLOOR = 4, 32
 LARGEST = 2.0**14  # a case that float32 misses by more asks for more than float32 has

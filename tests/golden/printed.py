@@ -21,8 +21,7 @@ import numpy as np
 
 from p4dgs_ref.lab.baselines.rotation_4d import product
 from p4dgs_ref.oracle import published, safetensors
-from p4dgs_ref.oracle.compare import IMAGES, deviations
-from p4dgs_ref.oracle.precision import cast
+from p4dgs_ref.oracle.compare import IMAGES, cast, deviations
 from p4dgs_ref.oracle.printed import FILE
 from tests.golden import tape
 from tests.golden.tape import Value

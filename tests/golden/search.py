@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from p4dgs_ref.oracle.precision import cast
+from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.oracle.published import flatten
 from p4dgs_ref.table import EQUATIONS
 

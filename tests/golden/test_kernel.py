@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.oracle import checker, published, report
-from p4dgs_ref.oracle.compare import compare, expected
-from p4dgs_ref.oracle.precision import cast
+from p4dgs_ref.oracle.compare import cast, compare, expected
 from p4dgs_ref.splatting import fast, loop
 from p4dgs_ref.splatting.settings import PAPER
 from p4dgs_ref.splatting.tiles import bin_splats

@@ -10,8 +10,7 @@ import pytest
 
 from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
 from p4dgs_ref.oracle import doctor, published, safetensors
-from p4dgs_ref.oracle.compare import expected
-from p4dgs_ref.oracle.precision import cast
+from p4dgs_ref.oracle.compare import cast, expected
 from tests.golden.mistakes import MISTAKES, NotApplicable
 from tests.golden.mistakes.__main__ import answers, files
 from tests.golden.mistakes.place import in_place

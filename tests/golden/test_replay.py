@@ -5,8 +5,7 @@ import pytest
 
 from p4dgs_ref.equations import hash_grid
 from p4dgs_ref.oracle import checker, published
-from p4dgs_ref.oracle.compare import compare
-from p4dgs_ref.oracle.precision import cast
+from p4dgs_ref.oracle.compare import cast, compare
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training import objective

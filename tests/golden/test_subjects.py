@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from p4dgs_ref.oracle.precision import cast
+from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.table import EQUATIONS

@@ -3,8 +3,7 @@
 import numpy as np
 
 from p4dgs_ref.oracle import published, safetensors
-from p4dgs_ref.oracle.compare import expected
-from p4dgs_ref.oracle.precision import cast
+from p4dgs_ref.oracle.compare import cast, expected
 from tests.golden.subjects import subjects
 
 

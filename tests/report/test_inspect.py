@@ -69,7 +69,7 @@ def test_heat_follows_the_bits(data):
     """Equal bits give one colour; an anchor with more bits changes it where its Gaussians are."""
     model, bits = anchor_bits(data)
     camera = look_at((2.5, 2.0, 2.2), (0, 0, 0), 60, 60, 40, 40)
-    settings = (camera, 0.5, (0.0, 200.0), "viridis")
+    settings = (camera, 0.5, (0.0, 200.0))
     equal = np.full_like(bits, 100.0)
     flat = heat_image(model, equal, *settings)
     seen = np.unique(model.gaussians(0.5, camera).index // model.design.k)
@@ -85,13 +85,15 @@ def test_heat_follows_the_bits(data):
     assert difference[~covered].max(initial=0) <= 1e-3
 
 
-def test_the_bar_of_the_heat_picture_spans_the_bits(tmp_path, monkeypatch):
+def test_the_bar_of_the_heat_picture_spans_the_bits(data, tmp_path, monkeypatch):
     """Bar and histogram have the data's range and one scale of colours; both name the unit."""
     saved = []
     monkeypatch.setattr(report, "save_figure", lambda figure, path: saved.append(figure))
-    bits = np.random.default_rng(3).gamma(4, 30, 200)
+    model = p4.decode(data)
+    bits = np.random.default_rng(3).gamma(4, 30, len(model.anchors.x_a))
     limits = bits.min(), bits.max()
-    report.draw_heat(tmp_path / "heat.png", np.ones((8, 8, 3)), bits, limits)
+    camera = look_at((2.5, 2.0, 2.2), (0, 0, 0), 60, 60, 40, 40)
+    report.write_heat(tmp_path, model, bits, camera)
     (figure,) = saved
     figure.canvas.draw()
     _, histogram, bar = figure.axes

@@ -200,7 +200,7 @@ def test_both_designs_at_once(scene, tmp_path):
         assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
 
 
-@pytest.mark.parametrize("broken", few(["draw_comparison", "write_motion", "draw_training"], 1))
+@pytest.mark.parametrize("broken", few(["write_comparison", "write_motion", "write_training"], 1))
 def test_a_failed_report_leaves_nothing(scene, tmp_path, monkeypatch, broken):
     def fail(*args):
         raise RuntimeError("no ink")

@@ -18,7 +18,7 @@ from p4dgs_ref.codec.file import decode
 from p4dgs_ref.lab.accuracy import diagram, forms, report
 from p4dgs_ref.lab.stability import heatmap
 from p4dgs_ref.lab.stability import map as stability_map
-from p4dgs_ref.report.figures import draw_comparison, draw_size
+from p4dgs_ref.report.figures import write_comparison, write_size
 from p4dgs_ref.report.main_job import main_job
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.output import filled
@@ -117,8 +117,8 @@ PICTURES = {
 }
 
 DRAW = {  # what draws the pictures that come from no tutorial
-    "demo.png": (draw_comparison,),
-    "demo_size.png": (draw_size,),
+    "demo.png": (write_comparison,),
+    "demo_size.png": (write_size,),
     "demo.gif": (animation,),
     "accuracy_rendering.png": (forms.cut, diagram.lines, diagram.place_labels),
     "accuracy_likelihood.png": (stability_map.draw_map, heatmap),

@@ -22,7 +22,7 @@ from ...codec.streams import (
     pack_fields,
 )
 from ...equations import likelihood
-from ...oracle.precision import cast
+from ...oracle.compare import cast
 from ...splatting import fast
 from ...splatting.settings import EXACT, FAST, PAPER
 from ...table import EQUATIONS

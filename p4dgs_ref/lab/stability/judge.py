@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...oracle.precision import cast
+from ...oracle.compare import cast
 from ...table import EQUATIONS
 
 SMALLEST = 1e-44  # differences below are no errors: float32 cannot hold them

@@ -9,7 +9,7 @@ from p4dgs_ref.equations.likelihood import FAR, NARROW
 from p4dgs_ref.lab.accuracy import formulas
 from p4dgs_ref.lab.random_inputs import random_splats
 from p4dgs_ref.lab.stability.judge import Measured, number, relative
-from p4dgs_ref.oracle.precision import cast
+from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.scenes.scene import Scene, SceneError
 from p4dgs_ref.splatting import compositing, covariance, fast, projection
 from p4dgs_ref.splatting.camera import look_at

@@ -11,7 +11,7 @@ import numpy as np
 
 from p4dgs_ref.lab.stability.cases import FILE
 from p4dgs_ref.lab.stability.judge import number, pick
-from p4dgs_ref.oracle.precision import cast
+from p4dgs_ref.oracle.compare import cast
 
 from .catalogue import ENTRIES
 from .entry import DTYPES

@@ -1,0 +1,159 @@
+"""The commands of the laboratory: what choices cost, the paper's tables, the classroom."""
+
+from pathlib import Path
+
+from ..lab import bench, school
+from ..lab.accuracy import knobs
+from ..lab.accuracy import report as accuracies
+from ..lab.effects import ledger
+from ..lab.effects.suggest import foretold, suggest
+from ..lab.stability.map import draw_map
+from ..lab.stability.table import describe, rows
+from ..lab.tables import ablate, compare, methods, sweep
+from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
+from ..scenes.output import filled, made
+from .base import expect, expect_known, progress, report_folder, say, show, tell
+from .job import read_scene
+
+
+def turn_knobs(arguments):
+    """Turn the knobs that trade accuracy for time or bytes, and write a page about them."""
+    expect_known("--only", arguments.only, knobs.NAMES)
+    with filled(arguments.output) as beside:
+        result = accuracies.run(
+            arguments.only or None, beside, arguments.quick, progress, arguments.jobs
+        )
+    show(arguments, result, accuracies.describe(result, arguments.output))
+
+
+def hard_cases(arguments):
+    """Print the hard cases and draw the map; exit code 1 if a hard case is beyond its bound."""
+    with filled(arguments.output) as beside:
+        cases = rows(arguments.only, lambda row: progress(f"{row['id']} {row['dtype']}"))
+        expect(
+            cases,
+            f"--only {arguments.only}: expected the id of a case, or its beginning up to a dot, "
+            "like H-R1",
+        )
+        progress("drawing the map")
+        draw_map(beside / "stability.png")
+    text = f"{describe(cases)}\nmap: {Path(arguments.output) / 'stability.png'}"
+    show(arguments, {"cases": cases}, text)
+    return int(any(row["verdict"] == "fails" for row in cases))
+
+
+def effects(arguments):
+    """Train with and without each effect, or say which effects the pictures call for."""
+    if arguments.suggest:
+        return suggest_effects(arguments)
+    expect(not arguments.apply, "--apply: expected together with --suggest")
+    scene = read_scene(arguments, "test", "measure on")
+    preset, share = ("smoke", 1) if arguments.quick else ("tiny", 0.5)
+    with report_folder(arguments.output) as beside:
+        found = ledger.ledger(scene, preset, arguments.seed, share, progress, arguments.jobs)
+        if beside:
+            ledger.draw_ledger(beside / "effects.png", found)
+    few = "\n\n45 steps of the preset smoke: too few for the PSNR to mean anything"
+    show(arguments, {"effects": found}, ledger.describe(found) + few * arguments.quick)
+
+
+def suggest_effects(arguments):
+    """Say which effects the pictures call for; with --apply write the list to scene.json."""
+    expect(not (arguments.output or arguments.quick), "--suggest: expected without -o and --quick")
+    scene, folder = read_scene(arguments), find_scene(arguments.scene)
+    expect(
+        not arguments.apply or packaged_folder() not in folder.resolve().parents,
+        f"--apply: {folder} is a packaged scene; expected a folder of yours",
+    )
+    say(f"--suggest: about {foretold(scene, jobs=arguments.jobs):.0f} s of short trainings")
+    found = suggest(scene, progress=progress, jobs=arguments.jobs)
+    lines = [f"{row['effect']:<14} {row['verdict']:<12} {row['evidence']}" for row in found]
+    if arguments.apply:
+        called = [row["effect"] for row in found if row["called_for"]]
+        lines.append(f"written to {list_effects(folder, called)}: {', '.join(called)}")
+    show(arguments, {"effects": found}, "\n".join(lines))
+
+
+def times(arguments):
+    """Time the renderer, a training step and the coder."""
+    result = bench.bench(arguments.quick)
+    show(arguments, result, bench.describe(result))
+
+
+def show_table(arguments, study, result):
+    """Show the result of a study and where its files are."""
+    show(arguments, result, f"{study.describe(result)}\nfiles and tables: {arguments.output}")
+
+
+def compare_methods(arguments):
+    """Train all methods on scenes and print the paper's Tables 1 and 2 in form."""
+    methods.known(arguments.methods)
+    names, seeds = arguments.scenes or compare.dynamic_scenes(), arguments.seeds
+    if arguments.quick:
+        names, seeds = names[:1], 1
+    scenes, options = [load_scene(name) for name in names], (arguments.methods, seeds)
+    with filled(arguments.output) as beside:
+        result = compare.compare(
+            scenes, beside, *options, arguments.iterations, progress, arguments.jobs
+        )
+    show_table(arguments, compare, result)
+
+
+def sweep_rates(arguments):
+    """Make the points of a rate-distortion curve, or one of them, and draw what is there."""
+    scene, point = load_scene(arguments.scene), arguments.point
+    options = arguments.lambda_rate, arguments.seeds, arguments.iterations, arguments.methods
+    with made(arguments.output) as folder:
+        tasks, values = sweep.plan(scene, folder, *options)
+        if point:
+            return make_point(arguments, tasks, values, *point)
+        if not arguments.collect:
+            sweep.make_missing(tasks, values, progress, arguments.jobs)
+        result = sweep.collect(tasks, Path(folder))
+    show_table(arguments, sweep, result)
+
+
+def make_point(arguments, tasks, values, i, count):
+    """Make one point of a sweep, counted from 1."""
+    expect(
+        count == len(tasks) and 1 <= i <= count,
+        f"--point {i}/{count}: expected I/{len(tasks)} with I from 1 to {len(tasks)}, the "
+        "number of points of this sweep",
+    )
+    sweep.make_missing([tasks[i - 1]], values)
+    path = str(tasks[i - 1].record)
+    show(arguments, {"point": i, "of": count, "output": path}, f"point {i} of {count}: {path}")
+
+
+def ablate_parts(arguments):
+    """Print the paper's Table 3 in form, and the method with one part left out at a time."""
+    scene, options = load_scene(arguments.scene), (arguments.seeds, arguments.iterations)
+    with filled(arguments.output) as beside:
+        result = ablate.ablate(scene, beside, *options, progress, arguments.jobs)
+    show_table(arguments, ablate, result)
+
+
+def classroom(arguments):
+    """Write the equations without their bodies, and the key."""
+    done = school.classroom(arguments.folder, arguments.only)
+    kept = f"; kept as they were: {', '.join(done['kept'])}" if done["kept"] else ""
+    tell(
+        f"{done['output']}: {done['functions']} functions of {len(done['equations'])} equations "
+        f"to write in student/; the key is in key/; README.md and key/README.md explain{kept}"
+    )
+
+
+def grade(arguments):
+    """Judge what students wrote."""
+    with report_folder(arguments.output) as beside:
+        grades = school.grade(
+            *arguments.folders,
+            classroom=arguments.classroom,
+            seed=arguments.seed,
+            timeout=arguments.timeout,
+            reveal=arguments.reveal,
+            progress=progress,
+        )
+        if beside:
+            school.write(grades, beside)
+    show(arguments, school.as_json(grades), school.text(grades))
