@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.equations import likelihood
-from p4dgs_ref.table import BEYOND, EQUATIONS, Equation
+from p4dgs_ref.table import BEYOND, EQUATIONS
 from tests.core import adjoint, shape_comments
 from tests.core.adjoint import EPS, cast, close, draw_cotangents, is_float, leaves
 from tests.golden.cases import FLAGS, cases_of
+from tests.golden.checks import altered
 
 # No overflow and no 0/0, not even on hard cases.
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
@@ -248,12 +249,6 @@ def test_float32_stays_float32(eq, case):
 def case_of(key, name="ordinary"):
     """A case by the name of its equation and its own."""
     return next(case for case in cases_of(key) if case.name == name)
-
-
-def altered(eq, **functions):
-    """A copy of an equation with another forward or backward."""
-    members = {name: staticmethod(function) for name, function in functions.items()}
-    return type("Altered", (Equation,), members)(*eq)
 
 
 def spoiled(eq, spoil):

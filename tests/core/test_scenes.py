@@ -12,8 +12,9 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from p4dgs_ref.scenes import MODEL_EFFECTS, Scene, SceneError, load, load_scene, packaged_scenes
+from p4dgs_ref.scenes import MODEL_EFFECTS, Scene, load, load_scene, packaged_scenes
 from p4dgs_ref.splatting.camera import look_at
+from tests.core.refusals import refuse
 
 WIDTH, HEIGHT = 12, 8
 
@@ -292,15 +293,6 @@ MISTAKES = [
 ]
 
 
-def refuse(words, call):
-    with pytest.raises(SceneError) as caught:
-        call()
-    message = str(caught.value)
-    assert "\n" not in message and len(message) < 1500
-    for word in words:
-        assert word in message, message
-
-
 @pytest.mark.parametrize("change, words", [pytest.param(*row[1:], id=row[0]) for row in MISTAKES])
 @pytest.mark.filterwarnings("error")  # a warning of NumPy would be a further line
 def test_mistakes_in_a_transforms_file(folder, change, words):
@@ -309,7 +301,7 @@ def test_mistakes_in_a_transforms_file(folder, change, words):
     (folder / "linked").symlink_to(folder.parent)
     os.mkfifo(folder / "pipe.png")
     edit(folder, change)
-    refuse(("transforms_train.json", *words), lambda: load_scene(folder))
+    refuse(("transforms_train.json", *words), load_scene, folder)
 
 
 def test_pictures_inside_the_folder_by_any_way(folder):
@@ -328,15 +320,15 @@ def test_pictures_inside_the_folder_by_any_way(folder):
 def test_a_json_that_is_no_file(folder, name):
     (folder / name).unlink(missing_ok=True)
     os.mkfifo(folder / name)
-    refuse((name, "directory, a device"), lambda: load_scene(folder))
+    refuse((name, "directory, a device"), load_scene, folder)
     (folder / name).unlink()
     (folder / name).mkdir()
-    refuse((name, "directory, a device"), lambda: load_scene(folder))
+    refuse((name, "directory, a device"), load_scene, folder)
     (folder / name).rmdir()
     os.truncate(
         os.open(folder / name, os.O_CREAT | os.O_RDWR), 3 << 30
     )  # 3 GB that take no place on the disk
-    refuse((name, "larger than"), lambda: load_scene(folder))
+    refuse((name, "larger than"), load_scene, folder)
 
 
 def chunk(kind, data):
@@ -379,7 +371,7 @@ def test_a_png_that_promises_many_pixels(folder, side, recwarn):
     body = chunk(b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 6, 0, 0, 0))
     body += chunk(b"IDAT", zlib.compress(b"only a few")) + chunk(b"IEND", b"")
     (folder / "train" / "r_001.png").write_bytes(b"\x89PNG\r\n\x1a\n" + body)
-    refuse(("frames[1].file_path", "r_001.png", "PNG"), lambda: load_scene(folder))
+    refuse(("frames[1].file_path", "r_001.png", "PNG"), load_scene, folder)
     assert not recwarn.list
 
 
@@ -436,7 +428,7 @@ IN_THE_FOLDER = [
 def test_mistakes_in_the_folder(folder, change, options, words):
     change(folder)
     options = {**options, "path": folder / options.get("path", "")}
-    refuse(words, lambda: load_scene(**options))
+    refuse(words, load_scene, **options)
 
 
 def test_packaged_names_and_paths(tmp_path, monkeypatch):
@@ -558,7 +550,7 @@ IN_ARRAYS = [
 @pytest.mark.parametrize("change, words", IN_ARRAYS)
 def test_mistakes_in_arrays(change, words):
     given = {**dict(images=IMAGES, cameras=CAMERAS, times=TIMES), **change}
-    refuse(words, lambda: Scene.from_arrays(**given))
+    refuse(words, Scene.from_arrays, **given)
 
 
 def test_a_val_split_is_read_too(folder):

@@ -5,12 +5,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from p4dgs_ref.oracle import checker, published
+from p4dgs_ref.oracle import published
 from tests.golden import plain_decoder
-from tests.golden.subjects import subjects
 
 NAMES = ("ordinary", "masked_and_still")
-KEYS = ("quantiser", "frequencies", "rans", "encoder")
 
 
 def case_of(key, name):
@@ -138,12 +136,3 @@ def test_sections_together_are_the_file():
         del found["out.file"]
         assert {f"out.{n}": body for n, body in sections.items()} == found
     assert "out.deformation_mlp" not in found
-
-
-def test_our_own_encoder_passes():
-    class Port:
-        def run(self, case):
-            return subjects()[case.subject].answer(case.inputs(), {})
-
-    results = [r for key in KEYS for r in checker.check_subject(published.cases(key), Port())]
-    assert {r.verdict for r in results} == {"pass"}

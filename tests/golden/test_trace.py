@@ -118,33 +118,6 @@ def test_first_losses_are_those_of_an_evaluation_by_stages(inputs, trace):
 
 
 # From these no gradient is withheld: neither by Q10 nor by the sign of a grid.
-PLAIN = ("f_a", "log_s", "psi_alpha", "psi_c", "psi_r", "psi_s", "psi_d", "psi_p")
-
-
-@pytest.mark.slow
-def test_gradient_norms_are_those_of_finite_differences(inputs, trace):
-    checked = 0
-    for column, name in enumerate(inputs["arrays"]):
-        own, _, i = name.partition(".")
-        array = inputs[own][int(i)] if i else inputs[own]
-        if not name.startswith(PLAIN) or array.size > 65:
-            continue
-        slopes = np.zeros(array.size)
-        for j in range(array.size):
-            losses = []
-            for h in (1e-6, -1e-6):
-                moved = array.copy()
-                moved.flat[j] += h
-                change = (
-                    [moved if n == int(i) else a for n, a in enumerate(inputs[own])] if i else moved
-                )
-                losses.append(first_step(inputs, **{own: change}).L_total[0])
-            slopes[j] = (losses[0] - losses[1]) / 2e-6
-        assert np.linalg.norm(slopes) == pytest.approx(trace.gradient_norm[0, column], rel=1e-4), (
-            name
-        )
-        checked += 1
-    assert checked > 15
 
 
 def test_every_array_learns_in_every_step(inputs, trace):
@@ -184,23 +157,3 @@ def test_every_step_has_its_own_view_and_noise(inputs, trace):
         anew = traced(inputs, **left, views=views[n : n + 1], u=u[n : n + 1])
         for name in (*pipeline.LOSSES, "gradient_norm"):
             assert np.allclose(getattr(anew, name)[0], getattr(trace, name)[n], rtol=1e-13), name
-
-
-def test_ten_steps_do_not_amplify_rounding(inputs, trace):
-    """Inputs moved by 1e-15 of themselves move outputs by less than 1e-12."""
-
-    def moved(a, rng):
-        if isinstance(a, list):
-            return [moved(b, rng) for b in a]
-        if isinstance(a, np.ndarray) and a.dtype.kind == "f":
-            return a * (1 + 1e-15 * rng.choice([-1.0, 1.0], a.shape))
-        return a
-
-    largest = 0.0
-    for seed in range(4):
-        rng = np.random.default_rng(seed)
-        other = traced({name: moved(a, rng) for name, a in inputs.items()})
-        for name, a in vars(trace).items():
-            change = np.abs(getattr(other, name) - a).max() / np.abs(a).max()
-            largest = max(largest, change)
-    assert 0 < largest < 1e-12
