@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.equations import likelihood
+from p4dgs_ref.oracle import checker, published
 from p4dgs_ref.table import BEYOND, EQUATIONS
 from tests.core import adjoint, shape_comments
 from tests.core.adjoint import EPS, cast, close, draw_cotangents, is_float, leaves
 from tests.golden.cases import FLAGS, cases_of
 from tests.golden.checks import altered
+from tests.oracle.answers import Port
 
 # No overflow and no 0/0, not even on hard cases.
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
@@ -72,6 +74,13 @@ def test_closed_forms(eq, case):
     for name, want in case.expected.items():
         close(got[name], want, case.tolerance, f"{eq.key}, case {case.name}, {name}")
     assert {name.removesuffix("_bar") for name in case.cotangents} <= set(outputs)
+
+
+@EACH
+def test_published_vectors(eq):
+    """Most of them were computed in 60-digit decimals, or are closed forms."""
+    found = checker.check_subject(published.cases(eq.key), Port())
+    assert [r for r in found if r.verdict != "pass"] == []
 
 
 def test_the_printed_likelihood_agrees_on_the_ordinary_case():

@@ -176,25 +176,6 @@ def test_plain_loops_end_in_the_same_state(case):
 
 
 # --- what happens in the cases ------------------------------------------------------------------
-def test_the_cases_show_what_they_are_for():
-    growing, switch, ten = (case.tensors for case in CASES)
-    for t in (growing, ten):
-        assert len(t["in.x_a"]) != len(t["out.x_a"]) and len(t["in.box"]) == 0
-        new = ~t["out.m_f_a"].any(axis=1)
-        assert case_is_grown(t) and (new.sum() >= 3 or t is ten)
-    assert len(switch["out.box"]) == len(ten["out.box"]) == 2
-    for t in (switch, ten):
-        assert 0.4 < t["out.mask"].mean() < 1 and t["in.mask"].all()
-        assert (t["out.L_rate"] > 0).any() and (t["out.L_rate"] == 0).any()
-        assert t["out.visits"].any() and t["out.m_grid"].any() and not t["in.m_grid"].any()
-    assert len(ten["in.views"]) == 10 and len(set(ten["in.views"].tolist())) > 2
-    assert all(t["in.m_f_a"].any() and t["in.v_psi_d"].any() for t in (growing, switch, ten))
-
-
-def case_is_grown(t):
-    """Whether some anchors of the start are gone, and others joined."""
-    start, end = ({tuple(np.round(row, 1)) for row in t[f"{role}.f_a"]} for role in ("in", "out"))
-    return bool(start - end) and len(t["out.x_a"]) > len(t["in.x_a"])
 
 
 def test_every_field_of_the_preset_is_a_setting():

@@ -130,30 +130,6 @@ def test_identities():
             )
 
 
-@pytest.mark.parametrize("z", ["1e-6", "0.5", "3", "7.99", "8.01", "40", "1000", "1e9"])
-def test_tails(z):
-    """M' = z M - 1 by a difference, z / (z^2 + 1) < M < 1 / z, and the other way to compute M."""
-    z = Decimal(z)
-    with f.working():
-        h, M = z * Decimal("1e-40"), f.mills(z)
-        agree((f.mills(z + h) - f.mills(z - h)) / (2 * h), z * M - 1, 50)
-        assert z / (z * z + 1) < M < 1 / z
-    if 3 <= z <= 40:  # where a series serves as well as the continued fraction
-        with f.guard(800):
-            series = f.sum_of(f._odd_double_factorials(z))
-            agree(f.exp(z * z / 2) * (f.pi() / 2).sqrt() - series, M, 150)
-
-
-@pytest.mark.parametrize("z", [0, 0.3, 1, 8, 40, 1000])
-@pytest.mark.parametrize("w", ["1e-100", "1e-12", "1", "30"])
-def test_a_bin_is_the_sum_of_its_halves(z, w):
-    z, w = Decimal(z), Decimal(w)
-    with f.working(), f.guard(300):
-        left, right = (f.log_mass(z + side * w / 4, w / 2) for side in (-1, 1))
-        whole, most = f.log_mass(z, w), max(left, right)
-        agree(most + f.log1p(f.exp(min(left, right) - most)), whole, 150)
-
-
 @pytest.mark.parametrize(
     "function, arguments",
     [
