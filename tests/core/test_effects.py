@@ -110,16 +110,6 @@ def test_counted_work_is_that_of_the_formulas():
     assert work.of("rotation") == forward + backward
 
 
-def test_a_background_that_is_not_taken_out_is_noticed():
-    """The counter looks at what is composited, not at the list of effects."""
-    scene = small_scene("static")
-    trainer = Trainer(replace(scene, effects=("occlusion",)), SHORT)
-    object.__setattr__(trainer.scene, "background", np.float32([1, 1, 1]))
-    with counted() as work:
-        trainer.step()
-    assert work.of("background") > 0
-
-
 # --- off equals the neutral input ---
 def random_build(effects, seed):
     """Random parameters in float64 in which every network contributes."""

@@ -16,7 +16,7 @@ from p4dgs_ref.oracle import checker, published
 from p4dgs_ref.table import BEYOND, EQUATIONS
 from tests.core import adjoint, shape_comments
 from tests.core.adjoint import EPS, cast, close, draw_cotangents, is_float, leaves
-from tests.golden.cases import FLAGS, cases_of
+from tests.golden.cases import FLAGS, case_of, cases_of
 from tests.golden.checks import altered
 from tests.oracle.answers import Port
 
@@ -253,11 +253,6 @@ def test_float32_stays_float32(eq, case):
 
 
 # --- the tests of the tests ---------------------------------------------------------------------
-
-
-def case_of(key, name="ordinary"):
-    """A case by the name of its equation and its own."""
-    return next(case for case in cases_of(key) if case.name == name)
 
 
 def spoiled(eq, spoil):

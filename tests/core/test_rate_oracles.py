@@ -1,7 +1,6 @@
 """Eqs. (7) to (14) against stored high-precision constants, exact fractions and slow loops."""
 
 import json
-import math
 from fractions import Fraction
 from pathlib import Path
 
@@ -106,13 +105,6 @@ def test_likelihood_in_float32(sign):
     assert np.all(np.abs(bits - wanted) <= 2e-6 * wanted + 1e-37)
 
 
-def test_masses_of_all_bins_add_up_to_one():
-    for mu, sigma in ((0.3, 0.2), (-1.7, 4.0), (0.5, 60.0)):
-        k = np.arange(-700.0, 701)[None]
-        bits, _ = rate((k - mu) / sigma, 1 / sigma)
-        assert math.fsum(2.0 ** -bits[0]) == pytest.approx(1, abs=1e-13)
-
-
 def test_regimes_side_by_side_and_in_any_memory_order():
     """A row alone, in one array with all others, and in a transposed array: the same bits."""
     together, _ = rate(Z, W)
@@ -148,15 +140,6 @@ def test_likelihood_names_what_is_not_positive(name):
 
 
 # --- Eq. (9) -------------------------------------------------------------------------------------
-
-
-def test_hash_of_a_known_node():
-    """Node (1, 1, 1) is 1 ^ 2654435761 ^ 805459861 = 2922720805, modulo 8192 = 3621."""
-    x = np.full((1, 3), 0.5)
-    index, weight = grid_nodes.nodes(x, np.zeros(3), np.full(3, 32.0), "xyz", 33, 8192)
-    assert index.dtype == np.int64
-    assert index[0, 0] == 0 and index[0, -1] == 3621
-    assert np.array_equal(weight, np.full((1, 8), 0.125))
 
 
 def test_levels_must_match():

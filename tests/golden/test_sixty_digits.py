@@ -12,10 +12,10 @@ import pytest
 
 import tests.golden.sixty_digits as sixty
 from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
-from tests.golden.cases import Case, cases_of
+from p4dgs_ref.oracle.tolerance import cotangents_of
+from tests.golden.cases import Case, case_of, cases_of
 from tests.golden.checks import edited
 from tests.golden.sixty_digits import functions as f
-from tests.golden.sixty_digits.errors import cotangents
 from tests.golden.sixty_digits.floats import exact
 from tests.golden.sixty_digits.gradients import FORMULAS
 from tests.golden.sixty_digits.record import SAMPLES, measure, text
@@ -230,7 +230,7 @@ def test_kinks_have_no_gradient_and_everything_else_has():
     for key, eq in ALL_EQUATIONS.items():
         for case in cases_of(key):
             if case.smooth and eq.gradients:
-                bars = cotangents(eq, case, eq(**case.inputs))
+                bars = cotangents_of(eq, eq(**case.inputs), f"{key}/{case.name}", case.cotangents)
                 found = sixty.gradient(key, case.inputs, bars, samples=1)
                 for name, a in found.items():
                     for array in a if isinstance(a, list) else [a]:
@@ -257,8 +257,7 @@ def test_bits_of_another_library(row):
 # --- NumPy against the decimals ------------------------------------------------------------------
 @lru_cache(None)
 def measured(key, name, dtype, samples):
-    case = next(case for case in cases_of(key) if case.name == name)
-    return measure(key, case, np.dtype(dtype).type, samples)
+    return measure(key, case_of(key, name), np.dtype(dtype).type, samples)
 
 
 # Allowed errors, in eps times the largest magnitude of the array, and why some cases need more.
@@ -336,10 +335,9 @@ def test_the_record_is_written_as_it_is_read():
 # --- mistakes are seen ---------------------------------------------------------------------------
 def lost(key, name, changes):
     """The errors of an equation with some of its text replaced."""
-    case = next(case for case in cases_of(key) if case.name == name)
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(ALL_EQUATIONS, key, edited(key, changes))
-        return sixty.error(key, case, samples=SAMPLES)
+        return sixty.error(key, case_of(key, name), samples=SAMPLES)
 
 
 def test_mistakes_are_seen():

@@ -75,24 +75,6 @@ def test_twocams_is_read_as_it_was_drawn():
     assert np.degrees(np.arccos(cosine)) == pytest.approx(4.53, abs=0.01)
 
 
-def test_the_points_of_twocams_lie_on_its_bodies():
-    """On a face of the table, on the pillar or on the ball, where it is at the time 0."""
-    table, pillar, ball = describe(two_cameras.SOURCE).bodies
-    x = load_scene("twocams").points
-    faces = np.abs(x - table.position) / table.shape.half
-    foot, top = pillar.shape.start, pillar.shape.end
-    share = np.clip((x - foot) @ (top - foot) / ((top - foot) @ (top - foot)), 0, 1)
-    off = {
-        "table": np.abs(faces.max(axis=1) - 1),
-        "pillar": np.linalg.norm(x - foot - share[:, None] * (top - foot), axis=1)
-        - pillar.shape.radius,
-        "ball": np.linalg.norm(x - ball.position, axis=1) - ball.shape.radius,
-    }
-    nearest = np.abs(list(off.values()))
-    assert nearest.min(axis=0).max() < 1e-5
-    assert np.all(np.bincount(nearest.argmin(axis=0)) >= 15)
-
-
 @pytest.mark.slow
 def test_a_training_on_twocams_finds_the_other_view():
     """No picture is as good: neither the best that does not move nor what the left camera sees."""
