@@ -335,27 +335,16 @@ def test_the_other_tests_reject_mistakes():
             test(bad, on)
 
 
-def other_shapes(shape, may_turn):
-    """Shapes that a comment could state instead of the right one."""
-    yield (*shape, "1")
-    yield shape[:-1]
-    for i in range(len(shape)):
-        yield (*shape[:i], "97", *shape[i + 1 :])
-    if may_turn:
-        yield shape[::-1]
-
-
 def lies(spec):
     """Specs that a comment could state instead of the right one."""
     if spec.network:
-        rows, *columns = spec.network
-        yield spec._replace(network=(f"{rows} + 1", *columns))
-        for i, text in enumerate(columns):
-            yield spec._replace(network=(rows, *columns[:i], f"{text} + 1", *columns[i + 1 :]))
+        for i, text in enumerate(spec.network):
+            others = spec.network[:i], (f"{text} + 1",), spec.network[i + 1 :]
+            yield spec._replace(network=sum(others, ()))
     for i, shape in enumerate(spec.shapes):
-        for other in other_shapes(shape, may_turn=not spec.is_list):
-            if other != shape:
-                yield spec._replace(shapes=(*spec.shapes[:i], other, *spec.shapes[i + 1 :]))
+        wrong = [(*shape[:j], "97", *shape[j + 1 :]) for j in range(len(shape))]
+        for other in (*wrong, (*shape, "1"), shape[:-1] if shape else ("97",)):
+            yield spec._replace(shapes=(*spec.shapes[:i], other, *spec.shapes[i + 1 :]))
 
 
 def is_noticed(eq, arguments, outputs):

@@ -7,6 +7,7 @@ import shutil
 import struct
 import zlib
 from dataclasses import replace
+from itertools import product
 
 import imageio.v3 as iio
 import numpy as np
@@ -446,39 +447,22 @@ def test_packaged_names_and_paths(tmp_path, monkeypatch):
     assert len(load_scene("static").train) == 3  # a path that exists wins over a name
 
 
-def project_by_hand(data, frame, point):
-    """Project a point as the file says: OpenGL axes, pixels counted from the corner."""
-    x, y, z, _ = np.linalg.inv(np.array(frame["transform_matrix"])) @ [*point, 1]
-    return data["cx"] - data["fl_x"] * x / z, data["cy"] + data["fl_y"] * y / z
-
-
 def test_arm_tips_land_on_pixels_of_their_colour():
-    folder = load.packaged_folder() / "orientation"
-    arms = json.loads((folder / "scene.json").read_text())["bodies"]
+    """An arm whose tip is nearer to the camera than the other arms is not hidden there."""
+    scene = load_scene("orientation")
+    arms = json.loads((load.packaged_folder() / "orientation/scene.json").read_text())["bodies"]
     seen = {arm["name"]: 0 for arm in arms}
-    for split, views in (
-        ("train", load_scene("orientation").train),
-        ("test", load_scene("orientation").test),
-    ):
-        data = json.loads((folder / f"transforms_{split}.json").read_text())
-        for view, frame in zip(views, data["frames"]):
-            for arm in arms:
-                tip, camera = np.array(arm["shape"]["end"]), view.camera
-                X, Y, Z = camera.R @ tip + camera.T
-                u, v = camera.f_x * X / Z + camera.c_x, camera.f_y * Y / Z + camera.c_y
-                np.testing.assert_allclose(
-                    (u + 0.5, v + 0.5), project_by_hand(data, frame, tip), atol=1e-9
-                )
-                # An arm whose tip is nearer to the camera than the other arms is not hidden there.
-                ends = np.array([a["shape"]["end"] for a in arms if a is not arm])
-                axes = np.linspace(0, 1, 50)[:, None] * ends[:, None]
-                if np.linalg.norm(axes - camera.center, axis=-1).min() > np.linalg.norm(
-                    tip - camera.center
-                ):
-                    np.testing.assert_allclose(
-                        view.image[round(v), round(u)], arm["color"], atol=1 / 255
-                    )
-                    seen[arm["name"]] += 1
+    for view, arm in product(scene.train + scene.test, arms):
+        tip, camera = np.array(arm["shape"]["end"]), view.camera
+        ends = np.array([a["shape"]["end"] for a in arms if a is not arm])
+        others = np.linspace(0, 1, 50)[:, None] * ends[:, None]
+        nearest = np.linalg.norm(others - camera.center, axis=-1).min()
+        if nearest > np.linalg.norm(tip - camera.center):
+            X, Y, Z = camera.R @ tip + camera.T
+            u, v = camera.f_x * X / Z + camera.c_x, camera.f_y * Y / Z + camera.c_y
+            color = view.image[round(v), round(u)]
+            np.testing.assert_allclose(color, arm["color"], atol=1 / 255)
+            seen[arm["name"]] += 1
     assert all(count >= 10 for count in seen.values()), seen
 
 

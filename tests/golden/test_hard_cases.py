@@ -10,7 +10,7 @@ from p4dgs_ref.table import EQUATIONS
 from tests.core import test_equations as equations
 from tests.golden.cases import FLAGS, cases_of
 from tests.golden.hard_cases import catalogue, make_constants, publish
-from tests.golden.hard_cases.measured import procedure_rows
+from tests.golden.hard_cases.__main__ import procedure_rows
 
 ENTRIES = [entry for entry in catalogue.ENTRIES.values() if entry.case is not None]
 

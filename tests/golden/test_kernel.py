@@ -13,6 +13,7 @@ from tests.core import adjoint
 from tests.golden import kernel
 from tests.golden.mistakes.kernel import ruled
 from tests.golden.subjects import subjects
+from tests.oracle.answers import Port
 from tests.sampling import few
 
 KEYS = ("tile_lists", "kernel", "kernel_many", "kernel_stage")
@@ -114,14 +115,13 @@ def test_a_port_with_another_rule_is_noticed_and_explained_wherever_it_shows(id)
     """The doctor has answers to `kernel`; what fails in the other subjects refers to it."""
     vjps = ruled(id)
 
-    class Port:
-        def run(self, case):
-            vjp = vjps["stage_vjp" if case.subject == "kernel_stage" else "kernel_vjp"]
-            outputs, pullback = vjp(**case.inputs())
-            return named(outputs, pullback(**case.cotangents()))
+    def other(case, dtype):
+        vjp = vjps["stage_vjp" if case.subject == "kernel_stage" else "kernel_vjp"]
+        outputs, pullback = vjp(**case.inputs())
+        return named(outputs, pullback(**case.cotangents()))
 
     keys = ("kernel", "kernel_many", "kernel_stage")
-    results = checker.check_port(Port(), ("L2",), set(keys)).results
+    results = checker.check_port(Port(other), ("L2",), set(keys)).results
     failed = [r for r in results if r.verdict == "fail"]
     assert {r.equation for r in failed} == {"compositing"} and len(failed) >= 1
     assert all(f"[{id}]" in r.explanation for r in failed), [r.explanation for r in failed]

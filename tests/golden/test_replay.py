@@ -6,6 +6,7 @@ import pytest
 from p4dgs_ref.equations import hash_grid
 from p4dgs_ref.oracle import checker, published
 from p4dgs_ref.oracle.compare import compare
+from p4dgs_ref.oracle.published import flatten
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training import objective
@@ -13,6 +14,7 @@ from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import Preset
 from tests.golden import replay
 from tests.golden.mistakes import MISTAKES
+from tests.oracle.answers import Port
 
 CASES = published.cases("training") + published.cases("training_whole")
 DESIGN = design_of(replay.PRESET, MODEL_EFFECTS)
@@ -191,11 +193,9 @@ def test_a_mistake_is_noticed_and_explained_in_all_ten_steps_too(id):
     """The doctor has answers to `training`; what fails in `training_whole` refers to it."""
     mistake = next(mistake for mistake in MISTAKES if mistake.id == id)
 
-    class Port:
-        def run(self, case):
-            outputs, _ = mistake.run(case.inputs(), {})
-            return {f"out.{name}": a for name, a in outputs.items()}
+    def mistaken(case, dtype):
+        return flatten(mistake.run(case.inputs(), {})[0], "out.")
 
-    results = checker.check_port(Port(), ("L4",), {"training", "training_whole"}).results
+    results = checker.check_port(Port(mistaken), ("L4",), {"training", "training_whole"}).results
     verdicts = {r.id: f"[{id}]" in r.explanation for r in results if r.verdict == "fail"}
     assert verdicts["training_whole/ten_steps"] and all(verdicts.values()) and len(verdicts) >= 2

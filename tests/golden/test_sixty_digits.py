@@ -262,27 +262,22 @@ def measured(key, name, dtype, samples):
 
 # Allowed errors, in eps times the largest magnitude of the array, and why some cases need more.
 ALLOWED = {
-    "": 16,
-    "projection/needle": 2**27,
-    "projection/one_behind": 64,
-    "ssim/flat": 2**12,
-    "likelihood/narrow": 64,
-    "likelihood/tail_of_narrow_bins": 64,
-    "likelihood/edge_of_a_wide_bin": 64,
-    "sh_color/at_the_clamp": 2**53,
-    "conditional/round_in_the_plane": 2**53,
-    "spherindrical/a_period_and_a_quarter": 32,
-}
-REASONS = {
-    "projection/needle": "the determinant cancels: length over width, squared, is 3e8",
-    "ssim/flat": "E[x^2] - mu^2 cancels: mu^2 / C2 is 900, in a denominator",
-    "projection/one_behind": "two large entries of the determinant cancel near the camera",
-    "likelihood/narrow": "slopes: the Taylor series of a bin ends at 3e-15",
-    "likelihood/tail_of_narrow_bins": "the same",
-    "likelihood/edge_of_a_wide_bin": "slopes: tails by difference",
-    "sh_color/at_the_clamp": "the last digit of a constant decides on which side it is",
-    "conditional/round_in_the_plane": "the velocity is 0 but for the rounding of the inputs",
-    "spherindrical/a_period_and_a_quarter": "a zero of the cosine: the angle of 2.5 pi is rounded",
+    "": (16, "a few roundings"),
+    "projection/needle": (2**27, "the determinant cancels: length over width, squared, is 3e8"),
+    "projection/one_behind": (64, "two large entries of the determinant cancel near the camera"),
+    "ssim/flat": (2**12, "E[x^2] - mu^2 cancels: mu^2 / C2 is 900, in a denominator"),
+    "likelihood/narrow": (64, "slopes: the Taylor series of a bin ends at 3e-15"),
+    "likelihood/tail_of_narrow_bins": (64, "the same"),
+    "likelihood/edge_of_a_wide_bin": (64, "slopes: tails by difference"),
+    "sh_color/at_the_clamp": (2**53, "the last digit of a constant decides on which side it is"),
+    "conditional/round_in_the_plane": (
+        2**53,
+        "the velocity is 0 but for the rounding of the inputs",
+    ),
+    "spherindrical/a_period_and_a_quarter": (
+        32,
+        "a zero of the cosine: the angle of 2.5 pi is rounded",
+    ),
 }
 
 
@@ -301,7 +296,7 @@ def compare(key, name, dtype, samples):
         if kept[side] is None:
             assert e == np.inf and place in CULLED, f"{place}, {side}: record it again"
             continue
-        assert e <= ALLOWED.get(place, ALLOWED[""]), f"{place}, {side}: off by {e:.3g} eps S"
+        assert e <= ALLOWED.get(place, ALLOWED[""])[0], f"{place}, {side}: off by {e:.3g} eps S"
         assert e <= 2 * max(kept[side], 1), (
             f"{place}, {side}: off by {e:.3g} eps S, recorded {kept[side]:.3g}"
         )
@@ -323,7 +318,6 @@ def test_reference_at_every_element_and_in_float32(key, name):
 def test_the_record_is_of_these_cases():
     assert set(RECORDED) == set(ALL_EQUATIONS) == set(FORMULAS)
     assert {(key, name) for key, by in RECORDED.items() for name in by["float64"]} == set(CASES)
-    assert set(ALLOWED) - {""} == set(REASONS)
     for key, eq in ALL_EQUATIONS.items():
         assert set(eq.gradients) == set(FORMULAS[key][1])
 
