@@ -195,38 +195,6 @@ def test_a_model_is_rendered_without_gradients(monkeypatch):
     assert kept == [None]
 
 
-@pytest.mark.parametrize("settings", [EXACT, FAST._replace(cut=1e-14, stop=0, dtype="float64")])
-def test_render_gradient_against_finite_differences(settings):
-    """Covariance, projection and compositing together, each input along a random direction."""
-    rng = np.random.default_rng(10)
-    camera = look_at((0.3, -3.0, 1.2), (0, 0, 0), 40, 36, 31, 22, c_x=14.2, c_y=11.7)
-    r = rng.normal(size=(25, 4))
-    inputs = dict(
-        x=rng.normal(size=(25, 3)) * 0.5,
-        s=rng.uniform(0.05, 0.3, (25, 3)),
-        r=r / np.linalg.norm(r, axis=1, keepdims=True),
-        alpha=rng.uniform(0.1, 0.9, 25),
-        color=rng.uniform(size=(25, 3)),
-        background=np.array([0.2, 0.4, 0.9]),
-    )
-    image_bar = rng.normal(size=(22, 31, 3))
-
-    def loss(**moved):
-        (image, _, _), _ = render.forward(**{**inputs, **moved}, camera=camera, settings=settings)
-        return np.vdot(image_bar, image)
-
-    _, saved = render.forward(**inputs, camera=camera, settings=settings)
-    bars, h = render.backward(saved, image_bar), 1e-4
-    for name, value in inputs.items():
-        direction = rng.normal(size=value.shape)
-        one, two = (
-            loss(**{name: value + step * direction}) - loss(**{name: value - step * direction})
-            for step in (h, 2 * h)
-        )
-        error = abs((8 * one - two) / (12 * h) - np.vdot(bars[name], direction))
-        assert error <= 1e-7 * np.abs(bars[name] * direction).sum(), name
-
-
 @pytest.mark.parametrize("settings", [EXACT, PAPER, FAST])
 @pytest.mark.parametrize("wrong", [np.nan, -0.3])
 def test_opacities_that_are_nan_or_negative_are_refused(settings, wrong):

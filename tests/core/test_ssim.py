@@ -61,19 +61,6 @@ def test_blur_is_its_own_adjoint(shape):
     assert abs(terms.sum() - (a * window.blur(b)).sum()) <= 1e-14 * np.abs(terms).sum()
 
 
-@BOTH
-@pytest.mark.parametrize("content", ["black", "white", "grey", "noise"])
-@pytest.mark.parametrize("shape", SHAPES)
-def test_identical_images(shape, content, dtype):
-    y = pair(shape, dtype)[1]
-    if content != "noise":
-        y[:] = {"black": 0, "white": 1, "grey": 0.9}[content]
-    for truth_moments in (None, ssim.moments(y)):
-        value, saved = ssim.forward(y.copy(), y, truth_moments)
-        assert abs(value - 1) <= 1e-12
-        assert not ssim.backward(saved, -0.7)["image"].any()
-
-
 def test_moments_at_hand_change_nothing():
     x, y = pair((13, 6, 3))
     for module, extra in ((ssim, ()), (render_loss, (0.2,))):
@@ -97,13 +84,6 @@ def test_float32_on_flat_bright_images():
     got = ssim.backward(saved_single, np.float32(1))["image"]
     want = ssim.backward(saved_double, 1.0)["image"]
     assert got.dtype == np.float32 and np.abs(got - want).max() <= 1e-6 * np.abs(want).max()
-
-
-def test_one_minus_ssim_of_nearly_equal_images():
-    """1 - SSIM shrinks with the square of the difference, far below the rounding of 1."""
-    x, y = pair((12, 9, 2))
-    large, small = (ssim.dissimilarity(y + size * (x - y), y)[0] for size in (1e-3, 1e-6))
-    assert small / large == pytest.approx(1e-6, rel=1e-2) and small < 1e-10
 
 
 @BOTH

@@ -2,20 +2,8 @@
 
 import numpy as np
 
-from p4dgs_ref.equations import deformation, deformed
+from p4dgs_ref.equations import deformed
 from tests.golden.cases import case_of
-
-
-def test_deformation_without_the_gradient_of_x():
-    deltas, saved = deformation.forward(**case_of("deformation").inputs)
-    rng = np.random.default_rng(6)
-    cotangents = [rng.normal(size=delta.shape) for delta in deltas]
-    full = deformation.backward(saved, *cotangents)
-    lean = deformation.backward(saved, *cotangents, needs_x=False)
-    assert set(full) - set(lean) == {"x"}
-    for name in lean:
-        for a, b in zip(lean[name], full[name], strict=True):
-            assert np.array_equal(a, b)
 
 
 def test_deformed_passes_what_is_off_through_untouched():

@@ -3,26 +3,11 @@
 from types import SimpleNamespace
 
 import numpy as np
-from scipy.ndimage import correlate1d
 from scipy.special import log_ndtr
 
 from p4dgs_ref.oracle import published
+from tests.core.test_ssim import filtered_ssim
 from tests.golden import pipeline, stages, stages_coding
-
-
-def textbook_ssim(a, b):
-    """SSIM with the window, the padding and the constants of Q13, from the formula as printed."""
-    window = np.exp(-0.5 * ((np.arange(11) - 5) / 1.5) ** 2)
-    window /= window.sum()
-
-    def mean(x):
-        return correlate1d(correlate1d(x, window, 0, mode="constant"), window, 1, mode="constant")
-
-    m_a, m_b = mean(a), mean(b)
-    v_a, v_b, c = mean(a * a) - m_a**2, mean(b * b) - m_b**2, mean(a * b) - m_a * m_b
-    return np.mean(
-        (2 * m_a * m_b + 1e-4) * (2 * c + 9e-4) / ((m_a**2 + m_b**2 + 1e-4) * (v_a + v_b + 9e-4))
-    )
 
 
 def test_first_losses_are_those_of_an_evaluation_by_stages():
@@ -54,7 +39,7 @@ def test_first_losses_are_those_of_an_evaluation_by_stages():
     image = stages.compositing_vjp(
         *at_t.values(), g["alpha"], g["color"], *camera, i.background, True
     )[0]["image"]
-    L1, D_SSIM = np.abs(image - i.truth[v]).mean(), 1 - textbook_ssim(image, i.truth[v])
+    L1, D_SSIM = np.abs(image - i.truth[v]).mean(), 1 - filtered_ssim(image, i.truth[v])
     noisy, q = (
         np.concatenate([f, s, l, O.reshape(A, -1)], axis=1),
         np.repeat(ctx.q, (d, 3, 3, 3 * k), axis=1),
