@@ -58,9 +58,7 @@ def test_networks_are_coded_from_stage_4_on_at_a_rising_price():
 
 
 def test_only_the_coded_presets_have_steps():
-    for preset in PRESETS.values():
-        if preset.name.startswith("paper"):
-            assert not preset.coded
+    assert not any(p.coded for name, p in PRESETS.items() if name.startswith("paper"))
     trainer = Trainer(p4.load_scene("bouncing", downscale=4), choose("smoke"), seed=1)
     assert "log_step" not in trainer.parameters.arrays and trainer.layout is None
     assert trainer.model().steps is None and trainer.fixed().coded is None
