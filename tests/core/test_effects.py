@@ -228,6 +228,7 @@ def test_without_occlusion_every_gaussian_is_as_if_alone(name, settings):
     assert np.abs(off - sum(image for image, _ in alone)).max() <= 4 * EPS * max(off.max(), 1)
     for key in ("mean2d", *splats):
         close(ours[key], np.concatenate([bars[key] for _, bars in alone]), 1e-12, key)
+    close(ours["background"], bar.sum(axis=(0, 1)), 1e-12, "background")
     both = run(slice(None), True)[0]
     assert np.abs(both - off).max() > 0.01, "the Gaussians must overlap, or nothing is tested"
 
