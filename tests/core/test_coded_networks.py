@@ -2,31 +2,15 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 
 import p4dgs_ref as p4
-from p4dgs_ref.equations import weight_bits
 from p4dgs_ref.model import step_of_code
 from p4dgs_ref.training import coded_networks
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import PRESETS, choose
 from p4dgs_ref.training.trainer import Trainer
-from tests.golden.cases import cases_of
 
 SHORT = dict(coded=True, network_ramp=4, lr_step=(0.02, 0.01), stage_ends=(2, 3, 5, 12))
-
-
-@pytest.mark.parametrize("name", ["ordinary", "rounded", "edge"])
-def test_bits_against_an_integral_of_the_density(name):
-    w, step, b = next(case for case in cases_of("weight_bits") if case.name == name).inputs.values()
-    bits, _ = weight_bits.forward(w, step, b)
-    for k, scale, found in zip(w / step, b, bits):
-        parts = [k - 0.5, *([0] if abs(k) < 0.5 else []), k + 0.5]
-        density = [
-            quad(lambda v: np.exp(-abs(v) / scale) / 2 / scale, *ends)[0]
-            for ends in zip(parts, parts[1:])
-        ]
-        assert found == pytest.approx(-np.log2(sum(density)), rel=1e-9)
 
 
 def layout_of(shapes, rng):
@@ -74,9 +58,7 @@ def test_networks_are_coded_from_stage_4_on_at_a_rising_price():
 
 
 def test_only_the_coded_presets_have_steps():
-    for preset in PRESETS.values():
-        if preset.name.startswith("paper"):
-            assert not preset.coded
+    assert not any(p.coded for name, p in PRESETS.items() if name.startswith("paper"))
     trainer = Trainer(p4.load_scene("bouncing", downscale=4), choose("smoke"), seed=1)
     assert "log_step" not in trainer.parameters.arrays and trainer.layout is None
     assert trainer.model().steps is None and trainer.fixed().coded is None

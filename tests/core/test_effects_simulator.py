@@ -93,49 +93,6 @@ def test_simulator_off_equals_the_neutral_input(name, effect):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_simulator_view_color_off_equals_a_viewer_straight_above(name, monkeypatch):
-    shiny = {**described(name, {*simulated_effects(name), "specular"} - {"view_color"})}
-    shiny["bodies"] = [
-        {**body, "specular": {"strength": 0.5, "exponent": 3}} for body in shiny["bodies"]
-    ]
-    off = drawn(shiny)
-    real, lit = trace.shade, {**shiny, "effects": [*shiny["effects"], "view_color"]}
-    assert np.abs(drawn(lit) - off).max() > 1e-3
-    monkeypatch.setattr(
-        trace,
-        "shade",
-        lambda body, pose, x, viewer, light, effects: real(
-            body, pose, x, x + trace.UP, light, effects
-        ),
-    )
-    # x + UP - x loses digits: the direction is off by an ulp or two of x, and the lobe's slope is
-    # 0.5 * 3.
-    assert np.abs(drawn(lit) - off).max() <= 4 * EPS * (1 + 0.5 * 3)
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_simulator_occlusion_off_adds_what_each_body_alone_shows(name):
-    description = describe(described(name, simulated_effects(name)))
-    camera = small_camera(place_cameras(description, "train")[4][0], 14)
-    rays, where = (
-        trace.rays(camera),
-        motion.poses(description.bodies, description.effects, 0.37, camera.center),
-    )
-    hits = [trace.hit(body, where[body.name], camera.center, rays) for body in description.bodies]
-
-    def light(i, chosen):
-        return np.random.default_rng(i).uniform(size=(len(rays), 3))[chosen]
-
-    off, nothing = trace.sum_up(hits, light, len(rays)), np.full(len(rays), np.inf)
-    alone = [
-        trace.nearest([h if i == j else nothing for j, h in enumerate(hits)], light, len(rays))
-        for i in range(len(hits))
-    ]
-    assert np.array_equal(off, sum(alone))
-    assert not np.array_equal(off, trace.nearest(hits, light, len(rays))) or len(hits) == 1
-
-
-@pytest.mark.parametrize("name", SCENES)
 def test_simulator_background_off_is_black_and_not_asked_for(name, monkeypatch):
     some = [e for e in simulated_effects(name) if e != "background"]
     on = drawn(described(name, [*some, "background"]))

@@ -11,7 +11,7 @@ from p4dgs_ref.model import bounding_box, snap
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS, View
 from p4dgs_ref.splatting import fast, tiles
 from p4dgs_ref.splatting.camera import look_at
-from p4dgs_ref.splatting.settings import EXACT, FAST
+from p4dgs_ref.splatting.settings import FAST
 from p4dgs_ref.training import coded_networks, objective
 from p4dgs_ref.training.initial import design_of, initial_parameters
 from p4dgs_ref.training.parameters import Parameters
@@ -193,17 +193,6 @@ def test_every_array_with_coded_networks(monkeypatch):
     fixed = fixed._replace(coded=layout, network_price=0.3)
     names = check(p, design, fixed, view, u, monkeypatch)
     assert set(names) == set(p.arrays)
-
-
-def test_exact_settings_give_the_same_gradient():
-    p, design, fixed, view, u = setting()
-    found = []
-    for settings in (fixed.settings, EXACT):
-        _, _, back = evaluate(p, design, fixed._replace(settings=settings), view, u)
-        found.append(back()[0])
-    for name in p.arrays:
-        got, want = (gradients[name] for gradients in found)
-        assert np.allclose(got, want, rtol=1e-8, atol=1e-10 * np.abs(want).max()), name
 
 
 def test_gradient_checker_sees_a_lost_factor(monkeypatch):

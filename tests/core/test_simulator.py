@@ -245,13 +245,6 @@ def test_occlusion_and_its_absence():
         np.testing.assert_allclose(added, [0.9, 0.9, 0.9, 1])
 
 
-def test_without_background_rays_that_miss_are_black_and_opaque():
-    with_it, without = (one_ball(effects) for effects in (["background"], []))
-    assert with_it[0, 0, 3] == 0 and 0 < with_it[..., 3].mean() < 1
-    assert np.all(without[..., 3] == 1)
-    np.testing.assert_allclose(without[..., :3], with_it[..., :3] * with_it[..., 3:], atol=1e-15)
-
-
 def test_cameras_survive_the_way_through_the_file(tmp_path):
     calls = []
     simulate(FULL, tmp_path / "out", progress=lambda *call: calls.append(call))

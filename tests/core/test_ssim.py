@@ -1,4 +1,4 @@
-"""SSIM and Eq. (16) against slow loops, and on the images where careless formulas fail."""
+"""SSIM and Eq. (16) against SciPy's filters, and on the images where careless formulas fail."""
 
 import math
 
@@ -32,40 +32,6 @@ def formula(mx, my, xx, yy, xy):
     return (2 * mx * my + C1) * (2 * xy + C2) / ((mx**2 + my**2 + C1) * (xx + yy + C2))
 
 
-def slow_ssim_at(x, y, i, j):
-    """SSIM at one pixel of two images (H, W), with second moments about the means.
-
-    Outside the image are zeros.
-    """
-    H, W = x.shape
-    weights, a, b = [], [], []
-    for u, tap_u in enumerate(taps()):
-        for v, tap_v in enumerate(taps()):
-            row, column = i + u - 5, j + v - 5
-            inside = 0 <= row < H and 0 <= column < W
-            weights.append(tap_u * tap_v)
-            a.append(float(x[row, column]) if inside else 0.0)
-            b.append(float(y[row, column]) if inside else 0.0)
-    mx = math.fsum(w * p for w, p in zip(weights, a))
-    my = math.fsum(w * p for w, p in zip(weights, b))
-    xx = math.fsum(w * (p - mx) ** 2 for w, p in zip(weights, a))
-    yy = math.fsum(w * (p - my) ** 2 for w, p in zip(weights, b))
-    xy = math.fsum(w * (p - mx) * (q - my) for w, p, q in zip(weights, a, b))
-    return formula(mx, my, xx, yy, xy)
-
-
-def slow_ssim(x, y):
-    """The mean of `slow_ssim_at` over all pixels and channels."""
-    H, W, C = x.shape
-    values = [
-        slow_ssim_at(x[:, :, c], y[:, :, c], i, j)
-        for c in range(C)
-        for i in range(H)
-        for j in range(W)
-    ]
-    return math.fsum(values) / len(values)
-
-
 def filtered_ssim(x, y):
     """The printed formula on SciPy's filters."""
 
@@ -79,17 +45,13 @@ def filtered_ssim(x, y):
 
 
 @BOTH
-@pytest.mark.parametrize("shape", SHAPES[:4])
-def test_against_a_direct_double_loop(shape, dtype):
-    x, y = pair(shape, dtype)
-    relative = 1e-13 if dtype == np.float64 else 1e-7
-    assert ssim.forward(x, y)[0] == pytest.approx(slow_ssim(x, y), rel=relative)
-
-
 @pytest.mark.parametrize("shape", SHAPES)
-def test_against_scipy_filters(shape):
-    x, y = pair(shape)
-    assert ssim.forward(x, y)[0] == pytest.approx(filtered_ssim(x, y), rel=1e-12)
+def test_against_scipy_filters(shape, dtype):
+    x, y = pair(shape, dtype)
+    want = filtered_ssim(x.astype(float), y.astype(float))
+    assert ssim.forward(x, y)[0] == pytest.approx(
+        want, rel=max(1e-12, 4 * float(np.finfo(dtype).eps))
+    )
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -97,19 +59,6 @@ def test_blur_is_its_own_adjoint(shape):
     a, b = (p.transpose(0, 2, 1) for p in pair(shape))
     terms = window.blur(a) * b
     assert abs(terms.sum() - (a * window.blur(b)).sum()) <= 1e-14 * np.abs(terms).sum()
-
-
-@BOTH
-@pytest.mark.parametrize("content", ["black", "white", "grey", "noise"])
-@pytest.mark.parametrize("shape", SHAPES)
-def test_identical_images(shape, content, dtype):
-    y = pair(shape, dtype)[1]
-    if content != "noise":
-        y[:] = {"black": 0, "white": 1, "grey": 0.9}[content]
-    for truth_moments in (None, ssim.moments(y)):
-        value, saved = ssim.forward(y.copy(), y, truth_moments)
-        assert abs(value - 1) <= 1e-12
-        assert not ssim.backward(saved, -0.7)["image"].any()
 
 
 def test_moments_at_hand_change_nothing():
@@ -137,26 +86,12 @@ def test_float32_on_flat_bright_images():
     assert got.dtype == np.float32 and np.abs(got - want).max() <= 1e-6 * np.abs(want).max()
 
 
-def test_one_minus_ssim_of_nearly_equal_images():
-    """1 - SSIM shrinks with the square of the difference, far below the rounding of 1."""
-    x, y = pair((12, 9, 2))
-    large, small = (ssim.dissimilarity(y + size * (x - y), y)[0] for size in (1e-3, 1e-6))
-    assert small / large == pytest.approx(1e-6, rel=1e-2) and small < 1e-10
-
-
-def test_ssim_is_symmetric_in_its_images_and_falls_with_noise():
-    x, y = pair((21, 18, 3))
-    assert ssim.forward(x, y)[0] == pytest.approx(ssim.forward(y, x)[0], rel=1e-13)
-    values = [ssim.forward(y + size * (x - y), y)[0] for size in (0, 0.1, 0.5, 1, 4)]
-    assert values == sorted(values, reverse=True) and values[-1] < 0.3
-
-
 @BOTH
 def test_render_loss_against_its_parts(dtype):
     x, y = pair((9, 7, 2), dtype)
     losses, saved = render_loss.forward(x, y, 0.2)
     L1 = math.fsum(np.abs(x.astype(float) - y).ravel()) / x.size
-    D_SSIM = 1 - slow_ssim(x, y)
+    D_SSIM = 1 - filtered_ssim(x.astype(float), y.astype(float))
     relative = 1e-12 if dtype == np.float64 else 1e-6
     assert losses == pytest.approx((0.8 * L1 + 0.2 * D_SSIM, L1, D_SSIM), rel=relative)
     assert all(value.dtype == dtype for value in losses)

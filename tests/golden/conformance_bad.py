@@ -7,26 +7,14 @@ import zlib
 import numpy as np
 
 from p4dgs_ref.codec import rans
-from p4dgs_ref.codec.container import MAGIC, SECTIONS, write_container
+from p4dgs_ref.codec.container import SECTIONS, write_container
 from p4dgs_ref.codec.file import sections_of
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.codec.streams import encode_gaussian, find_entries
 from tests.golden.conformance_good import Parts, coded_parts
-from tests.golden.damage import resealed
+from tests.golden.damage import framed, resealed
 
 ROW, HEAD = 9, 14  # bytes of a row of the section table, and of what stands before it
-
-
-def framed(rows, magic=MAGIC, version=1, total=None, tail=b""):
-    """A file of any rows (id, length, body), valid or not, with valid checksums."""
-    size = HEAD + ROW * len(rows) + 4 + sum(len(body) for _, _, body in rows) + len(tail)
-    head = magic + struct.pack("<BBI", version, len(rows), size if total is None else total)
-    head += b"".join(
-        struct.pack("<BII", number, length, zlib.crc32(body)) for number, length, body in rows
-    )
-    return b"".join(
-        [head, struct.pack("<I", zlib.crc32(head)), *(body for _, _, body in rows), tail]
-    )
 
 
 def rows_of(sections):

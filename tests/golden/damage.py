@@ -6,6 +6,7 @@ of the JSON header or of the container's table, and sections exchanged, repeated
 """
 
 import json
+import struct
 import zlib
 from typing import NamedTuple
 
@@ -131,16 +132,21 @@ def assemble(rows, version):
 
     In version 2, where a section cannot stand twice, the lengths are those of the last rows.
     """
-    bodies = b"".join(body for _, body in rows)
     if version == 2:
+        bodies = b"".join(body for _, body in rows)
         head = write_container({SECTIONS[i - 1]: body for i, body in rows}, 2)
         return resealed(head[: frame_of(head)] + bodies)
-    total = 18 + 9 * len(rows) + sum(len(body) for _, body in rows)
-    head = MAGIC + bytes([version, len(rows)]) + total.to_bytes(4, "little")
-    for i, body in rows:
-        numbers = (len(body), zlib.crc32(body))
-        head += bytes([i]) + b"".join(number.to_bytes(4, "little") for number in numbers)
-    return head + zlib.crc32(head).to_bytes(4, "little") + bodies
+    return framed([(i, len(body), body) for i, body in rows], version=version)
+
+
+def framed(rows, magic=MAGIC, version=1, total=None, tail=b""):
+    """A file of any rows (id, length, body), valid or not, with valid checksums."""
+    bodies = b"".join(body for _, _, body in rows) + tail
+    size = 18 + 9 * len(rows) + len(bodies)
+    head = magic + struct.pack("<BBI", version, len(rows), size if total is None else total)
+    for number, length, body in rows:
+        head += struct.pack("<BII", number, length, zlib.crc32(body))
+    return head + struct.pack("<I", zlib.crc32(head)) + bodies
 
 
 def resealed(data):

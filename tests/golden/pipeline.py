@@ -267,30 +267,7 @@ def trace_inputs(rng, A=9, k=5, d=7, V=6):
     )
     p, teacher = (draw(rng, design, A) for _ in range(2))
     teacher["psi_c.W1"][...] *= 4  # strong colours
-    places = [
-        2.6 * np.array([np.cos(a), np.sin(a), 0.3 + 0.1 * i])
-        for i, a in enumerate(np.linspace(0, 5, V))
-    ]
-    cameras = [
-        look_at(place, (0.05, 0, 0), 14.0, 12.5, 13, 11, c_x=6.4, c_y=4.8) for place in places
-    ]
-    times, background = np.linspace(0.05, 0.95, V), np.array([0.9, 0.75, 0.3])
-    f, s, l, O = (
-        teacher["f_a"],
-        np.exp(teacher["log_s"]),
-        np.exp(teacher["log_l"]),
-        teacher["O_a"],
-    )
-    seen = model.Model(
-        design,
-        Anchors(teacher["x_a"], f, s, l, O, np.ones((A, k), bool)),
-        {name: teacher.network(name) for name in design.layers()},
-        [],
-        None,
-        background,
-    )
-    posed = [described(camera) for camera in cameras]
-    truth = np.stack([seen.render(camera, t, EXACT) for camera, t in zip(cameras, times)])
+    background = np.array([0.9, 0.75, 0.3])
     flat = {name: p[name] for name in ("x_a", "f_a", "log_s", "log_l", "O_a")}
     flat |= flat_networks({name: p.network(name) for name in NETWORKS}) | {
         "grids": p.listed("grid")
@@ -309,13 +286,7 @@ def trace_inputs(rng, A=9, k=5, d=7, V=6):
         hi=p["x_a"].max(axis=0),
         resolutions=resolutions,
         Q_0=np.array(design.Q_0),
-        size=posed[0]["size"],
-        times=times,
-        truth=truth,
-        **{
-            name: np.stack([camera[name] for camera in posed])
-            for name in ("W", "T", "focal", "center")
-        },
+        **views_of(teacher, design, np.linspace(0.05, 0.95, V), background),
         background=background,
         views=rng.integers(0, V, STEPS),
         arrays=arrays,
@@ -328,6 +299,22 @@ def trace_inputs(rng, A=9, k=5, d=7, V=6):
         lambda_rate=0.02,
         lambda_ssim=0.2,
     )
+
+
+def views_of(teacher, design, times, background):
+    """What a model shows to as many cameras on an arc as there are times: {name: array}."""
+    f, s, l = teacher["f_a"], np.exp(teacher["log_s"]), np.exp(teacher["log_l"])
+    anchors = Anchors(teacher["x_a"], f, s, l, teacher["O_a"], np.ones((len(f), design.k), bool))
+    networks = {name: teacher.network(name) for name in design.layers()}
+    seen = model.Model(design, anchors, networks, [], None, background)
+    cameras = []
+    for i, angle in enumerate(np.linspace(0, 5, len(times))):
+        place = 2.6 * np.array([np.cos(angle), np.sin(angle), 0.3 + 0.1 * i])
+        cameras.append(look_at(place, (0.05, 0, 0), 14.0, 12.5, 13, 11, c_x=6.4, c_y=4.8))
+    truth = np.stack([seen.render(camera, t, EXACT) for camera, t in zip(cameras, times)])
+    posed = [described(camera) for camera in cameras]
+    stacked = {n: np.stack([c[n] for c in posed]) for n in ("W", "T", "focal", "center")}
+    return dict(size=posed[0]["size"], times=times, truth=truth, **stacked)
 
 
 def draw(rng, design, A):

@@ -11,9 +11,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from p4dgs_ref.model import Anchors, Model, bounding_box
+from p4dgs_ref.model import bounding_box
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS, View
-from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training.adam import Adam
 from p4dgs_ref.training.density import Statistics
@@ -22,9 +21,10 @@ from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import Preset
 from p4dgs_ref.training.trainer import LEARNING_RATES, Trainer
 from tests.golden.cases import Case
-from tests.golden.flat import CAMERA_SHAPES, camera_of, described
+from tests.golden.flat import CAMERA_SHAPES, camera_of
 from tests.golden.kernel import single
 from tests.golden.pipeline import LOSSES, draw
+from tests.golden.pipeline import views_of as views_of_model
 from tests.golden.subjects import Subject, no_pullback
 
 # The parameters: anchors, networks, grid. There is no psi_t, and no step of coded networks.
@@ -214,7 +214,7 @@ def replay(u, views, iteration, effects, draws=(), trainer=Replayed, **inputs):
 
 # --- cases --------------------------------------------------------------------------------------
 WARM = 12  # steps before the first case, so that no moment is zero
-V, HEIGHT, WIDTH = 5, 11, 13
+V = 5
 
 
 @cache
@@ -224,26 +224,10 @@ def scene_inputs(seed=481):
     design = design_of(PRESET, MODEL_EFFECTS)
     teacher = draw(rng, design, 6)
     teacher["psi_c.W2"][...] *= 4  # strong colours
-    f, O = teacher["f_a"], teacher["O_a"]
-    s, l = np.exp(teacher["log_s"]), np.exp(teacher["log_l"])
     background = single([0.9, 0.75, 0.3])
-    anchors = Anchors(teacher["x_a"], f, s, l, O, np.ones((6, PRESET.k), bool))
-    networks = {name: teacher.network(name) for name in design.layers()}
-    seen = Model(design, anchors, networks, [], None, background)
-    cameras, times = [], single(np.linspace(0.1, 0.9, V))
-    for i, angle in enumerate(np.linspace(0, 5, V)):
-        place = 2.6 * np.array([np.cos(angle), np.sin(angle), 0.3 + 0.1 * i])
-        cameras.append(look_at(place, (0.05, 0, 0), 14.0, 12.5, WIDTH, HEIGHT, c_x=6.4, c_y=4.8))
-    truth = np.stack([seen.render(camera, t, EXACT) for camera, t in zip(cameras, times)])
-    posed = [described(camera) for camera in cameras]
-    found = {n: single(np.stack([c[n] for c in posed])) for n in ("W", "T", "focal", "center")}
-    return dict(
-        **found,
-        size=posed[0]["size"],
-        times=times,
-        truth=single(truth),
-        background=background,
-    )
+    seen = views_of_model(teacher, design, single(np.linspace(0.1, 0.9, V)), background)
+    seen["background"] = background
+    return {name: seen[name] if name == "size" else single(seen[name]) for name in GIVEN}
 
 
 def noise(rng, shape):

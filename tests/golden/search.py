@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from p4dgs_ref.oracle.compare import cast
+from p4dgs_ref.oracle.compare import cast, change_floats
 from p4dgs_ref.oracle.published import flatten
 from p4dgs_ref.table import EQUATIONS
 
@@ -73,14 +73,11 @@ def moved(values, delta, rng, fixed):
     """Every float array times 1 + delta or 1 - delta, with random signs."""
 
     def move(a):
-        if isinstance(a, list):
-            return [move(b) for b in a]
-        if isinstance(a, (np.ndarray, np.generic)) and a.dtype.kind == "f":
-            signs = rng.choice(np.array([-1, 1], a.dtype), np.shape(a))
-            return a * (1 + a.dtype.type(delta) * signs)
-        return a
+        signs = rng.choice(np.array([-1, 1], a.dtype), np.shape(a))
+        return a * (1 + a.dtype.type(delta) * signs)
 
-    return {name: a if name in fixed else move(a) for name, a in values.items()}
+    free = {name: a for name, a in values.items() if name not in fixed}
+    return {**values, **change_floats(free, move)}
 
 
 def sizes(key, inputs, cotangents, dtype, bound, want, rng, fixed):

@@ -1,7 +1,5 @@
 """The search finds no broken promise and would find one; NaN and infinity do as documented."""
 
-import inspect
-
 import numpy as np
 import pytest
 
@@ -11,8 +9,7 @@ from tests.golden import search
 from tests.golden.arenas import ARENAS
 from tests.golden.cases import cases_of
 from tests.golden.checks import altered, edited
-from tests.golden.promises import LEAST, PROMISES
-from tests.golden.sixty_digits import gradient, value
+from tests.golden.promises import PROMISES
 from tests.sampling import few
 
 DTYPES = {"float64": np.float64, "float32": np.float32}
@@ -89,58 +86,6 @@ def test_formulas_that_lose_digits_are_caught(key, losing, dtype, monkeypatch):
     assert found.beyond and found.worst > 1
 
 
-@pytest.mark.slow
-def test_it_climbs():
-    """Changed copies of the worst inputs are worse than the same number of new inputs."""
-    seeds = range(4)
-    climbed = [search.search("projection", np.float64, 1500, seed).worst for seed in seeds]
-    rng, eq, arena = np.random.default_rng(0), EQUATIONS["projection"], ARENAS["projection"]
-    drawn = []
-    for _ in seeds:
-        worst = 0.0
-        for _ in range(12):
-            genes = rng.random((128, arena.own)), rng.random(arena.shared)
-            inputs = search.cast(arena.decode(*genes, np.float64), np.float64)
-            bars = search.draw_cotangents(eq, inputs, rng, np.float64)
-            scores, _ = search.judge("projection", inputs, bars, np.float64, rng, 128)
-            worst = max(worst, scores.max())
-        drawn.append(worst)
-    assert np.mean(climbed) > np.mean(drawn)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize(
-    "key",
-    [key for key in ARENAS if key not in ("compositing", "ssim", "render_loss", "likelihood")],
-)
-def test_the_worst_found_holds_against_sixty_digits(key, dtype):
-    """The longer float of the search runs our own formulas; the decimals do not."""
-    found = search.search(key, DTYPES[dtype], 600, seed=2)
-    eq, promise = EQUATIONS[key], PROMISES[key]
-    bound = promise.double if dtype == "float64" else promise.single
-    names = [name for name in found.at if name in inspect.signature(eq.forward).parameters]
-    inputs = {name: found.at[name] for name in names}
-    bars = {name: a for name, a in found.at.items() if name not in names}
-    given = search.cast(inputs, DTYPES[dtype]), search.cast(bars, DTYPES[dtype])
-    got = search.evaluate(eq, *given)
-    gradients = gradient(key, inputs, bars) if eq.gradients else {}
-    want = search.together(value(key, inputs), gradients)
-    own = search.truth(key, inputs, bars, DTYPES[dtype])
-    rng, fixed = np.random.default_rng(0), ARENAS[key].fixed
-    with np.errstate(all="ignore"):
-        S = search.sizes(key, inputs, bars, DTYPES[dtype], bound, own, rng, fixed)
-    largest = max([abs(float(v)) for a in want.values() for v in a.ravel() if v == v], default=0)
-    for name, size in S.items():
-        true = np.array([float(v) for v in want[name].ravel()]).reshape(want[name].shape)
-        smooth = ~np.isnan(true)  # on a kink the decimals give no gradient
-        gap = np.abs(got[name] - true)[smooth]
-        allowed = bound * np.finfo(DTYPES[dtype]).eps * size.astype(float)
-        # Difference quotients have 50 digits of the largest term.
-        allowed = allowed + LEAST[DTYPES[dtype]] + 1e-45 * largest
-        assert np.all(gap <= np.broadcast_to(allowed, true.shape)[smooth]), name
-
-
 # --- NaN and infinity ----------------------------------------------------------------------------
 RAISES = {"rounding": OverflowError, "hash_grid": ValueError, "likelihood": ValueError}
 ROWWISE = [
@@ -198,15 +143,6 @@ def test_nan_and_infinity_stay_in_their_row(key, bad):
             if by_row(values) and "." not in output:  # weights and biases sum over rows
                 same = np.array_equal(values[others], clean[output][others], equal_nan=True)
                 assert same, f"{name} -> {output}"
-
-
-@pytest.mark.parametrize("name", ["sigma", "q"])
-@pytest.mark.parametrize("value", [0.0, -0.0, -1.0])
-def test_deviations_and_steps_must_be_positive(name, value):
-    a = {n: np.ones((2, 3)) for n in ("f_noisy", "mu", "sigma", "q")}
-    a[name][1, 2] = value
-    with pytest.raises(ValueError, match=rf"{name}\[1, 2\] is {value}: expected a positive number"):
-        EQUATIONS["likelihood"].forward(**a)
 
 
 def test_a_nan_position_and_an_infinite_box_are_named():

@@ -72,12 +72,6 @@ def test_committed_error_is_that_of_the_panels_in_the_stated_colours(committed):
         assert np.corrcoef(shown.ravel(), error.ravel())[0, 1] > 0.9
 
 
-def test_animation_returns_to_its_start(committed):
-    n = animation.FRAMES
-    for i in range(1, n - 1, 5):
-        assert np.array_equal(committed[i], committed[2 * n - 2 - i])
-
-
 def test_the_same_model_gives_the_same_bytes(scene, tmp_path, monkeypatch):
     class Gray:
         """A model that draws the same gray everywhere."""

@@ -131,15 +131,3 @@ def test_the_data_of_the_doctor_are_what_the_mistakes_compute():
 def test_the_data_are_small():
     size = sum(file.stat().st_size for file in doctor.FOLDER.iterdir())
     assert size < 1_100_000
-
-
-def test_the_definition_gets_the_right_functions_and_they_come_back():
-    mistakes = {mistake.id: mistake for mistake in MISTAKES}
-    for id in ("ssim-renormalised", "deformed-product", "stage-steps-exchanged"):
-        key = mistakes[id].subject
-        case = published.cases(key)[0]
-        right = subjects()[key].answer(case.inputs(), case.cotangents())
-        with pytest.raises(RuntimeError, match="in between"), in_place(mistakes[id]):
-            assert difference(subjects()[key].answer(case.inputs(), case.cotangents()), right)
-            raise RuntimeError("in between")
-        assert not difference(subjects()[key].answer(case.inputs(), case.cotangents()), right)

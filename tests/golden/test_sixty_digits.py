@@ -12,10 +12,10 @@ import pytest
 
 import tests.golden.sixty_digits as sixty
 from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
-from tests.golden.cases import Case, cases_of
+from p4dgs_ref.oracle.tolerance import cotangents_of
+from tests.golden.cases import Case, case_of, cases_of
 from tests.golden.checks import edited
 from tests.golden.sixty_digits import functions as f
-from tests.golden.sixty_digits.errors import cotangents
 from tests.golden.sixty_digits.floats import exact
 from tests.golden.sixty_digits.gradients import FORMULAS
 from tests.golden.sixty_digits.record import SAMPLES, measure, text
@@ -130,30 +130,6 @@ def test_identities():
             )
 
 
-@pytest.mark.parametrize("z", ["1e-6", "0.5", "3", "7.99", "8.01", "40", "1000", "1e9"])
-def test_tails(z):
-    """M' = z M - 1 by a difference, z / (z^2 + 1) < M < 1 / z, and the other way to compute M."""
-    z = Decimal(z)
-    with f.working():
-        h, M = z * Decimal("1e-40"), f.mills(z)
-        agree((f.mills(z + h) - f.mills(z - h)) / (2 * h), z * M - 1, 50)
-        assert z / (z * z + 1) < M < 1 / z
-    if 3 <= z <= 40:  # where a series serves as well as the continued fraction
-        with f.guard(800):
-            series = f.sum_of(f._odd_double_factorials(z))
-            agree(f.exp(z * z / 2) * (f.pi() / 2).sqrt() - series, M, 150)
-
-
-@pytest.mark.parametrize("z", [0, 0.3, 1, 8, 40, 1000])
-@pytest.mark.parametrize("w", ["1e-100", "1e-12", "1", "30"])
-def test_a_bin_is_the_sum_of_its_halves(z, w):
-    z, w = Decimal(z), Decimal(w)
-    with f.working(), f.guard(300):
-        left, right = (f.log_mass(z + side * w / 4, w / 2) for side in (-1, 1))
-        whole, most = f.log_mass(z, w), max(left, right)
-        agree(most + f.log1p(f.exp(min(left, right) - most)), whole, 150)
-
-
 @pytest.mark.parametrize(
     "function, arguments",
     [
@@ -254,7 +230,7 @@ def test_kinks_have_no_gradient_and_everything_else_has():
     for key, eq in ALL_EQUATIONS.items():
         for case in cases_of(key):
             if case.smooth and eq.gradients:
-                bars = cotangents(eq, case, eq(**case.inputs))
+                bars = cotangents_of(eq, eq(**case.inputs), f"{key}/{case.name}", case.cotangents)
                 found = sixty.gradient(key, case.inputs, bars, samples=1)
                 for name, a in found.items():
                     for array in a if isinstance(a, list) else [a]:
@@ -281,33 +257,27 @@ def test_bits_of_another_library(row):
 # --- NumPy against the decimals ------------------------------------------------------------------
 @lru_cache(None)
 def measured(key, name, dtype, samples):
-    case = next(case for case in cases_of(key) if case.name == name)
-    return measure(key, case, np.dtype(dtype).type, samples)
+    return measure(key, case_of(key, name), np.dtype(dtype).type, samples)
 
 
 # Allowed errors, in eps times the largest magnitude of the array, and why some cases need more.
 ALLOWED = {
-    "": 16,
-    "projection/needle": 2**27,
-    "projection/one_behind": 64,
-    "ssim/flat": 2**12,
-    "likelihood/narrow": 64,
-    "likelihood/tail_of_narrow_bins": 64,
-    "likelihood/edge_of_a_wide_bin": 64,
-    "sh_color/at_the_clamp": 2**53,
-    "conditional/round_in_the_plane": 2**53,
-    "spherindrical/a_period_and_a_quarter": 32,
-}
-REASONS = {
-    "projection/needle": "the determinant cancels: length over width, squared, is 3e8",
-    "ssim/flat": "E[x^2] - mu^2 cancels: mu^2 / C2 is 900, in a denominator",
-    "projection/one_behind": "two large entries of the determinant cancel near the camera",
-    "likelihood/narrow": "slopes: the Taylor series of a bin ends at 3e-15",
-    "likelihood/tail_of_narrow_bins": "the same",
-    "likelihood/edge_of_a_wide_bin": "slopes: tails by difference",
-    "sh_color/at_the_clamp": "the last digit of a constant decides on which side it is",
-    "conditional/round_in_the_plane": "the velocity is 0 but for the rounding of the inputs",
-    "spherindrical/a_period_and_a_quarter": "a zero of the cosine: the angle of 2.5 pi is rounded",
+    "": (16, "a few roundings"),
+    "projection/needle": (2**27, "the determinant cancels: length over width, squared, is 3e8"),
+    "projection/one_behind": (64, "two large entries of the determinant cancel near the camera"),
+    "ssim/flat": (2**12, "E[x^2] - mu^2 cancels: mu^2 / C2 is 900, in a denominator"),
+    "likelihood/narrow": (64, "slopes: the Taylor series of a bin ends at 3e-15"),
+    "likelihood/tail_of_narrow_bins": (64, "the same"),
+    "likelihood/edge_of_a_wide_bin": (64, "slopes: tails by difference"),
+    "sh_color/at_the_clamp": (2**53, "the last digit of a constant decides on which side it is"),
+    "conditional/round_in_the_plane": (
+        2**53,
+        "the velocity is 0 but for the rounding of the inputs",
+    ),
+    "spherindrical/a_period_and_a_quarter": (
+        32,
+        "a zero of the cosine: the angle of 2.5 pi is rounded",
+    ),
 }
 
 
@@ -326,7 +296,7 @@ def compare(key, name, dtype, samples):
         if kept[side] is None:
             assert e == np.inf and place in CULLED, f"{place}, {side}: record it again"
             continue
-        assert e <= ALLOWED.get(place, ALLOWED[""]), f"{place}, {side}: off by {e:.3g} eps S"
+        assert e <= ALLOWED.get(place, ALLOWED[""])[0], f"{place}, {side}: off by {e:.3g} eps S"
         assert e <= 2 * max(kept[side], 1), (
             f"{place}, {side}: off by {e:.3g} eps S, recorded {kept[side]:.3g}"
         )
@@ -348,7 +318,6 @@ def test_reference_at_every_element_and_in_float32(key, name):
 def test_the_record_is_of_these_cases():
     assert set(RECORDED) == set(ALL_EQUATIONS) == set(FORMULAS)
     assert {(key, name) for key, by in RECORDED.items() for name in by["float64"]} == set(CASES)
-    assert set(ALLOWED) - {""} == set(REASONS)
     for key, eq in ALL_EQUATIONS.items():
         assert set(eq.gradients) == set(FORMULAS[key][1])
 
@@ -360,10 +329,9 @@ def test_the_record_is_written_as_it_is_read():
 # --- mistakes are seen ---------------------------------------------------------------------------
 def lost(key, name, changes):
     """The errors of an equation with some of its text replaced."""
-    case = next(case for case in cases_of(key) if case.name == name)
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(ALL_EQUATIONS, key, edited(key, changes))
-        return sixty.error(key, case, samples=SAMPLES)
+        return sixty.error(key, case_of(key, name), samples=SAMPLES)
 
 
 def test_mistakes_are_seen():

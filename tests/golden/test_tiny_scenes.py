@@ -33,7 +33,12 @@ def test_committed_scenes_can_be_drawn_again(name, tmp_path):
         elif file.suffix == ".npy":
             np.testing.assert_allclose(np.load(new / file), np.load(old / file), atol=1e-5)
         else:
-            same_values(json.loads((new / file).read_text()), json.loads((old / file).read_text()))
+            assert rounded(new / file) == rounded(old / file), file
+
+
+def rounded(file):
+    """The text of a JSON file with numbers as far as another NumPy has the same digits."""
+    return json.dumps(json.loads(file.read_text(), parse_float=lambda s: round(float(s), 9)))
 
 
 def test_the_size_of_twocams_is_stated():
@@ -41,19 +46,6 @@ def test_the_size_of_twocams_is_stated():
     assert len(files) == 2 * (48 + 12) + 4
     size = sum(file.stat().st_size for file in files)
     assert f"| {size:,} |" in (packaged_folder() / "README.md").read_text()
-
-
-def same_values(new, old):
-    """Two JSON values are equal, numbers up to what another NumPy may round otherwise."""
-    if isinstance(old, dict):
-        assert list(new) == list(old)
-        new, old = list(new.values()), list(old.values())
-    if isinstance(old, list):
-        assert len(new) == len(old)
-        for pair in zip(new, old):
-            same_values(*pair)
-    else:
-        assert new == (pytest.approx(old, abs=1e-12) if isinstance(old, float) else old)
 
 
 def test_twocams_is_read_as_it_was_drawn():
@@ -73,24 +65,6 @@ def test_twocams_is_read_as_it_was_drawn():
     left, right = (eyes[side].center - description.cameras.target for side in ("left", "right"))
     cosine = left @ right / np.linalg.norm(left) / np.linalg.norm(right)
     assert np.degrees(np.arccos(cosine)) == pytest.approx(4.53, abs=0.01)
-
-
-def test_the_points_of_twocams_lie_on_its_bodies():
-    """On a face of the table, on the pillar or on the ball, where it is at the time 0."""
-    table, pillar, ball = describe(two_cameras.SOURCE).bodies
-    x = load_scene("twocams").points
-    faces = np.abs(x - table.position) / table.shape.half
-    foot, top = pillar.shape.start, pillar.shape.end
-    share = np.clip((x - foot) @ (top - foot) / ((top - foot) @ (top - foot)), 0, 1)
-    off = {
-        "table": np.abs(faces.max(axis=1) - 1),
-        "pillar": np.linalg.norm(x - foot - share[:, None] * (top - foot), axis=1)
-        - pillar.shape.radius,
-        "ball": np.linalg.norm(x - ball.position, axis=1) - ball.shape.radius,
-    }
-    nearest = np.abs(list(off.values()))
-    assert nearest.min(axis=0).max() < 1e-5
-    assert np.all(np.bincount(nearest.argmin(axis=0)) >= 15)
 
 
 @pytest.mark.slow

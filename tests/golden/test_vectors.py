@@ -8,7 +8,6 @@ import pytest
 from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.compare import deviations
 from tests.golden import vectors
-from tests.golden.subjects import subjects
 
 # What may differ from the published manifest: bytes move with the last digits of numbers.
 MEASURED = ("files", "generator")
@@ -67,12 +66,7 @@ def test_regenerated_vectors_are_the_published_ones(regenerated):
 @pytest.mark.slow
 def test_the_regenerated_manifest_is_the_published_one(regenerated):
     manifest, folder = regenerated
-    old, new = described(published.read_manifest()), described(published.read_manifest(folder))
-    for a, b in zip(old["subjects"], new["subjects"], strict=True):
-        for x, y in zip(a.pop("cases"), b.pop("cases"), strict=True):
-            assert x == y
-        assert a == b
-    assert old == new
+    assert described(published.read_manifest(folder)) == described(published.read_manifest())
 
 
 def test_adding_cases_leaves_the_published_ones_as_they_are(monkeypatch):
@@ -91,17 +85,6 @@ def test_only_what_is_not_released_is_computed_anew():
         vectors.refuse_released(["kernel", "offsets"])
 
 
-def test_an_earlier_version_is_written_without_what_joined_later(monkeypatch, tmp_path):
-    monkeypatch.setattr(vectors, "vector", None)
-    manifest = vectors.write(tmp_path, keep=True, version="1.0")
-    assert manifest == published.read_manifest(tmp_path) and not vectors.damaged(tmp_path)
-    assert "kernel" not in {s["key"] for s in manifest["subjects"]} and "trace.safetensors" in {
-        file.name for file in tmp_path.iterdir()
-    }
-    old = published.read_manifest(version="1.0")
-    assert {**manifest, "generator": 0} == json.loads(json.dumps({**old, "generator": 0}))
-
-
 def test_a_damaged_file_is_found(tmp_path):
     vectors_of = published.FOLDER
     for name in ("manifest.json", "view.safetensors"):
@@ -109,7 +92,3 @@ def test_a_damaged_file_is_found(tmp_path):
     assert set(vectors.damaged(tmp_path)) == set(published.read_manifest()["files"]) - {
         "view.safetensors"
     }
-
-
-def test_subjects_stand_in_the_order_of_the_manifest():
-    assert list(subjects()) == [s["key"] for s in published.read_manifest()["subjects"]]

@@ -4,7 +4,7 @@
 and leaves all others as they are. `--again KEY` computes the published cases of a subject anew too,
 which is allowed until its version has been released. `python -m tests.golden.vectors DIR` computes
 all cases again into a folder and puts the codec's streams beside them, as `p4dgs-ref oracle export
-DIR` does with the published ones; `--vectors 1.0` does so with an earlier version.
+DIR` does with the published ones.
 """
 
 import argparse
@@ -228,12 +228,9 @@ def flags():
     return found
 
 
-def write(folder, progress=lambda text: None, keep=False, again=(), version=LATEST):
-    """Write a version of the vectors into an existing folder; return the manifest. See `build`."""
+def write(folder, progress=lambda text: None, keep=False, again=()):
+    """Write the vectors into an existing folder; return the manifest. See `build`."""
     files, manifest = build(progress, keep, again)
-    if version != LATEST:
-        manifest = published.limited(manifest, version)
-        files = {name: files[name] for name in manifest["files"]}
     files["manifest.json"] = _json(manifest)
     files["FLAGS.json"] = _json(flags())
     for name, data in files.items():
@@ -302,12 +299,12 @@ def refuse_released(again):
             raise ValueError(f"{key}: cases since {min(since)} keep their bytes")
 
 
-def regenerate(folder, progress, version=LATEST):
-    """Compute a version into a folder that has the files which `oracle export` writes."""
+def regenerate(folder, progress):
+    """Compute all vectors into a folder that has the files which `oracle export` writes."""
     with filled(folder) as place:
         for name in WRITTEN:
             shutil.copyfile(FOLDER / name, place / name)
-        write(place, progress, version=version)
+        write(place, progress)
         copy_streams(place)
         write_expected(place)
 
@@ -315,11 +312,10 @@ def regenerate(folder, progress, version=LATEST):
 def main():
     parser = argparse.ArgumentParser(description="Makes the vectors.")
     parser.add_argument("folder", nargs="?", help="compute all vectors into this folder")
-    parser.add_argument("--vectors", default=LATEST, choices=published.VERSIONS)
     parser.add_argument("--again", nargs="+", default=(), metavar="KEY", help="subjects")
     arguments = parser.parse_args()
     if arguments.folder:
-        regenerate(arguments.folder, print, arguments.vectors)
+        regenerate(arguments.folder, print)
         return
     refuse_released(arguments.again)
     write(FOLDER, print, keep=True, again=arguments.again)

@@ -70,3 +70,8 @@ def cases_of(key):
     """The cases of the equation with that key."""
     room = "tests.lab.baselines.cases" if key in BASELINE_EQUATIONS else __name__
     return list(import_module(f"{room}.{key}").cases())
+
+
+def case_of(key, name="ordinary"):
+    """A case by the key of its equation and its own name."""
+    return next(case for case in cases_of(key) if case.name == name)

@@ -4,7 +4,27 @@ import sys
 
 from p4dgs_ref.lab.stability import table
 
-from .measured import procedure_rows
+from .catalogue import ENTRIES
+from .coding import CODING
+from .entry import DTYPES
+from .procedures import PROCEDURES
+
+
+def procedure_rows():
+    """Rows with the fields of `p4dgs-ref stability`, in both precisions."""
+    measure = {**CODING, **PROCEDURES}
+    return [
+        {
+            "id": entry.id,
+            "equation": entry.equation,
+            "says": entry.says,
+            "dtype": dtype,
+            **table.judged(measure[entry.id](dtype)),
+        }
+        for entry in ENTRIES.values()
+        if entry.case is None
+        for dtype in DTYPES
+    ]
 
 
 def main():

@@ -20,7 +20,7 @@ from p4dgs_ref.equations import rounding
 from p4dgs_ref.model import LATTICE, snap
 from tests.golden.sample_model import sample_model
 
-from .verdicts import exact, refuses
+from .procedures import exact, refuses
 
 
 def positions(dtype):

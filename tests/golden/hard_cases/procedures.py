@@ -18,8 +18,6 @@ from p4dgs_ref.training.adam import BETA_1, BETA_2, EPSILON, Adam
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.progress import psnr
 
-from .verdicts import exact, refuses
-
 FEW = 64  # eps: a few roundings of terms a few times larger than their sum
 SPLATS = ("mean2d", "conic", "alpha", "color")  # the inputs of compositing with a gradient
 
@@ -27,6 +25,20 @@ SPLATS = ("mean2d", "conic", "alpha", "color")  # the inputs of compositing with
 def within(dtype, double, single):
     """The bound of a precision."""
     return double if dtype == "float64" else single
+
+
+def exact(literal, ours, true, error):
+    """The result of a procedure that must be exactly right."""
+    return Measured(literal, ours, true, float(error), None, 0.0, None)
+
+
+def refuses(call, error, says=""):
+    """Whether a call raises that error, with a message that contains `says`."""
+    try:
+        call()
+    except error as refusal:
+        return says in str(refusal)
+    return False
 
 
 # --- rate ----------------------------------------------------------------------------------------

@@ -8,7 +8,6 @@ equations against them.
 
 from .errors import error
 from .floats import text, to_float
-from .functions import DIGITS
-from .gradients import GRADIENT_DIGITS, gradient, value
+from .gradients import gradient, value
 
-__all__ = ["DIGITS", "GRADIENT_DIGITS", "error", "gradient", "text", "to_float", "value"]
+__all__ = ["error", "gradient", "text", "to_float", "value"]

@@ -1,11 +1,13 @@
 """How far the NumPy equations are from the decimal ones, in eps times the size of their terms."""
 
-import zlib
 from decimal import Decimal
 
 import numpy as np
 
 from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
+from p4dgs_ref.oracle.compare import cast
+from p4dgs_ref.oracle.published import flatten
+from p4dgs_ref.oracle.tolerance import cotangents_of
 
 from .floats import to_float, wrapped
 from .functions import working
@@ -21,16 +23,27 @@ def error(key, case, dtype=np.float64, scale=None, samples=None):
     array. Raises OverflowError where inputs leave the range of `dtype`.
     """
     eq, eps = ALL_EQUATIONS[key], float(np.finfo(dtype).eps)
-    inputs = cast(case.inputs, dtype)
+    inputs = held(case.inputs, dtype)
     outputs, pullback = eq.vjp(**inputs)
-    got, want = flat(outputs, "out."), flat(value(key, inputs), "out.")
+    got, want = flatten(outputs, "out."), flatten(value(key, inputs), "out.")
     if eq.gradients:
-        bars = cast(cotangents(eq, case, outputs), dtype)
-        got |= flat(pullback(**bars), "in_bar.")
-        want |= flat(gradient(key, inputs, bars, samples=samples), "in_bar.")
+        bars = cotangents_of(eq, outputs, f"{key}/{case.name}", case.cotangents)
+        bars = held(bars, dtype)
+        got |= flatten(pullback(**bars), "in_bar.")
+        want |= flatten(gradient(key, inputs, bars, samples=samples), "in_bar.")
     if missing := sorted(set(want) - set(got)):
         raise ValueError(f"{key}, case {case.name}: the NumPy equation lacks {missing}")
     return {name: _worst(got[name], want[name], (scale or {}).get(name), eps) for name in want}
+
+
+def held(values, dtype):
+    """Values in another precision; raises OverflowError where they leave its range."""
+    with np.errstate(over="ignore", under="ignore"):
+        found = cast(values, dtype)
+    wide, narrow = flatten(values), flatten(found)
+    if any((np.isfinite(a) & ~np.isfinite(narrow[n])).any() for n, a in wide.items()):
+        raise OverflowError(f"inputs beyond the largest {np.dtype(dtype).name}")
+    return found
 
 
 def _worst(got, want, S, eps):
@@ -55,42 +68,3 @@ def _off(got, want, S, eps):
         return float("inf")
     with working():
         return float(abs(Decimal(float(got)) - want) / (Decimal(float(S)) * Decimal(eps)))
-
-
-def flat(values, prefix):
-    """{"weights": [W]} -> {"in_bar.weights.0": W}."""
-    arrays = {}
-    for name, a in values.items():
-        if isinstance(a, list):
-            arrays.update({f"{prefix}{name}.{i}": b for i, b in enumerate(a)})
-        else:
-            arrays[prefix + name] = a
-    return arrays
-
-
-def cast(values, dtype):
-    """Float arrays in another precision; everything else stays."""
-
-    def change(a):
-        if isinstance(a, list):
-            return [change(b) for b in a]
-        if not isinstance(a, (np.ndarray, np.generic)) or a.dtype.kind != "f":
-            return a
-        with np.errstate(over="ignore", under="ignore"):
-            b = a.astype(dtype)
-        if (np.isfinite(a) & ~np.isfinite(b)).any():
-            raise OverflowError(f"inputs beyond the largest {np.dtype(dtype).name}")
-        return b
-
-    return {name: change(a) for name, a in values.items()}
-
-
-def cotangents(eq, case, outputs):
-    """The cotangents of the case, and normal numbers drawn by its name for the other outputs."""
-    rng = np.random.default_rng(zlib.crc32(f"{eq.key}/{case.name}".encode()))
-    found = {}
-    for name, a in outputs.items():
-        if eq.gradients and np.asarray(a).dtype.kind == "f":
-            drawn = np.asarray(rng.standard_normal(np.shape(a)))
-            found[name + "_bar"] = case.cotangents.get(name + "_bar", drawn)
-    return found

@@ -16,7 +16,6 @@ from . import baselines, images, prediction, rates
 from .floats import exact, wrapped
 from .functions import WORKING, working
 
-GRADIENT_DIGITS = 50  # trusted, relative to the largest term of the gradient
 FORMULAS = {
     **prediction.FORMULAS,
     **rates.FORMULAS,
