@@ -59,7 +59,7 @@ def begin(name):
 
     The drawing belongs to the checkout, as the tutorials do; without one it is left out.
     """
-    sys.path += [str(root) for root in here().parents if (root / "tutorials" / "tools").is_dir()]
+    sys.path.extend(str(root) for root in here().parents if (root / "tutorials" / "tools").is_dir())
     with suppress(ModuleNotFoundError):
         import_module("tutorials.tools.architecture").show(name)
     return pyplot()
