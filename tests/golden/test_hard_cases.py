@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from p4dgs_ref.lab.stability.cases import FILE
+from p4dgs_ref.lab.stability.table import FILE
 from p4dgs_ref.table import EQUATIONS
 from tests.golden import checks
 from tests.golden.cases import FLAGS, cases_of

@@ -1,6 +1,6 @@
 """What the hard cases that are procedures return."""
 
-from p4dgs_ref.lab.stability.judge import Measured
+from p4dgs_ref.lab.stability.table import Measured
 
 
 def exact(literal, ours, true, error):
