@@ -17,7 +17,7 @@ import numpy as np
 from ...splatting.settings import FAST
 from ...training.presets import read_changes
 from ...training.progress import Progress
-from . import ply
+from . import explicit
 
 # The names in comparisons, each with its module and its preset for the tiny scenes.
 METHODS = {
@@ -68,5 +68,5 @@ def train(
 
 def load(path):
     """The model in a file of any method. Raises ValueError for another file."""
-    *_, values = ply.read(path)
+    *_, values = explicit.read_file(path)
     return module_of(values["method"])[0].MODEL.load(path)

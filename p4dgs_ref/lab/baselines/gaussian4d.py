@@ -19,7 +19,7 @@ import numpy as np
 
 from ...equations.numerics import sigmoid, sigmoid_slope
 from ...splatting import render
-from . import conditional, density, explicit, marginal, rotation_4d, spherindrical, trainer
+from . import conditional, explicit, marginal, rotation_4d, spherindrical, trainer
 
 LEAST_WEIGHT = 0.05
 
@@ -216,5 +216,5 @@ class Trainer(trainer.Trainer):
         drawn = np.einsum("nij,nj->ni", R, s * self.rng.normal(size=s.shape))
         children["x"] += drawn[:, :3]
         children["mu_t"] += drawn[:, 3]
-        children["log_s"] -= np.log(density.SHRINK)
-        children["log_s_t"] -= np.log(density.SHRINK)
+        children["log_s"] -= np.log(trainer.SHRINK)
+        children["log_s_t"] -= np.log(trainer.SHRINK)

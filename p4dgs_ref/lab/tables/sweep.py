@@ -10,10 +10,9 @@ from ...report.figures import BLUE, LIGHT_BLUE, RED, STACK, write_csv
 from ...report.inspect import components
 from ...scenes.files import read_json
 from ...scenes.output import write_atomically
-from ..writer import draw_curves, means, points_of, table
+from ..writer import bd_rate, draw_curves, means, points_of, table
 from . import methods
 from .methods import OURS, StudyError, Task
-from .rate_distortion import bd_rate
 
 VERSION = 2
 LAMBDAS = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2)
