@@ -24,6 +24,7 @@ from typing import ClassVar
 import numpy as np
 
 from ...equations import view
+from ...model import pull
 from ...scenes.files import reading
 from ...scenes.ply import read_ply, write_ply
 from ...scenes.scene import require
@@ -103,11 +104,10 @@ class Explicit:
 
     initial(preset, rng, points)     the first arrays by name (a static method)
     predict(t, x_c, iteration=None)  the Gaussians at time t as the camera at x_c sees them, and
-                                     what `predict_backward` needs; without an iteration of
-                                     training, those of the finished model
-    predict_backward(saved, x_bar, s_bar, r_bar, alpha_bar, color_bar)
-                                     gradients of arrays {name: gradient} and of networks
-                                     {name: {"weights": ..., "biases": ...}}
+                                     back(x_bar, s_bar, r_bar, alpha_bar, color_bar), which returns
+                                     the gradients of arrays {name: gradient} and of networks
+                                     {name: {"weights": ..., "biases": ...}}; without an iteration
+                                     of training, the Gaussians are those of the finished model
     """
 
     parameters: Parameters
@@ -140,13 +140,9 @@ class Explicit:
         return image
 
     def draw(self, g, camera, settings, keep=True):
-        """What `splatting.render.forward` returns for some Gaussians."""
+        """What `splatting.render.forward` returns for some Gaussians, and its backward."""
         looks = camera, self.background, settings, self.occlusion, keep
-        return render.forward(g.x, g.s, g.r, g.alpha, g.color, *looks)
-
-    def draw_backward(self, saved, image_bar):
-        """Gradients of the fields of the Gaussians, and of mean2d."""
-        return render.backward(saved, image_bar)
+        return pull(render, g.x, g.s, g.r, g.alpha, g.color, *looks)
 
     def regularise(self, gradients, iteration):
         """Return the further terms of the loss and add their gradients; here there are none."""
@@ -210,23 +206,22 @@ def start(preset, rng, points=None):
 def colors(p, x, x_c, degree):
     """D2 for Gaussians at x [N, 3] as the camera at x_c sees them, up to a degree.
 
-    The direction is that of the moved Gaussian, as in the kernel of 3DGS.
+    Returns the colors and back(color_bar), the gradients of x, sh_dc and sh_rest. The direction is
+    that of the moved Gaussian, as in the kernel of 3DGS.
     """
-    (_, d), saved_view = view.forward(x, x_c)
+    (_, d), back_view = pull(view, x, x_c)
     used = (degree + 1) ** 2 - 1
     sh = np.concatenate([p["sh_dc"], p["sh_rest"][:, :, :used]], axis=2)
-    color, saved_color = sh_color.forward(d, sh)
-    return color, (p["sh_rest"], saved_view, saved_color)
+    color, back_color = pull(sh_color, d, sh)
 
+    def back(color_bar):
+        bars = back_color(color_bar)
+        sh_rest_bar = np.zeros_like(p["sh_rest"])
+        sh_rest_bar[:, :, :used] = bars["sh"][:, :, 1:]
+        x_bar = back_view(np.zeros_like(d[:, :1]), bars["d"])["x_a"]
+        return {"x": x_bar, "sh_dc": bars["sh"][:, :, :1], "sh_rest": sh_rest_bar}
 
-def colors_backward(saved, color_bar):
-    """Gradients of x [N, 3], sh_dc and sh_rest."""
-    sh_rest, saved_view, saved_color = saved
-    bars = sh_color.backward(saved_color, color_bar)
-    sh_rest_bar = np.zeros_like(sh_rest)
-    sh_rest_bar[:, :, : bars["sh"].shape[2] - 1] = bars["sh"][:, :, 1:]
-    x_bar = view.backward(saved_view, np.zeros_like(bars["d"][:, :1]), bars["d"])["x_a"]
-    return {"x": x_bar, "sh_dc": bars["sh"][:, :, :1], "sh_rest": sh_rest_bar}
+    return color, back
 
 
 def degree_at(preset, iteration):

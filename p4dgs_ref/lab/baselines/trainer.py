@@ -9,6 +9,7 @@ import numpy as np
 
 from ...equations import render_loss
 from ...equations.numerics import normalise, sigmoid
+from ...model import pull
 from ...splatting.covariance import rotation_matrix
 from ...splatting.settings import FAST
 from ...training.adam import exponential
@@ -76,16 +77,14 @@ class Trainer(Loop):
         preset, p = self.preset, self.parameters
         model, gradients = self.around(p), p.zeros()
         x_c = view.camera.center.astype(p.vector.dtype)
-        g, saved_model = model.predict(self.time_of(view), x_c, self.iteration)
-        (image, _, visible), saved_render = model.draw(g, view.camera, self.settings)
+        g, back_predict = model.predict(self.time_of(view), x_c, self.iteration)
+        (image, _, visible), back_draw = model.draw(g, view.camera, self.settings)
         truth = view.image.astype(image.dtype)
-        losses, saved_loss = render_loss.forward(
-            image, truth, preset.lambda_ssim, self.moments_of(view)
-        )
-        image_bar = render_loss.backward(saved_loss, 1.0)["image"]
-        bars = model.draw_backward(saved_render, image_bar)
+        moments = self.moments_of(view)
+        losses, back_loss = pull(render_loss, image, truth, preset.lambda_ssim, moments)
+        bars = back_draw(back_loss(1.0)["image"])
         gaussians_bar = [bars[name].astype(p.vector.dtype) for name in g._fields[:-1]]
-        arrays, networks = model.predict_backward(saved_model, *gaussians_bar)
+        arrays, networks = back_predict(*gaussians_bar)
         for name, gradient in arrays.items():
             gradients[name][...] = gradient
         for name, network_gradients in networks.items():
