@@ -45,7 +45,11 @@ def table(columns, rows):
     `columns` is {heading: form}; a form is filled with the fields of a row. Fields that are None or
     missing give a dash.
     """
-    cells = [[*columns], *([filled(form, row) for form in columns.values()] for row in rows)]
+    return aligned([columns, *([filled(form, row) for form in columns.values()] for row in rows)])
+
+
+def aligned(cells):
+    """Rows of text as lines, the first column to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*cells)]
     forms = [f"{'<' if i == 0 else '>'}{width}" for i, width in enumerate(widths)]
     return ["  ".join(map(format, line, forms)).rstrip() for line in cells]
