@@ -68,5 +68,5 @@ def train(
 
 def load(path):
     """The model in a file of any method. Raises ValueError for another file."""
-    *_, values = explicit.read_file(path)
-    return module_of(values["method"])[0].MODEL.load(path)
+    arrays, values = explicit.read_file(path)
+    return module_of(values["method"])[0].MODEL.of_file(arrays, values)

@@ -17,6 +17,7 @@ own. The text is the overhead, about 2 KB.
 """
 
 import json
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -155,38 +156,33 @@ class Explicit:
             arrays["normals"] = np.zeros((N, 3))
         rows = {name: arrays.pop(name) for name in self.PROPERTIES}
         columns = {name: array.reshape(N, array[:1].size) for name, array in rows.items()}
-        properties = []
-        for name, text in self.PROPERTIES.items():
-            numbers = range(columns[name].shape[1])
-            properties += (
-                [text.replace("*", str(i)) for i in numbers] if "*" in text else text.split()
-            )
+        properties = [
+            text.replace("*", str(i)) if "*" in text else text.split()[i]
+            for name, text in self.PROPERTIES.items()
+            for i in range(columns[name].shape[1])
+        ]
+        numbers = np.concatenate([np.zeros(0), *(array.ravel() for array in arrays.values())])
+        elements = {
+            "vertex": (properties, np.concatenate([*columns.values()], axis=1)),
+            "network": (["value"], numbers[:, None]),
+        }
         values = {
             "method": self.METHOD,
             "form": {field: getattr(self.preset, field) for field in self.FORM},
             "background": [float(c) for c in self.background],
             "occlusion": self.occlusion,
             "rows": {name: array.shape[1:] for name, array in rows.items()},
+            "shapes": {name: array.shape for name, array in arrays.items()},
         }
-        vertices = np.concatenate([*columns.values()], axis=1)
-        return write_file(path, properties, vertices, arrays, values)
+        other, gaussians, network = write_ply(path, elements, [json.dumps(values)])
+        return {"gaussians": gaussians, "network": network, "other": other}
 
     @classmethod
-    def load(cls, path):
-        """The model in a file. Raises ValueError for a file of another method."""
-        vertices, networks, values = read_file(path)
-        if values["method"] != cls.METHOD:
-            raise ValueError(f"{path}: method {values['method']!r}: expected {cls.METHOD!r}")
-        ends = np.cumsum([int(np.prod(shape)) for shape in values["rows"].values()])
-        parts = np.split(vertices, ends[:-1], axis=1)
-        arrays = {
-            name: part.reshape(len(vertices), *shape)
-            for (name, shape), part in zip(values["rows"].items(), parts)
-            if name != "normals"
-        }
+    def of_file(cls, arrays, values):
+        """The model of what `read_file` returns."""
         preset = replace(cls.DEFAULT, **values["form"])
         background = np.array(values["background"])
-        return cls(Parameters({**arrays, **networks}), preset, background, values["occlusion"])
+        return cls(Parameters(arrays), preset, background, values["occlusion"])
 
 
 def start(preset, rng, points=None):
@@ -231,27 +227,10 @@ def degree_at(preset, iteration):
     return min(iteration // preset.sh_every, preset.sh_degree)
 
 
-def write_file(path, properties, vertices, networks, values):
-    """Write a file and return its bytes as {"gaussians": ..., "network": ..., "other": ...}.
-
-    `properties` names the columns of vertices [N, P], `networks` is {name: array}, and `values` are
-    JSON values by name.
-    """
-    shapes = {name: array.shape for name, array in networks.items()}
-    numbers = np.concatenate([np.zeros(0), *(array.ravel() for array in networks.values())])
-    elements = {
-        "vertex": (properties, vertices),
-        "network": (["value"], numbers[:, None]),
-    }
-    comment = json.dumps({**values, "shapes": shapes})
-    other, gaussians, network = write_ply(path, elements, [comment])
-    return {"gaussians": gaussians, "network": network, "other": other}
-
-
 def read_file(path):
-    """Return vertices [N, P], networks {name: array} and the JSON values of a file.
+    """Return the arrays {name: array} and the JSON values of a file.
 
-    Raises ValueError with one line for a file that `write_file` has not written.
+    Raises ValueError with one line for a file that no model has saved.
     """
     with reading(Path(path), "the file of a baseline"):
         elements, comments, rest = read_ply(path, ("vertex", "network"))
@@ -259,9 +238,15 @@ def read_file(path):
             rows.view("<f4").reshape(len(rows), len(rows.dtype)) for rows in elements.values()
         )
         values = json.loads(comments[0])
-        shapes = values.pop("shapes")
-        sizes = [int(np.prod(shape)) for shape in shapes.values()]
+        sizes = [math.prod(shape) for shape in values["shapes"].values()]
         require(not rest and sum(sizes) == len(flat), path, "expected a whole file of a baseline")
-    arrays = np.split(flat.ravel(), np.cumsum(sizes)[:-1]) if sizes else []
-    networks = {name: array.reshape(shape) for (name, shape), array in zip(shapes.items(), arrays)}
-    return vertices, networks, values
+    arrays = {**split(vertices, values["rows"]), **split(flat[:, 0], values["shapes"])}
+    arrays.pop("normals", None)
+    return arrays, values
+
+
+def split(numbers, shapes):
+    """The arrays {name: array} of some shapes that lie one after another along the last axis."""
+    ends = np.cumsum([math.prod(shape) for shape in shapes.values()])
+    parts = zip(shapes.items(), np.split(numbers, ends[:-1].astype(int), axis=-1))
+    return {name: part.reshape(*numbers.shape[:-1], *shape) for (name, shape), part in parts}

@@ -201,6 +201,3 @@ def test_bad_files(trained, tmp_path):
         with pytest.raises(ValueError, match="a.ply|method 'xxxxx'") as caught:
             baselines.load(path)
         assert "\n" not in str(caught.value)
-    path.write_bytes(wrong)
-    with pytest.raises(ValueError, match="expected 'd3dgs'"):
-        d3dgs.D3DGS.load(path)
