@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...codec.file import decode, encode
+from ...codec.file import ATTRIBUTE_SECTIONS, decode, encode
 from ...model import CONTEXT_NETWORKS, Anchors, Design, Model, bounding_box
 from ...report.evaluate import evaluate, json_safe
 from ...report.inspect import components, ledger
@@ -44,7 +44,6 @@ DATES = (
     "grow_until",
     "reset_every",
 )
-CODED_OF_ANCHORS = ("features", "scales", "offset_scales", "offsets")  # sections of a file
 
 
 class StudyError(ValueError):
@@ -188,13 +187,17 @@ def make(task):
         "train_seconds": float(seconds),
     }
     if task.path.suffix == ".p4dgs":
-        sections = ledger(task.path.read_bytes())
-        row["estimated_bytes"] = round(sum(part["estimate_bytes"] for part in sections))
-        coded = [part["bytes"] for part in sections if part["name"] in CODED_OF_ANCHORS]
-        row["anchor_bytes"] = sum(coded)
-    text = json.dumps(json_safe(row), indent=1) + "\n"
-    write_atomically(task.record, lambda file: file.write(text.encode()))
+        sections = {part["name"]: part for part in ledger(task.path.read_bytes())}
+        row["estimated_bytes"] = round(sum(part["estimate_bytes"] for part in sections.values()))
+        row["anchor_bytes"] = sum(sections[name]["bytes"] for name in ATTRIBUTE_SECTIONS)
+    write_json(task.record, json_safe(row))
     return row
+
+
+def write_json(path, values):
+    """Write JSON values to a file, which is never seen half-written."""
+    text = json.dumps(values, indent=1) + "\n"
+    write_atomically(path, lambda file: file.write(text.encode()))
 
 
 def make_missing(tasks, progress=lambda line: None, jobs=1):
