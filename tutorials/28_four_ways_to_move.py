@@ -343,8 +343,11 @@ lessons.show(figure, "28_four_ways_to_move")
 def stored(method, preset, count):
     """The numbers of one Gaussian, and those that all of them share, of a baseline."""
     few = replace(preset, gaussians=2)
-    model = method.MODEL(
-        Parameters(method.MODEL.initial(few, rng)), few, background=np.zeros(3), occlusion=True
+    model = method.Trainer.kind(
+        Parameters(method.Trainer.kind.initial(few, rng)),
+        few,
+        background=np.zeros(3),
+        occlusion=True,
     )
     own = sum(model.parameters[name][0].size for name in model.rows)
     return own, model.parameters.vector.size - 2 * own, count

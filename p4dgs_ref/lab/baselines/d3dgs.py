@@ -75,7 +75,6 @@ class D3DGS(explicit.Explicit):
     preset: Preset
 
     METHOD = "d3dgs"
-    DEFAULT = PAPER_SYNTHETIC
     FORM = ("sh_degree", "L_x", "L_t")
 
     @staticmethod
@@ -120,13 +119,10 @@ class D3DGS(explicit.Explicit):
         return Gaussians(x, s, r, alpha, color, np.arange(len(x))), back
 
 
-MODEL = D3DGS
-
-
 class Trainer(trainer.Trainer):
     """Fits one scene by D3DGS."""
 
-    kind = MODEL
+    kind = D3DGS
     RATES = {**trainer.Trainer.RATES, "psi_d": "lr_d", "psi_t": "lr_d"}
 
     def rate_of(self, name):

@@ -18,7 +18,7 @@ own. The text is the overhead, about 2 KB.
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -117,7 +117,6 @@ class Explicit:
     occlusion: bool = True
 
     METHOD: ClassVar[str]
-    DEFAULT: ClassVar[Preset]
     FORM: ClassVar[tuple]  # the fields of a preset that a file tells its reader
     PROPERTIES: ClassVar[dict] = PLY_OF_3DGS
 
@@ -176,13 +175,6 @@ class Explicit:
         }
         other, gaussians, network = write_ply(path, elements, [json.dumps(values)])
         return {"gaussians": gaussians, "network": network, "other": other}
-
-    @classmethod
-    def of_file(cls, arrays, values):
-        """The model of what `read_file` returns."""
-        preset = replace(cls.DEFAULT, **values["form"])
-        background = np.array(values["background"])
-        return cls(Parameters(arrays), preset, background, values["occlusion"])
 
 
 def start(preset, rng, points=None):

@@ -78,7 +78,6 @@ class Gaussian4D(explicit.Explicit):
     preset: Preset
 
     METHOD = "gaussian4d"
-    DEFAULT = PAPER_SYNTHETIC
     FORM = ("sh_degree", "waves")
     PROPERTIES = {
         "x": "x y z",
@@ -183,13 +182,10 @@ def four_scales(p):
     return np.exp(np.concatenate([p["log_s"], p["log_s_t"]], axis=1))
 
 
-MODEL = Gaussian4D
-
-
 class Trainer(trainer.Trainer):
     """Fits one scene by 4DGS."""
 
-    kind = MODEL
+    kind = Gaussian4D
     RATES = {
         **trainer.Trainer.RATES,
         "mu_t": "lr_t",

@@ -86,7 +86,6 @@ class HexPlane(explicit.Explicit):
     preset: Preset
 
     METHOD = "hexplane"
-    DEFAULT = PAPER_SYNTHETIC
     FORM = ("sh_degree",)
 
     @staticmethod
@@ -158,13 +157,10 @@ def first_network(rng, inputs, hidden, gain):
     return arrays
 
 
-MODEL = HexPlane
-
-
 class Trainer(trainer.Trainer):
     """Fits one scene by 4DHexPlane."""
 
-    kind = MODEL
+    kind = HexPlane
     RATES = {**trainer.Trainer.RATES, "planes": "lr_planes", "psi": "lr_psi"}
 
     def step(self):

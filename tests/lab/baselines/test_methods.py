@@ -113,7 +113,7 @@ def test_the_file_is_read_back(scene, trained, tmp_path, method):
     floats = sum(a.size for n, a in arrays.items() if n.startswith(("psi", "planes", "box")))
     assert sizes["network"] == 4 * floats and bool(floats) == (method != "gaussian4d")
     again = baselines.load(path)
-    assert isinstance(again, MODULES[method].MODEL)
+    assert isinstance(again, MODULES[method].Trainer.kind)
     assert set(again.parameters.arrays) == set(arrays)
     for name, a in arrays.items():
         assert np.array_equal(again.parameters[name], a), name
