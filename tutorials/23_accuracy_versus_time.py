@@ -272,7 +272,7 @@ def call():
 
 twice = clock.alternate({"once": call, "again": call}, 5)
 rows = {name: times.columns() for name, times in twice.items()}
-print("median and quartiles in ms:", {name: np.round(t[:3], 3) for name, t in twice.items()})
+print("median and quartiles in ms:", {n: np.round(t[:3], 3).tolist() for n, t in twice.items()})
 print("they can be told apart:", clock.can_tell(rows["once"], rows["again"]))
 
 # %% [markdown]
