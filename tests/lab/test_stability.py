@@ -111,6 +111,8 @@ def test_a_formula_that_is_worse_fails(changes, monkeypatch):
         (np.array([1.0, 2.2]), [1.0, 2.0], True, 0.1),
         (np.array([1.2, 20.0]), [1.0, 20.0], False, 0.01),
         (np.array([0.5]), [0.0], True, 0.5),
+        (np.array([2e-3]), [1e-3], True, 1.0),
+        (np.array([2e-45]), [1e-45], True, 0),  # float32 cannot hold the difference
         (np.zeros((2, 1)), [[0.0]], True, math.inf),
         (np.array([np.nan, 1]), [1.0, 1], True, math.inf),
         (np.array([7.0, 1]), [np.nan, 1], True, 0),
