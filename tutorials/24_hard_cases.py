@@ -20,8 +20,8 @@ from scipy.special import expit, ndtr
 from p4dgs_ref import oracle
 from p4dgs_ref.equations import ssim, step
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.stability import heatmap, table
 from p4dgs_ref.lab.stability import map as stability_map
+from p4dgs_ref.lab.stability import table
 from p4dgs_ref.splatting import compositing, projection
 
 plt = lessons.begin("24_hard_cases")
@@ -134,9 +134,9 @@ assert share("stable", "float64", lambda log: log > -12) == 0
 figure, axes = plt.subplots(2, 3, figsize=(10, 7), sharex=True, sharey=True, layout="constrained")
 titles = {"literal": "as printed", "HAC, floor 1e-6": "with a floor", "stable": "this project"}
 for panel, ((name, dtype), logs) in zip(axes.ravel(), found.items()):
-    mesh = heatmap.draw_heatmap(panel, *heatmap.plane(), logs)
+    mesh = stability_map.draw_heatmap(panel, *stability_map.plane(), logs)
     panel.set(title=f"{titles[name]}, {dtype}")
-heatmap.label_heatmaps(figure, axes, mesh)
+stability_map.label_heatmaps(figure, axes, mesh)
 figure.suptitle("Eq. (11): red is infinite or NaN, yellow has no correct digit")
 lessons.show(figure, "24_hard_cases")
 

@@ -13,7 +13,7 @@
 # [plane_decoder.py](../p4dgs_ref/lab/baselines/plane_decoder.py),
 # [conditional.py](../p4dgs_ref/lab/baselines/conditional.py),
 # [marginal.py](../p4dgs_ref/lab/baselines/marginal.py),
-# [rate_distortion.py](../p4dgs_ref/lab/tables/rate_distortion.py).
+# [writer.py](../p4dgs_ref/lab/writer.py).
 
 # %%
 from dataclasses import replace
@@ -34,7 +34,7 @@ from p4dgs_ref.lab.baselines import (
     rotation_4d,
 )
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.tables.rate_distortion import bd_rate, bytes_at
+from p4dgs_ref.lab.writer import bd_rate, bytes_at
 from p4dgs_ref.model import declared_numbers, deformation_layers
 from p4dgs_ref.report.evaluate import decibel, score
 from p4dgs_ref.report.inspect import ledger
@@ -343,8 +343,11 @@ lessons.show(figure, "28_four_ways_to_move")
 def stored(method, preset, count):
     """The numbers of one Gaussian, and those that all of them share, of a baseline."""
     few = replace(preset, gaussians=2)
-    model = method.MODEL(
-        Parameters(method.MODEL.initial(few, rng)), few, background=np.zeros(3), occlusion=True
+    model = method.Trainer.kind(
+        Parameters(method.Trainer.kind.initial(few, rng)),
+        few,
+        background=np.zeros(3),
+        occlusion=True,
     )
     own = sum(model.parameters[name][0].size for name in model.rows)
     return own, model.parameters.vector.size - 2 * own, count

@@ -68,33 +68,11 @@ def alternate(functions, repeats):
     return {name: times_of(seconds) for name, seconds in turns.items()}
 
 
-# --- sentences -----------------------------------------------------------------------------------
-def stated(row, unit="ms"):
-    """A time of a row with its quartiles: `5.9 ms (5.7 to 6.2)`."""
-    times = (row[unit], row[f"{unit}_low"], row[f"{unit}_high"])
-    median, low, high = (f"{a:,.0f}" if a >= 1000 else f"{a:.3g}" for a in times)
-    return f"{median} {unit} ({low} to {high})"
-
-
-def how_long(ratio):
-    """A ratio of two times in words."""
-    if 0.95 < ratio < 1.05:
-        return "as long"
-    return f"{ratio:.2g} times as long" if ratio > 1 else f"{100 * ratio:.0f} % of the time"
-
-
+# --- what may be said ----------------------------------------------------------------------------
 def can_tell(row, other, unit="ms"):
     """Whether two times differ by more than the wider of their ranges between quartiles."""
     spread = max(r[f"{unit}_high"] - r[f"{unit}_low"] for r in (row, other))
     return abs(row[unit] - other[unit]) > spread
-
-
-def compare(name, row, other_name, other, unit="ms"):
-    """A sentence about two measured times, which says so where they cannot be told apart."""
-    taken = f"{name} takes {stated(row, unit)} and {other_name} {stated(other, unit)}"
-    if not can_tell(row, other, unit):
-        return f"We cannot tell: {taken}, and the spread is as large as the difference."
-    return f"{taken[0].upper()}{taken[1:]}; that is {how_long(row[unit] / other[unit])}."
 
 
 def stretch_of(rows):

@@ -67,25 +67,12 @@ def test_waiting_for_other_programs_is_no_time(machine):
 @pytest.mark.parametrize("slower", [1, 1.2, 2, 5])
 def test_the_slower_function_is_never_called_the_faster_one(machine, seed, slower):
     rows = columns(machine(slower, 9, seed), literal=0.010, stable=0.013)
-    sentence = clock.compare("`stable`", rows["stable"], "`literal`", rows["literal"])
-    assert "cannot tell" in sentence or "times as long." in sentence
-    assert "% of the time" not in sentence and "that is 1 times" not in sentence
-    if slower == 1:
-        assert sentence.endswith("that is 1.3 times as long.")
+    told = clock.can_tell(rows["stable"], rows["literal"])
+    assert rows["stable"]["ms"] > rows["literal"]["ms"] if told else slower > 1
 
 
 def test_a_spread_larger_than_the_difference_is_no_reading(machine):
     rows = columns(machine(slower=4, seed=3), one=0.010, other=0.011)
-    sentence = clock.compare("one", rows["one"], "the other", rows["other"])
-    assert sentence.startswith("We cannot tell: one takes ") and sentence.endswith("difference.")
     assert not clock.can_tell(rows["one"], rows["other"])
     rows = columns(machine(), one=0.010, other=0.011)
-    assert clock.compare("one", rows["one"], "two", rows["other"]) == (
-        "One takes 10 ms (10 to 10) and two 11 ms (11 to 11); that is 91 % of the time."
-    )
-
-
-@pytest.mark.parametrize("ratio", [*np.linspace(0.5, 2, 31), 0.949, 1.051, 10.0, 1e3])
-def test_no_ratio_is_one_times(ratio):
-    words = clock.how_long(ratio)
-    assert not words.startswith(("1 times", "100 %")), words
+    assert clock.can_tell(rows["one"], rows["other"])

@@ -11,9 +11,8 @@ import pytest
 from p4dgs_ref.__main__ import main
 from p4dgs_ref.equations import likelihood, view
 from p4dgs_ref.lab.accuracy import formulas
-from p4dgs_ref.lab.stability import judge, table
 from p4dgs_ref.lab.stability import map as stability_map
-from p4dgs_ref.lab.stability.cases import hard_cases
+from p4dgs_ref.lab.stability import table
 from p4dgs_ref.table import EQUATIONS
 from tests.golden import quadrature
 from tests.golden.checks import altered
@@ -95,12 +94,12 @@ def wrong_gradients(saved, bits_bar):
     ],
 )
 def test_a_formula_that_is_worse_fails(changes, monkeypatch):
-    case = hard_cases()["H-R1.9sigma"]
-    assert table.judged(judge.measure(case, "float64"))["verdict"] == "ok"
+    case = table.hard_cases()["H-R1.9sigma"]
+    assert table.judged(table.measure(case, "float64"))["verdict"] == "ok"
     worse = altered(EQUATIONS["likelihood"], **changes)
     monkeypatch.setitem(EQUATIONS, "likelihood", worse)
     with np.errstate(all="ignore"):
-        judged = table.judged(judge.measure(case, "float64"))
+        judged = table.judged(table.measure(case, "float64"))
     assert judged["verdict"] == "fails"
     row = {"id": case.id, "equation": "", "dtype": "float64", **judged}
     assert "H-R1.9sigma float64" in table.describe([row])
@@ -112,6 +111,8 @@ def test_a_formula_that_is_worse_fails(changes, monkeypatch):
         (np.array([1.0, 2.2]), [1.0, 2.0], True, 0.1),
         (np.array([1.2, 20.0]), [1.0, 20.0], False, 0.01),
         (np.array([0.5]), [0.0], True, 0.5),
+        (np.array([2e-3]), [1e-3], True, 1.0),
+        (np.array([2e-45]), [1e-45], True, 0),  # float32 cannot hold the difference
         (np.zeros((2, 1)), [[0.0]], True, math.inf),
         (np.array([np.nan, 1]), [1.0, 1], True, math.inf),
         (np.array([7.0, 1]), [np.nan, 1], True, 0),
@@ -119,7 +120,7 @@ def test_a_formula_that_is_worse_fails(changes, monkeypatch):
     ],
 )
 def test_errors_are_relative_to_the_right_number(got, want, each, error):
-    assert judge.relative(got, want, each) == pytest.approx(error)
+    assert table.relative(got, want, each) == pytest.approx(error)
 
 
 # --- Eq. (11) ------------------------------------------------------------------------------------

@@ -16,7 +16,6 @@ import numpy as np
 
 from p4dgs_ref.codec.file import decode
 from p4dgs_ref.lab.accuracy import diagram, forms, report
-from p4dgs_ref.lab.stability import heatmap
 from p4dgs_ref.lab.stability import map as stability_map
 from p4dgs_ref.report.figures import write_comparison, write_size
 from p4dgs_ref.report.main_job import main_job
@@ -121,7 +120,7 @@ DRAW = {  # what draws the pictures that come from no tutorial
     "demo_size.png": (write_size,),
     "demo.gif": (animation,),
     "accuracy_rendering.png": (forms.cut, diagram.lines, diagram.place_labels),
-    "accuracy_likelihood.png": (stability_map.draw_map, heatmap),
+    "accuracy_likelihood.png": (stability_map,),
 }
 
 

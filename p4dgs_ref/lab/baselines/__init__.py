@@ -5,8 +5,8 @@
     sizes = model.save("bouncing.ply")
     model = baselines.load("bouncing.ply")
 
-The module of a method has PRESETS, MODEL (a subclass of `explicit.Explicit`) and Trainer; its
-equations are rows of `table.BASELINE_EQUATIONS`.
+The module of a method has Preset, PRESETS and Trainer, whose `kind` of model is a subclass of
+`explicit.Explicit`; its equations are rows of `table.BASELINE_EQUATIONS`.
 """
 
 from dataclasses import replace
@@ -15,9 +15,10 @@ from importlib import import_module
 import numpy as np
 
 from ...splatting.settings import FAST
+from ...training.parameters import Parameters
 from ...training.presets import read_changes
 from ...training.progress import Progress
-from . import ply
+from . import explicit
 
 # The names in comparisons, each with its module and its preset for the tiny scenes.
 METHODS = {
@@ -68,5 +69,7 @@ def train(
 
 def load(path):
     """The model in a file of any method. Raises ValueError for another file."""
-    *_, values = ply.read(path)
-    return module_of(values["method"])[0].MODEL.load(path)
+    arrays, values = explicit.read_file(path)
+    module, _ = module_of(values["method"])
+    preset, background = module.Preset(**values["form"]), np.array(values["background"])
+    return module.Trainer.kind(Parameters(arrays), preset, background, values["occlusion"])

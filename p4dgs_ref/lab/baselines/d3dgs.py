@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...equations import deformation_d3dgs, deformed
-from ...model import Gaussians, deformation_layers
+from ...model import Gaussians, deformation_layers, pull
 from ...training.adam import exponential
 from ...training.parameters import random_layers
 from . import activations, explicit, trainer
@@ -75,7 +75,6 @@ class D3DGS(explicit.Explicit):
     preset: Preset
 
     METHOD = "d3dgs"
-    DEFAULT = PAPER_SYNTHETIC
     FORM = ("sh_degree", "L_x", "L_t")
 
     @staticmethod
@@ -96,48 +95,34 @@ class D3DGS(explicit.Explicit):
     def predict(self, t, x_c, iteration=None):
         """See `Explicit`; before `warm_up` nothing moves."""
         p, preset = self.parameters, self.preset
-        (s, r, alpha), saved_activations = activations.forward(
-            p["log_s"], p["raw_r"], p["logit_alpha"]
-        )
-        x, saved_motion = p["x"], None
-        if iteration is None or iteration >= preset.warm_up:
-            deltas, saved_psi_d = deformation_d3dgs.forward(
-                x, t, *p.network("psi_d"), *p.network("psi_t"), preset.L_x, preset.L_t
-            )
-            (x, s, r), saved_deformed = deformed.forward(x, s, r, *deltas)
-            saved_motion = saved_psi_d, saved_deformed
-        color, saved_color = explicit.colors(p, x, x_c, explicit.degree_at(preset, iteration))
-        saved = saved_activations, saved_motion, saved_color
-        return Gaussians(x, s, r, alpha, color, np.arange(len(x))), saved
+        moves = iteration is None or iteration >= preset.warm_up
+        (s, r, alpha), back_stored = pull(activations, p["log_s"], p["raw_r"], p["logit_alpha"])
+        x = p["x"]
+        if moves:
+            layers = *p.network("psi_d"), *p.network("psi_t")
+            deltas, back_psi = pull(deformation_d3dgs, x, t, *layers, preset.L_x, preset.L_t)
+            (x, s, r), back_deformed = pull(deformed, x, s, r, *deltas)
+        color, back_color = explicit.colors(p, x, x_c, explicit.degree_at(preset, iteration))
 
-    def predict_backward(self, saved, x_bar, s_bar, r_bar, alpha_bar, color_bar):
-        """See `Explicit`."""
-        saved_activations, saved_motion, saved_color = saved
-        networks, colors = {}, explicit.colors_backward(saved_color, color_bar)
-        x_bar = x_bar + colors.pop("x")
-        if saved_motion:
-            saved_psi_d, saved_deformed = saved_motion
-            at_t = deformed.backward(saved_deformed, x_bar, s_bar, r_bar)
-            s_bar, r_bar = at_t["s"], at_t["r"]
-            psi_d = deformation_d3dgs.backward(
-                saved_psi_d, at_t["delta_x"], at_t["delta_s"], at_t["delta_r"], needs_x=False
-            )
-            psi_t = {"weights": psi_d["time_weights"], "biases": psi_d["time_biases"]}
-            networks = {"psi_d": psi_d, "psi_t": psi_t}
-        return {
-            "x": x_bar,
-            **activations.backward(saved_activations, s_bar, r_bar, alpha_bar),
-            **colors,
-        }, networks
+        def back(x_bar, s_bar, r_bar, alpha_bar, color_bar):
+            networks, colors = {}, back_color(color_bar)
+            x_bar = x_bar + colors.pop("x")
+            if moves:
+                at_t = back_deformed(x_bar, s_bar, r_bar)
+                s_bar, r_bar = at_t["s"], at_t["r"]
+                deltas_bar = [at_t[f"delta_{name}"] for name in "xsr"]
+                psi = back_psi(*deltas_bar, needs_x=False)
+                networks["psi_d"] = psi
+                networks["psi_t"] = {name: psi[f"time_{name}"] for name in ("weights", "biases")}
+            return {"x": x_bar, **back_stored(s_bar, r_bar, alpha_bar), **colors}, networks
 
-
-MODEL = D3DGS
+        return Gaussians(x, s, r, alpha, color, np.arange(len(x))), back
 
 
 class Trainer(trainer.Trainer):
     """Fits one scene by D3DGS."""
 
-    kind = MODEL
+    kind = D3DGS
     RATES = {**trainer.Trainer.RATES, "psi_d": "lr_d", "psi_t": "lr_d"}
 
     def rate_of(self, name):

@@ -1,16 +1,39 @@
-"""What the models of the baselines share: explicit Gaussians, their first values, their file."""
+"""What the models of the baselines share: explicit Gaussians, their first values, their file.
 
-from dataclasses import dataclass, replace
+A file is one PLY: Gaussians as its vertices, every network in a second element.
+
+    ply
+    format binary_little_endian 1.0
+    comment {"method": "d3dgs", ...}     what a reader must know besides the numbers, as JSON
+    element vertex N                     a row for each Gaussian, the properties of 3DGS's PLY
+    property float x
+    ...
+    element network M                    all weights one after another; the comment has their shapes
+    property float value
+    end_header
+
+All numbers are float32, as in the files of the authors; D3DGS keeps its network in a file of its
+own. The text is the overhead, about 2 KB.
+"""
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
 from ...equations import view
+from ...model import pull
+from ...scenes.files import reading
+from ...scenes.ply import read_ply, write_ply
+from ...scenes.scene import require
 from ...splatting import render
 from ...splatting.settings import FAST
 from ...training.initial import neighbour_distance, starting_points
 from ...training.parameters import Parameters
-from . import ply, sh_color
+from . import sh_color
 
 START_ALPHA = 0.1  # the opacity of every Gaussian before training, as in 3DGS
 # The arrays of a Gaussian in the order of 3DGS's PLY, with the names of their properties.
@@ -82,11 +105,10 @@ class Explicit:
 
     initial(preset, rng, points)     the first arrays by name (a static method)
     predict(t, x_c, iteration=None)  the Gaussians at time t as the camera at x_c sees them, and
-                                     what `predict_backward` needs; without an iteration of
-                                     training, those of the finished model
-    predict_backward(saved, x_bar, s_bar, r_bar, alpha_bar, color_bar)
-                                     gradients of arrays {name: gradient} and of networks
-                                     {name: {"weights": ..., "biases": ...}}
+                                     back(x_bar, s_bar, r_bar, alpha_bar, color_bar), which returns
+                                     the gradients of arrays {name: gradient} and of networks
+                                     {name: {"weights": ..., "biases": ...}}; without an iteration
+                                     of training, the Gaussians are those of the finished model
     """
 
     parameters: Parameters
@@ -95,7 +117,6 @@ class Explicit:
     occlusion: bool = True
 
     METHOD: ClassVar[str]
-    DEFAULT: ClassVar[Preset]
     FORM: ClassVar[tuple]  # the fields of a preset that a file tells its reader
     PROPERTIES: ClassVar[dict] = PLY_OF_3DGS
 
@@ -119,13 +140,9 @@ class Explicit:
         return image
 
     def draw(self, g, camera, settings, keep=True):
-        """What `splatting.render.forward` returns for some Gaussians."""
+        """What `splatting.render.forward` returns for some Gaussians, and its backward."""
         looks = camera, self.background, settings, self.occlusion, keep
-        return render.forward(g.x, g.s, g.r, g.alpha, g.color, *looks)
-
-    def draw_backward(self, saved, image_bar):
-        """Gradients of the fields of the Gaussians, and of mean2d."""
-        return render.backward(saved, image_bar)
+        return pull(render, g.x, g.s, g.r, g.alpha, g.color, *looks)
 
     def regularise(self, gradients, iteration):
         """Return the further terms of the loss and add their gradients; here there are none."""
@@ -138,38 +155,26 @@ class Explicit:
             arrays["normals"] = np.zeros((N, 3))
         rows = {name: arrays.pop(name) for name in self.PROPERTIES}
         columns = {name: array.reshape(N, array[:1].size) for name, array in rows.items()}
-        properties = []
-        for name, text in self.PROPERTIES.items():
-            numbers = range(columns[name].shape[1])
-            properties += (
-                [text.replace("*", str(i)) for i in numbers] if "*" in text else text.split()
-            )
+        properties = [
+            text.replace("*", str(i)) if "*" in text else text.split()[i]
+            for name, text in self.PROPERTIES.items()
+            for i in range(columns[name].shape[1])
+        ]
+        numbers = np.concatenate([np.zeros(0), *(array.ravel() for array in arrays.values())])
+        elements = {
+            "vertex": (properties, np.concatenate([*columns.values()], axis=1)),
+            "network": (["value"], numbers[:, None]),
+        }
         values = {
             "method": self.METHOD,
             "form": {field: getattr(self.preset, field) for field in self.FORM},
             "background": [float(c) for c in self.background],
             "occlusion": self.occlusion,
             "rows": {name: array.shape[1:] for name, array in rows.items()},
+            "shapes": {name: array.shape for name, array in arrays.items()},
         }
-        vertices = np.concatenate([*columns.values()], axis=1)
-        return ply.write(path, properties, vertices, arrays, values)
-
-    @classmethod
-    def load(cls, path):
-        """The model in a file. Raises ValueError for a file of another method."""
-        vertices, networks, values = ply.read(path)
-        if values["method"] != cls.METHOD:
-            raise ValueError(f"{path}: method {values['method']!r}: expected {cls.METHOD!r}")
-        ends = np.cumsum([int(np.prod(shape)) for shape in values["rows"].values()])
-        parts = np.split(vertices, ends[:-1], axis=1)
-        arrays = {
-            name: part.reshape(len(vertices), *shape)
-            for (name, shape), part in zip(values["rows"].items(), parts)
-            if name != "normals"
-        }
-        preset = replace(cls.DEFAULT, **values["form"])
-        background = np.array(values["background"])
-        return cls(Parameters({**arrays, **networks}), preset, background, values["occlusion"])
+        other, gaussians, network = write_ply(path, elements, [json.dumps(values)])
+        return {"gaussians": gaussians, "network": network, "other": other}
 
 
 def start(preset, rng, points=None):
@@ -189,23 +194,22 @@ def start(preset, rng, points=None):
 def colors(p, x, x_c, degree):
     """D2 for Gaussians at x [N, 3] as the camera at x_c sees them, up to a degree.
 
-    The direction is that of the moved Gaussian, as in the kernel of 3DGS.
+    Returns the colors and back(color_bar), the gradients of x, sh_dc and sh_rest. The direction is
+    that of the moved Gaussian, as in the kernel of 3DGS.
     """
-    (_, d), saved_view = view.forward(x, x_c)
+    (_, d), back_view = pull(view, x, x_c)
     used = (degree + 1) ** 2 - 1
     sh = np.concatenate([p["sh_dc"], p["sh_rest"][:, :, :used]], axis=2)
-    color, saved_color = sh_color.forward(d, sh)
-    return color, (p["sh_rest"], saved_view, saved_color)
+    color, back_color = pull(sh_color, d, sh)
 
+    def back(color_bar):
+        bars = back_color(color_bar)
+        sh_rest_bar = np.zeros_like(p["sh_rest"])
+        sh_rest_bar[:, :, :used] = bars["sh"][:, :, 1:]
+        x_bar = back_view(np.zeros_like(d[:, :1]), bars["d"])["x_a"]
+        return {"x": x_bar, "sh_dc": bars["sh"][:, :, :1], "sh_rest": sh_rest_bar}
 
-def colors_backward(saved, color_bar):
-    """Gradients of x [N, 3], sh_dc and sh_rest."""
-    sh_rest, saved_view, saved_color = saved
-    bars = sh_color.backward(saved_color, color_bar)
-    sh_rest_bar = np.zeros_like(sh_rest)
-    sh_rest_bar[:, :, : bars["sh"].shape[2] - 1] = bars["sh"][:, :, 1:]
-    x_bar = view.backward(saved_view, np.zeros_like(bars["d"][:, :1]), bars["d"])["x_a"]
-    return {"x": x_bar, "sh_dc": bars["sh"][:, :, :1], "sh_rest": sh_rest_bar}
+    return color, back
 
 
 def degree_at(preset, iteration):
@@ -213,3 +217,28 @@ def degree_at(preset, iteration):
     if iteration is None:
         return preset.sh_degree
     return min(iteration // preset.sh_every, preset.sh_degree)
+
+
+def read_file(path):
+    """Return the arrays {name: array} and the JSON values of a file.
+
+    Raises ValueError with one line for a file that no model has saved.
+    """
+    with reading(Path(path), "the file of a baseline"):
+        elements, comments, rest = read_ply(path, ("vertex", "network"))
+        vertices, flat = (
+            rows.view("<f4").reshape(len(rows), len(rows.dtype)) for rows in elements.values()
+        )
+        values = json.loads(comments[0])
+        sizes = [math.prod(shape) for shape in values["shapes"].values()]
+        require(not rest and sum(sizes) == len(flat), path, "expected a whole file of a baseline")
+    arrays = {**split(vertices, values["rows"]), **split(flat[:, 0], values["shapes"])}
+    arrays.pop("normals", None)
+    return arrays, values
+
+
+def split(numbers, shapes):
+    """The arrays {name: array} of some shapes that lie one after another along the last axis."""
+    ends = np.cumsum([math.prod(shape) for shape in shapes.values()])
+    parts = zip(shapes.items(), np.split(numbers, ends[:-1].astype(int), axis=-1))
+    return {name: part.reshape(*numbers.shape[:-1], *shape) for (name, shape), part in parts}

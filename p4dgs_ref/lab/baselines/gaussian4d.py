@@ -13,13 +13,15 @@ in its forward pass and x_t in its backward pass, which is a mistake.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from ...equations.numerics import sigmoid, sigmoid_slope
+from ...model import pull
 from ...splatting import render
-from . import conditional, density, explicit, marginal, rotation_4d, spherindrical, trainer
+from . import conditional, explicit, marginal, rotation_4d, spherindrical, trainer
 
 LEAST_WEIGHT = 0.05
 
@@ -76,7 +78,6 @@ class Gaussian4D(explicit.Explicit):
     preset: Preset
 
     METHOD = "gaussian4d"
-    DEFAULT = PAPER_SYNTHETIC
     FORM = ("sh_degree", "waves")
     PROPERTIES = {
         "x": "x y z",
@@ -107,46 +108,42 @@ class Gaussian4D(explicit.Explicit):
         """See `Explicit`; only the Gaussians with a weight above LEAST_WEIGHT are returned."""
         p = self.parameters
         s = four_scales(p)
-        R, saved_R = rotation_4d.forward(p["raw_l"], p["raw_r"])
-        (x, Sigma, var_t), saved_conditional = conditional.forward(p["x"], p["mu_t"], s, R, t)
-        (alpha, weight), saved_marginal = marginal.forward(
-            sigmoid(p["logit_alpha"]), p["mu_t"], var_t, t
-        )
-        color, saved_color = self.colors(x, x_c, t, iteration)
+        R, back_R = pull(rotation_4d, p["raw_l"], p["raw_r"])
+        (x, Sigma, var_t), back_conditional = pull(conditional, p["x"], p["mu_t"], s, R, t)
+        opacity = sigmoid(p["logit_alpha"])
+        (alpha, weight), back_marginal = pull(marginal, opacity, p["mu_t"], var_t, t)
+        color, back_color = self.colors(x, x_c, t, iteration)
         seen = np.flatnonzero(weight > LEAST_WEIGHT)
-        g = GaussiansAt(x[seen], Sigma[seen], alpha[seen], color[seen], seen)
-        return g, (seen, s, saved_R, saved_conditional, saved_marginal, saved_color)
 
-    def predict_backward(self, saved, x_bar, Sigma_bar, alpha_bar, color_bar):
-        """See `Explicit`."""
-        seen, s, saved_R, saved_conditional, saved_marginal, saved_color = saved
-        x_bar, Sigma_bar, alpha_bar, color_bar = (
-            self.of_all(seen, bar) for bar in (x_bar, Sigma_bar, alpha_bar, color_bar)
-        )
-        colors = self.colors_backward(saved_color, color_bar)
-        fading = marginal.backward(saved_marginal, alpha_bar, np.zeros_like(alpha_bar))
-        moving = conditional.backward(
-            saved_conditional, x_bar + colors.pop("x"), Sigma_bar, fading["var_t"]
-        )
-        log_s_bar = moving["s"] * s
-        return {
-            **colors,
-            "x": moving["x"],
-            "mu_t": moving["mu_t"] + fading["mu_t"] + colors["mu_t"],
-            "logit_alpha": fading["alpha"] * sigmoid_slope(self.parameters["logit_alpha"]),
-            "log_s": log_s_bar[:, :3],
-            "log_s_t": log_s_bar[:, 3:],
-            **rotation_4d.backward(saved_R, moving["R"]),
-        }, {}
+        def of_all(bar):
+            """The cotangent of all Gaussians, zero for those that are not rendered."""
+            full = np.zeros((len(weight), *bar.shape[1:]), bar.dtype)
+            full[seen] = bar
+            return full
 
-    def of_all(self, seen, bar):
-        """The cotangent of all Gaussians, zero for those that are not rendered."""
-        full = np.zeros((self.primitives, *bar.shape[1:]), bar.dtype)
-        full[seen] = bar
-        return full
+        def back(x_bar, Sigma_bar, alpha_bar, color_bar):
+            alpha_bar, colors = of_all(alpha_bar), back_color(of_all(color_bar))
+            fading = back_marginal(alpha_bar, np.zeros_like(alpha_bar))
+            x_bar = of_all(x_bar) + colors.pop("x")
+            moving = back_conditional(x_bar, of_all(Sigma_bar), fading["var_t"])
+            log_s_bar = moving["s"] * s
+            return {
+                **colors,
+                "x": moving["x"],
+                "mu_t": moving["mu_t"] + fading["mu_t"] + colors["mu_t"],
+                "logit_alpha": fading["alpha"] * sigmoid_slope(p["logit_alpha"]),
+                "log_s": log_s_bar[:, :3],
+                "log_s_t": log_s_bar[:, 3:],
+                **back_R(moving["R"]),
+            }, {}
+
+        return GaussiansAt(x[seen], Sigma[seen], alpha[seen], color[seen], seen), back
 
     def colors(self, x, x_c, t, iteration):
-        """D2 of G4. The waves in time become active one by one once all of space is."""
+        """D2 of G4, and back(color_bar), the gradients of x_t, mu_t, sh_dc and sh_rest.
+
+        The waves in time become active one by one once all of space is.
+        """
         p, preset = self.parameters, self.preset
         degree, waves = preset.sh_degree, preset.waves
         if iteration is not None:
@@ -154,35 +151,30 @@ class Gaussian4D(explicit.Explicit):
             degree, waves = min(steps, degree), min(max(steps - degree, 0), waves)
         stored = np.concatenate([p["sh_dc"], p["sh_rest"]], axis=2)
         sh = stored.reshape(len(x), 3, preset.waves + 1, -1)[:, :, : waves + 1]
-        sh_t, saved_sh = spherindrical.forward(sh, p["mu_t"], t)
+        sh_t, back_sh = pull(spherindrical, sh, p["mu_t"], t)
         at_t = {"sh_dc": sh_t[:, :, :1], "sh_rest": sh_t[:, :, 1:]}
-        color, saved_color = explicit.colors(at_t, x, x_c, degree)
-        return color, (saved_sh, saved_color)
+        color, back_color = explicit.colors(at_t, x, x_c, degree)
 
-    def colors_backward(self, saved, color_bar):
-        """Gradients of x_t, mu_t, sh_dc and sh_rest."""
-        saved_sh, saved_color = saved
-        bars = explicit.colors_backward(saved_color, color_bar)
-        sh_t_bar = np.concatenate([bars["sh_dc"], bars["sh_rest"]], axis=2)
-        series = spherindrical.backward(saved_sh, sh_t_bar)
-        active = series["sh"].reshape(len(color_bar), 3, -1)
-        sh_rest_bar = np.zeros_like(self.parameters["sh_rest"])
-        sh_rest_bar[:, :, : active.shape[2] - 1] = active[:, :, 1:]
-        return {
-            "x": bars["x"],
-            "mu_t": series["mu_t"],
-            "sh_dc": active[:, :, :1],
-            "sh_rest": sh_rest_bar,
-        }
+        def back(color_bar):
+            bars = back_color(color_bar)
+            series = back_sh(np.concatenate([bars["sh_dc"], bars["sh_rest"]], axis=2))
+            active = series["sh"].reshape(len(x), 3, -1)
+            sh_bar = np.zeros_like(stored)
+            sh_bar[:, :, : active.shape[2]] = active
+            return {
+                "x": bars["x"],
+                "mu_t": series["mu_t"],
+                "sh_dc": sh_bar[:, :, :1],
+                "sh_rest": sh_bar[:, :, 1:],
+            }
+
+        return color, back
 
     def draw(self, g, camera, settings, keep=True):
         """See `Explicit`."""
         looks = camera, self.background, settings, self.occlusion, keep
-        return render.draw(g.x, g.Sigma, g.alpha, g.color, *looks)
-
-    def draw_backward(self, saved, image_bar):
-        """See `Explicit`."""
-        return render.draw_backward(saved, image_bar)
+        output, saved = render.draw(g.x, g.Sigma, g.alpha, g.color, *looks)
+        return output, partial(render.draw_backward, saved)
 
 
 def four_scales(p):
@@ -190,13 +182,10 @@ def four_scales(p):
     return np.exp(np.concatenate([p["log_s"], p["log_s_t"]], axis=1))
 
 
-MODEL = Gaussian4D
-
-
 class Trainer(trainer.Trainer):
     """Fits one scene by 4DGS."""
 
-    kind = MODEL
+    kind = Gaussian4D
     RATES = {
         **trainer.Trainer.RATES,
         "mu_t": "lr_t",
@@ -216,5 +205,5 @@ class Trainer(trainer.Trainer):
         drawn = np.einsum("nij,nj->ni", R, s * self.rng.normal(size=s.shape))
         children["x"] += drawn[:, :3]
         children["mu_t"] += drawn[:, 3]
-        children["log_s"] -= np.log(density.SHRINK)
-        children["log_s_t"] -= np.log(density.SHRINK)
+        children["log_s"] -= np.log(trainer.SHRINK)
+        children["log_s_t"] -= np.log(trainer.SHRINK)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...model import Gaussians
+from ...model import Gaussians, pull
 from ...training.adam import Adam, exponential
 from ...training.parameters import random_layers
 from . import activations, explicit, plane_decoder, plane_features, plane_losses, trainer
@@ -86,7 +86,6 @@ class HexPlane(explicit.Explicit):
     preset: Preset
 
     METHOD = "hexplane"
-    DEFAULT = PAPER_SYNTHETIC
     FORM = ("sh_degree",)
 
     @staticmethod
@@ -110,42 +109,36 @@ class HexPlane(explicit.Explicit):
     def predict(self, t, x_c, iteration=None):
         """See `Explicit`; in the coarse stage nothing moves."""
         p, preset = self.parameters, self.preset
-        x, log_s, raw_r, saved_motion = p["x"], p["log_s"], p["raw_r"], None
-        if iteration is None or iteration >= preset.coarse:
+        x, log_s, raw_r = p["x"], p["log_s"], p["raw_r"]
+        moves = iteration is None or iteration >= preset.coarse
+        if moves:
             lo, hi = p["box"]
-            features, saved_features = plane_features.forward(x, t, lo, hi, p.listed("planes"))
-            deltas, saved_decoder = plane_decoder.forward(features, *p.network("psi"))
+            features, back_features = pull(plane_features, x, t, lo, hi, p.listed("planes"))
+            deltas, back_decoder = pull(plane_decoder, features, *p.network("psi"))
             x, log_s, raw_r = x + deltas[0], log_s + deltas[1], raw_r + deltas[2]
-            saved_motion = saved_features, saved_decoder
-        (s, r, alpha), saved_activations = activations.forward(log_s, raw_r, p["logit_alpha"])
-        color, saved_color = explicit.colors(p, x, x_c, explicit.degree_at(preset, iteration))
-        saved = saved_activations, saved_motion, saved_color
-        return Gaussians(x, s, r, alpha, color, np.arange(len(x))), saved
+        (s, r, alpha), back_stored = pull(activations, log_s, raw_r, p["logit_alpha"])
+        color, back_color = explicit.colors(p, x, x_c, explicit.degree_at(preset, iteration))
 
-    def predict_backward(self, saved, x_bar, s_bar, r_bar, alpha_bar, color_bar):
-        """See `Explicit`."""
-        saved_activations, saved_motion, saved_color = saved
-        gradients = explicit.colors_backward(saved_color, color_bar)
-        gradients["x"] += x_bar
-        gradients.update(activations.backward(saved_activations, s_bar, r_bar, alpha_bar))
-        networks = {}
-        if saved_motion:
-            saved_features, saved_decoder = saved_motion
-            networks["psi"] = plane_decoder.backward(
-                saved_decoder, gradients["x"], gradients["log_s"], gradients["raw_r"]
-            )
-            at = plane_features.backward(saved_features, networks["psi"]["features"])
-            gradients["x"] = gradients["x"] + at["x"]
-            gradients.update({f"planes.{i}": bar for i, bar in enumerate(at["planes"])})
-        return gradients, networks
+        def back(x_bar, s_bar, r_bar, alpha_bar, color_bar):
+            gradients, networks = back_color(color_bar), {}
+            gradients["x"] += x_bar
+            gradients.update(back_stored(s_bar, r_bar, alpha_bar))
+            if moves:
+                psi = back_decoder(gradients["x"], gradients["log_s"], gradients["raw_r"])
+                at, networks["psi"] = back_features(psi["features"]), psi
+                gradients["x"] = gradients["x"] + at["x"]
+                gradients.update({f"planes.{i}": bar for i, bar in enumerate(at["planes"])})
+            return gradients, networks
+
+        return Gaussians(x, s, r, alpha, color, np.arange(len(x))), back
 
     def regularise(self, gradients, iteration):
         """The terms of H3, of the fine stage."""
         factors = self.preset.lambda_planes
         if iteration < self.preset.coarse:
             return 0.0
-        losses, planes = plane_losses.forward(self.parameters.listed("planes"))
-        for i, bar in enumerate(plane_losses.backward(planes, *factors)["planes"]):
+        losses, back = pull(plane_losses, self.parameters.listed("planes"))
+        for i, bar in enumerate(back(*factors)["planes"]):
             gradients[f"planes.{i}"][...] += bar
         return float(np.dot(factors, losses))
 
@@ -164,13 +157,10 @@ def first_network(rng, inputs, hidden, gain):
     return arrays
 
 
-MODEL = HexPlane
-
-
 class Trainer(trainer.Trainer):
     """Fits one scene by 4DHexPlane."""
 
-    kind = MODEL
+    kind = HexPlane
     RATES = {**trainer.Trainer.RATES, "planes": "lr_planes", "psi": "lr_psi"}
 
     def step(self):

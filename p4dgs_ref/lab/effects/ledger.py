@@ -17,6 +17,7 @@ from ...report.jobs import in_processes
 from ...scenes.scene import MODEL_EFFECTS
 from ...training.presets import choose
 from ...training.trainer import Trainer
+from ..accuracy.fits import step_at
 from ..clock import alternate
 from ..writer import table
 from .work import counted, effect_bytes
@@ -78,19 +79,9 @@ def train_all(scenes, preset, seed, progress=lambda line: None, jobs=1):
         progress(f"{len(built)} of {len(scenes)} builds trained")
     progress("times of steps")
     with np.errstate(all="ignore"):
-        times = alternate({name: rated(scene, preset) for name, scene in scenes.items()}, TURNS)
+        steps = {name: step_at(scene, preset, 4) for name, scene in scenes.items()}
+        times = alternate(steps, TURNS)
     return {name: {**build, "ms": times[name].median} for name, build in built.items()}
-
-
-def rated(scene, preset):
-    """A function that does the first step of stage 4 again and again."""
-    trainer = Trainer(scene, preset._replace(grow_every=10**9))  # the anchors stay as they are
-
-    def step():
-        trainer.iteration = preset.stage_ends[2]
-        trainer.step()
-
-    return step
 
 
 def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, jobs=1, **changes):

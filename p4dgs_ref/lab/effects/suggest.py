@@ -21,6 +21,7 @@ from ...scenes.scene import MODEL_EFFECTS
 from ...splatting.camera import Camera
 from ...training.presets import TINY
 from ...training.trainer import Trainer
+from ..accuracy.fits import step_at
 
 # The iterations of a training, and the pairs, each of which keeps another part of the views back.
 # Effects of the view are as small as what trainings differ by, so they need two pairs. All
@@ -71,10 +72,9 @@ def foretold(scene, jobs=1):
     if not (tasks := planned(scene)):
         return 0.0
     iterations, _ = PAIRS["translation"]
-    trainer = Trainer(scene, short(iterations))
-    trainer.iteration = iterations // 2  # from here on things move
-    trainer.step()  # the first one is slow
-    _, seconds = timed(lambda: [trainer.step() for _ in range(PROBED)])
+    step = step_at(scene, short(iterations), 3)  # from here on things move
+    step()  # the first one is slow
+    _, seconds = timed(lambda: [step() for _ in range(PROBED)])
     return steps_of(tasks) * seconds / PROBED / jobs
 
 

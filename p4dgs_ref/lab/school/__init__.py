@@ -9,8 +9,7 @@ A teacher's session in Python:
     eq = school.load("course/student/offsets.py")  # the equation in a student's file
 """
 
-from .grading import grade
-from .marks import as_csv, as_json, table, text, write
+from .grading import as_csv, as_json, grade, table, text, write
 from .room import ClassroomError, classroom
 from .student import load
 

@@ -59,7 +59,7 @@ def begin(name):
 
     The drawing belongs to the checkout, as the tutorials do; without one it is left out.
     """
-    sys.path += [str(root) for root in here().parents if (root / "tutorials" / "tools").is_dir()]
+    sys.path.extend(str(root) for root in here().parents if (root / "tutorials" / "tools").is_dir())
     with suppress(ModuleNotFoundError):
         import_module("tutorials.tools.architecture").show(name)
     return pyplot()
@@ -227,14 +227,14 @@ def backward(exercise, mine, key, *wanted):
 
 def against(exercise, key, port, role, wanted=()):
     """Compare the answers of a port with the golden cases of a subject."""
-    cases = []
-    for case in published.cases(key):
-        tensors = {
-            name: a
-            for name, a in case.tensors.items()
-            if not (wanted and name.startswith(role)) or name.split(".")[1] in wanted
-        }
-        cases.append(case._replace(tensors=tensors))
+
+    def is_asked(name):
+        return not (wanted and name.startswith(role)) or name.split(".")[1] in wanted
+
+    cases = [
+        case._replace(tensors={name: a for name, a in case.tensors.items() if is_asked(name)})
+        for case in published.cases(key)
+    ]
     problem = feedback.of_port(cases, port, (role,))
     return settle(exercise, "no answer yet" if "NotImplementedError" in problem else problem)
 

@@ -75,7 +75,10 @@ def compare(scenes, folder, names=(), seeds=3, iterations=None, progress=lambda 
     result = {
         "version": VERSION,
         "methods": rows,
-        "summary": [{**row, "paper": paper(row["method"])} for row in means(rows, "method")],
+        "summary": [
+            {**row, "paper": {name: own.get(row["method"]) for name, own in PAPER.items()}}
+            for row in means(rows, "method")
+        ],
         "against": [against(rows, name) for name in chosen[1:]],
         "stretch": stretch_of(rows),
     }
@@ -95,11 +98,6 @@ def rendering(views, models):
         name: {"render_fps": 1e3 * len(views) / times.median, "stretch": times.stretch}
         for name, times in alternate(functions, TURNS).items()
     }
-
-
-def paper(method):
-    """The paper's numbers of a method in each of its tables; None where it has none."""
-    return {name: numbers.get(method) for name, numbers in PAPER.items()}
 
 
 def against(rows, method):

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...codec.file import decode, encode
+from ...codec.file import ATTRIBUTE_SECTIONS, decode, encode
+from ...model import CONTEXT_NETWORKS, Anchors, Design, Model, bounding_box
 from ...report.evaluate import evaluate, json_safe
 from ...report.inspect import components, ledger
 from ...report.jobs import in_processes
@@ -20,12 +21,12 @@ from ...scenes import Scene
 from ...scenes.files import read_json
 from ...scenes.output import write_atomically
 from ...training.initial import design_of
+from ...training.parameters import Parameters
 from ...training.presets import TINY_REAL, choose
 from ...training.trainer import Trainer
 from .. import baselines
 from ..clock import clocked
 from ..effects.ledger import shortened
-from . import plain_file
 
 OURS = "p4dgs"
 CODED = "p4dgs_coded"  # with coded networks and positions, beyond the paper
@@ -43,7 +44,6 @@ DATES = (
     "grow_until",
     "reset_every",
 )
-CODED_OF_ANCHORS = ("features", "scales", "offset_scales", "offsets")  # sections of a file
 
 
 class StudyError(ValueError):
@@ -139,7 +139,7 @@ def write(task, model):
     if not task.own:
         return model.save(task.path)
     if task.plain is not None:
-        return plain_file.save(model, task.path, task.plain)
+        return save_plain(model, task.path, task.plain)
     data = encode(model)
     write_atomically(task.path, lambda file: file.write(data))
     return kinds(components(data))
@@ -162,7 +162,7 @@ def load(path):
     """The model in a file of any method."""
     if path.suffix == ".p4dgs":
         return decode(path.read_bytes())
-    return (plain_file if path.suffix == ".plain" else baselines).load(path)
+    return (load_plain if path.suffix == ".plain" else baselines.load)(path)
 
 
 def make(task):
@@ -187,13 +187,17 @@ def make(task):
         "train_seconds": float(seconds),
     }
     if task.path.suffix == ".p4dgs":
-        sections = ledger(task.path.read_bytes())
-        row["estimated_bytes"] = round(sum(part["estimate_bytes"] for part in sections))
-        coded = [part["bytes"] for part in sections if part["name"] in CODED_OF_ANCHORS]
-        row["anchor_bytes"] = sum(coded)
-    text = json.dumps(json_safe(row), indent=1) + "\n"
-    write_atomically(task.record, lambda file: file.write(text.encode()))
+        sections = {part["name"]: part for part in ledger(task.path.read_bytes())}
+        row["estimated_bytes"] = round(sum(part["estimate_bytes"] for part in sections.values()))
+        row["anchor_bytes"] = sum(sections[name]["bytes"] for name in ATTRIBUTE_SECTIONS)
+    write_json(task.record, json_safe(row))
     return row
+
+
+def write_json(path, values):
+    """Write JSON values to a file, which is never seen half-written."""
+    text = json.dumps(values, indent=1) + "\n"
+    write_atomically(path, lambda file: file.write(text.encode()))
 
 
 def make_missing(tasks, progress=lambda line: None, jobs=1):
@@ -209,3 +213,49 @@ def make_missing(tasks, progress=lambda line: None, jobs=1):
 def made(tasks):
     """The rows that are there."""
     return [read_json(task.record) for task in tasks if task.record.exists()]
+
+
+# --- plain files ----------------------------------------------------------------------------------
+# A model of anchors without quantisation and entropy coding, for the ablation. One line of JSON
+# with the names, types and shapes of all arrays, then their numbers: float32, or float16 for the
+# networks in `half`. Every child of an anchor is stored, as in Scaffold-GS; the networks and the
+# grid of the entropy coder are not.
+def save_plain(model, path, half=()):
+    """Write the file and return its bytes by kind, like a baseline's."""
+    gaussians = {name: a for name, a in model.anchors._asdict().items() if name != "mask"}
+    network = {
+        f"{name}.{kind}{i}": a
+        for name, layers in model.networks.items()
+        if name not in CONTEXT_NETWORKS
+        for kind, arrays in zip("Wb", layers)
+        for i, a in enumerate(arrays)
+    }
+    arrays = {**gaussians, **network}
+    types = {name: "<f2" if name.split(".")[0] in half else "<f4" for name in arrays}
+    shapes = {name: (types[name], a.shape) for name, a in arrays.items()}
+    design, background = model.design._asdict(), [float(c) for c in model.background]
+    values = {"design": design, "background": background, "arrays": shapes}
+    head = json.dumps(values).encode() + b"\n"
+    body = {name: a.astype(types[name]).tobytes() for name, a in arrays.items()}
+    write_atomically(path, lambda file: file.write(head + b"".join(body.values())))
+    sizes = [sum(len(body[name]) for name in part) for part in (gaussians, network)]
+    return {"gaussians": sizes[0], "network": sizes[1], "other": len(head)}
+
+
+def load_plain(path):
+    """The model in a file, ready to be rendered."""
+    head, _, body = path.read_bytes().partition(b"\n")
+    values, at, arrays = json.loads(head), 0, {}
+    for name, (kind, shape) in values["arrays"].items():
+        numbers = np.frombuffer(body, kind, int(np.prod(shape)), at)
+        arrays[name] = numbers.reshape(shape)
+        at += numbers.nbytes
+    p = Parameters(arrays, float)
+    attributes = [p[name] for name in Anchors._fields[:-1]]
+    anchors = Anchors(*attributes, mask=np.ones(attributes[-1].shape[:2], bool))
+    names = dict.fromkeys(name.split(".")[0] for name in arrays if "." in name)
+    networks = {name: p.network(name) for name in names}
+    fields = values["design"].values()
+    design = Design._make(tuple(v) if isinstance(v, list) else v for v in fields)
+    box, background = bounding_box(anchors.x_a), np.array(values["background"])
+    return Model(design, anchors, networks, [], box, background)

@@ -3,17 +3,14 @@
 A sweep is a folder; the rows are in `points/`, and `sweep.json` says what it is a sweep of.
 """
 
-import json
 from pathlib import Path
 
 from ...report.figures import BLUE, LIGHT_BLUE, RED, STACK, write_csv
 from ...report.inspect import components
 from ...scenes.files import read_json
-from ...scenes.output import write_atomically
-from ..writer import draw_curves, means, points_of, table
+from ..writer import bd_rate, draw_curves, means, points_of, table
 from . import methods
 from .methods import OURS, StudyError, Task
-from .rate_distortion import bd_rate
 
 VERSION = 2
 LAMBDAS = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2)
@@ -82,8 +79,7 @@ def make_missing(tasks, values, progress=lambda line: None, jobs=1):
     """Make all points that are not there; `values` are those of `plan`."""
     points = tasks[0].folder
     points.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(values, indent=1) + "\n"
-    write_atomically(points.parent / "sweep.json", lambda file: file.write(text.encode()))
+    methods.write_json(points.parent / "sweep.json", values)
     methods.make_missing(tasks, progress, jobs)
 
 

@@ -8,7 +8,7 @@ from p4dgs_ref.equations import anchor_rate, deformed, likelihood, rate_loss
 from p4dgs_ref.equations.likelihood import FAR, NARROW
 from p4dgs_ref.lab.accuracy import formulas
 from p4dgs_ref.lab.random_inputs import random_splats
-from p4dgs_ref.lab.stability.judge import Measured, number, relative
+from p4dgs_ref.lab.stability.table import Measured, number, relative
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.scenes.scene import Scene, SceneError
 from p4dgs_ref.splatting import compositing, covariance, fast, projection

@@ -9,8 +9,7 @@ import json
 
 import numpy as np
 
-from p4dgs_ref.lab.stability.cases import FILE
-from p4dgs_ref.lab.stability.judge import number, pick
+from p4dgs_ref.lab.stability.table import FILE, number, pick
 from p4dgs_ref.oracle.compare import cast
 
 from .catalogue import ENTRIES

@@ -75,7 +75,9 @@ def random_parameters(method, seed=0, N=9, dtype=np.float64):
     box leaves some Gaussians outside. 4DGS: the last Gaussian is long gone.
     """
     rng = np.random.default_rng(seed)
-    p = Parameters(MODULES[method].MODEL.initial(replace(SMALL[method], gaussians=N), rng), dtype)
+    p = Parameters(
+        MODULES[method].Trainer.kind.initial(replace(SMALL[method], gaussians=N), rng), dtype
+    )
     for name, (mean, size) in DRAWN[method].items():
         p[name][...] = mean + size * rng.normal(size=p[name].shape)
     if method == "d3dgs":
@@ -92,4 +94,4 @@ def random_parameters(method, seed=0, N=9, dtype=np.float64):
 
 def model_of(method, p):
     """The model of some parameters over white."""
-    return MODULES[method].MODEL(p, SMALL[method], np.ones(3))
+    return MODULES[method].Trainer.kind(p, SMALL[method], np.ones(3))

@@ -32,9 +32,9 @@ def slope(values, h):
 def test_gradients_of_the_pipeline(method, iteration, degree, waves):
     """Against differences: static, moving and finished, with more and more harmonics."""
     rng, p, x_c = np.random.default_rng(5), random_parameters(method), np.array([0.3, -3.0, 1.0])
-    g, saved = model_of(method, p).predict(0.4, x_c, iteration)
+    g, back = model_of(method, p).predict(0.4, x_c, iteration)
     bars = [rng.normal(size=a.shape) for a in g[:-1]]
-    arrays, networks = model_of(method, p).predict_backward(saved, *bars)
+    arrays, networks = back(*bars)
     gradients = p.zeros()
     for name, gradient in arrays.items():
         gradients[name][...] = gradient
@@ -113,7 +113,7 @@ def test_the_file_is_read_back(scene, trained, tmp_path, method):
     floats = sum(a.size for n, a in arrays.items() if n.startswith(("psi", "planes", "box")))
     assert sizes["network"] == 4 * floats and bool(floats) == (method != "gaussian4d")
     again = baselines.load(path)
-    assert isinstance(again, MODULES[method].MODEL)
+    assert isinstance(again, MODULES[method].Trainer.kind)
     assert set(again.parameters.arrays) == set(arrays)
     for name, a in arrays.items():
         assert np.array_equal(again.parameters[name], a), name

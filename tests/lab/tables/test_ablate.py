@@ -10,7 +10,7 @@ from p4dgs_ref.codec.container import read_container
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.lab import baselines
 from p4dgs_ref.lab.tables import ablate as study
-from p4dgs_ref.lab.tables import methods, plain_file
+from p4dgs_ref.lab.tables import methods
 
 TABLE_3 = [
     "D3DGS",
@@ -102,10 +102,10 @@ def test_a_plain_file_renders_like_its_model(scene, tmp_path):
     trained = p4.train(scene, "smoke", 0, stage_ends=(1, 1, 2, 3), mask_from=3)
     unmasked = trained.anchors._replace(mask=np.ones_like(trained.anchors.mask))
     exact = dataclasses.replace(trained, anchors=unmasked)
-    sizes = plain_file.save(exact, tmp_path / "a")
+    sizes = methods.save_plain(exact, tmp_path / "a")
     assert sum(sizes.values()) == (tmp_path / "a").stat().st_size
     assert sizes["gaussians"] == 4 * sum(a.size for a in unmasked[:-1])
-    view, again = scene.test[0], plain_file.load(tmp_path / "a")
+    view, again = scene.test[0], methods.load_plain(tmp_path / "a")
     one, other = (m.render(view.camera, view.time) for m in (exact, again))
     np.testing.assert_allclose(one, other, atol=1e-5)
-    assert plain_file.save(exact, tmp_path / "b", ("psi_d",))["network"] < sizes["network"]
+    assert methods.save_plain(exact, tmp_path / "b", ("psi_d",))["network"] < sizes["network"]

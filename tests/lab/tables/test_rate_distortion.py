@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from p4dgs_ref.lab.tables.rate_distortion import bd_rate, bytes_at, front
+from p4dgs_ref.lab.writer import bd_rate, bytes_at, front
 
 SIZES, PSNR = np.array([100.0, 200.0, 400.0, 800.0]), np.array([30.0, 32.0, 33.0, 33.5])
 
