@@ -60,8 +60,7 @@ from pathlib import Path
 import numpy as np
 
 from ..model import CONTEXT_NETWORKS, MOST_NUMBERS, Design, declared_numbers
-from ..scenes.limits import MOST_ANCHORS, MOST_ENTRIES, MOST_HEADER
-from ..scenes.scene import MODEL_EFFECTS
+from ..scenes.scene import MODEL_EFFECTS, MOST_ANCHORS, MOST_ENTRIES, MOST_HEADER
 from .container import require
 
 # The base designs of version 2. Files name them, so none of them may ever change.

@@ -18,7 +18,7 @@ from ..model import (
     step_of_code,
     without_silent_units,
 )
-from ..scenes.limits import LARGEST_BOX, MOST_STEPS
+from ..scenes.scene import LARGEST_BOX, MOST_STEPS
 from .container import BitstreamError
 from .context import CodingContext, coding_context
 from .header import read_header, write_header

@@ -36,7 +36,7 @@ The bits 1 1 1 0 have f = 12582912, and their stream is 00 00 C0 00  80 00 00 40
 
 import numpy as np
 
-from ..scenes.limits import MOST_SYMBOL
+from ..scenes.scene import MOST_SYMBOL
 from . import rans
 from .container import require
 from .fixed_point import bit_length

@@ -26,10 +26,18 @@ from types import SimpleNamespace
 import numpy as np
 
 from ..splatting.camera import Camera
-from .files import read_image, read_json, shrink
-from .limits import FARTHEST, LARGEST_LENS, LEAST_LENS
-from .points import read_points
-from .scene import View, check_rotation, is_number, numbers, require, size_of
+from .files import read_image, read_json, read_points, shrink
+from .scene import (
+    FARTHEST,
+    LARGEST_LENS,
+    LEAST_LENS,
+    View,
+    check_rotation,
+    is_number,
+    numbers,
+    require,
+    size_of,
+)
 
 SPLITS = "dataset.json"
 FULL = "the files of a HyperNeRF or NeRF-DS folder"

@@ -114,25 +114,21 @@ def test_simulator_view_color_off_equals_a_viewer_straight_above(name, monkeypat
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_simulator_occlusion_off_adds_what_each_body_alone_shows(name):
-    description = describe(described(name, simulated_effects(name)))
-    camera = small_camera(place_cameras(description, "train")[4][0], 14)
-    rays, where = (
-        trace.rays(camera),
-        motion.poses(description.bodies, description.effects, 0.37, camera.center),
-    )
-    hits = [trace.hit(body, where[body.name], camera.center, rays) for body in description.bodies]
+def test_simulator_occlusion_off_adds_what_each_body_alone_shows(name, monkeypatch):
+    with_it = described(name, {*simulated_effects(name), "occlusion"})
+    without = described(name, {*simulated_effects(name)} - {"occlusion"})
+    names, hit = [body["name"] for body in with_it["bodies"]], trace.hit
+    monkeypatch.setattr(trace, "develop", lambda color, *rest: color)
 
-    def light(i, chosen):
-        return np.random.default_rng(i).uniform(size=(len(rays), 3))[chosen]
+    def alone(only):
+        """The colours of the rays where they miss all bodies but one."""
+        with monkeypatch.context() as patch:
+            patch.setattr(trace, "hit", lambda body, *r: hit(body, *r) + far[body.name != only])
+            return drawn(with_it)
 
-    off, nothing = trace.sum_up(hits, light, len(rays)), np.full(len(rays), np.inf)
-    alone = [
-        trace.nearest([h if i == j else nothing for j, h in enumerate(hits)], light, len(rays))
-        for i in range(len(hits))
-    ]
-    assert np.array_equal(off, sum(alone))
-    assert not np.array_equal(off, trace.nearest(hits, light, len(rays))) or len(hits) == 1
+    far, off = (0, np.inf), drawn(without)
+    assert np.array_equal(off, sum(map(alone, names)))
+    assert not np.array_equal(off, drawn(with_it)) or len(names) == 1
 
 
 @pytest.mark.parametrize("name", SCENES)

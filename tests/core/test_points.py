@@ -5,7 +5,7 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.scenes import SceneError
-from p4dgs_ref.scenes.points import read_points
+from p4dgs_ref.scenes.files import read_points
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
 

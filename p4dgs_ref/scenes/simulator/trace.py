@@ -32,15 +32,15 @@ def trace(description, camera, t):
     effects, viewer = description.effects, camera.center
     bodies, directions = description.bodies, rays(camera)
     where = poses(bodies, effects, t, viewer)
-    hits = [hit(body, where[body.name], viewer, directions) for body in bodies]
-
-    def light(i, chosen):
-        x = viewer + hits[i][chosen, None] * directions[chosen]
-        return shade(bodies[i], where[bodies[i].name], x, viewer, description.light, effects)
-
-    gather = nearest if "occlusion" in effects else sum_up
-    color = gather(hits, light, len(directions))
-    covered = np.isfinite(hits).any(axis=0) if "background" in effects else None
+    hits = np.array([hit(body, where[body.name], viewer, directions) for body in bodies])
+    seen = np.isfinite(hits)
+    covered = seen.any(axis=0) if "background" in effects else None
+    if "occlusion" in effects:
+        seen = nearest(hits)
+    color = np.zeros(directions.shape)
+    for body, distance, chosen in zip(bodies, hits, map(np.flatnonzero, seen)):
+        x = viewer + distance[chosen, None] * directions[chosen]
+        color[chosen] += shade(body, where[body.name], x, viewer, description.light, effects)
     return develop(color, covered, camera)
 
 
@@ -62,22 +62,9 @@ def hit(body, pose, origin, directions):
     return shapes.HITS[body.shape.kind](body.shape, o, d)
 
 
-def nearest(hits, light, n):
-    """With occlusion every ray sees the body that it meets first."""
-    color, first = np.zeros((n, 3)), np.argmin(hits, axis=0)
-    for i, distance in enumerate(hits):
-        chosen = np.flatnonzero((first == i) & np.isfinite(distance))
-        color[chosen] = light(i, chosen)
-    return color
-
-
-def sum_up(hits, light, n):
-    """Without occlusion every ray sees the sum of all bodies that it meets."""
-    color = np.zeros((n, 3))
-    for i, distance in enumerate(hits):
-        chosen = np.flatnonzero(np.isfinite(distance))
-        color[chosen] += light(i, chosen)
-    return color
+def nearest(hits):
+    """Which body every ray meets first [bodies, rays], from its distances to all of them."""
+    return np.isfinite(hits) & (hits.argmin(axis=0) == np.arange(len(hits))[:, None])
 
 
 def shade(body, pose, x, viewer, light, effects):
