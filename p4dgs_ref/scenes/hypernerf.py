@@ -161,10 +161,11 @@ def read_camera(folder, name):
     file = folder / "camera" / f"{name}.json"
     data = read_json(file, f"the camera of the view {name}")
     data = {"tangential_distortion": data.get("tangential", [0, 0]), **data}
-    lens = SimpleNamespace()
-    for field, (shape, least, default) in CAMERA.items():
-        value = numbers(data.get(field, default), f"{file}: {field}", shape, least, LARGEST_LENS)
-        setattr(lens, field, value)
+    fields = {
+        field: numbers(data.get(field, default), f"{file}: {field}", shape, least, LARGEST_LENS)
+        for field, (shape, least, default) in CAMERA.items()
+    }
+    lens = SimpleNamespace(**fields)
     check_rotation(lens.orientation, f"{file}: orientation")
     lens.focal = lens.focal_length * np.array([1, lens.pixel_aspect_ratio])
     return lens

@@ -25,9 +25,8 @@ class Parameters:
 
     def zeros(self):
         """The same names and shapes, filled with zeros."""
-        twin = Parameters(self.arrays, self.vector.dtype)
-        twin.vector[:] = 0
-        return twin
+        zeros = {name: np.zeros(array.shape) for name, array in self.arrays.items()}
+        return Parameters(zeros, self.vector.dtype)
 
     def numbered(self, prefix):
         """The arrays whose names are the prefix and 0, 1 and so on."""

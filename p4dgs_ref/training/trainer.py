@@ -9,10 +9,10 @@ from ..model import Anchors, Model, bounding_box, snap, split
 from ..splatting.settings import FAST
 from . import coded_networks, density, objective
 from .adam import exponential
-from .finite import NotFinite, find_first
 from .initial import design_of, initial_parameters
 from .loop import Loop
 from .parameters import Parameters
+from .watch import NotFinite, find_first
 
 LEARNING_RATES = {
     "x_a": "lr_x",

@@ -10,7 +10,7 @@ from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.lab.tables import methods
 from p4dgs_ref.report.jobs import in_processes
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.training.finite import NotFinite
+from p4dgs_ref.training.watch import NotFinite
 
 
 def place(seconds):

@@ -6,10 +6,10 @@ from ...equations import render_loss
 from ...splatting.settings import FAST
 from ...training.adam import exponential
 from ...training.density import Statistics
-from ...training.finite import NotFinite, first_bad
 from ...training.loop import Loop
 from ...training.objective import Losses, Seen
 from ...training.parameters import Parameters
+from ...training.watch import NotFinite, first_bad
 from . import density
 
 
