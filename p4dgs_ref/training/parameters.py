@@ -41,12 +41,6 @@ class Parameters:
         """The arrays "name.0", "name.1" and so on."""
         return self.numbered(f"{name}.")
 
-    def part(self, prefix):
-        """The slice of `vector` with the arrays whose names begin so; they stand side by side."""
-        sizes = [(name.startswith(prefix), array.size) for name, array in self.arrays.items()]
-        start = sum(size for _, size in sizes[: [found for found, _ in sizes].index(True)])
-        return slice(start, start + sum(size for found, size in sizes if found))
-
     def fill(self, name, gradients):
         """Copy the "weights" and "biases" among the gradients of a network into place."""
         for i, (W, b) in enumerate(zip(gradients["weights"], gradients["biases"])):

@@ -53,7 +53,12 @@ def rays(camera):
     x, y = (u + du - camera.c_x) / camera.f_x, (v + dv - camera.c_y) / camera.f_y
     d = np.stack([x, y, np.ones(u.shape)], axis=-1)
     d = d.reshape(-1, 3) @ camera.R  # R maps world to camera; its transpose maps back
-    return d / np.linalg.norm(d, axis=1, keepdims=True)
+    return unit(d)
+
+
+def unit(v):
+    """Vectors [N, 3] of length 1 in the directions of v."""
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
 def hit(body, pose, origin, directions):
@@ -77,13 +82,14 @@ def shade(body, pose, x, viewer, light, effects):
     if not shiny and "diffuse" not in effects:
         return color
     normal = shapes.NORMALS[body.shape.kind](body.shape, local) @ pose.R.T
-    to_light = light_direction(light, x)
+    sunlit = light.kind == "sun"
+    to_light = unit(np.broadcast_to(-light.direction, x.shape) if sunlit else light.position - x)
     facing = np.maximum(shapes.dot(normal, to_light), 0)[:, None]
     if "diffuse" in effects:
         color = diffuse(color, facing, light.ambient)
     if shiny:
-        seen_from = to_viewer(x, viewer, effects)
-        color = color + specular(body.specular, normal, to_light, facing, seen_from)
+        to_viewer = viewer - x if "view_color" in effects else np.broadcast_to(UP, x.shape)
+        color = color + specular(body.specular, normal, to_light, facing, unit(to_viewer))
     return color
 
 
@@ -94,21 +100,6 @@ def textured(body, local):
     """
     mix = shapes.TEXTURES[body.texture.kind](body.texture, local * (1 - 1e-6))[:, None]
     return (1 - mix) * body.color + mix * body.texture.color
-
-
-def light_direction(light, x):
-    """Unit vectors from the surface to the lamp, or against the direction of the sun."""
-    to_light = (
-        light.position - x if light.kind == "point" else np.broadcast_to(-light.direction, x.shape)
-    )
-    return to_light / np.linalg.norm(to_light, axis=1, keepdims=True)
-
-
-def to_viewer(x, viewer, effects):
-    """Unit vectors to the viewer; straight up if colours do not depend on the view."""
-    if "view_color" not in effects:
-        return np.broadcast_to(UP, x.shape)
-    return (viewer - x) / np.linalg.norm(viewer - x, axis=1, keepdims=True)
 
 
 def diffuse(color, facing, ambient):
