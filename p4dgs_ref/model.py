@@ -237,8 +237,7 @@ def move(design, networks, x, s, r, t):
 
     def back(x_t_bar, s_t_bar, r_t_bar):
         bars = back_at_t(x_t_bar, s_t_bar, r_t_bar)
-        deltas_bar = bars["delta_x"], bars["delta_s"], bars["delta_r"]
-        psi_d_bar = back_deltas(*deltas_bar, needs_x=False)
+        psi_d_bar = back_deltas(bars["delta_x"], bars["delta_s"], bars["delta_r"], needs_x=False)
         networks_bar = {"psi_d": psi_d_bar}
         if psi_d_bar.get("time_weights"):
             time_bar = psi_d_bar["time_weights"], psi_d_bar["time_biases"]
@@ -297,8 +296,7 @@ def first_steps(networks):
     """
     steps = {}
     for name, (weights, _) in networks.items():
-        squares = [np.sum(W.astype(float) ** 2) / max(W.size, 1) for W in weights]
-        rms = np.sqrt(squares)
+        rms = np.sqrt([np.sum(W.astype(float) ** 2) / max(W.size, 1) for W in weights])
         steps[name] = step_code(0.1 * rms), step_code(0.05 * rms)
     return steps
 
@@ -378,13 +376,14 @@ def without_silent_units(model):
     if {"view_color", "view_geometry"} & set(model.design.effects) or not model.design.hidden:
         return model
     active = {name: active_units(model, name) for name in ANCHOR_NETWORKS}
-    counts = [[int(layer.sum()) for layer in layers] for layers in active.values()]
-    widths = tuple(max(1, *layer_counts) for layer_counts in zip(*counts))
+    widths = tuple(int(max(1, *map(np.sum, layers))) for layers in zip(*active.values()))
     networks = dict(model.networks)
     for name, layers in active.items():
         # Active units first, then silent ones where another network of this width needs more.
-        ranked = [np.argsort(~layer, kind="stable") for layer in layers]
-        kept = [np.sort(units[:width]) for units, width in zip(ranked, widths)]
+        kept = [
+            np.sort(np.argsort(~layer, kind="stable")[:width])
+            for layer, width in zip(layers, widths)
+        ]
         weights, biases = model.networks[name]
         rows, columns = [slice(None), *kept], [*kept, slice(None)]
         networks[name] = (

@@ -75,8 +75,10 @@ def read(folder, color, downscale):
         name: read_view(folder, name, lens, center, time, ratio, rest, color)
         for lens, center, (name, time) in zip(lenses, centers, times.items())
     }
-    found = {split: tuple(views[name] for name in names) for split, names in splits.items()}
-    return {**found, "points": points}
+    return {
+        **{split: tuple(views[name] for name in names) for split, names in splits.items()},
+        "points": points,
+    }
 
 
 def read_ids(folder):

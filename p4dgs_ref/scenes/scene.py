@@ -38,7 +38,6 @@ SIMULATOR_EFFECTS = (*MODEL_EFFECTS, "texture", "diffuse", "specular")
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 # Files print six or seven digits. A scaled or mirrored matrix is further from a rotation than this.
 ROTATION_TOLERANCE = 1e-3
-NUMPY_NUMBERS = (np.integer, np.floating)
 # Shape, least and largest value of the fields of a camera.
 FOCAL, PRINCIPAL = ((), LEAST_LENS, LARGEST_LENS), ((), -LARGEST_LENS, LARGEST_LENS)
 CAMERA = {
@@ -218,7 +217,7 @@ def numbers(value, where, shape=(), low=-FARTHEST, high=FARTHEST):
     """The numbers of a field as a float64 array of that shape, all of them from low to high."""
     try:
         entries = np.asarray(value, dtype=object)
-        known = all(is_number(entry, int, float, *NUMPY_NUMBERS) for entry in entries.flat)
+        known = all(is_number(entry, int, float, np.integer, np.floating) for entry in entries.flat)
         found = entries.astype(float) if known and entries.shape == shape else np.array(np.nan)
     except (ValueError, OverflowError):  # rows of unequal lengths, or an integer of 400 digits
         found = np.array(np.nan)

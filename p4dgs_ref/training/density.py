@@ -50,11 +50,12 @@ class Statistics:
 
     def with_rows(self, keep, count):
         """The statistics of the anchors that are kept, and of `count` new ones after them."""
-        rows = (
-            np.concatenate([sums[keep], np.zeros((count, *sums.shape[1:]))])
-            for sums in (self.visits, self.opacity, self.gradient, self.seen)
+        return Statistics(
+            *(
+                np.concatenate([sums[keep], np.zeros((count, *sums.shape[1:]))])
+                for sums in vars(self).values()
+            )
         )
-        return Statistics(*rows)
 
 
 def centers(p):

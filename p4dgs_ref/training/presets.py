@@ -255,8 +255,7 @@ def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Pr
         if preset not in PRESETS:
             raise ValueError(f"preset {preset!r}: expected one of {', '.join(PRESETS)}")
         preset = PRESETS[preset]
-    values = read_changes(preset.name, PAPER_SYNTHETIC._asdict(), changes)
-    chosen = preset._replace(**values)
+    chosen = preset._replace(**read_changes(preset.name, PAPER_SYNTHETIC._asdict(), changes))
     for field, row in ROWS.items():
         value, (expected, is_met) = getattr(chosen, field), row.requirement
         if not is_met(value):
@@ -287,12 +286,11 @@ def read_changes(name, fields, changes):
             raise ValueError(
                 f"field {field!r} of preset {name}: no such field; `p4dgs-ref presets` lists them"
             )
-        like = fields[field]
         try:
-            values[field] = read_value(value, like)
+            values[field] = read_value(value, fields[field])
         except (ValueError, KeyError, TypeError):
             raise ValueError(
-                f"field {field!r}: expected a value like {like!r}, got {value!r}"
+                f"field {field!r}: expected a value like {fields[field]!r}, got {value!r}"
             ) from None
     return values
 

@@ -58,10 +58,10 @@ class NotFinite(ArithmeticError):
         return f"iteration {iteration}: {found}"
 
 
-def first_bad(arrays):
+def first_bad(arrays, where=""):
     """A phrase like "f_a[3, 1] is nan" for the first NaN or infinity in {name: array}, or None.
 
-    A list of arrays may stand in the place of an array.
+    A list of arrays may stand in the place of an array. The phrase begins with `where`.
     """
     for name, value in arrays.items():
         listed = isinstance(value, (list, tuple))
@@ -70,14 +70,8 @@ def first_bad(arrays):
             if len(wrong):
                 index = tuple(int(i) for i in wrong[0])
                 place = f"{name}[{i}]" if listed else name
-                return f"{place}{list(index) if index else ''} is {np.asarray(array)[index]}"
+                return f"{where}{place}{list(index) if index else ''} is {np.asarray(array)[index]}"
     return None
-
-
-def phrase(where, arrays):
-    """Where the first NaN or infinity of {name: array} stands, or None."""
-    bad = first_bad(arrays)
-    return bad and f"{where}: {bad}"
 
 
 @contextmanager
@@ -96,10 +90,10 @@ def watched():
             return
         if name == "forward":
             equation = {**EQUATIONS, **BEYOND}[key.split(",")[0]]
-            where, value = f"{where}, forward", equation.named(value[0])
+            where, value = f"{where}, forward: ", equation.named(value[0])
         else:
-            where = f"{where}, backward, gradient of"
-        found.append(phrase(where, value))
+            where += ", backward, gradient of: "
+        found.append(first_bad(value, where))
 
     with watching(equation_codes(), see):
         yield found
@@ -111,10 +105,10 @@ def find_first(p, *inputs):
         losses, _, back = objective.loss(p, *inputs)
         gradients, _ = back()
     phrases = (
-        phrase("parameter", p.arrays),
+        first_bad(p.arrays, "parameter: "),
         *found,
-        phrase("objective", losses._asdict()),
-        phrase("gradient of", gradients.arrays),
+        first_bad(losses._asdict(), "objective: "),
+        first_bad(gradients.arrays, "gradient of: "),
         "a NaN or an infinity that did not come back when the iteration was repeated",
     )
     return next(filter(None, phrases))
