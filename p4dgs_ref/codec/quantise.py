@@ -126,15 +126,17 @@ def round_to_steps(networks, steps):
     """
     rounded = {}
     for name, pair in networks.items():
-        tensors = []
-        for arrays, codes in zip(pair, steps[name]):
-            symbols = [np.rint(a / step) + 0.0 for a, step in zip(arrays, step_of_code(codes))]
-            require_encodable(
-                all((np.abs(a) <= MOST_STEPS).all() for a in symbols),
-                f"network {name}: expected finite weights of at most {MOST_STEPS} steps",
-            )
-            tensors.append([a * step for a, step in zip(symbols, step_of_code(codes))])
-        rounded[name] = tuple(tensors)
+        sizes = [step_of_code(codes) for codes in steps[name]]
+        symbols = [
+            [np.rint(a / step) + 0.0 for a, step in zip(*weights)] for weights in zip(pair, sizes)
+        ]
+        require_encodable(
+            all((np.abs(a) <= MOST_STEPS).all() for arrays in symbols for a in arrays),
+            f"network {name}: expected finite weights of at most {MOST_STEPS} steps",
+        )
+        rounded[name] = tuple(
+            [a * step for a, step in zip(*weights)] for weights in zip(symbols, sizes)
+        )
     return rounded
 
 
