@@ -88,11 +88,13 @@ class Design(NamedTuple):
         }
         layers = {name: list(zip(w[:-1], w[1:])) for name, w in widths.items()}
         if fx.moves(self.effects):
-            heads = fx.heads(self.effects)
-            layers.update(
-                deformation_layers(
-                    self.L_x, self.L_t, self.deformation, heads, self.time_net, self.skip
-                )
+            layers |= deformation_layers(
+                self.L_x,
+                self.L_t,
+                self.deformation,
+                fx.heads(self.effects),
+                self.time_net,
+                self.skip,
             )
         return layers
 

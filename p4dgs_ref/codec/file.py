@@ -252,7 +252,6 @@ def read_networks(data, section, shapes):
     size = 2 * sum((I + 1) * J for network in shapes.values() for I, J in network)
     require(len(data) == size, section, len(data), f"expected {size} bytes, found {len(data)}")
     numbers = np.frombuffer(data, "<f2").astype(float)
-    wrong = np.flatnonzero(~np.isfinite(numbers))
-    at = 2 * int(wrong[0]) if len(wrong) else None
-    require(at is None, section, at, "expected finite weights")
+    finite = np.isfinite(numbers)
+    require(finite.all(), section, 2 * int(finite.argmin()), "expected finite weights")
     return networks_of(numbers, shapes)

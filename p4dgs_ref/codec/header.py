@@ -75,9 +75,7 @@ def write_header(model):
         "background": [float(c) for c in model.background],
         **model.design._asdict(),
     }
-    for name in OPTIONAL:
-        if not fields[name]:
-            del fields[name]
+    fields = {name: value for name, value in fields.items() if value or name not in OPTIONAL}
     if fields.pop("coded"):
         return min((as_base(name, fields) for name in BASES), key=len)
     del fields["position_bits"]

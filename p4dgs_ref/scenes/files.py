@@ -51,8 +51,11 @@ def read_image(folder, name, where):
     if not os.path.isfile(file):  # unlike Path.is_file, also False for an impossible name
         file = folder / f"{name}.png"
     require(os.path.isfile(file), where, f"no picture {name!r}; expected {file}")
-    inside = file.resolve().is_relative_to(folder.resolve())
-    require(inside, where, f"{name!r} is outside; expected a picture in the folder {folder}")
+    require(
+        file.resolve().is_relative_to(folder.resolve()),
+        where,
+        f"{name!r} is outside; expected a picture in the folder {folder}",
+    )
     with reading(file, "a PNG of RGB or RGBA pixels", where), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a picture so large that it could be an attack
         picture: Any  # its class depends on the plugin
@@ -110,13 +113,17 @@ def read_points(path: str | Path) -> np.ndarray:
     require(path.suffix in READERS, path, "expected a file whose name ends in .npy, .ply or .txt")
     with reading(path, "a point cloud"):
         points = READERS[path.suffix](path)
-    fits = points.ndim == 2 and points.shape[1] == 3 and len(points) and points.dtype.kind in "fiu"
     require(
-        fits, path, f"expected numbers of shape [A, 3]; found {points.dtype} {list(points.shape)}"
+        points.ndim == 2 and points.shape[1] == 3 and len(points) and points.dtype.kind in "fiu",
+        path,
+        f"expected numbers of shape [A, 3]; found {points.dtype} {list(points.shape)}",
     )
     require(len(points) <= MOST_ANCHORS, path, f"expected at most {MOST_ANCHORS} points")
-    near = np.all(np.abs(points) <= FARTHEST)
-    require(near, path, f"expected finite coordinates of at most {FARTHEST:g}")
+    require(
+        np.all(np.abs(points) <= FARTHEST),
+        path,
+        f"expected finite coordinates of at most {FARTHEST:g}",
+    )
     return points.astype(float)
 
 

@@ -153,8 +153,11 @@ def place(folder, x):
     center = numbers(data.get("center"), f"{file}: center", (3,), -LARGEST_LENS, LARGEST_LENS)
     scale = numbers(data.get("scale"), f"{file}: scale", (), LEAST_LENS, LARGEST_LENS)
     placed = (x - center) * scale
-    near = np.all(np.abs(placed) <= FARTHEST)  # False for NaN
-    require(near, f"{file}: scale", f"puts a camera or point beyond {FARTHEST:g}; expected less")
+    require(
+        np.all(np.abs(placed) <= FARTHEST),  # False for NaN
+        f"{file}: scale",
+        f"puts a camera or point beyond {FARTHEST:g}; expected less",
+    )
     return placed
 
 

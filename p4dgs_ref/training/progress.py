@@ -45,14 +45,11 @@ class Progress:
         left = 1e-3 * ms * (total - done)
         rate = f"{losses.L_rate:.2f}" if losses.L_rate else "-"
         # The most important numbers come first, because a narrow terminal cuts the line.
-        self.write(
+        line = (
             f"{done:{len(str(total))}d}/{total}  {left:.0f} s left  stage {stage}  "
             f"loss {loss:.4f}  PSNR {decibel:.2f} dB  {rate} bits/parameter  "
             f"{anchors} {trainer.UNIT}  {gaussians} Gaussians  {ms:.1f} ms/step"
         )
-
-    def write(self, line):
-        """Redraw the line on a terminal, add it to any other stream."""
         width = shutil.get_terminal_size().columns - 1
         self.stream.write(f"\r{line[:width]}\x1b[K" if self.live else line + "\n")
         self.stream.flush()
