@@ -6,7 +6,7 @@ Fig. 2, coding:     anchor positions -> hash grid -> steps q, means mu, standard
                     `context`
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -20,7 +20,6 @@ from .equations import (
     deformed,
     hash_grid,
     masking,
-    mlp,
     offsets,
     opacity,
     prior,
@@ -361,43 +360,3 @@ class Model:
             x, s, r, alpha, color, camera, self.background, settings, occlusion, keep=False
         )
         return image
-
-
-def without_silent_units(model):
-    """The same model without the hidden units of anchor networks that are 0 for every anchor.
-
-    Without view effects the only input of these networks is the list of features, so a ReLU that
-    is 0 for each of them changes no picture. The four networks share their widths, so from each as
-    many units are removed as the one with the fewest silent units can lose. With view effects the
-    input is not known, and the model is returned as it is. Features and weights must be the rounded
-    ones of the file, because a unit that is 0 with these can be positive with others.
-
-    A sum of fewer terms can have another last bit, which decides about a unit whose terms cancel.
-    Units are therefore removed until none is silent, so that a decoded model encodes to its file.
-    """
-    if {"view_color", "view_geometry"} & set(model.design.effects) or not model.design.hidden:
-        return model
-    active = {name: active_units(model, name) for name in ANCHOR_NETWORKS}
-    widths = tuple(int(max(1, *map(np.sum, layers))) for layers in zip(*active.values()))
-    networks = dict(model.networks)
-    for name, layers in active.items():
-        # Active units first, then silent ones where another network of this width needs more.
-        kept = [
-            np.sort(np.argsort(~layer, kind="stable")[:width])
-            for layer, width in zip(layers, widths)
-        ]
-        weights, biases = model.networks[name]
-        rows, columns = [slice(None), *kept], [*kept, slice(None)]
-        networks[name] = (
-            # In row order, as a decoder has them: the order may decide about the last bit, too.
-            [np.array(W[i][:, j], order="C") for W, i, j in zip(weights, rows, columns)],
-            [b[after] for b, after in zip(biases, columns)],
-        )
-    smaller = replace(model, design=model.design._replace(hidden=widths), networks=networks)
-    return model if widths == tuple(model.design.hidden) else without_silent_units(smaller)
-
-
-def active_units(model, name):
-    """For every hidden layer of an anchor network, which units are positive for some anchor."""
-    _, (layer_inputs, _) = mlp.forward(model.anchors.f_a, *model.networks[name])
-    return [units.any(axis=0) for units in layer_inputs[1:]]
