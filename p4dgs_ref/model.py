@@ -6,7 +6,7 @@ Fig. 2, coding:     anchor positions -> hash grid -> steps q, means mu, standard
                     `context`
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -20,7 +20,6 @@ from .equations import (
     deformed,
     hash_grid,
     masking,
-    mlp,
     offsets,
     opacity,
     prior,
@@ -88,11 +87,13 @@ class Design(NamedTuple):
         }
         layers = {name: list(zip(w[:-1], w[1:])) for name, w in widths.items()}
         if fx.moves(self.effects):
-            heads = fx.heads(self.effects)
-            layers.update(
-                deformation_layers(
-                    self.L_x, self.L_t, self.deformation, heads, self.time_net, self.skip
-                )
+            layers |= deformation_layers(
+                self.L_x,
+                self.L_t,
+                self.deformation,
+                fx.heads(self.effects),
+                self.time_net,
+                self.skip,
             )
         return layers
 
@@ -237,8 +238,7 @@ def move(design, networks, x, s, r, t):
 
     def back(x_t_bar, s_t_bar, r_t_bar):
         bars = back_at_t(x_t_bar, s_t_bar, r_t_bar)
-        deltas_bar = bars["delta_x"], bars["delta_s"], bars["delta_r"]
-        psi_d_bar = back_deltas(*deltas_bar, needs_x=False)
+        psi_d_bar = back_deltas(bars["delta_x"], bars["delta_s"], bars["delta_r"], needs_x=False)
         networks_bar = {"psi_d": psi_d_bar}
         if psi_d_bar.get("time_weights"):
             time_bar = psi_d_bar["time_weights"], psi_d_bar["time_biases"]
@@ -297,8 +297,7 @@ def first_steps(networks):
     """
     steps = {}
     for name, (weights, _) in networks.items():
-        squares = [np.sum(W.astype(float) ** 2) / max(W.size, 1) for W in weights]
-        rms = np.sqrt(squares)
+        rms = np.sqrt([np.sum(W.astype(float) ** 2) / max(W.size, 1) for W in weights])
         steps[name] = step_code(0.1 * rms), step_code(0.05 * rms)
     return steps
 
@@ -361,42 +360,3 @@ class Model:
             x, s, r, alpha, color, camera, self.background, settings, occlusion, keep=False
         )
         return image
-
-
-def without_silent_units(model):
-    """The same model without the hidden units of anchor networks that are 0 for every anchor.
-
-    Without view effects the only input of these networks is the list of features, so a ReLU that
-    is 0 for each of them changes no picture. The four networks share their widths, so from each as
-    many units are removed as the one with the fewest silent units can lose. With view effects the
-    input is not known, and the model is returned as it is. Features and weights must be the rounded
-    ones of the file, because a unit that is 0 with these can be positive with others.
-
-    A sum of fewer terms can have another last bit, which decides about a unit whose terms cancel.
-    Units are therefore removed until none is silent, so that a decoded model encodes to its file.
-    """
-    if {"view_color", "view_geometry"} & set(model.design.effects) or not model.design.hidden:
-        return model
-    active = {name: active_units(model, name) for name in ANCHOR_NETWORKS}
-    counts = [[int(layer.sum()) for layer in layers] for layers in active.values()]
-    widths = tuple(max(1, *layer_counts) for layer_counts in zip(*counts))
-    networks = dict(model.networks)
-    for name, layers in active.items():
-        # Active units first, then silent ones where another network of this width needs more.
-        ranked = [np.argsort(~layer, kind="stable") for layer in layers]
-        kept = [np.sort(units[:width]) for units, width in zip(ranked, widths)]
-        weights, biases = model.networks[name]
-        rows, columns = [slice(None), *kept], [*kept, slice(None)]
-        networks[name] = (
-            # In row order, as a decoder has them: the order may decide about the last bit, too.
-            [np.array(W[i][:, j], order="C") for W, i, j in zip(weights, rows, columns)],
-            [b[after] for b, after in zip(biases, columns)],
-        )
-    smaller = replace(model, design=model.design._replace(hidden=widths), networks=networks)
-    return model if widths == tuple(model.design.hidden) else without_silent_units(smaller)
-
-
-def active_units(model, name):
-    """For every hidden layer of an anchor network, which units are positive for some anchor."""
-    _, (layer_inputs, _) = mlp.forward(model.anchors.f_a, *model.networks[name])
-    return [units.any(axis=0) for units in layer_inputs[1:]]

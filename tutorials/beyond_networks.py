@@ -72,11 +72,11 @@ def trained(p, steps, price=None):
     for i in range(steps):
         networks, g = {"psi_d": p.network("psi_d")}, p.zeros()
         if price is not None:
-            networks, bits, saved = coded_networks.forward(p, layout)
+            networks, bits, back = coded_networks.coded(p, layout)
         loss, gradients = error(networks)
         g.fill("psi_d", gradients)
         if price is not None:
-            coded_networks.backward(saved, g, np.float64(price * min(1, 2 * i / steps)))
+            back(g, np.float64(price * min(1, 2 * i / steps)))
         adam.step(p, g, lambda name: 0.01 * 0.02 ** (i / steps))
     return networks
 

@@ -71,7 +71,7 @@ import os
 import struct
 import zlib
 
-from ..scenes.limits import MOST_FILE
+from ..scenes.scene import MOST_FILE
 
 MAGIC = b"\x89P4D\r\n\x1a\n"
 VERSIONS = 1, 2

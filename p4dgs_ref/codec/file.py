@@ -140,7 +140,7 @@ def sections_of(quantised):
         elif present:
             sections[name] = network_numbers(present).astype("<f2").tobytes()
     try:
-        check_work(model.design, len(model.anchors.mask), size_of(sections))
+        check_work(model.design, len(model.anchors.mask), sum(map(len, sections.values())))
     except BitstreamError as error:
         raise EncodeError(f"design: {error.message}") from None
     return sections
@@ -176,7 +176,7 @@ def quantised_of(sections, version=1):
     """
     require("header" in sections, "header", 0, "section is missing")
     design, A, background = read_header(sections["header"], version)
-    check_work(design, A, size_of(sections))
+    check_work(design, A, sum(map(len, sections.values())))
     check_presence(sections, design.layers())
     box, positions = read_positions(sections["positions"], A, design)
     networks, steps, layers = {}, {}, design.layers()
@@ -203,11 +203,6 @@ def quantised_of(sections, version=1):
     anchors = Anchors(x_a, *dequantise(symbols, ctx, design), mask)
     model = Model(design, anchors, networks, grids, box, background, steps or None)
     return Quantised(model, positions, symbols, kept, ctx)
-
-
-def size_of(sections):
-    """The number of bytes of all sections together."""
-    return sum(map(len, sections.values()))
 
 
 def check_presence(sections, layers):
@@ -257,7 +252,6 @@ def read_networks(data, section, shapes):
     size = 2 * sum((I + 1) * J for network in shapes.values() for I, J in network)
     require(len(data) == size, section, len(data), f"expected {size} bytes, found {len(data)}")
     numbers = np.frombuffer(data, "<f2").astype(float)
-    wrong = np.flatnonzero(~np.isfinite(numbers))
-    at = 2 * int(wrong[0]) if len(wrong) else None
-    require(at is None, section, at, "expected finite weights")
+    finite = np.isfinite(numbers)
+    require(finite.all(), section, 2 * int(finite.argmin()), "expected finite weights")
     return networks_of(numbers, shapes)

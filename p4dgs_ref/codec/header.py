@@ -60,8 +60,7 @@ from pathlib import Path
 import numpy as np
 
 from ..model import CONTEXT_NETWORKS, MOST_NUMBERS, Design, declared_numbers
-from ..scenes.limits import MOST_ANCHORS, MOST_ENTRIES, MOST_HEADER
-from ..scenes.scene import MODEL_EFFECTS
+from ..scenes.scene import MODEL_EFFECTS, MOST_ANCHORS, MOST_ENTRIES, MOST_HEADER
 from .container import require
 
 # The base designs of version 2. Files name them, so none of them may ever change.
@@ -76,9 +75,7 @@ def write_header(model):
         "background": [float(c) for c in model.background],
         **model.design._asdict(),
     }
-    for name in OPTIONAL:
-        if not fields[name]:
-            del fields[name]
+    fields = {name: value for name, value in fields.items() if value or name not in OPTIONAL}
     if fields.pop("coded"):
         return min((as_base(name, fields) for name in BASES), key=len)
     del fields["position_bits"]
@@ -165,44 +162,40 @@ def expect(holds, message):
     require(holds, "header", 0, message)
 
 
-def integer(most):
-    """The reader of an integer field from 1 to `most`."""
+def field(holds, expected, convert=lambda value: value):
+    """The reader of a field whose value meets a condition, which it converts."""
 
     def read(name, value):
-        expect(
-            type(value) is int and 1 <= value <= most,  # a bool has another type
-            f"field {name!r}: expected a whole number from 1 to {most}",
-        )
-        return value
+        expect(holds(value), f"field {name!r}: expected {expected}")
+        return convert(value)
 
     return read
+
+
+def integer(most):
+    """The reader of an integer field from 1 to `most`."""
+    return field(  # a bool has another type
+        lambda value: type(value) is int and 1 <= value <= most,
+        f"a whole number from 1 to {most}",
+    )
 
 
 def number(least, most):
     """The reader of a number in a range."""
-
-    def read(name, value):
-        expect(
-            type(value) in (int, float) and least <= value <= most,  # False for NaN
-            f"field {name!r}: expected numbers from {least:g} to {most:g}",
-        )
-        return float(value)
-
-    return read
+    return field(  # false for NaN
+        lambda value: type(value) in (int, float) and least <= value <= most,
+        f"numbers from {least:g} to {most:g}",
+        float,
+    )
 
 
 def list_of(read_item, least, most):
     """The reader of a list of `least` to `most` items."""
-
-    def read(name, values):
-        length = most if least == most else f"{least} to {most}"
-        expect(
-            isinstance(values, list) and least <= len(values) <= most,
-            f"field {name!r}: expected a list of {length}",
-        )
-        return tuple(read_item(name, value) for value in values)
-
-    return read
+    a_list = field(
+        lambda values: isinstance(values, list) and least <= len(values) <= most,
+        f"a list of {most if least == most else f'{least} to {most}'}",
+    )
+    return lambda name, values: tuple(read_item(name, value) for value in a_list(name, values))
 
 
 def level(name, value):
@@ -214,18 +207,7 @@ def level(name, value):
     return value[0], integer(2**16)(name, value[1])
 
 
-def effect(name, value):
-    """Reads the name of an effect."""
-    expect(value in MODEL_EFFECTS, f"field {name!r}: expected some of {', '.join(MODEL_EFFECTS)}")
-    return value
-
-
-def true(name, value):
-    """Reads a field that is true or absent."""
-    expect(value is True, f"field {name!r}: expected true")
-    return value
-
-
+EFFECT = field(lambda value: value in MODEL_EFFECTS, f"some of {', '.join(MODEL_EFFECTS)}")
 WIDTHS = list_of(integer(2**14), 0, 8)  # of hidden layers
 FIELDS = {
     "anchors": integer(MOST_ANCHORS),
@@ -242,6 +224,9 @@ FIELDS = {
     "F": integer(64),
     "Q_0": list_of(number(2.0**-100, 2.0**100), 4, 4),
     "tau_alpha": number(-1.0, 1.0),
-    "effects": list_of(effect, 0, len(MODEL_EFFECTS)),
+    "effects": list_of(EFFECT, 0, len(MODEL_EFFECTS)),
 }
-OPTIONAL = {"time_net": list_of(integer(2**14), 1, 8), "skip": true}
+OPTIONAL = {
+    "time_net": list_of(integer(2**14), 1, 8),
+    "skip": field(lambda value: value is True, "true"),
+}

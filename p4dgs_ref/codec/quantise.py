@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..equations import rounding
+from ..equations import mlp, rounding
 from ..model import (
+    ANCHOR_NETWORKS,
     GROUPS,
     Anchors,
     Model,
@@ -16,9 +17,8 @@ from ..model import (
     snap,
     split,
     step_of_code,
-    without_silent_units,
 )
-from ..scenes.limits import LARGEST_BOX, MOST_STEPS
+from ..scenes.scene import LARGEST_BOX, MOST_STEPS
 from .container import BitstreamError
 from .context import CodingContext, coding_context
 from .header import read_header, write_header
@@ -99,6 +99,46 @@ def quantise(model):
     return Quantised(without_silent_units(rounded), positions, symbols, kept, ctx)
 
 
+def without_silent_units(model):
+    """The same model without the hidden units of anchor networks that are 0 for every anchor.
+
+    Without view effects the only input of these networks is the list of features, so a ReLU that
+    is 0 for each of them changes no picture. The four networks share their widths, so from each as
+    many units are removed as the one with the fewest silent units can lose. With view effects the
+    input is not known, and the model is returned as it is. Features and weights must be the rounded
+    ones of the file, because a unit that is 0 with these can be positive with others.
+
+    A sum of fewer terms can have another last bit, which decides about a unit whose terms cancel.
+    Units are therefore removed until none is silent, so that a decoded model encodes to its file.
+    """
+    if {"view_color", "view_geometry"} & set(model.design.effects) or not model.design.hidden:
+        return model
+    active = {name: active_units(model, name) for name in ANCHOR_NETWORKS}
+    widths = tuple(int(max(1, *map(np.sum, layers))) for layers in zip(*active.values()))
+    networks = dict(model.networks)
+    for name, layers in active.items():
+        # Active units first, then silent ones where another network of this width needs more.
+        kept = [
+            np.sort(np.argsort(~layer, kind="stable")[:width])
+            for layer, width in zip(layers, widths)
+        ]
+        weights, biases = model.networks[name]
+        rows, columns = [slice(None), *kept], [*kept, slice(None)]
+        networks[name] = (
+            # In row order, as a decoder has them: the order may decide about the last bit, too.
+            [np.array(W[i][:, j], order="C") for W, i, j in zip(weights, rows, columns)],
+            [b[after] for b, after in zip(biases, columns)],
+        )
+    smaller = replace(model, design=model.design._replace(hidden=widths), networks=networks)
+    return model if widths == tuple(model.design.hidden) else without_silent_units(smaller)
+
+
+def active_units(model, name):
+    """For every hidden layer of an anchor network, which units are positive for some anchor."""
+    _, (layer_inputs, _) = mlp.forward(model.anchors.f_a, *model.networks[name])
+    return [units.any(axis=0) for units in layer_inputs[1:]]
+
+
 def round_networks(networks):
     """Networks rounded to float16 (Q18), as float64 arrays in row order, as a decoder has them.
 
@@ -126,15 +166,17 @@ def round_to_steps(networks, steps):
     """
     rounded = {}
     for name, pair in networks.items():
-        tensors = []
-        for arrays, codes in zip(pair, steps[name]):
-            symbols = [np.rint(a / step) + 0.0 for a, step in zip(arrays, step_of_code(codes))]
-            require_encodable(
-                all((np.abs(a) <= MOST_STEPS).all() for a in symbols),
-                f"network {name}: expected finite weights of at most {MOST_STEPS} steps",
-            )
-            tensors.append([a * step for a, step in zip(symbols, step_of_code(codes))])
-        rounded[name] = tuple(tensors)
+        sizes = [step_of_code(codes) for codes in steps[name]]
+        symbols = [
+            [np.rint(a / step) + 0.0 for a, step in zip(*weights)] for weights in zip(pair, sizes)
+        ]
+        require_encodable(
+            all((np.abs(a) <= MOST_STEPS).all() for arrays in symbols for a in arrays),
+            f"network {name}: expected finite weights of at most {MOST_STEPS} steps",
+        )
+        rounded[name] = tuple(
+            [a * step for a, step in zip(*weights)] for weights in zip(symbols, sizes)
+        )
     return rounded
 
 

@@ -94,13 +94,11 @@ def encode(entries, keys, lanes=None, push_rows=None):
     starts, freqs = keys[entries] & SLOT, np.diff(keys)[entries]
     lanes = lanes or choose_lanes(freqs)
     x, stack, left = push_tail(starts, freqs, lanes)
-    tail, row_words, top = b"", [], []
-    if lanes > 1:
-        tail = (len(entries) - left).to_bytes(4, "little")
-        states = start_lanes(x, lanes, stack)
-        rows = [values[:left].reshape(-1, lanes) for values in (starts, freqs)]
-        states, row_words = (push_rows or push_rows_fast)(states, *rows)
-        x, top = close_lanes(states)
+    states = start_lanes(x, lanes, stack)
+    rows = [values[:left].reshape(-1, lanes) for values in (starts, freqs)]
+    states, row_words = (push_rows or push_rows_fast)(states, *rows)
+    x, top = close_lanes(states)
+    tail = (len(entries) - left).to_bytes(4, "little") if lanes > 1 else b""
     high = 0x80 if x > LOW_WORD else 0
     head = bytes([lanes.bit_length() - 1 | high]) + tail + x.to_bytes(8 if high else 4, "little")
     words = [np.asarray(part, np.int64) for part in (top[::-1], row_words, stack[::-1])]
@@ -217,20 +215,19 @@ def decode(data, tables, keys, at=0, section="stream", pop_rows=None):
     # A symbol takes one word at most, and a lane to be opened three: the message has no more words.
     count = min((len(data) - start) // 4, len(tables) + 3 * lanes)
     words = np.frombuffer(data, "<u4", count, start)
-    end, unread = start + 4 * count, count
+    end = start + 4 * count
     try:
-        if lanes > 1:
-            states, words = open_lanes(x, lanes, words)
-            rows = [values[:left].reshape(-1, lanes) for values in (tables, entries)]
-            states, words = (pop_rows or pop_rows_fast)(states, words, rows[0], keys, rows[1])
-            require(
-                all(state >> 31 == 1 for state in states[1:]),
-                section,
-                end - 4 * len(words),
-                "a lane does not end where lanes start",
-            )
-            unread = len(words)
-            x, words = end_lanes(states, words)
+        states, words = open_lanes(x, lanes, words)
+        rows = [values[:left].reshape(-1, lanes) for values in (tables, entries)]
+        states, words = (pop_rows or pop_rows_fast)(states, words, rows[0], keys, rows[1])
+        require(
+            all(state >> 31 == 1 for state in states[1:]),
+            section,
+            end - 4 * len(words),
+            "a lane does not end where lanes start",
+        )
+        unread = len(words)
+        x, words = end_lanes(states, words)
         x, words = pop_tail(x, words, tables[left:], keys, entries[left:])
     except IndexError:  # of an empty stack
         raise BitstreamError(section, len(data), "the data end before the last symbol") from None
@@ -328,12 +325,13 @@ def pop_rows_plainly(states, words, tables, keys, entries):
 
 def pop_rows_fast(states, words, tables, keys, entries):
     """The same as `pop_rows_plainly`, over all lanes at once."""
-    x, freqs, count = np.array(states, np.int64), np.diff(keys), 0
+    x, count = np.array(states, np.int64), 0
     for row in range(len(tables)):
         target = tables[row].astype(np.int64) << PRECISION | x & SLOT
         entry = keys.searchsorted(target, "right") - 1
         entries[row] = entry
-        x = (x >> PRECISION) * freqs.take(entry) + target - keys.take(entry)
+        start = keys.take(entry)
+        x = (x >> PRECISION) * (keys.take(entry + 1) - start) + target - start
         short = (x < LOWEST).nonzero()[0]
         if len(short):
             fresh = words[count : count + len(short)]

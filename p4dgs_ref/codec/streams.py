@@ -36,14 +36,13 @@ The bits 1 1 1 0 have f = 12582912, and their stream is 00 00 C0 00  80 00 00 40
 
 import numpy as np
 
-from ..scenes.limits import MOST_SYMBOL
+from ..scenes.scene import MOST_SYMBOL
 from . import rans
 from .container import require
 from .fixed_point import bit_length
 from .gaussian_table import CHUNK, PRECISION, check_integers, gaussian_model
 
 MAX_GAMMA = 33
-CERTAIN = 1 << PRECISION  # probability one
 
 
 def encode_gaussian(symbols, mu_units, sigma_units, lanes=None, push_rows=None):
@@ -191,7 +190,9 @@ def encode_bits(bits, lanes=None):
     if len(bits) == 0:
         return b""
     f = probability_of_one(int(bits.sum()), len(bits))
-    message = b"" if f in (0, CERTAIN) else rans.encode(bits.astype(np.int64), bit_keys(f), lanes)
+    message = (
+        b"" if f in (0, rans.CERTAIN) else rans.encode(bits.astype(np.int64), bit_keys(f), lanes)
+    )
     return f.to_bytes(4, "little") + message
 
 
@@ -202,7 +203,7 @@ def probability_of_one(ones, count):
 
 def bit_keys(f):
     """The frequency table of a bit."""
-    return np.array([0, CERTAIN - f, CERTAIN], np.int64)
+    return np.array([0, rans.CERTAIN - f, rans.CERTAIN], np.int64)
 
 
 def decode_bits(data, count, section="stream"):
@@ -213,9 +214,9 @@ def decode_bits(data, count, section="stream"):
     end = 4 if count else 0
     require(len(data) >= end, section, len(data), "the data end before the probability")
     f = int.from_bytes(data[:end], "little")
-    require(f <= CERTAIN, section, 0, f"a probability of {f} / 2^24")
-    if f in (0, CERTAIN):
-        bits = np.full(count, f == CERTAIN)
+    require(f <= rans.CERTAIN, section, 0, f"a probability of {f} / 2^24")
+    if f in (0, rans.CERTAIN):
+        bits = np.full(count, f == rans.CERTAIN)
     else:
         tables = np.zeros(count, np.uint8)
         entries, end = rans.decode(data, tables, bit_keys(f), end, section)

@@ -36,7 +36,7 @@ from functools import cache
 import numpy as np
 
 from ..model import step_of_code
-from ..scenes.limits import MOST_STEPS
+from ..scenes.scene import MOST_STEPS
 from . import rans
 from .container import require
 from .gaussian_table import SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, gaussian_model

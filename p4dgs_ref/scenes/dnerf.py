@@ -13,8 +13,15 @@ import numpy as np
 
 from ..splatting.camera import Camera
 from .files import read_image, read_json, shrink
-from .limits import LARGEST_LENS, LEAST_LENS
-from .scene import View, check_rotation, check_time, numbers, require
+from .scene import (
+    LARGEST_LENS,
+    LEAST_LENS,
+    View,
+    check_rotation,
+    check_time,
+    numbers,
+    require,
+)
 
 # Least and largest value of the fields that describe the lens: radians, then pixels.
 LENS = {

@@ -1,16 +1,33 @@
-"""Reads the files of which scenes consist: JSON objects and pictures."""
+"""Reads the files of which scenes consist: JSON objects, pictures and point clouds.
+
+The first anchors of a real scene stand at the points of
+
+.npy    an array of shape [A, 3]
+.ply    x, y and z of the element `vertex`, as COLMAP and 3DGS write them
+.txt    COLMAP's points3D.txt: lines of POINT3D_ID X Y Z R G B ERROR TRACK[]
+"""
 
 import json
 import os
 import warnings
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
 
-from .limits import LARGEST_JSON
-from .scene import SceneError, as_float, over_background, require, size_of
+from .ply import read_ply
+from .scene import (
+    FARTHEST,
+    LARGEST_JSON,
+    MOST_ANCHORS,
+    SceneError,
+    as_float,
+    over_background,
+    require,
+    size_of,
+)
 
 FOLDERS = (
     "a D-NeRF folder with transforms_train.json and transforms_test.json, "
@@ -34,8 +51,11 @@ def read_image(folder, name, where):
     if not os.path.isfile(file):  # unlike Path.is_file, also False for an impossible name
         file = folder / f"{name}.png"
     require(os.path.isfile(file), where, f"no picture {name!r}; expected {file}")
-    inside = file.resolve().is_relative_to(folder.resolve())
-    require(inside, where, f"{name!r} is outside; expected a picture in the folder {folder}")
+    require(
+        file.resolve().is_relative_to(folder.resolve()),
+        where,
+        f"{name!r} is outside; expected a picture in the folder {folder}",
+    )
     with reading(file, "a PNG of RGB or RGBA pixels", where), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a picture so large that it could be an attack
         picture: Any  # its class depends on the plugin
@@ -85,3 +105,47 @@ def reading(file, expected, where=None):
         raise
     except Exception as error:  # a broken file can fail in any layer of its reader
         raise SceneError(place, f"cannot be read ({error}); expected {expected}") from None
+
+
+def read_points(path: str | Path) -> np.ndarray:
+    """The points [A, 3] of a file as float64; SceneError where it holds something else."""
+    path = Path(path)
+    require(path.suffix in READERS, path, "expected a file whose name ends in .npy, .ply or .txt")
+    with reading(path, "a point cloud"):
+        points = READERS[path.suffix](path)
+    require(
+        points.ndim == 2 and points.shape[1] == 3 and len(points) and points.dtype.kind in "fiu",
+        path,
+        f"expected numbers of shape [A, 3]; found {points.dtype} {list(points.shape)}",
+    )
+    require(len(points) <= MOST_ANCHORS, path, f"expected at most {MOST_ANCHORS} points")
+    require(
+        np.all(np.abs(points) <= FARTHEST),
+        path,
+        f"expected finite coordinates of at most {FARTHEST:g}",
+    )
+    return points.astype(float)
+
+
+def read_vertices(path):
+    """The coordinates [A, 3] of the vertices of a PLY file."""
+    vertices = read_ply(path)[0]["vertex"]
+    named = {*"xyz"} <= {*vertices.dtype.names}
+    require(named, path, "expected properties x, y, z of the element vertex")
+    return np.stack([vertices[axis] for axis in "xyz"], axis=1)
+
+
+def read_colmap(path):
+    """The coordinates [A, 3] of the points of a points3D.txt; lines that begin with # are not."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    rows = [line.split() for line in lines if line.strip() and not line.startswith("#")]
+    for row in rows:
+        require(
+            len(row) >= 8,
+            path,
+            f"a line of {len(row)} words; expected POINT3D_ID X Y Z R G B ERROR TRACK[]",
+        )
+    return np.array([row[1:4] for row in rows], float)
+
+
+READERS = {".npy": np.load, ".ply": read_vertices, ".txt": read_colmap}

@@ -26,10 +26,18 @@ from types import SimpleNamespace
 import numpy as np
 
 from ..splatting.camera import Camera
-from .files import read_image, read_json, shrink
-from .limits import FARTHEST, LARGEST_LENS, LEAST_LENS
-from .points import read_points
-from .scene import View, check_rotation, is_number, numbers, require, size_of
+from .files import read_image, read_json, read_points, shrink
+from .scene import (
+    FARTHEST,
+    LARGEST_LENS,
+    LEAST_LENS,
+    View,
+    check_rotation,
+    is_number,
+    numbers,
+    require,
+    size_of,
+)
 
 SPLITS = "dataset.json"
 FULL = "the files of a HyperNeRF or NeRF-DS folder"
@@ -67,8 +75,10 @@ def read(folder, color, downscale):
         name: read_view(folder, name, lens, center, time, ratio, rest, color)
         for lens, center, (name, time) in zip(lenses, centers, times.items())
     }
-    found = {split: tuple(views[name] for name in names) for split, names in splits.items()}
-    return {**found, "points": points}
+    return {
+        **{split: tuple(views[name] for name in names) for split, names in splits.items()},
+        "points": points,
+    }
 
 
 def read_ids(folder):
@@ -143,8 +153,11 @@ def place(folder, x):
     center = numbers(data.get("center"), f"{file}: center", (3,), -LARGEST_LENS, LARGEST_LENS)
     scale = numbers(data.get("scale"), f"{file}: scale", (), LEAST_LENS, LARGEST_LENS)
     placed = (x - center) * scale
-    near = np.all(np.abs(placed) <= FARTHEST)  # False for NaN
-    require(near, f"{file}: scale", f"puts a camera or point beyond {FARTHEST:g}; expected less")
+    require(
+        np.all(np.abs(placed) <= FARTHEST),  # False for NaN
+        f"{file}: scale",
+        f"puts a camera or point beyond {FARTHEST:g}; expected less",
+    )
     return placed
 
 
@@ -153,10 +166,11 @@ def read_camera(folder, name):
     file = folder / "camera" / f"{name}.json"
     data = read_json(file, f"the camera of the view {name}")
     data = {"tangential_distortion": data.get("tangential", [0, 0]), **data}
-    lens = SimpleNamespace()
-    for field, (shape, least, default) in CAMERA.items():
-        value = numbers(data.get(field, default), f"{file}: {field}", shape, least, LARGEST_LENS)
-        setattr(lens, field, value)
+    fields = {
+        field: numbers(data.get(field, default), f"{file}: {field}", shape, least, LARGEST_LENS)
+        for field, (shape, least, default) in CAMERA.items()
+    }
+    lens = SimpleNamespace(**fields)
     check_rotation(lens.orientation, f"{file}: orientation")
     lens.focal = lens.focal_length * np.array([1, lens.pixel_aspect_ratio])
     return lens

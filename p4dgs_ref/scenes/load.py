@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import dnerf, hypernerf
-from .files import FOLDERS, read_json
+from .files import FOLDERS, read_json, read_points
 from .output import write_atomically
-from .points import read_points
 from .scene import (
     MODEL_EFFECTS,
     SIMULATOR_EFFECTS,

@@ -40,8 +40,9 @@ def locked(folder):
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                said = "another process is writing to it; expected a folder of its own"
-                raise OutputError(f"{folder}: {said}") from None
+                raise OutputError(
+                    f"{folder}: another process is writing to it; expected a folder of its own"
+                ) from None
         yield
     finally:
         os.close(handle)
@@ -86,8 +87,9 @@ def made(path):
             folder.mkdir(parents=True, exist_ok=True)
             TemporaryDirectory(prefix=PART, dir=folder).cleanup()
         except OSError as error:
-            said = f"expected a folder that can be written to ({error.strerror})"
-            raise OutputError(f"{folder}: {said}") from None
+            raise OutputError(
+                f"{folder}: expected a folder that can be written to ({error.strerror})"
+            ) from None
         yield folder
     except BaseException:
         with suppress(OSError):  # the first folder that was not made, or is not empty, ends it

@@ -12,7 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..splatting.camera import Camera
-from .limits import FARTHEST, LARGEST_LENS, LEAST_LENS
+
+# How much a scene and a file may hold, so that a damaged one costs neither time nor memory. The
+# codec's format page states the limits of a file; a port has to keep to them.
+FARTHEST = 1e6  # scene units from the origin to a camera or point, along any axis
+LEAST_LENS, LARGEST_LENS = 1e-9, 1e9  # pixels of a focal length; of a principal point
+LARGEST_JSON = 2**27  # bytes; a view takes about 500
+MOST_FILE, MOST_HEADER = 2**29, 2**14  # bytes
+MOST_ANCHORS, MOST_ENTRIES = 2**22, 2**24  # entries of the hash grid
+LARGEST_BOX = 1e30  # of a coordinate, so that extents are finite in float32
+MOST_SYMBOL, MOST_STEPS = 2**31, 2**15 - 1  # magnitudes of a symbol, and of a weight's
 
 # The closed lists of effects. The simulator knows the effects of the model and three of its own.
 MODEL_EFFECTS = (
@@ -29,7 +38,6 @@ SIMULATOR_EFFECTS = (*MODEL_EFFECTS, "texture", "diffuse", "specular")
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 # Files print six or seven digits. A scaled or mirrored matrix is further from a rotation than this.
 ROTATION_TOLERANCE = 1e-3
-NUMPY_NUMBERS = (np.integer, np.floating)
 # Shape, least and largest value of the fields of a camera.
 FOCAL, PRINCIPAL = ((), LEAST_LENS, LARGEST_LENS), ((), -LARGEST_LENS, LARGEST_LENS)
 CAMERA = {
@@ -209,7 +217,7 @@ def numbers(value, where, shape=(), low=-FARTHEST, high=FARTHEST):
     """The numbers of a field as a float64 array of that shape, all of them from low to high."""
     try:
         entries = np.asarray(value, dtype=object)
-        known = all(is_number(entry, int, float, *NUMPY_NUMBERS) for entry in entries.flat)
+        known = all(is_number(entry, int, float, np.integer, np.floating) for entry in entries.flat)
         found = entries.astype(float) if known and entries.shape == shape else np.array(np.nan)
     except (ValueError, OverflowError):  # rows of unequal lengths, or an integer of 400 digits
         found = np.array(np.nan)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..scenes.output import destination, write_atomically
-from .presets import PAPER_SYNTHETIC, Preset, choose
+from .presets import Preset
 
 VERSION = 2  # without a checksum: 1
 CHECKPOINT = "checkpoint.npz"
@@ -54,8 +54,8 @@ def save(trainer, folder, common):
     archive = io.BytesIO()
     np.savez(archive, **arrays)
     data = archive.getvalue()
-    whole = data + hashlib.sha256(data).digest()
-    write_atomically(Path(folder) / CHECKPOINT, lambda file: file.write(whole))
+    checksum = hashlib.sha256(data).digest()
+    write_atomically(Path(folder) / CHECKPOINT, lambda file: file.write(data + checksum))
 
 
 def load(folder):
@@ -86,13 +86,6 @@ def load(folder):
     return arrays, values
 
 
-def preset_of(values):
-    """The preset that a checkpoint was made with, which may have a name of its own."""
-    fields = dict(values["preset"])
-    name = fields.pop("name")
-    return choose(PAPER_SYNTHETIC, fields)._replace(name=name)
-
-
 def resume(trainer, folder, common):
     """Put the state of a checkpoint into a fresh trainer of the same preset, seed and scene.
 
@@ -101,12 +94,12 @@ def resume(trainer, folder, common):
     arrays, values = load(folder)
     for field, ours in json.loads(json.dumps(common)).items():
         theirs = values[field]
-        if ours == theirs:
-            continue
-        if isinstance(ours, dict):
+        if isinstance(ours, dict) and ours != theirs:
             field += "." + next(name for name in ours if ours[name] != theirs.get(name))
-        raise RunError(
-            f"{Path(folder) / CHECKPOINT}: field '{field}': the checkpoint was made with another "
-            "one; pass what the training was started with, or choose a new output folder"
-        )
+        if ours != theirs:
+            raise RunError(
+                f"{Path(folder) / CHECKPOINT}: field '{field}': the checkpoint was made with "
+                "another one; pass what the training was started with, or choose a new output "
+                "folder"
+            )
     trainer.restore(arrays, values)

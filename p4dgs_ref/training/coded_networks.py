@@ -23,7 +23,7 @@ class Layout:
         arrays = {name: a for name, a in p.arrays.items() if name.startswith("psi_")}
         self.rounded = Parameters(arrays, p.vector.dtype)
         self.networks = {name: self.rounded.network(name) for name in names}
-        self.part = p.part("psi_")
+        self.part = p.per_element(lambda name: name in arrays) > 0  # of the flat vector
         # Biases [J] are a matrix of one column.
         shapes = [(*a.shape, 1)[:2] for a in arrays.values()]
         self.tensor = np.repeat(np.arange(len(shapes)), [I * J for I, J in shapes])

@@ -50,11 +50,12 @@ class Statistics:
 
     def with_rows(self, keep, count):
         """The statistics of the anchors that are kept, and of `count` new ones after them."""
-        rows = (
-            np.concatenate([sums[keep], np.zeros((count, *sums.shape[1:]))])
-            for sums in (self.visits, self.opacity, self.gradient, self.seen)
+        return Statistics(
+            *(
+                np.concatenate([sums[keep], np.zeros((count, *sums.shape[1:]))])
+                for sums in vars(self).values()
+            )
         )
-        return Statistics(*rows)
 
 
 def centers(p):
@@ -85,7 +86,8 @@ def grow(p, statistics, preset, rng):
         cells, cell = np.unique(np.round(x[wanted] / size), axis=0, return_inverse=True)
         largest = np.full((len(cells), p["f_a"].shape[1]), -np.inf, p["f_a"].dtype)
         np.maximum.at(largest, cell.ravel(), parents[wanted])
-        free = ~among(cells, np.round(np.concatenate([p["x_a"], *taken]) / size))
+        occupied = {*map(tuple, np.round(np.concatenate([p["x_a"], *taken]) / size).tolist())}
+        free = np.array([tuple(row) not in occupied for row in cells.tolist()])
         if free.any():
             taken.append((cells[free] * size).astype(p["x_a"].dtype))
             features.append(largest[free])
@@ -94,12 +96,6 @@ def grow(p, statistics, preset, rng):
     reach = np.repeat(np.concatenate(sizes)[:, None], 3, axis=1).astype(x_a.dtype)
     offsets = np.zeros((len(x_a), *p["O_a"].shape[1:]), x_a.dtype)
     return dict(zip(ROWS, (x_a, np.concatenate(features), reach, reach, offsets)))
-
-
-def among(cells, present):
-    """Which rows of `cells` occur among those of `present`."""
-    occupied = {tuple(row) for row in present.tolist()}
-    return np.array([tuple(row) in occupied for row in cells.tolist()], bool)
 
 
 def often_seen(statistics, preset):

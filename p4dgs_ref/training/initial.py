@@ -11,12 +11,11 @@ from .parameters import Parameters, random_layers
 
 def design_of(preset, effects):
     """The Design that a preset and the effects of a scene ask for."""
-    grid = [("xyz", res) for res in preset.grid_3d]
-    grid += [(plane, res) for plane in ("xy", "xz", "yz") for res in preset.grid_2d]
+    levels = {"xyz": preset.grid_3d, **dict.fromkeys(("xy", "xz", "yz"), preset.grid_2d)}
     same = {name: getattr(preset, name) for name in Design._fields if hasattr(preset, name)}
     return Design(
         **same,
-        grid=tuple(grid),
+        grid=tuple((axes, res) for axes, listed in levels.items() for res in listed),
         table=(preset.table_3d, preset.table_2d),
         Q_0=(preset.Q_f, preset.Q_s, preset.Q_l, preset.Q_O),
         effects=tuple(effects),

@@ -22,7 +22,7 @@ import numpy as np
 from ..equations import ssim
 from .adam import Adam
 from .density import Statistics
-from .finite import NotFinite, first_bad
+from .watch import NotFinite, first_bad
 
 MOST_MOMENTS = 2**28  # bytes of moments for SSIM that are kept: 682 views of 64x64, 4 of 800x800
 
@@ -88,8 +88,7 @@ class Loop:
         rates = {stem: self.rate_of(stem) for stem in {name.split(".")[0] for name in p.arrays}}
         self.adam.step(p, gradients, lambda name: rates[name.split(".")[0]])
         if not np.isfinite(p.vector).all():
-            bad = first_bad(p.arrays)
-            raise NotFinite(self.iteration, f"after Adam's step, parameter {bad}")
+            raise NotFinite(self.iteration, first_bad(p.arrays, "after Adam's step, parameter "))
         if self.iteration >= self.preset.collect_from:
             self.statistics.collect(seen, mean2d_bar, view.camera.width, view.camera.height)
         self.iteration += 1

@@ -25,9 +25,8 @@ class Parameters:
 
     def zeros(self):
         """The same names and shapes, filled with zeros."""
-        twin = Parameters(self.arrays, self.vector.dtype)
-        twin.vector[:] = 0
-        return twin
+        zeros = {name: np.zeros(array.shape) for name, array in self.arrays.items()}
+        return Parameters(zeros, self.vector.dtype)
 
     def numbered(self, prefix):
         """The arrays whose names are the prefix and 0, 1 and so on."""
@@ -41,12 +40,6 @@ class Parameters:
     def listed(self, name):
         """The arrays "name.0", "name.1" and so on."""
         return self.numbered(f"{name}.")
-
-    def part(self, prefix):
-        """The slice of `vector` with the arrays whose names begin so; they stand side by side."""
-        sizes = [(name.startswith(prefix), array.size) for name, array in self.arrays.items()]
-        start = sum(size for _, size in sizes[: [found for found, _ in sizes].index(True)])
-        return slice(start, start + sum(size for found, size in sizes if found))
 
     def fill(self, name, gradients):
         """Copy the "weights" and "biases" among the gradients of a network into place."""

@@ -29,23 +29,18 @@ def layers(most):
     )
 
 
-def is_rate(value):
-    """Whether a learning rate is two positive numbers, or off."""
-    positive = len(value) == 2 and all(0 < rate < INFINITY for rate in value)
-    return positive or tuple(value) == (0, 0)
-
-
-def is_rising(ends):
-    """Whether there are four ends of stages, in order and not all zero."""
-    return len(ends) == 4 and sorted((0, *ends)) == [0, *ends] and 1 <= ends[-1] <= LARGEST
-
-
 POSITIVE = (f"a positive number up to {LARGEST:g}", lambda value: 0 < value <= LARGEST)
 NOT_NEGATIVE = between(0, LARGEST)
-RATE = ("first,last, two positive rates or 0,0", is_rate)
+RATE = (
+    "first,last, two positive rates or 0,0",
+    lambda ends: len(ends) == 2 and (all(0 < rate < INFINITY for rate in ends) or not any(ends)),
+)
 STEP = between(2.0**-40, 2.0**40)
 FLAG = ("true or false", lambda value: True)
-ENDS = ("four rising iterations", is_rising)
+ENDS = (
+    "four rising iterations",
+    lambda ends: len(ends) == 4 and sorted((0, *ends)) == [0, *ends] and 1 <= ends[-1] <= LARGEST,
+)
 GROWING = ("scaffold, reseed or off", lambda value: value in ("scaffold", "reseed", "off"))
 
 # Where values of the paper's presets come from, with the number of the choice in
@@ -255,8 +250,7 @@ def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Pr
         if preset not in PRESETS:
             raise ValueError(f"preset {preset!r}: expected one of {', '.join(PRESETS)}")
         preset = PRESETS[preset]
-    values = read_changes(preset.name, PAPER_SYNTHETIC._asdict(), changes)
-    chosen = preset._replace(**values)
+    chosen = preset._replace(**read_changes(preset.name, PAPER_SYNTHETIC._asdict(), changes))
     for field, row in ROWS.items():
         value, (expected, is_met) = getattr(chosen, field), row.requirement
         if not is_met(value):
@@ -287,12 +281,11 @@ def read_changes(name, fields, changes):
             raise ValueError(
                 f"field {field!r} of preset {name}: no such field; `p4dgs-ref presets` lists them"
             )
-        like = fields[field]
         try:
-            values[field] = read_value(value, like)
+            values[field] = read_value(value, fields[field])
         except (ValueError, KeyError, TypeError):
             raise ValueError(
-                f"field {field!r}: expected a value like {like!r}, got {value!r}"
+                f"field {field!r}: expected a value like {fields[field]!r}, got {value!r}"
             ) from None
     return values
 

@@ -25,18 +25,14 @@ class Progress:
     def __init__(self, stream=sys.stderr):
         self.stream, self.live = stream, stream is not None and stream.isatty()
         self.shown = 0.0  # when the last line was written
-        self.open = False  # whether the terminal stands in the middle of a line
         self.window = []  # milliseconds, PSNR and loss of the last steps
 
     def __call__(self, trainer, losses, seen, view, ms):
         done, total = trainer.iteration, trainer.preset.iterations
-        kept = done % min(EVERY, max(total // 50, 1)) == 0 or done == total
-        if not kept and self.stream is None:
-            return
         decibel = psnr(seen.image, view.image)
         anchors, gaussians = trainer.primitives, len(seen.index)
         stage = trainer.preset.stage(done - 1)
-        if kept:
+        if done % min(EVERY, max(total // 50, 1)) == 0 or done == total:
             row = [done, stage, losses.L_total, decibel, losses.L_rate, anchors, gaussians]
             trainer.history.append(row)
         self.window = [*self.window[-49:], (ms, decibel, losses.L_total)]
@@ -49,21 +45,17 @@ class Progress:
         left = 1e-3 * ms * (total - done)
         rate = f"{losses.L_rate:.2f}" if losses.L_rate else "-"
         # The most important numbers come first, because a narrow terminal cuts the line.
-        self.write(
+        line = (
             f"{done:{len(str(total))}d}/{total}  {left:.0f} s left  stage {stage}  "
             f"loss {loss:.4f}  PSNR {decibel:.2f} dB  {rate} bits/parameter  "
             f"{anchors} {trainer.UNIT}  {gaussians} Gaussians  {ms:.1f} ms/step"
         )
-
-    def write(self, line):
-        """Redraw the line on a terminal, add it to any other stream."""
         width = shutil.get_terminal_size().columns - 1
         self.stream.write(f"\r{line[:width]}\x1b[K" if self.live else line + "\n")
         self.stream.flush()
-        self.open = self.live
 
     def close(self):
         """End the line of a terminal, so that a result or an error starts on a new one."""
-        if self.open:
+        if self.live and self.shown:
             self.stream.write("\n")
             self.stream.flush()

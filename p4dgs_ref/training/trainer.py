@@ -9,10 +9,10 @@ from ..model import Anchors, Model, bounding_box, snap, split
 from ..splatting.settings import FAST
 from . import coded_networks, density, objective
 from .adam import exponential
-from .finite import NotFinite, find_first
 from .initial import design_of, initial_parameters
 from .loop import Loop
 from .parameters import Parameters
+from .watch import NotFinite, find_first
 
 LEARNING_RATES = {
     "x_a": "lr_x",
@@ -59,8 +59,7 @@ def assemble(p, design, mask, box, background):
 
 def tagged(arrays, tag):
     """The arrays whose names begin with the tag and a slash, without these."""
-    start = tag + "/"
-    return {name[len(start) :]: a for name, a in arrays.items() if name.startswith(start)}
+    return {name[len(tag) + 1 :]: a for name, a in arrays.items() if name.startswith(f"{tag}/")}
 
 
 class Trainer(Loop):
@@ -126,15 +125,10 @@ class Trainer(Loop):
         )
         return rate * self.preset.sparse_lr_c if name == "psi_c" and self.starts_sparse else rate
 
-    @property
-    def network_price(self):
-        """The price of a bit of a coded network, which rises from 0 to 1 in stage 4."""
-        done = self.iteration - self.preset.stage_ends[2]
-        return min(done / max(self.preset.network_ramp, 1), 1.0)
-
     def fixed(self):
         """The inputs of the next iteration that are not parameters."""
         preset, stage = self.preset, self.stage
+        coded_for = self.iteration - preset.stage_ends[2]  # iterations of stage 4
         return objective.Fixed(
             mask=self.mask,
             located=self.located,
@@ -144,7 +138,7 @@ class Trainer(Loop):
             lambda_ssim=preset.sparse_ssim if self.starts_sparse else preset.lambda_ssim,
             settings=self.settings,
             coded=self.layout if stage == 4 else None,
-            network_price=self.network_price,
+            network_price=min(coded_for / max(preset.network_ramp, 1), 1.0),  # rises to 1
         )
 
     def gradients_of(self, view):
@@ -208,8 +202,7 @@ class Trainer(Loop):
 
         The last anchor is never dropped.
         """
-        if added is None:
-            added = {name: self.parameters[name][:0] for name in density.ROWS}
+        added = added or {name: self.parameters[name][:0] for name in density.ROWS}
         count = len(added["x_a"])
         if not keep.any() and not count:
             keep = np.arange(len(keep)) == 0

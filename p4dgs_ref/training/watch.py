@@ -1,14 +1,18 @@
 """Watches calls of functions from outside, for the first NaN, for counts and for times.
 
-Nothing is replaced, and outside the `with` block nothing is slower.
+Nothing is replaced, and outside the `with` block nothing is slower. `find_first` runs an iteration
+again to name the equation, array and index that was the first to be NaN or infinite.
 """
 
 import sys
 from contextlib import contextmanager
 from importlib import import_module
 
+import numpy as np
+
 from ..splatting import fast
 from ..table import BEYOND, EQUATIONS
+from . import objective
 
 
 def equation_codes():
@@ -44,3 +48,67 @@ def watching(codes, see):
         yield
     finally:
         sys.setprofile(before)
+
+
+class NotFinite(ArithmeticError):
+    """Training met a NaN or an infinity; the message says where it was first seen."""
+
+    def __str__(self):  # of both arguments, so that it can be sent to another process
+        iteration, found = self.args
+        return f"iteration {iteration}: {found}"
+
+
+def first_bad(arrays, where=""):
+    """A phrase like "f_a[3, 1] is nan" for the first NaN or infinity in {name: array}, or None.
+
+    A list of arrays may stand in the place of an array. The phrase begins with `where`.
+    """
+    for name, value in arrays.items():
+        listed = isinstance(value, (list, tuple))
+        for i, array in enumerate(value if listed else [value]):
+            wrong = np.argwhere(~np.isfinite(array))
+            if len(wrong):
+                index = tuple(int(i) for i in wrong[0])
+                place = f"{name}[{i}]" if listed else name
+                return f"{where}{place}{list(index) if index else ''} is {np.asarray(array)[index]}"
+    return None
+
+
+@contextmanager
+def watched():
+    """A `with` block that gives a list: for each result a phrase if it is not finite, else None."""
+    running, found = [], []  # a network that runs inside Eq. (5) is named with it
+
+    def see(event, mark, frame, value):
+        key, name = mark
+        if event == "call":
+            running.append(key)
+            return
+        where = f"equation {', its '.join(map(repr, running))}"
+        running.pop()
+        if value is None:  # the call raised
+            return
+        if name == "forward":
+            equation = {**EQUATIONS, **BEYOND}[key.split(",")[0]]
+            where, value = f"{where}, forward: ", equation.named(value[0])
+        else:
+            where += ", backward, gradient of: "
+        found.append(first_bad(value, where))
+
+    with watching(equation_codes(), see):
+        yield found
+
+
+def find_first(p, *inputs):
+    """A phrase that names where an iteration first stops being finite."""
+    with np.errstate(all="ignore"), watched() as found:
+        losses, _, back = objective.loss(p, *inputs)
+        gradients, _ = back()
+    phrases = (
+        first_bad(p.arrays, "parameter: "),
+        *found,
+        first_bad(losses._asdict(), "objective: "),
+        first_bad(gradients.arrays, "gradient of: "),
+        "a NaN or an infinity that did not come back when the iteration was repeated",
+    )
+    return next(filter(None, phrases))

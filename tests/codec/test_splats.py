@@ -9,7 +9,7 @@ import pytest
 from p4dgs_ref.codec.splats import write_gaussians
 from p4dgs_ref.model import Gaussians
 from p4dgs_ref.scenes import SceneError
-from p4dgs_ref.scenes.points import read_points
+from p4dgs_ref.scenes.files import read_points
 from p4dgs_ref.splatting import render
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, FAST

@@ -8,7 +8,7 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.cli import text
-from p4dgs_ref.training import advice
+from p4dgs_ref.training import fit
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
 from p4dgs_ref.training.trainer import Trainer, covered_share
 
@@ -33,10 +33,10 @@ def messages(function, *args, **kwargs):
 
 
 def test_few_views_are_warned_of_in_one_line():
-    few, enough = scene(advice.FEW_VIEWS - 1), scene(advice.FEW_VIEWS)
-    told = messages(advice.warn_of_few_views, few)
-    assert len(told) == 1 and f"{advice.FEW_VIEWS - 1} training views" in told[0]
-    assert "\n" not in told[0] and not messages(advice.warn_of_few_views, enough)
+    few, enough = scene(fit.FEW_VIEWS - 1), scene(fit.FEW_VIEWS)
+    told = messages(fit.warn_of_few_views, few)
+    assert len(told) == 1 and f"{fit.FEW_VIEWS - 1} training views" in told[0]
+    assert "\n" not in told[0] and not messages(fit.warn_of_few_views, enough)
 
 
 class Flat:
@@ -57,7 +57,7 @@ class Flat:
 @pytest.mark.parametrize("share, is_warned", [(0, True), (0.1, True), (0.12, False), (1, False)])
 def test_a_result_within_1_db_of_one_colour_is_warned_of(share, is_warned):
     """With this share of the truth, the error shrinks by the factor (1 - share)**2."""
-    told = messages(advice.warn_of_failure, Flat(scene(4), share))
+    told = messages(fit.warn_of_failure, Flat(scene(4), share))
     assert len(told) == is_warned and not any("\n" in line for line in told)
     if is_warned:
         flat = -10 * np.log10(np.mean((scene(4).train[0].image - Flat(scene(4), 0).image) ** 2))
@@ -65,7 +65,7 @@ def test_a_result_within_1_db_of_one_colour_is_warned_of(share, is_warned):
 
 
 def test_a_scene_of_one_colour_is_not_warned_of():
-    assert not messages(advice.warn_of_failure, Flat(scene(3, thick=0), 0))
+    assert not messages(fit.warn_of_failure, Flat(scene(3, thick=0), 0))
 
 
 def test_training_warns_before_and_after():

@@ -13,12 +13,11 @@ from p4dgs_ref.model import LATTICE, snap
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.training import loop
 from p4dgs_ref.training.adam import Adam, exponential
-from p4dgs_ref.training.finite import NotFinite
 from p4dgs_ref.training.initial import design_of, initial_parameters, neighbour_distance
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, TINY, choose, differences
 from p4dgs_ref.training.trainer import Trainer
-from p4dgs_ref.training.watch import equation_codes, watching
+from p4dgs_ref.training.watch import NotFinite, equation_codes, watching
 
 SHORT = SMOKE._replace(stage_ends=(1, 2, 3, 5))  # every stage, in five steps
 

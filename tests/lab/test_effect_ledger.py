@@ -9,11 +9,12 @@ import pytest
 
 from p4dgs_ref.codec import quantise
 from p4dgs_ref.codec.file import decode, encode
+from p4dgs_ref.codec.quantise import without_silent_units
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.equations import deformation
 from p4dgs_ref.lab.effects import ledger as effect_ledger
 from p4dgs_ref.lab.effects.work import deformation_work
-from p4dgs_ref.model import ANCHOR_NETWORKS, without_silent_units
+from p4dgs_ref.model import ANCHOR_NETWORKS
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
 from p4dgs_ref.training.initial import design_of

@@ -26,10 +26,10 @@ from p4dgs_ref.report.evaluate import decibel, explicit_bytes, score
 from p4dgs_ref.report.jobs import in_processes
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.output import OutputError
-from p4dgs_ref.training.finite import NotFinite
 from p4dgs_ref.training.fit import fit
 from p4dgs_ref.training.presets import TINY, TINY_CODED, paper_design
 from p4dgs_ref.training.progress import COLUMNS
+from p4dgs_ref.training.watch import NotFinite
 from tests.sampling import few
 
 PICTURES = {"comparison.png", "motion.gif", "size.png", "training.png"}

@@ -14,10 +14,10 @@ from ...splatting.covariance import rotation_matrix
 from ...splatting.settings import FAST
 from ...training.adam import exponential
 from ...training.density import Statistics
-from ...training.finite import NotFinite, first_bad
 from ...training.loop import Loop
 from ...training.objective import Losses, Seen
 from ...training.parameters import Parameters
+from ...training.watch import NotFinite, first_bad
 
 SHRINK = 1.6  # children of a split are smaller by this factor
 LARGEST = 0.1  # of the extent: larger Gaussians are pruned once opacities have been reset

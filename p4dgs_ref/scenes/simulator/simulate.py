@@ -120,6 +120,10 @@ def transforms(split, posed):
         c2w[:3, :3] = camera.R.T * OPENGL_TO_OPENCV
         c2w[:3, 3] = camera.center
         name = f"./{split}/r_{i:03d}"
-        frame = {"file_path": name, "time": t, "transform_matrix": c2w.tolist()}
-        frames.append(json.dumps(frame))
-    return json.dumps(head)[:-1] + ',\n "frames": [\n  ' + ",\n  ".join(frames) + "]}\n"
+        frames.append({"file_path": name, "time": t, "transform_matrix": c2w.tolist()})
+    return (
+        json.dumps(head)[:-1]
+        + ',\n "frames": [\n  '
+        + ",\n  ".join(map(json.dumps, frames))
+        + "]}\n"
+    )

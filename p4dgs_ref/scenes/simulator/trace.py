@@ -32,15 +32,15 @@ def trace(description, camera, t):
     effects, viewer = description.effects, camera.center
     bodies, directions = description.bodies, rays(camera)
     where = poses(bodies, effects, t, viewer)
-    hits = [hit(body, where[body.name], viewer, directions) for body in bodies]
-
-    def light(i, chosen):
-        x = viewer + hits[i][chosen, None] * directions[chosen]
-        return shade(bodies[i], where[bodies[i].name], x, viewer, description.light, effects)
-
-    gather = nearest if "occlusion" in effects else sum_up
-    color = gather(hits, light, len(directions))
-    covered = np.isfinite(hits).any(axis=0) if "background" in effects else None
+    hits = np.array([hit(body, where[body.name], viewer, directions) for body in bodies])
+    seen = np.isfinite(hits)
+    covered = seen.any(axis=0) if "background" in effects else None
+    if "occlusion" in effects:
+        seen = nearest(hits)
+    color = np.zeros(directions.shape)
+    for body, distance, chosen in zip(bodies, hits, map(np.flatnonzero, seen)):
+        x = viewer + distance[chosen, None] * directions[chosen]
+        color[chosen] += shade(body, where[body.name], x, viewer, description.light, effects)
     return develop(color, covered, camera)
 
 
@@ -53,7 +53,12 @@ def rays(camera):
     x, y = (u + du - camera.c_x) / camera.f_x, (v + dv - camera.c_y) / camera.f_y
     d = np.stack([x, y, np.ones(u.shape)], axis=-1)
     d = d.reshape(-1, 3) @ camera.R  # R maps world to camera; its transpose maps back
-    return d / np.linalg.norm(d, axis=1, keepdims=True)
+    return unit(d)
+
+
+def unit(v):
+    """Vectors [N, 3] of length 1 in the directions of v."""
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
 def hit(body, pose, origin, directions):
@@ -62,22 +67,9 @@ def hit(body, pose, origin, directions):
     return shapes.HITS[body.shape.kind](body.shape, o, d)
 
 
-def nearest(hits, light, n):
-    """With occlusion every ray sees the body that it meets first."""
-    color, first = np.zeros((n, 3)), np.argmin(hits, axis=0)
-    for i, distance in enumerate(hits):
-        chosen = np.flatnonzero((first == i) & np.isfinite(distance))
-        color[chosen] = light(i, chosen)
-    return color
-
-
-def sum_up(hits, light, n):
-    """Without occlusion every ray sees the sum of all bodies that it meets."""
-    color = np.zeros((n, 3))
-    for i, distance in enumerate(hits):
-        chosen = np.flatnonzero(np.isfinite(distance))
-        color[chosen] += light(i, chosen)
-    return color
+def nearest(hits):
+    """Which body every ray meets first [bodies, rays], from its distances to all of them."""
+    return np.isfinite(hits) & (hits.argmin(axis=0) == np.arange(len(hits))[:, None])
 
 
 def shade(body, pose, x, viewer, light, effects):
@@ -90,13 +82,14 @@ def shade(body, pose, x, viewer, light, effects):
     if not shiny and "diffuse" not in effects:
         return color
     normal = shapes.NORMALS[body.shape.kind](body.shape, local) @ pose.R.T
-    to_light = light_direction(light, x)
+    sunlit = light.kind == "sun"
+    to_light = unit(np.broadcast_to(-light.direction, x.shape) if sunlit else light.position - x)
     facing = np.maximum(shapes.dot(normal, to_light), 0)[:, None]
     if "diffuse" in effects:
         color = diffuse(color, facing, light.ambient)
     if shiny:
-        seen_from = to_viewer(x, viewer, effects)
-        color = color + specular(body.specular, normal, to_light, facing, seen_from)
+        to_viewer = viewer - x if "view_color" in effects else np.broadcast_to(UP, x.shape)
+        color = color + specular(body.specular, normal, to_light, facing, unit(to_viewer))
     return color
 
 
@@ -107,21 +100,6 @@ def textured(body, local):
     """
     mix = shapes.TEXTURES[body.texture.kind](body.texture, local * (1 - 1e-6))[:, None]
     return (1 - mix) * body.color + mix * body.texture.color
-
-
-def light_direction(light, x):
-    """Unit vectors from the surface to the lamp, or against the direction of the sun."""
-    to_light = (
-        light.position - x if light.kind == "point" else np.broadcast_to(-light.direction, x.shape)
-    )
-    return to_light / np.linalg.norm(to_light, axis=1, keepdims=True)
-
-
-def to_viewer(x, viewer, effects):
-    """Unit vectors to the viewer; straight up if colours do not depend on the view."""
-    if "view_color" not in effects:
-        return np.broadcast_to(UP, x.shape)
-    return (viewer - x) / np.linalg.norm(viewer - x, axis=1, keepdims=True)
 
 
 def diffuse(color, facing, ambient):
