@@ -157,7 +157,7 @@ def test_answers_do_not_stand_below_their_blanks(tutorial):
 def test_checks_of_ports_call_the_package(tutorial):
     """So they print no formula that an exercise asks for."""
     port = ast.parse(source(tutorial).split("# ## Check your port", 1)[1])
-    called = {"forward", "backward", "vjp", "rate", "decoded", "render"}
+    called = {"forward", "backward", "vjp", "rate", "decoded", "render", "loss"}
     checks = ("oracle.check", "lessons.passes", "lessons.caught")
     checked = set()
     for node in ast.walk(port):
@@ -170,17 +170,12 @@ def test_checks_of_ports_call_the_package(tutorial):
             assert calls & called, function.name
 
 
-@EACH
-def test_every_exercise_has_two_hints(tutorial):
-    for exercise in syllabus.facts(tutorial).exercises:
-        hints = lessons.stored("hints")[exercise]
-        assert len(hints) == 2
-        assert all(hint.endswith((".", "?")) and 20 < len(hint) < 250 for hint in hints), exercise
-
-
-def test_hints_belong_to_exercises():
+def test_every_exercise_has_two_hints():
     every = {exercise for t in TUTORIALS for exercise in syllabus.facts(t).exercises}
     assert set(lessons.stored("hints")) == every
+    for exercise, hints in lessons.stored("hints").items():
+        assert len(hints) == 2
+        assert all(hint.endswith((".", "?")) and 20 < len(hint) < 250 for hint in hints), exercise
 
 
 @EACH
@@ -299,17 +294,6 @@ def test_links_of_the_index_lead_somewhere():
 def test_first_cell_states_the_measured_minutes(tutorial):
     own = syllabus.facts(tutorial)
     assert (own.reading, own.doing) == syllabus.minutes(tutorial.name)
-
-
-def test_minutes_follow_their_rule(tmp_path):
-    prose = "# %% [markdown]\n# # Title\n#\n# " + "word " * (8 * syllabus.WORDS - 2) + "\n"
-    code = "\n# %%\nimport numpy\n\n" + "x = 1\n" * (2 * syllabus.LINES) + "\n# %% [markdown]\n"
-    asked = "# ## Exercises\n# **01.1** a\n#\n# **01.2** b\n#\n# **Predict, then run.** c\n"
-    solution = "# %%\n" + "x = 1\n" * (9 * syllabus.WRITTEN - 1)
-    (tmp_path / "solutions").mkdir()
-    (tmp_path / "sample.py").write_text(prose + code + asked, encoding="utf-8")
-    (tmp_path / "solutions" / "sample.py").write_text(solution, encoding="utf-8")
-    assert syllabus.minutes("sample", tmp_path) == (10, 20)  # 3 times 4 and 9 are 21
 
 
 def test_path_of_four_hours_and_all_hours_are_those_of_the_headers():
