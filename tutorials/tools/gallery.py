@@ -142,9 +142,7 @@ def take(out, pictures):
     renewed = [name for name, figure in figures.items() if figure.is_file()]
     with filled(pictures) as beside:
         for name in renewed:
-            if name.endswith(".gif"):
-                shrink_animation(figures[name], beside / name)
-            elif PICTURES[name].drawn_by == "demo":
+            if name.endswith(".gif") or PICTURES[name].drawn_by == "demo":
                 (beside / name).write_bytes(figures[name].read_bytes())
             else:
                 shrink(figures[name], beside / name)
@@ -219,15 +217,3 @@ def shares(n, m):
     low, high = edges[:-1, None], edges[1:, None]
     overlap = np.minimum(high, np.arange(1, n + 1)) - np.maximum(low, np.arange(n))
     return np.clip(overlap, 0, None) * m / n
-
-
-def shrink_animation(source, target):
-    """Write the GIF `source` to `target`, halved if all pixels come in 2 x 2 blocks."""
-    frames = iio.imread(source)
-    half = frames[:, ::2, ::2]
-    even = frames.shape[1] % 2 == frames.shape[2] % 2 == 0
-    if even and np.array_equal(half.repeat(2, 1).repeat(2, 2), frames):
-        duration = iio.immeta(source).get("duration", 60)
-        iio.imwrite(target, half, extension=".gif", duration=duration, loop=0)
-    else:
-        Path(target).write_bytes(Path(source).read_bytes())
