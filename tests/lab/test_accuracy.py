@@ -173,8 +173,8 @@ def test_without_context_the_symbols_stay_and_the_networks_go(short_model):
 @pytest.mark.parametrize(
     "name, factor",
     [
-        ("weight_bits", 2.5),
         ("steps", 1.01),
+        pytest.param("weight_bits", 2.5, marks=pytest.mark.slow),
         pytest.param("position_bits", 1.005, marks=pytest.mark.slow),
     ],
 )

@@ -340,9 +340,6 @@ def test_pictures_are_made_small_and_keep_what_they_show(tmp_path):
     small = iio.imread(tmp_path / "small.png")
     assert small.shape == (360, gallery.WIDTH, 3)
     assert np.array_equal(small[20::40, 20::40], patches)  # the centres
-    shares = gallery.shares(7, 3)
-    assert np.allclose(shares.sum(axis=1), 1)
-    assert np.allclose(shares.sum(axis=0), 3 / 7)
 
 
 def test_unknown_tutorial_is_refused():
