@@ -22,7 +22,7 @@ from p4dgs_ref.report.figures import draw_comparison, draw_size
 from p4dgs_ref.report.main_job import main_job
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.output import filled
-from tutorials.tools import animation
+from tutorials.tools import animation, architecture, handout
 from tutorials.tools.shared import FOLDER, write_text
 
 DRAWN = Path(__file__).with_name("gallery.json")  # {picture: hash of the code that drew it}
@@ -116,12 +116,15 @@ PICTURES = {
     ),
 }
 
+DRAWING, HANDOUT = "architecture.png", "handout.pdf"  # which are drawn in every run
 DRAW = {  # what draws the pictures that come from no tutorial
     "demo.png": (draw_comparison,),
     "demo_size.png": (draw_size,),
     "demo.gif": (animation,),
     "accuracy_rendering.png": (forms.cut, diagram.lines, diagram.place_labels),
     "accuracy_likelihood.png": (stability_map.draw_map, heatmap),
+    DRAWING: (architecture,),
+    HANDOUT: (architecture, handout),
 }
 
 
@@ -180,7 +183,7 @@ def drawn_before():
 def stale():
     """Names of the pictures that other code than today's has drawn."""
     drawn = drawn_before()
-    return [name for name in PICTURES if drawn.get(name) != code_hash(name)]
+    return [name for name in {**PICTURES, **DRAW} if drawn.get(name) != code_hash(name)]
 
 
 def draw_demo(out):
