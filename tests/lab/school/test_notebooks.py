@@ -41,26 +41,6 @@ def test_notebook_shows_text_and_figures_and_links_somewhere(file):
     assert [link for link in found if not (file.parent / link).exists()] == []
 
 
-@pytest.mark.parametrize("source", SOURCES, ids=lambda source: source.stem)
-def test_cells_are_those_of_the_tutorial(source):
-    text = source.read_text(encoding="utf-8")
-    joined = ""
-    for cell in notebooks.unrun(source)["cells"][1:]:
-        own = "".join(cell["source"])
-        if cell["cell_type"] == "markdown":
-            own = re.sub(r"\[(`\d\d_\w+`)\]\(\d\d_\w+\.ipynb\)", r"\1", own)
-            own = re.sub(r"(?<=\]\()(?!https:)(\.\./)?([^)\s]+?)(\.ipynb)?(?=\))", back, own)
-            own = re.sub(r"^(?=.)", "# ", own, flags=re.M)
-            own = "[markdown]\n" + re.sub(r"^$", "#", own, flags=re.M)
-        joined += f"# %% {own}\n" if cell["cell_type"] == "markdown" else f"# %%\n{own}\n"
-    assert joined.split("\n") == re.sub(r"\n{2,}(?=# %%)", "\n", text).split("\n")
-
-
-def back(link):
-    """A link of a notebook as the tutorial has it."""
-    return f"{link[2]}.py" if link[3] else link[2]
-
-
 @pytest.mark.parametrize("source", SOURCES, ids=[source.stem for source in SOURCES])
 def test_prose_can_be_shown_by_viewers_of_notebooks(source):
     cells = notebooks.cells(source.read_text(encoding="utf-8"))
