@@ -193,7 +193,7 @@ for (*decoded, true), view in zip(rows, (scene.test[5], scene.test[2])):
         picture = m["model"].render(view.camera, view.time).clip(0, 1)
         ax.imshow(picture)
         red, green, blue = picture[ball].mean(axis=0)
-        assert blue > 1.3 * max(red, green), (m["price"], red, green, blue)
+        assert blue > 1.2 * max(red, green), (m["price"], red, green, blue)
     true.imshow(view.image)
 for ax, m in zip(rows[0], points):
     ax.set_title(rf"$\lambda$ = {m['price']:g}" f"\n{m['attributes']} bytes")
