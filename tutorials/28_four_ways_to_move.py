@@ -438,29 +438,6 @@ for name, pair in costs.items():
     print(f"{name:11s}", *(f"{cost:12,.0f}" for cost in pair), "multiply-adds a Gaussian")
 assert costs["4DGS"][0] < costs["4DHexPlane"][0] < costs["D3DGS"][0] / 10
 
-figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.8), layout="constrained")
-places = np.arange(len(holdings))
-for i, label in enumerate(("tiny preset", "the authors' preset")):
-    names = [name for name in holdings if len(holdings[name]) > i]
-    at = [list(holdings).index(name) for name in names]
-    sums = [4 * (holdings[n][i][0] * holdings[n][i][2] + holdings[n][i][1]) / 1e6 for n in names]
-    style = dict(height=0.38, color=lessons.COLORS[i], label=label, hatch=("", "//")[i], ec="k")
-    left.barh(np.array(at) + 0.4 * i - 0.2, sums, **style)
-    right.barh(np.array(at) + 0.4 * i - 0.2, [costs[n][i] for n in names], **style)
-left.set(xlabel="numbers before coding, as float32 (MB)", title="What the first model stores")
-right.set(
-    xlabel="multiply-adds for a Gaussian",
-    title="What a picture costs",
-    yticklabels=[],
-)
-left.set_yticks(places, list(holdings))
-right.set_yticks(places)
-for panel in (left, right):
-    panel.set_xscale("log")
-    panel.invert_yaxis()
-left.legend(fontsize=11, loc="lower center", bbox_to_anchor=(0.5, 1.08), ncols=2)
-lessons.show(figure, "28_four_ways_to_move_costs")
-
 # %% [markdown]
 # Networks store a motion once and pay for it in every picture. 4DGS pays nearly nothing in a
 # picture, but stores the motion again and again, in 161 numbers for every piece of every path.

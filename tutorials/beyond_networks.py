@@ -72,7 +72,7 @@ def trained(p, steps, price=None):
     for i in range(steps):
         networks, g = {"psi_d": p.network("psi_d")}, p.zeros()
         if price is not None:
-            networks, bits, back = coded_networks.coded(p, layout)
+            networks, _, back = coded_networks.coded(p, layout)
         loss, gradients = error(networks)
         g.fill("psi_d", gradients)
         if price is not None:
@@ -244,26 +244,11 @@ for part in ("deformation", "networks", "anchors", "positions", "other"):
 # %%
 counts = Counter(rate for *_, rate in coded)
 pairs = {key: compared(key) for key in sorted(coded) if counts[key[2]] > 1}
-figure, axis = plt.subplots(figsize=(6.5, 4.2), layout="constrained")
-for scene, marker in zip(dict.fromkeys(scene for scene, _, _ in pairs), "os^Dv"):
-    rows = [row for key, row in pairs.items() if key[0] == scene]
-    x, y = ([row[name] for row in rows] for name in ("bytes", "dB"))
-    axis.plot(x, y, marker, label=scene, alpha=0.6)
-means = []
 print("lambda_rate  pairs   bytes      dB   worst pair")
 for rate in sorted({key[2] for key in pairs}):
     rows = [row for key, row in pairs.items() if key[2] == rate]
     share, gain = (np.array([row[name] for row in rows]) for name in ("bytes", "dB"))
     print(f"{rate:11.5f}{len(rows):7}{share.mean():8.3f}{gain.mean():+8.2f}{gain.min():+13.2f}")
-    means.append((share.mean(), gain.mean()))
-axis.plot(*zip(*means), "k.-", label="means of a price")
-lessons.finish(
-    axis,
-    xlabel="size, share of that of tiny",
-    ylabel="PSNR, difference in dB",
-    legend={"fontsize": 10, "loc": "lower right"},
-)
-lessons.show(figure, "beyond_networks_pairs")
 swept = Counter(key[:2] for key in coded).most_common(1)[0][0]  # with the most lambda_rates
 print("\n{}, seed {}   lambda_rate   bytes   psi_d      dB".format(*swept))
 curves = []

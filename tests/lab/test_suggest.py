@@ -35,29 +35,25 @@ def quick(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "gain, spread, said",
+    "gain, spread, apart, said",
     [
-        (3.0, 0.1, "yes"),
-        (0.5, 0.1, "yes"),
-        (0.5, 1.0, "cannot tell"),
-        (0.2, 0.1, "cannot tell"),
-        (0.0, 0.1, "no"),
-        (-2.0, 0.1, "no"),
-        (0.0, 1.0, "cannot tell"),
+        (3.0, 0.1, 0, "yes"),
+        (0.5, 0.1, 0, "yes"),
+        (0.5, 1.0, 0, "cannot tell"),
+        (0.2, 0.1, 0, "cannot tell"),
+        (0.0, 0.1, 0, "no"),
+        (-2.0, 0.1, 0, "no"),
+        (0.0, 1.0, 0, "cannot tell"),
+        (1.05, 0.0, 0.05, "yes"),
+        (-0.75, 0.0, 0.75, "cannot tell"),
     ],
 )
-def test_verdict_asks_for_more_than_the_spread(gain, spread, said):
-    gains = [gain + spread * np.resize([-1, 1], 8)] * 2
+def test_verdict_asks_for_more_than_views_and_trainings_differ_by(gain, spread, apart, said):
+    views = gain + spread * np.resize([-1, 1], 8)
+    gains = [views - apart, views + apart]
     found, evidence = suggest.verdict("translation", gains, 48)
     assert found == said
     assert evidence.startswith(f"{gain:+.2f} ± ") and "dB on 16 views" in evidence
-
-
-def test_verdict_asks_for_more_than_trainings_differ_by():
-    assert suggest.verdict("view_color", [np.full(8, 1.0), np.full(8, 1.1)], 48)[0] == "yes"
-    assert (
-        suggest.verdict("view_color", [np.full(8, 0.0), np.full(8, -1.5)], 48)[0] == "cannot tell"
-    )
 
 
 def test_every_effect_has_a_verdict_and_a_number(quick):

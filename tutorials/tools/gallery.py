@@ -21,7 +21,7 @@ from p4dgs_ref.report.figures import write_comparison, write_size
 from p4dgs_ref.report.main_job import main_job
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.output import filled
-from tutorials.tools import animation
+from tutorials.tools import animation, architecture, handout
 from tutorials.tools.shared import FOLDER, write_text
 
 DRAWN = Path(__file__).with_name("gallery.json")  # {picture: hash of the code that drew it}
@@ -115,12 +115,15 @@ PICTURES = {
     ),
 }
 
+DRAWING, HANDOUT = "architecture.png", "handout.pdf"  # which are drawn in every run
 DRAW = {  # what draws the pictures that come from no tutorial
     "demo.png": (write_comparison,),
     "demo_size.png": (write_size,),
     "demo.gif": (animation,),
     "accuracy_rendering.png": (forms.cut, diagram.lines, diagram.place_labels),
     "accuracy_likelihood.png": (stability_map,),
+    DRAWING: (architecture,),
+    HANDOUT: (architecture, handout),
 }
 
 
@@ -141,9 +144,7 @@ def take(out, pictures):
     renewed = [name for name, figure in figures.items() if figure.is_file()]
     with filled(pictures) as beside:
         for name in renewed:
-            if name.endswith(".gif"):
-                shrink_animation(figures[name], beside / name)
-            elif PICTURES[name].drawn_by == "demo":
+            if name.endswith(".gif") or PICTURES[name].drawn_by == "demo":
                 (beside / name).write_bytes(figures[name].read_bytes())
             else:
                 shrink(figures[name], beside / name)
@@ -181,7 +182,7 @@ def drawn_before():
 def stale():
     """Names of the pictures that other code than today's has drawn."""
     drawn = drawn_before()
-    return [name for name in PICTURES if drawn.get(name) != code_hash(name)]
+    return [name for name in {**PICTURES, **DRAW} if drawn.get(name) != code_hash(name)]
 
 
 def draw_demo(out):
@@ -218,15 +219,3 @@ def shares(n, m):
     low, high = edges[:-1, None], edges[1:, None]
     overlap = np.minimum(high, np.arange(1, n + 1)) - np.maximum(low, np.arange(n))
     return np.clip(overlap, 0, None) * m / n
-
-
-def shrink_animation(source, target):
-    """Write the GIF `source` to `target`, halved if all pixels come in 2 x 2 blocks."""
-    frames = iio.imread(source)
-    half = frames[:, ::2, ::2]
-    even = frames.shape[1] % 2 == frames.shape[2] % 2 == 0
-    if even and np.array_equal(half.repeat(2, 1).repeat(2, 2), frames):
-        duration = iio.immeta(source).get("duration", 60)
-        iio.imwrite(target, half, extension=".gif", duration=duration, loop=0)
-    else:
-        Path(target).write_bytes(Path(source).read_bytes())

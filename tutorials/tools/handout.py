@@ -4,13 +4,12 @@
 gradient printed here with the `backward` in the code.
 """
 
-import sys
 from typing import NamedTuple
 
 from matplotlib.patches import Rectangle
 
 from p4dgs_ref.lab.school import lessons
-from tutorials.tools import architecture, shared
+from tutorials.tools import architecture
 
 PAGE = (8.27, 11.69)  # inches: A4
 MARGIN = 0.42
@@ -225,15 +224,9 @@ def write(figure, x, y, text, size=8.2, **style):
     figure.text(x / PAGE[0], y / PAGE[1], text, size=size, color=architecture.INK, **style)
 
 
-def fingerprint():
-    """A hash of the sources, which is written into the file so that a test finds an old one."""
-    return shared.digest(architecture, sys.modules[__name__])[:16]
-
-
 def save(path):
     """Write the page as PDF, without a date and without matplotlib's version."""
     figure = draw()
-    about = {"Title": TITLE, "Keywords": fingerprint()}
     nothing = dict.fromkeys(("Creator", "Producer", "CreationDate"))
-    figure.savefig(path, metadata={**about, **nothing})
+    figure.savefig(path, metadata={"Title": TITLE, **nothing})
     lessons.pyplot().close(figure)

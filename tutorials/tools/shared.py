@@ -1,6 +1,5 @@
 """What the makers of pages share: where tutorials are, how one runs, how a file is written."""
 
-import hashlib
 import os
 import subprocess
 import sys
@@ -39,9 +38,3 @@ def table(heads, rows):
     """Return a table as Markdown."""
     lines = [f"| {' | '.join(row)} |" for row in (heads, *rows)]
     return "\n".join([lines[0], "|---" * len(heads) + "|", *lines[1:]])
-
-
-def digest(*modules):
-    """Return a hash of the sources of modules, by which a test finds what is out of date."""
-    sources = [Path(module.__file__).read_bytes() for module in modules]
-    return hashlib.sha256(b"".join(sources)).hexdigest()

@@ -27,7 +27,7 @@ from tutorials.tools import architecture, gallery, glossary, handout, shared
 from tutorials.tools.notebooks import cells
 from tutorials.tools.shared import FOLDER, write_text
 
-DRAWING = "architecture.png"  # in tutorials/pictures
+CAPTION = "The architecture of P-4DGS; numbers are those of the paper's equations"
 PATH = (  # for four hours of reading
     "00_whole_paper",
     "01_offsets",
@@ -236,7 +236,7 @@ def index(seconds, folder=FOLDER):
     """
     text = (Path(folder) / "README.md").read_text(encoding="utf-8")
     sections = {
-        "architecture": drawing_of_the_architecture(),
+        "architecture": f"![{CAPTION}](pictures/{gallery.DRAWING})",
         "path": path_table(folder),
         "order": order_table(seconds, folder),
         "graph": graph(folder),
@@ -251,12 +251,6 @@ def index(seconds, folder=FOLDER):
 
 
 # --- the drawing ----------------------------------------------------------------------------------
-def drawing_of_the_architecture():
-    """The drawing as Markdown, with a hash of its source, by which a test finds an old drawing."""
-    caption = "The architecture of P-4DGS; numbers are those of the paper's equations"
-    return f"![{caption}](pictures/{DRAWING})\n<!-- {shared.digest(architecture)[:12]} -->"
-
-
 def draw_architecture(file):
     """Write the drawing as a PNG, without matplotlib's version in it."""
     figure = architecture.draw(dpi=150)
@@ -295,8 +289,9 @@ def main(chosen):
         for make in [make for word, make in MADE.items() if not chosen or word in chosen]:
             make(out)
         gallery.record(gallery.take(out, FOLDER / "pictures"))
-    write_atomically(FOLDER / "pictures" / DRAWING, draw_architecture)
-    handout.save(FOLDER / "handout.pdf")
+    write_atomically(FOLDER / "pictures" / gallery.DRAWING, draw_architecture)
+    handout.save(FOLDER / gallery.HANDOUT)
+    gallery.record([gallery.DRAWING, gallery.HANDOUT])
     write_text(FOLDER / "glossary.md", glossary.glossary())
     write_text(FOLDER / "README.md", index(seconds))
 

@@ -53,20 +53,6 @@ def test_no_gradient_flows_from_the_encoding_into_positions():
 
 
 # --- training ---
-def test_stages_of_training(scene):
-    """Networks wait for the warm-up, harmonics for their degree."""
-    trainer = d3dgs.Trainer(scene, replace(SMALL, grow_from=10**9))
-    starts = {}
-    for wanted in range(30):
-        starts[wanted] = {name: a.copy() for name, a in trainer.parameters.arrays.items()}
-        trainer.step()
-    for name in starts[0]:
-        for first, last in ((0, 10), (10, 29)):
-            same = np.array_equal(starts[first][name], starts[last][name])
-            waits = name.startswith("psi") or name == "sh_rest"
-            assert same == (waits and last == 10), (name, first)
-    rest = trainer.parameters["sh_rest"]
-    assert np.any(rest[:, :, 3:8]) and not np.any(rest[:, :, 8:])
 
 
 def test_a_number_that_is_not_finite_is_named(scene):
@@ -74,19 +60,6 @@ def test_a_number_that_is_not_finite_is_named(scene):
     trainer.parameters["sh_dc"][3] = np.nan
     with np.errstate(all="ignore"), pytest.raises(NotFinite, match="iteration 0: .*is nan"):
         trainer.step()
-
-
-def test_rates(scene):
-    preset = replace(d3dgs.PAPER_SYNTHETIC, gaussians=10, deformation=(4, 4, 4), time_net=(4, 3))
-    trainer = d3dgs.Trainer(scene, preset)
-    assert trainer.rate_of("x") == pytest.approx(8e-4) and trainer.rate_of("psi_d") == 0
-    trainer.iteration = 15_000
-    assert trainer.rate_of("x") == pytest.approx(8e-5) and trainer.rate_of("sh_dc") == 0.0025
-    trainer.iteration = 20_000
-    assert trainer.rate_of("psi_d") == trainer.rate_of("psi_t")
-    assert trainer.rate_of("psi_d") == pytest.approx((8e-4 * 1.6e-6) ** 0.5)
-    trainer.iteration = 39_999
-    assert trainer.rate_of("x") == pytest.approx(8e-6)
 
 
 def test_annealed_noise_of_the_time(scene):
@@ -100,25 +73,6 @@ def test_annealed_noise_of_the_time(scene):
         drawn = [noisy.time_of(view) - view.time for _ in range(2000)]
         assert np.std(drawn) == pytest.approx(size / count, rel=0.06)
         assert abs(np.mean(drawn)) <= 0.1 * size / count
-
-
-class Pulled(d3dgs.D3DGS):
-    """D3DGS with a further term of the loss, 3 times the sum of all coordinates."""
-
-    def regularise(self, gradients, iteration):
-        gradients["x"][...] += 3
-        return 3 * float(self.parameters["x"].sum())
-
-
-def test_a_further_term_of_the_loss(scene):
-    plain, pulled = d3dgs.Trainer(scene, SMALL), d3dgs.Trainer(scene, SMALL)
-    pulled.kind = Pulled
-    before, _, gradients, _ = plain.gradients_of(scene.train[0])
-    after, _, more, _ = pulled.gradients_of(scene.train[0])
-    added = 3 * float(plain.parameters["x"].sum())
-    assert after.L_total == pytest.approx(before.L_total + added)
-    assert after.L_render == before.L_render
-    assert np.allclose(more["x"], gradients["x"] + 3)
 
 
 def test_training_by_name(scene):
@@ -158,13 +112,6 @@ def test_unknown_names_and_values(method, preset, changes, words):
     with pytest.raises(ValueError, match=words) as caught:
         baselines.choose(method, preset, changes)
     assert "\n" not in str(caught.value)
-
-
-def test_presets_by_method():
-    tiny, small = (baselines.choose(method) for method in ("d3dgs", "d3dgs_small"))
-    assert tiny.deformation == (256,) * 8 and small.deformation == (64, 64)
-    changed = baselines.choose("d3dgs_small", "paper_real", {"lr_x": "0.1,0.01", "skip": "false"})
-    assert changed.time_noise == 0.1 and changed.lr_x == (0.1, 0.01) and not changed.skip
 
 
 # --- file ---

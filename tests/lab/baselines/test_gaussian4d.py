@@ -6,7 +6,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from p4dgs_ref.lab import baselines
 from p4dgs_ref.lab.baselines import gaussian4d, rotation_4d, sh_color
 from p4dgs_ref.splatting import render
 from p4dgs_ref.splatting.camera import look_at
@@ -73,16 +72,6 @@ def test_a_gaussian_at_rest_is_one_of_3dgs():
 # --- training ---
 
 
-def test_rates_of_positions_follow_the_extent(scene):
-    trainer = gaussian4d.Trainer(scene, replace(gaussian4d.PAPER_SYNTHETIC, gaussians=10))
-    for iteration, rate_x in ((0, 1.6e-4), (15_000, 1.6e-5), (30_000, 1.6e-6)):
-        trainer.iteration = iteration
-        assert trainer.rate_of("x") == pytest.approx(rate_x * trainer.extent)
-        assert trainer.rate_of("mu_t") == pytest.approx(1.6e-4 * trainer.extent)
-        assert trainer.rate_of("log_s_t") == trainer.rate_of("log_s") == 0.005
-        assert trainer.rate_of("raw_l") == trainer.rate_of("raw_r") == 0.001
-
-
 def test_the_first_gaussians_are_those_of_the_authors():
     p = gaussian4d.Gaussian4D.initial(
         replace(gaussian4d.PAPER_SYNTHETIC, gaussians=4000), np.random.default_rng(0)
@@ -114,9 +103,3 @@ def test_children_are_drawn_from_their_parent_in_space_and_time(scene):
 
 
 # --- file ---
-
-
-def test_presets_by_method():
-    assert baselines.choose("gaussian4d") == gaussian4d.TINY
-    changed = baselines.choose("gaussian4d", "paper_synthetic", {"start_s_t": "0.1"})
-    assert changed.start_s_t == 0.1 and changed.gaussians == 300_000

@@ -45,22 +45,6 @@ def test_features_against_scipy(name):
     assert features == pytest.approx(by_loop(**case.inputs), rel=1e-12, abs=1e-12)
 
 
-def test_features_on_nodes_are_products_of_nodes():
-    """Each node is reached, those of the time at t = j / (T - 1): none is out of reach."""
-    (case,) = (case for case in cases_of("plane_features") if case.name == "ordinary")
-    lo, hi, planes = (case.inputs[name] for name in ("lo", "hi", "planes"))
-    n = 2, 3, 4, 5
-    where = np.indices(n).reshape(4, -1).T
-    for j in range(5):
-        nodes = where[where[:, 3] == j]
-        x = lo + (hi - lo) * nodes[:, :3] / (np.array(n[:3]) - 1)
-        features, _ = plane_features.forward(x, j / 4, lo, hi, planes[:6])
-        product = np.ones_like(features)
-        for plane, (a, b) in zip(planes, plane_features.AXES):
-            product *= plane[nodes[:, a], nodes[:, b]]
-        assert features == pytest.approx(product, rel=1e-12)
-
-
 def test_losses_against_a_loop():
     (case,) = (case for case in cases_of("plane_losses") if case.name == "ordinary")
     losses, planes = [0.0, 0.0, 0.0], case.inputs["planes"]
@@ -111,36 +95,6 @@ def test_the_pipeline_against_a_loop():
 
 
 # --- training ---
-def test_stages_of_training(scene):
-    """The planes and psi wait for the fine stage, which starts with new moments."""
-    trainer = hexplane.Trainer(scene, replace(SMALL, grow_from=10**9))
-    starts = {}
-    for wanted in range(30):
-        starts[wanted] = {name: a.copy() for name, a in trainer.parameters.arrays.items()}
-        if wanted == 11:
-            assert trainer.adam.steps["x"] == 1
-        trainer.step()
-    assert [SMALL.stage(i) for i in (0, 9, 10, 29)] == [1, 1, 2, 2]
-    for name in starts[0]:
-        for first, last in ((0, 10), (10, 29)):
-            same = np.array_equal(starts[first][name], starts[last][name])
-            waits = name.startswith(("psi", "planes")) or name == "sh_rest"
-            assert same == (name == "box" or waits and last == 10), (name, first)
-
-
-def test_rates(scene):
-    """They start anew with the fine stage; some are multiples of the extent of the cameras."""
-    preset = replace(hexplane.PAPER_SYNTHETIC, gaussians=10, nodes=3, time_nodes=3)
-    trainer = hexplane.Trainer(scene, preset)
-    extent = trainer.extent
-    assert 4 < extent < 5 and trainer.rate_of("planes") == trainer.rate_of("psi") == 0
-    for iteration, x in ((0, 1.6e-4), (3000, 1.6e-4), (13_000, 1.6e-5), (22_999, 1.6e-6)):
-        trainer.iteration = iteration
-        assert trainer.rate_of("x") == pytest.approx(x * extent, rel=1e-3), iteration
-    trainer.iteration = 13_000
-    assert trainer.rate_of("planes") == pytest.approx(1.6e-4 * extent)
-    assert trainer.rate_of("psi") == pytest.approx(1.6e-5 * extent)
-    assert trainer.rate_of("sh_dc") == 0.0025 and trainer.rate_of("box") == 0
 
 
 # --- presets and file ---

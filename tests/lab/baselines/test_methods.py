@@ -93,6 +93,69 @@ def test_gradients_of_the_loss(scene, method, iteration):
         assert ours == pytest.approx(slope(values, h), rel=2e-5, abs=1e-9), name
 
 
+# iteration -> {array: rate}; "extent" marks multiples of the extent of the cameras.
+PAPER = {
+    "d3dgs": {
+        0: {"x": 8e-4, "psi_d": 0, "psi_t": 0},
+        15_000: {"x": 8e-5, "sh_dc": 0.0025},
+        20_000: {"psi_d": (8e-4 * 1.6e-6) ** 0.5, "psi_t": (8e-4 * 1.6e-6) ** 0.5},
+        39_999: {"x": 8e-6},
+    },
+    "hexplane": {  # rates start anew with the fine stage
+        0: {"x extent": 1.6e-4, "planes": 0, "psi": 0},
+        3000: {"x extent": 1.6e-4},
+        13_000: {"x extent": 1.6e-5, "planes extent": 1.6e-4, "psi extent": 1.6e-5, "box": 0},
+        22_999: {"x extent": 1.6e-6, "sh_dc": 0.0025},
+    },
+    "gaussian4d": {
+        0: {"x extent": 1.6e-4, "mu_t extent": 1.6e-4, "log_s_t": 0.005, "log_s": 0.005},
+        15_000: {"x extent": 1.6e-5, "mu_t extent": 1.6e-4, "raw_l": 0.001, "raw_r": 0.001},
+        30_000: {"x extent": 1.6e-6, "mu_t extent": 1.6e-4},
+    },
+}
+FEW = {"gaussians": 10, "deformation": (4, 4, 4), "time_net": (4, 3), "nodes": 3, "time_nodes": 3}
+
+
+@EVERY
+def test_rates_are_those_of_the_authors(scene, method):
+    preset = MODULES[method].PAPER_SYNTHETIC
+    changes = {name: value for name, value in FEW.items() if hasattr(preset, name)}
+    trainer = MODULES[method].Trainer(scene, replace(preset, **changes))
+    assert 4 < trainer.extent < 5
+    for trainer.iteration, rates in PAPER[method].items():
+        for words, rate in rates.items():
+            name, *extent = words.split()
+            wanted = rate * trainer.extent if extent else rate
+            assert trainer.rate_of(name) == pytest.approx(wanted, rel=1e-3), words
+
+
+@pytest.mark.parametrize("method", ["d3dgs", "hexplane"])
+def test_stages_of_training(scene, method):
+    """Networks and planes wait for their stage, harmonics for their degree."""
+    trainer = MODULES[method].Trainer(scene, replace(SMALL[method], grow_from=10**9))
+    starts = []
+    for iteration in range(30):
+        starts.append({name: a.copy() for name, a in trainer.parameters.arrays.items()})
+        if iteration == 11 and method == "hexplane":
+            assert trainer.adam.steps["x"] == 1  # the fine stage starts with new moments
+        trainer.step()
+    for name in starts[0]:
+        for first, last in ((0, 10), (10, 29)):
+            same = np.array_equal(starts[first][name], starts[last][name])
+            waits = name.startswith((*WAITING, "sh_rest"))
+            assert same == (name == "box" or waits and last == 10), (name, first)
+    rest = trainer.parameters["sh_rest"]
+    assert np.any(rest[:, :, 3:8]) and not np.any(rest[:, :, 8:])
+
+
+def test_presets_by_method():
+    assert baselines.choose("gaussian4d") == MODULES["gaussian4d"].TINY
+    tiny, small = (baselines.choose(method) for method in ("d3dgs", "d3dgs_small"))
+    assert tiny.deformation == (256,) * 8 and small.deformation == (64, 64)
+    changed = baselines.choose("d3dgs_small", "paper_real", {"lr_x": "0.1,0.01", "skip": "false"})
+    assert changed.time_noise == 0.1 and changed.lr_x == (0.1, 0.01) and not changed.skip
+
+
 @EVERY
 def test_training_is_repeatable_and_learns(scene, trained, method):
     again, start = (MODULES[method].Trainer(scene, SMALL[method], seed=1) for _ in range(2))

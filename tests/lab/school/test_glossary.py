@@ -45,18 +45,3 @@ def test_letters_of_axes_are_explained():
     arguments = {"height", "width", "L", "L_x", "L_t"}  # have rows of their own
     assert letters - arguments == set(glossary.AXES)
     assert arguments <= {symbol.name for symbol in SYMBOLS}
-
-
-def test_comments_are_read():
-    said = "[A, 3]  offset scaling (scene units); linear, not its logarithm (Q5)"
-    assert (glossary.meaning(said), glossary.unit(said)) == ("offset scaling", "scene units")
-    said = "[2]  principal point (pixels; pixel centres are at integers)"
-    assert (glossary.meaning(said), glossary.unit(said)) == ("principal point", "pixels")
-    assert glossary.meaning("[3]  a camera, converted to the precision of x_a") == "a camera"
-    assert glossary.unit("[A, 1]  step, > 0 (Q6)") == ""
-
-
-def test_symbols_computed_by_an_equation_come_first():
-    (row,) = [row for row in rows() if row[1] == "`color`"]
-    assert re.findall(r"\*\*\[([^]]*)\]", row[5]) == ["(3) color", "masking"]
-    assert row[3] == "[A, k, 3]; [N, 3]"

@@ -18,18 +18,6 @@ def right_backward(inputs, cotangents):
     return offsets.backward(saved, **cotangents)
 
 
-def test_moved_and_inner_follow_lists_and_dictionaries():
-    rng = np.random.default_rng(1)
-    values = {"x": np.ones((2, 3)), "weights": [np.zeros(4), np.ones((2, 2))], "L": 3}
-    directions = lessons.random_like(rng, {name: values[name] for name in ("x", "weights")})
-    moved = lessons.moved(values, directions, 2.0)
-    assert moved["L"] == 3
-    assert np.array_equal(moved["x"], 1 + 2 * directions["x"])
-    assert np.array_equal(moved["weights"][0], 2 * directions["weights"][0])
-    product = sum((np.asarray(a) ** 2).sum() for a in (directions["x"], *directions["weights"]))
-    assert np.isclose(lessons.inner(directions, directions), product)
-
-
 def test_close_is_relative_to_the_largest_number():
     assert lessons.close([1e6, 1e-9], [1e6, 0])
     assert not lessons.close([1.0, 1e-9], [1.0, 0])

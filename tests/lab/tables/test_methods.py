@@ -16,7 +16,9 @@ from .shared import table
 FIRST = ["method", "scene", "seed", "psnr_db", "bytes"]
 
 
-@pytest.mark.parametrize("study", ["compared", "ablated", "swept"])
+@pytest.mark.parametrize(
+    "study", ["compared", "ablated", pytest.param("swept", marks=pytest.mark.slow)]
+)
 def test_every_row_is_that_of_its_file(study, scene, request):
     folder, *_, result = request.getfixturevalue(study)
     rows, place = result.get("methods") or result.get("rows"), folder
