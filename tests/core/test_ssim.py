@@ -4,11 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from scipy.ndimage import correlate1d
 
 from p4dgs_ref.equations import render_loss, ssim, window
+from tests.golden.independent import filtered_ssim
 
-C1, C2 = 1e-4, 9e-4
 BOTH = pytest.mark.parametrize("dtype", [np.float64, np.float32])
 # Smaller and larger than the window, and across one, two and three blocks of `blur`.
 SHAPES = [(9, 7, 2), (1, 1, 1), (1, 12, 3), (4, 33, 1), (50, 37, 1)]
@@ -19,29 +18,6 @@ def pair(shape, dtype=np.float64, seed=0):
     rng = np.random.default_rng(seed)
     truth = rng.random(shape)
     return (truth + 0.3 * rng.normal(size=shape)).astype(dtype), truth.astype(dtype)
-
-
-def taps():
-    """The 11 weights of the window along one axis."""
-    tap = [math.exp(-i * i / 4.5) for i in range(-5, 6)]
-    return [t / math.fsum(tap) for t in tap]
-
-
-def formula(mx, my, xx, yy, xy):
-    """SSIM of means, variances and covariance, as printed."""
-    return (2 * mx * my + C1) * (2 * xy + C2) / ((mx**2 + my**2 + C1) * (xx + yy + C2))
-
-
-def filtered_ssim(x, y):
-    """The printed formula on SciPy's filters."""
-
-    def blur(a):
-        down = correlate1d(a, taps(), axis=0, mode="constant")
-        return correlate1d(down, taps(), axis=1, mode="constant")
-
-    mx, my = blur(x), blur(y)
-    xx, yy, xy = blur(x * x) - mx * mx, blur(y * y) - my * my, blur(x * y) - mx * my
-    return formula(mx, my, xx, yy, xy).mean()
 
 
 @BOTH

@@ -7,7 +7,7 @@ import pytest
 
 from p4dgs_ref.lab.stability.table import FILE
 from p4dgs_ref.table import EQUATIONS
-from tests.core import test_equations as equations
+from tests.core import rules
 from tests.golden.cases import FLAGS, cases_of
 from tests.golden.hard_cases import catalogue, make_constants, publish
 from tests.golden.hard_cases.__main__ import procedure_rows
@@ -66,10 +66,10 @@ def test_hard_cases_are_cases(entry):
     assert case.flags and set(case.flags) <= set(FLAGS)
     assert case.name not in {own.name for own in cases_of(eq.key)}
     assert case in catalogue.cases(eq.key)
-    equations.check_shapes(eq, case, *equations.specs_of(eq))
-    equations.test_gradients_have_the_shapes_of_the_inputs(eq, case)
-    equations.test_pure_and_repeatable(eq, case)
-    equations.test_backward_is_linear_and_finite(eq, case)
+    rules.check_shapes(eq, case, *rules.specs_of(eq))
+    rules.gradients_have_the_shapes_of_the_inputs(eq, case)
+    rules.pure_and_repeatable(eq, case)
+    rules.backward_is_linear_and_finite(eq, case)
     for a in case.inputs.values():
         for b in a if isinstance(a, list) else [a]:
             if isinstance(b, np.ndarray) and b.dtype.kind == "f":

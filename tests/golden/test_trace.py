@@ -6,8 +6,8 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from p4dgs_ref.oracle import published
-from tests.core.test_ssim import filtered_ssim
 from tests.golden import pipeline, stages, stages_coding
+from tests.golden.independent import filtered_ssim
 
 
 def test_first_losses_are_those_of_an_evaluation_by_stages():

@@ -9,8 +9,7 @@ from scipy.special import lpmv
 from p4dgs_ref.lab.baselines import conditional, rotation_4d, sh_color
 from p4dgs_ref.lab.baselines.table import BASELINE_EQUATIONS
 from p4dgs_ref.table import Equation
-from tests.core import adjoint
-from tests.core import test_equations as core
+from tests.core import adjoint, rules
 from tests.golden.cases import cases_of
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
@@ -20,26 +19,16 @@ ALL = [
     for case in cases_of(key)
 ]
 EVERY = pytest.mark.parametrize("eq, case", ALL)
-RULES = (
-    core.test_closed_forms,
-    core.test_comments_tell_the_shapes,
-    core.test_gradients_have_the_shapes_of_the_inputs,
-    core.test_pure_and_repeatable,
-    core.test_backward_is_linear_and_finite,
-    core.test_float32_stays_float32,
-)
-
-
 LEFT_OUT = {
     # its networks are written in the docstring
-    (core.test_comments_tell_the_shapes, "deformation_d3dgs", "ordinary"),
-    (core.test_comments_tell_the_shapes, "deformation_d3dgs", "no_skip"),
-    (core.test_comments_tell_the_shapes, "deformation_d3dgs", "no_time_net"),
+    (rules.comments_tell_the_shapes, "deformation_d3dgs", "ordinary"),
+    (rules.comments_tell_the_shapes, "deformation_d3dgs", "no_skip"),
+    (rules.comments_tell_the_shapes, "deformation_d3dgs", "no_time_net"),
     # a layer whose units are all 0
-    (core.test_backward_is_linear_and_finite, "plane_decoder", "deeper"),
+    (rules.backward_is_linear_and_finite, "plane_decoder", "deeper"),
     # t - mu_t is 0 in float64 only
-    (core.test_float32_stays_float32, "marginal", "at_its_mean"),
-    (core.test_float32_stays_float32, "spherindrical", "at_its_mean"),
+    (rules.float32_stays_float32, "marginal", "at_its_mean"),
+    (rules.float32_stays_float32, "spherindrical", "at_its_mean"),
 }
 
 
@@ -65,7 +54,7 @@ def test_backward_is_the_adjoint_of_the_derivative(eq, case):
         assert case.expected, "on a kink only a closed form says what holds"
 
 
-@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__.removeprefix("test_"))
+@pytest.mark.parametrize("rule", rules.RULES, ids=lambda rule: rule.__name__)
 @EVERY
 def test_rules_of_the_paper_hold_here(rule, eq, case):
     if (rule, eq.key, case.name) not in LEFT_OUT:
