@@ -297,7 +297,7 @@ inputs = random_anchor_network(rng, A=A, d=d, k=k)
 _, saved = opacity.forward(**inputs)
 cotangent = rng.normal(size=(A, k))
 ours = opacity.backward(saved, cotangent)
-lessons.adjoint(rng, opacity.forward, inputs, cotangent, ours)
+_ = lessons.adjoint(rng, opacity.forward, inputs, cotangent, ours)
 
 # %% [markdown]
 # No gradient describes the threshold itself. Moving $\tau_\alpha$ adds or removes whole Gaussians,

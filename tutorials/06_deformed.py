@@ -174,7 +174,7 @@ assert np.array_equal(ours["r"], ours["delta_r"])
 # The adjoint identity checks all six gradients at once.
 
 # %%
-lessons.adjoint(rng, deformed.forward, inputs, bars, ours)
+_ = lessons.adjoint(rng, deformed.forward, inputs, bars, ours)
 
 # %% [markdown]
 # Which parameters learn from this gradient? At one time, both terms of the sum receive the same

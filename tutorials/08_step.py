@@ -260,7 +260,7 @@ assert close(ours["h"], hidden_bar @ weights[0].T, 1e-10)
 
 # %%
 inputs = {"h": h, "weights": weights, "biases": biases}
-lessons.adjoint(rng, partial(step.forward, Q_0=Q_0), inputs, q_bar, ours)
+_ = lessons.adjoint(rng, partial(step.forward, Q_0=Q_0), inputs, q_bar, ours)
 
 
 # %% [markdown]

@@ -251,7 +251,7 @@ def surrogate(parameters):
 
 
 assert close(surrogate(grids)[0], h)
-lessons.adjoint(rng, surrogate, {"parameters": grids}, h_bar, {"parameters": ours}, 1e-8)
+_ = lessons.adjoint(rng, surrogate, {"parameters": grids}, h_bar, {"parameters": ours}, 1e-8)
 
 # %% [markdown]
 # Does such a gradient help? In the next cell, each of the 40 anchors has two target numbers whose

@@ -259,7 +259,7 @@ ours = ssim.backward(saved, 1.0)["image"]
 assert close(ours, x_bar.transpose(0, 2, 1), 1e-8)
 
 of_image = partial(ssim.forward, truth=truth)
-lessons.adjoint(rng, of_image, {"image": image}, 1.0, {"image": ours}, 1e-6)
+_ = lessons.adjoint(rng, of_image, {"image": image}, 1.0, {"image": ours}, 1e-6)
 
 # %% [markdown]
 # ## Break it

@@ -353,7 +353,7 @@ ours = projection.backward(saved, *bars)
 assert close(ours["x"], x_bar, 1e-10)
 
 inputs = {"x": x, "Sigma": Sigma}
-lessons.adjoint(rng, partial(projection.forward, **camera), inputs, bars, ours)
+_ = lessons.adjoint(rng, partial(projection.forward, **camera), inputs, bars, ours)
 
 # %% [markdown]
 # What do these gradients mean in space? A cotangent of the *mean* moves a Gaussian perpendicular to
