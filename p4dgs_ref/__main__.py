@@ -30,11 +30,12 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command line and return the exit code; SIGTERM is treated as Ctrl-C."""
     start = time.perf_counter()
     try:
-        from .signals import handled, interrupt
+        from .signals import deferred, handled, interrupt
 
         with handled(interrupt):
-            prepare()
-            from .cli.parser import run
+            with deferred():  # not in the middle of an import
+                prepare()
+                from .cli.parser import run
 
             return run(sys.argv[1:] if argv is None else argv, start)
     except KeyboardInterrupt:  # before or after what `run` takes care of

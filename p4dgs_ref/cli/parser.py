@@ -544,7 +544,9 @@ def run(argv, start):
         with warnings.catch_warnings():
             # in one line; the place in the code means nothing to a user
             warnings.showwarning = lambda message, *place: say(f"warning: {message}")
-            return getattr(import_module(f".{module}", __package__), name)(arguments) or 0
+            with deferred():  # not in the middle of an import
+                function = getattr(import_module(f".{module}", __package__), name)
+            return function(arguments) or 0
     except KeyboardInterrupt:
         code, message = 130, f"stopped{how_to_resume(argv, arguments)}"
     except ArithmeticError as error:

@@ -7,7 +7,7 @@ folder of a process that was killed stays.
 
 import os
 import shutil
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -58,12 +58,21 @@ def destination(path):
 
 
 @contextmanager
+def new_part(folder):
+    """Yield a hidden folder inside of `folder`, which is removed at the end."""
+    with ExitStack() as stack:
+        with deferred():  # a signal between its making and its `with` would leave it behind
+            part = stack.enter_context(TemporaryDirectory(prefix=PART, dir=folder))
+        yield Path(part)
+
+
+@contextmanager
 def replaced(path):
     """Yield the name of a new file, which at the end replaces the file that `path` stands for."""
     target = destination(path)
-    with TemporaryDirectory(prefix=PART, dir=target.parent) as part:
-        yield Path(part, target.name)
-        os.replace(Path(part, target.name), target)
+    with new_part(target.parent) as part:
+        yield part / target.name
+        os.replace(part / target.name, target)
 
 
 def write_atomically(path, write):
@@ -84,8 +93,9 @@ def made(path):
     missing = [place for place in (folder, *folder.parents) if not os.path.lexists(place)]
     try:
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            TemporaryDirectory(prefix=PART, dir=folder).cleanup()
+            with deferred():
+                folder.mkdir(parents=True, exist_ok=True)
+                TemporaryDirectory(prefix=PART, dir=folder).cleanup()
         except OSError as error:
             raise OutputError(
                 f"{folder}: expected a folder that can be written to ({error.strerror})"
@@ -104,9 +114,9 @@ def filled(path):
 
     After an error nothing is moved.
     """
-    with made(path) as folder, TemporaryDirectory(prefix=PART, dir=folder) as part:
-        yield Path(part)
-        files = [file for file in Path(part).rglob("*") if file.is_file()]
+    with made(path) as folder, new_part(folder) as part:
+        yield part
+        files = [file for file in part.rglob("*") if file.is_file()]
         places = {file: folder / file.relative_to(part) for file in files}
         for place in places.values():
             destination(place)

@@ -98,7 +98,7 @@ def at_work(line, cwd, pattern):
 def test_long_commands_stop_cleanly(tmp_path, files, line, name):
     """Nothing is left behind, but for the checkpoint of a training, which says how to go on."""
     process = at_work(line.format(files=files), tmp_path, LINES[line])
-    time.sleep(0.5)
+    time.sleep(0.1)
     err = stop(process, name)
     if line == RUN:
         assert err.startswith("p4dgs-ref: stopped; the last checkpoint is kept, go on with: p4dgs")
