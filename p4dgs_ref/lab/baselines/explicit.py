@@ -18,9 +18,9 @@ own. The text is the overhead, about 2 KB.
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, make_dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -35,6 +35,9 @@ from ...training.initial import neighbour_distance, starting_points
 from ...training.parameters import Parameters
 from . import sh_color
 
+FINISHED = 10**9  # an iteration in which every schedule of a preset has ended
+# The fields of a preset that a file tells its reader.
+FORM = ("sh_degree", "L_x", "L_t", "waves")
 START_ALPHA = 0.1  # the opacity of every Gaussian before training, as in 3DGS
 # The arrays of a Gaussian in the order of 3DGS's PLY, with the names of their properties.
 PLY_OF_3DGS = {
@@ -48,55 +51,54 @@ PLY_OF_3DGS = {
 }
 
 
+# The constants that the methods have in common: their values in the code of 3DGS and in `tiny`.
+FIELDS = {
+    "iterations": (30_000, 3800),
+    "gaussians": (10_000, 800),  # at random points at the start
+    "extent": (1.3, 1.0),  # they are uniform in [-extent, extent]^3
+    "sh_degree": (3, 3),
+    "sh_every": (1000, 500),  # iterations from one active degree of the harmonics to the next
+    "lambda_ssim": (0.2, 0.2),
+    # rates, first and last, geometric over all iterations
+    "lr_x": ((1.6e-4, 1.6e-6), (5e-4, 5e-5)),
+    "lr_sh_dc": ((0.0025, 0.0025), (0.01, 0.001)),
+    "lr_sh_rest": ((0.000125, 0.000125), (0.0005, 5e-5)),
+    "lr_alpha": ((0.05, 0.05), (0.05, 0.005)),
+    "lr_s": ((0.005, 0.005), (0.01, 0.001)),
+    "lr_r": ((0.001, 0.001), (0.005, 5e-4)),
+    # density control
+    "collect_from": (0, 0),
+    "grow_from": (500, 300),
+    "grow_every": (100, 100),
+    "grow_until": (15_000, 2000),
+    "gradient_threshold": (2e-4, 5e-4),  # of the projected centre, in NDC units per view
+    "percent_dense": (0.01, 0.02),  # of the extent: smaller Gaussians are cloned, larger ones split
+    "min_opacity": (0.005, 0.005),
+    "reset_every": (3000, 3000),
+    "most": (10**9, 800),  # it adds none beyond; our preset `tiny` has 200 anchors of 4 children
+}
+
+
 @dataclass(frozen=True)
 class Preset:
-    """The constants that the baselines share, with the values of 3DGS's code.
-
-    Rates are first and last, geometric over all iterations.
-    """
+    """The constants of a method; its subclass has a field for each row of the method's table."""
 
     name: str = "paper_synthetic"
-    iterations: int = 30_000
-    gaussians: int = 10_000  # at random points at the start
-    extent: float = 1.3  # they are uniform in [-extent, extent]^3
-    sh_degree: int = 3
-    sh_every: int = 1000  # iterations from one active degree of the harmonics to the next
-    lambda_ssim: float = 0.2
-    lr_x: tuple[float, ...] = (1.6e-4, 1.6e-6)
-    lr_sh_dc: tuple[float, ...] = (0.0025, 0.0025)
-    lr_sh_rest: tuple[float, ...] = (0.000125, 0.000125)
-    lr_alpha: tuple[float, ...] = (0.05, 0.05)
-    lr_s: tuple[float, ...] = (0.005, 0.005)
-    lr_r: tuple[float, ...] = (0.001, 0.001)
-    collect_from: int = 0
-    grow_from: int = 500
-    grow_every: int = 100
-    grow_until: int = 15_000
-    gradient_threshold: float = 2e-4  # of the projected centre, in NDC units per view
-    percent_dense: float = 0.01  # of the extent: smaller Gaussians are cloned, larger ones split
-    min_opacity: float = 0.005
-    reset_every: int = 3000
-    most: int = 10**9  # Gaussians; density control adds none beyond
+    warm_up: int = 0  # the first iteration in which the Gaussians move
+
+    def stage(self, iteration):
+        """1 before the Gaussians move, then 2; 1 for a method in which they always do."""
+        return 1 + (iteration >= self.warm_up > 0)
 
 
-# What the presets for the tiny scenes change alike.
-TINY = {
-    "name": "tiny",
-    "iterations": 3800,
-    "gaussians": 800,
-    "most": 800,  # as many as our preset `tiny` has: 200 anchors of 4 children
-    "extent": 1.0,
-    "sh_every": 500,
-    "lr_sh_dc": (0.01, 0.001),
-    "lr_sh_rest": (0.0005, 5e-5),
-    "lr_alpha": (0.05, 0.005),
-    "lr_s": (0.01, 0.001),
-    "lr_r": (0.005, 5e-4),
-    "grow_from": 300,
-    "grow_until": 2000,
-    "gradient_threshold": 5e-4,
-    "percent_dense": 0.02,
-}
+def presets(fields):
+    """The class of the presets with these fields, and two of them: `paper_synthetic` and `tiny`.
+
+    A row is {field: (value in the authors' code, which is the default, value in `tiny`)}.
+    """
+    defaults = [(field, type(paper), paper) for field, (paper, _) in fields.items()]
+    kind = make_dataclass("Preset", defaults, bases=(Preset,), frozen=True)
+    return kind, kind(), kind("tiny", **{field: tiny for field, (_, tiny) in fields.items()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,20 +106,19 @@ class Explicit:
     """A model of explicit Gaussians. Each baseline is a subclass, which also has
 
     initial(preset, rng, points)     the first arrays by name (a static method)
-    predict(t, x_c, iteration=None)  the Gaussians at time t as the camera at x_c sees them, and
+    predict(t, x_c, iteration=FINISHED)  the Gaussians at time t as the camera at x_c sees them in
+                                     an iteration of training or in the finished model, and
                                      back(x_bar, s_bar, r_bar, alpha_bar, color_bar), which returns
                                      the gradients of arrays {name: gradient} and of networks
-                                     {name: {"weights": ..., "biases": ...}}; without an iteration
-                                     of training, the Gaussians are those of the finished model
+                                     {name: {"weights": ..., "biases": ...}}
     """
 
     parameters: Parameters
-    preset: Preset
+    preset: Any
     background: np.ndarray  # [3]
     occlusion: bool = True
 
     METHOD: ClassVar[str]
-    FORM: ClassVar[tuple]  # the fields of a preset that a file tells its reader
     PROPERTIES: ClassVar[dict] = PLY_OF_3DGS
 
     @property
@@ -150,31 +151,31 @@ class Explicit:
 
     def save(self, path):
         """Write the file; returns its bytes as {"gaussians": ..., "network": ..., "other": ...}."""
-        arrays, N = dict(self.parameters.arrays), self.primitives
-        if "normals" in self.PROPERTIES:
-            arrays["normals"] = np.zeros((N, 3))
-        rows = {name: arrays.pop(name) for name in self.PROPERTIES}
-        columns = {name: array.reshape(N, array[:1].size) for name, array in rows.items()}
+        arrays, zeros = dict(self.parameters.arrays), np.zeros((self.primitives, 3))
+        rows = {name: arrays.pop(name, zeros) for name in self.PROPERTIES}  # zeros are the normals
+        columns = [array.reshape(len(array), -1) for array in rows.values()]
         properties = [
             text.replace("*", str(i)) if "*" in text else text.split()[i]
-            for name, text in self.PROPERTIES.items()
-            for i in range(columns[name].shape[1])
+            for text, numbers in zip(self.PROPERTIES.values(), columns)
+            for i in range(numbers.shape[1])
         ]
-        numbers = np.concatenate([np.zeros(0), *(array.ravel() for array in arrays.values())])
+        network = np.concatenate(
+            [np.zeros((0, 1)), *(array.reshape(-1, 1) for array in arrays.values())]
+        )
         elements = {
-            "vertex": (properties, np.concatenate([*columns.values()], axis=1)),
-            "network": (["value"], numbers[:, None]),
+            "vertex": (properties, np.concatenate(columns, axis=1)),
+            "network": (["value"], network),
         }
         values = {
             "method": self.METHOD,
-            "form": {field: getattr(self.preset, field) for field in self.FORM},
+            "form": {f: getattr(self.preset, f) for f in FORM if hasattr(self.preset, f)},
             "background": [float(c) for c in self.background],
             "occlusion": self.occlusion,
             "rows": {name: array.shape[1:] for name, array in rows.items()},
             "shapes": {name: array.shape for name, array in arrays.items()},
         }
-        other, gaussians, network = write_ply(path, elements, [json.dumps(values)])
-        return {"gaussians": gaussians, "network": network, "other": other}
+        sizes = write_ply(path, elements, [json.dumps(values)])
+        return dict(zip(("other", "gaussians", "network"), sizes))
 
 
 def start(preset, rng, points=None):
@@ -191,13 +192,15 @@ def start(preset, rng, points=None):
     }
 
 
-def colors(p, x, x_c, degree):
-    """D2 for Gaussians at x [N, 3] as the camera at x_c sees them, up to a degree.
+def colors(preset, p, x, x_c, iteration):
+    """D2 for Gaussians at x [N, 3] as the camera at x_c sees them, up to the active degree.
 
-    Returns the colors and back(color_bar), the gradients of x, sh_dc and sh_rest. The direction is
-    that of the moved Gaussian, as in the kernel of 3DGS.
+    That is 0 at first and grows by 1 every `sh_every` iterations. Returns the colors and
+    back(color_bar), the gradients of x, sh_dc and sh_rest. The direction is that of the moved
+    Gaussian, as in the kernel of 3DGS.
     """
     (_, d), back_view = pull(view, x, x_c)
+    degree = min(iteration // preset.sh_every, preset.sh_degree)
     used = (degree + 1) ** 2 - 1
     sh = np.concatenate([p["sh_dc"], p["sh_rest"][:, :, :used]], axis=2)
     color, back_color = pull(sh_color, d, sh)
@@ -212,13 +215,6 @@ def colors(p, x, x_c, degree):
     return color, back
 
 
-def degree_at(preset, iteration):
-    """The active degree of the harmonics: it starts at 0 and grows by 1 every `sh_every`."""
-    if iteration is None:
-        return preset.sh_degree
-    return min(iteration // preset.sh_every, preset.sh_degree)
-
-
 def read_file(path):
     """Return the arrays {name: array} and the JSON values of a file.
 
@@ -230,9 +226,8 @@ def read_file(path):
             rows.view("<f4").reshape(len(rows), len(rows.dtype)) for rows in elements.values()
         )
         values = json.loads(comments[0])
-        sizes = [math.prod(shape) for shape in values["shapes"].values()]
-        require(not rest and sum(sizes) == len(flat), path, "expected a whole file of a baseline")
-    arrays = {**split(vertices, values["rows"]), **split(flat[:, 0], values["shapes"])}
+        require(not rest, path, "expected nothing after the last number")
+        arrays = {**split(vertices, values["rows"]), **split(flat[:, 0], values["shapes"])}
     arrays.pop("normals", None)
     return arrays, values
 
