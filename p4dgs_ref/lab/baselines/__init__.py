@@ -1,6 +1,6 @@
 """The methods that the paper compares itself with, trained by the same loop and renderer as ours.
 
-    from p4dgs_ref import baselines
+    from p4dgs_ref.lab import baselines
     model = baselines.train(scene, "d3dgs", seed=0)
     sizes = model.save("bouncing.ply")
     model = baselines.load("bouncing.ply")
@@ -10,22 +10,20 @@ The module of a method has Preset, PRESETS and Trainer, whose `kind` of model is
 """
 
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 
 from ...splatting.settings import FAST
 from ...training.parameters import Parameters
 from ...training.presets import read_changes
-from ...training.progress import Progress
-from . import explicit
+from . import d3dgs, explicit, gaussian4d, hexplane
 
 # The names in comparisons, each with its module and its preset for the tiny scenes.
 METHODS = {
-    "d3dgs": ("d3dgs", "tiny"),
-    "d3dgs_small": ("d3dgs", "tiny_small"),
-    "hexplane": ("hexplane", "tiny"),
-    "gaussian4d": ("gaussian4d", "tiny"),
+    "d3dgs": (d3dgs, "tiny"),
+    "d3dgs_small": (d3dgs, "tiny_small"),
+    "hexplane": (hexplane, "tiny"),
+    "gaussian4d": (gaussian4d, "tiny"),
 }
 
 
@@ -33,8 +31,7 @@ def module_of(method):
     """The module of a method, and the name of its preset for the tiny scenes."""
     if method not in METHODS:
         raise ValueError(f"method {method!r}: expected one of {', '.join(METHODS)}")
-    name, preset = METHODS[method]
-    return import_module(f"{__name__}.{name}"), preset
+    return METHODS[method]
 
 
 def choose(method, preset=None, changes=None):
@@ -50,21 +47,16 @@ def choose(method, preset=None, changes=None):
     return replace(chosen, **read_changes(name, vars(chosen), changes))
 
 
-def train(
-    scene, method="d3dgs", preset=None, seed=0, settings=FAST, points=None, stream=None, **changes
-):
+def train(scene, method="d3dgs", preset=None, seed=0, settings=FAST, report=None, **changes):
     """Fit a scene by a method and return the model, ready to be rendered or saved.
 
-    Without a preset it is that for the tiny scenes; the other arguments are those of our `train`.
-    Raises ValueError for an unknown method, preset, field or value, and NotFinite.
+    Without a preset it is that for the tiny scenes; `report` is called after each step, for example
+    a `training.progress.Progress`; the other arguments are those of our `train`. Raises ValueError
+    for an unknown method, preset, field or value, and NotFinite.
     """
-    chosen, progress = choose(method, preset, changes), Progress(stream)
-    trainer = module_of(method)[0].Trainer(scene, chosen, seed, settings, points)
-    try:
-        with np.errstate(all="ignore"):  # non-finite values are found and named
-            return trainer.run(progress)
-    finally:
-        progress.close()
+    kind, chosen = module_of(method)[0].Trainer, choose(method, preset, changes)
+    with np.errstate(all="ignore"):  # non-finite values are found and named
+        return kind(scene, chosen, seed, settings).run(report)
 
 
 def load(path):

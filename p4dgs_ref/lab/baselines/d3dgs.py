@@ -16,9 +16,8 @@ import numpy as np
 
 from ...equations import deformation_d3dgs, deformed
 from ...model import Gaussians, deformation_layers, pull
-from ...training.adam import exponential
 from ...training.parameters import random_layers
-from . import activations, explicit, trainer
+from . import activations, explicit
 
 HEADS = (3, 3, 4)  # of psi_d: delta_x, delta_s, delta_r
 
@@ -91,28 +90,22 @@ class D3DGS(explicit.Explicit):
                 s_bar, r_bar = at_t["s"], at_t["r"]
                 deltas_bar = [at_t[f"delta_{name}"] for name in "xsr"]
                 psi = back_psi(*deltas_bar, needs_x=False)
-                networks["psi_d"] = psi
-                networks["psi_t"] = {name: psi[f"time_{name}"] for name in ("weights", "biases")}
+                of_time = {name: psi[f"time_{name}"] for name in ("weights", "biases")}
+                networks = {"psi_d": psi, "psi_t": of_time}
             return {"x": x_bar, **back_stored(s_bar, r_bar, alpha_bar), **colors}, networks
 
         return Gaussians(x, s, r, alpha, color, np.arange(len(x))), back
 
 
-class Trainer(trainer.Trainer):
+class Trainer(explicit.Trainer):
     """Fits one scene by D3DGS."""
 
     kind = D3DGS
-    RATES = {**trainer.Trainer.RATES, "psi_d": "lr_d", "psi_t": "lr_d"}
+    RATES = {**explicit.Trainer.RATES, "psi_d": "lr_d", "psi_t": "lr_d"}
 
-    def rate_of(self, name):
-        """The current learning rate of an array; networks have none before `warm_up`."""
-        preset = self.preset
-        if name.startswith("psi") and self.iteration < preset.warm_up:
-            return 0.0
-        if name == "x":
-            first, last = preset.lr_x
-            return exponential(self.iteration, first, last, preset.x_until)
-        return super().rate_of(name)
+    def schedule(self, name):
+        """That of positions ends before the others."""
+        return self.iteration, self.preset.x_until if name == "x" else self.preset.iterations
 
     def time_of(self, view):
         """The time of a view with noise that fades (AST), so that motion between views is smooth.

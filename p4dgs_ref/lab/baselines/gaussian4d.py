@@ -20,7 +20,7 @@ import numpy as np
 from ...equations.numerics import sigmoid, sigmoid_slope
 from ...model import pull
 from ...splatting import render
-from . import conditional, explicit, marginal, rotation_4d, spherindrical, trainer
+from . import conditional, explicit, marginal, rotation_4d, spherindrical
 
 LEAST_WEIGHT = 0.05
 
@@ -161,21 +161,17 @@ def four_scales(p):
     return np.exp(np.concatenate([p["log_s"], p["log_s_t"]], axis=1))
 
 
-class Trainer(trainer.Trainer):
+class Trainer(explicit.Trainer):
     """Fits one scene by 4DGS."""
 
     kind = Gaussian4D
     RATES = {
-        **trainer.Trainer.RATES,
+        **explicit.Trainer.RATES,
         "mu_t": "lr_t",
         "log_s_t": "lr_s",
         "raw_l": "lr_r",
     }
-
-    def rate_of(self, name):
-        """The current learning rate of an array; those of positions follow the scene's size."""
-        size = self.extent if name in ("x", "mu_t") else 1.0
-        return size * super().rate_of(name)
+    PER_EXTENT = ("x", "mu_t")
 
     def scatter(self, children):
         """Move children to points drawn from their parent in space and time, and shrink them."""
@@ -184,5 +180,5 @@ class Trainer(trainer.Trainer):
         drawn = np.einsum("nij,nj->ni", R, s * self.rng.normal(size=s.shape))
         children["x"] += drawn[:, :3]
         children["mu_t"] += drawn[:, 3]
-        children["log_s"] -= np.log(trainer.SHRINK)
-        children["log_s_t"] -= np.log(trainer.SHRINK)
+        children["log_s"] -= np.log(explicit.SHRINK)
+        children["log_s_t"] -= np.log(explicit.SHRINK)

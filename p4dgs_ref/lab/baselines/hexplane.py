@@ -18,9 +18,9 @@ from dataclasses import replace
 import numpy as np
 
 from ...model import Gaussians, pull
-from ...training.adam import Adam, exponential
+from ...training.adam import Adam
 from ...training.parameters import random_layers
-from . import activations, explicit, plane_decoder, plane_features, plane_losses, trainer
+from . import activations, explicit, plane_decoder, plane_features, plane_losses
 
 # All values of the authors are those for D-NeRF's scenes. The rates of x, planes and psi are
 # multiples of the extent of the cameras.
@@ -132,11 +132,12 @@ def first_network(rng, inputs, hidden, gain):
     return arrays
 
 
-class Trainer(trainer.Trainer):
+class Trainer(explicit.Trainer):
     """Fits one scene by 4DHexPlane."""
 
     kind = HexPlane
-    RATES = {**trainer.Trainer.RATES, "planes": "lr_planes", "psi": "lr_psi"}
+    RATES = {**explicit.Trainer.RATES, "planes": "lr_planes", "psi": "lr_psi"}
+    PER_EXTENT = ("x", "planes", "psi")
 
     def step(self):
         """One iteration, as in `Loop`; the first of the fine stage forgets Adam's moments."""
@@ -144,13 +145,8 @@ class Trainer(trainer.Trainer):
             self.adam = Adam(self.parameters)
         return super().step()
 
-    def rate_of(self, name):
-        """The current learning rate; in the coarse stage planes and psi have none."""
-        preset, moving = self.preset, name in ("planes", "psi")
-        fine = self.iteration >= preset.warm_up
-        if name == "box" or moving and not fine:
-            return 0.0
-        now = self.iteration - preset.warm_up * fine
-        first, last = getattr(preset, self.RATES[name])
-        rate = exponential(now, first, last, preset.iterations - preset.warm_up)
-        return rate * self.extent if moving or name == "x" else rate
+    def schedule(self, name):
+        """All rates start anew with the fine stage, over whose length they are made."""
+        coarse = self.preset.warm_up
+        began = coarse if self.iteration >= coarse else 0
+        return self.iteration - began, self.preset.iterations - coarse
