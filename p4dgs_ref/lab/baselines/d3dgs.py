@@ -105,7 +105,8 @@ class Trainer(explicit.Trainer):
 
     def schedule(self, name):
         """That of positions ends before the others."""
-        return self.iteration, self.preset.x_until if name == "x" else self.preset.iterations
+        until = self.preset.x_until if name == "x" else self.preset.iterations
+        return self.iteration, until
 
     def time_of(self, view):
         """The time of a view with noise that fades (AST), so that motion between views is smooth.

@@ -347,8 +347,9 @@ class Trainer(Loop):
             return
         gradient = (self.statistics.gradient / np.maximum(self.statistics.seen, 1))[:, 0]
         rows = [name for name in self.kind.PROPERTIES if name in p.arrays]
-        late = now > preset.reset_every
-        keep, added = densify(p, rows, gradient, self.extent, preset, self.scatter, late)
+        keep, added = densify(
+            p, rows, gradient, self.extent, preset, self.scatter, now > preset.reset_every
+        )
         if keep.any() or len(added["x"]):
             self.change_rows(rows, keep, added)
         if now % preset.reset_every == 0:
