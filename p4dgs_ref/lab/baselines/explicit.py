@@ -297,7 +297,7 @@ class Trainer(Loop):
         if waits or name not in self.RATES:
             return 0.0
         now, until = self.schedule(name)
-        rate = exponential(now, *getattr(self.preset, self.RATES[name]), until)
+        rate = exponential(now, *getattr(self.preset, self.RATES[name]), until=until)
         return rate * self.extent if name in self.PER_EXTENT else rate
 
     def schedule(self, name):

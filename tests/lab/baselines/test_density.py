@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.lab.baselines import d3dgs, explicit
-from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting.covariance import forward as covariance
 from p4dgs_ref.training.parameters import Parameters
 
@@ -91,11 +90,6 @@ def test_reset_of_the_opacities():
     assert (before > alpha.max()).any()
     for moments in (first, second):
         assert not moments["logit_alpha"].any() and moments["x"].all()
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return load_scene("bouncing", downscale=4)
 
 
 def test_a_window_of_training(scene, monkeypatch):

@@ -150,7 +150,8 @@ def test_stages_of_training(scene, method):
 
 
 def test_presets_by_method():
-    assert baselines.choose("gaussian4d") == MODULES["gaussian4d"].TINY
+    always = baselines.choose("gaussian4d")
+    assert always == MODULES["gaussian4d"].TINY and always.stage(0) == always.stage(99) == 1
     tiny, small = (baselines.choose(method) for method in ("d3dgs", "d3dgs_small"))
     assert tiny.deformation == (256,) * 8 and small.deformation == (64, 64)
     changed = baselines.choose("d3dgs_small", "paper_real", {"lr_x": "0.1,0.01", "skip": "false"})
