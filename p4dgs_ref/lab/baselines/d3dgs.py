@@ -22,7 +22,7 @@ from . import activations, explicit
 HEADS = (3, 3, 4)  # of psi_d: delta_x, delta_s, delta_r
 
 
-# All values of the authors are those for synthetic scenes.
+# What differs from 3DGS: values in the authors' code for synthetic scenes, and in `tiny`.
 FIELDS = explicit.FIELDS | {
     "iterations": (40_000, 3800),
     "warm_up": (3000, 200),
@@ -83,16 +83,18 @@ class D3DGS(explicit.Explicit):
         color, back_color = explicit.colors(preset, p, x, x_c, iteration)
 
         def back(x_bar, s_bar, r_bar, alpha_bar, color_bar):
-            networks, colors = {}, back_color(color_bar)
+            colors, networks = back_color(color_bar), {}
             x_bar = x_bar + colors.pop("x")
             if moves:
                 at_t = back_deformed(x_bar, s_bar, r_bar)
                 s_bar, r_bar = at_t["s"], at_t["r"]
                 deltas_bar = [at_t[f"delta_{name}"] for name in "xsr"]
                 psi = back_psi(*deltas_bar, needs_x=False)
-                of_time = {name: psi[f"time_{name}"] for name in ("weights", "biases")}
-                networks = {"psi_d": psi, "psi_t": of_time}
-            return {"x": x_bar, **back_stored(s_bar, r_bar, alpha_bar), **colors}, networks
+                networks = {
+                    **explicit.of_network("psi_d", psi["weights"], psi["biases"]),
+                    **explicit.of_network("psi_t", psi["time_weights"], psi["time_biases"]),
+                }
+            return {"x": x_bar, **back_stored(s_bar, r_bar, alpha_bar), **colors, **networks}
 
         return Gaussians(x, s, r, alpha, color, np.arange(len(x))), back
 

@@ -125,8 +125,7 @@ class Explicit:
     initial(preset, rng, points)   the first arrays by name (a static method)
     predict(t, x_c, iteration)     the Gaussians at time t as the camera at x_c sees them, and
                                    back(x_bar, s_bar, r_bar, alpha_bar, color_bar), which returns
-                                   the gradients of arrays {name: gradient} and of networks
-                                   {name: {"weights": ..., "biases": ...}}; the iteration is one of
+                                   the gradients {array name: gradient}; the iteration is one of
                                    training, or FINISHED, which is the default
     """
 
@@ -225,6 +224,12 @@ def colors(preset, p, x, x_c, iteration):
     return color, back
 
 
+def of_network(name, weights, biases):
+    """Gradients of a network by the names of its arrays."""
+    layers = zip("Wb", (weights, biases))
+    return {f"{name}.{kind}{i}": a for kind, listed in layers for i, a in enumerate(listed)}
+
+
 def read_file(path):
     """Return the arrays {name: array} and the JSON values of a file.
 
@@ -319,11 +324,8 @@ class Trainer(Loop):
         losses, back_loss = pull(render_loss, image, truth, preset.lambda_ssim, moments)
         bars = back_draw(back_loss(1.0)["image"])
         gaussians_bar = [bars[name].astype(p.vector.dtype) for name in g._fields[:-1]]
-        arrays, networks = back_predict(*gaussians_bar)
-        for name, gradient in arrays.items():
+        for name, gradient in back_predict(*gaussians_bar).items():
             gradients[name][...] = gradient
-        for name, network_gradients in networks.items():
-            gradients.fill(name, network_gradients)
         L_render, L1, D_SSIM = (float(loss) for loss in losses)
         L_total = L_render + model.regularise(gradients, self.iteration)
         if not np.isfinite(L_total) or not np.isfinite(gradients.vector).all():

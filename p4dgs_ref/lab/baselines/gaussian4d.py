@@ -24,10 +24,9 @@ from . import conditional, explicit, marginal, rotation_4d, spherindrical
 
 LEAST_WEIGHT = 0.05
 
-
-# All values of the authors are those for D-NeRF; they render up to 24 views in one iteration, here
-# it is one. Without a network, motion takes more Gaussians than in the other methods, so `tiny`
-# has more, which grow for longer.
+# What differs from 3DGS: values in the authors' code for D-NeRF's scenes, and in `tiny`. The authors
+# render up to 24 views in one iteration, here it is one. Without a network, motion takes more
+# Gaussians than in the other methods; those of `tiny` grow for longer.
 FIELDS = explicit.FIELDS | {
     "gaussians": (300_000, 2000),
     "most": (10**9, 2000),
@@ -116,7 +115,7 @@ class Gaussian4D(explicit.Explicit):
                 "log_s": log_s_bar[:, :3],
                 "log_s_t": log_s_bar[:, 3:],
                 **back_R(moving["R"]),
-            }, {}
+            }
 
         return GaussiansAt(x[seen], Sigma[seen], alpha[seen], color[seen], seen), back
 

@@ -22,8 +22,8 @@ from ...training.adam import Adam
 from ...training.parameters import random_layers
 from . import activations, explicit, plane_decoder, plane_features, plane_losses
 
-# All values of the authors are those for D-NeRF's scenes. The rates of x, planes and psi are
-# multiples of the extent of the cameras.
+# What differs from 3DGS: values in the authors' code for D-NeRF's scenes, and in `tiny`. The rates
+# of x, planes and psi are multiples of the extent of the cameras.
 FIELDS = explicit.FIELDS | {
     "iterations": (23_000, 3800),
     "warm_up": (3000, 400),  # the iterations of the coarse stage; the others are the fine stage
@@ -95,15 +95,15 @@ class HexPlane(explicit.Explicit):
         color, back_color = explicit.colors(preset, p, x, x_c, iteration)
 
         def back(x_bar, s_bar, r_bar, alpha_bar, color_bar):
-            gradients, networks = back_color(color_bar), {}
+            gradients = {**back_color(color_bar), **back_stored(s_bar, r_bar, alpha_bar)}
             gradients["x"] += x_bar
-            gradients.update(back_stored(s_bar, r_bar, alpha_bar))
             if moves:
                 psi = back_decoder(gradients["x"], gradients["log_s"], gradients["raw_r"])
-                at, networks["psi"] = back_features(psi["features"]), psi
+                gradients |= explicit.of_network("psi", psi["weights"], psi["biases"])
+                at = back_features(psi["features"])
                 gradients["x"] = gradients["x"] + at["x"]
-                gradients.update({f"planes.{i}": bar for i, bar in enumerate(at["planes"])})
-            return gradients, networks
+                gradients |= {f"planes.{i}": bar for i, bar in enumerate(at["planes"])}
+            return gradients
 
         return Gaussians(x, s, r, alpha, color, np.arange(len(x))), back
 

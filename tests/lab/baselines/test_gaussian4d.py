@@ -1,4 +1,4 @@
-"""4DGS: its pipeline and gradients, training, density control in 4D, and its file."""
+"""4DGS: its pipeline and gradients, training and density control in 4D."""
 
 from dataclasses import replace
 from functools import partial
@@ -100,6 +100,3 @@ def test_children_are_drawn_from_their_parent_in_space_and_time(scene):
     assert children["log_s_t"][0] == pytest.approx(log_s[3:] - np.log(1.6))
     for name in rows - {"x", "mu_t", "log_s", "log_s_t"}:
         assert np.array_equal(children[name][-1], p[name][0]), name
-
-
-# --- file ---
