@@ -24,7 +24,7 @@ from . import conditional, explicit, marginal, rotation_4d, spherindrical
 
 LEAST_WEIGHT = 0.05
 
-# What differs from 3DGS: values in the authors' code for D-NeRF's scenes, and in `tiny`. The authors
+# What differs from 3DGS: values in the authors' code for D-NeRF's scenes, and in `tiny`. They
 # render up to 24 views in one iteration, here it is one. Without a network, motion takes more
 # Gaussians than in the other methods; those of `tiny` grow for longer.
 FIELDS = explicit.FIELDS | {
