@@ -6,8 +6,7 @@
 # `12_losses`, `15_compositing`. **Takes** four seconds on two cores, 25 minutes of reading and 25
 # of exercises.
 #
-# **Files:** [table.py](../p4dgs_ref/lab/stability/table.py),
-# [map.py](../p4dgs_ref/lab/stability/map.py),
+# **Files:** [stability](../p4dgs_ref/lab/stability/__init__.py),
 # [numerics.py](../p4dgs_ref/equations/numerics.py).
 
 # %%
@@ -19,9 +18,8 @@ from scipy.special import expit, ndtr
 
 from p4dgs_ref import oracle
 from p4dgs_ref.equations import ssim, step
+from p4dgs_ref.lab import stability
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.stability import map as stability_map
-from p4dgs_ref.lab.stability import table
 from p4dgs_ref.splatting import compositing, projection
 
 plt = lessons.begin("24_hard_cases")
@@ -106,8 +104,8 @@ shown = (
 )
 rows = []
 for id in shown:
-    rows += table.rows(id)
-print(table.describe(rows))
+    rows += stability.rows(id)
+print(stability.describe(rows))
 assert len(rows) == 2 * len(shown)
 assert all(row["verdict"] == "ok" for row in rows)
 
@@ -117,7 +115,7 @@ assert all(row["verdict"] == "ok" for row in rows)
 # floor of $10^{-6}$ removes the red, but then 56 % of the map is wrong by more than one percent.
 
 # %%
-found = stability_map.maps()
+found = stability.maps()
 
 
 def share(name, dtype, wrong):
@@ -133,10 +131,8 @@ assert share("stable", "float64", lambda log: log > -12) == 0
 
 figure, axes = plt.subplots(2, 3, figsize=(10, 7), sharex=True, sharey=True, layout="constrained")
 titles = {"literal": "as printed", "HAC, floor 1e-6": "with a floor", "stable": "this project"}
-for panel, ((name, dtype), logs) in zip(axes.ravel(), found.items()):
-    mesh = stability_map.draw_heatmap(panel, *stability_map.plane(), logs)
-    panel.set(title=f"{titles[name]}, {dtype}")
-stability_map.label_heatmaps(figure, axes, mesh)
+headings = [f"{titles[name]}, {dtype}" for name, dtype in found]
+stability.draw_maps(figure, axes, found, headings)
 figure.suptitle("Eq. (11): red is infinite or NaN, yellow has no correct digit")
 lessons.show(figure, "24_hard_cases")
 

@@ -349,7 +349,8 @@ def stored(method, preset, count):
         background=np.zeros(3),
         occlusion=True,
     )
-    own = sum(model.parameters[name][0].size for name in model.rows)
+    arrays = model.parameters.arrays
+    own = sum(a[0].size for name, a in arrays.items() if name in model.PROPERTIES)
     return own, model.parameters.vector.size - 2 * own, count
 
 

@@ -7,8 +7,7 @@ from ..lab.accuracy import knobs
 from ..lab.accuracy import report as accuracies
 from ..lab.effects import ledger
 from ..lab.effects.suggest import foretold, suggest
-from ..lab.stability.map import draw_map
-from ..lab.stability.table import describe, rows
+from ..lab.stability import describe, draw_map, rows
 from ..lab.tables import ablate, compare, methods, sweep
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
 from ..scenes.output import filled, made
@@ -29,7 +28,7 @@ def turn_knobs(arguments):
 def hard_cases(arguments):
     """Print the hard cases and draw the map; exit code 1 if a hard case is beyond its bound."""
     with filled(arguments.output) as beside:
-        cases = rows(arguments.only, lambda row: progress(f"{row['id']} {row['dtype']}"))
+        cases = rows(arguments.only)
         expect(
             cases,
             f"--only {arguments.only}: expected the id of a case, or its beginning up to a dot, "

@@ -3,7 +3,7 @@
 from contextlib import closing
 from pathlib import Path
 
-from ..lab.baselines.table import ALL_EQUATIONS
+from ..lab.baselines import ALL_EQUATIONS
 from ..oracle import published
 from ..oracle.adapter import Adapter
 from ..oracle.checker import check_port

@@ -1,6 +1,6 @@
 """The loop that trains every method: one view an iteration, Adam, density control.
 
-`trainer.Trainer` makes it the training of P-4DGS, `baselines.trainer.Trainer` that of the methods
+`trainer.Trainer` makes it the training of P-4DGS, `baselines.explicit.Trainer` that of the methods
 that the paper compares itself with. A subclass supplies
 
     gradients_of(view)  Losses, what density control has Seen, the gradients as Parameters, and

@@ -20,8 +20,7 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref.cli import base
 from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.lab.baselines import METHODS
-from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
+from p4dgs_ref.lab.baselines import ALL_EQUATIONS, METHODS
 from p4dgs_ref.lab.tables import compare
 from tests.budget import subcommands
 

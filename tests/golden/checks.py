@@ -2,7 +2,7 @@
 
 from importlib import import_module
 
-from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
+from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.table import Equation
 from tests.golden.mutate import rewritten
 

@@ -20,8 +20,7 @@ import numpy as np
 import scipy.sparse
 
 from p4dgs_ref.equations import grid_nodes, likelihood
-from p4dgs_ref.lab.baselines import plane_features
-from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
+from p4dgs_ref.lab.baselines import ALL_EQUATIONS, plane_features
 from p4dgs_ref.oracle import checker, doctor, published
 from p4dgs_ref.oracle.compare import cast, compare
 from p4dgs_ref.splatting import compositing

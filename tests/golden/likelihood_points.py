@@ -11,7 +11,7 @@ import json
 import numpy as np
 
 from p4dgs_ref.lab.accuracy.formulas import DIGITS
-from p4dgs_ref.lab.stability.map import plane
+from p4dgs_ref.lab.stability import plane
 
 from .sixty_digits import gradient, value
 

@@ -7,7 +7,7 @@ called like one: a scalar function, a stage of several equations, the pipeline.
 from functools import cache
 from typing import Callable, NamedTuple
 
-from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS, BASELINE_EQUATIONS
+from p4dgs_ref.lab.baselines import ALL_EQUATIONS, BASELINE_EQUATIONS
 from p4dgs_ref.oracle import tolerance
 from p4dgs_ref.table import BEYOND, EQUATIONS
 from tests.golden.cases import cases_of

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from p4dgs_ref.lab.stability.table import FILE
+from p4dgs_ref.lab.stability import FILE
 from p4dgs_ref.table import EQUATIONS
 from tests.core import rules
 from tests.golden.cases import FLAGS, cases_of

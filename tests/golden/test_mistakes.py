@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
+from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.oracle import doctor, published, safetensors
 from p4dgs_ref.oracle.compare import cast, expected
 from tests.golden.mistakes import MISTAKES, NotApplicable

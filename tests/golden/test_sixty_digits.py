@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tests.golden.sixty_digits as sixty
-from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
+from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.oracle.tolerance import cotangents_of
 from tests.golden.cases import Case, case_of, cases_of
 from tests.golden.checks import edited

@@ -16,7 +16,7 @@ from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.lab import clock
 from p4dgs_ref.lab.accuracy import diagram, forms, formulas, harness, knobs, report, written
-from p4dgs_ref.lab.stability.map import plane
+from p4dgs_ref.lab.stability import plane
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.training.presets import TINY
 from tests.lab import drawn

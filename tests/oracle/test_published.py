@@ -11,7 +11,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
+from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.oracle import checker, published, safetensors
 from tests.golden.cases import FLAGS
 from tests.golden.subjects import subjects

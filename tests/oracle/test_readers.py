@@ -18,7 +18,7 @@ import pytest
 from scipy.special import erfcx, ndtr
 
 from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.lab.baselines import table
+from p4dgs_ref.lab.baselines import BASELINE_EQUATIONS
 from p4dgs_ref.oracle import published, safetensors
 from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.oracle.checker import check, check_port
@@ -333,7 +333,7 @@ def test_printed_commands_run(tmp_path, monkeypatch, capsys):
         {"step", "step_floor", "prior", "sigma_clamp"},
         {"step"},
         {s["key"] for s in read_manifest(version="1.0")["subjects"] if s["level"] == "L2"},
-        set(table.BASELINE_EQUATIONS),
+        set(BASELINE_EQUATIONS),
         {"weight_bits"},
         {"offsets"},
     ]

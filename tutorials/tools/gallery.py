@@ -15,8 +15,8 @@ import imageio.v3 as iio
 import numpy as np
 
 from p4dgs_ref.codec.file import decode
+from p4dgs_ref.lab import stability
 from p4dgs_ref.lab.accuracy import diagram, forms, report
-from p4dgs_ref.lab.stability import map as stability_map
 from p4dgs_ref.report.figures import write_comparison, write_size
 from p4dgs_ref.report.main_job import main_job
 from p4dgs_ref.scenes import load_scene
@@ -121,7 +121,7 @@ DRAW = {  # what draws the pictures that come from no tutorial
     "demo_size.png": (write_size,),
     "demo.gif": (animation,),
     "accuracy_rendering.png": (forms.cut, diagram.lines, diagram.place_labels),
-    "accuracy_likelihood.png": (stability_map,),
+    "accuracy_likelihood.png": (stability.maps, stability.draw_maps, stability.draw_map),
     DRAWING: (architecture,),
     HANDOUT: (architecture, handout),
 }
@@ -198,7 +198,7 @@ def draw_demo(out):
 def draw_accuracy(out):
     """Turn the knob whose picture is shown and draw the stability map, both into `out`."""
     report.run(["cut"], out)
-    stability_map.draw_map(Path(out) / PICTURES["accuracy_likelihood.png"].figure)
+    stability.draw_map(Path(out) / PICTURES["accuracy_likelihood.png"].figure)
 
 
 def shrink(source, target):

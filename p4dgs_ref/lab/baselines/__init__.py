@@ -1,31 +1,31 @@
 """The methods that the paper compares itself with, trained by the same loop and renderer as ours.
 
-    from p4dgs_ref import baselines
+    from p4dgs_ref.lab import baselines
     model = baselines.train(scene, "d3dgs", seed=0)
     sizes = model.save("bouncing.ply")
     model = baselines.load("bouncing.ply")
 
 The module of a method has Preset, PRESETS and Trainer, whose `kind` of model is a subclass of
-`explicit.Explicit`; its equations are rows of `table.BASELINE_EQUATIONS`.
+`explicit.Explicit`. BASELINE_EQUATIONS is the table of the equations: D belongs to D3DGS, H to
+4DHexPlane, G to 4DGS. What a method takes from the paper or from another method has no second row.
 """
 
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 
 from ...splatting.settings import FAST
+from ...table import BEYOND, EQUATIONS, Equation
 from ...training.parameters import Parameters
 from ...training.presets import read_changes
-from ...training.progress import Progress
-from . import explicit
+from . import d3dgs, explicit, gaussian4d, hexplane
 
 # The names in comparisons, each with its module and its preset for the tiny scenes.
 METHODS = {
-    "d3dgs": ("d3dgs", "tiny"),
-    "d3dgs_small": ("d3dgs", "tiny_small"),
-    "hexplane": ("hexplane", "tiny"),
-    "gaussian4d": ("gaussian4d", "tiny"),
+    "d3dgs": (d3dgs, "tiny"),
+    "d3dgs_small": (d3dgs, "tiny_small"),
+    "hexplane": (hexplane, "tiny"),
+    "gaussian4d": (gaussian4d, "tiny"),
 }
 
 
@@ -33,8 +33,7 @@ def module_of(method):
     """The module of a method, and the name of its preset for the tiny scenes."""
     if method not in METHODS:
         raise ValueError(f"method {method!r}: expected one of {', '.join(METHODS)}")
-    name, preset = METHODS[method]
-    return import_module(f"{__name__}.{name}"), preset
+    return METHODS[method]
 
 
 def choose(method, preset=None, changes=None):
@@ -50,21 +49,16 @@ def choose(method, preset=None, changes=None):
     return replace(chosen, **read_changes(name, vars(chosen), changes))
 
 
-def train(
-    scene, method="d3dgs", preset=None, seed=0, settings=FAST, points=None, stream=None, **changes
-):
+def train(scene, method="d3dgs", preset=None, seed=0, settings=FAST, report=None, **changes):
     """Fit a scene by a method and return the model, ready to be rendered or saved.
 
-    Without a preset it is that for the tiny scenes; the other arguments are those of our `train`.
-    Raises ValueError for an unknown method, preset, field or value, and NotFinite.
+    Without a preset it is that for the tiny scenes; `report` is called after each step, for example
+    a `training.progress.Progress`; the other arguments are those of our `train`. Raises ValueError
+    for an unknown method, preset, field or value, and NotFinite.
     """
-    chosen, progress = choose(method, preset, changes), Progress(stream)
-    trainer = module_of(method)[0].Trainer(scene, chosen, seed, settings, points)
-    try:
-        with np.errstate(all="ignore"):  # non-finite values are found and named
-            return trainer.run(progress)
-    finally:
-        progress.close()
+    kind, chosen = module_of(method)[0].Trainer, choose(method, preset, changes)
+    with np.errstate(all="ignore"):  # non-finite values are found and named
+        return kind(scene, chosen, seed, settings).run(report)
 
 
 def load(path):
@@ -73,3 +67,91 @@ def load(path):
     module, _ = module_of(values["method"])
     preset, background = module.Preset(**values["form"]), np.array(values["background"])
     return module.Trainer.kind(Parameters(arrays), preset, background, values["occlusion"])
+
+
+# Rows as in `p4dgs_ref.table`.
+_ROWS = (
+    Equation(
+        "activations",
+        "D1",
+        "s = exp(log_s), r = raw_r / |raw_r|, alpha = sigmoid(logit_alpha)",
+        "p4dgs_ref.lab.baselines.activations",
+        ("s", "r", "alpha"),
+        ("log_s", "raw_r", "logit_alpha"),
+    ),
+    Equation(
+        "sh_color",
+        "D2",
+        "color = max(0, 1/2 + sum_k sh_k Y_k(d))",
+        "p4dgs_ref.lab.baselines.sh_color",
+        ("color",),
+        ("d", "sh"),
+    ),
+    Equation(
+        "deformation_d3dgs",
+        "D3",
+        "(delta_x, delta_s, delta_r) = psi_d(concat(E(x), psi_t(E(t))))",
+        "p4dgs_ref.equations.deformation_d3dgs",
+        ("delta_x", "delta_s", "delta_r"),
+        ("x", "weights", "biases", "time_weights", "time_biases"),
+    ),
+    Equation(
+        "plane_features",
+        "H1",
+        "features = concat over levels (prod over planes (plane[u_i, u_j]))",
+        "p4dgs_ref.lab.baselines.plane_features",
+        ("features",),
+        ("x", "planes"),
+    ),
+    Equation(
+        "plane_decoder",
+        "H2",
+        "delta_x, delta_log_s, delta_raw_r = phi_x(h), phi_s(h), phi_r(h), h = relu(phi(features))",
+        "p4dgs_ref.lab.baselines.plane_decoder",
+        ("delta_x", "delta_log_s", "delta_raw_r"),
+        ("features", "weights", "biases"),
+    ),
+    Equation(
+        "plane_losses",
+        "H3",
+        "L_space = mean (diff P)^2, L_time = mean (diff diff P)^2, L_one = mean |P - 1|",
+        "p4dgs_ref.lab.baselines.plane_losses",
+        ("L_space", "L_time", "L_one"),
+        ("planes",),
+    ),
+    Equation(
+        "rotation_4d",
+        "G1",
+        "R v = l v conj(r), l = raw_l / |raw_l|, r = raw_r / |raw_r|",
+        "p4dgs_ref.lab.baselines.rotation_4d",
+        ("R",),
+        ("raw_l", "raw_r"),
+    ),
+    Equation(
+        "conditional",
+        "G2",
+        "x_t = x + b (t - mu_t) / var_t, Sigma_t = A - b b^T / var_t",
+        "p4dgs_ref.lab.baselines.conditional",
+        ("x_t", "Sigma_t", "var_t"),
+        ("x", "mu_t", "s", "R"),
+    ),
+    Equation(
+        "marginal",
+        "G3",
+        "alpha_t = alpha exp(-(t - mu_t)**2 / (2 var_t))",
+        "p4dgs_ref.lab.baselines.marginal",
+        ("alpha_t", "weight"),
+        ("alpha", "mu_t", "var_t"),
+    ),
+    Equation(
+        "spherindrical",
+        "G4",
+        "sh_t = sum_n cos(2 pi n (t - mu_t)) sh_n",
+        "p4dgs_ref.lab.baselines.spherindrical",
+        ("sh_t",),
+        ("sh", "mu_t"),
+    ),
+)
+
+BASELINE_EQUATIONS: dict[str, Equation] = {row.key: row for row in _ROWS}
+ALL_EQUATIONS = {**EQUATIONS, **BASELINE_EQUATIONS, **BEYOND}

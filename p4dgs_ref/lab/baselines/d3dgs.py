@@ -10,57 +10,38 @@ their renderer takes it for a unit quaternion, so that a turn also shears the Ga
 mistake; Eq. (6) normalises.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...equations import deformation_d3dgs, deformed
 from ...model import Gaussians, deformation_layers, pull
-from ...training.adam import exponential
 from ...training.parameters import random_layers
-from . import activations, explicit, trainer
+from . import activations, explicit
 
 HEADS = (3, 3, 4)  # of psi_d: delta_x, delta_s, delta_r
 
 
-@dataclass(frozen=True)
-class Preset(explicit.Preset):
-    """Further constants; all values are those of the authors' code for synthetic scenes."""
-
-    iterations: int = 40_000
-    warm_up: int = 3000  # the first iteration in which the Gaussians move
-    gaussians: int = 100_000
-    deformation: tuple[int, ...] = (256,) * 8
-    time_net: tuple[int, ...] = (256, 30)
-    skip: bool = True
-    L_x: int = 10
-    L_t: int = 6
-    deformation_gain: float = 1.0  # the heads of psi_d start smaller by this factor
-    time_noise: float = 0.0  # annealed noise of the time, in steps between views; real scenes: 0.1
-    noise_until: int = 20_000
-    x_until: int = 30_000  # when lr_x reaches its last value
-    lr_x: tuple[float, ...] = (8e-4, 8e-6)  # 1.6e-4, times the 5 that the code takes for the extent
-    lr_d: tuple[float, ...] = (8e-4, 1.6e-6)
-
-    def stage(self, iteration):
-        """1 before the Gaussians move, then 2."""
-        return 1 + (iteration >= self.warm_up)
-
-
-PAPER_SYNTHETIC = Preset()
+# What differs from 3DGS: values in the authors' code for synthetic scenes, and in `tiny`.
+FIELDS = explicit.FIELDS | {
+    "iterations": (40_000, 3800),
+    "warm_up": (3000, 200),
+    "gaussians": (100_000, 800),
+    "deformation": ((256,) * 8, (256,) * 8),
+    "time_net": ((256, 30), (256, 30)),
+    "skip": (True, True),
+    "L_x": (10, 4),
+    "L_t": (6, 4),
+    "deformation_gain": (1.0, 0.01),  # the heads of psi_d start smaller by this factor
+    "time_noise": (0.0, 0.0),  # annealed noise of the time, in steps between views
+    "noise_until": (20_000, 20_000),
+    "x_until": (30_000, 3800),  # when lr_x reaches its last value
+    "lr_x": ((8e-4, 8e-6), (0.002, 2e-4)),  # 1.6e-4, times the 5 that the code takes for the extent
+    "lr_d": ((8e-4, 1.6e-6), (6e-4, 3e-5)),
+}
+Preset, PAPER_SYNTHETIC, TINY = explicit.presets(FIELDS)
 PAPER_REAL = replace(
     PAPER_SYNTHETIC, name="paper_real", time_net=(), L_t=10, iterations=20_000, time_noise=0.1
-)
-TINY = replace(
-    PAPER_SYNTHETIC,
-    **explicit.TINY,
-    L_x=4,
-    L_t=4,
-    deformation_gain=0.01,
-    warm_up=200,
-    x_until=3800,
-    lr_x=(0.002, 2e-4),
-    lr_d=(6e-4, 3e-5),
 )
 # The network of our own preset `tiny`: two layers of 64, no time net, no skip.
 TINY_SMALL = replace(
@@ -72,10 +53,7 @@ PRESETS = {p.name: p for p in (PAPER_SYNTHETIC, PAPER_REAL, TINY, TINY_SMALL)}
 class D3DGS(explicit.Explicit):
     """A model of D3DGS, ready to render or to be saved."""
 
-    preset: Preset
-
     METHOD = "d3dgs"
-    FORM = ("sh_degree", "L_x", "L_t")
 
     @staticmethod
     def initial(preset, rng, points=None):
@@ -92,48 +70,45 @@ class D3DGS(explicit.Explicit):
             arrays[f"psi_d.b{i}"] *= preset.deformation_gain
         return arrays
 
-    def predict(self, t, x_c, iteration=None):
+    def predict(self, t, x_c, iteration=explicit.FINISHED):
         """See `Explicit`; before `warm_up` nothing moves."""
         p, preset = self.parameters, self.preset
-        moves = iteration is None or iteration >= preset.warm_up
+        moves = iteration >= preset.warm_up
         (s, r, alpha), back_stored = pull(activations, p["log_s"], p["raw_r"], p["logit_alpha"])
         x = p["x"]
         if moves:
             layers = *p.network("psi_d"), *p.network("psi_t")
             deltas, back_psi = pull(deformation_d3dgs, x, t, *layers, preset.L_x, preset.L_t)
             (x, s, r), back_deformed = pull(deformed, x, s, r, *deltas)
-        color, back_color = explicit.colors(p, x, x_c, explicit.degree_at(preset, iteration))
+        color, back_color = explicit.colors(preset, p, x, x_c, iteration)
 
         def back(x_bar, s_bar, r_bar, alpha_bar, color_bar):
-            networks, colors = {}, back_color(color_bar)
+            colors, networks = back_color(color_bar), {}
             x_bar = x_bar + colors.pop("x")
             if moves:
                 at_t = back_deformed(x_bar, s_bar, r_bar)
                 s_bar, r_bar = at_t["s"], at_t["r"]
                 deltas_bar = [at_t[f"delta_{name}"] for name in "xsr"]
                 psi = back_psi(*deltas_bar, needs_x=False)
-                networks["psi_d"] = psi
-                networks["psi_t"] = {name: psi[f"time_{name}"] for name in ("weights", "biases")}
-            return {"x": x_bar, **back_stored(s_bar, r_bar, alpha_bar), **colors}, networks
+                networks = {
+                    **explicit.of_network("psi_d", psi["weights"], psi["biases"]),
+                    **explicit.of_network("psi_t", psi["time_weights"], psi["time_biases"]),
+                }
+            return {"x": x_bar, **back_stored(s_bar, r_bar, alpha_bar), **colors, **networks}
 
         return Gaussians(x, s, r, alpha, color, np.arange(len(x))), back
 
 
-class Trainer(trainer.Trainer):
+class Trainer(explicit.Trainer):
     """Fits one scene by D3DGS."""
 
     kind = D3DGS
-    RATES = {**trainer.Trainer.RATES, "psi_d": "lr_d", "psi_t": "lr_d"}
+    RATES = {**explicit.Trainer.RATES, "psi_d": "lr_d", "psi_t": "lr_d"}
 
-    def rate_of(self, name):
-        """The current learning rate of an array; networks have none before `warm_up`."""
-        preset = self.preset
-        if name.startswith("psi") and self.iteration < preset.warm_up:
-            return 0.0
-        if name == "x":
-            first, last = preset.lr_x
-            return exponential(self.iteration, first, last, preset.x_until)
-        return super().rate_of(name)
+    def schedule(self, name):
+        """That of positions ends before the others."""
+        until = self.preset.x_until if name == "x" else self.preset.iterations
+        return self.iteration, until
 
     def time_of(self, view):
         """The time of a view with noise that fades (AST), so that motion between views is smooth.

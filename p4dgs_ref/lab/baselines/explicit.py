@@ -1,4 +1,4 @@
-"""What the models of the baselines share: explicit Gaussians, their first values, their file.
+"""What the baselines share: explicit Gaussians, their presets, their file and their training.
 
 A file is one PLY: Gaussians as its vertices, every network in a second element.
 
@@ -14,28 +14,46 @@ A file is one PLY: Gaussians as its vertices, every network in a second element.
 
 All numbers are float32, as in the files of the authors; D3DGS keeps its network in a file of its
 own. The text is the overhead, about 2 KB.
+
+Training is the loop of ours. Density control is that of 3DGS (Kerbl et al. 2023, section 5.2):
+cloning, splitting, pruning, and resets of the opacity, with the constants of the authors' code in
+the presets. Statistics are those of `training.density`, with one child per Gaussian.
 """
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, make_dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from ...equations import view
+from ...equations import render_loss, view
+from ...equations.numerics import normalise, sigmoid
 from ...model import pull
 from ...scenes.files import reading
 from ...scenes.ply import read_ply, write_ply
 from ...scenes.scene import require
 from ...splatting import render
+from ...splatting.covariance import rotation_matrix
 from ...splatting.settings import FAST
+from ...training.adam import exponential
+from ...training.density import Statistics
 from ...training.initial import neighbour_distance, starting_points
+from ...training.loop import Loop
+from ...training.objective import Losses, Seen
 from ...training.parameters import Parameters
+from ...training.watch import NotFinite, first_bad
 from . import sh_color
 
+FINISHED = 10**9  # an iteration in which every schedule of a preset has ended
+# The fields of a preset that a file tells its reader.
+FORM = ("sh_degree", "L_x", "L_t", "waves")
 START_ALPHA = 0.1  # the opacity of every Gaussian before training, as in 3DGS
+WAITING = ("psi", "psi_d", "psi_t", "planes")  # what takes part once the Gaussians move
+SHRINK = 1.6  # children of a split are smaller by this factor
+LARGEST = 0.1  # of the extent: larger Gaussians are pruned once opacities have been reset
+RESET_ALPHA = 0.01
 # The arrays of a Gaussian in the order of 3DGS's PLY, with the names of their properties.
 PLY_OF_3DGS = {
     "x": "x y z",
@@ -48,82 +66,76 @@ PLY_OF_3DGS = {
 }
 
 
-@dataclass(frozen=True)
-class Preset:
-    """The constants that the baselines share, with the values of 3DGS's code.
-
-    Rates are first and last, geometric over all iterations.
-    """
-
-    name: str = "paper_synthetic"
-    iterations: int = 30_000
-    gaussians: int = 10_000  # at random points at the start
-    extent: float = 1.3  # they are uniform in [-extent, extent]^3
-    sh_degree: int = 3
-    sh_every: int = 1000  # iterations from one active degree of the harmonics to the next
-    lambda_ssim: float = 0.2
-    lr_x: tuple[float, ...] = (1.6e-4, 1.6e-6)
-    lr_sh_dc: tuple[float, ...] = (0.0025, 0.0025)
-    lr_sh_rest: tuple[float, ...] = (0.000125, 0.000125)
-    lr_alpha: tuple[float, ...] = (0.05, 0.05)
-    lr_s: tuple[float, ...] = (0.005, 0.005)
-    lr_r: tuple[float, ...] = (0.001, 0.001)
-    collect_from: int = 0
-    grow_from: int = 500
-    grow_every: int = 100
-    grow_until: int = 15_000
-    gradient_threshold: float = 2e-4  # of the projected centre, in NDC units per view
-    percent_dense: float = 0.01  # of the extent: smaller Gaussians are cloned, larger ones split
-    min_opacity: float = 0.005
-    reset_every: int = 3000
-    most: int = 10**9  # Gaussians; density control adds none beyond
-
-
-# What the presets for the tiny scenes change alike.
-TINY = {
-    "name": "tiny",
-    "iterations": 3800,
-    "gaussians": 800,
-    "most": 800,  # as many as our preset `tiny` has: 200 anchors of 4 children
-    "extent": 1.0,
-    "sh_every": 500,
-    "lr_sh_dc": (0.01, 0.001),
-    "lr_sh_rest": (0.0005, 5e-5),
-    "lr_alpha": (0.05, 0.005),
-    "lr_s": (0.01, 0.001),
-    "lr_r": (0.005, 5e-4),
-    "grow_from": 300,
-    "grow_until": 2000,
-    "gradient_threshold": 5e-4,
-    "percent_dense": 0.02,
+# --- presets --------------------------------------------------------------------------------------
+# The constants that the methods have in common: their values in the code of 3DGS and in `tiny`.
+FIELDS = {
+    "iterations": (30_000, 3800),
+    "gaussians": (10_000, 800),  # at random points at the start
+    "extent": (1.3, 1.0),  # they are uniform in [-extent, extent]^3
+    "sh_degree": (3, 3),
+    "sh_every": (1000, 500),  # iterations from one active degree of the harmonics to the next
+    "lambda_ssim": (0.2, 0.2),
+    # rates, first and last, geometric over all iterations
+    "lr_x": ((1.6e-4, 1.6e-6), (5e-4, 5e-5)),
+    "lr_sh_dc": ((0.0025, 0.0025), (0.01, 0.001)),
+    "lr_sh_rest": ((0.000125, 0.000125), (0.0005, 5e-5)),
+    "lr_alpha": ((0.05, 0.05), (0.05, 0.005)),
+    "lr_s": ((0.005, 0.005), (0.01, 0.001)),
+    "lr_r": ((0.001, 0.001), (0.005, 5e-4)),
+    # density control
+    "collect_from": (0, 0),
+    "grow_from": (500, 300),
+    "grow_every": (100, 100),
+    "grow_until": (15_000, 2000),
+    "gradient_threshold": (2e-4, 5e-4),  # of the projected centre, in NDC units per view
+    "percent_dense": (0.01, 0.02),  # of the extent: smaller Gaussians are cloned, larger ones split
+    "min_opacity": (0.005, 0.005),
+    "reset_every": (3000, 3000),
+    "most": (10**9, 800),  # it adds none beyond; our preset `tiny` has 200 anchors of 4 children
 }
 
 
+@dataclass(frozen=True)
+class Preset:
+    """The constants of a method; its subclass has a field for each row of the method's table."""
+
+    name: str = "paper_synthetic"
+    warm_up: int = 0  # the first iteration in which the Gaussians move
+
+    def stage(self, iteration):
+        """1 before the Gaussians move, then 2; 1 for a method in which they always do."""
+        return 1 + (iteration >= self.warm_up > 0)
+
+
+def presets(fields):
+    """The class of the presets with these fields, and two of them: `paper_synthetic` and `tiny`.
+
+    A row is {field: (value in the authors' code, which is the default, value in `tiny`)}.
+    """
+    defaults = [(field, type(paper), paper) for field, (paper, _) in fields.items()]
+    kind = make_dataclass("Preset", defaults, bases=(Preset,), frozen=True)
+    return kind, kind(), kind("tiny", **{field: tiny for field, (_, tiny) in fields.items()})
+
+
+# --- the model and its file -----------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class Explicit:
     """A model of explicit Gaussians. Each baseline is a subclass, which also has
 
-    initial(preset, rng, points)     the first arrays by name (a static method)
-    predict(t, x_c, iteration=None)  the Gaussians at time t as the camera at x_c sees them, and
-                                     back(x_bar, s_bar, r_bar, alpha_bar, color_bar), which returns
-                                     the gradients of arrays {name: gradient} and of networks
-                                     {name: {"weights": ..., "biases": ...}}; without an iteration
-                                     of training, the Gaussians are those of the finished model
+    initial(preset, rng, points)   the first arrays by name (a static method)
+    predict(t, x_c, iteration)     the Gaussians at time t as the camera at x_c sees them, and
+                                   back(x_bar, s_bar, r_bar, alpha_bar, color_bar), which returns
+                                   the gradients {array name: gradient}; the iteration is one of
+                                   training, or FINISHED, which is the default
     """
 
     parameters: Parameters
-    preset: Preset
+    preset: Any
     background: np.ndarray  # [3]
     occlusion: bool = True
 
     METHOD: ClassVar[str]
-    FORM: ClassVar[tuple]  # the fields of a preset that a file tells its reader
-    PROPERTIES: ClassVar[dict] = PLY_OF_3DGS
-
-    @property
-    def rows(self):
-        """The names of the arrays that have one row for each Gaussian."""
-        return [name for name in self.PROPERTIES if name in self.parameters.arrays]
+    PROPERTIES: ClassVar[dict] = PLY_OF_3DGS  # of the arrays with one row for each Gaussian
 
     @property
     def primitives(self):
@@ -150,31 +162,29 @@ class Explicit:
 
     def save(self, path):
         """Write the file; returns its bytes as {"gaussians": ..., "network": ..., "other": ...}."""
-        arrays, N = dict(self.parameters.arrays), self.primitives
-        if "normals" in self.PROPERTIES:
-            arrays["normals"] = np.zeros((N, 3))
-        rows = {name: arrays.pop(name) for name in self.PROPERTIES}
-        columns = {name: array.reshape(N, array[:1].size) for name, array in rows.items()}
+        arrays, zeros = dict(self.parameters.arrays), np.zeros((self.primitives, 3))
+        rows = {name: arrays.pop(name, zeros) for name in self.PROPERTIES}  # zeros are the normals
+        columns = [array.reshape(len(array), -1) for array in rows.values()]
         properties = [
             text.replace("*", str(i)) if "*" in text else text.split()[i]
-            for name, text in self.PROPERTIES.items()
-            for i in range(columns[name].shape[1])
+            for text, numbers in zip(self.PROPERTIES.values(), columns)
+            for i in range(numbers.shape[1])
         ]
-        numbers = np.concatenate([np.zeros(0), *(array.ravel() for array in arrays.values())])
+        network = np.concatenate([np.zeros(0), *(array.ravel() for array in arrays.values())])
         elements = {
-            "vertex": (properties, np.concatenate([*columns.values()], axis=1)),
-            "network": (["value"], numbers[:, None]),
+            "vertex": (properties, np.concatenate(columns, axis=1)),
+            "network": (["value"], network[:, None]),
         }
         values = {
             "method": self.METHOD,
-            "form": {field: getattr(self.preset, field) for field in self.FORM},
+            "form": {f: getattr(self.preset, f) for f in FORM if hasattr(self.preset, f)},
             "background": [float(c) for c in self.background],
             "occlusion": self.occlusion,
             "rows": {name: array.shape[1:] for name, array in rows.items()},
             "shapes": {name: array.shape for name, array in arrays.items()},
         }
-        other, gaussians, network = write_ply(path, elements, [json.dumps(values)])
-        return {"gaussians": gaussians, "network": network, "other": other}
+        other, gaussians, network_bytes = write_ply(path, elements, [json.dumps(values)])
+        return {"gaussians": gaussians, "network": network_bytes, "other": other}
 
 
 def start(preset, rng, points=None):
@@ -191,13 +201,15 @@ def start(preset, rng, points=None):
     }
 
 
-def colors(p, x, x_c, degree):
-    """D2 for Gaussians at x [N, 3] as the camera at x_c sees them, up to a degree.
+def colors(preset, p, x, x_c, iteration):
+    """D2 for Gaussians at x [N, 3] as the camera at x_c sees them, up to the active degree.
 
-    Returns the colors and back(color_bar), the gradients of x, sh_dc and sh_rest. The direction is
-    that of the moved Gaussian, as in the kernel of 3DGS.
+    That is 0 at first and grows by 1 every `sh_every` iterations. Returns the colors and
+    back(color_bar), the gradients of x, sh_dc and sh_rest. The direction is that of the moved
+    Gaussian, as in the kernel of 3DGS.
     """
     (_, d), back_view = pull(view, x, x_c)
+    degree = min(iteration // preset.sh_every, preset.sh_degree)
     used = (degree + 1) ** 2 - 1
     sh = np.concatenate([p["sh_dc"], p["sh_rest"][:, :, :used]], axis=2)
     color, back_color = pull(sh_color, d, sh)
@@ -212,11 +224,10 @@ def colors(p, x, x_c, degree):
     return color, back
 
 
-def degree_at(preset, iteration):
-    """The active degree of the harmonics: it starts at 0 and grows by 1 every `sh_every`."""
-    if iteration is None:
-        return preset.sh_degree
-    return min(iteration // preset.sh_every, preset.sh_degree)
+def of_network(name, weights, biases):
+    """Gradients of a network by the names of its arrays."""
+    layers = zip("Wb", (weights, biases))
+    return {f"{name}.{kind}{i}": a for kind, listed in layers for i, a in enumerate(listed)}
 
 
 def read_file(path):
@@ -230,9 +241,8 @@ def read_file(path):
             rows.view("<f4").reshape(len(rows), len(rows.dtype)) for rows in elements.values()
         )
         values = json.loads(comments[0])
-        sizes = [math.prod(shape) for shape in values["shapes"].values()]
-        require(not rest and sum(sizes) == len(flat), path, "expected a whole file of a baseline")
-    arrays = {**split(vertices, values["rows"]), **split(flat[:, 0], values["shapes"])}
+        require(not rest, path, "expected nothing after the last number")
+        arrays = {**split(vertices, values["rows"]), **split(flat[:, 0], values["shapes"])}
     arrays.pop("normals", None)
     return arrays, values
 
@@ -242,3 +252,162 @@ def split(numbers, shapes):
     ends = np.cumsum([math.prod(shape) for shape in shapes.values()])
     parts = zip(shapes.items(), np.split(numbers, ends[:-1].astype(int), axis=-1))
     return {name: part.reshape(*numbers.shape[:-1], *shape) for (name, shape), part in parts}
+
+
+# --- training -------------------------------------------------------------------------------------
+class Trainer(Loop):
+    """Fits one scene by the method `kind`, a subclass of Explicit."""
+
+    UNIT = "stored"
+    kind: type
+    # The field of the preset with the rate of an array, or of all arrays of a network; without one,
+    # an array is not trained.
+    RATES = {
+        "x": "lr_x",
+        "sh_dc": "lr_sh_dc",
+        "sh_rest": "lr_sh_rest",
+        "logit_alpha": "lr_alpha",
+        "log_s": "lr_s",
+        "raw_r": "lr_r",
+    }
+    PER_EXTENT = ()  # names whose rates are multiples of the extent of the cameras
+
+    def __init__(self, scene, preset, seed=0, settings=FAST):
+        super().__init__(scene, preset, seed, settings)
+        self.start(Parameters(self.kind.initial(preset, self.rng, scene.points)))
+        self.extent = extent_of(scene.train, self.parameters["x"])
+        self.statistics = Statistics.empty(self.primitives, 1)
+
+    @property
+    def primitives(self):
+        """The number of Gaussians."""
+        return len(self.parameters["x"])
+
+    def around(self, parameters):
+        """The model of some parameters, which it does not copy."""
+        occlusion = "occlusion" in self.scene.effects
+        return self.kind(parameters, self.preset, self.scene.background, occlusion)
+
+    def model(self):
+        """The model as it is now."""
+        return self.around(Parameters(self.parameters.arrays))
+
+    def time_of(self, view):
+        """The time at which the Gaussians are rendered for a view."""
+        return view.time
+
+    def rate_of(self, name):
+        """The current learning rate of an array, or of all arrays of a network."""
+        waits = name in WAITING and self.iteration < self.preset.warm_up
+        if waits or name not in self.RATES:
+            return 0.0
+        now, until = self.schedule(name)
+        rate = exponential(now, *getattr(self.preset, self.RATES[name]), until=until)
+        return rate * self.extent if name in self.PER_EXTENT else rate
+
+    def schedule(self, name):
+        """How long the schedule of a rate has run, and after how many iterations it ends."""
+        return self.iteration, self.preset.iterations
+
+    def gradients_of(self, view):
+        """The Losses of a view, what was Seen, and the gradients of parameters and of mean2d.
+
+        Raises NotFinite with the first array and index that is NaN or infinite.
+        """
+        preset, p = self.preset, self.parameters
+        model, gradients = self.around(p), p.zeros()
+        x_c = view.camera.center.astype(p.vector.dtype)
+        g, back_predict = model.predict(self.time_of(view), x_c, self.iteration)
+        (image, _, visible), back_draw = model.draw(g, view.camera, self.settings)
+        truth = view.image.astype(image.dtype)
+        moments = self.moments_of(view)
+        losses, back_loss = pull(render_loss, image, truth, preset.lambda_ssim, moments)
+        bars = back_draw(back_loss(1.0)["image"])
+        gaussians_bar = [bars[name].astype(p.vector.dtype) for name in g._fields[:-1]]
+        for name, gradient in back_predict(*gaussians_bar).items():
+            gradients[name][...] = gradient
+        L_render, L1, D_SSIM = (float(loss) for loss in losses)
+        L_total = L_render + model.regularise(gradients, self.iteration)
+        if not np.isfinite(L_total) or not np.isfinite(gradients.vector).all():
+            bad = first_bad({"L_total": L_total, **gradients.arrays})
+            raise NotFinite(self.iteration, f"loss or gradient of {bad}")
+        losses = Losses(L_total, L_render, L1, D_SSIM, 0.0, 0.0)
+        unused = np.zeros((self.primitives, 1))  # opacities, which decide nothing here
+        return losses, Seen(unused, g.index, visible, image), gradients, bars["mean2d"]
+
+    def scatter(self, children):
+        """Move copies {array name: rows} of a Gaussian to points drawn from it, and shrink them."""
+        r, _ = normalise(children["raw_r"])
+        drawn = self.rng.normal(size=children["x"].shape) * np.exp(children["log_s"])
+        children["x"] += np.einsum("nij,nj->ni", rotation_matrix(r), drawn)
+        children["log_s"] -= np.log(SHRINK)
+
+    def adjust(self):
+        """Clone, split and prune; reset the opacities every `reset_every` iterations."""
+        preset, now, p = self.preset, self.iteration, self.parameters
+        if not preset.grow_from < now < preset.grow_until:
+            return
+        gradient = (self.statistics.gradient / np.maximum(self.statistics.seen, 1))[:, 0]
+        rows = [name for name in self.kind.PROPERTIES if name in p.arrays]
+        keep, added = densify(
+            p, rows, gradient, self.extent, preset, self.scatter, now > preset.reset_every
+        )
+        if keep.any() or len(added["x"]):
+            self.change_rows(rows, keep, added)
+        if now % preset.reset_every == 0:
+            reset_opacity(self.parameters, self.adam.first, self.adam.second)
+        self.statistics = Statistics.empty(self.primitives, 1)
+
+
+# --- density control ------------------------------------------------------------------------------
+def extent_of(views, x):
+    """The size of a scene as 3DGS measures it: how far its cameras are from their mean, and 10 %.
+
+    Cameras that stand still in one place have none; then the first points give it. The authors'
+    code would split every Gaussian and prune it as too large.
+    """
+    centers = np.array([view.camera.center for view in views])
+    spread = np.linalg.norm(centers - centers.mean(axis=0), axis=1).max()
+    if spread < 1e-6:
+        spread = np.linalg.norm(x - x.mean(axis=0), axis=1).max()
+    return 1.1 * float(spread)
+
+
+def densify(p, rows, gradient, extent, preset, scatter, prune_large):
+    """The Gaussians [N] to keep, and new ones as {array name: rows}.
+
+    Where the mean gradient [N] of the projected centre is large, a small Gaussian is cloned in
+    place, and a large one is replaced by two, which `scatter` places and shrinks. Of old and new
+    ones those are left out that are nearly transparent or, with `prune_large`, very large. No more
+    are added than `most` leaves room for, those with the largest gradients.
+    """
+    room = max(preset.most - len(gradient), 0)
+    wanted = np.zeros(len(gradient), bool)
+    wanted[np.argsort(-gradient, kind="stable")[:room]] = True
+    wanted &= gradient >= preset.gradient_threshold
+    large = np.exp(p["log_s"]).max(axis=1) > preset.percent_dense * extent
+    clones, parents = np.flatnonzero(wanted & ~large), np.flatnonzero(wanted & large)
+    children = {name: np.repeat(p[name][parents], 2, axis=0) for name in rows}
+    scatter(children)
+    added = {name: np.concatenate([p[name][clones], children[name]]) for name in rows}
+    limit = LARGEST * extent if prune_large else np.inf
+    keep, lasting = lasts(p, preset, limit), lasts(added, preset, limit)
+    keep[parents] = False
+    return keep, {name: a[lasting] for name, a in added.items()}
+
+
+def lasts(p, preset, limit):
+    """Which Gaussians are neither nearly transparent nor larger than the limit."""
+    visible = sigmoid(p["logit_alpha"]) >= preset.min_opacity
+    return visible & (np.exp(p["log_s"]).max(axis=1) <= limit)
+
+
+def reset_opacity(p, first, second):
+    """Lower all opacities, in place, to RESET_ALPHA at most, with zero Adam moments.
+
+    What the pictures need becomes opaque again; the rest is pruned.
+    """
+    most = np.log(RESET_ALPHA / (1 - RESET_ALPHA))
+    p["logit_alpha"][...] = np.minimum(p["logit_alpha"], most)
+    first["logit_alpha"][...] = 0
+    second["logit_alpha"][...] = 0

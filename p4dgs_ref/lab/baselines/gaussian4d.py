@@ -12,7 +12,6 @@ The direction of view is that of the moved Gaussian, x_t - x_c. The authors' ker
 in its forward pass and x_t in its backward pass, which is a mistake.
 """
 
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -21,40 +20,24 @@ import numpy as np
 from ...equations.numerics import sigmoid, sigmoid_slope
 from ...model import pull
 from ...splatting import render
-from . import conditional, explicit, marginal, rotation_4d, spherindrical, trainer
+from . import conditional, explicit, marginal, rotation_4d, spherindrical
 
 LEAST_WEIGHT = 0.05
 
-
-@dataclass(frozen=True)
-class Preset(explicit.Preset):
-    """Further constants; all values are those of the authors' code for D-NeRF.
-
-    The rates of positions are per extent of the cameras. The authors render up to 24 views in one
-    iteration, here it is one.
-    """
-
-    gaussians: int = 300_000
-    waves: int = 2  # the highest frequency of the colours in time, in periods per scene
-    start_s_t: float = 0.2**0.5  # standard deviation in time before training
-    lr_t: tuple[float, ...] = (1.6e-4, 1.6e-4)  # of mu_t
-
-    def stage(self, iteration):
-        """There is one stage."""
-        return 1
-
-
-PAPER_SYNTHETIC = Preset()
-# Without a network, motion takes more Gaussians than in the other methods, which grow for longer.
-ITS_OWN = {
-    "gaussians": 2000,
-    "most": 2000,
-    "grow_until": 2400,
-    "lr_x": (5e-4, 5e-5),
-    "lr_t": (5e-4, 5e-5),
-    "lr_s": (0.015, 0.0015),
+# What differs from 3DGS: values in the authors' code for D-NeRF's scenes, and in `tiny`. They
+# render up to 24 views in one iteration, here it is one. Without a network, motion takes more
+# Gaussians than in the other methods; those of `tiny` grow for longer.
+FIELDS = explicit.FIELDS | {
+    "gaussians": (300_000, 2000),
+    "most": (10**9, 2000),
+    "grow_until": (15_000, 2400),
+    "waves": (2, 2),  # the highest frequency of the colours in time, in periods per scene
+    "start_s_t": (0.2**0.5, 0.2**0.5),  # standard deviation in time before training
+    # rates of positions are per extent of the cameras
+    "lr_t": ((1.6e-4, 1.6e-4), (5e-4, 5e-5)),  # of mu_t
+    "lr_s": ((0.005, 0.005), (0.015, 0.0015)),
 }
-TINY = replace(PAPER_SYNTHETIC, **(explicit.TINY | ITS_OWN))
+Preset, PAPER_SYNTHETIC, TINY = explicit.presets(FIELDS)
 PRESETS = {p.name: p for p in (PAPER_SYNTHETIC, TINY)}
 
 
@@ -75,10 +58,7 @@ class Gaussian4D(explicit.Explicit):
     parameters alone.
     """
 
-    preset: Preset
-
     METHOD = "gaussian4d"
-    FORM = ("sh_degree", "waves")
     PROPERTIES = {
         "x": "x y z",
         "mu_t": "t",
@@ -104,7 +84,7 @@ class Gaussian4D(explicit.Explicit):
             "raw_l": arrays["raw_r"],
         }
 
-    def predict(self, t, x_c, iteration=None):
+    def predict(self, t, x_c, iteration=explicit.FINISHED):
         """See `Explicit`; only the Gaussians with a weight above LEAST_WEIGHT are returned."""
         p = self.parameters
         s = four_scales(p)
@@ -135,7 +115,7 @@ class Gaussian4D(explicit.Explicit):
                 "log_s": log_s_bar[:, :3],
                 "log_s_t": log_s_bar[:, 3:],
                 **back_R(moving["R"]),
-            }, {}
+            }
 
         return GaussiansAt(x[seen], Sigma[seen], alpha[seen], color[seen], seen), back
 
@@ -145,15 +125,13 @@ class Gaussian4D(explicit.Explicit):
         The waves in time become active one by one once all of space is.
         """
         p, preset = self.parameters, self.preset
-        degree, waves = preset.sh_degree, preset.waves
-        if iteration is not None:
-            steps = iteration // preset.sh_every
-            degree, waves = min(steps, degree), min(max(steps - degree, 0), waves)
+        in_time = iteration // preset.sh_every - preset.sh_degree
+        waves = min(max(in_time, 0), preset.waves)
         stored = np.concatenate([p["sh_dc"], p["sh_rest"]], axis=2)
         sh = stored.reshape(len(x), 3, preset.waves + 1, -1)[:, :, : waves + 1]
         sh_t, back_sh = pull(spherindrical, sh, p["mu_t"], t)
         at_t = {"sh_dc": sh_t[:, :, :1], "sh_rest": sh_t[:, :, 1:]}
-        color, back_color = explicit.colors(at_t, x, x_c, degree)
+        color, back_color = explicit.colors(preset, at_t, x, x_c, iteration)
 
         def back(color_bar):
             bars = back_color(color_bar)
@@ -182,21 +160,17 @@ def four_scales(p):
     return np.exp(np.concatenate([p["log_s"], p["log_s_t"]], axis=1))
 
 
-class Trainer(trainer.Trainer):
+class Trainer(explicit.Trainer):
     """Fits one scene by 4DGS."""
 
     kind = Gaussian4D
     RATES = {
-        **trainer.Trainer.RATES,
+        **explicit.Trainer.RATES,
         "mu_t": "lr_t",
         "log_s_t": "lr_s",
         "raw_l": "lr_r",
     }
-
-    def rate_of(self, name):
-        """The current learning rate of an array; those of positions follow the scene's size."""
-        size = self.extent if name in ("x", "mu_t") else 1.0
-        return size * super().rate_of(name)
+    PER_EXTENT = ("x", "mu_t")
 
     def scatter(self, children):
         """Move children to points drawn from their parent in space and time, and shrink them."""
@@ -205,5 +179,5 @@ class Trainer(trainer.Trainer):
         drawn = np.einsum("nij,nj->ni", R, s * self.rng.normal(size=s.shape))
         children["x"] += drawn[:, :3]
         children["mu_t"] += drawn[:, 3]
-        children["log_s"] -= np.log(trainer.SHRINK)
-        children["log_s_t"] -= np.log(trainer.SHRINK)
+        children["log_s"] -= np.log(explicit.SHRINK)
+        children["log_s_t"] -= np.log(explicit.SHRINK)

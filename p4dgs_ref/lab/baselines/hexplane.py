@@ -13,44 +13,34 @@ The authors prune only models of more than 200,000 Gaussians; here Gaussians are
 Their file also holds heads and a network for the time that nothing uses; ours does not.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...model import Gaussians, pull
-from ...training.adam import Adam, exponential
+from ...training.adam import Adam
 from ...training.parameters import random_layers
-from . import activations, explicit, plane_decoder, plane_features, plane_losses, trainer
+from . import activations, explicit, plane_decoder, plane_features, plane_losses
 
-
-@dataclass(frozen=True)
-class Preset(explicit.Preset):
-    """Further constants; all values are those of the authors' code for D-NeRF's scenes.
-
-    The rates of x, planes and psi are multiples of the extent of the cameras.
-    """
-
-    iterations: int = 23_000
-    coarse: int = 3000  # of them; the others are the fine stage
-    gaussians: int = 2000
-    lambda_ssim: float = 0.0
-    nodes: int = 64  # of the first level along x, y and z
-    levels: tuple[int, ...] = (1, 2)  # multiples of `nodes`
-    time_nodes: int = 100  # along t, at every level; the authors have 75 for two of the scenes
-    features: int = 32  # at each node
-    hidden: tuple[int, ...] = (64,)  # widths of phi, of which the last is that of the heads
-    deformation_gain: float = 1.0  # the last layers of the heads start smaller by this factor
-    lambda_planes: tuple[float, ...] = (1e-4, 0.01, 1e-4)  # of L_space, L_time and L_one
-    lr_planes: tuple[float, ...] = (1.6e-3, 1.6e-5)
-    lr_psi: tuple[float, ...] = (1.6e-4, 1.6e-6)
-    grow_until: int = 18_000
-
-    def stage(self, iteration):
-        """1 in the coarse stage, then 2."""
-        return 1 + (iteration >= self.coarse)
-
-
-PAPER_SYNTHETIC = Preset()
+# What differs from 3DGS: values in the authors' code for D-NeRF's scenes, and in `tiny`. The rates
+# of x, planes and psi are multiples of the extent of the cameras.
+FIELDS = explicit.FIELDS | {
+    "iterations": (23_000, 3800),
+    "warm_up": (3000, 400),  # the iterations of the coarse stage; the others are the fine stage
+    "gaussians": (2000, 800),
+    "lambda_ssim": (0.0, 0.2),
+    "nodes": (64, 8),  # of the first level along x, y and z
+    "levels": ((1, 2), (1, 2)),  # multiples of `nodes`
+    "time_nodes": (100, 8),  # along t, at every level; the authors have 75 for two of the scenes
+    "features": (32, 8),  # at each node
+    "hidden": ((64,), (64,)),  # widths of phi, of which the last is that of the heads
+    "deformation_gain": (1.0, 0.01),  # the last layers of the heads start smaller by this factor
+    "lambda_planes": ((1e-4, 0.01, 1e-4), (1e-4, 0.01, 1e-4)),  # of L_space, L_time and L_one
+    "lr_planes": ((1.6e-3, 1.6e-5), (0.01, 1e-4)),
+    "lr_psi": ((1.6e-4, 1.6e-6), (1.6e-4, 1.6e-6)),
+    "grow_until": (18_000, 2000),
+}
+Preset, PAPER_SYNTHETIC, TINY = explicit.presets(FIELDS)
 PAPER_REAL = replace(  # of HyperNeRF's scenes, where the authors take two views an iteration
     PAPER_SYNTHETIC,
     name="paper_real",
@@ -65,28 +55,13 @@ PAPER_REAL = replace(  # of HyperNeRF's scenes, where the authors take two views
     lr_planes=(1.6e-3, 1.6e-4),
     lr_psi=(1.6e-4, 1.6e-5),
 )
-TINY = replace(
-    PAPER_SYNTHETIC,
-    **explicit.TINY,
-    coarse=400,
-    lambda_ssim=0.2,
-    nodes=8,
-    time_nodes=8,
-    features=8,
-    deformation_gain=0.01,
-    lr_x=(5e-4, 5e-5),
-    lr_planes=(0.01, 1e-4),
-)
 PRESETS = {p.name: p for p in (PAPER_SYNTHETIC, PAPER_REAL, TINY)}
 
 
 class HexPlane(explicit.Explicit):
     """A model of 4DHexPlane, ready to render or to be saved."""
 
-    preset: Preset
-
     METHOD = "hexplane"
-    FORM = ("sh_degree",)
 
     @staticmethod
     def initial(preset, rng, points=None):
@@ -106,36 +81,36 @@ class HexPlane(explicit.Explicit):
         inputs = F * len(preset.levels)
         return {**arrays, **first_network(rng, inputs, preset.hidden, preset.deformation_gain)}
 
-    def predict(self, t, x_c, iteration=None):
+    def predict(self, t, x_c, iteration=explicit.FINISHED):
         """See `Explicit`; in the coarse stage nothing moves."""
         p, preset = self.parameters, self.preset
         x, log_s, raw_r = p["x"], p["log_s"], p["raw_r"]
-        moves = iteration is None or iteration >= preset.coarse
+        moves = iteration >= preset.warm_up
         if moves:
             lo, hi = p["box"]
             features, back_features = pull(plane_features, x, t, lo, hi, p.listed("planes"))
             deltas, back_decoder = pull(plane_decoder, features, *p.network("psi"))
             x, log_s, raw_r = x + deltas[0], log_s + deltas[1], raw_r + deltas[2]
         (s, r, alpha), back_stored = pull(activations, log_s, raw_r, p["logit_alpha"])
-        color, back_color = explicit.colors(p, x, x_c, explicit.degree_at(preset, iteration))
+        color, back_color = explicit.colors(preset, p, x, x_c, iteration)
 
         def back(x_bar, s_bar, r_bar, alpha_bar, color_bar):
-            gradients, networks = back_color(color_bar), {}
+            gradients = {**back_color(color_bar), **back_stored(s_bar, r_bar, alpha_bar)}
             gradients["x"] += x_bar
-            gradients.update(back_stored(s_bar, r_bar, alpha_bar))
             if moves:
                 psi = back_decoder(gradients["x"], gradients["log_s"], gradients["raw_r"])
-                at, networks["psi"] = back_features(psi["features"]), psi
+                gradients |= explicit.of_network("psi", psi["weights"], psi["biases"])
+                at = back_features(psi["features"])
                 gradients["x"] = gradients["x"] + at["x"]
-                gradients.update({f"planes.{i}": bar for i, bar in enumerate(at["planes"])})
-            return gradients, networks
+                gradients |= {f"planes.{i}": bar for i, bar in enumerate(at["planes"])}
+            return gradients
 
         return Gaussians(x, s, r, alpha, color, np.arange(len(x))), back
 
     def regularise(self, gradients, iteration):
         """The terms of H3, of the fine stage."""
         factors = self.preset.lambda_planes
-        if iteration < self.preset.coarse:
+        if iteration < self.preset.warm_up:
             return 0.0
         losses, back = pull(plane_losses, self.parameters.listed("planes"))
         for i, bar in enumerate(back(*factors)["planes"]):
@@ -157,25 +132,21 @@ def first_network(rng, inputs, hidden, gain):
     return arrays
 
 
-class Trainer(trainer.Trainer):
+class Trainer(explicit.Trainer):
     """Fits one scene by 4DHexPlane."""
 
     kind = HexPlane
-    RATES = {**trainer.Trainer.RATES, "planes": "lr_planes", "psi": "lr_psi"}
+    RATES = {**explicit.Trainer.RATES, "planes": "lr_planes", "psi": "lr_psi"}
+    PER_EXTENT = ("x", "planes", "psi")
 
     def step(self):
         """One iteration, as in `Loop`; the first of the fine stage forgets Adam's moments."""
-        if self.iteration == self.preset.coarse:
+        if self.iteration == self.preset.warm_up:
             self.adam = Adam(self.parameters)
         return super().step()
 
-    def rate_of(self, name):
-        """The current learning rate; in the coarse stage planes and psi have none."""
-        preset, moving = self.preset, name in ("planes", "psi")
-        fine = self.iteration >= preset.coarse
-        if name == "box" or moving and not fine:
-            return 0.0
-        now = self.iteration - preset.coarse * fine
-        first, last = getattr(preset, self.RATES[name])
-        rate = exponential(now, first, last, preset.iterations - preset.coarse)
-        return rate * self.extent if moving or name == "x" else rate
+    def schedule(self, name):
+        """All rates start anew with the fine stage, over whose length they are made."""
+        coarse = self.preset.warm_up
+        began = coarse if self.iteration >= coarse else 0
+        return self.iteration - began, self.preset.iterations - coarse

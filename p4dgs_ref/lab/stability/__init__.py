@@ -1,1 +1,237 @@
-"""Hard cases: inputs for which a correct formula returns wrong numbers, and what ours returns."""
+"""Hard cases: inputs for which a correct formula returns wrong numbers, and what ours returns.
+
+Two things show them. The table of `cases.json` has the result of the literal formula, ours, the
+true value, errors and a verdict for each of its cases. The stability map shows the error of three
+formulas for Eq. (11) over distance and bin width.
+
+`cases.json` is a list of calls of equations:
+
+    id          "H-R1.6sigma": the group H-R1, then which of its inputs
+    equation    its key in the table of equations
+    says        what is hard, and what the column "literal" shows
+    inputs      {"x": array}, and cotangents {"x_bar": array}
+    true        outputs {"x": array} and gradients {"x_bar": array}; NaN where there is none
+    shown       (array, index) of the number that the table shows
+    literal     {dtype: the result of the printed formula, or of the usual shortcut}
+    bounds      {dtype: [largest error of outputs, of gradients or None]}, relative
+    each        outputs relative to each number, otherwise to the largest of the array
+
+True values are correctly rounded from 50 digits, or closed forms. In a checkout,
+`python -m tests.golden.hard_cases.publish` writes the file.
+"""
+
+import json
+from functools import cache
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from ...oracle.compare import cast
+from ...report.figures import pyplot, save_figure, write_csv
+from ...table import EQUATIONS
+from ..accuracy import formulas
+from ..writer import table
+
+FILE = Path(__file__).with_name("cases.json")
+SMALLEST = 1e-44  # differences below are no errors: float32 cannot hold them
+DTYPES = ("float64", "float32")
+COLUMNS = {
+    "case": "{id}",
+    "equation": "{equation}",
+    "dtype": "{dtype}",
+    "literal": "{literal}",
+    "ours": "{ours}",
+    "true": "{true}",
+    "error": "{error}",
+    "gradient": "{grad_error}",
+    "verdict": "{verdict}",
+}
+# Of the map:
+FORMULAS = ("literal", "HAC, floor 1e-6", "stable")
+DISTANCES, WIDTHS = (-2, 3), (-12, 6)  # log10 of the limits of |x - mu| / sigma and q / sigma
+LEVELS = (-16, 0)  # log10 of the errors that the colours distinguish
+
+
+# --- the table ------------------------------------------------------------------------------------
+@cache
+def hard_cases():
+    """{id: case}, in the order of the table."""
+    cases = json.loads(FILE.read_text(encoding="utf-8"), object_hook=as_array)
+    return {case["id"]: case for case in cases}
+
+
+def as_array(value):
+    """The array that a JSON object with a shape stands for; any other object itself."""
+    if "shape" not in value:
+        return value
+    return np.array(value["numbers"], value["type"]).reshape(value["shape"])
+
+
+def rows(only=None):
+    """Run all cases in both precisions, or only the case or the group of cases `only`.
+
+    Return a list of dictionaries for JSON with id, equation, says, dtype and the fields of
+    `judged`. Infinities and NaN are text.
+    """
+    cases = hard_cases().values()
+    chosen = [case for case in cases if only is None or f"{case['id']}.".startswith(f"{only}.")]
+    return [
+        {
+            **{name: case[name] for name in ("id", "equation", "says")},
+            "dtype": dtype,
+            **measure(case, dtype),
+        }
+        for case in chosen
+        for dtype in DTYPES
+    ]
+
+
+def measure(case, dtype):
+    """Run an equation forward and backward on a case in one precision; returns what it found."""
+    equation, true = EQUATIONS[case["equation"]], case["true"]
+    outputs, pullback = equation.vjp(**cast(case["inputs"], dtype))
+    gradients = pullback(**cast(case["cotangents"], dtype)) if equation.gradients else {}
+    bars = {name + "_bar": a for name, a in gradients.items()}
+    name, index = case["shown"]
+    return judged(
+        case["literal"][dtype],
+        pick({**outputs, **bars}[name], index),
+        pick(true[name], index),
+        worst(outputs, true, case["each"]),
+        worst(bars, true, False),
+        *case["bounds"][dtype],
+    )
+
+
+def judged(literal, ours, true, error, grad_error, bound, grad_bound):
+    """The fields of a row that are found by running it, with its verdict.
+
+    Errors are relative; one that is NaN fails, and None means that there is no gradient.
+    """
+    good = error <= bound and (grad_error is None or grad_error <= grad_bound)
+    return {
+        "literal": literal,
+        "ours": number(ours),
+        "true": number(true),
+        "error": number(error),
+        "grad_error": number(grad_error),
+        "bound": bound,
+        "grad_bound": None if grad_error is None else grad_bound,
+        "verdict": "ok" if good else "fails",
+    }
+
+
+def worst(found, true, each):
+    """The largest error of all arrays with true values; None without any."""
+    errors = [relative(a, true[name], each) for name, a in found.items() if name in true]
+    return max(errors, default=None)
+
+
+def pick(values, index):
+    """One number of an array, or of a list of arrays, whose first index says which array."""
+    if isinstance(values, list):
+        values, index = values[index[0]], index[1:]
+    return np.asarray(values)[tuple(index)]
+
+
+def number(value):
+    """A number that JSON can hold: infinities and NaN become text."""
+    value = value.item() if isinstance(value, (np.ndarray, np.generic)) else value
+    return str(value) if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def relative(got, want, each):
+    """The largest error, relative to each number or to the largest of its array.
+
+    Where the true value is 0 the error is absolute; where it is NaN there is nothing to compare.
+    """
+    if isinstance(got, list):
+        return max((relative(g, w, each) for g, w in zip(got, want, strict=True)), default=0.0)
+    got, want = np.ravel(got).astype(float), np.ravel(want).astype(float)
+    compared = ~np.isnan(want)
+    got, want = got[compared], want[compared]
+    gap = np.where(got == want, 0, np.abs(got - want))
+    gap[gap < SMALLEST] = 0
+    scale = np.abs(want) if each else np.abs(want).max(initial=0)
+    errors = gap / np.where(scale > 0, scale, 1)
+    return float(np.nan_to_num(errors, nan=np.inf, posinf=np.inf).max(initial=0))
+
+
+def describe(rows):
+    """The table as text, and at the end the rows that fail."""
+    shown = [{name: as_text(name, value) for name, value in row.items()} for row in rows]
+    failed = [f"  {row['id']} {row['dtype']}" for row in rows if row["verdict"] == "fails"]
+    end = f"{len(rows)} rows, {len(failed)} beyond their bounds"
+    return "\n".join([*table(COLUMNS, shown), "", end, *failed])
+
+
+def as_text(name, value):
+    """A value of a row; numbers have at most 16 characters, and errors two digits."""
+    digits = ".1e" if name in ("error", "grad_error") else ".8g"
+    text = f"{value:{digits}}" if isinstance(value, float) else "" if value is None else str(value)
+    return text[:15] + "~" if name in ("literal", "ours", "true") and len(text) > 16 else text
+
+
+# --- the map --------------------------------------------------------------------------------------
+def plane():
+    """Distances and widths of the plane: two axes of numbers that float32 can hold."""
+    return tuple(
+        np.logspace(*limits, 73).astype(np.float32).astype(float) for limits in (DISTANCES, WIDTHS)
+    )
+
+
+def maps():
+    """log10 of the error of the bits, {(formula, dtype): array (distances, widths)}.
+
+    Errors are relative above 1e-6 bits, and infinite where a formula gives NaN or infinity.
+    """
+    z, w = np.meshgrid(*plane(), indexing="ij")
+    found = {}
+    for dtype in DTYPES:
+        for name in FORMULAS:
+            error, _ = formulas.errors(formulas.FORMULAS[name], z.ravel(), w.ravel(), dtype)
+            log = np.log10(np.maximum(error, 10.0 ** LEVELS[0]))
+            found[name, dtype] = np.where(np.isfinite(error), log, np.inf).reshape(z.shape)
+    return found
+
+
+def draw_maps(figure, axes, found, titles, **text):
+    """Draw `maps` into axes with titles; infinite is red. All share a bar of colours."""
+    distances, widths = plane()
+    colors, (low, high) = pyplot().get_cmap("viridis").with_extremes(over="red"), LEVELS
+    for ax, log, title in zip(axes.ravel(), found.values(), titles):
+        # An infinite error is above the levels, every finite one at or below them.
+        shown = np.where(np.isinf(log), high + 1, np.minimum(log, high))
+        mesh = ax.pcolormesh(
+            widths, distances, shown, cmap=colors, vmin=low, vmax=high, rasterized=True
+        )
+        ax.set(xscale="log", yscale="log", xticks=10.0 ** np.arange(-10, 6, 5))
+        ax.set(xlim=widths[[0, -1]], ylim=distances[[0, -1]])
+        ax.grid(False)
+        ax.set_title(title, **text)
+    figure.supxlabel("bin width q/σ")
+    figure.supylabel("distance |x − μ|/σ")
+    label = "log10 of the error of the bits"
+    figure.colorbar(mesh, ax=axes, location="right", shrink=0.8, extend="both", label=label)
+
+
+def draw_map(path):
+    """Draw the map to a PNG and write its numbers beside it, with the ending .csv."""
+    found = maps()
+    figure, axes = pyplot().subplots(
+        2, 3, figsize=(8, 6.2), sharex=True, sharey=True, layout="constrained"
+    )
+    draw_maps(figure, axes, found, map(", ".join, found), fontsize=11)
+    figure.suptitle(
+        "error of the bits (relative above 1e-6 bits)\nred: infinite or NaN; reference: quadrature",
+        fontsize=13,
+    )
+    save_figure(figure, path)
+    rows = [
+        (name, dtype, f"{z:.6g}", f"{w:.6g}", f"{value:.3f}")
+        for (name, dtype), log in found.items()
+        for (z, w), value in zip(product(*plane()), log.ravel())
+    ]
+    columns = ["formula", "dtype", "distance_over_sigma", "q_over_sigma", "log10_error"]
+    write_csv(path.with_suffix(".csv"), rows, columns)

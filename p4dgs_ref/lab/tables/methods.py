@@ -37,7 +37,6 @@ DATES = (
     "warm_up",
     "noise_until",
     "x_until",
-    "coarse",
     "sh_every",
     "collect_from",
     "grow_from",

@@ -7,7 +7,7 @@ the baselines are in `tests/lab/baselines/cases`.
 from importlib import import_module
 from typing import NamedTuple
 
-from p4dgs_ref.lab.baselines.table import BASELINE_EQUATIONS
+from p4dgs_ref.lab.baselines import BASELINE_EQUATIONS
 
 # The bug that each flag hunts. A case names only words of this table. Its texts are published with
 # the vectors.

@@ -2,7 +2,7 @@
 
 import sys
 
-from p4dgs_ref.lab.stability import table
+from p4dgs_ref.lab import stability
 
 from .catalogue import ENTRIES
 from .coding import CODING
@@ -19,7 +19,7 @@ def procedure_rows():
             "equation": entry.equation,
             "says": entry.says,
             "dtype": dtype,
-            **table.judged(measure[entry.id](dtype)),
+            **measure[entry.id](dtype),
         }
         for entry in ENTRIES.values()
         if entry.case is None
@@ -29,8 +29,8 @@ def procedure_rows():
 
 def main():
     """Print the table of `p4dgs-ref stability` and, below it, that of the procedures."""
-    rows = [*table.rows(), *procedure_rows()]
-    print(table.describe(rows))
+    rows = [*stability.rows(), *procedure_rows()]
+    print(stability.describe(rows))
     return int(any(row["verdict"] == "fails" for row in rows))
 
 

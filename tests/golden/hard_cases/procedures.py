@@ -8,7 +8,7 @@ from p4dgs_ref.equations import anchor_rate, deformed, likelihood, rate_loss
 from p4dgs_ref.equations.likelihood import FAR, NARROW
 from p4dgs_ref.lab.accuracy import formulas
 from p4dgs_ref.lab.random_inputs import random_splats
-from p4dgs_ref.lab.stability.table import Measured, number, relative
+from p4dgs_ref.lab.stability import judged, number, relative
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.scenes.scene import Scene, SceneError
 from p4dgs_ref.splatting import compositing, covariance, fast, projection
@@ -29,7 +29,7 @@ def within(dtype, double, single):
 
 def exact(literal, ours, true, error):
     """The result of a procedure that must be exactly right."""
-    return Measured(literal, ours, true, float(error), None, 0.0, None)
+    return judged(literal, ours, true, float(error), None, 0.0, None)
 
 
 def refuses(call, error, says=""):
@@ -64,7 +64,7 @@ def sum_of_bits(dtype):
         total = np.add.accumulate(np.concatenate([[total], block]))[-1]
     true = 10**6 * math.fsum(row.tolist())
     gradient = anchor_rate.backward(rated(many[:7])[1], row.dtype.type(-1.5))["bits_f"]
-    return Measured(
+    return judged(
         float(total),
         ours,
         true,
@@ -91,7 +91,7 @@ def seams(dtype):
             literal = np.fmax(literal, spread(formulas.literal(*inputs)[0]))
         jump, slope_jump = max(jump, spread(bits)), max(slope_jump, spread(q_bar))
     bound = within(dtype, 1e-9, 2e-6)
-    return Measured(number(literal), jump, 0.0, jump, slope_jump, bound, bound)
+    return judged(number(literal), jump, 0.0, jump, slope_jump, bound, bound)
 
 
 def spread(a):
@@ -106,7 +106,7 @@ def nothing_coded(dtype):
     slope = rate_loss.backward(saved, zero, three)["R_anchor"]
     L_rate = float(L_rate)
     # Literal is 0/0.
-    return Measured("nan", L_rate, 0.0, abs(L_rate), abs(float(slope)), 0.0, 0.0)
+    return judged("nan", L_rate, 0.0, abs(L_rate), abs(float(slope)), 0.0, 0.0)
 
 
 # --- projection and covariance -------------------------------------------------------------------
@@ -126,7 +126,7 @@ def culled(value):
             relative(a, np.concatenate([np.zeros_like(b), b]), True) for a, b in zip(found, alone)
         ]
         conic = found[0]
-        return Measured(literal, float(conic[0, 0]), 0.0, errors[0], max(errors[1:]), 0.0, 0.0)
+        return judged(literal, float(conic[0, 0]), 0.0, errors[0], max(errors[1:]), 0.0, 0.0)
 
     return run
 
@@ -150,7 +150,7 @@ def opposite_quaternions(dtype):
     bar = rng.normal(size=(6, 3, 3)).astype(dtype)
     (one, saved_one), (two, saved_two) = covariance.forward(s, r), covariance.forward(s, -r)
     r_bar = -covariance.backward(saved_one, bar)["r"]
-    return Measured(
+    return judged(
         float(r[0, 0] - -r[0, 0]),
         float(two[0, 0, 1]),
         float(one[0, 0, 1]),
@@ -196,7 +196,7 @@ def permuted(dtype):
     back = np.argsort(turn)
     (wrong_depths, _), _ = compositing.forward(**{**moved, "depth": inputs["depth"]})
     eps = float(np.finfo(dtype).eps)
-    return Measured(
+    return judged(
         float(wrong_depths[0, 0, 0]),
         float(two[0, 0, 0]),
         float(one[0, 0, 0]),
@@ -219,7 +219,7 @@ def footprint_edge(dtype):
         wanted = inputs["background"] if alpha <= cut else full[1, 1]
         worst = max(worst, float(np.abs(image[1, 1] - wanted).max()))
         flips += (np.array(alpha, dtype) >= np.float32(cut)) != (alpha >= cut)
-    return Measured(f"{flips} of 3 flip", worst, 0.0, worst, None, within(dtype, 1e-15, 1e-6), None)
+    return judged(f"{flips} of 3 flip", worst, 0.0, worst, None, within(dtype, 1e-15, 1e-6), None)
 
 
 def nothing_to_draw(dtype):
@@ -240,7 +240,7 @@ def nothing_to_draw(dtype):
         gradients = fast.backward(saved, np.ones((height, width, 3)))
         for name in SPLATS:
             grad = max(grad, relative(gradients[name], np.zeros(inputs[name].shape), True))
-    return Measured(literal, worst, 0.0, worst, grad, within(dtype, 1e-15, 1e-6), 0.0)
+    return judged(literal, worst, 0.0, worst, grad, within(dtype, 1e-15, 1e-6), 0.0)
 
 
 def whole_image(dtype):
@@ -264,7 +264,7 @@ def whole_image(dtype):
     y, x = np.arange(2160.0)[:, None], np.arange(3840.0)
     true = 0.75 * np.exp(-0.5 * (((x - 1000) / 4000) ** 2 + ((y - 700) / 3000) ** 2))
     error = float(np.abs(image[:, :, 0] - true).max() / true.max()) if refused else np.inf
-    return Measured(
+    return judged(
         f"{3840 // 8 * 2160 // 8} pairs",
         float(image[-1, -1, 0]),
         float(true[-1, -1]),
@@ -291,7 +291,7 @@ def tiles(dtype):
     box, _ = fast_image(inputs, EXACT._replace(footprint="box", dtype=dtype, tile=8))
     shown = (float(a[0, 0, 0]) for a in (box, image, want))
     bound = within(dtype, 1e-9, 2e-5)
-    return Measured(*shown, worst, grad, bound, bound)
+    return judged(*shown, worst, grad, bound, bound)
 
 
 # --- scene, motion, measures, optimiser ----------------------------------------------------------
@@ -347,7 +347,7 @@ def adam_step(dtype):
         literal = -rate * (1 - BETA_1) * tiny / np.sqrt(square)
     bound = FEW * float(np.finfo(dtype).eps)
     error = abs(ours - true) / abs(true)
-    return Measured(number(literal), ours, float(true), error, None, bound, None)
+    return judged(number(literal), ours, float(true), error, None, bound, None)
 
 
 PROCEDURES = {

@@ -9,7 +9,7 @@ import json
 
 import numpy as np
 
-from p4dgs_ref.lab.stability.table import FILE, number, pick
+from p4dgs_ref.lab.stability import FILE, number, pick
 from p4dgs_ref.oracle.compare import cast
 
 from .catalogue import ENTRIES

@@ -7,7 +7,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
+from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from tests.golden.mistakes.kit import NotApplicable
 from tests.golden.subjects import subjects
 

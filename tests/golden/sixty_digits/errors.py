@@ -4,7 +4,7 @@ from decimal import Decimal
 
 import numpy as np
 
-from p4dgs_ref.lab.baselines.table import ALL_EQUATIONS
+from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.oracle.published import flatten
 from p4dgs_ref.oracle.tolerance import cotangents_of

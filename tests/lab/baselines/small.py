@@ -31,7 +31,7 @@ SMALL = {
         hexplane.TINY,
         gaussians=40,
         iterations=30,
-        coarse=10,
+        warm_up=10,
         sh_every=10,
         nodes=3,
         time_nodes=4,

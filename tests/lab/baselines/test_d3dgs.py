@@ -10,6 +10,7 @@ import pytest
 from p4dgs_ref.lab import baselines
 from p4dgs_ref.lab.baselines import d3dgs
 from p4dgs_ref.training.parameters import Parameters
+from p4dgs_ref.training.progress import Progress
 from p4dgs_ref.training.watch import NotFinite
 
 from . import small
@@ -49,7 +50,7 @@ def test_no_gradient_flows_from_the_encoding_into_positions():
     g, back = model_of(p).predict(0.4, np.zeros(3))
     bars = [np.zeros_like(a) for a in g[:5]]
     bars[0][...] = 1
-    assert np.array_equal(back(*bars)[0]["x"], bars[0])
+    assert np.array_equal(back(*bars)["x"], bars[0])
 
 
 # --- training ---
@@ -79,7 +80,7 @@ def test_training_by_name(scene):
     """The same model as from the Trainer, and a progress line that calls things by their names."""
     stream = io.StringIO()
     changes = dict(gaussians="30", iterations=12, warm_up=4)
-    model = baselines.train(scene, "d3dgs_small", seed=2, stream=stream, **changes)
+    model = baselines.train(scene, "d3dgs_small", seed=2, report=Progress(stream), **changes)
     preset = replace(d3dgs.TINY_SMALL, gaussians=30, iterations=12, warm_up=4)
     wanted = d3dgs.Trainer(scene, preset, 2).run()
     assert np.array_equal(model.parameters.vector, wanted.parameters.vector)

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.lab.baselines import d3dgs, explicit
-from p4dgs_ref.lab.baselines import trainer as training
-from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting.covariance import forward as covariance
 from p4dgs_ref.training.parameters import Parameters
 
@@ -35,7 +33,7 @@ def shift(children):
 @pytest.mark.parametrize("prune_large", [False, True])
 def test_densify_against_a_loop(prune_large):
     p, gradient = random_gaussians()
-    keep, added = training.densify(p, ROWS, gradient, EXTENT, PRESET, shift, prune_large)
+    keep, added = explicit.densify(p, ROWS, gradient, EXTENT, PRESET, shift, prune_large)
     kept, clones, children = [], [], []
     for n in range(60):
         row = {name: p[name][n] for name in ROWS}
@@ -59,10 +57,10 @@ def test_no_more_than_most():
     p["logit_alpha"][...] = 0
     for most, count in ((60, 0), (61, 1), (64, 4), (10, 0)):
         preset = replace(PRESET, most=most)
-        keep, added = training.densify(p, ROWS, gradient, EXTENT, preset, shift, False)
+        keep, added = explicit.densify(p, ROWS, gradient, EXTENT, preset, shift, False)
         assert keep.sum() + len(added["x"]) == 60 + count
     preset = replace(PRESET, most=61, percent_dense=10.0)
-    _, added = training.densify(p, ROWS, gradient, EXTENT, preset, shift, False)
+    _, added = explicit.densify(p, ROWS, gradient, EXTENT, preset, shift, False)
     assert np.array_equal(added["x"], p["x"][[gradient.argmax()]])
 
 
@@ -75,7 +73,7 @@ def test_children_are_drawn_from_their_parent():
         "log_s": np.log(np.tile(s, (N, 1))),
         "raw_r": np.tile(raw_r, (N, 1)),
     }
-    training.Trainer.scatter(SimpleNamespace(rng=rng), children)
+    explicit.Trainer.scatter(SimpleNamespace(rng=rng), children)
     Sigma, _ = covariance(s, raw_r / np.linalg.norm(raw_r))
     assert children["x"].mean(axis=0) == pytest.approx([1, 2, 3], abs=0.01)
     assert np.cov(children["x"].T) == pytest.approx(Sigma[0], abs=0.01)
@@ -86,7 +84,7 @@ def test_reset_of_the_opacities():
     p, _ = random_gaussians()
     first, second, before = p.zeros(), p.zeros(), p["logit_alpha"].copy()
     first.vector[:] = second.vector[:] = 1
-    training.reset_opacity(p, first, second)
+    explicit.reset_opacity(p, first, second)
     alpha = 1 / (1 + np.exp(-p["logit_alpha"]))
     assert alpha == pytest.approx(np.minimum(1 / (1 + np.exp(-before)), 0.01))
     assert (before > alpha.max()).any()
@@ -94,19 +92,14 @@ def test_reset_of_the_opacities():
         assert not moments["logit_alpha"].any() and moments["x"].all()
 
 
-@pytest.fixture(scope="module")
-def scene():
-    return load_scene("bouncing", downscale=4)
-
-
 def test_a_window_of_training(scene, monkeypatch):
     """New Gaussians have zero moments, statistics start anew, and the window has its limits."""
     preset = replace(PRESET, grow_from=5, grow_every=10, grow_until=35, reset_every=20)
     preset = replace(preset, gradient_threshold=1e-4, min_opacity=0.0)
     trainer, counts, resets = d3dgs.Trainer(scene, preset), [], []
-    reset = training.reset_opacity
+    reset = explicit.reset_opacity
     monkeypatch.setattr(
-        training, "reset_opacity", lambda *a: resets.append(trainer.iteration) or reset(*a)
+        explicit, "reset_opacity", lambda *a: resets.append(trainer.iteration) or reset(*a)
     )
     for _ in range(50):
         before = trainer.primitives
@@ -135,5 +128,5 @@ def test_extent_of_cameras():
         return [SimpleNamespace(camera=camera) for camera in cameras]
 
     x = np.array([[0.0, 0, 0], [0, 0, 4]])
-    assert training.extent_of(views((0, 0, 0), (0, 6, 0), (0, 0, 0)), x) == pytest.approx(1.1 * 4)
-    assert training.extent_of(views((1, 2, 3), (1, 2, 3)), x) == pytest.approx(1.1 * 2)
+    assert explicit.extent_of(views((0, 0, 0), (0, 6, 0), (0, 0, 0)), x) == pytest.approx(1.1 * 4)
+    assert explicit.extent_of(views((1, 2, 3), (1, 2, 3)), x) == pytest.approx(1.1 * 2)

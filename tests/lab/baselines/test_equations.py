@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import lpmv
 
-from p4dgs_ref.lab.baselines import conditional, rotation_4d, sh_color
-from p4dgs_ref.lab.baselines.table import BASELINE_EQUATIONS
+from p4dgs_ref.lab.baselines import BASELINE_EQUATIONS, conditional, rotation_4d, sh_color
 from p4dgs_ref.table import Equation
 from tests.core import adjoint, rules
 from tests.golden.cases import cases_of

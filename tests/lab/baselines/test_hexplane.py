@@ -1,4 +1,4 @@
-"""4DHexPlane: its equations against twins, its pipeline and gradients, its stages and its file."""
+"""4DHexPlane: its equations against twins, its pipeline, presets and first network."""
 
 from dataclasses import replace
 from functools import partial
@@ -94,10 +94,7 @@ def test_the_pipeline_against_a_loop():
         assert g.alpha[n] == pytest.approx(1 / (1 + np.exp(-p["logit_alpha"][n])), rel=1e-12)
 
 
-# --- training ---
-
-
-# --- presets and file ---
+# --- presets ---
 def test_the_planes_have_the_size_of_the_authors():
     preset = replace(hexplane.PAPER_SYNTHETIC, gaussians=5)
     p = Parameters(hexplane.HexPlane.initial(preset, np.random.default_rng(0)))

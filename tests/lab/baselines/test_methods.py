@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.lab import baselines
+from p4dgs_ref.lab.baselines.explicit import FINISHED
 from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training.parameters import Parameters
@@ -14,12 +15,12 @@ from .small import MODULES, SMALL, model_of, random_parameters
 
 EVERY = pytest.mark.parametrize("method", MODULES)
 WAITING = ("psi", "planes")  # arrays that take part once the Gaussians move
-# Iterations, with the active degree of the harmonics and the waves in time; None is the end.
+# Iterations, with the active degree of the harmonics and the waves in time.
 ITERATIONS = [
-    *((method, *row) for method in ("d3dgs", "hexplane") for row in ((None, 3, 0), (0, 0, 0))),
+    *((method, *row) for method in ("d3dgs", "hexplane") for row in ((FINISHED, 3, 0), (0, 0, 0))),
     *((method, 10, 1, 0) for method in ("d3dgs", "hexplane")),
     *(("gaussian4d", *row) for row in ((0, 0, 0), (25, 2, 0), (30, 3, 0), (40, 3, 1))),
-    ("gaussian4d", None, 3, 2),
+    ("gaussian4d", FINISHED, 3, 2),
 ]
 
 
@@ -34,12 +35,9 @@ def test_gradients_of_the_pipeline(method, iteration, degree, waves):
     rng, p, x_c = np.random.default_rng(5), random_parameters(method), np.array([0.3, -3.0, 1.0])
     g, back = model_of(method, p).predict(0.4, x_c, iteration)
     bars = [rng.normal(size=a.shape) for a in g[:-1]]
-    arrays, networks = back(*bars)
     gradients = p.zeros()
-    for name, gradient in arrays.items():
+    for name, gradient in back(*bars).items():
         gradients[name][...] = gradient
-    for name, gradient in networks.items():
-        gradients.fill(name, gradient)
     for name in p.arrays:
         d, h = rng.normal(size=p[name].shape), 3e-6
 
@@ -149,7 +147,8 @@ def test_stages_of_training(scene, method):
 
 
 def test_presets_by_method():
-    assert baselines.choose("gaussian4d") == MODULES["gaussian4d"].TINY
+    always = baselines.choose("gaussian4d")
+    assert always == MODULES["gaussian4d"].TINY and always.stage(0) == always.stage(99) == 1
     tiny, small = (baselines.choose(method) for method in ("d3dgs", "d3dgs_small"))
     assert tiny.deformation == (256,) * 8 and small.deformation == (64, 64)
     changed = baselines.choose("d3dgs_small", "paper_real", {"lr_x": "0.1,0.01", "skip": "false"})
