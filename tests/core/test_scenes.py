@@ -163,8 +163,8 @@ def with_entry(i, j, value):
 MISTAKES = [
     ("no frames", lambda d: d.pop("frames"), ("frames", "list")),
     ("empty split", lambda d: d.update(frames=[]), ("frames", "at least one")),
-    ("frame of text", lambda d: d["frames"].insert(1, "r_001"), ("frames[1]", "file_path")),
-    ("no file_path", lambda d: d["frames"][1].pop("file_path"), ("frames[1].file_path", "picture")),
+    ("frame of text", lambda d: d["frames"].insert(1, "r_001"), ("frames[1]", "a dict")),
+    ("no file_path", lambda d: d["frames"][1].pop("file_path"), ("frames[1].file_path", "a text")),
     (
         "absent picture",
         lambda d: d["frames"][1].update(file_path="./train/r_9"),
@@ -405,8 +405,7 @@ IN_THE_FOLDER = [
     (nothing, dict(background=(0, 0, 2)), ("background", "[0, 1]")),
     (effects(["wind"]), {}, ("scene.json", "effects", "wind", *MODEL_EFFECTS)),
     (effects("rotation"), {}, ("scene.json", "effects", "list")),
-    (effects(["rotation", "occlusion", "rotation"]), {}, ("scene.json", "effects", "twice")),
-    (effects([["rotation"]]), {}, ("scene.json", "effects", "unknown")),
+    (effects([["rotation"]]), {}, ("scene.json", "effects[0]", "rotation")),
     (picture(HEIGHT, 6, 4), {}, ("test/r_001", "6x8", "12x8")),
     (picture(HEIGHT, WIDTH), {}, ("frames[1].file_path", "r_001.png", "(H, W, 3)")),
     (
@@ -512,10 +511,9 @@ IMAGES, CAMERAS, TIMES = arrays()
 IN_ARRAYS = [
     (dict(cameras=CAMERAS[:4]), ("images, cameras, times", "5, 4 and 5")),
     (dict(times=[0, 0, math.nan, 0, 0]), ("times[2]", "nan")),
-    (dict(test=[0, 5]), ("test[1]", "5", "0..4")),
+    (dict(test=[0, 5]), ("test[1]", "5", "[0, 4]")),
     (dict(test=range(5)), ("train", "at least one")),
     (dict(effects=["wind"]), ("effects", "wind")),
-    (dict(effects=["rotation", "rotation"]), ("effects", "twice")),
     (dict(images=IMAGES * 255), ("images[0]", "[0, 1]")),
     (dict(images=IMAGES * np.nan), ("images[0]", "finite")),
     (dict(images=IMAGES[..., 0]), ("images[0]", "(H, W, 3)")),

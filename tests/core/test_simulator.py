@@ -8,9 +8,9 @@ import pytest
 
 from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene
 from p4dgs_ref.scenes.load import packaged_folder
-from p4dgs_ref.scenes.simulator import motion, shapes, simulate, trace
+from p4dgs_ref.scenes.simulator import place_cameras, simulate, trace
+from p4dgs_ref.scenes.simulator.bodies import HITS, NORMALS, box_hit, capsule_hit, poses, turn
 from p4dgs_ref.scenes.simulator.description import describe
-from p4dgs_ref.scenes.simulator.simulate import place_cameras
 from p4dgs_ref.splatting.camera import look_at
 
 SPHERE = {"name": "ball", "shape": {"kind": "sphere", "radius": 0.5}, "color": [0.8, 0.4, 0.2]}
@@ -88,7 +88,7 @@ def test_hits_lie_on_the_surface_and_nothing_lies_before(shape):
     rng = np.random.default_rng(5)
     o = np.array([2.0, -1.7, 1.4])
     d = (rng.uniform(-1.2, 1.2, (300, 3)) - o) * rng.uniform(0.3, 2, (300, 1))
-    t = shapes.HITS[shape.kind](shape, o, d)
+    t = HITS[shape.kind](shape, o, d)
     met = np.isfinite(t)
     assert 30 < met.sum() < 270
     points = o + t[met, None] * d[met]
@@ -99,10 +99,10 @@ def test_hits_lie_on_the_surface_and_nothing_lies_before(shape):
         assert signed_distance(shape, start + steps[:, None] * (stop - start)).min() > 0
     for direction in d[~met]:  # a miss: the whole ray is outside
         assert signed_distance(shape, o + np.linspace(0, 20, 400)[:, None] * direction).min() > 0
-    normal = shapes.NORMALS[shape.kind](shape, points)
+    normal = NORMALS[shape.kind](shape, points)
     above, below = (signed_distance(shape, points + sign * 1e-4 * normal) for sign in (1, -1))
     np.testing.assert_allclose((above - below) / 2e-4, 1, atol=1e-3)
-    behind = shapes.HITS[shape.kind](shape, o, -d)[met]
+    behind = HITS[shape.kind](shape, o, -d)[met]
     assert not np.isfinite(behind).any()  # what lies behind is not seen
 
 
@@ -116,8 +116,8 @@ def test_distance_to_a_face_of_a_turned_box():
             ],
         }
     ).bodies[0]
-    pose = motion.poses([body], (), 0.0, np.zeros(3))["box"]
-    direction = motion.turn((1, 2, 3), 40) @ [1.0, 0, 0]
+    pose = poses([body], (), 0.0, np.zeros(3))["box"]
+    direction = turn((1, 2, 3), 40) @ [1.0, 0, 0]
     distance = trace.hit(body, pose, np.array([0.2, 0.1, -0.3]) + 5 * direction, -direction[None])
     np.testing.assert_allclose(distance, 5 - 0.4, rtol=1e-12)
 
@@ -131,10 +131,10 @@ def test_rays_parallel_to_faces_and_axes():
         )
     )
     down = np.array([[0.0, 0, -2]])
-    assert shapes.box_hit(box, np.array([0.3, -0.2, 5.0]), down)[0] == 2.0
-    assert shapes.box_hit(box, np.array([1.3, -0.2, 5.0]), down)[0] == np.inf
-    assert shapes.capsule_hit(capsule, np.array([0.0, 0, 5.0]), down)[0] == 1.75
-    assert shapes.capsule_hit(capsule, np.array([0.6, 0, 5.0]), down)[0] == np.inf
+    assert box_hit(box, np.array([0.3, -0.2, 5.0]), down)[0] == 2.0
+    assert box_hit(box, np.array([1.3, -0.2, 5.0]), down)[0] == np.inf
+    assert capsule_hit(capsule, np.array([0.0, 0, 5.0]), down)[0] == 1.75
+    assert capsule_hit(capsule, np.array([0.6, 0, 5.0]), down)[0] == np.inf
 
 
 def one_ball(effects, light=None, t=0.0, position=(0.0, 0.0, 4.0), **body):
@@ -198,10 +198,10 @@ def test_the_highlight_follows_the_viewer_only_with_view_color(effects, follows)
 )
 def test_translations(move, t, want):
     body = changed(bodies=[{**SPHERE, "motion": [move]}]).bodies
-    pose = motion.poses(body, ("translation",), t, np.zeros(3))["ball"]
+    pose = poses(body, ("translation",), t, np.zeros(3))["ball"]
     np.testing.assert_allclose(pose.T, want, atol=1e-12)
     np.testing.assert_allclose(pose.R, np.eye(3))
-    assert not motion.poses(body, ("rotation", "scaling"), t, np.zeros(3))["ball"].T.any()
+    assert not poses(body, ("rotation", "scaling"), t, np.zeros(3))["ball"].T.any()
 
 
 def test_limbs_are_carried_by_their_parents_but_do_not_inherit_scale():
@@ -217,7 +217,7 @@ def test_limbs_are_carried_by_their_parents_but_do_not_inherit_scale():
             },
         ]
     ).bodies
-    ball, box = motion.poses(bodies, SIMULATOR_EFFECTS, 1.0, np.zeros(3)).values()
+    ball, box = poses(bodies, SIMULATOR_EFFECTS, 1.0, np.zeros(3)).values()
     np.testing.assert_allclose([ball.scale, box.scale], [1.5, 1])
     # The quarter turn of the parent takes x to y; the turn of the child first takes z to x.
     np.testing.assert_allclose(box.T, (0, 1, 0), atol=1e-12)
@@ -227,7 +227,7 @@ def test_limbs_are_carried_by_their_parents_but_do_not_inherit_scale():
 def test_a_body_that_faces_the_camera():
     body = changed(bodies=[{**BOX, "faces_camera": True}]).bodies
     for viewer in (np.array([2.0, -1, 3]), np.array([0.0, 0, 2])):
-        R = motion.poses(body, ("view_geometry",), 0.0, viewer)["box"].R
+        R = poses(body, ("view_geometry",), 0.0, viewer)["box"].R
         np.testing.assert_allclose(R[:, 2], viewer / np.linalg.norm(viewer), atol=1e-12)
         np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(R) > 0 and R[2, 0] == 0

@@ -26,9 +26,8 @@ import numpy as np
 
 from ...equations import view
 from ...model import pull
-from ...scenes.files import reading
-from ...scenes.ply import read_ply, write_ply
-from ...scenes.scene import require
+from ...scenes.fields import require
+from ...scenes.files import read_ply, reading, write_ply
 from ...splatting import render
 from ...splatting.settings import FAST
 from ...training.initial import neighbour_distance, starting_points
