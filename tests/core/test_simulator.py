@@ -1,6 +1,7 @@
-"""The simulator: closed forms, conventions, effects that are off, the packaged scenes."""
+"""The simulator: closed forms, conventions, the packaged scenes, mistakes in scene.json."""
 
 import copy
+import json
 import math
 
 import numpy as np
@@ -8,10 +9,12 @@ import pytest
 
 from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene
 from p4dgs_ref.scenes.load import packaged_folder
+from p4dgs_ref.scenes.output import OutputError
 from p4dgs_ref.scenes.simulator import place_cameras, simulate, trace
 from p4dgs_ref.scenes.simulator.bodies import HITS, NORMALS, box_hit, capsule_hit, poses, turn
 from p4dgs_ref.scenes.simulator.description import describe
 from p4dgs_ref.splatting.camera import look_at
+from tests.core.refusals import refuse
 
 SPHERE = {"name": "ball", "shape": {"kind": "sphere", "radius": 0.5}, "color": [0.8, 0.4, 0.2]}
 BOX = {"name": "box", "shape": {"kind": "box", "half": [0.4, 0.3, 0.2]}, "color": [0.1, 0.3, 0.5]}
@@ -295,3 +298,70 @@ def test_nothing_is_left_of_a_drawing_that_stops(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         simulate({**FULL, "effects": []}, tmp_path / "out", progress=stop)
     assert {file: file.read_bytes() for file in tmp_path.rglob("*.*")} == before
+
+
+def ball_with(**fields):
+    return {"bodies": [{**SPHERE, **fields}]}
+
+
+MISTAKES = [
+    ({"efects": []}, "scene: unknown field", "efects"),
+    ({"effects": ["wind"]}, "scene: effects", "wind"),
+    ({"resolution": [64]}, "scene: resolution", "shape [2]"),
+    ({"resolution": [64, 6.5]}, "scene: resolution", "integers"),
+    (
+        {"light": {"kind": "sun", "direction": [0, 0, 0], "ambient": 0.1}},
+        "scene: light.direction",
+        "not zero",
+    ),
+    ({"light": {"kind": "lamp"}}, "scene: light.kind", "sun, point"),
+    ({"light": {"direction": [0, 0, 1]}}, "scene: light.kind", "sun, point"),
+    ({"bodies": []}, "scene: bodies", "at least one"),
+    ({"bodies": {}}, "scene: bodies", "list"),
+    ({"bodies": [SPHERE, SPHERE]}, "scene: bodies[1].name", "taken"),
+    (ball_with(parent="box"), "scene: bodies[0].parent", "listed before"),
+    (ball_with(color=[0, 0, 1.5]), "scene: bodies[0].color", "1.5]; expected numbers"),
+    (ball_with(color=[0, 0, math.nan]), "scene: bodies[0].color", "nan"),
+    (ball_with(position=[0, 0, math.inf]), "scene: bodies[0].position", "inf"),
+    (ball_with(faces_camera=1), "scene: bodies[0].faces_camera", "a bool"),
+    (ball_with(name=3), "scene: bodies[0].name", "a text"),
+    (ball_with(shape={"kind": "sphere"}), "scene: bodies[0].shape.radius", "a number"),
+    (ball_with(shape={"kind": "cone"}), "scene: bodies[0].shape.kind", "sphere, box, capsule"),
+    (
+        ball_with(shape={"kind": "capsule", "start": [0, 0, 0], "end": [0, 0, 0], "radius": 1}),
+        "scene: bodies[0].shape.end",
+        "another point",
+    ),
+    (
+        ball_with(motion=[{"kind": "line", "by": [0, 0, 1], "height": 2}]),
+        "scene: bodies[0].motion[0]",
+        "unknown field ['height']",
+    ),
+    (
+        ball_with(motion=[{"kind": "line", "by": [0, 0, 10**400]}]),
+        "scene: bodies[0].motion[0].by",
+        "1e+06",
+    ),
+    (ball_with(specular=3), "scene: bodies[0].specular", "expected a dict"),
+]
+
+
+@pytest.mark.parametrize("change, place, expected", MISTAKES, ids=[row[1] for row in MISTAKES])
+def test_mistakes_in_a_description(change, place, expected, tmp_path):
+    message = refuse([expected], simulate, {**FULL, **change}, tmp_path / "out")
+    assert message.startswith(place)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_descriptions_in_files(tmp_path):
+    file, taken = tmp_path / "scene.json", tmp_path / "taken"
+    refuse(["scene.json: missing"], simulate, file, tmp_path / "out")
+    file.write_text(json.dumps({**FULL, "light": {"kind": "lamp"}}))
+    refuse(["scene.json: light.kind: 'lamp'"], simulate, file, tmp_path / "out")
+    file.write_text(json.dumps(FULL))
+    simulate(file, tmp_path / "new" / "out")
+    assert (tmp_path / "new" / "out" / "scene.json").read_text() == json.dumps(FULL)
+    assert len(load_scene(tmp_path / "new" / "out").train) == 3
+    taken.write_text("")
+    with pytest.raises(OutputError, match="taken: expected a folder that can be written to"):
+        simulate(FULL, taken)
