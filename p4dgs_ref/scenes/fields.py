@@ -57,7 +57,7 @@ def typed(found, where, kind):
 def text(found, where):
     """A text that can be printed in one line."""
     printable = isinstance(found, str) and found.isprintable()
-    require(printable, where, f"{found!r}; expected a text without control characters")
+    require(printable, where, f"{found!r:.200}; expected a text without control characters")
     return found
 
 

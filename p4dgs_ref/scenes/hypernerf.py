@@ -60,12 +60,12 @@ def read(folder, color, downscale):
     """
     splits = read_splits(folder)
     times = read_times(folder, splits["train"] + splits["test"])
-    sizes = choose_pictures(folder, downscale)
+    ratio, rest = choose_pictures(folder, downscale)
     points = place(folder, read_points(folder / "points.npy"))
     lenses = [read_camera(folder, name) for name in times]
     centers = place(folder, np.stack([lens.position for lens in lenses]))
     views = {
-        name: read_view(folder, name, lens, center, time, *sizes, color)
+        name: read_view(folder, name, lens, center, time, ratio, rest, color)
         for lens, center, (name, time) in zip(lenses, centers, times.items())
     }
     return {
