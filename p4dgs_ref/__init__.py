@@ -25,9 +25,8 @@ if TYPE_CHECKING:
     from .model import Model
     from .report.evaluate import evaluate
     from .report.main_job import main_job
-    from .scenes.load import load_scene
-    from .scenes.scene import Scene, SceneError, View
-    from .scenes.simulator.simulate import simulate
+    from .scenes import Scene, SceneError, View, load_scene
+    from .scenes.simulator import simulate
     from .splatting.camera import Camera, look_at
     from .splatting.settings import SETTINGS
     from .table import EQUATIONS
@@ -66,7 +65,7 @@ _HOME = {
     "Camera": "splatting.camera",
     "Model": "model",
     "Scene": "scenes.scene",
-    "SceneError": "scenes.scene",
+    "SceneError": "scenes",
     "View": "scenes.scene",
     "decode": "codec.file",
     "encode": "codec.file",
@@ -75,7 +74,7 @@ _HOME = {
     "look_at": "splatting.camera",
     "main_job": "report.main_job",
     "prepare": "__main__",
-    "simulate": "scenes.simulator.simulate",
+    "simulate": "scenes.simulator",
     "train": "training.fit",
 }
 

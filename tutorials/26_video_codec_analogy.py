@@ -22,8 +22,8 @@ from p4dgs_ref.model import predict
 from p4dgs_ref.report.evaluate import decibel, evaluate, squared_error
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes.load import packaged_folder
+from p4dgs_ref.scenes.simulator import place_cameras
 from p4dgs_ref.scenes.simulator.description import describe
-from p4dgs_ref.scenes.simulator.simulate import place_cameras
 from p4dgs_ref.scenes.simulator.trace import trace
 from p4dgs_ref.training.trainer import Trainer
 

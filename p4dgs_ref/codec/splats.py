@@ -20,8 +20,8 @@ import numpy as np
 from scipy.special import logit
 
 from ..model import Gaussians
-from ..scenes.ply import write_ply
-from ..scenes.scene import require
+from ..scenes.fields import require
+from ..scenes.files import write_ply
 
 C_0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), the spherical harmonic of degree 0
 CLOSEST = 2.0**-24  # of alpha to 0 and 1

@@ -4,8 +4,9 @@ The simulator that draws the packaged scenes is a room of its own, `p4dgs_ref.sc
 Loading a scene does not import it.
 """
 
+from .fields import SceneError
 from .load import load_scene, packaged_scenes
-from .scene import MODEL_EFFECTS, SIMULATOR_EFFECTS, Scene, SceneError, View
+from .scene import MODEL_EFFECTS, SIMULATOR_EFFECTS, Scene, View
 
 __all__ = [
     "MODEL_EFFECTS",

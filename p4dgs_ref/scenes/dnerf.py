@@ -8,31 +8,42 @@ camera-to-world matrix change their sign.
 
 import math
 import os
+from functools import partial
 
 import numpy as np
 
 from ..splatting.camera import Camera
+from .fields import REQUIRED, fields, list_of, numbers, require, text
 from .files import read_image, read_json, shrink
-from .scene import (
-    LARGEST_LENS,
-    LEAST_LENS,
-    View,
-    check_rotation,
-    check_time,
-    numbers,
-    require,
-)
+from .scene import FOCAL, NUMBER, PRINCIPAL, SHARE, View, rotation
 
-# Least and largest value of the fields that describe the lens: radians, then pixels.
-LENS = {
-    "camera_angle_x": (1e-6, math.pi - 1e-6),
-    "fl_x": (LEAST_LENS, LARGEST_LENS),
-    "fl_y": (LEAST_LENS, LARGEST_LENS),
-    "cx": (-LARGEST_LENS, LARGEST_LENS),
-    "cy": (-LARGEST_LENS, LARGEST_LENS),
-}
 # Signs of the columns of a camera-to-world matrix: right stays, up becomes down, back forward.
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])
+
+
+def world_to_camera(found, where):
+    """R and T from world to camera in OpenCV axes, from the matrix of a file."""
+    c2w = NUMBER(found, where, shape=(4, 4))
+    require(
+        np.abs(c2w[3] - (0, 0, 0, 1)).max() <= 1e-6,
+        where,
+        "the last row is not 0 0 0 1; expected a rigid camera-to-world matrix",
+    )
+    R = (rotation(c2w[:3, :3], where) * OPENGL_TO_OPENCV).T
+    return R, -R @ c2w[:3, 3]
+
+
+FRAME = {
+    "file_path": (text, REQUIRED),
+    "time": (SHARE, REQUIRED),
+    "transform_matrix": (world_to_camera, REQUIRED),
+}
+TRANSFORMS = {
+    "camera_angle_x": (partial(numbers, low=1e-6, high=math.pi - 1e-6), None),  # radians
+    **dict.fromkeys(("fl_x", "fl_y"), (FOCAL, None)),  # pixels
+    **dict.fromkeys(("cx", "cy"), (PRINCIPAL, None)),
+    "frames": (partial(list_of, check=partial(fields, table=FRAME, others=True)), REQUIRED),
+}
 
 
 def read(folder, color, downscale):
@@ -47,61 +58,24 @@ def read(folder, color, downscale):
 
 def read_split(folder, file, color, downscale):
     """The views of one transforms file; every field is checked before the first picture is read."""
-    data = read_json(file)
-    frames, where = data.get("frames"), f"{file}: frames"
-    require(isinstance(frames, list), where, "missing or not a list; expected the list of views")
-    require(frames, where, "empty; expected at least one view")
-    angle, fl_x, fl_y, cx, cy = read_lens(data, file)
-    posed = [read_frame(frame, f"{where}[{i}]") for i, frame in enumerate(frames)]
-    views = []
-    for i, (name, time, R, T) in enumerate(posed):
-        place = f"{where}[{i}].file_path"
-        image = read_image(folder, name, place)
-        height, width = image.shape[:2]
-        camera = make_camera(R, T, angle, fl_x, fl_y, cx, cy, width, height, downscale)
-        shown = name.removeprefix("./").removesuffix(".png")
-        views.append(View(shown, *shrink(image, color, downscale, place), camera, time))
-    return tuple(views)
-
-
-def read_lens(data, file):
-    """The fields of LENS; None for each that is absent. One of the first two is required."""
-    lens = [
-        None if data.get(name) is None else float(numbers(data[name], f"{file}: {name}", (), *ends))
-        for name, ends in LENS.items()
-    ]
+    data = fields(read_json(file), file, TRANSFORMS, others=True)
+    require(data.frames, f"{file}: frames", "empty; expected at least one view")
     require(
-        lens[:2] != [None, None],
+        data.camera_angle_x or data.fl_x,
         f"{file}: camera_angle_x",
         "missing; expected an angle in radians, or fl_x in pixels",
     )
-    return lens
-
-
-def read_frame(frame, where):
-    """The file_path, time, R and T of a frame, R and T from world to camera in OpenCV axes."""
-    require(
-        isinstance(frame, dict),
-        where,
-        "not an object; expected file_path, time and transform_matrix",
-    )
-    name = frame.get("file_path")
-    require(
-        isinstance(name, str) and name and name.isprintable(),
-        f"{where}.file_path",
-        f"{name!r}; expected the name of a picture, without control characters",
-    )
-    time = check_time(frame.get("time"), f"{where}.time")
-    place = f"{where}.transform_matrix"
-    c2w = numbers(frame.get("transform_matrix"), place, (4, 4))
-    require(
-        np.abs(c2w[3] - (0, 0, 0, 1)).max() <= 1e-6,
-        place,
-        "the last row is not 0 0 0 1; expected a rigid camera-to-world matrix",
-    )
-    check_rotation(c2w[:3, :3], place)
-    R = (c2w[:3, :3] * OPENGL_TO_OPENCV).T
-    return name, time, R, -R @ c2w[:3, 3]
+    lens = data.camera_angle_x, data.fl_x, data.fl_y, data.cx, data.cy
+    views = []
+    for i, frame in enumerate(data.frames):
+        name, where = frame.file_path, f"{file}: frames[{i}].file_path"
+        image = read_image(folder, name, where)
+        height, width = image.shape[:2]
+        R, T = frame.transform_matrix
+        camera = make_camera(R, T, *lens, width, height, downscale)
+        shown = name.removeprefix("./").removesuffix(".png")
+        views.append(View(shown, *shrink(image, color, downscale, where), camera, frame.time))
+    return tuple(views)
 
 
 def make_camera(R, T, angle, fl_x, fl_y, cx, cy, width, height, downscale):

@@ -3,7 +3,7 @@
 The first anchors of a real scene stand at the points of
 
 .npy    an array of shape [A, 3]
-.ply    x, y and z of the element `vertex`, as COLMAP and 3DGS write them
+.ply    x, y and z of the element `vertex`, binary, as COLMAP and 3DGS write them
 .txt    COLMAP's points3D.txt: lines of POINT3D_ID X Y Z R G B ERROR TRACK[]
 """
 
@@ -11,28 +11,26 @@ import json
 import os
 import warnings
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
 
-from .ply import read_ply
-from .scene import (
-    FARTHEST,
-    LARGEST_JSON,
-    MOST_ANCHORS,
-    SceneError,
-    as_float,
-    over_background,
-    require,
-    size_of,
-)
+from .fields import SceneError, require
+from .output import write_atomically
+from .scene import FARTHEST, LARGEST_JSON, MOST_ANCHORS, as_float, over_background, size_of
 
 FOLDERS = (
     "a D-NeRF folder with transforms_train.json and transforms_test.json, "
     "or a HyperNeRF or NeRF-DS folder with dataset.json"
 )
+PLY_TYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
+    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
+}
+BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 def read_json(file, expected=FOLDERS):
@@ -58,18 +56,13 @@ def read_image(folder, name, where):
     )
     with reading(file, "a PNG of RGB or RGBA pixels", where), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a picture so large that it could be an attack
-        picture: Any  # its class depends on the plugin
-        with iio.imopen(file, "r", plugin="pillow") as picture:
-            clear = "transparency" in picture.metadata()  # a palette or a colour with an alpha
-            image = picture.read(mode="RGBA" if clear else None)
+        clear = "transparency" in iio.immeta(file, plugin="pillow")  # alpha of a palette's colours
+        image = iio.imread(file, plugin="pillow", mode="RGBA" if clear else None)
     return as_float(image, f"{where}: {file}")
 
 
-def shrink(image, color, downscale, where, resample=lambda plane: plane):
-    """The picture over a colour and its alpha (None for RGB), both sides divided by `downscale`.
-
-    `resample` moves the pixels of a plane before they are averaged.
-    """
+def shrink(image, color, downscale, where):
+    """The picture over a colour and its alpha (None for RGB), both sides divided by `downscale`."""
     require(
         not any(side % downscale for side in image.shape[:2]),
         where,
@@ -77,14 +70,11 @@ def shrink(image, color, downscale, where, resample=lambda plane: plane):
     )
     # before the averaging, so that every colour is weighted by its alpha
     pixels, alpha = over_background(image, color)
-    pixels = box_filter(resample(pixels), downscale)
-    return pixels, None if alpha is None else box_filter(resample(alpha), downscale)
+    return box_filter(pixels, downscale), None if alpha is None else box_filter(alpha, downscale)
 
 
 def box_filter(image, s):
     """The means over boxes of s by s pixels."""
-    if s == 1:
-        return image
     height, width = image.shape[0] // s, image.shape[1] // s
     boxes = image.reshape(height, s, width, s, *image.shape[2:])
     return boxes.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
@@ -111,41 +101,66 @@ def read_points(path: str | Path) -> np.ndarray:
     """The points [A, 3] of a file as float64; SceneError where it holds something else."""
     path = Path(path)
     require(path.suffix in READERS, path, "expected a file whose name ends in .npy, .ply or .txt")
-    with reading(path, "a point cloud"):
+    with reading(path, "points in a .npy, a binary .ply or COLMAP's points3D.txt"):
         points = READERS[path.suffix](path)
     require(
-        points.ndim == 2 and points.shape[1] == 3 and len(points) and points.dtype.kind in "fiu",
+        points.ndim == 2 and points.shape[1] == 3 and 0 < len(points) <= MOST_ANCHORS,
         path,
-        f"expected numbers of shape [A, 3]; found {points.dtype} {list(points.shape)}",
+        f"expected 1 to {MOST_ANCHORS} points, [A, 3]; found {list(points.shape)}",
     )
-    require(len(points) <= MOST_ANCHORS, path, f"expected at most {MOST_ANCHORS} points")
     require(
-        np.all(np.abs(points) <= FARTHEST),
+        points.dtype.kind in "fiu" and np.all(np.abs(points) <= FARTHEST),
         path,
         f"expected finite coordinates of at most {FARTHEST:g}",
     )
     return points.astype(float)
 
 
+def write_ply(path, elements, comments=()):
+    """Write float32 numbers as a binary file; returns the bytes of the header and every element.
+
+    `elements` is {name: (names of its properties, rows [N, P])}. A comment is one line of ASCII.
+    """
+    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
+    for name, (properties, rows) in elements.items():
+        lines.append(f"element {name} {len(rows)}")
+        lines += [f"property float {of_element}" for of_element in properties]
+    header = "\n".join([*lines, "end_header\n"]).encode("ascii")
+    parts = [header, *(rows.astype("<f4").tobytes() for _, rows in elements.values())]
+    write_atomically(Path(path), lambda file: file.write(b"".join(parts)))
+    return [len(part) for part in parts]
+
+
+def read_ply(path, expected=("vertex",)):
+    """The first elements of a binary file, its comments, and the number of bytes that follow.
+
+    `expected` are the names of these elements. An element is a structured array [N], whose fields
+    are its properties. COLMAP and 3DGS write `vertex` first.
+    """
+    head, end, body = Path(path).read_bytes().partition(b"\nend_header\n")
+    require(head[:3] == b"ply" and end, path, "expected a header from 'ply' to 'end_header'")
+    start, *elements = head.decode("ascii").split("\nelement ")
+    order = BYTE_ORDERS[start.split("\nformat ")[1].split()[0]]
+    found, at = {}, 0
+    for name, element in zip(expected, elements):
+        first, *lines = (line.split() for line in element.splitlines())
+        require(first[0] == name, path, f"expected {name!r}, not {first[0]!r}")
+        properties = [line for line in lines if line[0] == "property"]
+        kind = np.dtype([(line[-1], order + PLY_TYPES[line[1]]) for line in properties])
+        found[name] = np.frombuffer(body, kind, int(first[1]), at)
+        at += found[name].nbytes
+    comments = [line[8:] for line in head.decode("ascii").splitlines() if line[:8] == "comment "]
+    return found, comments, len(body) - at
+
+
 def read_vertices(path):
     """The coordinates [A, 3] of the vertices of a PLY file."""
     vertices = read_ply(path)[0]["vertex"]
-    named = {*"xyz"} <= {*vertices.dtype.names}
-    require(named, path, "expected properties x, y, z of the element vertex")
     return np.stack([vertices[axis] for axis in "xyz"], axis=1)
 
 
-def read_colmap(path):
-    """The coordinates [A, 3] of the points of a points3D.txt; lines that begin with # are not."""
-    lines = path.read_text(encoding="utf-8").splitlines()
-    rows = [line.split() for line in lines if line.strip() and not line.startswith("#")]
-    for row in rows:
-        require(
-            len(row) >= 8,
-            path,
-            f"a line of {len(row)} words; expected POINT3D_ID X Y Z R G B ERROR TRACK[]",
-        )
-    return np.array([row[1:4] for row in rows], float)
-
-
-READERS = {".npy": np.load, ".ply": read_vertices, ".txt": read_colmap}
+READERS = {
+    ".npy": np.load,
+    ".ply": read_vertices,
+    ".txt": partial(np.loadtxt, usecols=(1, 2, 3), ndmin=2),
+}

@@ -10,64 +10,57 @@
 A camera projects the point (x, y, 1) before it to the pixel (u, v), which counts from the corner of
 the full picture. With r^2 = x^2 + y^2, radial distortion k and tangential distortion p,
 
-    u = focal_length x' + skew y' + principal_point[0]
+    u = focal_length x' + principal_point[0]
     v = focal_length pixel_aspect_ratio y' + principal_point[1]
     x' = x (1 + k_1 r^2 + k_2 r^4 + k_3 r^6) + 2 p_1 x y + p_2 (r^2 + 2 x^2)
     y' = y (1 + k_1 r^2 + k_2 r^4 + k_3 r^6) + 2 p_2 x y + p_1 (r^2 + 2 y^2)
 
-Our camera has neither distortion nor skew. Pictures of a lens with one of them are resampled to
-those of the lens without them, bilinearly, and repeat their border where they end. D3DGS ignores
-both, and takes the principal point as the middle of the picture.
+Our camera has no distortion. Pictures of a lens with distortion are resampled to those of the lens
+without it, bilinearly, and repeat their border where they end. D3DGS ignores the distortion, and
+takes the principal point as the middle of the picture. Cameras with a `skew` are refused.
 """
 
-import re
-from types import SimpleNamespace
+from functools import partial
 
 import numpy as np
 
 from ..splatting.camera import Camera
+from .fields import REQUIRED, fields, list_of, numbers, require, text
 from .files import read_image, read_json, read_points, shrink
-from .scene import (
-    FARTHEST,
-    LARGEST_LENS,
-    LEAST_LENS,
-    View,
-    check_rotation,
-    is_number,
-    numbers,
-    require,
-    size_of,
-)
+from .scene import FARTHEST, FOCAL, LARGEST_LENS, PRINCIPAL, View, rotation, size_of
 
 SPLITS = "dataset.json"
 FULL = "the files of a HyperNeRF or NeRF-DS folder"
-# Shape, least value and default of the fields of a camera file. Lengths are pixels of the full
-# picture, counted from its corner. Older files call the last field `tangential`.
+PAIR, TRIPLE = partial(PRINCIPAL, shape=(2,)), partial(PRINCIPAL, shape=(3,))
+NAMES = partial(list_of, check=text)
+COUNT = partial(numbers, low=0, high=LARGEST_LENS, kind=int)
+DATASET = dict.fromkeys(("train_ids", "val_ids", "ids"), (NAMES, ()))
+MOMENT = partial(
+    fields, table={"time_id": (COUNT, None), "warp_id": (COUNT, REQUIRED)}, others=True
+)
+WORLD = {"center": (TRIPLE, REQUIRED), "scale": (FOCAL, REQUIRED)}
+# Lengths are pixels of the full picture, counted from its corner.
 CAMERA = {
-    "orientation": ((3, 3), -LARGEST_LENS, None),
-    "position": ((3,), -LARGEST_LENS, None),
-    "focal_length": ((), LEAST_LENS, None),
-    "pixel_aspect_ratio": ((), LEAST_LENS, 1),
-    "principal_point": ((2,), -LARGEST_LENS, None),
-    "skew": ((), -LARGEST_LENS, 0),
-    "image_size": ((2,), 1, None),
-    "radial_distortion": ((3,), -LARGEST_LENS, [0, 0, 0]),
-    "tangential_distortion": ((2,), -LARGEST_LENS, [0, 0]),
+    "orientation": (rotation, REQUIRED),
+    "position": (TRIPLE, REQUIRED),
+    "focal_length": (FOCAL, REQUIRED),
+    "pixel_aspect_ratio": (FOCAL, 1.0),
+    "principal_point": (PAIR, REQUIRED),
+    "skew": (partial(numbers, low=0, high=0), 0.0),
+    "image_size": (partial(numbers, low=1, high=LARGEST_LENS, shape=(2,)), REQUIRED),
+    "radial_distortion": (TRIPLE, np.zeros(3)),
+    "tangential_distortion": (PAIR, np.zeros(2)),
 }
 
 
 def read(folder, color, downscale):
     """The views of both splits and the points, {"train": ..., "test": ..., "points": ...}.
 
-    `downscale` divides the sides of the largest pictures that the folder has. Smaller pictures of
-    that size are taken where they exist; otherwise pixels are averaged in boxes.
+    `downscale` divides the sides of the largest pictures that the folder has.
     """
-    splits = read_ids(folder)
+    splits = read_splits(folder)
     times = read_times(folder, splits["train"] + splits["test"])
-    ratios = picture_sizes(folder)
-    ratio, rest = ratios[0], downscale
-    if ratios[0] * downscale in ratios:
-        ratio, rest = ratios[0] * downscale, 1
+    ratio, rest = choose_pictures(folder, downscale)
     points = place(folder, read_points(folder / "points.npy"))
     lenses = [read_camera(folder, name) for name in times]
     centers = place(folder, np.stack([lens.position for lens in lenses]))
@@ -81,80 +74,58 @@ def read(folder, color, downscale):
     }
 
 
-def read_ids(folder):
+def read_splits(folder):
     """The names of the views of both splits.
 
     They are train_ids and val_ids. Where val_ids is empty, as in scenes that test interpolation in
     time, of every four `ids` the first is for training and the third for testing.
     """
     file = folder / SPLITS
-    data = read_json(file, FULL)
-
-    def names(field):
-        listed = data.get(field, [])
-        require(
-            isinstance(listed, list) and all(map(is_name, listed)),
-            f"{file}: {field}",
-            "expected a list of names of views, without slashes and control characters",
-        )
-        return listed
-
-    train, test = names("train_ids"), names("val_ids")
+    listed = fields(read_json(file, FULL), file, DATASET, others=True)
+    train, test = listed.train_ids, listed.val_ids
     if not test:
-        train, test = names("ids")[::4], names("ids")[2::4]
-    require(train and test, file, "no views; expected train_ids and val_ids, or at least three ids")
-    twice = len(train + test) - len({*train, *test})
-    require(not twice, file, f"{twice} views listed twice; expected each in one split, once")
-    return {"train": train, "test": test}
-
-
-def is_name(value):
-    """Whether a value can be the name of a view, from which the names of its files are made."""
-    return (
-        isinstance(value, str)
-        and value.isprintable()
-        and 0 < len(value) < 200
-        and not {*"/\\"} & {*value}
+        train, test = listed.ids[::4], listed.ids[2::4]
+    require(
+        train and test and not {*train} & {*test},
+        file,
+        "expected train_ids and val_ids without a common view, or at least three ids",
     )
+    return {"train": train, "test": test}
 
 
 def read_times(folder, names):
     """The time in [0, 1] of every view by its name: its time_id over the largest of all."""
     file = folder / "metadata.json"
-    data, counted = read_json(file, FULL), {}
-    for name in names:
-        entry = data.get(name)
-        where = f"{file}: {name}"
-        require(isinstance(entry, dict), where, "missing or not an object; expected time_id")
-        field = "time_id" if "time_id" in entry else "warp_id"
-        time = entry.get(field)
-        require(
-            is_number(time, int) and 0 <= time <= LARGEST_LENS,
-            f"{where}.{field}",
-            f"{time!r}; expected an integer of at least 0",
-        )
-        counted[name] = time
+    table = dict.fromkeys(names, (MOMENT, REQUIRED))
+    moments = vars(fields(read_json(file, FULL), file, table, others=True))
+    counted = {
+        name: moment.warp_id if moment.time_id is None else moment.time_id
+        for name, moment in moments.items()
+    }
     last = max(1, *counted.values())
     return {name: time / last for name, time in counted.items()}
 
 
-def picture_sizes(folder):
-    """The ratios N of the folders rgb/Nx, the largest pictures first."""
-    found = [re.fullmatch(r"([1-9]\d{0,3})x", path.name) for path in folder.glob("rgb/*/")]
-    ratios = sorted(int(match[1]) for match in found if match)
+def choose_pictures(folder, downscale):
+    """The N of the folder rgb/Nx to read, and by what the sides of its pictures are divided.
+
+    Smaller pictures are taken where the folder has them; pixels are averaged for the rest.
+    """
+    names = [path.name[:-1] for path in folder.glob("rgb/[1-9]*x")]
+    ratios = [int(name) for name in names if name.isdecimal()]
     require(ratios, folder / "rgb", "no pictures; expected a folder 1x, 2x or the like")
-    return ratios
+    wanted = min(ratios) * downscale
+    ratio = max(ratio for ratio in ratios if wanted % ratio == 0)
+    return ratio, wanted // ratio
 
 
 def place(folder, x):
     """Points [A, 3] in the coordinates of a folder's files, in scene units."""
     file = folder / "scene.json"
-    data = read_json(file, FULL)
-    center = numbers(data.get("center"), f"{file}: center", (3,), -LARGEST_LENS, LARGEST_LENS)
-    scale = numbers(data.get("scale"), f"{file}: scale", (), LEAST_LENS, LARGEST_LENS)
-    placed = (x - center) * scale
+    world = fields(read_json(file, FULL), file, WORLD, others=True)
+    placed = (x - world.center) * world.scale
     require(
-        np.all(np.abs(placed) <= FARTHEST),  # False for NaN
+        np.all(np.abs(placed) <= FARTHEST),
         f"{file}: scale",
         f"puts a camera or point beyond {FARTHEST:g}; expected less",
     )
@@ -165,13 +136,9 @@ def read_camera(folder, name):
     """The fields of a view's camera file, and `focal` [2]: the focal lengths f_x and f_y."""
     file = folder / "camera" / f"{name}.json"
     data = read_json(file, f"the camera of the view {name}")
-    data = {"tangential_distortion": data.get("tangential", [0, 0]), **data}
-    fields = {
-        field: numbers(data.get(field, default), f"{file}: {field}", shape, least, LARGEST_LENS)
-        for field, (shape, least, default) in CAMERA.items()
-    }
-    lens = SimpleNamespace(**fields)
-    check_rotation(lens.orientation, f"{file}: orientation")
+    if "tangential" in data:  # the name in older files
+        data["tangential_distortion"] = data["tangential"]
+    lens = fields(data, file, CAMERA, others=True)
     lens.focal = lens.focal_length * np.array([1, lens.pixel_aspect_ratio])
     return lens
 
@@ -188,45 +155,30 @@ def read_view(folder, name, lens, center, time, ratio, downscale, color):
         f"{size_of(image)} pixels; expected 1/{ratio} of image_size in camera/{name}.json",
     )
     stride = lens.image_size / size  # not exactly `ratio` where it does not divide the sides
-    pixels, alpha = shrink(
-        image, color, downscale, where, lambda plane: straighten(plane, lens, stride, where)
-    )
-    stride = stride * downscale
-    f_x, f_y = lens.focal / stride
-    c_x, c_y = lens.principal_point / stride - 0.5  # the files count from the corner (Q20)
-    R = lens.orientation
-    camera = Camera(
-        R, -R @ center, float(f_x), float(f_y), float(c_x), float(c_y), *pixels.shape[1::-1]
-    )
+    pixels, alpha = shrink(straighten(image, lens, stride), color, downscale, where)
+    focal = lens.focal / (stride * downscale)
+    middle = lens.principal_point / (stride * downscale) - 0.5  # files count from the corner (Q20)
+    R, size = lens.orientation, pixels.shape[1::-1]
+    camera = Camera(R, -R @ center, *focal.tolist(), *middle.tolist(), *size)
     return View(name, pixels, alpha, camera, time)
 
 
-def straighten(plane, lens, stride, where):
-    """A picture as the lens without distortion and skew would show it."""
-    radial, tangential = lens.radial_distortion, lens.tangential_distortion
-    if not (lens.skew or radial.any() or tangential.any()):
-        return plane
+def straighten(image, lens, stride):
+    """A picture as the lens without distortion would show it."""
+    k, p = lens.radial_distortion, lens.tangential_distortion
+    if not (k.any() or p.any()):
+        return image
     from scipy.ndimage import map_coordinates  # a tenth of a second that few scenes need
 
-    v, u = np.indices(plane.shape[:2])
-    pixel = np.stack([u, v], axis=-1) + 0.5
-    x, y = np.moveaxis((pixel * stride - lens.principal_point) / lens.focal, -1, 0)
-    x, y = distorted(x, y, radial, tangential)
-    (f_x, f_y), (p_x, p_y) = lens.focal, lens.principal_point
-    u = (f_x * x + lens.skew * y + p_x) / stride[0] - 0.5
-    v = (f_y * y + p_y) / stride[1] - 0.5
-    ordered = np.all(np.diff(u, axis=1) > 0) and np.all(np.diff(v, axis=0) > 0)
-    require(ordered, where, "its distortion folds the picture; expected smaller coefficients")
-    channels = np.moveaxis(np.atleast_3d(plane), -1, 0)
-    moved = [map_coordinates(channel, (v, u), order=1, mode="nearest") for channel in channels]
-    return np.stack(moved, axis=-1).reshape(plane.shape)
-
-
-def distorted(x, y, k, p):
-    """x' and y' of the module's docstring."""
-    (k_1, k_2, k_3), (p_1, p_2) = k, p
+    v, u = np.indices(image.shape[:2])
+    corner = np.stack([u, v], axis=-1) + 0.5
+    x, y = np.moveaxis((corner * stride - lens.principal_point) / lens.focal, -1, 0)
     r2 = x * x + y * y
-    radial = 1 + r2 * (k_1 + r2 * (k_2 + r2 * k_3))
-    x_t = 2 * p_1 * x * y + p_2 * (r2 + 2 * x * x)
-    y_t = 2 * p_2 * x * y + p_1 * (r2 + 2 * y * y)
-    return x * radial + x_t, y * radial + y_t
+    radial = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[2]))
+    x_d = x * radial + (2 * p[0] * x * y + p[1] * (r2 + 2 * x * x))
+    y_d = y * radial + (2 * p[1] * x * y + p[0] * (r2 + 2 * y * y))
+    distorted = np.stack([x_d, y_d], axis=-1) * lens.focal + lens.principal_point
+    u, v = np.moveaxis(distorted / stride - 0.5, -1, 0)
+    channels = np.moveaxis(image, -1, 0)
+    moved = [map_coordinates(channel, (v, u), order=1, mode="nearest") for channel in channels]
+    return np.stack(moved, axis=-1)

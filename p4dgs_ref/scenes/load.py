@@ -2,25 +2,16 @@
 
 import json
 import os
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from . import dnerf, hypernerf
-from .files import FOLDERS, read_json, read_points
+from .fields import numbers, require
+from .files import read_json, read_points
 from .output import write_atomically
-from .scene import (
-    MODEL_EFFECTS,
-    SIMULATOR_EFFECTS,
-    Scene,
-    background_color,
-    is_number,
-    model_effects,
-    require,
-)
+from .scene import LARGEST_LENS, MODEL_EFFECTS, Scene, background_color, model_effects
 
 DESCRIPTION = "scene.json"
 
@@ -37,24 +28,20 @@ def load_scene(
     are read. Raises SceneError with one line that names the file, the field and what was expected.
     """
     folder = find_scene(path)
-    require(
-        is_number(downscale, int, np.integer) and downscale >= 1,
-        "downscale",
-        f"{downscale!r}; expected an integer of at least 1",
-    )
+    downscale = numbers(downscale, "downscale", 1, LARGEST_LENS, kind=int)
     effects = model_effects(
         read_description(folder).get("effects"), f"{folder / DESCRIPTION}: effects"
     )
     color = background_color(background, effects, folder)
     read = hypernerf.read if is_hypernerf(folder) else dnerf.read
-    views: dict[str, Any] = read(folder, color, int(downscale))
+    views: dict[str, Any] = read(folder, color, downscale)
     return Scene(folder.resolve().name, effects=effects, background=color, source=folder, **views)
 
 
 def is_hypernerf(folder):
     """Whether a folder has the files of HyperNeRF and NeRF-DS rather than those of D-NeRF."""
-    names = ("transforms_train.json", hypernerf.SPLITS)
-    return [os.path.lexists(folder / name) for name in names] == [False, True]
+    of_d_nerf = os.path.lexists(folder / "transforms_train.json")
+    return not of_d_nerf and os.path.lexists(folder / hypernerf.SPLITS)
 
 
 def read_points_for(scene, path):
@@ -78,8 +65,7 @@ def list_effects(folder: Path, effects: list[str]) -> Path:
     Everything else in the file stays, and so do effects of the simulator alone.
     """
     file, description = folder / DESCRIPTION, read_description(folder)
-    listed = description.get("effects") or []
-    drawn = [name for name in listed if name in SIMULATOR_EFFECTS and name not in MODEL_EFFECTS]
+    drawn = [name for name in description.get("effects") or () if name not in MODEL_EFFECTS]
     text = json.dumps({**description, "effects": [*effects, *drawn]}, indent=1) + "\n"
     write_atomically(file, lambda opened: opened.write(text.encode()))
     return file
@@ -87,10 +73,9 @@ def list_effects(folder: Path, effects: list[str]) -> Path:
 
 def packaged_folder() -> Path:
     """The folder of the packaged scenes: package data, or tiny_scenes at the top of a checkout."""
-    try:
-        return Path(str(resources.files("p4dgs_ref.tiny_scenes")))
-    except ModuleNotFoundError:
-        return Path(__file__).resolve().parents[2] / "tiny_scenes"
+    package = Path(__file__).resolve().parents[1]
+    installed = package / "tiny_scenes"
+    return installed if installed.is_dir() else package.parent / "tiny_scenes"
 
 
 def packaged_scenes() -> list[str]:
@@ -103,7 +88,6 @@ def find_scene(path):
     folder = Path(path)
     if folder.is_dir():
         return folder
-    require(not folder.exists(), folder, f"a file; expected {FOLDERS}")
     names = packaged_scenes()
     require(
         str(path) in names,

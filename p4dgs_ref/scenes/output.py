@@ -31,21 +31,18 @@ def locked(folder):
 
     Raises OutputError where another process holds it. Not every file system has such locks.
     """
-    if fcntl is None:
+    with ExitStack() as stack:
+        if fcntl is not None:
+            handle = os.open(folder, os.O_RDONLY)
+            stack.callback(os.close, handle)
+            with suppress(OSError):  # a file system without locks
+                try:
+                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    raise OutputError(
+                        f"{folder}: another process is writing to it; expected a folder of its own"
+                    ) from None
         yield
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        with suppress(OSError):  # a file system without locks
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise OutputError(
-                    f"{folder}: another process is writing to it; expected a folder of its own"
-                ) from None
-        yield
-    finally:
-        os.close(handle)
 
 
 def destination(path):
@@ -117,14 +114,12 @@ def filled(path):
     with made(path) as folder, new_part(folder) as part:
         yield part
         files = [file for file in part.rglob("*") if file.is_file()]
-        places = {file: folder / file.relative_to(part) for file in files}
-        for place in places.values():
-            destination(place)
-            with made(place.parent):
+        for file in files:
+            with new_file(folder / file.relative_to(part)):
                 pass
         with deferred():  # all files move, or none
             for file in sorted(files, key=lambda file: file.stat().st_mtime_ns):  # oldest first
-                with replaced(places[file]) as beside:
+                with replaced(folder / file.relative_to(part)) as beside:
                     shutil.move(file, beside)
 
 

@@ -5,13 +5,14 @@ Everything is checked when a scene is made, so that training and evaluation can 
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from reprlib import repr as shown
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..splatting.camera import Camera
+from .fields import REQUIRED, choice, fields, list_of, numbers, require
 
 # How much a scene and a file may hold, so that a damaged one costs neither time nor memory. The
 # codec's format page states the limits of a file; a port has to keep to them.
@@ -38,26 +39,34 @@ SIMULATOR_EFFECTS = (*MODEL_EFFECTS, "texture", "diffuse", "specular")
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 # Files print six or seven digits. A scaled or mirrored matrix is further from a rotation than this.
 ROTATION_TOLERANCE = 1e-3
-# Shape, least and largest value of the fields of a camera.
-FOCAL, PRINCIPAL = ((), LEAST_LENS, LARGEST_LENS), ((), -LARGEST_LENS, LARGEST_LENS)
+
+
+def rotation(found, where):
+    """Check a 3 x 3 matrix that is a rotation: orthonormal, and no mirror."""
+    R = numbers(found, where, -FARTHEST, FARTHEST, (3, 3))
+    error, determinant = np.abs(R @ R.T - np.eye(3)).max(), np.linalg.det(R)
+    require(
+        error <= ROTATION_TOLERANCE and determinant > 0,
+        where,
+        f"off orthonormal by {error:.2g}, determinant {determinant:.2g}; expected a rotation "
+        f"(to {ROTATION_TOLERANCE:g}) with determinant +1",
+    )
+    return R
+
+
+# Checks that several formats share, and the fields of a camera.
+SHARE = partial(numbers, low=0, high=1)
+COLOR = partial(SHARE, shape=(3,))
+NUMBER = partial(numbers, low=-FARTHEST, high=FARTHEST)
+POINT = partial(NUMBER, shape=(3,))
+FOCAL = partial(numbers, low=LEAST_LENS, high=LARGEST_LENS)
+PRINCIPAL = partial(numbers, low=-LARGEST_LENS, high=LARGEST_LENS)
 CAMERA = {
-    "R": ((3, 3), -FARTHEST, FARTHEST),
-    "T": ((3,), -FARTHEST, FARTHEST),
-    **{"f_x": FOCAL, "f_y": FOCAL, "c_x": PRINCIPAL, "c_y": PRINCIPAL},
+    "R": (rotation, REQUIRED),
+    "T": (POINT, REQUIRED),
+    **dict.fromkeys(("f_x", "f_y"), (FOCAL, REQUIRED)),
+    **dict.fromkeys(("c_x", "c_y"), (PRINCIPAL, REQUIRED)),
 }
-
-
-class SceneError(ValueError):
-    """A mistake in a scene: one line that names the file, the field and what was expected."""
-
-    def __init__(self, where: object, expected: str):
-        super().__init__(" ".join(f"{where}: {expected}".split()))
-
-
-def require(condition, where, expected):
-    """Raise a SceneError unless the condition holds."""
-    if not condition:
-        raise SceneError(where, expected)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,29 +132,25 @@ class Scene:
         (not premultiplied) and is laid over the background. `test` holds the indices of the views
         that are not trained on. Without `effects` the scene has all of the model's.
         """
-        images, cameras, times, test = list(images), list(cameras), list(times), list(test)
+        images, cameras = list(images), list(cameras)
+        moments = list_of(list(times), f"{name}: times", SHARE)
         require(
-            len(images) == len(cameras) == len(times),
+            len(images) == len(cameras) == len(moments),
             f"{name}: images, cameras, times",
-            f"{len(images)}, {len(cameras)} and {len(times)}; expected equal numbers",
+            f"{len(images)}, {len(cameras)} and {len(moments)}; expected equal numbers",
         )
-        for position, i in enumerate(test):
-            require(
-                isinstance(i, (int, np.integer)) and 0 <= i < len(images),
-                f"{name}: test[{position}]",
-                f"{i!r}; expected an index in 0..{len(images) - 1}",
-            )
+        index = partial(numbers, low=0, high=len(images) - 1, kind=int)
+        held_back = list_of(list(test), f"{name}: test", index)
         listed = model_effects(effects, f"{name}: effects")
         color = background_color(background, listed, name)
         views = []
-        for i, (image, camera, time) in enumerate(zip(images, cameras, times)):
+        for i, (image, camera, time) in enumerate(zip(images, cameras, moments)):
             pixels, alpha = over_background(as_float(image, f"{name}: images[{i}]"), color)
-            time = check_time(time, f"{name}: times[{i}]")
             views.append(View(f"images[{i}]", pixels, alpha, camera, time))
         return cls(
             name,
-            train=tuple(view for i, view in enumerate(views) if i not in test),
-            test=tuple(view for i, view in enumerate(views) if i in test),
+            train=tuple(view for i, view in enumerate(views) if i not in held_back),
+            test=tuple(view for i, view in enumerate(views) if i in held_back),
             effects=listed,
             background=color,
         )
@@ -153,21 +158,9 @@ class Scene:
 
 def check_effects(names, where):
     """A list of effects in the order of SIMULATOR_EFFECTS; None stands for all of the model's."""
-    if names is None:
-        return MODEL_EFFECTS
-    require(
-        isinstance(names, (list, tuple, set, frozenset)),
-        where,
-        f"{names!r}; expected a list of names",
-    )
-    for name in names:
-        require(
-            name in SIMULATOR_EFFECTS,
-            where,
-            f"unknown effect {name!r}; expected some of {', '.join(SIMULATOR_EFFECTS)}",
-        )
-    require(len(set(names)) == len(names), where, f"{names!r}; expected no effect twice")
-    return tuple(effect for effect in SIMULATOR_EFFECTS if effect in names)
+    check = partial(choice, table={name: name for name in SIMULATOR_EFFECTS})
+    listed = list_of(MODEL_EFFECTS if names is None else names, where, check)
+    return tuple(effect for effect in SIMULATOR_EFFECTS if effect in listed)
 
 
 def model_effects(names, where):
@@ -178,7 +171,7 @@ def model_effects(names, where):
 def background_color(background, effects, where):
     """The background as three float32 in [0, 1]; black where the scene does not list the effect."""
     color = BACKGROUNDS.get(background, background) if isinstance(background, str) else background
-    color = numbers(color, f"{where}: background, white, black or three numbers", (3,), 0, 1)
+    color = COLOR(color, f"{where}: background, white, black or three numbers")
     return color.astype(np.float32) if "background" in effects else np.zeros(3, np.float32)
 
 
@@ -190,19 +183,15 @@ def size_of(image):
 def as_float(image, where):
     """The pixels as float32, unsigned integers divided by their largest value."""
     image = np.asarray(image)
+    of_pixels = image.ndim == 3 and image.shape[2] in (3, 4) and 0 not in image.shape
     require(
-        image.ndim == 3 and image.shape[2] in (3, 4) and 0 not in image.shape,
+        of_pixels and image.dtype.kind in "uf",
         where,
-        f"an array of shape {image.shape}; expected (H, W, 3) or (H, W, 4)",
+        f"{image.dtype} of shape {image.shape}; expected (H, W, 3) or (H, W, 4), uint8 or floats "
+        "in [0, 1]",
     )
-    if image.dtype.kind == "u":
-        return image.astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
-    require(
-        image.dtype.kind == "f",
-        where,
-        f"pixels of type {image.dtype}; expected uint8 or floats in [0, 1]",
-    )
-    return image.astype(np.float32)
+    largest = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1
+    return image.astype(np.float32) / np.float32(largest)
 
 
 def over_background(image, color):
@@ -213,71 +202,20 @@ def over_background(image, color):
     return image[..., :3] * alpha[..., None] + color * (1 - alpha[..., None]), alpha
 
 
-def numbers(value, where, shape=(), low=-FARTHEST, high=FARTHEST):
-    """The numbers of a field as a float64 array of that shape, all of them from low to high."""
-    try:
-        entries = np.asarray(value, dtype=object)
-        known = all(is_number(entry, int, float, np.integer, np.floating) for entry in entries.flat)
-        found = entries.astype(float) if known and entries.shape == shape else np.array(np.nan)
-    except (ValueError, OverflowError):  # rows of unequal lengths, or an integer of 400 digits
-        found = np.array(np.nan)
-    if not np.all((found >= low) & (found <= high)):  # nor for NaN
-        kind = f"numbers of shape {list(shape)}" if shape else "a number"
-        raise SceneError(where, f"{shown(value)}; expected {kind} in [{low:g}, {high:g}]")
-    return found
-
-
-def check_time(time, where):
-    """The time as a Python float in [0, 1]."""
-    return float(numbers(time, where, (), 0, 1))
-
-
-def is_number(value, *kinds):
-    """Whether a value is of one of the kinds; true and false are not numbers."""
-    return isinstance(value, kinds) and not isinstance(value, bool)
-
-
-def check_rotation(R, where):
-    """Refuse a 3 x 3 matrix that is not a rotation: not orthonormal, or a mirror."""
-    error, determinant = np.abs(R @ R.T - np.eye(3)).max(), np.linalg.det(R)
-    require(
-        error <= ROTATION_TOLERANCE and determinant > 0,
-        where,
-        f"off orthonormal by {error:.2g}, determinant {determinant:.2g}; expected a rotation "
-        f"(to {ROTATION_TOLERANCE:g}) with determinant +1",
-    )
-
-
 def check_view(view, first, where):
     """Refuse a view that is inconsistent or out of range, or of another size than the first."""
     image, camera = view.image, view.camera
     require(
-        image.ndim == 3 and image.shape[2] == 3,
+        image.shape == first.image.shape == (camera.height, camera.width, 3),
         where,
-        f"image of shape {image.shape}; expected (H, W, 3)",
+        f"{size_of(image)} pixels, camera of {camera.width}x{camera.height}; expected RGB and "
+        f"{size_of(first.image)}, the same for all views",
     )
-    require(
-        image.shape == first.image.shape,
-        where,
-        f"{size_of(image)} pixels; expected {size_of(first.image)}, the same for all views",
-    )
-    require(
-        (camera.height, camera.width) == image.shape[:2],
-        f"{where}: camera",
-        f"{camera.width}x{camera.height} pixels; expected {size_of(image)}",
-    )
-    for name, values in (("image", view.image), ("alpha", view.alpha)):
+    for name, values in (("image", image), ("alpha", view.alpha)):
         require(
             values is None or (values.min() >= 0 and values.max() <= 1 + 1e-6),
             f"{where}: {name}",
             "values outside [0, 1], or not finite; expected finite values in [0, 1]",
         )
-    require(
-        view.alpha is None or view.alpha.shape == image.shape[:2],
-        f"{where}: alpha",
-        f"another shape than the image; expected {image.shape[:2]}",
-    )
-    for name, allowed in CAMERA.items():
-        numbers(getattr(camera, name), f"{where}: camera.{name}", *allowed)
-    check_rotation(camera.R, f"{where}: camera.R")
-    check_time(view.time, f"{where}: time")
+    fields(vars(camera), f"{where}: camera", CAMERA, others=True)
+    SHARE(view.time, f"{where}: time")

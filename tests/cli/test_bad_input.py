@@ -139,13 +139,6 @@ SCENES = [
         ("scene.json: effects", "teleport", "translation"),
     ),
     (
-        "an effect twice",
-        lambda place: (place / "scene/scene.json").write_text(
-            '{"effects": ["rotation", "rotation"]}'
-        ),
-        ("scene.json: effects", "twice"),
-    ),
-    (
         "an integer of 4,000 digits",
         edit_frame("train", time=10**4000),
         ("train.json: frames[1].time", "[0, 1]"),

@@ -12,7 +12,7 @@ import p4dgs_ref as p4
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.equations import hash_grid, prior
 from p4dgs_ref.model import Gaussians, context, split
-from p4dgs_ref.scenes.ply import read_ply
+from p4dgs_ref.scenes.files import read_ply
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.training.initial import design_of, initial_parameters
 from p4dgs_ref.training.parameters import Parameters

@@ -5,9 +5,8 @@ import pytest
 
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.scenes import SIMULATOR_EFFECTS
-from p4dgs_ref.scenes.simulator import motion, trace
+from p4dgs_ref.scenes.simulator import bodies, place_cameras, trace
 from p4dgs_ref.scenes.simulator.description import describe
-from p4dgs_ref.scenes.simulator.simulate import place_cameras
 from tests.core.effect_scenes import EPS, SCENES, described, simulated_effects, small_camera
 
 STILL = {
@@ -20,10 +19,10 @@ STILL = {
 }
 # the functions that draw an effect and nothing else: (place, name)
 CODE = {
-    "translation": [(motion.MOTIONS, kind) for kind in ("line", "bounce", "arc")],
-    "rotation": [(motion.MOTIONS, kind) for kind in ("swing", "spin")],
-    "scaling": [(motion.MOTIONS, "pulse")],
-    "view_geometry": [(motion, "facing")],
+    "translation": [(bodies.MOTIONS, kind) for kind in ("line", "bounce", "arc")],
+    "rotation": [(bodies.MOTIONS, kind) for kind in ("swing", "spin")],
+    "scaling": [(bodies.MOTIONS, "pulse")],
+    "view_geometry": [(bodies, "facing")],
     "occlusion": [(trace, "nearest")],
     "texture": [(trace, "textured")],
     "diffuse": [(trace, "diffuse")],
@@ -33,12 +32,12 @@ CODE = {
 
 def with_neutral_input(data, effect):
     """The description with the effect's amplitude at zero."""
-    bodies = []
+    changed = []
     for body in data["bodies"]:
         body = dict(body)
         if effect in MOTION:
             body["motion"] = [
-                {**m, **STILL[m["kind"]]} if motion.MOTIONS[m["kind"]][0] == effect else m
+                {**m, **STILL[m["kind"]]} if bodies.MOTIONS[m["kind"]][0] == effect else m
                 for m in body.get("motion", ())
             ]
         elif effect == "texture" and "texture" in body:
@@ -47,9 +46,9 @@ def with_neutral_input(data, effect):
             body["specular"] = {**body["specular"], "strength": 0}
         elif effect == "view_geometry":
             body["faces_camera"] = False
-        bodies.append(body)
+        changed.append(body)
     light = {**data["light"], "ambient": 1} if effect == "diffuse" else data["light"]
-    return {**data, "bodies": bodies, "light": light}
+    return {**data, "bodies": changed, "light": light}
 
 
 def facing_bodies(data):
@@ -82,7 +81,7 @@ def test_simulator_off_equals_the_neutral_input(name, effect):
         "specular": any("specular" in b for b in data["bodies"]),
         **{
             e: any(
-                motion.MOTIONS[m["kind"]][0] == e
+                bodies.MOTIONS[m["kind"]][0] == e
                 for b in data["bodies"]
                 for m in b.get("motion", ())
             )

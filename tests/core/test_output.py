@@ -150,14 +150,6 @@ def test_a_signal_does_not_part_the_files_of_a_report(tmp_path, monkeypatch, num
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a first file", "x"]
 
 
-def test_a_folder_is_locked_once(tmp_path):
-    with locked(tmp_path):
-        with pytest.raises(OutputError, match="another process"), locked(tmp_path):
-            pass
-    with locked(tmp_path):
-        pass
-
-
 def refuse_locks(*arguments):
     raise OSError(95, "Operation not supported")
 

@@ -1,6 +1,7 @@
-"""The simulator: closed forms, conventions, effects that are off, the packaged scenes."""
+"""The simulator: closed forms, conventions, the packaged scenes, mistakes in scene.json."""
 
 import copy
+import json
 import math
 
 import numpy as np
@@ -8,10 +9,12 @@ import pytest
 
 from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene
 from p4dgs_ref.scenes.load import packaged_folder
-from p4dgs_ref.scenes.simulator import motion, shapes, simulate, trace
+from p4dgs_ref.scenes.output import OutputError
+from p4dgs_ref.scenes.simulator import place_cameras, simulate, trace
+from p4dgs_ref.scenes.simulator.bodies import HITS, NORMALS, box_hit, capsule_hit, poses, turn
 from p4dgs_ref.scenes.simulator.description import describe
-from p4dgs_ref.scenes.simulator.simulate import place_cameras
 from p4dgs_ref.splatting.camera import look_at
+from tests.core.refusals import refuse
 
 SPHERE = {"name": "ball", "shape": {"kind": "sphere", "radius": 0.5}, "color": [0.8, 0.4, 0.2]}
 BOX = {"name": "box", "shape": {"kind": "box", "half": [0.4, 0.3, 0.2]}, "color": [0.1, 0.3, 0.5]}
@@ -88,7 +91,7 @@ def test_hits_lie_on_the_surface_and_nothing_lies_before(shape):
     rng = np.random.default_rng(5)
     o = np.array([2.0, -1.7, 1.4])
     d = (rng.uniform(-1.2, 1.2, (300, 3)) - o) * rng.uniform(0.3, 2, (300, 1))
-    t = shapes.HITS[shape.kind](shape, o, d)
+    t = HITS[shape.kind](shape, o, d)
     met = np.isfinite(t)
     assert 30 < met.sum() < 270
     points = o + t[met, None] * d[met]
@@ -99,10 +102,10 @@ def test_hits_lie_on_the_surface_and_nothing_lies_before(shape):
         assert signed_distance(shape, start + steps[:, None] * (stop - start)).min() > 0
     for direction in d[~met]:  # a miss: the whole ray is outside
         assert signed_distance(shape, o + np.linspace(0, 20, 400)[:, None] * direction).min() > 0
-    normal = shapes.NORMALS[shape.kind](shape, points)
+    normal = NORMALS[shape.kind](shape, points)
     above, below = (signed_distance(shape, points + sign * 1e-4 * normal) for sign in (1, -1))
     np.testing.assert_allclose((above - below) / 2e-4, 1, atol=1e-3)
-    behind = shapes.HITS[shape.kind](shape, o, -d)[met]
+    behind = HITS[shape.kind](shape, o, -d)[met]
     assert not np.isfinite(behind).any()  # what lies behind is not seen
 
 
@@ -116,8 +119,8 @@ def test_distance_to_a_face_of_a_turned_box():
             ],
         }
     ).bodies[0]
-    pose = motion.poses([body], (), 0.0, np.zeros(3))["box"]
-    direction = motion.turn((1, 2, 3), 40) @ [1.0, 0, 0]
+    pose = poses([body], (), 0.0, np.zeros(3))["box"]
+    direction = turn((1, 2, 3), 40) @ [1.0, 0, 0]
     distance = trace.hit(body, pose, np.array([0.2, 0.1, -0.3]) + 5 * direction, -direction[None])
     np.testing.assert_allclose(distance, 5 - 0.4, rtol=1e-12)
 
@@ -131,10 +134,10 @@ def test_rays_parallel_to_faces_and_axes():
         )
     )
     down = np.array([[0.0, 0, -2]])
-    assert shapes.box_hit(box, np.array([0.3, -0.2, 5.0]), down)[0] == 2.0
-    assert shapes.box_hit(box, np.array([1.3, -0.2, 5.0]), down)[0] == np.inf
-    assert shapes.capsule_hit(capsule, np.array([0.0, 0, 5.0]), down)[0] == 1.75
-    assert shapes.capsule_hit(capsule, np.array([0.6, 0, 5.0]), down)[0] == np.inf
+    assert box_hit(box, np.array([0.3, -0.2, 5.0]), down)[0] == 2.0
+    assert box_hit(box, np.array([1.3, -0.2, 5.0]), down)[0] == np.inf
+    assert capsule_hit(capsule, np.array([0.0, 0, 5.0]), down)[0] == 1.75
+    assert capsule_hit(capsule, np.array([0.6, 0, 5.0]), down)[0] == np.inf
 
 
 def one_ball(effects, light=None, t=0.0, position=(0.0, 0.0, 4.0), **body):
@@ -198,10 +201,10 @@ def test_the_highlight_follows_the_viewer_only_with_view_color(effects, follows)
 )
 def test_translations(move, t, want):
     body = changed(bodies=[{**SPHERE, "motion": [move]}]).bodies
-    pose = motion.poses(body, ("translation",), t, np.zeros(3))["ball"]
+    pose = poses(body, ("translation",), t, np.zeros(3))["ball"]
     np.testing.assert_allclose(pose.T, want, atol=1e-12)
     np.testing.assert_allclose(pose.R, np.eye(3))
-    assert not motion.poses(body, ("rotation", "scaling"), t, np.zeros(3))["ball"].T.any()
+    assert not poses(body, ("rotation", "scaling"), t, np.zeros(3))["ball"].T.any()
 
 
 def test_limbs_are_carried_by_their_parents_but_do_not_inherit_scale():
@@ -217,7 +220,7 @@ def test_limbs_are_carried_by_their_parents_but_do_not_inherit_scale():
             },
         ]
     ).bodies
-    ball, box = motion.poses(bodies, SIMULATOR_EFFECTS, 1.0, np.zeros(3)).values()
+    ball, box = poses(bodies, SIMULATOR_EFFECTS, 1.0, np.zeros(3)).values()
     np.testing.assert_allclose([ball.scale, box.scale], [1.5, 1])
     # The quarter turn of the parent takes x to y; the turn of the child first takes z to x.
     np.testing.assert_allclose(box.T, (0, 1, 0), atol=1e-12)
@@ -227,7 +230,7 @@ def test_limbs_are_carried_by_their_parents_but_do_not_inherit_scale():
 def test_a_body_that_faces_the_camera():
     body = changed(bodies=[{**BOX, "faces_camera": True}]).bodies
     for viewer in (np.array([2.0, -1, 3]), np.array([0.0, 0, 2])):
-        R = motion.poses(body, ("view_geometry",), 0.0, viewer)["box"].R
+        R = poses(body, ("view_geometry",), 0.0, viewer)["box"].R
         np.testing.assert_allclose(R[:, 2], viewer / np.linalg.norm(viewer), atol=1e-12)
         np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(R) > 0 and R[2, 0] == 0
@@ -295,3 +298,70 @@ def test_nothing_is_left_of_a_drawing_that_stops(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         simulate({**FULL, "effects": []}, tmp_path / "out", progress=stop)
     assert {file: file.read_bytes() for file in tmp_path.rglob("*.*")} == before
+
+
+def ball_with(**fields):
+    return {"bodies": [{**SPHERE, **fields}]}
+
+
+MISTAKES = [
+    ({"efects": []}, "scene: unknown field", "efects"),
+    ({"effects": ["wind"]}, "scene: effects", "wind"),
+    ({"resolution": [64]}, "scene: resolution", "shape [2]"),
+    ({"resolution": [64, 6.5]}, "scene: resolution", "integers"),
+    (
+        {"light": {"kind": "sun", "direction": [0, 0, 0], "ambient": 0.1}},
+        "scene: light.direction",
+        "not zero",
+    ),
+    ({"light": {"kind": "lamp"}}, "scene: light.kind", "sun, point"),
+    ({"light": {"direction": [0, 0, 1]}}, "scene: light.kind", "sun, point"),
+    ({"bodies": []}, "scene: bodies", "at least one"),
+    ({"bodies": {}}, "scene: bodies", "list"),
+    ({"bodies": [SPHERE, SPHERE]}, "scene: bodies[1].name", "taken"),
+    (ball_with(parent="box"), "scene: bodies[0].parent", "listed before"),
+    (ball_with(color=[0, 0, 1.5]), "scene: bodies[0].color", "1.5]; expected numbers"),
+    (ball_with(color=[0, 0, math.nan]), "scene: bodies[0].color", "nan"),
+    (ball_with(position=[0, 0, math.inf]), "scene: bodies[0].position", "inf"),
+    (ball_with(faces_camera=1), "scene: bodies[0].faces_camera", "a bool"),
+    (ball_with(name=3), "scene: bodies[0].name", "a text"),
+    (ball_with(shape={"kind": "sphere"}), "scene: bodies[0].shape.radius", "a number"),
+    (ball_with(shape={"kind": "cone"}), "scene: bodies[0].shape.kind", "sphere, box, capsule"),
+    (
+        ball_with(shape={"kind": "capsule", "start": [0, 0, 0], "end": [0, 0, 0], "radius": 1}),
+        "scene: bodies[0].shape.end",
+        "another point",
+    ),
+    (
+        ball_with(motion=[{"kind": "line", "by": [0, 0, 1], "height": 2}]),
+        "scene: bodies[0].motion[0]",
+        "unknown field ['height']",
+    ),
+    (
+        ball_with(motion=[{"kind": "line", "by": [0, 0, 10**400]}]),
+        "scene: bodies[0].motion[0].by",
+        "1e+06",
+    ),
+    (ball_with(specular=3), "scene: bodies[0].specular", "expected a dict"),
+]
+
+
+@pytest.mark.parametrize("change, place, expected", MISTAKES, ids=[row[1] for row in MISTAKES])
+def test_mistakes_in_a_description(change, place, expected, tmp_path):
+    message = refuse([expected], simulate, {**FULL, **change}, tmp_path / "out")
+    assert message.startswith(place)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_descriptions_in_files(tmp_path):
+    file, taken = tmp_path / "scene.json", tmp_path / "taken"
+    refuse(["scene.json: missing"], simulate, file, tmp_path / "out")
+    file.write_text(json.dumps({**FULL, "light": {"kind": "lamp"}}))
+    refuse(["scene.json: light.kind: 'lamp'"], simulate, file, tmp_path / "out")
+    file.write_text(json.dumps(FULL))
+    simulate(file, tmp_path / "new" / "out")
+    assert (tmp_path / "new" / "out" / "scene.json").read_text() == json.dumps(FULL)
+    assert len(load_scene(tmp_path / "new" / "out").train) == 3
+    taken.write_text("")
+    with pytest.raises(OutputError, match="taken: expected a folder that can be written to"):
+        simulate(FULL, taken)

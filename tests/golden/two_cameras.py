@@ -12,9 +12,9 @@ import imageio.v3 as iio
 import numpy as np
 
 from p4dgs_ref.scenes.output import filled
+from p4dgs_ref.scenes.simulator import camera_at
+from p4dgs_ref.scenes.simulator.bodies import poses
 from p4dgs_ref.scenes.simulator.description import describe
-from p4dgs_ref.scenes.simulator.motion import poses
-from p4dgs_ref.scenes.simulator.simulate import camera_at
 from p4dgs_ref.scenes.simulator.trace import hit, rays, trace
 
 SOURCE = Path(__file__).with_name("two_cameras.json")

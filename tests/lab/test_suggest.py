@@ -12,9 +12,8 @@ from p4dgs_ref.effects import MOTION
 from p4dgs_ref.lab.effects import suggest
 from p4dgs_ref.scenes import MODEL_EFFECTS, SIMULATOR_EFFECTS, Scene, load_scene
 from p4dgs_ref.scenes.load import packaged_folder
-from p4dgs_ref.scenes.simulator import trace
+from p4dgs_ref.scenes.simulator import place_cameras, trace
 from p4dgs_ref.scenes.simulator.description import describe
-from p4dgs_ref.scenes.simulator.simulate import place_cameras
 from p4dgs_ref.training.presets import TINY
 from tests.core.effect_scenes import described
 

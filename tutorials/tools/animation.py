@@ -15,8 +15,8 @@ from p4dgs_ref.report.evaluate import decibel, squared_error
 from p4dgs_ref.report.figures import LARGEST_ERROR, pyplot
 from p4dgs_ref.scenes.load import DESCRIPTION, find_scene
 from p4dgs_ref.scenes.scene import over_background
+from p4dgs_ref.scenes.simulator import camera_at
 from p4dgs_ref.scenes.simulator.description import describe
-from p4dgs_ref.scenes.simulator.simulate import camera_at
 from p4dgs_ref.scenes.simulator.trace import trace
 
 FRAMES = 24

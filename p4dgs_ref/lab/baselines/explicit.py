@@ -31,9 +31,8 @@ import numpy as np
 from ...equations import render_loss, view
 from ...equations.numerics import normalise, sigmoid
 from ...model import pull
-from ...scenes.files import reading
-from ...scenes.ply import read_ply, write_ply
-from ...scenes.scene import require
+from ...scenes.fields import require
+from ...scenes.files import read_ply, reading, write_ply
 from ...splatting import render
 from ...splatting.covariance import rotation_matrix
 from ...splatting.settings import FAST

@@ -1,5 +1,131 @@
-"""Draws scenes from a description: shapes, motions, light and a ray tracer."""
+"""Draws a described scene into a D-NeRF folder, from cameras on a sphere at different times.
 
-from .simulate import simulate
+`description` reads what is drawn, `bodies` has its shapes and motions, `trace` draws a picture.
+"""
 
-__all__ = ["simulate"]
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+
+from ...splatting.camera import look_at
+from ..dnerf import OPENGL_TO_OPENCV
+from ..output import filled
+from . import trace
+from .description import describe
+
+# Multiples of these two, modulo 1, spread evenly and never fall in step with each other.
+GOLDEN = 0.6180339887498949
+PLASTIC = 0.7548776662466927
+
+
+def simulate(
+    scene_json: str | Path | dict,
+    out_dir: str | Path,
+    progress: Callable[[int, int], object] = lambda done, total: None,
+) -> None:
+    """Draw all views of a scene.json, or of the dictionary in it, into a folder.
+
+    The same description gives the same pixels. `progress(done, total)` is called after every
+    picture. Nothing reaches the folder before everything is drawn. Raises SceneError for a
+    description that cannot be drawn, OutputError for a folder that cannot be written to.
+    """
+    description = describe(scene_json)
+    text = (
+        json.dumps(scene_json, indent=1) + "\n"
+        if isinstance(scene_json, dict)
+        else Path(scene_json).read_text(encoding="utf-8")
+    )
+    views = {split: place_cameras(description, split) for split in ("train", "test")}
+    named = [
+        (f"{split}/r_{i:03d}.png", *view)
+        for split, posed in views.items()
+        for i, view in enumerate(posed)
+    ]
+    with filled(out_dir) as folder:
+        (folder / "scene.json").write_text(text, encoding="utf-8")
+        for split, posed in views.items():
+            (folder / split).mkdir()
+            (folder / f"transforms_{split}.json").write_text(transforms(split, posed))
+        for done, (name, camera, t) in enumerate(named, 1):
+            pixels = np.rint(trace.trace(description, camera, t) * 255).astype(np.uint8)
+            iio.imwrite(folder / name, pixels, extension=".png", optimize=True)
+            progress(done, len(named))
+
+
+def place_cameras(description, split):
+    """The (camera, time) of every view of a split, in the order of time.
+
+    Training views are at even times from 0 to 1, test views half-way between even times. Cameras of
+    the kind `scattered` step on by the golden angle, so that neighbours in time see the scene from
+    very different sides. The kind `orbit` moves the training camera smoothly and scatters the test
+    cameras.
+    """
+    paths, n = description.cameras, getattr(description.cameras, split)
+    low, high = paths.elevation
+    posed = []
+    for i in range(n):
+        t = i / max(n - 1, 1) if split == "train" else (i + 0.5) / n
+        step = i if split == "train" else i + 0.5
+        azimuth, height = GOLDEN * step % 1, (0.5 + PLASTIC * step) % 1
+        if paths.kind == "orbit" and split == "train":
+            azimuth, height = paths.turns * t, 0.5 + 0.5 * math.sin(4 * math.pi * t)
+        elevation = math.radians(low + (high - low) * height)
+        posed.append((camera_at(description, 2 * math.pi * azimuth, elevation), t))
+    return posed
+
+
+def camera_at(description, azimuth, elevation):
+    """A camera on the sphere about the target that looks at the target, with z up."""
+    paths, lens = description.cameras, description.lens
+    width, height = map(int, description.resolution)
+    outward = np.array(
+        [
+            math.cos(elevation) * math.cos(azimuth),
+            math.cos(elevation) * math.sin(azimuth),
+            math.sin(elevation),
+        ]
+    )
+    return look_at(
+        paths.target + paths.radius * outward,
+        paths.target,
+        lens.fl_x,
+        lens.fl_y,
+        width,
+        height,
+        lens.cx - 0.5,
+        lens.cy - 0.5,
+    )
+
+
+def transforms(split, posed):
+    """The text of a transforms file.
+
+    Its matrices are camera-to-world in OpenGL axes; its principal point counts from the corner.
+    """
+    camera = posed[0][0]
+    head = {
+        "camera_angle_x": 2 * math.atan(camera.width / 2 / camera.f_x),
+        "fl_x": camera.f_x,
+        "fl_y": camera.f_y,
+        "cx": camera.c_x + 0.5,
+        "cy": camera.c_y + 0.5,
+        "w": camera.width,
+        "h": camera.height,
+    }
+    frames = []
+    for i, (camera, t) in enumerate(posed):
+        c2w = np.eye(4)
+        c2w[:3, :3] = camera.R.T * OPENGL_TO_OPENCV
+        c2w[:3, 3] = camera.center
+        name = f"./{split}/r_{i:03d}"
+        frames.append({"file_path": name, "time": t, "transform_matrix": c2w.tolist()})
+    return (
+        json.dumps(head)[:-1]
+        + ',\n "frames": [\n  '
+        + ",\n  ".join(map(json.dumps, frames))
+        + "]}\n"
+    )

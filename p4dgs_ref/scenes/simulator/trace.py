@@ -17,8 +17,7 @@ It draws the effects that the description lists. An effect that is not listed is
 
 import numpy as np
 
-from . import shapes
-from .motion import poses
+from .bodies import HITS, NORMALS, TEXTURES, dot, poses
 
 SAMPLES = 3  # rays along each side of a pixel
 UP = np.array([0.0, 0.0, 1.0])
@@ -64,7 +63,7 @@ def unit(v):
 def hit(body, pose, origin, directions):
     """The distance to a body along every ray, infinity where the ray misses it."""
     o, d = (origin - pose.T) @ pose.R / pose.scale, directions @ pose.R / pose.scale
-    return shapes.HITS[body.shape.kind](body.shape, o, d)
+    return HITS[body.shape.kind](body.shape, o, d)
 
 
 def nearest(hits):
@@ -81,10 +80,10 @@ def shade(body, pose, x, viewer, light, effects):
     shiny = body.specular is not None and "specular" in effects
     if not shiny and "diffuse" not in effects:
         return color
-    normal = shapes.NORMALS[body.shape.kind](body.shape, local) @ pose.R.T
+    normal = NORMALS[body.shape.kind](body.shape, local) @ pose.R.T
     sunlit = light.kind == "sun"
     to_light = unit(np.broadcast_to(-light.direction, x.shape) if sunlit else light.position - x)
-    facing = np.maximum(shapes.dot(normal, to_light), 0)[:, None]
+    facing = np.maximum(dot(normal, to_light), 0)[:, None]
     if "diffuse" in effects:
         color = diffuse(color, facing, light.ambient)
     if shiny:
@@ -98,7 +97,7 @@ def textured(body, local):
 
     The pattern is read just below the surface: a face on the border of cells then has one colour.
     """
-    mix = shapes.TEXTURES[body.texture.kind](body.texture, local * (1 - 1e-6))[:, None]
+    mix = TEXTURES[body.texture.kind](body.texture, local * (1 - 1e-6))[:, None]
     return (1 - mix) * body.color + mix * body.texture.color
 
 
@@ -110,7 +109,7 @@ def diffuse(color, facing, ambient):
 def specular(material, normal, to_light, facing, to_viewer):
     """Phong's model: a white lobe about the mirrored light, only where light falls."""
     mirrored = 2 * facing * normal - to_light
-    lobe = np.maximum(shapes.dot(mirrored, to_viewer), 0)[:, None] ** material.exponent
+    lobe = np.maximum(dot(mirrored, to_viewer), 0)[:, None] ** material.exponent
     return material.strength * np.where(facing > 0, lobe, 0)
 
 

@@ -10,7 +10,7 @@ from p4dgs_ref.lab.accuracy import formulas
 from p4dgs_ref.lab.random_inputs import random_splats
 from p4dgs_ref.lab.stability import judged, number, relative
 from p4dgs_ref.oracle.compare import cast
-from p4dgs_ref.scenes.scene import Scene, SceneError
+from p4dgs_ref.scenes import Scene, SceneError
 from p4dgs_ref.splatting import compositing, covariance, fast, projection
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, FAST

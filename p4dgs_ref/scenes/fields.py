@@ -1,0 +1,97 @@
+"""Checks the fields of scenes, those of their JSON files by tables.
+
+A check is a function of a value and of the place where it stands. It returns the value, converted,
+or raises a SceneError that names the place and what was expected. A table has one row for each
+field of an object, {name: (check, default)}; the default is not checked.
+"""
+
+from collections.abc import Collection
+from contextlib import suppress
+from reprlib import repr as shown
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+REQUIRED = object()  # the default of a field that must be there
+KINDS = {int: (int, np.integer), float: (int, np.integer, float, np.floating)}
+
+
+class SceneError(ValueError):
+    """A mistake in a scene: one line that names the file, the field and what was expected."""
+
+    def __init__(self, where: object, expected: str):
+        super().__init__(" ".join(f"{where}: {expected}".split()))
+
+
+def require(condition, where, expected):
+    """Raise a SceneError unless the condition holds."""
+    if not condition:
+        raise SceneError(where, expected)
+
+
+def numbers(found, where, low, high, shape=(), kind=float) -> Any:
+    """An array of that shape, all of whose numbers are from low to high; a number for shape ().
+
+    The kind is float or int; true and false are no numbers.
+    """
+    values = np.array(np.nan)
+    with suppress(ValueError, OverflowError):  # rows of unequal lengths, integers of 400 digits
+        entries = np.asarray(found, dtype=object)
+        known = (isinstance(x, KINDS[kind]) and not isinstance(x, bool) for x in entries.flat)
+        if entries.shape == shape and all(known):
+            values = entries.astype(kind)
+    if not np.all((values >= low) & (values <= high)):  # nor for NaN
+        one, many = ("an integer", "integers") if kind is int else ("a number", "numbers")
+        expected = f"{many} of shape {list(shape)}" if shape else one
+        raise SceneError(where, f"{shown(found)}; expected {expected} in [{low:g}, {high:g}]")
+    return values if shape else values.item()
+
+
+def typed(found, where, kind):
+    """A value of a type of Python."""
+    require(isinstance(found, kind), where, f"{shown(found)}; expected a {kind.__name__}")
+    return found
+
+
+def text(found, where):
+    """A text that can be printed in one line."""
+    printable = isinstance(found, str) and found.isprintable()
+    require(printable, where, f"{found!r:.200}; expected a text without control characters")
+    return found
+
+
+def choice(found, where, table):
+    """The entry of a table that a word stands for."""
+    known = isinstance(found, str) and found in table
+    require(known, where, f"{shown(found)}; expected one of {', '.join(table)}")
+    return table[found]
+
+
+def list_of(found, where, check):
+    """A list of checked values."""
+    listed = isinstance(found, Collection) and not isinstance(found, (str, dict))
+    require(listed, where, f"{shown(found)}; expected a list")
+    return [check(value, f"{where}[{i}]") for i, value in enumerate(found)]
+
+
+def fields(found, where, table, others=False):
+    """The values of an object as a namespace; `others` allows fields that the table lacks."""
+    unknown = sorted(typed(found, where, dict).keys() - table.keys())
+    require(
+        others or not unknown,
+        where,
+        f"unknown field {unknown}; expected some of {', '.join(table)}",
+    )
+    values = SimpleNamespace()
+    for name, (check, default) in table.items():
+        place = f"{where}.{name}" if ": " in str(where) else f"{where}: {name}"
+        given = name in found or default is REQUIRED
+        setattr(values, name, check(found.get(name), place) if given else default)
+    return values
+
+
+def one_of(found, where, tables):
+    """An object whose field `kind` chooses the table of its other fields."""
+    table = choice(typed(found, where, dict).get("kind"), f"{where}.kind", tables)
+    return fields(found, where, {"kind": (text, REQUIRED), **table})
