@@ -11,7 +11,7 @@ from ..oracle.export import export
 from ..oracle.ports import FolderPort, require_known
 from ..oracle.report import as_json, listing
 from ..table import table
-from .base import expect, progress, show, tell
+from . import expect, progress, show, tell
 
 
 def list_cases(arguments):
@@ -43,13 +43,8 @@ def port_of(arguments):
         "oracle check: expected either a folder of a port's answers or --adapter CMD",
     )
     if command:
-        return Adapter(command, arguments.timeout or 10.0, arguments.dtype or "float64")
+        return Adapter(command, arguments.timeout, arguments.dtype)
     expect(Path(folder).is_dir(), f"{folder}: expected a folder of a port's answers")
-    expect(
-        not (arguments.dtype or arguments.timeout),
-        "--dtype, --timeout: these apply to --adapter only; "
-        "the precision of a folder is that of its tensors",
-    )
     return FolderPort(folder)
 
 

@@ -215,19 +215,9 @@ def test_apply_writes_the_list_beside_what_the_file_holds(folder, quick, capsys)
     [
         ("effects static --apply", "--suggest"),
         ("effects static --suggest --apply --jobs 1", "packaged"),
-        ("effects static --suggest --quick", "--quick"),
     ],
 )
 def test_apply_is_refused_in_one_line(line, word, quick, capsys):
     assert run(line) == 2
     error = capsys.readouterr().err
     assert word in error and error.count("\n") == 1
-
-
-def test_train_points_to_the_suggestion_where_no_effects_are_listed(folder, tmp_path, capsys):
-    line = f"train {folder} --preset smoke --set stage_ends=1,1,2,2 --set mask_from=2 --quiet"
-    assert run(f"{line} -o {tmp_path / 'run'}") == 0
-    assert "--suggest --apply" in capsys.readouterr().err
-    (folder / "scene.json").write_text('{"effects": ["occlusion", "background"]}')
-    assert run(f"{line} -o {tmp_path / 'other'}") == 0
-    assert "--suggest" not in capsys.readouterr().err
