@@ -43,8 +43,13 @@ def port_of(arguments):
         "oracle check: expected either a folder of a port's answers or --adapter CMD",
     )
     if command:
-        return Adapter(command, arguments.timeout, arguments.dtype)
+        return Adapter(command, arguments.timeout or 10.0, arguments.dtype or "float64")
     expect(Path(folder).is_dir(), f"{folder}: expected a folder of a port's answers")
+    expect(
+        not (arguments.dtype or arguments.timeout),
+        "--dtype, --timeout: these apply to --adapter only; "
+        "the precision of a folder is that of its tensors",
+    )
     return FolderPort(folder)
 
 

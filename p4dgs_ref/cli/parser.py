@@ -155,14 +155,12 @@ ORACLE = {
             option(
                 "--timeout",
                 type=number(float, 0.01, 86400),
-                default=10.0,
                 metavar="SECONDS",
                 help="for each answer of the adapter, compilation included (10)",
             ),
             option(
                 "--dtype",
                 choices=("float64", "float32"),
-                default="float64",
                 help="precision of the numbers sent to the adapter (float64)",
             ),
             several(
