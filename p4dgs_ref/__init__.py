@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .codec.file import decode, encode
     from .model import Model
     from .report.evaluate import evaluate
-    from .report.main_job import main_job
+    from .report.jobs import main_job
     from .scenes.load import load_scene
     from .scenes.scene import Scene, SceneError, View
     from .scenes.simulator.simulate import simulate
@@ -73,7 +73,7 @@ _HOME = {
     "evaluate": "report.evaluate",
     "load_scene": "scenes.load",
     "look_at": "splatting.camera",
-    "main_job": "report.main_job",
+    "main_job": "report.jobs",
     "prepare": "__main__",
     "simulate": "scenes.simulator.simulate",
     "train": "training.fit",

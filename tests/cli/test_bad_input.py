@@ -353,9 +353,8 @@ def test_mistakes_on_the_command_line(original, refused, monkeypatch, line, word
 def test_no_test_views():
     view = p4.load_scene("bouncing", downscale=8).train[0]
     scene = p4.Scene("only", (view,))
-    for job in (lambda: p4.main_job(scene, "smoke"), lambda: p4.evaluate(None, scene)):
-        with pytest.raises(ValueError, match="only: split 'test'.*no views"):
-            job()
+    with pytest.raises(ValueError, match="only: split 'test'.*no views"):
+        p4.evaluate(None, scene)
 
 
 @pytest.mark.filterwarnings("ignore:scene:UserWarning")  # the scene has 2 views and no list

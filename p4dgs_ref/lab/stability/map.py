@@ -88,4 +88,4 @@ def draw_map(path):
         for w, value in zip(widths, line)
     ]
     columns = ["formula", "dtype", "distance_over_sigma", "q_over_sigma", "log10_error"]
-    write_csv(path.with_suffix(".csv"), rows, columns)
+    write_csv(path.with_suffix(".csv"), [dict(zip(columns, row)) for row in rows])
