@@ -81,14 +81,11 @@ _HOME = {
 
 
 def __getattr__(name: str) -> "Any":
-    """Import a name of `__all__` on first use and keep it."""
-    if name == "oracle":
-        return import_module(f"{__name__}.oracle")
-    if name not in _HOME:
+    """A name of `__all__`, from the module that defines it."""
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
+    module = import_module(f"{__name__}.{_HOME.get(name, name)}")
+    return getattr(module, name) if name in _HOME else module
 
 
 def __dir__() -> list[str]:

@@ -60,25 +60,24 @@ def evaluation(m, rows):
 
 
 BYTES = ("estimate_bytes", "integer_bytes", "payload_bytes", "header_bytes", "bytes")
-HEADS = ("section", "entropy", "integers", "payload", "headers", "bytes", "symbols", "bits each")
+LEDGER = "{:16} {:>10} {:>10} {:>8} {:>8} {:>8} {:>8} {:>9}"
 
 
 def ledger(rows, gaps):
     """The sections of a file: bytes by the entropy, bytes in the file, and why they differ."""
     file = {"name": "file", **{key: sum(row[key] for row in rows) for key in BYTES}}
-    lines = [HEADS]
+    heads = "section", "entropy", "integers", "payload", "headers", "bytes", "symbols", "bits each"
+    lines = [LEDGER.format(*heads)]
     for row in [*rows, file]:
         values = [row.get(key) for key in ("name", *BYTES, "symbols", "bits_per_symbol")]
-        lines.append(
-            [f"{a:.2f}" if isinstance(a, float) else "" if a is None else str(a) for a in values]
-        )
-    return "\n".join(
-        [
-            *("{:16} {:>10} {:>10} {:>8} {:>8} {:>8} {:>8} {:>9}".format(*row) for row in lines),
-            "\nIn bytes. The columns differ because of:",
-            *(f"  {name:20} {why}" for name, why in gaps.items()),
-        ]
-    )
+        lines.append(LEDGER.format(*map(cell, values)).rstrip())
+    lines += ["", "In bytes. The columns differ because of:"]
+    return "\n".join([*lines, *(f"  {name:20} {why}" for name, why in gaps.items())])
+
+
+def cell(value):
+    """A value in the table of sections; a part that has no symbols has empty cells."""
+    return f"{value:.2f}" if isinstance(value, float) else "" if value is None else str(value)
 
 
 def setting(value):
