@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .codec.file import decode, encode
     from .model import Model
     from .report.evaluate import evaluate
-    from .report.main_job import main_job
+    from .report.jobs import main_job
     from .scenes import Scene, SceneError, View, load_scene
     from .scenes.simulator import simulate
     from .splatting.camera import Camera, look_at
@@ -72,7 +72,7 @@ _HOME = {
     "evaluate": "report.evaluate",
     "load_scene": "scenes.load",
     "look_at": "splatting.camera",
-    "main_job": "report.main_job",
+    "main_job": "report.jobs",
     "prepare": "__main__",
     "simulate": "scenes.simulator",
     "train": "training.fit",
@@ -80,14 +80,11 @@ _HOME = {
 
 
 def __getattr__(name: str) -> "Any":
-    """Import a name of `__all__` on first use and keep it."""
-    if name == "oracle":
-        return import_module(f"{__name__}.oracle")
-    if name not in _HOME:
+    """A name of `__all__`, from the module that defines it."""
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
+    module = import_module(f"{__name__}.{_HOME.get(name, name)}")
+    return getattr(module, name) if name in _HOME else module
 
 
 def __dir__() -> list[str]:

@@ -1,5 +1,6 @@
 """`python -m p4dgs_ref` and `p4dgs-ref`: settings that precede NumPy, then the command line."""
 
+import io
 import os
 import sys
 import time
@@ -37,6 +38,8 @@ def main(argv: list[str] | None = None) -> int:
                 prepare()
                 from .cli.parser import run
 
+                if isinstance(sys.stdout, io.TextIOWrapper):  # escape what it cannot show
+                    sys.stdout.reconfigure(errors="backslashreplace")
             return run(sys.argv[1:] if argv is None else argv, start)
     except KeyboardInterrupt:  # before or after what `run` takes care of
         print("p4dgs-ref: stopped", file=sys.stderr)

@@ -1,1 +1,56 @@
-"""The command line: one table of commands and options, one thin function a command."""
+"""The command line: what every command needs for its errors, its output and its progress line.
+
+`parser.py` is the table of all commands and options; `job.py`, `lab.py` and `oracle.py` have a thin
+function for each command, and `text.py` says what those of the main job print.
+"""
+
+import json
+import os
+import shutil
+import sys
+
+
+class UsageError(ValueError):
+    """A mistake on the command line: one line naming the option or file and what was expected."""
+
+
+def expect(condition, message):
+    """Refuse what the command line asks for where the condition fails."""
+    if not condition:
+        raise UsageError(message)
+
+
+def visible(text, kept=""):
+    """The text with every character that a terminal would obey or cannot show as its escape."""
+    return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in str(text))
+
+
+def progress(text=""):
+    """Show a text as the last line of a terminal, in the place of the text before it.
+
+    Without a text the line is cleared, which every other output does first. Streams other than a
+    terminal get no progress.
+    """
+    if sys.stderr.isatty():
+        width = shutil.get_terminal_size().columns - 1
+        print(f"\r{visible(text)[:width]}\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+def say(message):
+    """Print a message on stderr as one line."""
+    progress()
+    print(f"p4dgs-ref: {visible(message)}", file=sys.stderr)
+
+
+def tell(text):
+    """Print a result; a reader that stops early, such as `head`, does not change the exit code."""
+    progress()
+    try:
+        print(visible(text, "\n"), flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def show(arguments, value, text):
+    """Print the value as JSON with --json, otherwise the text."""
+    tell(json.dumps(value, indent=1) if arguments.json else text)

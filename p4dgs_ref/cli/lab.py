@@ -1,5 +1,6 @@
 """The commands of the laboratory: what choices cost, the paper's tables, the classroom."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 from ..lab import bench, school
@@ -11,13 +12,14 @@ from ..lab.stability import describe, draw_map, rows
 from ..lab.tables import ablate, compare, methods, sweep
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
 from ..scenes.output import filled, made
-from .base import expect, expect_known, progress, report_folder, say, show, tell
+from . import expect, progress, say, show, tell
 from .job import read_scene
 
 
 def turn_knobs(arguments):
     """Turn the knobs that trade accuracy for time or bytes, and write a page about them."""
-    expect_known("--only", arguments.only, knobs.NAMES)
+    for name in arguments.only:
+        expect(name in knobs.NAMES, f"--only {name}: expected one of {', '.join(knobs.NAMES)}")
     with filled(arguments.output) as beside:
         result = accuracies.run(
             arguments.only or None, beside, arguments.quick, progress, arguments.jobs
@@ -34,7 +36,6 @@ def hard_cases(arguments):
             f"--only {arguments.only}: expected the id of a case, or its beginning up to a dot, "
             "like H-R1",
         )
-        progress("drawing the map")
         draw_map(beside / "stability.png")
     text = f"{describe(cases)}\nmap: {Path(arguments.output) / 'stability.png'}"
     show(arguments, {"cases": cases}, text)
@@ -43,22 +44,20 @@ def hard_cases(arguments):
 
 def effects(arguments):
     """Train with and without each effect, or say which effects the pictures call for."""
+    expect(arguments.suggest or not arguments.apply, "--apply: expected together with --suggest")
+    expect(not (arguments.suggest and arguments.quick), "--quick: expected without --suggest")
     if arguments.suggest:
         return suggest_effects(arguments)
-    expect(not arguments.apply, "--apply: expected together with --suggest")
-    scene = read_scene(arguments, "test", "measure on")
     preset, share = ("smoke", 1) if arguments.quick else ("tiny", 0.5)
-    with report_folder(arguments.output) as beside:
+    with filled(arguments.output) as beside:
+        scene = read_scene(arguments)
         found = ledger.ledger(scene, preset, arguments.seed, share, progress, arguments.jobs)
-        if beside:
-            ledger.draw_ledger(beside / "effects.png", found)
-    few = "\n\n45 steps of the preset smoke: too few for the PSNR to mean anything"
-    show(arguments, {"effects": found}, ledger.describe(found) + few * arguments.quick)
+        ledger.draw_ledger(beside / "effects.png", found)
+    show(arguments, {"effects": found}, ledger.describe(found))
 
 
 def suggest_effects(arguments):
     """Say which effects the pictures call for; with --apply write the list to scene.json."""
-    expect(not (arguments.output or arguments.quick), "--suggest: expected without -o and --quick")
     scene, folder = read_scene(arguments), find_scene(arguments.scene)
     expect(
         not arguments.apply or packaged_folder() not in folder.resolve().parents,
@@ -144,7 +143,7 @@ def classroom(arguments):
 
 def grade(arguments):
     """Judge what students wrote."""
-    with report_folder(arguments.output) as beside:
+    with filled(arguments.output) if arguments.output else nullcontext() as beside:
         grades = school.grade(
             *arguments.folders,
             classroom=arguments.classroom,

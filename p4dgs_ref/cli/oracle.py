@@ -11,7 +11,7 @@ from ..oracle.export import export
 from ..oracle.ports import FolderPort, require_known
 from ..oracle.report import as_json, listing
 from ..table import table
-from .base import expect, progress, show, tell
+from . import expect, progress, show, tell
 
 
 def list_cases(arguments):

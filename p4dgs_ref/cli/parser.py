@@ -5,19 +5,16 @@ that `p4dgs-ref --help` is quick and a mistake in an option is reported at once.
 """
 
 import argparse
-import io
-import math
 import os
-import re
-import shlex
 import sys
 import warnings
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 
 from .. import __version__
 from ..signals import deferred
-from .base import say
+from . import say
 
 
 class Parser(argparse.ArgumentParser):
@@ -28,55 +25,37 @@ class Parser(argparse.ArgumentParser):
         sys.exit(2)
 
 
-def reader(read, expected):
-    """A reader of a value: it refuses what `read` makes None or a ValueError, in these words."""
+# --- types of values, as argparse asks for them ---
+def number(kind, low, high=1e18):
+    """A reader of an integer or a real number from low to high."""
 
-    def checked(text):
-        try:
-            value = read(text)
-        except ValueError:
-            value = None
-        if value is None:
-            raise argparse.ArgumentTypeError(f"expected {expected}, got {text!r}")
-        return value
+    def read(text):
+        with suppress(ValueError):
+            if low <= (value := kind(text)) <= high:
+                return value
+        words = "a whole number" if kind is int else "a number"
+        raise argparse.ArgumentTypeError(f"expected {words} in {low:g} ... {high:g}, got {text!r}")
 
-    return checked
-
-
-def number(kind, low, high, expected):
-    """A reader of a number from low to high; `expected` describes it for the user."""
-    return reader(lambda text: value if low <= (value := kind(text)) <= high else None, expected)
+    return read
 
 
-def whole(low, high=math.inf):
-    """A reader of an integer."""
-    bounds = f"of at least {low}" if high == math.inf else f"in {low} ... {high}"
-    return number(int, low, high, f"a whole number {bounds}")
+def color(text):
+    """The name of a color, which the scene will check, or three numbers."""
+    return tuple(map(float, text.split(","))) if "," in text else text
 
 
-def real(low, high):
-    """A reader of a real number."""
-    return number(float, low, high, f"a number in {low:g} ... {high:g}")
+def rates(text):
+    """Numbers with commas between them."""
+    return tuple(map(number(float, 0), text.split(",")))
 
 
-def parts_of(text):
-    """The two numbers of I/N, or None."""
-    found = re.fullmatch(r"(\d+)/(\d+)", text)
-    return found and (int(found[1]), int(found[2]))
+def fraction(text):
+    """The two numbers of I/N."""
+    i, count = text.split("/")
+    return int(i), int(count)
 
 
-# A background: a name, which the scene will check, or three numbers.
-color = reader(
-    lambda text: tuple(map(float, text.split(","))) if "," in text else text,
-    "white, black or r,g,b in 0 ... 1",
-)
-rates = reader(
-    lambda text: tuple(map(real(0, 1e18), filter(None, text.split(",")))), "numbers like 0.001,0.01"
-)
-fraction = reader(parts_of, "I/N, like 3/15")
-place = reader(lambda text: text or None, "a path")  # an empty one would be the current folder
-
-
+# --- parts of the table ---
 def option(*names, **settings):
     """An argument of a command, in the words of argparse's `add_argument`."""
     return names, settings
@@ -94,41 +73,56 @@ def several(name, metavar, help, **settings):
 
 def output(help, **settings):
     """The option -o."""
-    return option("-o", "--output", metavar="PATH", type=place, help=help, **settings)
+    return option("-o", "--output", metavar="PATH", help=help, **settings)
+
+
+def preset(default, help):
+    """The option --preset."""
+    return option("--preset", default=default, choices=PRESETS, metavar="NAME", help=help)
 
 
 JSON = switch("--json", "print JSON instead of text")
 JOBS = option(
     "--jobs",
-    type=whole(1),
+    type=number(int, 1),
     default=os.cpu_count() or 1,
     metavar="N",
     help="processes for independent trainings (default: one for every core)",
 )
-SEED = option("--seed", type=whole(0), default=0, metavar="N", help="of everything random (0)")
+SEED = option(
+    "--seed", type=number(int, 0), default=0, metavar="N", help="of everything random (0)"
+)
+YES = switch("--yes", "go on although the estimate is over an hour")
 FILE = option("file", help="a .p4dgs file")
 NEW_FOLDER = output("folder to write to", required=True)
 BACKGROUND = option(
     "--background", type=color, default="white", metavar="COLOR", help="white, black or r,g,b"
 )
 DOWNSCALE = option(
-    "--downscale", type=whole(1), default=1, metavar="N", help="divide the image size by this (1)"
+    "--downscale",
+    type=number(int, 1),
+    default=1,
+    metavar="N",
+    help="divide the image size by this (1)",
 )
 VIEW = (BACKGROUND, DOWNSCALE)
 SCENE_HELP = "a D-NeRF, HyperNeRF or NeRF-DS folder, or the name of a packaged scene"
 SCENE = option("scene", help=SCENE_HELP)
+PRESETS = ("paper_synthetic", "paper_real", "tiny", "tiny_coded", "tiny_real", "smoke")
 SETTINGS = (
     SEED,
     several("--set", "KEY=VALUE", "change a field of the preset; may be repeated", dest="changes"),
     switch("--quiet", "no progress line"),
-    switch("--yes", "go on although the estimate is over an hour"),
+    YES,
 )
 EXPERIMENT = (
     JSON,
-    option("--seeds", type=whole(1, 1000), default=3, metavar="N", help="seeds 0 to N - 1 (3)"),
+    option(
+        "--seeds", type=number(int, 1, 1000), default=3, metavar="N", help="seeds 0 to N - 1 (3)"
+    ),
     option(
         "--iterations",
-        type=whole(4),
+        type=number(int, 4),
         metavar="N",
         help="of every training (default those of the preset)",
     ),
@@ -147,7 +141,7 @@ ORACLE = {
     "export": (
         "oracle.export_vectors",
         "write the vectors into a folder",
-        (option("folder", type=place, help="folder to write to"), VECTORS),
+        (option("folder", help="folder to write to"), VECTORS),
     ),
     "check": (
         "oracle.check",
@@ -155,7 +149,6 @@ ORACLE = {
         (
             option(
                 "folder",
-                type=place,
                 nargs="?",
                 help="folder of the port's answers, <subject>.safetensors or .npz",
             ),
@@ -163,7 +156,7 @@ ORACLE = {
             option("--adapter", metavar="CMD", help="command of a port that answers lines of JSON"),
             option(
                 "--timeout",
-                type=real(0.01, 86400),
+                type=number(float, 0.01, 86400),
                 metavar="SECONDS",
                 help="for each answer of the adapter, compilation included (10)",
             ),
@@ -197,19 +190,11 @@ GROUPS = {
                 option("scene", nargs="?", default="bouncing", help=SCENE_HELP),
                 JSON,
                 *VIEW,
-                option(
-                    "--preset",
-                    default="tiny_coded",
-                    help="of the training (tiny_coded; beside it the paper's design is trained)",
+                preset(
+                    "tiny_coded", "of the training (tiny_coded); the paper's design is also trained"
                 ),
                 *SETTINGS,
-                option(
-                    "--jobs",
-                    type=whole(1),
-                    default=os.cpu_count() or 1,
-                    metavar="N",
-                    help="2 or more train both designs at once (default: one for every core)",
-                ),
+                JOBS,
                 output("folder of the report (report)", default="report"),
             ),
         ),
@@ -219,7 +204,7 @@ GROUPS = {
             (
                 SCENE,
                 *VIEW,
-                option("--preset", default="tiny", help="of the training (tiny)"),
+                preset("tiny", "of the training (tiny)"),
                 *SETTINGS,
                 option(
                     "--points",
@@ -230,7 +215,7 @@ GROUPS = {
                 switch("--resume", "go on from the checkpoint in the run folder"),
                 option(
                     "--save-every",
-                    type=real(0, 1e6),
+                    type=number(float, 0, 1e6),
                     default=20.0,
                     metavar="SECONDS",
                     help="between checkpoints (20)",
@@ -253,20 +238,40 @@ GROUPS = {
             (
                 FILE,
                 NEW_FOLDER,
-                # without defaults, so that an option that does not apply can be refused
-                option("--azimuth", type=real(-360, 360), metavar="A", help="degrees about z (40)"),
-                option("--elevation", type=real(-89, 89), metavar="A", help="degrees (30)"),
+                option(
+                    "--azimuth",
+                    type=number(float, -360, 360),
+                    default=40.0,
+                    metavar="A",
+                    help="degrees about z (40)",
+                ),
+                option(
+                    "--elevation",
+                    type=number(float, -89, 89),
+                    default=30.0,
+                    metavar="A",
+                    help="degrees (30)",
+                ),
                 option(
                     "--distance",
-                    type=real(1e-3, 1e6),
+                    type=number(float, 1e-3, 1e6),
+                    default=3.6,
                     metavar="D",
                     help="from the middle of the anchors (3.6)",
                 ),
                 option(
-                    "--size", type=whole(1, 4096), metavar="N", help="pixels along a side (128)"
+                    "--size",
+                    type=number(int, 1, 4096),
+                    default=128,
+                    metavar="N",
+                    help="pixels along a side (128)",
                 ),
                 option(
-                    "--frames", type=whole(1, 10_000), metavar="N", help="times in 0 ... 1 (24)"
+                    "--frames",
+                    type=number(int, 1, 10_000),
+                    default=24,
+                    metavar="N",
+                    help="times in 0 ... 1 (24)",
                 ),
                 option("--scene", help="use the cameras and times of this scene instead"),
                 DOWNSCALE,
@@ -297,7 +302,10 @@ GROUPS = {
                 FILE,
                 JSON,
                 output("folder for the table and the picture"),
-                switch("--heat", "also draw the scene in colours that show what its anchors cost"),
+                switch(
+                    "--heat",
+                    "with -o: also draw the scene in colours that show what its anchors cost",
+                ),
             ),
         ),
         "export-ply": (
@@ -305,10 +313,16 @@ GROUPS = {
             "write a file's Gaussians of one time and view as a PLY file for splat viewers",
             (
                 FILE,
-                option("--time", type=real(0, 1), default=0.0, metavar="T", help="to freeze (0)"),
+                option(
+                    "--time",
+                    type=number(float, 0, 1),
+                    default=0.0,
+                    metavar="T",
+                    help="to freeze (0)",
+                ),
                 option(
                     "--camera",
-                    type=whole(0),
+                    type=number(int, 0),
                     metavar="I",
                     help="test view I of --scene, from 0, instead of a held camera",
                 ),
@@ -319,7 +333,12 @@ GROUPS = {
         "presets": (
             "job.presets",
             "what each preset changes, beside the paper's values",
-            (option("preset", nargs="?", help="show all fields of this one only"), JSON),
+            (
+                option(
+                    "preset", nargs="?", choices=PRESETS, help="show all fields of this one only"
+                ),
+                JSON,
+            ),
         ),
     },
     "Ports, for authors of an implementation in another language": {
@@ -361,7 +380,10 @@ GROUPS = {
                 switch("--quick", "the preset smoke: seconds, too few steps to judge PSNR"),
                 SEED,
                 JOBS,
-                output("folder for the picture and the table"),
+                output(
+                    "folder for the picture and the table (report/effects)",
+                    default="report/effects",
+                ),
             ),
         ),
         "compare": (
@@ -429,7 +451,6 @@ GROUPS = {
             (
                 option(
                     "folder",
-                    type=place,
                     help="folder to write to; an existing classroom keeps what students wrote",
                 ),
                 several("--only", "KEY", "only this equation; may be repeated"),
@@ -443,26 +464,24 @@ GROUPS = {
                     "folders",
                     nargs="+",
                     metavar="DIR",
-                    type=place,
                     help="what a student handed in: a classroom, or the files of its student/",
                 ),
                 JSON,
                 option(
                     "--classroom",
-                    type=place,
                     metavar="DIR",
                     help="the classroom whose equations are asked for (the first DIR)",
                 ),
                 option(
                     "--seed",
-                    type=whole(0),
+                    type=number(int, 0),
                     metavar="N",
                     help="of the inputs; students must not know it (drawn and printed)",
                 ),
                 switch("--reveal", "print expected values, once grading is closed"),
                 option(
                     "--timeout",
-                    type=real(0.1, 3600),
+                    type=number(float, 0.1, 3600),
                     default=5.0,
                     metavar="SECONDS",
                     help="for one case (5)",
@@ -498,9 +517,9 @@ def add_commands(parent, kind, table, **shown):
         entry.set_defaults(function=function)
         if isinstance(arguments, dict):
             add_commands(entry, "action", arguments)
-            continue
-        for names, settings in arguments:
-            entry.add_argument(*names, **settings)
+        else:
+            for names, settings in arguments:
+                entry.add_argument(*names, **settings)
 
 
 def parser():
@@ -517,14 +536,13 @@ def parser():
     return top
 
 
-def how_to_resume(argv, arguments):
+def how_to_resume(arguments):
     """The end of the message of a stopped command: how to go on, if there is a checkpoint."""
     from ..training.checkpoint import CHECKPOINT
 
-    if arguments.command != "train" or not (Path(arguments.output) / CHECKPOINT).is_file():
+    if arguments.command != "train" or not Path(arguments.output, CHECKPOINT).is_file():
         return ""
-    again = argv if arguments.resume else [*argv, "--resume"]
-    return f"; the last checkpoint is kept, go on with: {shlex.join(['p4dgs-ref', *again])}"
+    return "; the last checkpoint is kept, the same command with --resume goes on from it"
 
 
 def run(argv, start):
@@ -533,10 +551,6 @@ def run(argv, start):
     Exit codes: 0 success, 1 failed training or check, 2 invalid input, 130 interrupted. Every
     ValueError that this package defines means invalid input; another one is a bug.
     """
-    with deferred():  # an interrupted `reconfigure` would leave a stream that cannot be written
-        for stream in (sys.stdout, sys.stderr):
-            if isinstance(stream, io.TextIOWrapper):  # escape what the terminal cannot show
-                stream.reconfigure(errors="backslashreplace")
     arguments = parser().parse_args(argv)
     arguments.start = start
     module, name = arguments.function.split(".")
@@ -548,11 +562,9 @@ def run(argv, start):
                 function = getattr(import_module(f".{module}", __package__), name)
             return function(arguments) or 0
     except KeyboardInterrupt:
-        code, message = 130, f"stopped{how_to_resume(argv, arguments)}"
-    except ArithmeticError as error:
-        code, message = 1, error
-    except MemoryError as error:
-        code, message = 1, f"out of memory: {error}"
+        code, message = 130, f"stopped{how_to_resume(arguments)}"
+    except (ArithmeticError, MemoryError) as error:
+        code, message = 1, str(error) or "out of memory"
     except OSError as error:
         code, message = 2, f"{error.filename or 'output'}: {error.strerror or error}"
     except ValueError as error:

@@ -1,5 +1,7 @@
 """What the commands print for people; --json prints the same values."""
 
+from textwrap import shorten
+
 from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, SOURCES, differences
 
 
@@ -19,25 +21,20 @@ def size(m):
 
 
 def times(m):
-    """The times of the coder and the renderer."""
-    encode = m["encode_seconds"]
-    coded = "not possible with this encoder" if encode is None else f"{encode:.3f} s"
-    return (
-        f"encode {coded}, decode {m['decode_seconds']:.3f} s, render {m['render_fps']:.0f} frames/s"
-    )
+    """The times of the decoder and the renderer."""
+    return f"decode {m['decode_seconds']:.3f} s, render {m['render_fps']:.0f} frames/s"
 
 
 def metrics(m, folder):
     """The metrics of the main job in a few lines."""
-    at_once = " (two trainings at once)" if m["trained_at_once"] else ""
     return (
         f"scene {m['scene']}, preset {m['preset']}, seed {m['seed']}: "
         f"{m['anchors']} anchors, {m['gaussians']} Gaussians\n"
         f"  decoded file on the test views: {quality(m)}\n"
         f"  {size(m)}\n"
         f"{against_the_paper(m)}"
-        f"  train {m['train_seconds']:.1f} s ({m['ms_per_step']:.1f} ms per step), {times(m)}, "
-        f"total {m['seconds']:.1f} s{at_once}\n"
+        f"  train {m['train_seconds']:.1f} s ({m['ms_per_step']:.1f} ms per step), "
+        f"encode {m['encode_seconds']:.3f} s, {times(m)}, total {m['seconds']:.1f} s\n"
         f"  report in {folder}"
     )
 
@@ -62,38 +59,31 @@ def evaluation(m, rows):
     return "\n".join([*lines, f"mean of {len(rows)}: {quality(m)}", size(m), times(m)])
 
 
-LEDGER = "{:16} {:>9} {:>9} {:>8} {:>8} {:>8} {:>7} {:>8} {:>9}"
-HEADS = "section entropy integers payload headers bytes share symbols"
 BYTES = ("estimate_bytes", "integer_bytes", "payload_bytes", "header_bytes", "bytes")
-BETWEEN = {
-    "model": "entropy to integers",
-    "coder": "integers to payload",
-    "headers": "payload to bytes",
-}
+LEDGER = "{:16} {:>10} {:>10} {:>8} {:>8} {:>8} {:>8} {:>9}"
 
 
 def ledger(rows, gaps):
     """The sections of a file: bytes by the entropy, bytes in the file, and why they differ."""
-    file = {"name": "file", "symbols": None, "bits_per_symbol": None}
-    file.update({key: sum(row[key] for row in rows) for key in BYTES})
-    lines = [LEDGER.format(*HEADS.split(), "bits each")]
+    file = {"name": "file", **{key: sum(row[key] for row in rows) for key in BYTES}}
+    heads = "section", "entropy", "integers", "payload", "headers", "bytes", "symbols", "bits each"
+    lines = [LEDGER.format(*heads)]
     for row in [*rows, file]:
-        estimate, integer, *rest = (row[key] for key in BYTES)
-        share = "" if row is file else f"{100 * row['bytes'] / file['bytes']:.1f}%"
-        symbols = "" if row["symbols"] is None else row["symbols"]
-        each = "" if row["bits_per_symbol"] is None else f"{row['bits_per_symbol']:.3f}"
-        cells = f"{estimate:.1f}", f"{integer:.1f}", *rest, share, symbols, each
-        lines.append(LEDGER.format(row["name"], *cells).rstrip())
+        values = [row.get(key) for key in ("name", *BYTES, "symbols", "bits_per_symbol")]
+        lines.append(LEDGER.format(*map(cell, values)).rstrip())
     lines += ["", "In bytes. The columns differ because of:"]
-    return "\n".join([*lines, *(f"  {BETWEEN[name]:20} {why}" for name, why in gaps.items())])
+    return "\n".join([*lines, *(f"  {name:20} {why}" for name, why in gaps.items())])
+
+
+def cell(value):
+    """A value in the table of sections; a part that has no symbols has empty cells."""
+    return f"{value:.2f}" if isinstance(value, float) else "" if value is None else str(value)
 
 
 def setting(value):
-    """A field of a preset as --set takes it; the middle of a long tuple is left out."""
-    if not isinstance(value, tuple):
-        return str(value)
-    parts = [str(part) for part in value]
-    return ",".join(parts if len(parts) < 6 else [*parts[:2], "...", parts[-1]])
+    """A field of a preset; the end of a long tuple is left out."""
+    text = ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+    return shorten(text, 28, placeholder=" ...")
 
 
 def presets(chosen, every_field):
@@ -101,20 +91,16 @@ def presets(chosen, every_field):
 
     The last column says where the values of the paper's presets come from.
     """
-    paper, blocks = (PAPER_SYNTHETIC, PAPER_REAL), []
+    lines = []
     for preset in chosen:
-        changed = {field for field, *_ in differences(preset)}
-        columns, count = paper, "the paper's values, and where it gives none those of the source"
-        if preset not in paper:
-            columns = preset, *paper
-            count = f"{len(changed)} fields differ from {paper[0].name}; *: ours"
+        changed = [field for field, *_ in differences(preset)]
+        columns = list(dict.fromkeys((preset, PAPER_SYNTHETIC, PAPER_REAL)))
         table = [["  field", *(p.name for p in columns), "source of the paper presets"]]
-        for field in preset._fields[1:]:
-            if every_field or field in changed:
-                star = "* " if field in changed and preset not in paper else "  "
-                values = [setting(getattr(p, field)) for p in columns]
-                table.append([star + field, *values, SOURCES[field]])
+        for field in SOURCES if every_field else changed:
+            star = "* " if field in changed else "  "
+            values = (setting(getattr(p, field)) for p in columns)
+            table.append([star + field, *values, SOURCES[field]])
         widths = [max(map(len, column)) for column in zip(*table)]
-        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in table]
-        blocks.append("\n".join([f"{preset.name}: {count}", *(lines if len(table) > 1 else [])]))
-    return "\n\n".join(blocks)
+        lines.append(f"{preset.name}: {len(changed)} fields (*) differ from {PAPER_SYNTHETIC.name}")
+        lines += ["  ".join(map(str.ljust, row, widths)).rstrip() for row in table]
+    return "\n".join(lines)

@@ -25,7 +25,6 @@ LABELS = {
 # Of Okabe and Ito's palette, for colour-blind readers.
 BLUE, LIGHT_BLUE, RED, ORANGE = "#0072B2", "#56B4E9", "#D55E00", "#E69F00"
 STACK = (BLUE, ORANGE, "#009E73", "#CC79A7")
-HEAT = "viridis"
 LARGEST_ERROR = 0.25  # the end of the error pictures' colours, the same in every report
 
 
@@ -55,14 +54,12 @@ def save_figure(figure, path):
     pyplot().close(figure)
 
 
-def write_csv(path, rows, columns=None):
-    """Write rows as CSV: dictionaries, whose missing fields are empty, or lists under `columns`."""
-    if columns is None:
-        columns = list(dict.fromkeys(name for row in rows for name in row))
-        rows = [[row.get(column) for column in columns] for row in rows]
+def write_csv(path, rows):
+    """Write rows {column: value} as CSV; what a row lacks is left empty."""
+    columns = list(dict.fromkeys(name for row in rows for name in row))
     with open(path, "w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writeheader()
         writer.writerows(rows)
 
 
@@ -117,8 +114,9 @@ def write_comparison(folder, scene, rows, images, count=4):
         ("decoded", [*zip(images, psnr)]),
         ("absolute error", [error_of(image, view.image) for image, view in zip(images, views)]),
     ]
-    title = f"{scene.name}: test views, not used in training"
-    draw_pictures(folder / "comparison.png", title, pictures)
+    draw_pictures(
+        folder / "comparison.png", f"{scene.name}: test views, not used in training", pictures
+    )
 
 
 def write_gif(path, images):
@@ -141,24 +139,28 @@ def write_size(folder, preset, own, paper=None):
     They are those of a preset's file and of the paper's design. Bars are sorted by the last design.
     The title compares the first one with the same Gaussians as float32.
     """
-    measured = {preset: own, "the paper's design": paper}
-    designs = {label: m["components"] for label, m in measured.items() if m is not None}
-    columns = ("component", "bytes", "paper_design_bytes")[: 1 + len(designs)]
-    rows = [[name, *(of[name] for of in designs.values())] for name in own["components"]]
-    write_csv(folder / "size.csv", rows, columns)
+    designs = {
+        label: m["components"] for label, m in ((preset, own), ("the paper's design", paper)) if m
+    }
+    columns = dict(zip(("bytes", "paper_design_bytes"), designs.values()))
+    rows = [
+        {"component": name, **{column: of[name] for column, of in columns.items()}}
+        for name in own["components"]
+    ]
+    write_csv(folder / "size.csv", rows)
     sizes = {label: sum(components.values()) for label, components in designs.items()}
     explicit, last = own["explicit_bytes"], [*designs.values()][-1]
     names = sorted(last, key=last.get)
-    largest = max(max(components.values()) for components in designs.values())
     figure, ax = pyplot().subplots(figsize=(8.5, 2.5 + 2.75 * len(designs)))
     height = 0.8 / len(designs)
     for i, (color, (label, components)) in enumerate(zip(STACK, designs.items())):
         values = [components[name] for name in names]
         bars = ax.barh(np.arange(len(names)) - i * height, values, height, color=color, label=label)
         ax.bar_label(bars, [f" {v:,} ({100 * v / sizes[label]:.1f} %)" for v in values])
-    middles = np.arange(len(names)) - (len(designs) - 1) * height / 2
-    ax.set_yticks(middles, [LABELS[name] for name in names])
-    ax.set(xlabel="bytes in the file", xlim=(0, 1.35 * largest))
+    ax.set_yticks(
+        np.arange(len(names)) - (len(designs) - 1) * height / 2, [LABELS[name] for name in names]
+    )
+    ax.set(xlabel="bytes in the file", xmargin=0.35)  # room for the numbers
     ax.xaxis.set_major_formatter("{x:,.0f}")
     ax.locator_params(axis="x", nbins=5)
     if len(designs) > 1:
@@ -194,7 +196,6 @@ def draw_ledger(path, rows):
         for color, (label, values) in list(zip(STACK, parts.items()))[skip:]:
             ax.barh(names, values, left=start, color=color, label=label)
             start = start + values
-        ax.xaxis.set_major_formatter("{x:,.0f}")
         ax.locator_params(axis="x", nbins=5)
     left.set(xlabel="bytes", title=f"file: {sum(row['bytes'] for row in rows):,} bytes")
     right.set(xlabel="bytes", title="beyond the entropy")
@@ -202,13 +203,8 @@ def draw_ledger(path, rows):
     save_figure(figure, path)
 
 
-def heat_image(model, bits, camera, t, limits):
-    """The model at time t over white, (H, W, 3), coloured by the bits (A,) of the anchors.
-
-    The colours are those of the map HEAT; bits outside the limits take its end colours.
-    """
-    low, high = limits
-    colors = pyplot().get_cmap(HEAT)((bits - low) / max(high - low, 1e-9))[:, :3]
+def heat_image(model, colors, camera, t):
+    """The model at time t over white, (H, W, 3), in the colours (A, 3) of its anchors."""
     g = model.gaussians(t, camera)
     (image, *_), _ = render.forward(
         g.x,
@@ -229,27 +225,22 @@ def write_heat(folder, model, bits, camera):
 
     The model is drawn at the middle of its time.
     """
-    rows = [[a, *x, b] for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))]
-    write_csv(folder / "heat.csv", rows, ("anchor", "x", "y", "z", "bits"))
-    plt, limits = pyplot(), (bits.min(), bits.max())
+    rows = [
+        {"anchor": a, **dict(zip("xyz", x)), "bits": b}
+        for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))
+    ]
+    write_csv(folder / "heat.csv", rows)
+    plt = pyplot()
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(11, 5), layout="constrained", width_ratios=(1.2, 1)
     )
-    left.imshow(np.clip(heat_image(model, bits, camera, 0.5, limits), 0, 1))
+    scale = plt.cm.ScalarMappable(plt.Normalize(bits.min(), bits.max()), "viridis")
+    image = heat_image(model, scale.to_rgba(bits)[:, :3], camera, 0.5)
+    left.imshow(np.clip(image, 0, 1))
     left.set(xticks=[], yticks=[], title="bits of the anchors, in place")
     left.spines[:].set_visible(False)
-    scale = plt.cm.ScalarMappable(plt.Normalize(*limits), HEAT)
-    figure.colorbar(
-        scale,
-        ax=left,
-        label="bits of the Gaussian's anchor",
-        shrink=0.9,
-        ticks=np.linspace(limits[0], limits[1], 5),
-        format="{x:.0f}",
-    )
-    _, edges, bars = right.hist(bits, bins=30, range=limits)
-    for bar, middle in zip(bars, edges[:-1] + np.diff(edges) / 2):
-        bar.set_color(scale.to_rgba(middle))
+    figure.colorbar(scale, ax=left, label="bits of the Gaussian's anchor", shrink=0.9)
+    right.hist(bits, bins=30)
     right.set(
         xlabel="bits of an anchor: position, f, s, l, O, masks",
         ylabel="anchors",
@@ -260,7 +251,7 @@ def write_heat(folder, model, bits, camera):
 
 def write_training(folder, history, stage_ends):
     """training.csv, and training.png: PSNR of the training views and L_rate over four stages."""
-    write_csv(folder / "training.csv", history, COLUMNS)
+    write_csv(folder / "training.csv", [dict(zip(COLUMNS, row)) for row in history])
     table = dict(zip(COLUMNS, np.array(history, float).T))
     figure, (top, bottom) = pyplot().subplots(
         2, 1, figsize=(8.5, 6), sharex=True, layout="constrained"

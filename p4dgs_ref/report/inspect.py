@@ -12,9 +12,9 @@ from ..model import context
 # Why a section is larger than its entropy under the float model: from each size in a row of the
 # ledger to the next.
 GAPS = {
-    "model": "means, deviations and frequencies are integers, and no frequency is zero",
-    "coder": "the coder ends with 4 to 8 bytes of state, a few bits per lane, and whole bytes",
-    "headers": "number of lanes, probability of a one, box of the positions, section table",
+    "entropy to integers": "means, deviations and frequencies are integers, no frequency is zero",
+    "integers to payload": "the coder's end: 4 to 8 bytes of state, a few bits a lane, whole bytes",
+    "payload to bytes": "number of lanes, probability of a one, box of positions, section table",
 }
 
 

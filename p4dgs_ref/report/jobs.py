@@ -1,11 +1,28 @@
-"""Independent trainings in several processes. Studies never take times in them."""
+"""The main job: fit a scene, compress it to a file, decode that file, render, measure, draw.
 
+Its two trainings, like those of a study, are independent and can run in several processes. Studies
+never take times in them.
+"""
+
+import json
 import multiprocessing
 import signal
+import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TextIO
+
+from ..codec.file import decode, encode
+from ..scenes.output import filled
+from ..scenes.scene import Scene
+from ..training.fit import fit
+from ..training.presets import PRESETS, Preset, choose, differences, paper_design
+from . import figures as report
+from .evaluate import compression, evaluate, json_safe, timed
 
 
+# --- several processes ----------------------------------------------------------------------------
 @contextmanager
 def processes(jobs):
     """A pool of processes, which end with this context, also where it is left early."""
@@ -37,3 +54,86 @@ def in_processes(function, tasks, jobs):
         return
     with processes(min(jobs, len(tasks))) as pool:
         yield from pool.map(function, tasks)
+
+
+# --- the main job ---------------------------------------------------------------------------------
+def one_design(scene, preset, seed, path, stream=None):
+    """Train, write the file, decode it and measure the decoded model.
+
+    Returns metrics, the rows and images of the views, the model, and the history of the training.
+    """
+    trainer, train_seconds = timed(lambda: fit(scene, preset, seed, stream=stream))
+    data, encode_seconds = timed(encode, trainer.model())
+    path.write_bytes(data)
+    model, decode_seconds = timed(decode, path.read_bytes())
+    metrics, rows, images = evaluate(model, scene)
+    metrics = {
+        **metrics,
+        **compression(model, data, metrics["gaussians"]),
+        "train_seconds": train_seconds,
+        "ms_per_step": 1e3 * train_seconds / preset.iterations,
+        "encode_seconds": encode_seconds,
+        "decode_seconds": decode_seconds,
+    }
+    return metrics, rows, images, model, trainer.history
+
+
+def designs(scene, preset, seed, path, stream, jobs):
+    """What `one_design` returns for the preset, and for the paper's design beside a coded one."""
+    own = scene, preset, seed, path
+    if not preset.coded:
+        return one_design(*own, stream), None
+    file = path.with_name(f"{path.stem}_paper_design{path.suffix}")
+    paper = scene, paper_design(preset), seed, file
+    if jobs == 1:
+        return one_design(*own, stream), one_design(*paper, stream)
+    with processes(1) as pool:
+        waiting = pool.submit(one_design, *paper)
+        return one_design(*own, stream), waiting.result()
+
+
+def main_job(
+    scene: Scene,
+    preset: str | Preset = "tiny_coded",
+    seed: int = 0,
+    folder: str | Path = "report",
+    start: float | None = None,
+    stream: TextIO | None = None,
+    jobs: int = 1,
+    **changes: Any,
+) -> dict:
+    """Run everything, write the report into `folder` and return the metrics.
+
+    A preset with coded networks is trained twice: as it is, and as the paper's design; at once if
+    `jobs` is at least 2, and then times are those of two processes that share the machine. Pictures
+    and metrics are those of the preset's own decoded model; `paper_design` has bytes, PSNR and SSIM
+    of the other, or of the same model where the preset is the paper's design. The folder gets all
+    files at the end, or none. `start` is the `time.perf_counter()` from which the seconds of the
+    whole job count; the other arguments are those of `train`. Raises the errors of `train` and
+    `evaluate`, and OutputError for a folder that cannot be written.
+    """
+    start = time.perf_counter() if start is None else start
+    chosen, name = choose(preset, changes), scene.name.replace("/", "_")
+    with filled(folder) as beside:
+        found, other = designs(scene, chosen, seed, beside / f"{name}.p4dgs", stream, jobs)
+        own, rows, images, model, history = found
+        paper = other[0] if other else None
+        metrics = {
+            "scene": scene.name,
+            "preset": chosen.name,
+            "seed": seed,
+            **own,
+            "paper_design": {key: (paper or own)[key] for key in ("bytes", "psnr_db", "ssim")},
+            "trained_at_once": chosen.coded and jobs > 1,
+            "effects": list(scene.effects),
+            "changes": {
+                field: here for field, _, here in differences(chosen, PRESETS[chosen.name])
+            },
+        }
+        report.write_comparison(beside, scene, rows, images)
+        report.write_motion(beside / "motion.gif", model, scene.test[0].camera)
+        report.write_size(beside, chosen.name, own, paper)
+        report.write_training(beside, history, chosen.stage_ends)
+        metrics["seconds"] = time.perf_counter() - start
+        (beside / "metrics.json").write_text(json.dumps(json_safe(metrics), indent=1) + "\n")
+    return metrics

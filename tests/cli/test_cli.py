@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.cli import base
+from p4dgs_ref import cli as base
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.lab.baselines import ALL_EQUATIONS, METHODS
 from p4dgs_ref.lab.tables import compare
@@ -109,7 +109,7 @@ def test_inspect_and_evaluate_agree_with_the_demo(report, ok):
     scored = ok(f"evaluate {file} bouncing --downscale 2 --json")
     same = "psnr_db psnr_fg_db ssim bytes explicit_bytes ratio components anchors gaussians".split()
     assert {key: scored[key] for key in same} == {key: metrics[key] for key in same}
-    assert min(scored["encode_seconds"], scored["decode_seconds"]) > 0
+    assert scored["decode_seconds"] > 0
     shown = ok(f"evaluate {file} bouncing --downscale 2")
     assert f"mean of 10: PSNR {metrics['psnr_db']:.2f} dB" in shown
     assert f"{metrics['bytes']:,} bytes" in shown and len(scored["views"]) == 10
@@ -123,16 +123,16 @@ def test_inspect_and_evaluate_agree_with_the_demo(report, ok):
 WRITTEN = {
     "train bouncing -o run --preset smoke --downscale 4 --set k=3 --background .2,.3,.4 --quiet": (
         "run: 45 iterations, 20 anchors, ",
-        "checkpoint.npz run.json training.csv training.png",
+        "checkpoint.npz training.csv training.png",
     ),
     "encode run -o out/x.p4dgs": ("out/x.p4dgs: ", "x.p4dgs"),
     "decode out/x.p4dgs -o arrays": ("arrays: model.npz with 59 arrays", "model.json model.npz"),
     "render out/x.p4dgs -o held --frames 3 --size 20 --azimuth -50": (
-        "held: 3 images, ",
+        "held: 3 images",
         "motion.gif t_000.png t_001.png t_002.png",
     ),
     "render out/x.p4dgs --scene bouncing --downscale 4 --settings exact -o views": (
-        "views: 10 images, ",
+        "views: 10 images",
         " ".join(f"test_r_{i:03d}.png" for i in range(10)),
     ),
     "evaluate out/x.p4dgs bouncing -o scored --downscale 4": (
@@ -148,9 +148,7 @@ def test_from_a_scene_to_a_file_and_back(ok):
         assert ok(line).startswith(said)
         folder = Path(line.split("-o ")[1].split()[0])
         assert names_in(folder.parent if folder.is_file() else folder) == names.split()
-    run, data = json.loads(Path("run/run.json").read_text()), Path("out/x.p4dgs").read_bytes()
-    assert (run["iterations"], run["anchors"], run["output"]) == (45, 20, "run")
-    model = p4.decode(data)
+    model = p4.decode(Path("out/x.p4dgs").read_bytes())
     np.testing.assert_allclose(model.background, [0.2, 0.3, 0.4], rtol=1e-6)
     with np.load("arrays/model.npz") as arrays:
         assert len(arrays.files) == 59 and arrays["O_a"].shape == (20, 3, 3)
@@ -162,7 +160,7 @@ def test_from_a_scene_to_a_file_and_back(ok):
     view = p4.load_scene("bouncing", downscale=4).test[2]
     want = np.clip(model.render(view.camera, view.time, p4.SETTINGS["exact"]), 0, 1)
     np.testing.assert_allclose(iio.imread("views/test_r_002.png") / 255, want, atol=0.501 / 255)
-    assert len(Path("sizes/heat.csv").read_text().splitlines()) == run["anchors"] + 1
+    assert len(Path("sizes/heat.csv").read_text().splitlines()) == 20 + 1
 
 
 def test_train_on_the_layout_of_nerf_ds(ok):
@@ -194,6 +192,7 @@ def test_simulate(ok):
 
 
 def test_tables(ok):
+    assert cli.PRESETS == (*p4.PRESETS,)
     keys = [*ALL_EQUATIONS]
     assert all(f"`{key}`" in ok("oracle equations") for key in (keys[0], keys[-1]))
     differs = ok("presets tiny --json")["tiny"]["differs"]

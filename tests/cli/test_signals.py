@@ -101,7 +101,7 @@ def test_long_commands_stop_cleanly(tmp_path, files, line, name):
     time.sleep(0.1)
     err = stop(process, name)
     if line == RUN:
-        assert err.startswith("p4dgs-ref: stopped; the last checkpoint is kept, go on with: p4dgs")
+        assert err.startswith("p4dgs-ref: stopped; the last checkpoint is kept, ")
         assert [path.name for path in (tmp_path / "run").iterdir()] == ["checkpoint.npz"]
     else:
         assert err.endswith("p4dgs-ref: stopped\n") and "Traceback" not in err

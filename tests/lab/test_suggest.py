@@ -214,7 +214,6 @@ def test_apply_writes_the_list_beside_what_the_file_holds(folder, quick, capsys)
     [
         ("effects static --apply", "--suggest"),
         ("effects static --suggest --apply --jobs 1", "packaged"),
-        ("effects static --suggest --quick", "--quick"),
     ],
 )
 def test_apply_is_refused_in_one_line(line, word, quick, capsys):

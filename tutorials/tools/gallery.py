@@ -18,7 +18,7 @@ from p4dgs_ref.codec.file import decode
 from p4dgs_ref.lab import stability
 from p4dgs_ref.lab.accuracy import diagram, forms, report
 from p4dgs_ref.report.figures import write_comparison, write_size
-from p4dgs_ref.report.main_job import main_job
+from p4dgs_ref.report.jobs import main_job
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.output import filled
 from tutorials.tools import animation, architecture, handout

@@ -234,4 +234,4 @@ def draw_map(path):
         for (z, w), value in zip(product(*plane()), log.ravel())
     ]
     columns = ["formula", "dtype", "distance_over_sigma", "q_over_sigma", "log10_error"]
-    write_csv(path.with_suffix(".csv"), rows, columns)
+    write_csv(path.with_suffix(".csv"), [dict(zip(columns, row)) for row in rows])
