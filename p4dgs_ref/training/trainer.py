@@ -159,7 +159,7 @@ class Trainer(Loop):
         # The opacities are checked too: masking would hide a NaN among them from the loss.
         watched = (losses.L_total, gradients.vector, seen.alpha)
         if not all(np.isfinite(values).all() for values in watched):
-            raise NotFinite(self.iteration, find_first(*inputs))
+            raise NotFinite(f"iteration {self.iteration}: {find_first(*inputs)}")
         return losses, seen, gradients, mean2d_bar
 
     def freeze_positions(self):

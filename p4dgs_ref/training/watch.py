@@ -53,10 +53,6 @@ def watching(codes, see):
 class NotFinite(ArithmeticError):
     """Training met a NaN or an infinity; the message says where it was first seen."""
 
-    def __str__(self):  # of both arguments, so that it can be sent to another process
-        iteration, found = self.args
-        return f"iteration {iteration}: {found}"
-
 
 def first_bad(arrays, where=""):
     """A phrase like "f_a[3, 1] is nan" for the first NaN or infinity in {name: array}, or None.

@@ -15,9 +15,9 @@ from importlib import import_module
 import numpy as np
 
 from ...splatting.settings import FAST
+from ...training.loop import Progress
 from ...training.parameters import Parameters
 from ...training.presets import read_changes
-from ...training.progress import Progress
 from . import explicit
 
 # The names in comparisons, each with its module and its preset for the tiny scenes.
@@ -58,13 +58,10 @@ def train(
     Without a preset it is that for the tiny scenes; the other arguments are those of our `train`.
     Raises ValueError for an unknown method, preset, field or value, and NotFinite.
     """
-    chosen, progress = choose(method, preset, changes), Progress(stream)
+    chosen = choose(method, preset, changes)
     trainer = module_of(method)[0].Trainer(scene, chosen, seed, settings, points)
-    try:
-        with np.errstate(all="ignore"):  # non-finite values are found and named
-            return trainer.run(progress)
-    finally:
-        progress.close()
+    with np.errstate(all="ignore"):  # non-finite values are found and named
+        return trainer.run(Progress(stream))
 
 
 def load(path):

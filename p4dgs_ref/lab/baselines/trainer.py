@@ -93,7 +93,7 @@ class Trainer(Loop):
         L_total = L_render + model.regularise(gradients, self.iteration)
         if not np.isfinite(L_total) or not np.isfinite(gradients.vector).all():
             bad = first_bad({"L_total": L_total, **gradients.arrays})
-            raise NotFinite(self.iteration, f"loss or gradient of {bad}")
+            raise NotFinite(f"iteration {self.iteration}: loss or gradient of {bad}")
         alpha = np.zeros((self.primitives, 1))
         alpha[g.index, 0] = g.alpha
         losses = Losses(L_total, L_render, L1, D_SSIM, 0.0, 0.0)
