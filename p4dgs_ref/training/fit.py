@@ -112,11 +112,10 @@ def fit(
 
 def warn_of_few_views(scene):
     """Warn where a scene has too few training views to show how it looks from elsewhere."""
-    count = len(scene.train)
-    if count < FEW_VIEWS:
+    if len(scene.train) < FEW_VIEWS:
         warnings.warn(
-            f"scene {scene.name}: {count} training views; views that were not trained on will be "
-            f"poor with fewer than {FEW_VIEWS}; 48 are enough for the packaged scenes",
+            f"scene {scene.name}: {len(scene.train)} training views; views that were not trained "
+            f"on will be poor with fewer than {FEW_VIEWS}; 48 are enough for the packaged scenes",
             stacklevel=4,
         )
 
@@ -223,6 +222,5 @@ def load_model(folder: str | Path) -> tuple[Model, dict]:
     arrays, values = load_checkpoint(folder)
     fields = {name: values[f"preset.{name}"] for name in Preset._fields[1:]}
     p = Parameters(tagged(arrays, "p"))
-    box = tuple(arrays["box"]) if "box" in arrays else None
     design = design_of(choose(PAPER_SYNTHETIC, fields), values["effects"])
-    return assemble(p, design, arrays["mask"], box, values["background"]), values
+    return assemble(p, design, arrays["mask"], tuple(arrays["box"]), values["background"]), values

@@ -25,8 +25,7 @@ class Parameters:
 
     def zeros(self):
         """The same names and shapes, filled with zeros."""
-        zeros = {name: np.zeros(array.shape) for name, array in self.arrays.items()}
-        return Parameters(zeros, self.vector.dtype)
+        return Parameters({n: np.zeros(a.shape) for n, a in self.arrays.items()}, self.vector.dtype)
 
     def numbered(self, prefix):
         """The arrays whose names are the prefix and 0, 1 and so on."""
