@@ -173,10 +173,7 @@ def polynomials(splats, rows, middles, dtype):
     e_x, e_y = middles[0] - x, middles[1] - y
     k_1, k_2 = a * e_x + b * e_y, b * e_x + c * e_y
     k_0 = log_alpha + (e_x * k_1 + e_y * k_2) / 2
-    coefficients = np.empty((6, *x.shape), dtype)
-    for i, values in enumerate((k_0, k_1, k_2, a / 2, b, c / 2)):
-        coefficients[i] = values
-    return coefficients
+    return np.stack((k_0, k_1, k_2, a / 2, b, c / 2), dtype=dtype, casting="same_kind")
 
 
 @lru_cache(maxsize=8)

@@ -6,7 +6,8 @@ import numpy as np
 
 from .compositing import depth_order
 
-MOST_PAIRS = 2**23  # of a Gaussian and a tile: 2 GB of lists, and up to 6 GB for the gradients
+# Of a Gaussian and a tile: 2 GB for the lists, and with tiles of 8 up to 6 GB for the gradients.
+MOST_PAIRS = 2**23
 
 
 class Lists(NamedTuple):
@@ -49,8 +50,8 @@ def bin_splats(
     bits = max(1, len(order).bit_length())  # one sort of packed keys: tile first, then depth
     key = (tile_y * columns + tile_x) << bits | rank
     if settings.footprint == "ellipse":
-        ends = tile_x * side, tile_y * side, side - 1
-        form = nearest_form(mean.take(rank, axis=0), conic.take(rank, axis=0), *ends)
+        corner = tile_x * side, tile_y * side
+        form = nearest_form(mean.take(rank, axis=0), conic.take(rank, axis=0), *corner, side - 1)
         key = key[form <= largest_form(alpha, settings)[rank]]
     key.sort()
     return Lists(key >> bits, order[key & ((1 << bits) - 1)], columns, rows)
