@@ -182,9 +182,12 @@ def test_a_good_checkpoint_goes_on_to_the_same_bytes(copied, run):
 
 
 def test_the_folder_of_another_training_is_refused(copied, run):
+    first, *others = run[1].train
+    negative = replace(first, image=1 - first.image)
     for scene, preset, seed, field in (
         (p4.load_scene("static", downscale=8), "smoke", 0, "effects"),
-        (replace(run[1], train=run[1].train[1:]), "smoke", 0, "scene"),
+        (replace(run[1], train=others), "smoke", 0, "scene"),
+        (replace(run[1], train=[negative, *others]), "smoke", 0, "scene"),
         (run[1], "tiny", 0, "preset.name"),
         (run[1], "smoke", 1, "seed"),
     ):
