@@ -21,8 +21,8 @@ from collections.abc import Callable
 import numpy as np
 
 from ..equations import ssim
-from .adam import Adam
 from .density import Statistics
+from .parameters import Adam
 from .watch import NotFinite, first_bad
 
 MOST_MOMENTS = 2**28  # bytes of moments for SSIM that are kept: 682 views of 64x64, 4 of 800x800

@@ -8,10 +8,9 @@ from ..equations import hash_grid
 from ..model import Anchors, Model, bounding_box, snap, split
 from ..splatting.settings import FAST
 from . import coded_networks, density, objective
-from .adam import exponential
 from .initial import design_of, initial_parameters
 from .loop import Loop
-from .parameters import Parameters
+from .parameters import Parameters, exponential
 from .watch import NotFinite, find_first
 
 LEARNING_RATES = {

@@ -26,8 +26,8 @@ from p4dgs_ref.scenes.output import OutputError
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training import fit as training
 from p4dgs_ref.training import objective
-from p4dgs_ref.training.adam import Adam
 from p4dgs_ref.training.fit import CHECKPOINT, RunError, fit, load_checkpoint, load_model
+from p4dgs_ref.training.parameters import Adam
 from tests.sampling import few
 
 pytestmark = pytest.mark.filterwarnings("ignore:scene bouncing")  # nine steps learn nothing

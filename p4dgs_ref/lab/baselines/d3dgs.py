@@ -16,8 +16,7 @@ import numpy as np
 
 from ...equations import deformation_d3dgs, deformed
 from ...model import Gaussians, deformation_layers, pull
-from ...training.adam import exponential
-from ...training.parameters import random_layers
+from ...training.parameters import exponential, random_layers
 from . import activations, explicit, trainer
 
 HEADS = (3, 3, 4)  # of psi_d: delta_x, delta_s, delta_r

@@ -18,8 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...model import Gaussians, pull
-from ...training.adam import Adam, exponential
-from ...training.parameters import random_layers
+from ...training.parameters import Adam, exponential, random_layers
 from . import activations, explicit, plane_decoder, plane_features, plane_losses, trainer
 
 

@@ -12,11 +12,10 @@ from ...equations.numerics import normalise, sigmoid
 from ...model import pull
 from ...splatting.covariance import rotation_matrix
 from ...splatting.settings import FAST
-from ...training.adam import exponential
 from ...training.density import Statistics
 from ...training.loop import Loop
 from ...training.objective import Losses, Seen
-from ...training.parameters import Parameters
+from ...training.parameters import Parameters, exponential
 from ...training.watch import NotFinite, first_bad
 
 SHRINK = 1.6  # children of a split are smaller by this factor

@@ -14,9 +14,8 @@ from p4dgs_ref.scenes.scene import Scene, SceneError
 from p4dgs_ref.splatting import compositing, covariance, fast, projection
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, FAST
-from p4dgs_ref.training.adam import BETA_1, BETA_2, EPSILON, Adam
 from p4dgs_ref.training.loop import psnr
-from p4dgs_ref.training.parameters import Parameters
+from p4dgs_ref.training.parameters import BETA_1, BETA_2, EPSILON, Adam, Parameters
 
 FEW = 64  # eps: a few roundings of terms a few times larger than their sum
 SPLATS = ("mean2d", "conic", "alpha", "color")  # the inputs of compositing with a gradient
