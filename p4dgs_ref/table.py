@@ -288,23 +288,11 @@ BEYOND = {
 }
 
 
-def rows(equations=EQUATIONS):
-    """One row {number, key, file, formula} for every equation."""
-    return [
-        {
-            "number": eq.number,
-            "key": eq.key,
-            "file": eq.module.replace(".", "/") + ".py",
-            "formula": eq.formula,
-        }
-        for eq in equations.values()
-    ]
-
-
 def table(equations=EQUATIONS):
     """The table as Markdown, as tutorials/reference.md shows it."""
     lines = ["| no. | key | file | formula |", "|---|---|---|---|"]
-    for row in rows(equations):
-        formula = row["formula"].replace("|", "\\|")  # a bare bar would end the column
-        lines.append(f"| {row['number']} | `{row['key']}` | `{row['file']}` | `{formula}` |")
+    for eq in equations.values():
+        file = eq.module.replace(".", "/") + ".py"
+        formula = eq.formula.replace("|", "\\|")  # a bare bar would end the column
+        lines.append(f"| {eq.number} | `{eq.key}` | `{file}` | `{formula}` |")
     return "\n".join(lines)

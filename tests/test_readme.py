@@ -27,8 +27,8 @@ from p4dgs_ref.report.evaluate import (
 )
 from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene, packaged_scenes
 from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
-from p4dgs_ref.training import adam
 from p4dgs_ref.training.initial import design_of
+from p4dgs_ref.training.parameters import EPSILON
 from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, TINY
 from tests.budget import subcommands
 
@@ -354,7 +354,7 @@ FACTS = {
         f"ψ_d{rate('lr_d')}",
         f"grid{rate('lr_grid')}",
         f"ψ_p and ψ_q{rate('lr_p')}",
-        f"ε = {plain(adam.EPSILON)}",
+        f"ε = {plain(EPSILON)}",
     ],
     "Q21": [
         f"near {EXACT.near:g}",

@@ -19,9 +19,9 @@ from p4dgs_ref.equations import rounding
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import Context
 from p4dgs_ref.training import objective
+from p4dgs_ref.training.loop import psnr
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import choose
-from p4dgs_ref.training.progress import psnr
 from p4dgs_ref.training.trainer import LEARNING_RATES, Trainer
 
 plt = lessons.begin("17_four_stages")

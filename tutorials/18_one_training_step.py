@@ -6,7 +6,8 @@
 # `17_four_stages`. **Takes** four seconds on two cores, 25 minutes of reading and 35 of exercises.
 #
 # **Files:** [objective.py](../p4dgs_ref/training/objective.py),
-# [adam.py](../p4dgs_ref/training/adam.py), [trainer.py](../p4dgs_ref/training/trainer.py).
+# [parameters.py](../p4dgs_ref/training/parameters.py) (Adam),
+# [trainer.py](../p4dgs_ref/training/trainer.py).
 
 # %%
 import numpy as np
@@ -17,8 +18,7 @@ from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import Anchors, context, groups, predict, split
 from p4dgs_ref.splatting import render
 from p4dgs_ref.training import objective
-from p4dgs_ref.training.adam import BETA_1, BETA_2, EPSILON, Adam
-from p4dgs_ref.training.parameters import Parameters
+from p4dgs_ref.training.parameters import BETA_1, BETA_2, EPSILON, Adam, Parameters
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
 

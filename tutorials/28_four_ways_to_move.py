@@ -39,9 +39,8 @@ from p4dgs_ref.model import declared_numbers, deformation_layers
 from p4dgs_ref.report.evaluate import decibel, score
 from p4dgs_ref.report.inspect import ledger
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.training.adam import Adam, exponential
 from p4dgs_ref.training.initial import design_of
-from p4dgs_ref.training.parameters import Parameters, random_layers
+from p4dgs_ref.training.parameters import Adam, Parameters, exponential, random_layers
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
 
 plt = lessons.begin("28_four_ways_to_move")

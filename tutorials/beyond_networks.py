@@ -26,8 +26,7 @@ from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.lab.writer import bd_rate
 from p4dgs_ref.model import step_code, step_of_code
 from p4dgs_ref.training import coded_networks
-from p4dgs_ref.training.adam import Adam
-from p4dgs_ref.training.parameters import Parameters, random_layers
+from p4dgs_ref.training.parameters import Adam, Parameters, random_layers
 from p4dgs_ref.training.presets import PRESETS
 
 plt = lessons.pyplot()

@@ -16,8 +16,7 @@ from ..report import inspect as sizes
 from ..report.evaluate import compression, json_safe, timed
 from ..scenes.load import find_scene, read_description, read_points_for
 from ..scenes.output import filled, made, new_file, write_atomically
-from ..training.checkpoint import CHECKPOINT
-from ..training.fit import fit, load_model
+from ..training.fit import CHECKPOINT, fit, load_model
 from ..training.presets import SOURCES, choose, differences
 from ..training.trainer import Trainer
 from . import UsageError, expect, progress, say, show, tell, text

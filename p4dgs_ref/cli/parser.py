@@ -538,7 +538,7 @@ def parser():
 
 def how_to_resume(arguments):
     """The end of the message of a stopped command: how to go on, if there is a checkpoint."""
-    from ..training.checkpoint import CHECKPOINT
+    from ..training.fit import CHECKPOINT
 
     if arguments.command != "train" or not Path(arguments.output, CHECKPOINT).is_file():
         return ""

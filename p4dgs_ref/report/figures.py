@@ -6,7 +6,7 @@ import numpy as np
 
 from ..splatting import render
 from ..splatting.settings import FAST
-from ..training.progress import COLUMNS
+from ..training.loop import COLUMNS
 
 STAGE_NAMES = ("static", "+ noise", "+ motion", "+ rate")
 LABELS = {

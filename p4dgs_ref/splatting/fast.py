@@ -19,27 +19,16 @@ Axis letters: K ranks of a chunk, G tiles, P pixels of a tile, M listed pairs.
 """
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from .tiles import PAIR_BYTES, bin_splats, require_memory
+from .tiles import bin_splats
 
 RANKS = 32  # depth ranks that are evaluated together; 16 to 32 cost about the same
 GROUP = 2**14  # pixels of the tiles that are evaluated together
 CACHED = 2**16  # alphas that are composited as soon as they are computed, while in the cache
 NOTHING = -1e4  # logarithm of an opacity of 0: its exp is zero in every dtype
-
-
-class Chunk(NamedTuple):
-    """Up to RANKS successive splats of those tiles of a group that still let light through."""
-
-    tiles: np.ndarray  # [G]
-    pairs: np.ndarray  # [K, G] row of the pair; M, the padding, where a tile's list has ended
-    A: np.ndarray  # [K, G, P] alphas
-    weights: np.ndarray  # [K, G, P] alpha T
-    slope: np.ndarray | None  # [K, G, P] of log alpha through its clamp; None if none is clamped
 
 
 def forward(
@@ -74,8 +63,7 @@ def forward(
     T = np.ones((len(count), side * side), dtype)
     image = np.zeros((len(count), 3, side * side), dtype)
     stopped = np.zeros(T.shape, bool)
-    # The lists, a few chunks for what is computed in passing, and below every chunk that is kept.
-    needed = PAIR_BYTES * len(lists.row) + 8 * RANKS * GROUP * dtype.itemsize
+    # A chunk: up to RANKS successive splats of those tiles of a group that still let light through.
     chunks = []
     for tiles in groups_of_tiles(count, side):
         for rank in range(0, int(count[tiles[0]]), RANKS):
@@ -85,10 +73,8 @@ def forward(
             if not len(tiles):
                 break
             ranks = np.arange(rank, min(rank + RANKS, count[tiles].max()))[:, None]
+            # [K, G] the row of every pair; M, the padding, where a tile's list has ended
             pairs = np.where(ranks < count[tiles], start[tiles] + ranks, len(lists.row))
-            if keep:  # A, weights and the slope of the clamp
-                needed += (2 + clamps) * pairs.size * side**2 * dtype.itemsize
-                require_memory(needed, f"{len(lists.row)} pairs of Gaussians and tiles")
             rows = row_of[pairs]
             coefficients = polynomials(splats, rows, middles[:, tiles], dtype)
             light, dark = T[tiles], stopped[tiles]
@@ -98,7 +84,7 @@ def forward(
             T[tiles], stopped[tiles] = light, dark
             image[tiles] += paint.take(rows, axis=0).transpose(1, 2, 0) @ weights.transpose(1, 0, 2)
             if keep:
-                chunks.append(Chunk(tiles, pairs, A, weights, slope))
+                chunks.append((tiles, pairs, A, weights, slope))
     if background.any():  # black adds nothing
         image += T[:, None] * background.astype(dtype)[:, None]
     saved = (chunks, T, background, occlusion, lists, row_of, splats, middles, paint, settings)
@@ -187,10 +173,7 @@ def polynomials(splats, rows, middles, dtype):
     e_x, e_y = middles[0] - x, middles[1] - y
     k_1, k_2 = a * e_x + b * e_y, b * e_x + c * e_y
     k_0 = log_alpha + (e_x * k_1 + e_y * k_2) / 2
-    coefficients = np.empty((6, *x.shape), dtype)
-    for i, values in enumerate((k_0, k_1, k_2, a / 2, b, c / 2)):
-        coefficients[i] = values
-    return coefficients
+    return np.stack((k_0, k_1, k_2, a / 2, b, c / 2), dtype=dtype, casting="same_kind")
 
 
 @lru_cache(maxsize=8)
@@ -204,8 +187,9 @@ def monomials(side, dtype):
 def composite(coefficients, T, stopped, settings, occlusion, clamps, keep):
     """Alphas, weights and slope [K, G, P] of a chunk; T and stopped [G, P] are moved behind it.
 
-    A few ranks are evaluated and composited at a time, so that they are still in the cache. The
-    weights take the place of A where no gradients are wanted.
+    The slope is that of log alpha through its clamp; it is None where no alpha is clamped. A few
+    ranks are evaluated and composited at a time, so that they are still in the cache. The weights
+    take the place of A where no gradients are wanted.
     """
     A = np.empty((coefficients.shape[1], *T.shape), T.dtype)
     weights = np.empty_like(A) if keep and occlusion else A

@@ -1,15 +1,13 @@
 """Which Gaussians touch which tile of the image: lists in order of depth for the fast renderer."""
 
-import os
 from typing import NamedTuple
 
 import numpy as np
 
 from .compositing import depth_order
 
-PAIR_BYTES = 250  # of a pair of a Gaussian and a tile while the lists are made, as measured
-ASSUMED_MEMORY = 2**33  # bytes, where the system does not say how many it has
-PIECE = 2**13  # pairs that are tested together: what the test needs stays in the cache
+# Of a Gaussian and a tile: 2 GB for the lists, and with tiles of 8 up to 6 GB for the gradients.
+MOST_PAIRS = 2**23
 
 
 class Lists(NamedTuple):
@@ -28,8 +26,8 @@ def bin_splats(
 
     "ellipse" lists a pair exactly where alpha reaches `settings.cut` at some point of the tile,
     "box" every tile that meets the square of side 2 ceil(3 sigma), "all" every tile. Without
-    occlusion the Gaussians of a tile stand in the order of their index. Raises ValueError where the
-    lists would take more than half of the memory.
+    occlusion the Gaussians of a tile stand in the order of their index. Raises ValueError where
+    there are more than MOST_PAIRS, before they take memory.
     """
     side = settings.tile
     columns, rows = -(-width // side), -(-height // side)
@@ -41,36 +39,22 @@ def bin_splats(
     beyond = np.clip(high // side + 1, 0, (columns, rows)).astype(np.int64)
     extent = np.maximum(beyond - first, 0) * (low <= high).all(axis=1, keepdims=True)
     count = extent[:, 0] * extent[:, 1]
-    require_memory(PAIR_BYTES * int(count.sum()), f"{count.sum()} pairs of Gaussians and tiles")
+    if count.sum() > MOST_PAIRS:
+        raise ValueError(
+            f"{count.sum()} pairs of Gaussians and tiles: expected at most {MOST_PAIRS}; smaller "
+            "pictures, or fewer or smaller Gaussians, have fewer"
+        )
     row, tile_y = runs(first[:, 1], extent[:, 1])  # every row of tiles of every Gaussian
     at, tile_x = runs(first[row, 0], extent[row, 0])
     rank, tile_y = row[at], tile_y[at]  # place in depth order: a sort key
     bits = max(1, len(order).bit_length())  # one sort of packed keys: tile first, then depth
     key = (tile_y * columns + tile_x) << bits | rank
     if settings.footprint == "ellipse":
-        largest, touches = largest_form(alpha, settings), np.empty(len(rank), bool)
-        for start in range(0, len(rank), PIECE):
-            piece = slice(start, start + PIECE)
-            row, x_0, y_0 = rank[piece], tile_x[piece] * side, tile_y[piece] * side
-            touches[piece] = (
-                nearest_form(mean.take(row, axis=0), conic.take(row, axis=0), x_0, y_0, side - 1)
-                <= largest[row]
-            )
-        key = key[touches]
+        corner = tile_x * side, tile_y * side
+        form = nearest_form(mean.take(rank, axis=0), conic.take(rank, axis=0), *corner, side - 1)
+        key = key[form <= largest_form(alpha, settings)[rank]]
     key.sort()
     return Lists(key >> bits, order[key & ((1 << bits) - 1)], columns, rows)
-
-
-def require_memory(needed, what):
-    """Raise ValueError where rendering would need more bytes than half of the machine's memory."""
-    try:
-        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):  # this system has no such numbers
-        memory = ASSUMED_MEMORY
-    if needed > memory // 2:
-        raise ValueError(
-            f"{what}: {needed} bytes; expected at most {memory // 2}, half of this machine's memory"
-        )
 
 
 def listable(alpha, visible, settings):

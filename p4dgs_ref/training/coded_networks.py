@@ -25,14 +25,11 @@ class Layout:
         self.networks = {name: self.rounded.network(name) for name in names}
         self.part = p.per_element(lambda name: name in arrays) > 0  # of the flat vector
         # Biases [J] are a matrix of one column.
-        shapes = [(*a.shape, 1)[:2] for a in arrays.values()]
-        self.tensor = np.repeat(np.arange(len(shapes)), [I * J for I, J in shapes])
-        self.row, self.column, rows, columns = [], [], 0, 0
-        for I, J in shapes:
-            self.row.append(np.repeat(np.arange(rows, rows + I), J))
-            self.column.append(np.tile(np.arange(columns, columns + J), I))
-            rows, columns = rows + I, columns + J
-        self.row, self.column = np.concatenate(self.row), np.concatenate(self.column)
+        shapes = np.array([(*a.shape, 1)[:2] for a in arrays.values()])
+        self.tensor = np.repeat(np.arange(len(shapes)), shapes.prod(axis=1))
+        first = np.cumsum(shapes, axis=0) - shapes  # rows and columns of all tensors are counted on
+        places = [np.indices(s).reshape(2, -1) + f[:, None] for s, f in zip(shapes, first)]
+        self.row, self.column = np.concatenate(places, axis=1)
 
 
 def first_log_steps(networks):

@@ -1,6 +1,14 @@
-"""Training from Python in one call, and warnings about one that cannot learn its scene."""
+"""Training in one call, and the checkpoint from which it goes on to the same bytes.
 
+Training warns of a scene with few views, and of a result that has learned hardly anything.
+"""
+
+import hashlib
+import io
+import json
+import time
 import warnings
+import zlib
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, TextIO
@@ -9,20 +17,27 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..model import Model
-from ..scenes.output import locked
+from ..scenes.output import destination, locked, write_atomically
 from ..scenes.scene import Scene
 from ..signals import deferred
 from ..splatting.settings import FAST, Settings
-from . import checkpoint
 from .initial import design_of
+from .loop import Progress, psnr
 from .parameters import Parameters
 from .presets import PAPER_SYNTHETIC, Preset, choose
-from .progress import Progress, psnr
 from .trainer import Trainer, assemble, tagged
 
 SAVE_EVERY = 20.0  # seconds between checkpoints
 FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.2 dB against 48, 16 far more (reference.md, Limits)
 LEAST_GAIN = 1.0  # dB above the best picture of one colour
+CHECKPOINT = "checkpoint.npz"
+# Part of what the checksum is taken of, so that the checkpoint of another release does not fit.
+RELEASE = f"checkpoint 3, fields {Preset._fields}".encode()
+CHECKSUM_BYTES = 32
+
+
+class RunError(ValueError):
+    """A run folder that cannot be used: one line naming the file, the field and what to do."""
 
 
 def train(
@@ -70,45 +85,37 @@ def fit(
 ) -> Trainer:
     """Do what `train` does, but return the Trainer, which also has the history."""
     chosen = choose(preset, changes)
-    if not (isinstance(seed, int) and seed >= 0):
-        raise ValueError(f"seed {seed!r}: expected an integer of at least 0")
     # Non-finite values are found and named; NumPy's warnings would say the same less clearly.
     with np.errstate(all="ignore"):
         trainer, progress = Trainer(scene, chosen, seed, settings, points), Progress(stream)
         with nullcontext() if folder is None else locked(folder), deferred() as asked:
-            common = checkpoint.identity(trainer)
+            common = identity(trainer)
             if resume and folder is not None:
-                checkpoint.resume(trainer, folder, common)
+                go_on(trainer, folder, common)
 
-            def keep(trainer):
+            def keep():
                 if folder is not None:
-                    checkpoint.save(trainer, folder, common)
+                    save_checkpoint(trainer, folder, common)
 
-            keep(trainer)
+            keep()
+            saved = time.monotonic()
             warn_of_few_views(scene)
-
-            def after_step(trainer, *seen):
-                progress(trainer, *seen)
-                if asked:
-                    keep(trainer)
-                    raise KeyboardInterrupt
-
-            try:
-                trainer.run(after_step, save_every, keep)
-            finally:
-                progress.close()
-            keep(trainer)
+            while trainer.iteration < chosen.iterations and not asked:
+                progress(trainer, *trainer.step())
+                if time.monotonic() - saved > save_every:
+                    keep()
+                    saved = time.monotonic()
+            keep()  # then `deferred` raises KeyboardInterrupt where it was asked for
         warn_of_failure(trainer)
     return trainer
 
 
 def warn_of_few_views(scene):
     """Warn where a scene has too few training views to show how it looks from elsewhere."""
-    count = len(scene.train)
-    if count < FEW_VIEWS:
+    if len(scene.train) < FEW_VIEWS:
         warnings.warn(
-            f"scene {scene.name}: {count} training views; views that were not trained on will be "
-            f"poor with fewer than {FEW_VIEWS}; 48 are enough for the packaged scenes",
+            f"scene {scene.name}: {len(scene.train)} training views; views that were not trained "
+            f"on will be poor with fewer than {FEW_VIEWS}; 48 are enough for the packaged scenes",
             stacklevel=4,
         )
 
@@ -134,11 +141,86 @@ def warn_of_failure(trainer):
         )
 
 
+def fingerprint(scene):
+    """CRC-32 of all that training reads of a scene's views: pictures, cameras and times."""
+    crc = 0
+    for view in scene.train:
+        numbers = [*map(np.ravel, vars(view.camera).values()), [view.time]]
+        crc = zlib.crc32(np.concatenate(numbers).tobytes(), zlib.crc32(view.image.tobytes(), crc))
+    return crc
+
+
+def identity(trainer):
+    """What a checkpoint has in common with every training that goes on from it, as JSON values."""
+    return {
+        **{f"preset.{name}": value for name, value in trainer.preset._asdict().items()},
+        "seed": trainer.seed,
+        "effects": list(trainer.design.effects),
+        "background": [float(c) for c in trainer.scene.background],
+        **{f"settings.{name}": value for name, value in trainer.settings._asdict().items()},
+        "scene": fingerprint(trainer.scene),
+    }
+
+
+def checksum(data):
+    """The SHA-256 of an archive and of the RELEASE that can read it."""
+    return hashlib.sha256(RELEASE + data).digest()
+
+
+def save_checkpoint(trainer, folder, common):
+    """Write the state of the trainer to checkpoint.npz; `common` is its `identity`.
+
+    The checksum of the archive stands behind it.
+    """
+    arrays, values = trainer.state()
+    archive = io.BytesIO()
+    np.savez(archive, values=json.dumps({**common, **values}), **arrays)
+    data = archive.getvalue()
+    write_atomically(Path(folder) / CHECKPOINT, lambda file: file.write(data + checksum(data)))
+
+
+def load_checkpoint(folder):
+    """The arrays and the JSON values of a checkpoint; raises RunError where it cannot be used."""
+    path = Path(folder) / CHECKPOINT
+    destination(path)  # a pipe or a device would be read without end
+    try:
+        whole = path.read_bytes()
+    except OSError as error:
+        raise RunError(
+            f"{path}: {error.strerror}; expected a checkpoint, "
+            f"which `p4dgs-ref train SCENE -o {folder}` makes"
+        ) from None
+    data, found = whole[:-CHECKSUM_BYTES], whole[-CHECKSUM_BYTES:]
+    if found != checksum(data):
+        raise RunError(
+            f"{path}: damaged, edited or written by another release; expected a checkpoint as "
+            "`p4dgs-ref train` writes it; train again into another folder"
+        )
+    with np.load(io.BytesIO(data)) as file:
+        arrays = dict(file)
+    return arrays, json.loads(str(arrays.pop("values")))
+
+
+def go_on(trainer, folder, common):
+    """Put the state of a checkpoint into a fresh trainer of the same preset, seed and scene.
+
+    Raises RunError with the first field in which their identities differ.
+    """
+    arrays, values = load_checkpoint(folder)
+    for field, ours in json.loads(json.dumps(common)).items():
+        if values.get(field) != ours:
+            raise RunError(
+                f"{Path(folder) / CHECKPOINT}: field '{field}': the checkpoint was made with "
+                "another one; pass what the training was started with, or choose a new output "
+                "folder"
+            )
+    trainer.restore(arrays, values)
+
+
 def load_model(folder: str | Path) -> tuple[Model, dict]:
     """The model in the checkpoint of a run folder, and the values of the checkpoint."""
-    arrays, values = checkpoint.load(folder)
-    fields = {field: value for field, value in values["preset"].items() if field != "name"}
+    arrays, values = load_checkpoint(folder)
+    fields = {name: values[f"preset.{name}"] for name in Preset._fields[1:]}
     p = Parameters(tagged(arrays, "p"))
-    box = tuple(arrays["box"]) if "box" in arrays else None
     design = design_of(choose(PAPER_SYNTHETIC, fields), values["effects"])
-    return assemble(p, design, arrays["mask"], box, values["background"]), values
+    return assemble(p, design, arrays["mask"], tuple(arrays["box"]), values["background"]), values

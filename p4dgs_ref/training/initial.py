@@ -75,8 +75,7 @@ def initial_parameters(preset, design, rng, points=None):
             arrays[f"psi_d.b{i}"] *= preset.deformation_gain
     for i, shape in enumerate(design.levels()):
         arrays[f"grid.{i}"] = rng.uniform(-1e-4, 1e-4, shape)  # HAC: random signs with a gradient
-    p = Parameters(arrays)
     if design.coded:
-        networks = {name: p.network(name) for name in design.layers()}
-        p = Parameters({**arrays, "log_step": first_log_steps(networks)})
-    return p
+        p = Parameters(arrays)
+        arrays["log_step"] = first_log_steps({name: p.network(name) for name in design.layers()})
+    return Parameters(arrays)

@@ -1,4 +1,4 @@
-"""The loop that trains every method: one view an iteration, Adam, density control.
+"""The loop that trains every method: one view an iteration, Adam, density control, progress.
 
 `trainer.Trainer` makes it the training of P-4DGS, `baselines.explicit.Trainer` that of the methods
 that the paper compares itself with. A subclass supplies
@@ -14,22 +14,22 @@ and calls `start` with the first parameters. Its preset has the fields `iteratio
 and `grow_every`, and `stage(iteration)`, counted from 1.
 """
 
+import shutil
 import time
 from collections.abc import Callable
 
 import numpy as np
 
 from ..equations import ssim
-from .adam import Adam
 from .density import Statistics
+from .parameters import Adam
 from .watch import NotFinite, first_bad
 
 MOST_MOMENTS = 2**28  # bytes of moments for SSIM that are kept: 682 views of 64x64, 4 of 800x800
 
 
-def held_bytes(moments):
-    """The bytes that the moments of a view hold; an array that is a view holds its whole base."""
-    return sum((a if a.base is None else a.base).nbytes for a in moments)
+EVERY = 20  # most iterations between two rows of training.csv; a short training has more rows
+COLUMNS = ("iteration", "stage", "loss", "psnr_db", "bits_per_parameter", "anchors", "gaussians")
 
 
 class Loop:
@@ -69,12 +69,12 @@ class Loop:
     def moments_of(self, view):
         """The moments of the truth for SSIM, which are the same at every visit.
 
-        They are computed anew where those of other views have filled MOST_MOMENTS.
+        They are four float64 images, and computed anew where other views have filled MOST_MOMENTS.
         """
         if id(view) in self.moments:
             return self.moments[id(view)]
         moments = ssim.moments(view.image)
-        if sum(map(held_bytes, [*self.moments.values(), moments])) <= MOST_MOMENTS:
+        if 32 * view.image.size * (len(self.moments) + 1) <= MOST_MOMENTS:
             self.moments[id(view)] = moments
         return moments
 
@@ -88,7 +88,8 @@ class Loop:
         rates = {stem: self.rate_of(stem) for stem in {name.split(".")[0] for name in p.arrays}}
         self.adam.step(p, gradients, lambda name: rates[name.split(".")[0]])
         if not np.isfinite(p.vector).all():
-            raise NotFinite(self.iteration, first_bad(p.arrays, "after Adam's step, parameter "))
+            found = first_bad(p.arrays, "after Adam's step, parameter ")
+            raise NotFinite(f"iteration {self.iteration}: {found}")
         if self.iteration >= self.preset.collect_from:
             self.statistics.collect(seen, mean2d_bar, view.camera.width, view.camera.height)
         self.iteration += 1
@@ -104,19 +105,55 @@ class Loop:
             moments.with_rows(names, keep, zeros) for moments in (self.adam.first, self.adam.second)
         )
 
-    def run(self, report=None, every_seconds=0.0, save=None):
+    def run(self, report=None):
         """Train to the end and return the model.
 
-        `report(trainer, losses, seen, view, ms)` is called after each step, `save(trainer)` every
-        `every_seconds`.
+        `report(trainer, losses, seen, view)` is called after each step.
         """
-        saved = time.monotonic()
         while self.iteration < self.preset.iterations:
-            start = time.perf_counter()
-            losses, seen, view = self.step()
+            seen = self.step()
             if report:
-                report(self, losses, seen, view, 1e3 * (time.perf_counter() - start))
-            if save and time.monotonic() - saved > every_seconds:
-                save(self)
-                saved = time.monotonic()
+                report(self, *seen)
         return self.model()
+
+
+def psnr(image, truth):
+    """-10 log10 of the mean squared error of images clipped to [0, 1], in dB; inf if equal."""
+    error = float(np.mean((np.clip(image, 0, 1).astype(float) - truth) ** 2))
+    return float("inf") if error == 0 else float(-10 * np.log10(error))
+
+
+class Progress:
+    """Called after every step, it extends `trainer.history` and writes a line to `stream`.
+
+    A terminal shows one line that changes. Other streams get about a dozen lines, None gets none.
+    """
+
+    def __init__(self, stream=None):
+        self.stream, self.live = stream, stream is not None and stream.isatty()
+        self.shown, self.steps = time.monotonic(), 0  # the time of the last line, and steps since
+
+    def __call__(self, trainer, losses, seen, view):
+        done, total = trainer.iteration, trainer.preset.iterations
+        stage, decibel = trainer.preset.stage(done - 1), psnr(seen.image, view.image)
+        counts = trainer.primitives, len(seen.index)
+        if done % min(EVERY, max(total // 50, 1)) == 0 or done == total:
+            trainer.history.append([done, stage, losses.L_total, decibel, losses.L_rate, *counts])
+        self.steps += 1
+        seconds = time.monotonic() - self.shown
+        due = seconds > 0.2 if self.live else done % max(total // 12, 1) == 0
+        if self.stream is None or not (due or done == total):
+            return
+        ms = 1e3 * seconds / self.steps
+        self.shown, self.steps = time.monotonic(), 0
+        # The most important numbers come first, because a narrow terminal cuts the line.
+        line = (
+            f"{done:{len(str(total))}d}/{total}  {1e-3 * ms * (total - done):.0f} s left  "
+            f"stage {stage}  loss {losses.L_total:.4f}  PSNR {decibel:.2f} dB  "
+            f"{losses.L_rate:.2f} bits/parameter  {counts[0]} {trainer.UNIT}  "
+            f"{counts[1]} Gaussians  {ms:.1f} ms/step"
+        )
+        if self.live:
+            line = f"\r{line[: shutil.get_terminal_size().columns - 1]}\x1b[K"
+        end = "" if self.live and done < total else "\n"
+        print(line, end=end, file=self.stream, flush=True)

@@ -5,7 +5,7 @@ of `tiny`, and what `initial.design_of` puts into a file. `differences(preset)` 
 changes.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from ..model import MOST_NUMBERS, declared_numbers
@@ -53,32 +53,22 @@ LAST_SCAFFOLD, LAST_HAC = "paper; last: Scaffold-GS (Q17)", "paper; last: HAC (Q
 # The paper gives no hash grid; these are the resolutions of HAC.
 HAC_3D = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
 HAC_2D = (130, 258, 514, 1026)
-Ints = tuple[int, ...]
-Rate = tuple[float, ...]
-
-
-class Row(NamedTuple):
-    """What the table says of a field beside its value in the paper."""
-
-    tiny: Any  # value in the preset `tiny`
-    requirement: tuple[str, Callable[[Any], bool]]  # in words, and as a test
-    source: str  # of the value in the paper's presets
-    meaning: str
-
 
 _rows = []  # of all fields but the name
 
 
 def row(paper, tiny, requirement, source, meaning) -> Any:
     """Note what the table says of its next field; returns the value in `paper_synthetic`."""
-    _rows.append(Row(tiny, requirement, source, meaning))
+    _rows.append((tiny, requirement, source, meaning))
     return paper
 
 
 class Preset(NamedTuple):
     """The table of all fields. A file stores those that `model.Design` has, too.
 
-    name: type = row(in paper_synthetic, in tiny, requirement, source, meaning)
+    name: type = row(in paper_synthetic, in tiny, requirement, source of the former, meaning)
+
+    A requirement is a text and a test.
     """
 
     name: str = "paper_synthetic"
@@ -88,13 +78,19 @@ class Preset(NamedTuple):
     voxel: float = row(0.001, 0.001, POSITIVE, "paper", "epsilon: points merge on this lattice")
     d: int = row(16, 16, between(1, 4096), "paper", "width of a feature")
     k: int = row(10, 4, between(1, 256), "paper", "children of an anchor")
-    hidden: Ints = row((32, 32), (32, 32), layers(8), "paper", "of anchor networks: 2 layers of 2d")
-    deformation: Ints = row((192, 192), (64, 64), layers(8), "paper (Q1)", "hidden widths of psi_d")
+    hidden: tuple = row(
+        (32, 32), (32, 32), layers(8), "paper", "of anchor networks: 2 layers of 2d"
+    )
+    deformation: tuple = row(
+        (192, 192), (64, 64), layers(8), "paper (Q1)", "hidden widths of psi_d"
+    )
     L_x: int = row(10, 4, between(1, 64), "D3DGS (Q2)", "frequencies of x")
     L_t: int = row(6, 4, between(1, 64), "D3DGS (Q2)", "frequencies of t")
-    context: Ints = row((32, 32), (16, 16), layers(8), "paper", "psi_p and psi_q: two layers of 2d")
-    grid_3d: Ints = row(HAC_3D, (8,), layers(16), "HAC (Q11)", "resolutions")
-    grid_2d: Ints = row(HAC_2D, (16,), layers(16), "HAC (Q11)", "resolutions in each plane")
+    context: tuple = row(
+        (32, 32), (16, 16), layers(8), "paper", "psi_p and psi_q: two layers of 2d"
+    )
+    grid_3d: tuple = row(HAC_3D, (8,), layers(16), "HAC (Q11)", "resolutions")
+    grid_2d: tuple = row(HAC_2D, (16,), layers(16), "HAC (Q11)", "resolutions in each plane")
     table_3d: int = row(2**13, 2**13, between(1, 2**24), "HAC (Q11)", "most nodes of a 3D level")
     table_2d: int = row(2**15, 2**15, between(1, 2**24), "HAC (Q11)", "most nodes of a 2D level")
     F: int = row(4, 2, between(1, 64), "HAC (Q11)", "bits of a node")
@@ -113,7 +109,7 @@ class Preset(NamedTuple):
     position_bits: int = row(16, 16, between(1, 16), "ours (Q14)", "per axis; fewer if coded (B2)")
     network_ramp: int = row(0, 0, NOT_NEGATIVE, OFF, "iterations until coded networks pay fully")
     # stages and loss
-    stage_ends: Ints = row(
+    stage_ends: tuple = row(
         (3000, 5000, 10_000, 40_000),
         (200, 300, 1800, 3800),
         ENDS,
@@ -126,20 +122,20 @@ class Preset(NamedTuple):
     sparse_lr_c: float = row(1.0, 0.5, NOT_NEGATIVE, OFF_Q13, "factor of its lr_c there")
     # learning rates: first and last, geometric over all iterations from `decay_from` on
     decay_from: int = row(0, 1800, NOT_NEGATIVE, "ours (Q17)", "first iteration of the decay")
-    lr_x: Rate = row((0.0, 0.0), (0.002, 2e-4), RATE, "Scaffold-GS (Q14)", "positions")
-    lr_f: Rate = row((0.0075, 0.0075), (0.015, 1.5e-3), RATE, LAST_SCAFFOLD, "features")
-    lr_s: Rate = row((0.007, 0.007), (0.014, 1.4e-3), RATE, LAST_SCAFFOLD, "log s")
-    lr_l: Rate = row((0.007, 0.007), (0.014, 1.4e-3), RATE, LAST_SCAFFOLD, "log l")
-    lr_O: Rate = row((0.01, 1e-4), (0.02, 1e-3), RATE, LAST_SCAFFOLD, "offsets")
-    lr_alpha: Rate = row((0.002, 2e-5), (0.001, 4e-5), RATE, LAST_SCAFFOLD, "psi_alpha")
-    lr_c: Rate = row((0.008, 5e-5), (0.008, 1.6e-4), RATE, LAST_SCAFFOLD, "psi_c")
-    lr_r: Rate = row((0.004, 0.004), (0.008, 3.2e-4), RATE, LAST_SCAFFOLD, "psi_r")
-    lr_psi_s: Rate = row((0.004, 0.004), (0.008, 3.2e-4), RATE, LAST_SCAFFOLD, "psi_s")
-    lr_d: Rate = row((1.6e-4, 1.6e-6), (0.002, 4e-5), RATE, "paper; last: D3DGS (Q17)", "psi_d")
-    lr_grid: Rate = row((0.0016, 1e-5), (0.01, 1e-3), RATE, LAST_HAC, "hash grid")
-    lr_p: Rate = row((0.005, 1e-5), (0.005, 2e-4), RATE, LAST_HAC, "psi_p")
-    lr_q: Rate = row((0.005, 1e-5), (0.005, 2e-4), RATE, LAST_HAC, "psi_q")
-    lr_step: Rate = row((0.0, 0.0), (0.0, 0.0), RATE, OFF, "logarithms of coded networks' steps")
+    lr_x: tuple = row((0.0, 0.0), (0.002, 2e-4), RATE, "Scaffold-GS (Q14)", "positions")
+    lr_f: tuple = row((0.0075, 0.0075), (0.015, 1.5e-3), RATE, LAST_SCAFFOLD, "features")
+    lr_s: tuple = row((0.007, 0.007), (0.014, 1.4e-3), RATE, LAST_SCAFFOLD, "log s")
+    lr_l: tuple = row((0.007, 0.007), (0.014, 1.4e-3), RATE, LAST_SCAFFOLD, "log l")
+    lr_O: tuple = row((0.01, 1e-4), (0.02, 1e-3), RATE, LAST_SCAFFOLD, "offsets")
+    lr_alpha: tuple = row((0.002, 2e-5), (0.001, 4e-5), RATE, LAST_SCAFFOLD, "psi_alpha")
+    lr_c: tuple = row((0.008, 5e-5), (0.008, 1.6e-4), RATE, LAST_SCAFFOLD, "psi_c")
+    lr_r: tuple = row((0.004, 0.004), (0.008, 3.2e-4), RATE, LAST_SCAFFOLD, "psi_r")
+    lr_psi_s: tuple = row((0.004, 0.004), (0.008, 3.2e-4), RATE, LAST_SCAFFOLD, "psi_s")
+    lr_d: tuple = row((1.6e-4, 1.6e-6), (0.002, 4e-5), RATE, "paper; last: D3DGS (Q17)", "psi_d")
+    lr_grid: tuple = row((0.0016, 1e-5), (0.01, 1e-3), RATE, LAST_HAC, "hash grid")
+    lr_p: tuple = row((0.005, 1e-5), (0.005, 2e-4), RATE, LAST_HAC, "psi_p")
+    lr_q: tuple = row((0.005, 1e-5), (0.005, 2e-4), RATE, LAST_HAC, "psi_q")
+    lr_step: tuple = row((0.0, 0.0), (0.0, 0.0), RATE, OFF, "logarithms of coded networks' steps")
     # growing, pruning and masking
     grow: str = row("scaffold", "reseed", GROWING, SCAFFOLD_Q16, "how anchors grow")
     grow_from: int = row(1500, 100, NOT_NEGATIVE, SCAFFOLD_Q16, "last iteration without growing")
@@ -167,7 +163,7 @@ class Preset(NamedTuple):
 
 
 ROWS = dict(zip(Preset._fields[1:], _rows, strict=True))
-SOURCES = {field: row.source for field, row in ROWS.items()}
+SOURCES = {field: source for field, (_, _, source, _) in ROWS.items()}
 
 PAPER_SYNTHETIC = Preset()
 PAPER_REAL = Preset(
@@ -180,7 +176,7 @@ PAPER_REAL = Preset(
     stage_ends=(3000, 4000, 10_000, 20_000),
     mask_from=4000,
 )
-TINY = Preset("tiny", **{field: row.tiny for field, row in ROWS.items()})
+TINY = Preset("tiny", *(tiny for tiny, *_ in _rows))
 # Its networks pay for their bits (B1), and its positions have fewer of them (B2).
 TINY_CODED = TINY._replace(
     name="tiny_coded",
@@ -251,8 +247,8 @@ def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Pr
             raise ValueError(f"preset {preset!r}: expected one of {', '.join(PRESETS)}")
         preset = PRESETS[preset]
     chosen = preset._replace(**read_changes(preset.name, PAPER_SYNTHETIC._asdict(), changes))
-    for field, row in ROWS.items():
-        value, (expected, is_met) = getattr(chosen, field), row.requirement
+    for field, (_, (expected, is_met), _, _) in ROWS.items():
+        value = getattr(chosen, field)
         if not is_met(value):
             raise ValueError(f"field {field!r}: expected {expected}, got {value!r}")
     if not chosen.grid_3d + chosen.grid_2d:
@@ -298,8 +294,7 @@ def read_value(value, like):
         return tuple(read_value(part, like[0] if like else 0) for part in value)
     kind = type(like)
     if isinstance(value, str):
-        words = {"true": True, "false": False, "1": True, "0": False}
-        return words[value.lower()] if kind is bool else kind(value)
+        return {"true": True, "false": False}[value.lower()] if kind is bool else kind(value)
     # True is not a number here, and a number with a fraction is not an integer
     if isinstance(value, bool) is not (kind is bool) or kind is str or kind(value) != value:
         raise TypeError

@@ -8,10 +8,9 @@ from ..equations import hash_grid
 from ..model import Anchors, Model, bounding_box, snap, split
 from ..splatting.settings import FAST
 from . import coded_networks, density, objective
-from .adam import exponential
 from .initial import design_of, initial_parameters
 from .loop import Loop
-from .parameters import Parameters
+from .parameters import Parameters, exponential
 from .watch import NotFinite, find_first
 
 LEARNING_RATES = {
@@ -71,7 +70,7 @@ class Trainer(Loop):
     def __init__(self, scene, preset, seed=0, settings=FAST, points=None, design=None):
         super().__init__(scene, preset, seed, settings)
         self.design = design or design_of(preset, scene.effects)
-        self.box: tuple | None = None  # the bounding box, fixed when stage 4 starts
+        self.box: tuple = ()  # the corners of the bounding box, fixed when stage 4 starts
         self.located = None  # where the positions are in the hash grid, from stage 4 on
         points = scene.points if points is None else points
         self.start(initial_parameters(preset, self.design, self.rng, points))
@@ -116,8 +115,7 @@ class Trainer(Loop):
 
     def rate_of(self, name):
         """The current learning rate of a name of LEARNING_RATES; 0 where the stage has none."""
-        frozen = name == "x_a" and self.stage == 4
-        if frozen or self.stage < FIRST_STAGE.get(name, 1):
+        if self.stage < FIRST_STAGE.get(name, 1) or (name == "x_a" and self.stage == 4):
             return 0.0
         first, last = getattr(self.preset, LEARNING_RATES[name])
         rate = exponential(
@@ -150,16 +148,15 @@ class Trainer(Loop):
             self.freeze_positions()
             if self.design.coded:
                 self.parameters["log_step"][...] = coded_networks.first_log_steps(self.networks)
-        p = self.parameters
         u = self.rng.random((len(self.mask), sum(self.design.widths)), np.float32) - np.float32(0.5)
-        moments = self.moments_of(view)
-        inputs = (p, self.design, self.networks, self.grids, self.fixed(), view, u, moments)
+        model = self.parameters, self.design, self.networks, self.grids
+        inputs = (*model, self.fixed(), view, u, self.moments_of(view))
         losses, seen, back = objective.loss(*inputs)
         gradients, mean2d_bar = back()
         # The opacities are checked too: masking would hide a NaN among them from the loss.
         watched = (losses.L_total, gradients.vector, seen.alpha)
         if not all(np.isfinite(values).all() for values in watched):
-            raise NotFinite(self.iteration, find_first(*inputs))
+            raise NotFinite(f"iteration {self.iteration}: {find_first(*inputs)}")
         return losses, seen, gradients, mean2d_bar
 
     def freeze_positions(self):
@@ -225,9 +222,7 @@ class Trainer(Loop):
             "stat": vars(self.statistics),
         }
         arrays = {f"{tag}/{name}": a for tag, group in groups.items() for name, a in group.items()}
-        arrays.update(mask=self.mask, order=self.order)
-        if self.box is not None:
-            arrays["box"] = np.stack(self.box)
+        arrays.update(mask=self.mask, order=self.order, box=np.array(self.box))
         return arrays, {
             "iteration": self.iteration,
             "steps": self.adam.steps,
@@ -244,6 +239,6 @@ class Trainer(Loop):
         self.statistics = density.Statistics(**tagged(arrays, "stat"))
         self.mask, self.order, self.iteration = arrays["mask"], arrays["order"], values["iteration"]
         self.rng.bit_generator.state, self.history = values["rng"], values["history"]
-        if "box" in arrays:
-            self.box = tuple(arrays["box"])
+        self.box = tuple(arrays["box"])
+        if self.box:
             self.freeze_positions()

@@ -53,10 +53,6 @@ def watching(codes, see):
 class NotFinite(ArithmeticError):
     """Training met a NaN or an infinity; the message says where it was first seen."""
 
-    def __str__(self):  # of both arguments, so that it can be sent to another process
-        iteration, found = self.args
-        return f"iteration {iteration}: {found}"
-
 
 def first_bad(arrays, where=""):
     """A phrase like "f_a[3, 1] is nan" for the first NaN or infinity in {name: array}, or None.
@@ -74,41 +70,30 @@ def first_bad(arrays, where=""):
     return None
 
 
-@contextmanager
-def watched():
-    """A `with` block that gives a list: for each result a phrase if it is not finite, else None."""
-    running, found = [], []  # a network that runs inside Eq. (5) is named with it
+def find_first(p, *inputs):
+    """Repeat an iteration; a phrase that names where it first stops being finite."""
+    found, running = [first_bad(p.arrays, "parameter: ")], []
 
     def see(event, mark, frame, value):
         key, name = mark
         if event == "call":
             running.append(key)
             return
+        # a network that runs inside Eq. (5) is named with it
         where = f"equation {', its '.join(map(repr, running))}"
         running.pop()
-        if value is None:  # the call raised
-            return
         if name == "forward":
             equation = {**EQUATIONS, **BEYOND}[key.split(",")[0]]
-            where, value = f"{where}, forward: ", equation.named(value[0])
+            found.append(first_bad(equation.named(value[0]), f"{where}, forward: "))
         else:
-            where += ", backward, gradient of: "
-        found.append(first_bad(value, where))
+            found.append(first_bad(value, f"{where}, backward, gradient of: "))
 
-    with watching(equation_codes(), see):
-        yield found
-
-
-def find_first(p, *inputs):
-    """A phrase that names where an iteration first stops being finite."""
-    with np.errstate(all="ignore"), watched() as found:
+    with np.errstate(all="ignore"), watching(equation_codes(), see):
         losses, _, back = objective.loss(p, *inputs)
         gradients, _ = back()
-    phrases = (
-        first_bad(p.arrays, "parameter: "),
-        *found,
+    found += [
         first_bad(losses._asdict(), "objective: "),
         first_bad(gradients.arrays, "gradient of: "),
         "a NaN or an infinity that did not come back when the iteration was repeated",
-    )
-    return next(filter(None, phrases))
+    ]
+    return next(filter(None, found))

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.training.checkpoint import load
-from p4dgs_ref.training.fit import fit
+from p4dgs_ref.training.fit import fit, load_checkpoint
 from tests.sampling import few
 
 ROOT = Path(p4.__file__).resolve().parents[1]
@@ -363,7 +362,7 @@ def test_learning_rate_that_explodes(place, run):
     before = sorted(place.rglob("*"))
     found = failed("train scene -o new --set lr_d=1e30,1e30 --save-every 0")
     assert found.startswith("16: equation '") and "[0, 0] is" in found
-    arrays, values = load(place / "new")
+    arrays, values = load_checkpoint(place / "new")
     assert values["iteration"] == 16
     assert all(np.isfinite(a).all() for a in arrays.values() if a.dtype.kind == "f")
     shutil.rmtree(place / "new")

@@ -9,6 +9,8 @@ from p4dgs_ref.training import density
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, SMOKE, TINY
 from p4dgs_ref.training.trainer import Trainer
 
+SCAFFOLD = PAPER_SYNTHETIC._replace(k=4, d=3, extent=0.5, grid_3d=(4,), grid_2d=(4,))
+
 
 @pytest.fixture(scope="module")
 def scene():
@@ -26,8 +28,7 @@ def prepared(scene, preset, A=12):
 
 def test_scaffold_growing_by_hand(scene):
     """A child with a gradient above the first threshold only gets an anchor in its coarse voxel."""
-    preset = PAPER_SYNTHETIC._replace(k=4, d=3, extent=0.5, grid_3d=(4,), grid_2d=(4,))
-    trainer, statistics = prepared(scene, preset)
+    trainer, statistics = prepared(scene, SCAFFOLD)
     p = trainer.parameters
     p["f_a"][...] = np.arange(36).reshape(12, 3)
     p["O_a"][5, 2] = 0.4
@@ -36,25 +37,23 @@ def test_scaffold_growing_by_hand(scene):
     class Always:  # the random share keeps every candidate
         random = staticmethod(lambda n: np.ones(n))
 
-    rows = density.grow(p, statistics, preset, Always)
+    rows = density.grow(p, statistics, SCAFFOLD, Always)
     centre = p["x_a"][5] + p["O_a"][5, 2] * np.exp(p["log_l"][5])
-    size = 16 * preset.voxel
+    size = 16 * SCAFFOLD.voxel
     assert np.allclose(rows["x_a"], [np.round(centre / size) * size], atol=1e-6)
     assert rows["f_a"].tolist() == [[15, 16, 17]] and not rows["O_a"].any()
     assert np.allclose(np.exp(rows["log_s"]), size) and np.allclose(np.exp(rows["log_l"]), size)
     statistics.gradient[5, 2] = 100 * 9e-4  # above all three thresholds: 16, 4 and 1 epsilon
     assert np.allclose(
-        np.exp(density.grow(p, statistics, preset, Always)["log_s"][:, 0]) / preset.voxel,
+        np.exp(density.grow(p, statistics, SCAFFOLD, Always)["log_s"][:, 0]) / SCAFFOLD.voxel,
         [16, 4, 1],
     )
     statistics.seen[5, 2] = 40  # seen too rarely: 0.5 * 0.8 * 100 at most
-    assert len(density.grow(p, statistics, preset, Always)["x_a"]) == 0
+    assert len(density.grow(p, statistics, SCAFFOLD, Always)["x_a"]) == 0
 
 
 def test_growing_does_not_double_an_occupied_voxel(scene):
-    preset = PAPER_SYNTHETIC._replace(
-        k=4, d=3, extent=0.5, grid_3d=(4,), grid_2d=(4,), grow_depth=1
-    )
+    preset = SCAFFOLD._replace(grow_depth=1)
     trainer, statistics = prepared(scene, preset)
     statistics.gradient[3] = 100.0  # all four children sit on their anchor: O_a = 0
     rng = np.random.default_rng(0)
@@ -81,8 +80,7 @@ def test_pruning_and_masking_by_opacity(scene):
 
 def test_scaffold_clears_only_what_it_has_judged(scene):
     """Children seen more than 40 times and anchors visited more than 80 times start anew."""
-    preset = PAPER_SYNTHETIC._replace(k=4, d=3, extent=0.5, grid_3d=(4,), grid_2d=(4,))
-    trainer, statistics = prepared(scene, preset)
+    trainer, statistics = prepared(scene, SCAFFOLD)
     statistics.gradient[:] = 1e-9
     statistics.seen[2, 1], statistics.visits[3] = 40, 80
     trainer.parameters["log_s"][7] = [-3, 0.04, 2]
@@ -101,8 +99,7 @@ def test_scaffold_clears_only_what_it_has_judged(scene):
 
 def test_growing_ends_before_grow_until(scene, monkeypatch):
     """Scaffold-GS compares strictly at both ends: 1,600 to 14,900."""
-    preset = PAPER_SYNTHETIC._replace(k=4, d=3, extent=0.5, grid_3d=(4,), grid_2d=(4,))
-    trainer, grown = prepared(scene, preset)[0], []
+    trainer, grown = prepared(scene, SCAFFOLD)[0], []
     added = {name: trainer.parameters[name][:0] for name in density.ROWS}
     monkeypatch.setattr(density, "grow", lambda *_: grown.append(trainer.iteration) or added)
     for trainer.iteration in range(1400, 15_200, 100):

@@ -23,9 +23,8 @@ from p4dgs_ref.splatting import render
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, SETTINGS
 from p4dgs_ref.training import objective
-from p4dgs_ref.training.adam import Adam
 from p4dgs_ref.training.fit import train
-from p4dgs_ref.training.parameters import Parameters
+from p4dgs_ref.training.parameters import Adam, Parameters
 from p4dgs_ref.training.presets import SMOKE
 from tests.golden.cases import Case
 from tests.golden.flat import (

@@ -14,10 +14,9 @@ import numpy as np
 from p4dgs_ref.model import bounding_box
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS, View
 from p4dgs_ref.splatting.settings import EXACT
-from p4dgs_ref.training.adam import Adam
 from p4dgs_ref.training.density import Statistics
 from p4dgs_ref.training.initial import design_of
-from p4dgs_ref.training.parameters import Parameters
+from p4dgs_ref.training.parameters import Adam, Parameters
 from p4dgs_ref.training.presets import Preset
 from p4dgs_ref.training.trainer import LEARNING_RATES, Trainer
 from tests.golden.cases import Case

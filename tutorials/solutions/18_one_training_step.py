@@ -6,8 +6,7 @@ import numpy as np
 
 from p4dgs_ref.equations import deformation, deformed, render_loss
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.training.adam import Adam
-from p4dgs_ref.training.parameters import Parameters
+from p4dgs_ref.training.parameters import Adam, Parameters
 
 # %% [markdown]
 # **18.1** The magnitude is $(1 - \lambda_{SSIM})/(3HW) = 0.8 / 12288$ whatever the error is,

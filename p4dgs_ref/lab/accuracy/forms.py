@@ -58,7 +58,7 @@ def draw(scene, settings):
         pairs = frame["height"] * frame["width"] * int(splats["visible"].sum())
         return outputs["image"], pullback(image_bar=image_bar.astype(settings.dtype)), pairs
     (image, _), saved = fast.forward(**splats, cov2d=cov2d, **frame, settings=settings)
-    return image, fast.backward(saved, image_bar), sum(chunk.A.size for chunk in saved[0])
+    return image, fast.backward(saved, image_bar), sum(A.size for _, _, A, *_ in saved[0])
 
 
 def image_errors(truth, found):

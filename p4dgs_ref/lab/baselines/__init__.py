@@ -53,7 +53,7 @@ def train(scene, method="d3dgs", preset=None, seed=0, settings=FAST, report=None
     """Fit a scene by a method and return the model, ready to be rendered or saved.
 
     Without a preset it is that for the tiny scenes; `report` is called after each step, for example
-    a `training.progress.Progress`; the other arguments are those of our `train`. Raises ValueError
+    a `training.loop.Progress`; the other arguments are those of our `train`. Raises ValueError
     for an unknown method, preset, field or value, and NotFinite.
     """
     kind, chosen = module_of(method)[0].Trainer, choose(method, preset, changes)

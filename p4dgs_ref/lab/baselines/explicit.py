@@ -36,12 +36,11 @@ from ...scenes.files import read_ply, reading, write_ply
 from ...splatting import render
 from ...splatting.covariance import rotation_matrix
 from ...splatting.settings import FAST
-from ...training.adam import exponential
 from ...training.density import Statistics
 from ...training.initial import neighbour_distance, starting_points
 from ...training.loop import Loop
 from ...training.objective import Losses, Seen
-from ...training.parameters import Parameters
+from ...training.parameters import Parameters, exponential
 from ...training.watch import NotFinite, first_bad
 from . import sh_color
 
@@ -329,7 +328,7 @@ class Trainer(Loop):
         L_total = L_render + model.regularise(gradients, self.iteration)
         if not np.isfinite(L_total) or not np.isfinite(gradients.vector).all():
             bad = first_bad({"L_total": L_total, **gradients.arrays})
-            raise NotFinite(self.iteration, f"loss or gradient of {bad}")
+            raise NotFinite(f"iteration {self.iteration}: loss or gradient of {bad}")
         losses = Losses(L_total, L_render, L1, D_SSIM, 0.0, 0.0)
         unused = np.zeros((self.primitives, 1))  # opacities, which decide nothing here
         return losses, Seen(unused, g.index, visible, image), gradients, bars["mean2d"]

@@ -18,8 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...model import Gaussians, pull
-from ...training.adam import Adam
-from ...training.parameters import random_layers
+from ...training.parameters import Adam, random_layers
 from . import activations, explicit, plane_decoder, plane_features, plane_losses
 
 # What differs from 3DGS: values in the authors' code for D-NeRF's scenes, and in `tiny`. The rates

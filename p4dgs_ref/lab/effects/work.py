@@ -51,7 +51,7 @@ class Work:
             self.own.update({effect: len(r_t) * n for effect, n in zip(fx.MOTION, widths)})
         elif key == "compositing, fast":
             chunks, T, background, occlusion, lists, *_ = saved
-            pairs = sum(chunk.A.size for chunk in chunks)
+            pairs = sum(A.size for _, _, A, *_ in chunks)
             self.own["occlusion"] += 2 * pairs * bool(occlusion)  # weight and transmittance
             self.own["background"] += 3 * T.size * bool(background.any())
             sorts = occlusion and name == "forward"

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from p4dgs_ref.training.adam import Adam, exponential
 from p4dgs_ref.training.density import ROWS
+from p4dgs_ref.training.parameters import Adam, exponential
 from tests.golden.mistakes.kit import surgery
 from tests.golden.replay import Replayed, replay
 

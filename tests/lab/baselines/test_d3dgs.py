@@ -9,8 +9,8 @@ import pytest
 
 from p4dgs_ref.lab import baselines
 from p4dgs_ref.lab.baselines import d3dgs
+from p4dgs_ref.training.loop import Progress
 from p4dgs_ref.training.parameters import Parameters
-from p4dgs_ref.training.progress import Progress
 from p4dgs_ref.training.watch import NotFinite
 
 from . import small
