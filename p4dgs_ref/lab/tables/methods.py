@@ -25,8 +25,8 @@ from ...training.parameters import Parameters
 from ...training.presets import TINY_REAL, choose
 from ...training.trainer import Trainer
 from .. import baselines
+from ..accuracy.harness import shortened
 from ..clock import clocked
-from ..effects.ledger import shortened
 
 OURS = "p4dgs"
 CODED = "p4dgs_coded"  # with coded networks and positions, beyond the paper
