@@ -104,23 +104,23 @@ def sweep_rates(arguments):
     scene, point = load_scene(arguments.scene), arguments.point
     options = arguments.lambda_rate, arguments.seeds, arguments.iterations, arguments.methods
     with made(arguments.output) as folder:
-        tasks, values = sweep.plan(scene, folder, *options)
+        tasks = sweep.plan(scene, folder, *options)
         if point:
-            return make_point(arguments, tasks, values, *point)
+            return make_point(arguments, tasks, *point)
         if not arguments.collect:
-            sweep.make_missing(tasks, values, progress, arguments.jobs)
+            methods.make_missing(tasks, progress, arguments.jobs)
         result = sweep.collect(tasks, Path(folder))
     show_table(arguments, sweep, result)
 
 
-def make_point(arguments, tasks, values, i, count):
+def make_point(arguments, tasks, i, count):
     """Make one point of a sweep, counted from 1."""
     expect(
         count == len(tasks) and 1 <= i <= count,
         f"--point {i}/{count}: expected I/{len(tasks)} with I from 1 to {len(tasks)}, the "
         "number of points of this sweep",
     )
-    sweep.make_missing([tasks[i - 1]], values)
+    methods.make_missing([tasks[i - 1]])
     path = str(tasks[i - 1].record)
     show(arguments, {"point": i, "of": count, "output": path}, f"point {i} of {count}: {path}")
 
