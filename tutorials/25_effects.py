@@ -7,7 +7,7 @@
 # 35 of exercises.
 #
 # **Files:** [effects.py](../p4dgs_ref/effects.py),
-# [ledger.py](../p4dgs_ref/lab/effects/ledger.py).
+# [effect_ledger.py](../p4dgs_ref/lab/effect_ledger.py).
 
 # %%
 from dataclasses import replace
@@ -18,10 +18,10 @@ import p4dgs_ref as p4
 from p4dgs_ref import effects as fx
 from p4dgs_ref.codec import published
 from p4dgs_ref.equations import deformation, deformed, positional_encoding
-from p4dgs_ref.lab.effects.ledger import counted, describe, ledger
-from p4dgs_ref.lab.effects.suggest import paired, verdict
+from p4dgs_ref.lab.effect_ledger import counted, describe, ledger
 from p4dgs_ref.lab.random_inputs import random_field
 from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.suggest import paired, verdict
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting import compositing

@@ -2,13 +2,12 @@
 
 from pathlib import Path
 
-from ..lab import bench, school
+from ..lab import bench, effect_ledger, school
 from ..lab.accuracy import knobs
 from ..lab.accuracy import report as accuracies
-from ..lab.effects import ledger
-from ..lab.effects.suggest import foretold, suggest
 from ..lab.stability.map import draw_map
 from ..lab.stability.table import describe, rows
+from ..lab.suggest import foretold, suggest
 from ..lab.tables import ablate, compare, methods, sweep
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
 from ..scenes.output import filled, made
@@ -50,11 +49,11 @@ def effects(arguments):
     scene = read_scene(arguments, "test", "measure on")
     preset, share = ("smoke", 1) if arguments.quick else ("tiny", 0.5)
     with report_folder(arguments.output) as beside:
-        found = ledger.ledger(scene, preset, arguments.seed, share, progress, arguments.jobs)
+        found = effect_ledger.ledger(scene, preset, arguments.seed, share, progress, arguments.jobs)
         if beside:
-            ledger.draw_ledger(beside / "effects.png", found)
+            effect_ledger.draw_ledger(beside / "effects.png", found)
     few = "\n\n45 steps of the preset smoke: too few for the PSNR to mean anything"
-    show(arguments, {"effects": found}, ledger.describe(found) + few * arguments.quick)
+    show(arguments, {"effects": found}, effect_ledger.describe(found) + few * arguments.quick)
 
 
 def suggest_effects(arguments):

@@ -12,7 +12,7 @@ import pytest
 from p4dgs_ref.codec import quantise
 from p4dgs_ref.codec.file import encode
 from p4dgs_ref.effects import MOTION
-from p4dgs_ref.lab.effects.ledger import counted, effect_bytes
+from p4dgs_ref.lab.effect_ledger import counted, effect_bytes
 from p4dgs_ref.model import Anchors, predict
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS

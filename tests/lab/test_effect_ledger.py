@@ -12,8 +12,8 @@ from p4dgs_ref.codec.file import decode, encode
 from p4dgs_ref.codec.quantise import without_silent_units
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.equations import deformation
+from p4dgs_ref.lab import effect_ledger
 from p4dgs_ref.lab.accuracy.harness import shortened
-from p4dgs_ref.lab.effects import ledger as effect_ledger
 from p4dgs_ref.model import ANCHOR_NETWORKS
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene

@@ -13,19 +13,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ... import effects as fx
-from ...codec.file import decode, encode
-from ...model import declared_numbers
-from ...report.evaluate import evaluate
-from ...report.figures import BLUE, ORANGE, pyplot, save_figure, write_csv
-from ...report.jobs import in_processes
-from ...scenes.scene import MODEL_EFFECTS
-from ...training.presets import choose
-from ...training.trainer import Trainer
-from ...training.watch import equation_codes, watching
-from ..accuracy.harness import shortened, step_at
-from ..clock import alternate
-from ..writer import table
+from .. import effects as fx
+from ..codec.file import decode, encode
+from ..model import declared_numbers
+from ..report.evaluate import evaluate
+from ..report.figures import BLUE, ORANGE, pyplot, save_figure, write_csv
+from ..report.jobs import in_processes
+from ..scenes.scene import MODEL_EFFECTS
+from ..training.presets import choose
+from ..training.trainer import Trainer
+from ..training.watch import equation_codes, watching
+from .accuracy.harness import shortened, step_at
+from .clock import alternate
+from .writer import table
 
 TURNS = 15  # of the steps that are timed
 AS_LISTED = "as listed"
