@@ -3,7 +3,7 @@
 #
 # **Promise.** After this you can say which effect needs which part of the method, and show that an
 # effect that is not listed costs nothing. **Before it:** `05_positional_encoding_and_deformation`,
-# `06_deformed`, `15_compositing`. **Takes** seven seconds on two cores, 25 minutes of reading and
+# `06_deformed`, `15_compositing`. **Takes** seven seconds on two cores, 20 minutes of reading and
 # 35 of exercises.
 #
 # **Files:** [effects.py](../p4dgs_ref/effects.py),
