@@ -54,7 +54,7 @@ def compare(scenes, folder, names=(), seeds=3, iterations=None, progress=lambda 
 
     `names` are those of methods, nothing means all; ours is always one of them. Seeds are 0 to
     seeds - 1, and all methods take the same iterations. Returns what compare.json holds. Raises
-    StudyError for an unknown method and for a scene without test views.
+    StudyError for an unknown method, and SceneError for a scene without test views.
     """
     chosen = methods.known([OURS, *names] if names else [])
     groups = [

@@ -21,6 +21,7 @@ from ...report.jobs import in_processes
 from ...scenes import Scene
 from ...scenes.files import read_json
 from ...scenes.output import write_atomically
+from ...scenes.scene import require
 from ...training.initial import design_of
 from ...training.parameters import Parameters
 from ...training.presets import TINY_REAL, choose
@@ -101,17 +102,14 @@ def known(names):
 def preset_of(task):
     """The preset for tiny scenes with the task's changes and iterations.
 
-    All dates of its schedule are shortened or stretched alike. Raises StudyError.
+    All dates of its schedule are shortened or stretched alike.
     """
-    try:
-        if task.own:
-            # As in `tiny_real`: points know their depth, and anchors keep it.
-            real = {} if task.scene.points is None else {"lr_x": TINY_REAL.lr_x}
-            ours = choose(OWN[task.method], {**real, **task.changes})
-            return shortened(ours, (task.iterations or ours.iterations) / ours.iterations)
-        theirs = baselines.choose(task.method, None, task.changes)
-    except ValueError as error:
-        raise StudyError(str(error)) from None
+    if task.own:
+        # As in `tiny_real`: points know their depth, and anchors keep it.
+        real = {} if task.scene.points is None else {"lr_x": TINY_REAL.lr_x}
+        ours = choose(OWN[task.method], {**real, **task.changes})
+        return shortened(ours, (task.iterations or ours.iterations) / ours.iterations)
+    theirs = baselines.choose(task.method, None, task.changes)
     share = (task.iterations or theirs.iterations) / theirs.iterations
     dates = {name: getattr(theirs, name) for name in DATES if hasattr(theirs, name)}
     return replace(theirs, **{name: max(round(share * n), n > 0) for name, n in dates.items()})
@@ -194,10 +192,9 @@ def make(task):
 
 
 def make_missing(tasks, progress=lambda line: None, jobs=1):
-    """Make the rows that are not there. Raises StudyError where a scene has no test views."""
+    """Make the rows that are not there. Raises SceneError where a scene has no test views."""
     for task in tasks:
-        if not task.scene.test:
-            raise StudyError(f"scene {task.scene.name}: split 'test': no views to measure on")
+        require(task.scene.test, f"scene {task.scene.name}", "split 'test': no views to measure on")
     missing = [task for task in tasks if not task.record.exists()]
     for done, _ in enumerate(in_processes(make, missing, jobs), 1):
         progress(f"{done} of {len(missing)} trainings")

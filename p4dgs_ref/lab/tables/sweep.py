@@ -52,8 +52,6 @@ def plan(scene, folder, lambdas=LAMBDAS, seeds=3, iterations=None, names=()):
     `names` are baselines, which are drawn as points; our coded design among them has a curve of
     its own. Trainings of another length are in a folder of their own.
     """
-    if not lambdas:
-        raise StudyError("lambda_rate: an empty sweep; expected at least one value")
     names = [name for name in methods.known(names) if name != OURS] if names else []
     points = Path(folder) / f"points{'' if iterations is None else f'_{iterations}'}"
     rated = [{"lambda_rate": value} for value in lambdas]

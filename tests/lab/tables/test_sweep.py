@@ -106,9 +106,7 @@ def test_trainings_of_another_length_are_other_points(swept, scene):
 
 
 def test_empty_sweeps(scene, tmp_path):
-    with pytest.raises(StudyError, match="an empty sweep; expected at least one value"):
-        study.plan(scene, tmp_path, ())
-    tasks = study.plan(scene, tmp_path)
-    with pytest.raises(StudyError, match="an empty sweep; expected at least one point"):
-        study.collect(tasks, tmp_path)
+    for lambdas in ((), study.LAMBDAS):
+        with pytest.raises(StudyError, match="an empty sweep; expected at least one point"):
+            study.collect(study.plan(scene, tmp_path, lambdas), tmp_path)
     assert not list(tmp_path.iterdir())
