@@ -145,7 +145,10 @@ def test_without_context_the_symbols_stay_and_the_networks_go(short_model):
     rows = harness.measure_file(KNOBS["context"], short_model, SMALL)
     assert rows[0]["psnr_db"] == rows[1]["psnr_db"] and rows[0]["bytes"] > rows[1]["bytes"] + 3000
     q = quantise(knobs.without_context(short_model))
-    assert np.allclose(q.symbols.mean(axis=0)[:22], q.context.mu_units[0, :22] / 1024, atol=0.05)
+    found = [q.symbols.mean(axis=0), 16 * np.log2(np.maximum(q.symbols.std(axis=0), 0.05))]
+    told = q.context.mu_units[0] / 1024, q.context.sigma_units[0]
+    for symbols, context, off in zip(found, told, (0.05, 2)):
+        assert np.allclose(symbols[:22], context[:22], atol=off), (symbols[:22], context[:22])
     made = {"bytes": 4900, "attribute_bytes": 1000, "anchors": 100}
     without = {"bytes": 1300, "attribute_bytes": 1200, "anchors": 100}
     assert harness.pays_from([made, without]) == 1900  # 3,800 bytes at 2 an anchor
@@ -229,6 +232,7 @@ SAID = [  # points, what is told: the cheap value, its loss, its saving, the ver
     ("ms", [("b", 3, 0.001), ("c", 4, 0)], ["b", "0.1 %", "9 → 3 ms", "always"]),
     ("ms", [("b", 3, 0.01)], ["b", "1 %", "9 → 3 ms", "for rough work"]),
     ("ms", [("b", 3, math.inf)], ["b", "inf %", "9 → 3 ms", "no"]),
+    ("ms", [("b", 8.5, 0), ("c", 3, 0.01)], ["c", "1 %", "9 → 3 ms", "for rough work"]),
     ("ms", [("b", 8.5, 0)], ["b", "0 %", "9 → 8.5 ms", "saves nothing"]),
     ("bytes", [("b", 4000, 30.01)], ["b", "+0.01 dB", "9,000 → 4,000 bytes", "always"]),
     ("bytes", [("b", 4000, 29.7)], ["b", "−0.30 dB", "9,000 → 4,000 bytes", "at low rates"]),
