@@ -44,6 +44,7 @@ COLUMNS = {
     "work off": "{work_off:,}",
     "worth dB": "{worth_db:+.2f}",
 }
+UNITS = "ms per step, multiply-adds of its forward; PSNR with it minus without it, test views"
 
 
 # --- work and bytes -------------------------------------------------------------------------------
@@ -132,7 +133,6 @@ def train_all(scenes, preset, seed, progress=lambda line: None, jobs=1):
     for name, build in zip(scenes, in_processes(train_alone, tasks, jobs)):
         built[name] = build
         progress(f"{len(built)} of {len(scenes)} builds trained")
-    progress("times of steps")
     with np.errstate(all="ignore"):
         steps = {name: step_at(scene, preset, 4) for name, scene in scenes.items()}
         times = alternate(steps, TURNS)
@@ -166,8 +166,7 @@ def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, 
 def describe(rows):
     """The ledger as text, a line per effect."""
     lines = table(COLUMNS, [{**r, "called_for": "yes" if r["called_for"] else "no"} for r in rows])
-    units = "ms per step, multiply-adds of its forward; PSNR with it minus without it, test views"
-    return "\n".join([*lines, "", units])
+    return "\n".join([*lines, "", UNITS])
 
 
 def draw_ledger(path, rows):

@@ -40,7 +40,7 @@ def test_ledger(tmp_path):
     scene, told = load_scene("bouncing"), []
     rows = effect_ledger.ledger(scene, "smoke", share=1, progress=told.append, jobs=2)
     assert [row["effect"] for row in rows] == list(MODEL_EFFECTS)
-    assert len(told) == 2 + len(MODEL_EFFECTS)
+    assert len(told) == 1 + len(MODEL_EFFECTS)
     assert json.loads(json.dumps(rows)) == rows
     for row in rows:
         listed = row["effect"] in scene.effects

@@ -28,8 +28,8 @@ TABLE_FLOOR = 2.0**-24  # the smallest mass of a table, as in a coder with 24-bi
 def formula_of(log_p_of, folded=True):
     """A formula in the form of `likelihood.forward`, from a function of a bin's two edges.
 
-    The function takes low and high and returns log p and the densities at both, divided by p.
-    `folded` mirrors a bin below the mean to the other side.
+    The function takes low and high and returns log p and its slopes in z and w. `folded` mirrors a
+    bin below the mean to the other side.
     """
 
     def formula(f_noisy, mu, sigma, q):
@@ -37,16 +37,15 @@ def formula_of(log_p_of, folded=True):
         mirrored = (f_noisy < mu) & folded
         edges = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            log_p, at_low, at_high = log_p_of(*edges)
-            slope_z = np.where(mirrored, -1, 1) * (at_high - at_low)  # of log p
-            slope_w = 0.5 * (at_high + at_low)
+            log_p, slope_z, slope_w = log_p_of(*edges)
+            slope_z = np.where(mirrored, -1, 1) * slope_z
             # sigma divides both z and w
             sigma_slope = -((f_noisy - mu) / sigma * slope_z + q / sigma * slope_w)
             per_unit = -1 / (math.log(2) * sigma)
-            slopes = (per_unit * slope for slope in (slope_z, sigma_slope, slope_w))
+            found = [per_unit * slope for slope in (slope_z, sigma_slope, slope_w)]
             bits = log_p * (-1 / math.log(2)) + 0.0  # adding 0 turns -0 into 0
-        bits, *slopes = (a.astype(f_noisy.dtype, copy=False) for a in (bits, *slopes))
-        return bits, tuple(slopes)
+        bits, *saved = (a.astype(f_noisy.dtype, copy=False) for a in (bits, *found))
+        return bits, tuple(saved)
 
     return formula
 
@@ -56,30 +55,35 @@ def density(v):
     return PHI_0 * np.exp(-0.5 * v * v)
 
 
+def slopes(at_low, at_high):
+    """The slopes of p in z and w, from the densities at the edges."""
+    return at_high - at_low, 0.5 * (at_high + at_low)
+
+
 def difference(low, high):
     """Eq. (11) as printed, in the precision of the inputs."""
     p = ndtr(high) - ndtr(low)
-    return np.log(p), density(low) / p, density(high) / p
+    return np.log(p), *(slope / p for slope in slopes(density(low), density(high)))
 
 
 def floored(low, high):
     """The printed formula with HAC's floor under p. On the floor the gradient is 0."""
-    log_p, *ratios = difference(low, high)
+    log_p, *rest = difference(low, high)
     above = log_p >= math.log(HAC_FLOOR)  # False for NaN as well
-    return np.where(above, log_p, math.log(HAC_FLOOR)), *(np.where(above, a, 0) for a in ratios)
+    return np.where(above, log_p, math.log(HAC_FLOOR)), *(np.where(above, a, 0) for a in rest)
 
 
 def tails(low, high):
     """The difference of the two tails on the bin's side of the mean: no values near one cancel."""
     p = ndtr(-low) - ndtr(-high)
-    return np.log(p), density(low) / p, density(high) / p
+    return np.log(p), *(slope / p for slope in slopes(density(low), density(high)))
 
 
 def log_tails(low, high):
     """log(a - b) = log a + log(1 - b/a) of the two tails' logarithms: nothing underflows."""
     near, beyond = log_ndtr(-low), log_ndtr(-high)
     log_p = near + np.log(-np.expm1(beyond - near))
-    return log_p, *(PHI_0 * np.exp(-0.5 * edge * edge - log_p) for edge in (low, high))
+    return log_p, *slopes(*(PHI_0 * np.exp(-0.5 * v * v - log_p) for v in (low, high)))
 
 
 def table(entries):
@@ -98,7 +102,7 @@ def table(entries):
     def interpolated(low, high):
         (at_low, phi_low), (at_high, phi_high) = read(-low), read(-high)
         p = np.maximum(at_low - at_high, TABLE_FLOOR)
-        return np.log(p), phi_low / p, phi_high / p
+        return np.log(p), *(slope / p for slope in slopes(phi_low, phi_high))
 
     return formula_of(interpolated)
 
