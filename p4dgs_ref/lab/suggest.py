@@ -90,7 +90,7 @@ def suggest(scene, progress=lambda line: None, jobs=1):
         said["translation"] = "no", f"all {len(views)} views have the time {views[0].time:g}"
     rest = said["translation"]
     if rest[0] == "yes":
-        rest = "cannot tell", f"something moves; {len(views)} views do not show whether it turns"
+        rest = "cannot tell", f"something moves; {len(views)} views do not show how"
     said |= {"rotation": rest, "scaling": rest, "background": background(views, scene.background)}
     return [
         {
