@@ -3,11 +3,11 @@
 #
 # **Promise.** After this you can say which effect needs which part of the method, and show that an
 # effect that is not listed costs nothing. **Before it:** `05_positional_encoding_and_deformation`,
-# `06_deformed`, `15_compositing`. **Takes** seven seconds on two cores, 25 minutes of reading and
+# `06_deformed`, `15_compositing`. **Takes** seven seconds on two cores, 20 minutes of reading and
 # 35 of exercises.
 #
 # **Files:** [effects.py](../p4dgs_ref/effects.py),
-# [ledger.py](../p4dgs_ref/lab/effects/ledger.py).
+# [effect_ledger.py](../p4dgs_ref/lab/effect_ledger.py).
 
 # %%
 from dataclasses import replace
@@ -18,11 +18,10 @@ import p4dgs_ref as p4
 from p4dgs_ref import effects as fx
 from p4dgs_ref.codec import published
 from p4dgs_ref.equations import deformation, deformed, positional_encoding
-from p4dgs_ref.lab.effects.ledger import describe, ledger
-from p4dgs_ref.lab.effects.suggest import paired, verdict
-from p4dgs_ref.lab.effects.work import counted
+from p4dgs_ref.lab.effect_ledger import counted, describe, ledger
 from p4dgs_ref.lab.random_inputs import random_field
 from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.suggest import paired, verdict
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting import compositing
@@ -119,8 +118,8 @@ assert called["bouncing"] - called["static"] == {
     "deformation",
     "deformed",
 }
-assert work["static"].of("translation") == 0
-assert work["bouncing"].of("translation") > 0
+assert work["static"].multiply_adds["translation"] == 0
+assert work["bouncing"].multiply_adds["translation"] > 0
 
 # %% [markdown]
 # **Off is neutral.** We take a published file of a model with all effects, set its three heads to
@@ -240,10 +239,10 @@ with counted() as wasted:
 with counted() as spared:
     absent.gaussians(0.3, camera)
 bytes_of_zeros = components(p4.encode(neutral))["deformation_mlp"]
-print(f"multiply-adds {sum(wasted.of(effect) for effect in fx.MOTION):,.0f}", end=", ")
+print(f"multiply-adds {sum(wasted.multiply_adds[effect] for effect in fx.MOTION):,}", end=", ")
 print(f"bytes of psi_d {bytes_of_zeros:,}")
 for effect in fx.MOTION:
-    assert wasted.of(effect) > 0 == spared.of(effect)
+    assert wasted.multiply_adds[effect] > 0 == spared.multiply_adds[effect]
 assert ("deformation", "forward") in wasted.calls
 assert ("deformation", "forward") not in spared.calls
 assert bytes_of_zeros > 0
@@ -275,24 +274,16 @@ for row in rows:
 # %%
 work_of_others = sum(row["work_on"] for row in rows if row["effect"] != "occlusion")
 assert ledger_of["occlusion"]["work_on"] > work_of_others
-assert ledger_of["occlusion"]["psnr_lost_when_off"] > 0.5
-
+assert ledger_of["occlusion"]["worth_db"] > 0.5
 
 # %%
-def worth(row):
-    """PSNR with the effect minus PSNR without it."""
-    if row["called_for"]:
-        return row["psnr_lost_when_off"]
-    return row["psnr_gained_when_forced"]
-
-
 effects = [row["effect"] for row in rows]
 faces = [lessons.COLORS[0 if row["called_for"] else 4] for row in rows]
 hatches = ["" if row["called_for"] else "//" for row in rows]
 columns = {
-    "work (thousand multiply-adds a step)": [row["work_on"] / 1000 for row in rows],
+    "work (thousand multiply-adds forward)": [row["work_on"] / 1000 for row in rows],
     "weights in the file (bytes)": [row["bytes_on"] for row in rows],
-    "PSNR with it, minus without (dB)": [worth(row) for row in rows],
+    "PSNR with it, minus without (dB)": [row["worth_db"] for row in rows],
 }
 figure, axes = plt.subplots(1, 3, figsize=(16, 5.4), sharey=True, layout="constrained")
 for panel, (label, values) in zip(axes, columns.items()):

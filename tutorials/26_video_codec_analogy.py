@@ -16,7 +16,7 @@ import numpy as np
 
 import p4dgs_ref as p4
 from p4dgs_ref.codec import published
-from p4dgs_ref.lab.accuracy import fits
+from p4dgs_ref.lab.accuracy.harness import reduced
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import predict
 from p4dgs_ref.report.evaluate import decibel, evaluate, squared_error
@@ -138,7 +138,7 @@ sizes = dict(
 
 def build(scene):
     """Train a model, write its file, and read it again."""
-    trained = Trainer(scene, fits.reduced(400, **sizes)).run()
+    trained = Trainer(scene, reduced(400, **sizes)).run()
     data = p4.encode(trained)
     return p4.decode(data), data
 

@@ -671,7 +671,7 @@ assert way.parameters.vector.size == 2 * before
 ours = [(8_000, 30.0), (12_000, 31.6), (20_000, 33.0), (38_000, 34.0)]
 theirs = [(30_000, 31.0), (70_000, 33.3), (152_000, 35.0)]
 ratio_of_largest = theirs[-1][0] / ours[-1][0]
-at_33 = bytes_at(theirs, 33.0)[0] / bytes_at(ours, 33.0)[0]
+at_33 = bytes_at(theirs, 33.0) / bytes_at(ours, 33.0)
 print(f"largest files: {ratio_of_largest:.1f} times, but 1 dB apart; at 33 dB: {at_33:.1f} times")
 print("where a curve was not measured:", bytes_at(ours, 35.0))
 assert ratio_of_largest == 4 and 3 < at_33 < 3.3
@@ -786,7 +786,7 @@ figure, axes = plt.subplots(2, 2, figsize=(11, 8.6), layout="constrained")
 for points, hue, mark, name in ((ours, 0, "o", "ours"), (theirs, 1, "s", "theirs")):
     at, psnr = np.array(points).T / [[1000], [1]]
     curves.semilogx(at, psnr, marker=mark, ms=9, color=lessons.COLORS[hue], label=name)
-both = [bytes_at(points, 33.0)[0] / 1000 for points in (ours, theirs)]
+both = [bytes_at(points, 33.0) / 1000 for points in (ours, theirs)]
 curves.plot(both, [33, 33], color="k", ls="--", lw=1.5)
 curves.annotate(f"{at_33:.1f} times", (np.sqrt(np.prod(both)), 33.1), ha="center", fontsize=12)
 curves.plot([38, 152], [34, 35], color="0.5", ls=":", lw=1.5)

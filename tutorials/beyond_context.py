@@ -7,7 +7,7 @@
 #
 #     python tutorials/beyond_context.py report/bouncing.p4dgs
 #
-# **Files:** [written.py](../p4dgs_ref/lab/accuracy/written.py) (how the same model is written
+# **Files:** [knobs.py](../p4dgs_ref/lab/accuracy/knobs.py) (how the same model is written
 # without context), [beyond_networks.py](beyond_networks.py) (coded networks, B1).
 
 # %%
@@ -19,7 +19,7 @@ import numpy as np
 
 from p4dgs_ref import decode, encode
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS
-from p4dgs_ref.lab.accuracy.written import fixed, without_context
+from p4dgs_ref.lab.accuracy.knobs import fixed, without_context
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.report.inspect import components
 

@@ -3,12 +3,11 @@
 from contextlib import nullcontext
 from pathlib import Path
 
-from ..lab import bench, school
+from ..lab import bench, effect_ledger, school
 from ..lab.accuracy import knobs
 from ..lab.accuracy import report as accuracies
-from ..lab.effects import ledger
-from ..lab.effects.suggest import foretold, suggest
 from ..lab.stability import describe, draw_map, rows
+from ..lab.suggest import foretold, suggest
 from ..lab.tables import ablate, compare, methods, sweep
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
 from ..scenes.output import filled, made
@@ -51,9 +50,10 @@ def effects(arguments):
     preset, share = ("smoke", 1) if arguments.quick else ("tiny", 0.5)
     with filled(arguments.output) as beside:
         scene = read_scene(arguments)
-        found = ledger.ledger(scene, preset, arguments.seed, share, progress, arguments.jobs)
-        ledger.draw_ledger(beside / "effects.png", found)
-    show(arguments, {"effects": found}, ledger.describe(found))
+        found = effect_ledger.ledger(scene, preset, arguments.seed, share, progress, arguments.jobs)
+        effect_ledger.draw_ledger(beside / "effects.png", found)
+    few = "\n\n45 steps of the preset smoke: too few for the PSNR to mean anything"
+    show(arguments, {"effects": found}, effect_ledger.describe(found) + few * arguments.quick)
 
 
 def suggest_effects(arguments):
@@ -102,23 +102,23 @@ def sweep_rates(arguments):
     scene, point = load_scene(arguments.scene), arguments.point
     options = arguments.lambda_rate, arguments.seeds, arguments.iterations, arguments.methods
     with made(arguments.output) as folder:
-        tasks, values = sweep.plan(scene, folder, *options)
+        tasks = sweep.plan(scene, folder, *options)
         if point:
-            return make_point(arguments, tasks, values, *point)
+            return make_point(arguments, tasks, *point)
         if not arguments.collect:
-            sweep.make_missing(tasks, values, progress, arguments.jobs)
+            methods.make_missing(tasks, progress, arguments.jobs)
         result = sweep.collect(tasks, Path(folder))
     show_table(arguments, sweep, result)
 
 
-def make_point(arguments, tasks, values, i, count):
+def make_point(arguments, tasks, i, count):
     """Make one point of a sweep, counted from 1."""
     expect(
         count == len(tasks) and 1 <= i <= count,
         f"--point {i}/{count}: expected I/{len(tasks)} with I from 1 to {len(tasks)}, the "
         "number of points of this sweep",
     )
-    sweep.make_missing([tasks[i - 1]], values)
+    methods.make_missing([tasks[i - 1]])
     path = str(tasks[i - 1].record)
     show(arguments, {"point": i, "of": count, "output": path}, f"point {i} of {count}: {path}")
 

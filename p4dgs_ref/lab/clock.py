@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-LEAST_MS = 2.0  # a shorter function is called several times per turn, for the sake of the clock
-ROUND_MS = 300.0  # shorter rounds are repeated more often: other programs disturb them more
+ROUND = 0.3  # seconds; shorter rounds are repeated more often: other programs disturb them more
 DISTURBED = 1.1  # the wall clock's seconds over the processor's
 
 
@@ -54,17 +53,11 @@ def alternate(functions, repeats):
     The functions are called in turn, so that a disturbance meets all of them, after one call to
     warm up. `repeats` is the smallest number of turns; short rounds take up to five times as many.
     """
-    calls, spent = {}, 0.0
-    for name, function in functions.items():
-        function()
-        ms = 1e3 * clocked(function)[1][0]
-        calls[name] = max(1, int(LEAST_MS / max(ms, 1e-3)))
-        spent += max(ms, LEAST_MS)
+    spent = sum(clocked(function)[1][0] for function in functions.values())
     turns = {name: [] for name in functions}
-    for _ in range(repeats * min(5, max(1, round(ROUND_MS / spent)))):
+    for _ in range(round(repeats * np.clip(ROUND / spent, 1, 5))):
         for name, function in functions.items():
-            _, seconds = clocked(lambda: [function() for _ in range(calls[name])])
-            turns[name].append(seconds / calls[name])
+            turns[name].append(clocked(function)[1])
     return {name: times_of(seconds) for name, seconds in turns.items()}
 
 

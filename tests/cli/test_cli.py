@@ -327,6 +327,6 @@ def test_sweep_point_by_point(place, run, refused):
     assert (code, err) == (0, "") and json.loads(out)["missing"] == 0
     assert len((place / folder / "sweep.csv").read_text().splitlines()) == 3
     assert len((place / folder / "composition.csv").read_text().splitlines()) == 10
-    for damage, words in (('{"version": 0}', ("'version'", "expected 2")), ("{", ("JSON",))):
-        (place / folder / "sweep.json").write_text(damage)
-        refused(f"{sweep} --collect", ("sweep.json", *words))
+    (record,) = (place / folder).glob("points_*_4/*_0.5_*.json")
+    record.write_text("{")
+    refused(f"{sweep} --collect", (record.name, "JSON"))

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from p4dgs_ref.codec.file import encode
-from p4dgs_ref.lab.effects.work import counted
+from p4dgs_ref.lab.effect_ledger import counted
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
 from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.training.presets import SMOKE

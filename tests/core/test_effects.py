@@ -12,7 +12,7 @@ import pytest
 from p4dgs_ref.codec import quantise
 from p4dgs_ref.codec.file import encode
 from p4dgs_ref.effects import MOTION
-from p4dgs_ref.lab.effects.work import counted, effect_bytes
+from p4dgs_ref.lab.effect_ledger import counted, effect_bytes
 from p4dgs_ref.model import Anchors, predict
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS
@@ -57,7 +57,7 @@ def test_off_is_absent_and_on_is_there(name, effect):
     for on in (False, True):
         trainer, work, data = trained(name, effect, on)
         design, owns = trainer.design, effect in MOTION or effect in SEEN_BY
-        assert (work.of(effect) > 0) == on, effect
+        assert (work.multiply_adds[effect] > 0) == on, effect
         for group in (trainer.parameters, trainer.adam.first, trainer.adam.second):
             assert (weights_of(group.arrays, effect, design.d) > 0) == (on and owns)
         assert set(trainer.adam.steps) == set(trainer.parameters.arrays)
@@ -82,32 +82,32 @@ def test_off_is_absent_and_on_is_there(name, effect):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_the_effects_bytes_add_up_to_what_the_file_has_more(name, monkeypatch):
-    """The bytes of each effect add up to the difference of files with all effects and with none."""
+def test_the_effects_bytes_are_what_the_file_has_more(name, monkeypatch):
+    """The bytes of each effect are what the networks of the file lose where it is switched off."""
     # Units that are removed because they are silent would be counted for no effect.
     monkeypatch.setattr(quantise, "without_silent_units", lambda model: model)
     scene = small_scene(name)
-    files = [
-        encode(Trainer(replace(scene, effects=effects), SHORT).model())
-        for effects in (MODEL_EFFECTS, ())
-    ]
-    on, off = (components(data) for data in files)
-    sizes = effect_bytes(files[0])
-    assert sum(sizes[e] for e in MOTION) == on["deformation_mlp"] and "deformation_mlp" not in off
-    assert sum(sizes[e] for e in SEEN_BY) == on["anchor_mlps"] - off["anchor_mlps"]
-    assert not any(effect_bytes(files[1]).values())
+
+    def file_with(effects):
+        return encode(Trainer(replace(scene, effects=effects), SHORT).model())
+
+    def networks(data):
+        return sum(size for part, size in components(data).items() if "mlp" in part)
+
+    for effects in (MODEL_EFFECTS, scene.effects):
+        data = file_with(effects)
+        for effect, size in effect_bytes(data).items():
+            without = file_with(tuple(e for e in effects if e != effect))
+            assert size == networks(data) - networks(without), effect
 
 
 def test_counted_work_is_that_of_the_formulas():
-    """The work of `rotation` counted by hand from the shapes: its head and its share of psi_d."""
+    """The work of `rotation` counted by hand from the shapes: nothing else needs psi_d."""
     trainer = trained("static", "rotation", True)[0]
     with counted() as work:
         _, seen, _ = trainer.step()
     N, (I, h, g) = len(seen.index), (3 * (1 + 2 * SHORT.L_x), *SHORT.deformation)
-    t = 1 + 2 * SHORT.L_t
-    forward = N * (I * h + h * g) + N * I + t * h + N * g * 4 + N * 4
-    backward = N * (I * h + 2 * h * g) + t * h + 2 * N * g * 4 + N * 4
-    assert work.of("rotation") == forward + backward
+    assert work.multiply_adds["rotation"] == N * (I * h + h * g + g * 4)
 
 
 # --- off equals the neutral input ---

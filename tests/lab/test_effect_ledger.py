@@ -12,13 +12,11 @@ from p4dgs_ref.codec.file import decode, encode
 from p4dgs_ref.codec.quantise import without_silent_units
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.equations import deformation
-from p4dgs_ref.lab.effects import ledger as effect_ledger
-from p4dgs_ref.lab.effects.work import deformation_work
+from p4dgs_ref.lab import effect_ledger
+from p4dgs_ref.lab.accuracy.harness import shortened
 from p4dgs_ref.model import ANCHOR_NETWORKS
-from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
-from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import SMOKE, TINY
 from p4dgs_ref.training.trainer import Trainer, assemble
 
@@ -42,26 +40,21 @@ def test_ledger(tmp_path):
     scene, told = load_scene("bouncing"), []
     rows = effect_ledger.ledger(scene, "smoke", share=1, progress=told.append, jobs=2)
     assert [row["effect"] for row in rows] == list(MODEL_EFFECTS)
-    assert len(told) == 2 + len(MODEL_EFFECTS)
+    assert len(told) == 1 + len(MODEL_EFFECTS)
     assert json.loads(json.dumps(rows)) == rows
     for row in rows:
         listed = row["effect"] in scene.effects
         assert row["called_for"] == listed and row["ms_on"] > 0 and row["ms_off"] > 0
         assert row["work_on"] > 0 == row["work_off"]
         assert row["bytes_on"] >= 0 == row["bytes_off"]
-        assert (row["sorted_on"] > 0) == (row["effect"] == "occlusion") and row["sorted_off"] == 0
         assert (row["bytes_on"] > 0) == (row["effect"] in (*MOTION, *VIEW))
-        assert (row["psnr_lost_when_off"] is not None) == listed
-        assert (row["psnr_gained_when_forced"] is None) == listed
-    assert rows[MODEL_EFFECTS.index("background")]["psnr_lost_when_off"] > 0.5
-    text = effect_ledger.describe(rows)
-    assert all(row["evidence"] in text for row in rows)
+    background = rows[MODEL_EFFECTS.index("background")]
+    assert background["worth_db"] > 0.5
+    assert f"{background['worth_db']:+.2f}\n" in effect_ledger.describe(rows)
     effect_ledger.draw_ledger(tmp_path / "ledger.png", rows)
     with open(tmp_path / "ledger.csv", newline="") as file:
         assert [row["effect"] for row in csv.DictReader(file)] == list(MODEL_EFFECTS)
     assert (tmp_path / "ledger.png").stat().st_size > 10_000
-    with pytest.raises(ValueError, match="'test'"):
-        effect_ledger.ledger(replace(scene, test=()), "smoke")
 
 
 @pytest.mark.slow
@@ -71,43 +64,26 @@ def test_two_processes_train_the_builds_that_one_trains():
     alone, together = (effect_ledger.train_all(builds, SHORT, 3, jobs=jobs) for jobs in (1, 2))
     for name in builds:
         assert alone[name]["data"] == together[name]["data"]
-        works = [vars(built[name]["work"]) for built in (alone, together)]
-        assert works[0] == works[1]
+        assert alone[name]["work"] == together[name]["work"]
     assert alone["listed"]["data"] != alone["without"]["data"]
 
 
-def test_work_that_effects_share_is_divided_among_those_that_are_on():
+def test_work_that_effects_share_belongs_to_none_of_them():
     def work(*heads):
         shapes = [(12, 5), *((5, columns) for columns in heads)]
         weights, biases = [np.ones(s) for s in shapes], [np.ones(s[1]) for s in shapes]
         _, saved = deformation.forward(np.zeros((4, 3)), 0.5, weights, biases, 1, 1)
-        return deformation_work(saved, "forward")
+        return effect_ledger.multiply_adds("deformation", saved)
 
-    alone, together = work(3, 0, 0), work(3, 3, 4)
-    assert set(alone) == {"translation"} and set(together) == set(MOTION)
-    heads = {"translation": 3, "scaling": 3, "rotation": 4}
-    shared = alone["translation"] - 4 * 5 * 3
-    assert shared > 0
-    for effect, columns in heads.items():
-        assert together[effect] == pytest.approx(4 * 5 * columns + shared / 3), effect
-
-
-def test_bytes_of_motion_are_those_of_its_section():
-    """Also with D3DGS's time net and skip, and where networks are coded (B1)."""
-    scene = load_scene("figure", downscale=4)
-    as_d3dgs = dict(deformation=(6, 5, 4), time_net=(7, 3), skip=True)
-    for options in ({}, as_d3dgs, dict(coded=True)):
-        design = design_of(SHORT, scene.effects)._replace(**options)
-        data = encode(Trainer(scene, SHORT, design=design).model())
-        sizes = effect_ledger.effect_bytes(data)
-        assert round(sum(sizes[e] for e in MOTION)) == components(data)["deformation_mlp"]
+    assert work(3, 0, 0) == {"translation": 4 * (9 * 5 + 5 * 3)}
+    assert work(3, 3, 4) == {"translation": 60, "scaling": 60, "rotation": 80}
 
 
 def test_a_switched_build_differs_in_one_effect_only():
     scene = load_scene("glossy")
     for effect in MODEL_EFFECTS:
         assert set(effect_ledger.switched(scene, effect).effects) ^ set(scene.effects) == {effect}
-    short = effect_ledger.shortened(SMOKE, 0.01)
+    short = shortened(SMOKE, 0.01)
     assert short.stage_ends == (1, 2, 3, 4)
 
 
@@ -156,13 +132,13 @@ def test_one_unit_is_kept_where_all_are_silent():
 @pytest.mark.slow
 def test_static_needs_less_than_with_everything_on():
     """Bytes, counted work and quality of `static`, half a training, over two seeds."""
-    scene, preset = load_scene("static"), effect_ledger.shortened(TINY, 0.5)
+    scene, preset = load_scene("static"), shortened(TINY, 0.5)
     psnr = []
     for seed in (0, 1):
         builds = {"listed": scene, "all": replace(scene, effects=MODEL_EFFECTS)}
         few, full = effect_ledger.train_all(builds, preset, seed).values()
-        works = [sum(map(build["work"].of, MODEL_EFFECTS)) for build in (few, full)]
-        assert works[1] > 3 * works[0] and len(few["data"]) <= 0.6 * len(full["data"])
-        psnr.append([evaluate(build["model"], scene)[0]["psnr_db"] for build in (few, full)])
+        assert {effect for effect, work in few["work"].items() if work} == set(scene.effects)
+        assert all(full["work"].values()) and len(few["data"]) <= 0.6 * len(full["data"])
+        psnr.append([build["psnr_db"] for build in (few, full)])
     few, full = np.array(psnr).T
     assert np.mean(full - few) <= max(np.ptp(few), np.ptp(full), 1.0)

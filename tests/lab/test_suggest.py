@@ -9,7 +9,7 @@ import pytest
 
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.effects import MOTION
-from p4dgs_ref.lab.effects import suggest
+from p4dgs_ref.lab import suggest
 from p4dgs_ref.scenes import MODEL_EFFECTS, SIMULATOR_EFFECTS, Scene, load_scene
 from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator import place_cameras, trace

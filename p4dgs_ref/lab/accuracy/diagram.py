@@ -132,10 +132,3 @@ def draw(path, panels, size, label=True, **legend):
     fig.set_dpi(DPI)
     place_labels(fig)
     save_figure(fig, path)
-
-
-def number(value):
-    """A number for a sentence: two or three digits, powers of ten where it is far from one."""
-    if not np.isfinite(value):
-        return "infinite"
-    return f"{value:.1e}" if value and not 1e-2 <= abs(value) < 1e4 else f"{value:.3g}"

@@ -1,8 +1,8 @@
 """Formulas for Eq. (11) that trade accuracy for time, and their true values.
 
 Each takes and returns the same as `likelihood.forward`, so that `likelihood.backward` serves all of
-them. With z = |f_noisy - mu| / sigma and w = q / sigma, a bin reaches from low = z - w/2 to
-high = z + w/2, in sigmas from the mean.
+them. A bin reaches from low to high, in sigmas from the mean: z - w/2 and z + w/2, with
+z = |f_noisy - mu| / sigma and w = q / sigma.
 """
 
 import json
@@ -25,98 +25,29 @@ TABLE_REACH = 8.0  # sigmas: beyond, the tables are constant
 TABLE_FLOOR = 2.0**-24  # the smallest mass of a table, as in a coder with 24-bit frequencies
 
 
-def literal(f_noisy, mu, sigma, q):
-    """Eq. (11) as printed, in the precision of the inputs."""
-    return in_bits(f_noisy, mu, sigma, q, *_literal(f_noisy, mu, sigma, q))
+def formula_of(log_p_of, folded=True):
+    """A formula in the form of `likelihood.forward`, from a function of a bin's two edges.
 
-
-def _literal(x, mu, sigma, q):
-    """log p and its slopes in z and w."""
-    up, down = (x + q / 2 - mu) / sigma, (x - q / 2 - mu) / sigma
-    p = ndtr(up) - ndtr(down)
-    phi_up, phi_down = density(up), density(down)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.log(p), (phi_up - phi_down) / p, 0.5 * (phi_up + phi_down) / p
-
-
-def hac(f_noisy, mu, sigma, q):
-    """The printed formula with HAC's floor under p. On the floor the gradient is 0."""
-    log_p, slope_z, slope_w = _literal(f_noisy, mu, sigma, q)
-    floor = math.log(HAC_FLOOR)
-    above = log_p >= floor  # False for NaN as well
-    log_p = np.where(above, log_p, floor).astype(log_p.dtype)
-    kept = np.where(above, slope_z, 0), np.where(above, slope_w, 0)
-    return in_bits(f_noisy, mu, sigma, q, log_p, *kept)
-
-
-def symmetric(f_noisy, mu, sigma, q):
-    """The difference of the two tails on the bin's side of the mean: no values near one cancel."""
-    low, high = edges(f_noisy, mu, sigma, q)
-    p = ndtr(-low) - ndtr(-high)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slopes = slopes_of(f_noisy - mu, density(low) / p, density(high) / p)
-        return in_bits(f_noisy, mu, sigma, q, np.log(p), *slopes)
-
-
-def log_domain(f_noisy, mu, sigma, q):
-    """log(a - b) = log a + log(1 - b/a) of the two tails' logarithms: nothing underflows."""
-    low, high = edges(f_noisy, mu, sigma, q)
-    near, beyond = log_ndtr(-low), log_ndtr(-high)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        log_p = near + np.log(-np.expm1(beyond - near))
-        ratios = (PHI_0 * np.exp(-0.5 * edge * edge - log_p) for edge in (low, high))
-        return in_bits(f_noisy, mu, sigma, q, log_p, *slopes_of(f_noisy - mu, *ratios))
-
-
-def table(entries):
-    """The formula that reads Phi from a table of `entries` per sigma, interpolating linearly.
-
-    It takes the density from the slope of the same table.
+    The function takes low and high and returns log p and its slopes in z and w. `folded` mirrors a
+    bin below the mean to the other side.
     """
 
     def formula(f_noisy, mu, sigma, q):
-        low, high = edges(f_noisy, mu, sigma, q)
-        number = low.dtype.type
-        values = normal_table(entries, low.dtype)
-
-        def read(edge):
-            place = np.clip(edge, -TABLE_REACH, TABLE_REACH) + number(TABLE_REACH)
-            place = place * number(entries)
-            i = np.minimum(place.astype(np.int64), len(values) - 2)
-            rise = values[i + 1] - values[i]
-            return values[i] + (place - i).astype(low.dtype) * rise, rise * number(entries)
-
-        (at_low, phi_low), (at_high, phi_high) = read(-low), read(-high)
-        p = np.maximum(at_low - at_high, number(TABLE_FLOOR))
-        ratios = phi_low / p, phi_high / p
-        return in_bits(f_noisy, mu, sigma, q, np.log(p), *slopes_of(f_noisy - mu, *ratios))
+        low, high = (f_noisy - q / 2 - mu) / sigma, (f_noisy + q / 2 - mu) / sigma
+        mirrored = (f_noisy < mu) & folded
+        edges = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            log_p, slope_z, slope_w = log_p_of(*edges)
+            slope_z = np.where(mirrored, -1, 1) * slope_z
+            # sigma divides both z and w
+            sigma_slope = -((f_noisy - mu) / sigma * slope_z + q / sigma * slope_w)
+            per_unit = -1 / (math.log(2) * sigma)
+            found = [per_unit * slope for slope in (slope_z, sigma_slope, slope_w)]
+            bits = log_p * (-1 / math.log(2)) + 0.0  # adding 0 turns -0 into 0
+        bits, *saved = (a.astype(f_noisy.dtype, copy=False) for a in (bits, *found))
+        return bits, tuple(saved)
 
     return formula
-
-
-@cache
-def normal_table(entries, dtype):
-    """Phi at `entries` equal steps per sigma from -TABLE_REACH to TABLE_REACH."""
-    steps = np.arange(-TABLE_REACH * entries, TABLE_REACH * entries + 1)
-    return ndtr(steps / entries).astype(dtype)
-
-
-FORMULAS = {
-    "literal": literal,
-    "HAC, floor 1e-6": hac,
-    "tail-symmetric": symmetric,
-    "log domain": log_domain,
-    "table, 256 per sigma": table(256),
-    "stable": likelihood.forward,
-}
-TABLES = (16, 64, 256, 1024, 4096)
-
-
-# --- the parts that formulas share ---------------------------------------------------------------
-def edges(x, mu, sigma, q):
-    """The two edges of the bin in sigmas from the mean, the nearer one first."""
-    distance, w = np.abs((x - mu) / sigma), q / sigma
-    return distance - w / 2, distance + w / 2
 
 
 def density(v):
@@ -124,22 +55,68 @@ def density(v):
     return PHI_0 * np.exp(-0.5 * v * v)
 
 
-def slopes_of(offset, low_ratio, high_ratio):
-    """The slopes of log p in z and in w, from the densities at the edges divided by p."""
-    sign = np.where(offset < 0, -1, 1).astype(offset.dtype)
-    return sign * (high_ratio - low_ratio), 0.5 * (high_ratio + low_ratio)
+def slopes(at_low, at_high):
+    """The slopes of p in z and w, from the densities at the edges."""
+    return at_high - at_low, 0.5 * (at_high + at_low)
 
 
-def in_bits(x, mu, sigma, q, log_p, slope_z, slope_w):
-    """From log p and its slopes in z and w to bits, and their slopes in x, sigma and q."""
-    z, w = (x - mu) / sigma, q / sigma
-    per_unit = -1 / (math.log(2) * sigma)
-    with np.errstate(invalid="ignore"):  # inf - inf where the bits are infinite
-        sigma_slope = -(z * slope_z + w * slope_w)  # sigma divides both z and w
-    bits = log_p * (-1 / math.log(2)) + 0.0  # adding 0 turns -0 into 0
-    slopes = per_unit * slope_z, per_unit * sigma_slope, per_unit * slope_w
-    saved = tuple(slope.astype(x.dtype, copy=False) for slope in slopes)
-    return bits.astype(x.dtype, copy=False), saved
+def difference(low, high):
+    """Eq. (11) as printed, in the precision of the inputs."""
+    p = ndtr(high) - ndtr(low)
+    return np.log(p), *(slope / p for slope in slopes(density(low), density(high)))
+
+
+def floored(low, high):
+    """The printed formula with HAC's floor under p. On the floor the gradient is 0."""
+    log_p, *rest = difference(low, high)
+    above = log_p >= math.log(HAC_FLOOR)  # False for NaN as well
+    return np.where(above, log_p, math.log(HAC_FLOOR)), *(np.where(above, a, 0) for a in rest)
+
+
+def tails(low, high):
+    """The difference of the two tails on the bin's side of the mean: no values near one cancel."""
+    p = ndtr(-low) - ndtr(-high)
+    return np.log(p), *(slope / p for slope in slopes(density(low), density(high)))
+
+
+def log_tails(low, high):
+    """log(a - b) = log a + log(1 - b/a) of the two tails' logarithms: nothing underflows."""
+    near, beyond = log_ndtr(-low), log_ndtr(-high)
+    log_p = near + np.log(-np.expm1(beyond - near))
+    return log_p, *slopes(*(PHI_0 * np.exp(-0.5 * v * v - log_p) for v in (low, high)))
+
+
+def table(entries):
+    """The formula that reads Phi from a table of `entries` per sigma, interpolating linearly.
+
+    It takes the density from the slope of the same table.
+    """
+    values = ndtr(np.arange(-TABLE_REACH * entries, TABLE_REACH * entries + 1) / entries)
+
+    def read(edge):
+        place = (np.clip(edge, -TABLE_REACH, TABLE_REACH) + TABLE_REACH) * entries
+        i = np.minimum(place.astype(np.int64), len(values) - 2)
+        rise = values[i + 1] - values[i]
+        return values[i] + (place - i) * rise, rise * entries
+
+    def interpolated(low, high):
+        (at_low, phi_low), (at_high, phi_high) = read(-low), read(-high)
+        p = np.maximum(at_low - at_high, TABLE_FLOOR)
+        return np.log(p), *(slope / p for slope in slopes(phi_low, phi_high))
+
+    return formula_of(interpolated)
+
+
+literal, hac = formula_of(difference, folded=False), formula_of(floored, folded=False)
+FORMULAS = {
+    "literal": literal,
+    "HAC, floor 1e-6": hac,
+    "tail-symmetric": formula_of(tails),
+    "log domain": formula_of(log_tails),
+    "table, 256 per sigma": table(256),
+    "stable": likelihood.forward,
+}
+TABLES = (16, 64, 256, 1024, 4096)
 
 
 # --- the truth -----------------------------------------------------------------------------------
@@ -150,24 +127,18 @@ def truth(z, w):
     terms, so the error is a few units in the last place.
     """
     low, high = z - w / 2, z + w / 2
-    drop = -np.expm1(-z * w)  # 1 - phi(high) / phi(low)
-    distance = np.abs(low)
+    distance, outside = np.abs(low), low >= 0
     log_phi = np.log(PHI_0) - 0.5 * distance * distance
-    outside = low >= 0
+    # Of a bin on one side of the mean the mass itself, of one around the mean the tail before it.
     mass = scaled_mass(distance, np.where(outside, w, np.inf))
-    # A bin around the mean: the integral itself if the bin is short, else one minus both tails.
-    short = ~outside & (w < 2)
-    nodes, weights = quadrature()
-    points = low[..., None] + w[..., None] * nodes
-    direct = w * (PHI_0 * np.exp(-0.5 * points**2) @ weights)
-    infinite = np.full_like(w, np.inf)
-    right_tail = PHI_0 * np.exp(-0.5 * high * high) * scaled_mass(high, infinite)
-    tails = np.exp(log_phi) * scaled_mass(distance, infinite) + right_tail
-    inside = np.where(
-        short, np.log(np.where(short, direct, 1)), np.log1p(-np.where(outside, 0, tails))
-    )
+    after = density(high) * scaled_mass(high, np.full_like(w, np.inf))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # A bin around the mean: both of its sides if it is short, else one minus both tails.
+        sides = PHI_0 * (scaled_mass(0 * z, distance) + scaled_mass(0 * z, high))
+        inside = np.where(w < 2, np.log(sides), np.log1p(-(np.exp(log_phi) * mass + after)))
     log_p = np.where(outside, log_phi + np.log(mass), inside)
-    ratio = np.where(outside, 1 / mass, np.exp(log_phi - np.where(outside, 0, log_p)))
+    ratio = np.where(outside, 1 / mass, np.exp(log_phi - log_p))
+    drop = -np.expm1(-z * w)  # 1 - phi(high) / phi(low)
     return log_p, -ratio * drop, ratio * (1 - drop / 2)
 
 

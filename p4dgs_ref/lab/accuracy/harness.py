@@ -1,4 +1,4 @@
-"""The three harnesses, which turn a knob into rows, and the verdict of a row.
+"""Short trainings, the three harnesses, which turn a knob into rows, and the verdict of a row.
 
 A row has the columns line and value, then error and ms (formulas), psnr_db and bytes (files), or
 psnr_db, bytes and seconds (training). Times are processor times of this process, taken in turn;
@@ -14,48 +14,49 @@ from ...report.evaluate import evaluate
 from ...report.inspect import components
 from ...report.jobs import in_processes
 from ...scenes import load_scene
+from ...training.presets import TINY, choose
 from ...training.trainer import Trainer
 from ..clock import alternate, can_tell
-from .diagram import lines_of, number
-from .fits import reduced, step_at
+from .diagram import lines_of
 
 SCENE, ITERATIONS, SEEDS = "bouncing", 950, 3
-QUICK_ITERATIONS = 240  # of the model that --quick writes otherwise; nothing else is trained
-NOT_TOLD = "not told by --quick"
+# The iterations of a preset that are shortened together with its stages.
+DATES = ("decay_from", "grow_from", "grow_until", "collect_from", "mask_from")
 LEAST = 1.01  # a knob that saves a smaller factor saves nothing
 # What a knob is for that loses up to ten times more than is enough, by what it saves.
 USES = {"ms": "for rough work", "seconds": "to try things out", "bytes": "at low rates"}
 HIDDEN = "seeds differ by more"
 # The order of verdicts in the table.
-ORDER = ("always", *USES.values(), HIDDEN, "saves nothing", "no", NOT_TOLD)
+ORDER = ("always", *USES.values(), HIDDEN, "saves nothing", "no")
 
 
-def measure_forms(forms, repeats):
-    """Rows of the forms of a function: error and time."""
-    with np.errstate(all="ignore"):
-        times = alternate({key: run for key, (run, _) in forms.items()}, repeats)
-        return [
-            {"line": line, "value": value, **judge(run()), **times[line, value].columns()}
-            for (line, value), (run, judge) in forms.items()
-        ]
+# --- trainings -----------------------------------------------------------------------------------
+def shortened(preset, share):
+    """The preset with a share of its iterations: all stages and dates are shortened alike."""
+    ends = tuple(max(round(share * end), i + 1) for i, end in enumerate(preset.stage_ends))
+    dates = {name: round(share * getattr(preset, name)) for name in DATES}
+    return preset._replace(stage_ends=ends, **dates)
 
 
-def measure_file(knob, model, scene):
-    """Rows of a knob of files: PSNR of the decoded file, and bytes."""
-    rows = []
-    for (line, value), changed in knob.values(model).items():
-        data = encode(changed)
-        metrics, sizes = evaluate(decode(data), scene)[0], components(data)
-        about = {
-            "attribute_bytes": sum(sizes[name] for name in ATTRIBUTE_SECTIONS),
-            "anchors": metrics["anchors"],
-        }
-        measured = {"psnr_db": metrics["psnr_db"], "bytes": len(data)}
-        rows.append({"line": line, "value": value, **measured, **about})
-    return rows
+def reduced(iterations, **changes):
+    """`tiny` for that many iterations, with other changes; the windows of growing shrink, too."""
+    share = iterations / TINY.iterations
+    window = max(20, round(share * TINY.grow_every))
+    return choose(shortened(TINY, share), {"grow_every": window, **changes})
 
 
-# --- training ------------------------------------------------------------------------------------
+def step_at(scene, preset, stage, **options):
+    """A function that does the first step of a stage again and again; `options` of the Trainer."""
+    # The anchors stay as they are.
+    trainer = Trainer(scene, preset._replace(grow_every=10**9), **options)
+
+    def step():
+        trainer.iteration = (0, *preset.stage_ends)[stage - 1]
+        trainer.step()
+
+    return step
+
+
 @cache
 def scene_of(downscale=1):
     """The scene of all trainings, with views of some size."""
@@ -77,11 +78,40 @@ def trained(changes, iterations, seed=0):
         return Trainer(scene, preset, seed, **options).run()
 
 
+# --- the harnesses -------------------------------------------------------------------------------
+def measure_forms(forms, repeats):
+    """Rows of the forms of a function: error and time."""
+    with np.errstate(all="ignore"):
+        times = alternate({key: run for key, (run, _) in forms.items()}, repeats)
+        return [
+            {"line": line, "value": value, **judge(run()), **times[line, value].columns()}
+            for (line, value), (run, judge) in forms.items()
+        ]
+
+
+def measured(model, scene):
+    """Columns of a model: PSNR of its decoded file, and bytes."""
+    data = encode(model)
+    metrics, sizes = evaluate(decode(data), scene)[0], components(data)
+    return {
+        "psnr_db": metrics["psnr_db"],
+        "bytes": len(data),
+        "attribute_bytes": sum(sizes[name] for name in ATTRIBUTE_SECTIONS),
+        "anchors": metrics["anchors"],
+    }
+
+
+def measure_file(knob, model, scene):
+    """Rows of a knob of files."""
+    return [
+        {"line": line, "value": value, **measured(changed, scene)}
+        for (line, value), changed in knob.values(model).items()
+    ]
+
+
 def train_one(task):
-    """PSNR and bytes of the file of one training: task = (changes, iterations, seed)."""
-    data = encode(trained(*task))
-    metrics = evaluate(decode(data), scene_of())[0]
-    return {"psnr_db": metrics["psnr_db"], "bytes": len(data), "anchors": metrics["anchors"]}
+    """Columns of one training: task = (changes, iterations, seed)."""
+    return measured(trained(*task), scene_of())
 
 
 def seconds(runs, iterations):
@@ -101,33 +131,27 @@ def seconds(runs, iterations):
     return {name: times[name].columns("seconds", ms_to_seconds[name]) for name in runs}
 
 
-def measure_trainings(knobs, quick, progress, jobs, iterations):
+def measure_trainings(knobs, iterations, progress, jobs):
     """Rows of all knobs of training, {name: rows}, and how far seeds differ, in dB.
 
-    Trainings that several knobs share are done once. `quick` trains nothing: its rows have only the
-    seconds of the dearest and the cheapest value.
+    Trainings that several knobs share are done once.
     """
-    runs, places = {}, {}
-    for knob in knobs:
-        values = list(knob.values.items())
-        for value, changes in values[:: len(values) - 1] if quick else values:
-            runs[repr(changes)] = changes
-            places.setdefault(knob.name, {})[value] = repr(changes)
+    runs = {repr(changes): changes for knob in knobs for changes in knob.values.values()}
     progress("training: times of steps")
-    found, spread = seconds(runs, iterations), 0.0
-    if not quick:
-        tasks = [(changes, iterations, 0) for changes in runs.values()]
-        tasks += [({}, iterations, seed) for seed in range(SEEDS)]
-        results = []
-        for result in in_processes(train_one, tasks, jobs):
-            results.append(result)
-            progress(f"training: {len(results)} of {len(tasks)} trainings")
-        spread = float(np.ptp([result["psnr_db"] for result in results[len(runs) :]]))
-        for name, result in zip(runs, results):
-            found[name] = result | found[name]
+    times, results = seconds(runs, iterations), []
+    tasks = [(changes, iterations, 0) for changes in runs.values()]
+    tasks += [({}, iterations, seed) for seed in range(SEEDS)]
+    for result in in_processes(train_one, tasks, jobs):
+        results.append(result)
+        progress(f"training: {len(results)} of {len(tasks)} trainings")
+    spread = float(np.ptp([result["psnr_db"] for result in results[len(runs) :]]))
+    found = {key: {**result, **times[key]} for key, result in zip(runs, results)}
     rows = {
-        name: [{"line": "", "value": value, **found[key]} for value, key in of_knob.items()]
-        for name, of_knob in places.items()
+        knob.name: [
+            {"line": "", "value": value, **found[repr(changes)]}
+            for value, changes in knob.values.items()
+        ]
+        for knob in knobs
     }
     return rows, spread
 
@@ -145,29 +169,27 @@ def factor(knob, row, dear):
     return dear[knob.spent] / row[knob.spent]
 
 
-def finding(knob, rows, quick, spread=0.0):
+def finding(knob, rows, spread=0.0):
     """What the first line of a knob says: the row of the page's table.
 
     The value told is the cheapest one that loses no more than is enough. Where there is none, it is
     the first one that saves anything. `spread` is the difference in dB that seeds alone make.
     """
     dear, *cheaper = next(iter(lines_of(rows).values()))
-    about = {"knob": knob.name, "dear": dear["value"]}
-    if quick and knob.harness != "formula":
-        # The seconds of a training are known from single steps, but no bytes and no PSNR.
-        row, told = cheaper[-1], dict(lost=NOT_TOLD, factor=1.0, verdict=NOT_TOLD)
-        spent = NOT_TOLD if "bytes" in row else saved(row, dear)
-    else:
-        helps = [row for row in cheaper if factor(knob, row, dear) >= LEAST]
-        free = [row for row in helps if loss(row, dear) <= knob.enough]
-        row = (helps or cheaper)[0]
-        if free:
-            row = max(free, key=lambda row: factor(knob, row, dear))
-        times = factor(knob, row, dear)
-        told = {"lost": lost(knob, row, dear), "factor": times}
-        told["verdict"] = verdict(knob, loss(row, dear), times, spread)
-        spent = saved(row, dear)
-    return {**about, "cheap": row["value"], "saved": spent, **told}
+    helps = [row for row in cheaper if factor(knob, row, dear) >= LEAST]
+    free = [row for row in helps if loss(row, dear) <= knob.enough]
+    first, *_ = *helps, *cheaper
+    row = max(free, key=lambda row: factor(knob, row, dear), default=first)
+    times = factor(knob, row, dear)
+    return {
+        "knob": knob.name,
+        "dear": dear["value"],
+        "cheap": row["value"],
+        "lost": lost(knob, row, dear),
+        "saved": saved(row, dear),
+        "factor": times,
+        "verdict": verdict(knob, loss(row, dear), times, spread),
+    }
 
 
 def verdict(knob, lost, times, spread):
@@ -184,8 +206,7 @@ def verdict(knob, lost, times, spread):
 def lost(knob, row, dear):
     """The loss of a row in words."""
     if "error" in row:
-        error = row["error"]
-        return f"{f'{100 * error:.2g} %' if 1e-3 <= error < 1 else number(error)} {knob.unit}"
+        return f"{100 * row['error']:.2g} % {knob.unit}"
     return f"{row['psnr_db'] - dear['psnr_db']:+.2f} dB".replace("-", "−")
 
 

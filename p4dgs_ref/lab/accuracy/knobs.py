@@ -1,10 +1,20 @@
-"""The table of knobs: what each changes, its values from dear to cheap, and how it is set."""
+"""The table of knobs: what each changes, its values from dear to cheap, and how it is set.
 
+The values of a knob of files are models: the same trained one, written otherwise.
+"""
+
+from dataclasses import replace
 from typing import Any, NamedTuple
 
-from ...splatting.settings import FAST, PAPER
-from . import forms, written
+import numpy as np
 
+from ...codec.quantise import quantise
+from ...equations.prior import layout
+from ...model import Model, join, step_code
+from ...splatting.settings import FAST, PAPER
+from . import forms
+
+LEAST_DEVIATION = 0.05  # of a channel, in steps: a constant channel still has a finite prior
 NODES = ((8, 16), (16, 32))  # resolutions of a hash grid of eight levels: of space, of planes
 
 
@@ -49,6 +59,82 @@ RATE = 0.01, "of the bits"
 SIZE = 0.01, "of the bytes"
 SLOPE = 1e-3, "of the gradient"
 
+
+# --- the same model written otherwise -------------------------------------------------------------
+# Each function below returns {(line, value): model}, from dear to cheap.
+def redesigned(model, **changes) -> Model:
+    """The model with other fields of its design."""
+    return replace(model, design=model.design._replace(**changes))
+
+
+def weight_bits(model):
+    """Weights as float16, then as entropy-coded integers of so many bits."""
+    choices = {("", "16"): model}
+    for bits in (10, 9, 8, 7, 6, 5, 4):
+        steps = {
+            name: tuple(
+                step_code(np.array([2.0 * np.abs(a).max(initial=0) for a in arrays]) / 2**bits)
+                for arrays in pair
+            )
+            for name, pair in model.networks.items()
+        }
+        choices["", f"{bits}"] = replace(redesigned(model, coded=True), steps=steps)
+    return choices
+
+
+def position_bits(model):
+    """Bits of a position per axis, in the coded design."""
+    bits = (16, 12, 11, 10, 9, 8, 7, 6)
+    return {("", f"{n}"): redesigned(model, coded=True, position_bits=n) for n in bits}
+
+
+def scaled(model, factor):
+    """The model with other base steps."""
+    return redesigned(model, Q_0=tuple(factor * Q for Q in model.design.Q_0))
+
+
+def fixed(model):
+    """The model with every step at Q_0: the last layer of psi_q is zero (Eq. 8)."""
+    psi_q = tuple([*arrays[:-1], np.zeros_like(arrays[-1])] for arrays in model.networks["psi_q"])
+    return replace(model, networks={**model.networks, "psi_q": psi_q})
+
+
+def steps(model):
+    """Base steps, with the learned factors and without them."""
+    lines = {"steps of every anchor": model, "one step for all": fixed(model)}
+    factors = (0.25, 0.5, 1, 2, 4, 8)
+    return {(line, f"{n:g}"): scaled(m, n) for line, m in lines.items() for n in factors}
+
+
+def without_context(model):
+    """The model with one Gaussian and one step per channel.
+
+    The hash grid has one node, and the networks of the context have no hidden layer and zero
+    weights; the last bias of psi_p holds the means and deviations.
+    """
+    q = quantise(fixed(model))
+    values = np.ma.array(join(q.model.anchors), mask=~q.kept)
+    mean, variance = values.mean(axis=0).filled(0), values.var(axis=0).filled(0)
+    least = LEAST_DEVIATION * np.repeat(model.design.Q_0, model.design.widths)
+    small = redesigned(model, context=(), grid=(("xyz", 1),), F=1)
+    networks = {
+        name: ([np.zeros(shape)], [np.zeros(shape[1])])
+        for name in ("psi_p", "psi_q")
+        for shape in small.design.layers()[name]
+    }
+    mu, raw = layout(model.design.widths)
+    bias = networks["psi_p"][1][0]
+    bias[mu], bias[raw] = mean, 0.5 * np.log(np.maximum(variance, least**2))
+    grids = [np.ones(shape) for shape in small.design.levels()]
+    return replace(small, networks={**model.networks, **networks}, grids=grids)
+
+
+def context(model):
+    """The paper's context, and one Gaussian per channel; all steps are Q_0 in both."""
+    return {("", "grid and ψ_p"): fixed(model), ("", "one Gaussian"): without_context(model)}
+
+
+# --- the table ------------------------------------------------------------------------------------
 KNOBS = (
     formula(
         "renderer",
@@ -101,13 +187,6 @@ KNOBS = (
         *SIZE,
     ),
     formula(
-        "frequency bits",
-        forms.frequency_bits,
-        "Bits of the entropy coder's frequencies",
-        "`PRECISION`, fixed by the format",
-        *SIZE,
-    ),
-    formula(
         "context bits",
         forms.context_bits,
         "Fractional bits of the integer means and deviations of the coder",
@@ -117,28 +196,28 @@ KNOBS = (
     Knob(
         "weight bits",
         "file",
-        written.weight_bits,
+        weight_bits,
         "Bits of a network's weight: 16 as they are, fewer entropy coded",
         "`Model.steps` and `coded`",
     ),
     Knob(
         "position bits",
         "file",
-        written.position_bits,
+        position_bits,
         "Bits of an anchor's position per axis, in the coded design",
         "`--set position_bits`",
     ),
     Knob(
         "steps",
         "file",
-        written.steps,
+        steps,
         "The quantisation steps in multiples of `tiny`'s, of a model trained at 1",
         "`Design.Q_0`",
     ),
     Knob(
         "context",
         "file",
-        written.context,
+        context,
         "What predicts the symbols: hash grid and ψ_p, or one Gaussian per channel",
         "`Design.grid` and `context`",
     ),

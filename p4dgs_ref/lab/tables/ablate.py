@@ -81,7 +81,7 @@ def plan(scene, folder, seeds=3, iterations=None):
 def ablate(scene, folder, seeds=3, iterations=None, progress=lambda line: None, jobs=1):
     """Make all steps and parts left out; files and ablate.csv go into a folder. Returns their rows.
 
-    Raises StudyError for a scene without test views.
+    Raises SceneError for a scene without test views.
     """
     tasks = plan(scene, folder, seeds, iterations)
     methods.make_missing(tasks, progress, jobs)

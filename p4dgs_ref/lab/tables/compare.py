@@ -11,28 +11,26 @@ from ...effects import moves
 from ...report.figures import draw_pictures, error_of, write_csv
 from ...scenes import load_scene, packaged_scenes
 from ..clock import alternate, disturbance, stretch_of
-from ..writer import mean, means, seeds_of, table
+from ..writer import means, seeds_of, table
 from . import methods
 from .methods import OURS, Task
 
-VERSION = 2
 TURNS = 5  # of the pictures that are timed
 # PSNR in dB, SSIM, MB and frames/s of the paper's Tables 1 and 2.
 PAPER = {
     "D-NeRF": {
-        "p4dgs": (38.10, 0.985, 1.039, 262),
-        "d3dgs": (38.28, 0.985, 39.45, 149),
-        "hexplane": (34.02, 0.984, 23.45, 132),
-        "gaussian4d": (32.47, 0.976, 375.34, 147),
+        "p4dgs": "38.10 0.985 1.039 262",
+        "d3dgs": "38.28 0.985 39.45 149",
+        "hexplane": "34.02 0.984 23.45 132",
+        "gaussian4d": "32.47 0.976 375.34 147",
     },
     "NeRF-DS": {
-        "p4dgs": (24.18, 0.855, 0.704, 274),
-        "d3dgs": (23.75, 0.847, 59.38, 58),
-        "hexplane": (21.08, 0.729, 66.37, 83),
-        "gaussian4d": (23.00, 0.814, 235.95, 208),
+        "p4dgs": "24.18 0.855 0.704 274",
+        "d3dgs": "23.75 0.847 59.38 58",
+        "hexplane": "21.08 0.729 66.37 83",
+        "gaussian4d": "23.00 0.814 235.95 208",
     },
 }
-NUMBERS = "{paper[NAME][0]:.2f} {paper[NAME][1]:.3f} {paper[NAME][2]:g} {paper[NAME][3]}"
 KINDS = ("network", "gaussians")  # of bytes
 COLUMNS = {
     "PSNR dB": "{psnr_db:.2f} ±{psnr_db_spread:.2f}",
@@ -43,6 +41,7 @@ COLUMNS = {
     "frames/s": "{render_fps:.0f}",
     "train s": "{train_seconds:.0f}",
 }
+OF_THE_PAPER = {f"the paper's {name}": f"{{paper[{name}]}}" for name in PAPER}
 
 
 def dynamic_scenes():
@@ -55,7 +54,7 @@ def compare(scenes, folder, names=(), seeds=3, iterations=None, progress=lambda 
 
     `names` are those of methods, nothing means all; ours is always one of them. Seeds are 0 to
     seeds - 1, and all methods take the same iterations. Returns what compare.json holds. Raises
-    StudyError for an unknown method and for a scene without test views.
+    StudyError for an unknown method, and SceneError for a scene without test views.
     """
     chosen = methods.known([OURS, *names] if names else [])
     groups = [
@@ -64,19 +63,18 @@ def compare(scenes, folder, names=(), seeds=3, iterations=None, progress=lambda 
         for seed in range(seeds)
     ]
     methods.make_missing([task for tasks in groups for task in tasks], progress, jobs)
-    rows, shown = [], []
+    rows, shown = [], {}
     for tasks in groups:
-        progress(f"{tasks[0].scene.name}: times of rendering")
+        scene = tasks[0].scene
+        progress(f"{scene.name}: times of rendering")
         models = {task.method: methods.load(task.path) for task in tasks}
-        speeds = rendering(tasks[0].scene.test, models)
+        speeds = rendering(scene.test, models)
         rows += [{**row, **speeds[row["method"]]} for row in methods.made(tasks)]
-        if tasks[0].seed == 0:
-            shown.append((tasks[0].scene, models))
+        shown.setdefault(scene.name, (scene.test, models))
     result = {
-        "version": VERSION,
         "methods": rows,
         "summary": [
-            {**row, "paper": {name: own.get(row["method"]) for name, own in PAPER.items()}}
+            {**row, "paper": {name: own.get(row["method"], "-") for name, own in PAPER.items()}}
             for row in means(rows, "method")
         ],
         "against": [against(rows, name) for name in chosen[1:]],
@@ -84,7 +82,7 @@ def compare(scenes, folder, names=(), seeds=3, iterations=None, progress=lambda 
     }
     (folder / "compare.json").write_text(json.dumps(result, indent=1) + "\n")
     write_csv(folder / "compare.csv", rows)
-    draw_grid(folder / "compare.png", shown, chosen)
+    draw_grid(folder / "compare.png", shown)
     return result
 
 
@@ -105,16 +103,17 @@ def against(rows, method):
 
     The ratio of the bytes is the sum of the shares of its network, Gaussians and text.
     """
-    pair = [[row for row in rows if row["method"] == name] for name in (OURS, method)]
-    ours, theirs = map(mean, pair)
-    gains = [a["psnr_db"] - b["psnr_db"] for a, b in zip(*(means(own, "seed") for own in pair))]
+    mean = {row["method"]: row for row in means(rows, "method")}
+    ours, theirs = mean[OURS], mean[method]
+    psnr = {(row["method"], row["seed"]): row["psnr_db"] for row in means(rows, "method", "seed")}
+    gains = [psnr[OURS, seed] - value for (name, seed), value in psnr.items() if name == method]
     return {
         "method": method,
         "ratio": theirs["bytes"] / ours["bytes"],
         **{f"{kind}_share": theirs[f"{kind}_bytes"] / ours["bytes"] for kind in KINDS},
         **{f"{kind}_ratio": theirs[f"{kind}_bytes"] / ours[f"{kind}_bytes"] for kind in KINDS},
         "psnr_gain": float(np.mean(gains)),
-        "psnr_gain_range": [float(min(gains)), float(max(gains))],
+        "psnr_gain_range": [min(gains), max(gains)],
         "fps_ratio": ours["render_fps"] / theirs["render_fps"],
     }
 
@@ -122,46 +121,43 @@ def against(rows, method):
 def describe(result):
     """Tables 1 and 2 in form, a table for each scene, and what the ratios mean."""
     rows = result["methods"]
-    scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    papers = {f"the paper's {name}": NUMBERS.replace("NAME", name) for name in PAPER}
+    by_scene = means(rows, "scene", "method")
+    scenes = dict.fromkeys(row["scene"] for row in rows)
     lines = [
-        f"Mean over {', '.join(scenes)}; {seeds_of(rows)}; "
-        "bytes of the file, of which network (also planes and hash "
-        "grid) and Gaussians; training in processor seconds. The paper's columns: dB, SSIM, MB, "
-        "frames/s, on its scenes and graphics card.",
-        *table({"method": "{method}", **COLUMNS, **papers}, result["summary"]),
-        "",
+        f"Mean over {', '.join(scenes)}; {seeds_of(rows)}; bytes of the file, of which network "
+        "(also planes and hash grid) and Gaussians; training in processor seconds. The paper's "
+        "columns: dB, SSIM, MB, frames/s, on its scenes and graphics card.",
+        *table({"method": "{method}", **COLUMNS, **OF_THE_PAPER}, result["summary"]),
     ]
     for scene in scenes if len(scenes) > 1 else ():
-        own = means([row for row in rows if row["scene"] == scene], "method")
-        lines += [*table({scene: "{method}", **COLUMNS}, own), ""]
-    lines += [*map(sentence, result["against"]), disturbance(result["stretch"])]
+        own = [row for row in by_scene if row["scene"] == scene]
+        lines += ["", *table({scene: "{method}", **COLUMNS}, own)]
+    lines += ["", *map(sentence, result["against"]), disturbance(result["stretch"])]
     return "\n".join(lines).rstrip()
 
 
 def sentence(other):
     """What a baseline's file and quality are against ours, and how far the ratio is fair."""
     low, high = other["psnr_gain_range"]
-    lines = (
+    unfair = " Note: ours is below it in PSNR, so the ratio is not one at equal quality."
+    return (
         f"{other['method']}: its file is {other['ratio']:.1f} times ours: "
         f"{other['network_share']:.1f} are its network and {other['gaussians_share']:.1f} its "
         f"Gaussians. Its network is {other['network_ratio']:.1f} times our networks, its Gaussians "
         f"{other['gaussians_ratio']:.1f} times ours. Our PSNR minus its: "
         f"{other['psnr_gain']:+.2f} dB ({low:+.2f} to {high:+.2f}). "
         f"We render {other['fps_ratio']:.2f} times as many frames/s."
+        f"{unfair if other['psnr_gain'] < 0 else ''}"
     )
-    if other["psnr_gain"] < 0:
-        lines += " Note: ours is below it in PSNR, so the ratio is not one at equal quality."
-    return lines
 
 
-def draw_grid(path, shown, chosen):
+def draw_grid(path, shown):
     """For every scene one test view: truth, all methods, and below them their errors."""
     rows = []
-    for scene, models in shown:
-        view = sorted(scene.test, key=lambda view: view.time)[len(scene.test) // 2]
-        drawn = [np.clip(models[name].render(view.camera, view.time), 0, 1) for name in chosen]
+    for name, (views, models) in shown.items():
+        view = sorted(views, key=lambda view: view.time)[len(views) // 2]
+        drawn = [np.clip(model.render(view.camera, view.time), 0, 1) for model in models.values()]
         images = [view.image, *drawn]
-        rows.append((f"{scene.name}, t = {view.time:.2f}", [*zip(images, ("truth", *chosen))]))
+        rows.append((f"{name}, t = {view.time:.2f}", [*zip(images, ("truth", *models))]))
         rows.append(("absolute error", [error_of(image, view.image) for image in images]))
     draw_pictures(path, "one test view of each scene, not used in training", rows)

@@ -6,6 +6,7 @@ again, so a killed study goes on, and the jobs of a cluster can fill one folder.
 """
 
 import json
+from ast import literal_eval
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -20,13 +21,14 @@ from ...report.jobs import in_processes
 from ...scenes import Scene
 from ...scenes.files import read_json
 from ...scenes.output import write_atomically
+from ...scenes.scene import require
 from ...training.initial import design_of
 from ...training.parameters import Parameters
 from ...training.presets import TINY_REAL, choose
 from ...training.trainer import Trainer
 from .. import baselines
+from ..accuracy.harness import shortened
 from ..clock import clocked
-from ..effects.ledger import shortened
 
 OURS = "p4dgs"
 CODED = "p4dgs_coded"  # with coded networks and positions, beyond the paper
@@ -70,17 +72,13 @@ class Task(NamedTuple):
         return self.method in OWN
 
     @property
-    def name(self):
-        """The name of the file, without its ending."""
-        parts = [self.step] if self.step else [self.method, *self.changes.values()]
-        name = "_".join([self.scene.name, *map(str, dict.fromkeys(parts)), f"seed{self.seed}"])
-        return name.replace("+ ", "").replace(" ", "_").replace("/", "_")
-
-    @property
     def path(self):
         """The file."""
-        ending = "p4dgs" if self.plain is None else "plain"
-        return Path(self.folder) / f"{self.name}.{ending if self.own else 'ply'}"
+        parts = [self.step] if self.step else [self.method, *self.changes.values()]
+        name = "_".join([self.scene.name, *map(str, dict.fromkeys(parts)), f"seed{self.seed}"])
+        name = name.replace("+ ", "").replace(" ", "_").replace("/", "_")
+        ending = ("p4dgs" if self.plain is None else "npy") if self.own else "ply"
+        return Path(self.folder) / f"{name}.{ending}"
 
     @property
     def record(self):
@@ -103,17 +101,14 @@ def known(names):
 def preset_of(task):
     """The preset for tiny scenes with the task's changes and iterations.
 
-    All dates of its schedule are shortened or stretched alike. Raises StudyError.
+    All dates of its schedule are shortened or stretched alike.
     """
-    try:
-        if task.own:
-            # As in `tiny_real`: points know their depth, and anchors keep it.
-            real = {} if task.scene.points is None else {"lr_x": TINY_REAL.lr_x}
-            ours = choose(OWN[task.method], {**real, **task.changes})
-            return shortened(ours, (task.iterations or ours.iterations) / ours.iterations)
-        theirs = baselines.choose(task.method, None, task.changes)
-    except ValueError as error:
-        raise StudyError(str(error)) from None
+    if task.own:
+        # As in `tiny_real`: points know their depth, and anchors keep it.
+        real = {} if task.scene.points is None else {"lr_x": TINY_REAL.lr_x}
+        ours = choose(OWN[task.method], {**real, **task.changes})
+        return shortened(ours, (task.iterations or ours.iterations) / ours.iterations)
+    theirs = baselines.choose(task.method, None, task.changes)
     share = (task.iterations or theirs.iterations) / theirs.iterations
     dates = {name: getattr(theirs, name) for name in DATES if hasattr(theirs, name)}
     return replace(theirs, **{name: max(round(share * n), n > 0) for name, n in dates.items()})
@@ -161,7 +156,7 @@ def load(path):
     """The model in a file of any method."""
     if path.suffix == ".p4dgs":
         return decode(path.read_bytes())
-    return (load_plain if path.suffix == ".plain" else baselines.load)(path)
+    return (load_plain if path.suffix == ".npy" else baselines.load)(path)
 
 
 def make(task):
@@ -170,6 +165,7 @@ def make(task):
     `train_seconds` are processor time.
     """
     model, (seconds, _) = clocked(fit, task)
+    task.path.parent.mkdir(parents=True, exist_ok=True)
     sizes = write(task, model)
     metrics, _, _ = evaluate(load(task.path), task.scene)
     row = {
@@ -189,21 +185,15 @@ def make(task):
         sections = {part["name"]: part for part in ledger(task.path.read_bytes())}
         row["estimated_bytes"] = round(sum(part["estimate_bytes"] for part in sections.values()))
         row["anchor_bytes"] = sum(sections[name]["bytes"] for name in ATTRIBUTE_SECTIONS)
-    write_json(task.record, json_safe(row))
+    text = json.dumps(json_safe(row), indent=1) + "\n"
+    write_atomically(task.record, lambda file: file.write(text.encode()))
     return row
 
 
-def write_json(path, values):
-    """Write JSON values to a file, which is never seen half-written."""
-    text = json.dumps(values, indent=1) + "\n"
-    write_atomically(path, lambda file: file.write(text.encode()))
-
-
 def make_missing(tasks, progress=lambda line: None, jobs=1):
-    """Make the rows that are not there. Raises StudyError where a scene has no test views."""
+    """Make the rows that are not there. Raises SceneError where a scene has no test views."""
     for task in tasks:
-        if not task.scene.test:
-            raise StudyError(f"scene {task.scene.name}: split 'test': no views to measure on")
+        require(task.scene.test, f"scene {task.scene.name}", "split 'test': no views to measure on")
     missing = [task for task in tasks if not task.record.exists()]
     for done, _ in enumerate(in_processes(make, missing, jobs), 1):
         progress(f"{done} of {len(missing)} trainings")
@@ -215,10 +205,9 @@ def made(tasks):
 
 
 # --- plain files ----------------------------------------------------------------------------------
-# A model of anchors without quantisation and entropy coding, for the ablation. One line of JSON
-# with the names, types and shapes of all arrays, then their numbers: float32, or float16 for the
-# networks in `half`. Every child of an anchor is stored, as in Scaffold-GS; the networks and the
-# grid of the entropy coder are not.
+# A model of anchors without quantisation and entropy coding, for the ablation: one record of NumPy,
+# whose fields are the arrays, in float32, or in float16 for the networks in `half`. Every child of
+# an anchor is stored, as in Scaffold-GS; the networks and the grid of the entropy coder are not.
 def save_plain(model, path, half=()):
     """Write the file and return its bytes by kind, like a baseline's."""
     gaussians = {name: a for name, a in model.anchors._asdict().items() if name != "mask"}
@@ -229,32 +218,26 @@ def save_plain(model, path, half=()):
         for kind, arrays in zip("Wb", layers)
         for i, a in enumerate(arrays)
     }
-    arrays = {**gaussians, **network}
-    types = {name: "<f2" if name.split(".")[0] in half else "<f4" for name in arrays}
-    shapes = {name: (types[name], a.shape) for name, a in arrays.items()}
-    design, background = model.design._asdict(), [float(c) for c in model.background]
-    values = {"design": design, "background": background, "arrays": shapes}
-    head = json.dumps(values).encode() + b"\n"
-    body = {name: a.astype(types[name]).tobytes() for name, a in arrays.items()}
-    write_atomically(path, lambda file: file.write(head + b"".join(body.values())))
-    sizes = [sum(len(body[name]) for name in part) for part in (gaussians, network)]
-    return {"gaussians": sizes[0], "network": sizes[1], "other": len(head)}
+    values = {**gaussians, **network, "background": model.background}
+    types = [
+        (name, "f2" if name.split(".")[0] in half else "f4", a.shape) for name, a in values.items()
+    ]
+    design = str(model.design._asdict())
+    record = np.array((*values.values(), design), [*types, ("design", f"S{len(design)}")])
+    write_atomically(path, lambda file: np.save(file, record))
+    sizes = [sum(record[name].nbytes for name in part) for part in (gaussians, network)]
+    other = path.stat().st_size - sum(sizes)
+    return {"gaussians": sizes[0], "network": sizes[1], "other": other}
 
 
 def load_plain(path):
     """The model in a file, ready to be rendered."""
-    head, _, body = path.read_bytes().partition(b"\n")
-    values, at, arrays = json.loads(head), 0, {}
-    for name, (kind, shape) in values["arrays"].items():
-        numbers = np.frombuffer(body, kind, int(np.prod(shape)), at)
-        arrays[name] = numbers.reshape(shape)
-        at += numbers.nbytes
-    p = Parameters(arrays, float)
+    record = np.load(path)
+    *names, _ = record.dtype.names
+    p = Parameters({name: record[name] for name in names}, float)
     attributes = [p[name] for name in Anchors._fields[:-1]]
     anchors = Anchors(*attributes, mask=np.ones(attributes[-1].shape[:2], bool))
-    names = dict.fromkeys(name.split(".")[0] for name in arrays if "." in name)
-    networks = {name: p.network(name) for name in names}
-    fields = values["design"].values()
-    design = Design._make(tuple(v) if isinstance(v, list) else v for v in fields)
-    box, background = bounding_box(anchors.x_a), np.array(values["background"])
-    return Model(design, anchors, networks, [], box, background)
+    networks = dict.fromkeys(name.split(".")[0] for name in names if "." in name)
+    design = Design(**literal_eval(record["design"].item().decode()))
+    box, networks = bounding_box(anchors.x_a), {name: p.network(name) for name in networks}
+    return Model(design, anchors, networks, [], box, p["background"])

@@ -1,18 +1,27 @@
 """Rate-distortion over lambda_rate, and the paper's Table 4: what the files consist of.
 
-A sweep is a folder; the rows are in `points/`, and `sweep.json` says what it is a sweep of.
+A sweep is a folder. Its points are files in a folder that is named after the checksum of the scene
+and the length of the trainings. A point that is there is not made again, so values, seeds and
+methods can be added to a sweep.
 """
 
 from pathlib import Path
 
-from ...report.figures import BLUE, LIGHT_BLUE, RED, STACK, write_csv
+from ...report.figures import (
+    BLUE,
+    LIGHT_BLUE,
+    RED,
+    STACK,
+    pyplot,
+    save_figure,
+    write_csv,
+)
 from ...report.inspect import components
-from ...scenes.files import read_json
-from ..writer import bd_rate, draw_curves, means, points_of, table
+from ...training.fit import fingerprint
+from ..writer import bd_rate, means, table
 from . import methods
 from .methods import OURS, StudyError, Task
 
-VERSION = 2
 LAMBDAS = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 COLORS = (*STACK[1:], RED, LIGHT_BLUE)
 COLUMNS = {
@@ -40,70 +49,41 @@ PARTS = {
 
 
 def plan(scene, folder, lambdas=LAMBDAS, seeds=3, iterations=None, names=()):
-    """All points of a sweep, as Tasks, and the values for its sweep.json.
+    """All points of a sweep, as Tasks.
 
     `names` are baselines, which are drawn as points; our coded design among them has a curve of
-    its own. A folder that holds another sweep, or one of another version, raises StudyError.
+    its own.
     """
-    if not lambdas:
-        raise StudyError("lambda_rate: an empty sweep; expected at least one value")
     names = [name for name in methods.known(names) if name != OURS] if names else []
-    values = {
-        "version": VERSION,
-        "scene": scene.name,
-        "size": list(scene.train[0].image.shape[:2]),
-        "lambda_rates": list(lambdas),
-        "seeds": seeds,
-        "iterations": iterations,
-        "baselines": names,
-    }
-    file = Path(folder) / "sweep.json"
-    found = read_json(file) if file.exists() else values
-    for key, value in values.items():
-        if found.get(key) != value:
-            raise StudyError(
-                f"{file}: {key!r}: expected {value!r} as in this sweep, found "
-                f"{found.get(key)!r}; another -o starts anew"
-            )
+    length = "" if iterations is None else f"_{iterations}"
+    points = Path(folder) / f"points_{fingerprint(scene):08x}{length}"
     rated = [{"lambda_rate": value} for value in lambdas]
-    tasks = [
-        Task(scene, name, seed, Path(folder) / "points", iterations, changes)
+    return [
+        Task(scene, name, seed, points, iterations, changes)
         for name in (OURS, *names)
         for changes in (rated if name in methods.OWN else [{}])
         for seed in range(seeds)
     ]
-    return tasks, values
-
-
-def make_missing(tasks, values, progress=lambda line: None, jobs=1):
-    """Make all points that are not there; `values` are those of `plan`."""
-    points = tasks[0].folder
-    points.mkdir(parents=True, exist_ok=True)
-    methods.write_json(points.parent / "sweep.json", values)
-    methods.make_missing(tasks, progress, jobs)
 
 
 def collect(tasks, folder):
     """Draw what has arrived; returns what the files in the folder hold.
 
-    These are sweep.csv, baselines.csv, sweep.png, and composition.csv of the first files with the
-    highest and the lowest lambda_rate.
+    These are sweep.csv, sweep.png, and composition.csv of the first files with the highest and the
+    lowest lambda_rate.
     """
     rows = methods.made(tasks)
-    ours = [row for row in rows if row["method"] == OURS]
+    ours = sorted((row for row in rows if row["method"] == OURS), key=rate_of)
     if not ours:
         raise StudyError(f"{folder}: an empty sweep; expected at least one point with lambda_rate")
-    curve = sorted(means(ours, "lambda_rate"), key=rate_of)
-    others = [row for row in rows if row["method"] != OURS]
-    points = {
-        name: means([row for row in others if row["method"] == name], "lambda_rate")
-        for name in dict.fromkeys(row["method"] for row in others)
+    write_csv(folder / "sweep.csv", rows)
+    curves = {
+        name: means([row for row in rows if row["method"] == name], "lambda_rate")
+        for name in dict.fromkeys(row["method"] for row in rows)
     }
-    write_csv(folder / "sweep.csv", ours)
-    if others:
-        write_csv(folder / "baselines.csv", others)
-    draw(folder / "sweep.png", ours, curve, points)
-    ends = [max(ours, key=rate_of), min(ours, key=rate_of)]
+    curve = sorted(curves.pop(OURS), key=rate_of)
+    draw(folder / "sweep.png", ours, curve, curves)
+    ends = [max(ours, key=rate_of), ours[0]]
     parts = composition([tasks[0].folder / row["file"] for row in ends])
     write_csv(folder / "composition.csv", parts)
     return {
@@ -111,8 +91,8 @@ def collect(tasks, folder):
         "points": len(rows),
         "missing": len(tasks) - len(rows),
         "curve": curve,
-        "baselines": points,
-        "bd_rate": {n: bd_rate(points_of(curve), points_of(own)) for n, own in points.items()},
+        "baselines": curves,
+        "bd_rate": {name: bd_rate(*map(points_of, (curve, own))) for name, own in curves.items()},
         "composition": {"lambda_rate": [*map(rate_of, ends)], "rows": parts},
     }
 
@@ -120,6 +100,11 @@ def collect(tasks, folder):
 def rate_of(row):
     """The lambda_rate of a row."""
     return row["lambda_rate"]
+
+
+def points_of(rows):
+    """Bytes and PSNR of some rows."""
+    return [(row["bytes"], row["psnr_db"]) for row in rows]
 
 
 def composition(files):
@@ -135,24 +120,26 @@ def composition(files):
     return rows
 
 
-def draw(path, rows, curve, points):
+def draw(path, rows, curve, others):
     """PSNR over bytes: ours as estimated and as written, every seed a dot; the baselines."""
-    ours, estimated = points_of(curve), [(p["estimated_bytes"], p["psnr_db"]) for p in curve]
-    seed = {"color": BLUE, "linestyle": "none", "marker": ".", "alpha": 0.35}
-    curves = [
-        ("p4dgs, bytes of the file", ours, {"color": BLUE, "marker": "o"}),
-        (
-            "p4dgs, estimated",
-            estimated,
-            {"color": BLUE, "marker": "s", "linestyle": "--", "markerfacecolor": "white"},
-        ),
-        ("p4dgs, each seed", points_of(rows), seed),
-    ]
-    for color, (name, found) in zip(COLORS, points.items()):
-        curves.append((name, sorted(points_of(found)), {"color": color, "marker": "D"}))
-    notes = [(f"{rate_of(point):g}", at) for point, at in zip(curve, ours)]
+    estimated = [{**point, "bytes": point["estimated_bytes"]} for point in curve]
+    hollow = {"marker": "s", "linestyle": "--", "markerfacecolor": "white"}
+    curves = {
+        "p4dgs, bytes of the file": (curve, {"color": BLUE, "marker": "o"}),
+        "p4dgs, estimated": (estimated, {"color": BLUE, **hollow}),
+        "p4dgs, each seed": (rows, {"color": BLUE, "linestyle": "", "marker": ".", "alpha": 0.35}),
+    }
+    for color, (name, found) in zip(COLORS, others.items()):
+        curves[name] = found, {"color": color, "marker": "D"}
+    figure, ax = pyplot().subplots(figsize=(8.5, 5.5), layout="constrained")
+    for label, (found, style) in curves.items():
+        ax.plot(*zip(*sorted(points_of(found))), label=label, **style)
+    for point, at in zip(curve, points_of(curve)):
+        ax.annotate(f" {rate_of(point):g}", at, fontsize=9, va="top")
     title = f"{rows[0]['scene']}: lambda_rate beside the points"
-    draw_curves(path, title, curves, notes)
+    ax.set(xscale="log", xlabel="bytes", ylabel="PSNR of the test views (dB)", title=title)
+    ax.legend(frameon=False)
+    save_figure(figure, path)
 
 
 def describe(result):

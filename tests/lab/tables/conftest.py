@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.lab.tables import ablate, compare, sweep
+from p4dgs_ref.lab.tables import ablate, compare, methods, sweep
 
 from .shared import OTHERS, SWEEP
 
@@ -36,12 +36,11 @@ def ablated(scene, tmp_path_factory):
 def swept(scene, tmp_path_factory):
     """The folder, tasks and result of a small sweep; its third point was killed half-way."""
     folder = tmp_path_factory.mktemp("sweep")
-    tasks, values = sweep.plan(scene, folder, *SWEEP.values())
-    sweep.make_missing(tasks[:3], values)
+    tasks = sweep.plan(scene, folder, *SWEEP.values())
+    methods.make_missing(tasks[:3])
     tasks[2].record.unlink()
     kept = {task.path: task.path.stat().st_mtime_ns for task in tasks[:3]}
-    again, values = sweep.plan(scene, folder, *SWEEP.values())
-    sweep.make_missing(again, values)
+    methods.make_missing(sweep.plan(scene, folder, *SWEEP.values()))
     changed = [path for path, time in kept.items() if path.stat().st_mtime_ns != time]
     assert changed == [tasks[2].path]
     return folder, tasks, sweep.collect(tasks, folder)

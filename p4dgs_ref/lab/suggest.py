@@ -14,14 +14,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ... import effects as fx
-from ...report.evaluate import decibel, squared_error, timed
-from ...report.jobs import in_processes
-from ...scenes.scene import MODEL_EFFECTS
-from ...splatting.camera import Camera
-from ...training.presets import TINY
-from ...training.trainer import Trainer
-from ..accuracy.fits import step_at
+from .. import effects as fx
+from ..report.evaluate import decibel, squared_error
+from ..report.jobs import in_processes
+from ..scenes.scene import MODEL_EFFECTS
+from ..splatting.camera import Camera
+from ..training.presets import TINY
+from ..training.trainer import Trainer
+from .accuracy.harness import step_at
+from .clock import alternate
 
 # The iterations of a training, and the pairs, each of which keeps another part of the views back.
 # Effects of the view are as small as what trainings differ by, so they need two pairs. All
@@ -35,7 +36,6 @@ PAIRS = {
 BACK = 6  # one view of so many is kept back
 FEWEST = 2 * BACK  # views; with fewer nothing can be kept back
 WORTH = 0.2  # dB; effects that gain less are not worth their bytes
-PROBED = 5  # steps by which the time is foretold
 VIEW = ("view_color", "view_geometry")
 
 
@@ -68,14 +68,10 @@ def steps_of(tasks):
 
 
 def foretold(scene, jobs=1):
-    """About how many seconds `suggest` takes, judging by a few steps."""
-    if not (tasks := planned(scene)):
-        return 0.0
-    iterations, _ = PAIRS["translation"]
-    step = step_at(scene, short(iterations), 3)  # from here on things move
-    step()  # the first one is slow
-    _, seconds = timed(lambda: [step() for _ in range(PROBED)])
-    return steps_of(tasks) * seconds / PROBED / jobs
+    """About how many seconds `suggest` takes, judging by steps in which things move."""
+    step = step_at(scene, short(PAIRS["translation"][0]), 3)
+    ms = alternate({"step": step}, 5)["step"].median
+    return 1e-3 * ms * steps_of(planned(scene)) / jobs
 
 
 def suggest(scene, progress=lambda line: None, jobs=1):
@@ -83,28 +79,27 @@ def suggest(scene, progress=lambda line: None, jobs=1):
 
     Returns [{effect, called_for, verdict, evidence}] for the closed list in its order. The verdict
     is "yes", "no" or "cannot tell"; an effect is called for unless the verdict is "no". The
-    evidence is one sentence with a number.
+    evidence is a phrase with a number.
     """
-    views, tasks, gains = scene.train, planned(scene), {}
+    views, tasks, gains = scene.train, planned(scene), {effect: [] for effect in PAIRS}
     for (_, _, effect, *_), gain in zip(tasks, in_processes(paired, tasks, jobs)):
-        gains.setdefault(effect, []).append(gain)
+        gains[effect].append(gain)
         progress(f"{effect}: {sum(map(len, gains.values()))} of {len(tasks)} pairs")
-    said = {effect: verdict(effect, gains.get(effect), len(views)) for effect in MODEL_EFFECTS}
+    said = {effect: verdict(effect, found, len(views)) for effect, found in gains.items()}
     if len({view.time for view in views}) == 1:
-        still = f"all {len(views)} views have the time {views[0].time:g}, so nothing can move"
-        said.update(dict.fromkeys(fx.MOTION, ("no", still)))
-    elif said["translation"][0] == "yes":
-        apart = (
-            f"something moves, and {len(views)} views, each with its own time, do not show whether "
-            "parts are carried along or turn or grow"
-        )
-        said.update(dict.fromkeys(("rotation", "scaling"), ("cannot tell", apart)))
-    else:
-        said.update(dict.fromkeys(fx.MOTION, said["translation"]))
-    said["background"] = background(views, scene.background)
+        said["translation"] = "no", f"all {len(views)} views have the time {views[0].time:g}"
+    rest = said["translation"]
+    if rest[0] == "yes":
+        rest = "cannot tell", f"something moves; {len(views)} views do not show how"
+    said |= {"rotation": rest, "scaling": rest, "background": background(views, scene.background)}
     return [
-        {"effect": effect, "called_for": found != "no", "verdict": found, "evidence": evidence}
-        for effect, (found, evidence) in said.items()
+        {
+            "effect": e,
+            "called_for": said[e][0] != "no",
+            "verdict": said[e][0],
+            "evidence": said[e][1],
+        }
+        for e in MODEL_EFFECTS
     ]
 
 
@@ -174,27 +169,21 @@ def scores(scene, first, seconds, effects, fold, iterations):
 
 
 def verdict(effect, gains, count):
-    """(verdict, evidence) from the gains (dB) of the views that were kept back, or None.
+    """(verdict, evidence) from the gains (dB) of the views that were kept back, a list of pairs.
 
     The gains of two pairs differ because their views do, and because trainings do; the larger of
     the two errors counts.
     """
-    if gains is None:
+    if not gains:
         return "cannot tell", f"{count} views are too few to keep some back; expected {FEWEST}"
     pairs, gains = [np.mean(pair) for pair in gains], np.concatenate(gains)
     mean, error = gains.mean(), max(gains.std() / np.sqrt(len(gains)), np.ptp(pairs) / 2)
-    without = "without hiding what is behind"
-    if effect != "occlusion":
-        without = f"with the {'times' if effect in fx.MOTION else 'cameras'} of other views"
-    evidence = (
-        f"{mean:+.2f} ± {error:.2f} dB on {len(gains)} views kept back, against training {without}"
-    )
-    if mean - 3 * error > WORTH:
-        return "yes", evidence
     # Effects of the view are learned late: a short training shows about half of their worth.
-    if mean + 2 * error < (WORTH / 2 if effect in VIEW else WORTH):
-        return "no", evidence
-    return "cannot tell", evidence
+    least = WORTH / 2 if effect in VIEW else WORTH
+    found = "no" if mean + 2 * error < least else "cannot tell"
+    if mean - 3 * error > WORTH:
+        found = "yes"
+    return found, f"{mean:+.2f} ± {error:.2f} dB on {len(gains)} views kept back"
 
 
 def background(views, color):
@@ -205,9 +194,6 @@ def background(views, color):
         else np.mean(view.alpha <= 0.5)
         for view in views
     ]
-    shown = f"{100 * np.mean(shares):.0f} % of the pixels show"
-    if not np.any(shares):
-        return "no", f"{shown} the background"
-    if not np.any(color):
-        return "no", f"{shown} the background, and it is black, which needs no term"
-    return "yes", f"{shown} a background that is not black"
+    needed = np.any(shares) and np.any(color)  # black needs no term
+    evidence = f"{100 * np.mean(shares):.0f} % of the pixels show it, in the colour {color}"
+    return "yes" if needed else "no", evidence
