@@ -540,9 +540,9 @@ def how_to_resume(arguments):
     """The end of the message of a stopped command: how to go on, if there is a checkpoint."""
     from ..training.fit import CHECKPOINT
 
-    if arguments.command != "train" or not Path(arguments.output, CHECKPOINT).is_file():
-        return ""
-    return "; the last checkpoint is kept, the same command with --resume goes on from it"
+    is_kept = arguments.command == "train" and Path(arguments.output, CHECKPOINT).is_file()
+    said = "; the last checkpoint is kept, the same command with --resume goes on from it"
+    return said if is_kept else ""
 
 
 def run(argv, start):

@@ -210,7 +210,7 @@ def test_the_table_of_knobs_is_about_this_package():
     for field in ("k", "d", "L_x", "L_t", "anchors", "lambda_rate"):
         assert float(bases[f"`--set {field}`"]) == getattr(TINY, field)
     assert harness.prepared(knobs.steps_times(1), 38)[1] == harness.reduced(38)
-    with pytest.raises(ValueError, match="knob 'colour': expected one of formula, file, training"):
+    with pytest.raises(ValueError, match="--only colour: expected one of formula, file, training"):
         knobs.chosen(["renderer", "colour"])
     assert {knob.harness for knob in knobs.chosen(["file"])} == {"file"}
 

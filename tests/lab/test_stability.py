@@ -11,7 +11,7 @@ import pytest
 from p4dgs_ref.__main__ import main
 from p4dgs_ref.cli import lab
 from p4dgs_ref.equations import likelihood
-from p4dgs_ref.lab import stability
+from p4dgs_ref.lab import StudyError, stability
 from p4dgs_ref.lab.accuracy import formulas
 from p4dgs_ref.table import EQUATIONS
 from tests.golden import quadrature
@@ -55,7 +55,8 @@ def test_rows_are_as_scripts_expect(rows):
 def test_only_selects_a_case_or_a_row():
     assert {row["id"] for row in stability.rows("H-P4.L10")} == {"H-P4.L10"}
     assert {row["id"] for row in stability.rows("H-P4")} == {"H-P4.L10", "H-P4.L16", "H-P4.L20"}
-    assert stability.rows("H-P") == []
+    with pytest.raises(StudyError, match="--only H-P: expected a case, or its beginning"):
+        stability.rows("H-P")
 
 
 def test_literal_formulas_fail_where_the_literature_says(rows):

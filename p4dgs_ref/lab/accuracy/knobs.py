@@ -12,6 +12,7 @@ from ...codec.quantise import quantise
 from ...equations.prior import layout
 from ...model import Model, join, step_code
 from ...splatting.settings import FAST, PAPER
+from .. import StudyError
 from . import forms
 
 LEAST_DEVIATION = 0.05  # of a channel, in steps: a constant channel still has a finite prior
@@ -300,8 +301,8 @@ NAMES = (*HARNESSES, *map(file_name, KNOBS))
 
 
 def chosen(names):
-    """The knobs of these names or harnesses; None for all. Raises ValueError for another name."""
+    """The knobs of these names or harnesses; None for all. Raises StudyError for another name."""
     for name in names or ():
         if name not in NAMES:
-            raise ValueError(f"knob {name!r}: expected one of {', '.join(NAMES)}")
+            raise StudyError(f"--only {name}: expected one of {', '.join(NAMES)}")
     return [k for k in KNOBS if not names or {file_name(k), k.harness} & set(names)]

@@ -55,7 +55,7 @@ def run(names, folder, quick=False, progress=lambda line: None, jobs=1):
     `names` are knobs or harnesses, or None for all. `quick` trains nothing and leaves out the knobs
     that need it: it takes less than a minute instead of ten. Independent trainings run in `jobs`
     processes; times are taken in this one, with nothing beside it. Returns plain values for JSON.
-    Raises ValueError for an unknown name.
+    Raises StudyError for an unknown name.
     """
     wanted, folder, start = chosen(names), Path(folder), time.perf_counter()
     knobs = [knob for knob in wanted if knob.harness == "formula" or not quick]

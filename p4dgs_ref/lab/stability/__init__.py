@@ -30,6 +30,7 @@ import numpy as np
 from ...oracle.compare import cast
 from ...report.figures import pyplot, save_figure, write_csv
 from ...table import EQUATIONS
+from .. import StudyError
 from ..accuracy import formulas
 from ..writer import table
 
@@ -76,6 +77,8 @@ def rows(only=None):
     """
     cases = hard_cases().values()
     chosen = [case for case in cases if only is None or f"{case['id']}.".startswith(f"{only}.")]
+    if not chosen:
+        raise StudyError(f"--only {only}: expected a case, or its beginning up to a dot, like H-R1")
     return [
         {
             **{name: case[name] for name in ("id", "equation", "says")},

@@ -26,7 +26,7 @@ from ...training.initial import design_of
 from ...training.parameters import Parameters
 from ...training.presets import TINY_REAL, choose
 from ...training.trainer import Trainer
-from .. import baselines
+from .. import StudyError, baselines
 from ..accuracy.harness import shortened
 from ..clock import clocked
 
@@ -45,10 +45,6 @@ DATES = (
     "grow_until",
     "reset_every",
 )
-
-
-class StudyError(ValueError):
-    """A mistake in what a study is asked for: one line with its name and what was expected."""
 
 
 class Task(NamedTuple):
