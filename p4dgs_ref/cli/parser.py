@@ -459,7 +459,6 @@ GROUPS = {
                     metavar="N",
                     help="of the inputs; students must not know it (drawn and printed)",
                 ),
-                switch("--reveal", "print expected values, once grading is closed"),
                 option(
                     "--timeout",
                     type=real(0.1, 3600),
