@@ -85,8 +85,7 @@ def row_of(key, path, seed, timeout):
         points = round(sum(part["points"] for part in parts), 4)
         says = reason(key, student) if points < row["of"] else ""
     if flags:
-        says = f"{points:g} points withheld, copied: {', '.join(flags)}\n{says}".rstrip()
-        points = 0.0
+        points, says = 0.0, f"{points:g} points withheld, copied: {', '.join(flags)}\n{says}"
     return {**row, "points": points, "flags": flags, "parts": parts, "says": says}
 
 
@@ -163,10 +162,10 @@ def rows_of(grades):
 
 
 def text(grades):
-    """Return the table of a class, and then the details of each student."""
-    rows = rows_of(grades)
-    columns = {name: f"{{{name}}}" for name in rows[0]}
-    return "\n\n".join(["\n".join(table(columns, rows)), *map(details, grades["students"])])
+    """Return the sums of all students as a table, and then the details of each."""
+    sums = ("student", "points", "of", "copied", "seed")
+    lines = table({name: f"{{{name}}}" for name in sums}, rows_of(grades))
+    return "\n\n".join(["\n".join(lines), *map(details, grades["students"])])
 
 
 def details(student):

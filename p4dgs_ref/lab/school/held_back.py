@@ -62,10 +62,9 @@ def drawn(case, id, seed):
     answer = tolerance.answer_of(eq)
     answers = answer(inputs, cotangents)
     scales = tolerance.scales(answer, inputs, cotangents, answers, id)
-    bars = {name.removesuffix("_bar"): a for name, a in cotangents.items()}
     tensors = {
         **published.flatten(inputs, "in."),
-        **published.flatten(bars, "out_bar."),
+        **published.flatten({n.removesuffix("_bar"): a for n, a in cotangents.items()}, "out_bar."),
         **answers,
         **published.flatten(scales, "scale."),
     }

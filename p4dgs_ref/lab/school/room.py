@@ -195,9 +195,9 @@ TEACHER = """# For the teacher
 This folder, `key/`, contains the complete files. Hand out its parent folder without `key/`.
 
 - `p4dgs-ref grade hand_in/* --classroom COURSE -o marks` grades all folders in `hand_in/` by the
-  same inputs, asks for the equations of COURSE, which is your copy of this classroom, and writes
-  one table: `grades.csv` with a line for each student; `grades.txt` and `grades.json` have the
-  details, too.
+  same inputs, asks for the equations of COURSE, which is your copy of this classroom (without it,
+  those of the first folder), and writes one table: `grades.csv` with a line for each student;
+  `grades.txt` and `grades.json` have the details, too.
 - The inputs depend on a seed. Without `--seed` one is drawn at grading time and printed, so that
   the same points can be had again after an appeal. If you choose a seed, keep it to yourself until
   everybody has handed in: with it and the installed package a student has the answers.

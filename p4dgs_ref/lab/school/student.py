@@ -146,8 +146,9 @@ def load(path):
 def main(path):
     """Answer requests from stdin until it ends. Everything else that is printed goes to stderr."""
     reference = alone(Path(path).stem)
-    requests, sys.stdin = sys.stdin, open(os.devnull)  # input() in a student's file ends at once
-    replies, sys.stdout = sys.stdout, sys.stderr
+    requests, replies = os.fdopen(os.dup(0)), os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # input() in a student's file ends at once
     for request in map(json.loads, requests):
         reply = tried(path, request, reference) if "id" in request else {"p4dgs_oracle": 1}
         print(json.dumps(reply), file=replies, flush=True)
