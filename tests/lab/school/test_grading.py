@@ -114,6 +114,8 @@ NO_SUM = """return {"x_a": x_bar[:, -1], "O_a": x_bar * l_a[:, None, :],
 "l_a": (x_bar * O_a).sum(axis=1)}"""
 NO_FACTOR = 'return {"x_a": x_bar.sum(axis=1), "O_a": x_bar, "l_a": (x_bar * O_a).sum(axis=1)}'
 TWO = 'return {"x_a": x_bar.sum(axis=1), "O_a": x_bar * l_a[:, None, :]}'
+SWAPPED = """l_a, O_a = O_a, l_a
+return {"x_a": x_bar.sum(axis=1), "O_a": x_bar * l_a[:, None, :], "l_a": (x_bar * O_a).sum(axis=1)}"""
 AWAY = """sign = np.where(f / q < 0, -1, 1)
 symbols = (sign * np.floor(np.abs(f / q) + 0.5)).astype(np.int64)
 return (symbols, symbols * q), ()"""
@@ -140,6 +142,10 @@ GRADED = {
     ),
     "a known mistake, not punished twice": (
         *("offsets", AS_LOGARITHM, None, 5, NO_FORWARD, "l_a is taken for a logarithm"),
+    ),
+    "a wrong forward that saves something else": (
+        *("offsets", "return x_a[:, None, :] + O_a, (l_a, O_a)", SWAPPED, 5, NO_FORWARD),
+        "forward: the output x: 60 of 60 numbers are wrong",
     ),
     # exp(l_a) is 1 in the case where l_a is 0: explains that case by accident
     "an unknown mistake": ("offsets", None, NO_FACTOR, 7, {}, "the gradient of O_a: 60 of 60"),
