@@ -79,5 +79,4 @@ def scaled(a, rng):
     lengths = np.linalg.norm(a, axis=-1) if a.shape[-1:] in ((3,), (4,)) else 0
     if np.allclose(lengths, 1, rtol=0, atol=1e-9):
         return a
-    each_row = (*a.shape[:1], *(1 for _ in a.shape[1:]))
-    return (a * rng.uniform(LEAST, 1, each_row)).astype(a.dtype)
+    return (a * rng.uniform(LEAST, 1, a.shape[:1] + (1,) * (a.ndim - 1))).astype(a.dtype)

@@ -115,7 +115,8 @@ NO_SUM = """return {"x_a": x_bar[:, -1], "O_a": x_bar * l_a[:, None, :],
 NO_FACTOR = 'return {"x_a": x_bar.sum(axis=1), "O_a": x_bar, "l_a": (x_bar * O_a).sum(axis=1)}'
 TWO = 'return {"x_a": x_bar.sum(axis=1), "O_a": x_bar * l_a[:, None, :]}'
 SWAPPED = """l_a, O_a = O_a, l_a
-return {"x_a": x_bar.sum(axis=1), "O_a": x_bar * l_a[:, None, :], "l_a": (x_bar * O_a).sum(axis=1)}"""
+return {"x_a": x_bar.sum(axis=1), "O_a": x_bar * l_a[:, None, :],
+"l_a": (x_bar * O_a).sum(axis=1)}"""
 AWAY = """sign = np.where(f / q < 0, -1, 1)
 symbols = (sign * np.floor(np.abs(f / q) + 0.5)).astype(np.int64)
 return (symbols, symbols * q), ()"""
