@@ -141,9 +141,8 @@ def grade(arguments):
             classroom=arguments.classroom,
             seed=arguments.seed,
             timeout=arguments.timeout,
-            reveal=arguments.reveal,
             progress=progress,
         )
         if beside:
             school.write(grades, beside)
-    show(arguments, school.as_json(grades), school.text(grades))
+    show(arguments, grades, school.text(grades))

@@ -478,7 +478,6 @@ GROUPS = {
                     metavar="N",
                     help="of the inputs; students must not know it (drawn and printed)",
                 ),
-                switch("--reveal", "print expected values, once grading is closed"),
                 option(
                     "--timeout",
                     type=number(float, 0.1, 3600),

@@ -2,25 +2,15 @@
 
 A teacher's session in Python:
 
-    from p4dgs_ref import school
+    from p4dgs_ref.lab import school
     school.classroom("course")  # writes course/student, course/key and course/README.md
     grades = school.grade("anna", "ben", classroom="course")  # what two students handed in
-    print(school.text(grades))  # a table, and the points of every equation
+    print(school.text(grades))  # the sums, and the points of every equation
     eq = school.load("course/student/offsets.py")  # the equation in a student's file
 """
 
-from .grading import as_csv, as_json, grade, table, text, write
+from .grading import grade, text, write
 from .room import ClassroomError, classroom
 from .student import load
 
-__all__ = [
-    "ClassroomError",
-    "as_csv",
-    "as_json",
-    "classroom",
-    "grade",
-    "load",
-    "table",
-    "text",
-    "write",
-]
+__all__ = ["ClassroomError", "classroom", "grade", "load", "text", "write"]

@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from ...oracle import published
-from ...oracle.checker import check
+from ...oracle.checker import Report, check, check_subject
 from ...oracle.ports import FunctionPort
 from ...scenes.output import write_atomically
 from ...table import EQUATIONS
-from . import feedback
 
 # The colours of Okabe and Ito, which colour-blind readers can tell apart.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -29,6 +28,8 @@ STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
+NEARLY = 1e-6  # of a number: a smaller error comes from rounding, not from the formula
+TELLING = (0, 0.5, 1, 2)  # magnitudes of factors that are told without giving an answer away
 RESULTS = {}  # exercise -> whether it is solved, for tests that run a tutorial or its solutions
 ASKED = {}  # exercise -> how many hints were asked for
 
@@ -81,11 +82,10 @@ def out():
     return folder
 
 
-def finish(ax, legend=None, grid=True, title_size=None, **settings):
+def finish(ax, legend=None, grid=True, title_size="large", **settings):
     """Set the title, labels and limits of axes; `legend` holds the settings of one, if any."""
     ax.set(**settings)
-    if title_size:
-        ax.title.set_size(title_size)
+    ax.title.set_size(title_size)
     if legend is not None:
         ax.legend(**legend)
     if not grid:
@@ -181,8 +181,7 @@ def caught(mistaken, key, *says, vjp=None):
 # --- exercises ------------------------------------------------------------------------------------
 def golden(id):
     """Return the tensors of one case of the golden vectors: golden("offsets/ordinary")["out.x"]."""
-    key, name = id.split("/")
-    return next(case for case in published.cases(key) if case.name == name).tensors
+    return next(c for c in published.cases(id.partition("/")[0]) if c.id == id).tensors
 
 
 def number(exercise, mine, want=None, digits=6):
@@ -190,26 +189,23 @@ def number(exercise, mine, want=None, digits=6):
 
     Without `want`, the answer is compared with the one that is stored for the exercise.
     """
-    if mine is None or mine is Ellipsis:
-        return settle(exercise, "no answer yet")
+    want = np.asarray(stored("answers")[exercise] if want is None else want, float)
     try:
         mine = np.asarray(mine, float)
     except (TypeError, ValueError):
-        return settle(exercise, "expected a number")
-    want = np.asarray(stored("answers")[exercise] if want is None else want, float)
+        return settle(exercise, "no answer yet" if mine is ... else "expected a number")
     if mine.shape != want.shape:
         return settle(exercise, f"shape {mine.shape}, expected {want.shape}")
-    off = np.abs(mine - want).max(initial=0) / max(np.abs(want).max(initial=0), 1e-300)
-    if off <= 10.0**-digits:
+    if close(mine, want, 10.0**-digits):
         return settle(exercise, "")
-    if off <= 0.01:
+    if close(mine, want, 0.01):
         return settle(exercise, f"nearly right, but {digits} right digits are expected")
-    return settle(exercise, feedback.of_number(mine, want))
+    return settle(exercise, difference(mine, want))
 
 
 def forward(exercise, mine, key):
     """Check a forward: `mine(**inputs)` returns one array, a tuple or a dictionary of outputs."""
-    return against(exercise, key, FunctionPort(mine), "out.")
+    settle(exercise, problem(published.cases(key), FunctionPort(mine), ("out.",)))
 
 
 def backward(exercise, mine, key, *wanted):
@@ -222,36 +218,21 @@ def backward(exercise, mine, key, *wanted):
         made = mine(inputs, cotangents)
         return {name: made[name] for name in wanted or made}
 
-    return against(exercise, key, FunctionPort(lambda **inputs: {}, vjp), "in_bar.", wanted)
-
-
-def against(exercise, key, port, role, wanted=()):
-    """Compare the answers of a port with the golden cases of a subject."""
-
-    def is_asked(name):
-        return not (wanted and name.startswith(role)) or name.split(".")[1] in wanted
-
-    cases = [
-        case._replace(tensors={name: a for name, a in case.tensors.items() if is_asked(name)})
-        for case in published.cases(key)
-    ]
-    problem = feedback.of_port(cases, port, (role,))
-    return settle(exercise, "no answer yet" if "NotImplementedError" in problem else problem)
+    roles = tuple(f"in_bar.{name}" for name in wanted or [""])
+    settle(exercise, problem(published.cases(key), FunctionPort(lambda **_: {}, vjp), roles))
 
 
 def settle(exercise, problem):
     """Record and print whether an exercise is solved."""
     RESULTS[exercise] = not problem
-    print(f"exercise {exercise}: " + (f"not solved: {problem}" if problem else "solved"))
-    if problem:
-        print(f'  lessons.hint("{exercise}") gives a hint')
+    said = "no answer yet" if "NotImplementedError" in problem else problem
+    offer = f'\n  lessons.hint("{exercise}") gives a hint'
+    print(f"exercise {exercise}: " + (f"not solved: {said}{offer}" if problem else "solved"))
 
 
 def hint(exercise):
     """Print the first hint on an exercise, and the second one when it is asked for again."""
-    hints = stored("hints").get(exercise)
-    if hints is None:
-        raise ValueError(f"exercise {exercise!r}: expected a number such as '01.2'")
+    hints = stored("hints")[exercise]
     ASKED[exercise] = min(ASKED.get(exercise, 0) + 1, len(hints))
     print(f"hint {ASKED[exercise]} of {len(hints)}: {hints[ASKED[exercise] - 1]}")
 
@@ -259,5 +240,46 @@ def hint(exercise):
 @cache
 def stored(name):
     """Return what is stored by exercise: `answers` or `hints`."""
-    path = Path(__file__).with_name(f"{name}.json")
-    return json.loads(path.read_text(encoding="utf-8"))
+    return json.loads(Path(__file__).with_name(f"{name}.json").read_text(encoding="utf-8"))
+
+
+# --- what is wrong with an answer -----------------------------------------------------------------
+@np.errstate(all="ignore")
+def problem(cases, port, roles):
+    """Return what is wrong with a port in its first wrong case, or "" if nothing is.
+
+    The oracle's doctor sees the answers to all cases and names the mistake if it knows it.
+    """
+    first = Report(check_subject(cases, port, roles)).first
+    if first is None:
+        return ""
+    if not first.findings:
+        return f"{first.verdict} in {first.id}: {first.explanation}"
+    finding, known = first.findings[0], first.explanation or first.hint
+    role, name = finding.tensor.split(".", 1)
+    said = f"{finding.kind}: {finding.message}"
+    if finding.kind == "value":
+        case = next(case for case in cases if case.id == first.id)
+        how = difference(port.run(case)[finding.tensor], case.tensors[finding.tensor])
+        said = f"{how}\n  Case {first.id}: {finding.message.partition(' (')[0]}"
+    if known:
+        said += f"\n  It looks like this: {known}"
+    return f"{'the output' if role == 'out' else 'the gradient of'} {name}: {said}"
+
+
+@np.errstate(all="ignore")
+def difference(mine, right):
+    """Return how an array differs from the right one of the same shape: by a factor, if it does.
+
+    Of a single number only a telling factor is named; others would give the right one away.
+    """
+    wrong = ~np.isclose(mine, right, NEARLY, 0)
+    if not wrong.any():
+        return "too few right digits"
+    factor = np.vdot(right, mine) / np.vdot(right, right)
+    if right.size == 1:
+        told = round(abs(factor), 6) in TELLING
+        return f"it is {factor:.6g} times the right number" if told else "it is wrong"
+    if close(mine, factor * right, NEARLY):
+        return f"all {right.size} numbers are {factor:.6g} times the right ones"
+    return f"{wrong.sum()} of {right.size} numbers are wrong"

@@ -2,19 +2,16 @@
 
 import ast
 import inspect
-import json
 import re
 from importlib import import_module
-from itertools import takewhile
 from pathlib import Path
 
 from ...oracle import published
+from ...oracle.report import name_of
 from ...scenes.output import filled
 from ...table import EQUATIONS
 from .syllabus import tutorial_of
 
-RECORD = "classroom.json"
-FORWARD, GRADIENTS, HARD = 3, 3, 4  # points of an equation
 # Functions that contain the answer as well. They are removed together with forward or backward.
 HELPERS = {
     ("compositing", "forward"): ("alphas", "transmittances"),
@@ -34,10 +31,8 @@ HELPERS = {
     ("masking", "backward"): ("scatter",),
     ("ssim", "forward"): ("dissimilarity",),
 }
-# The forwards of these save slopes, from which their backwards follow in a line or two.
-SAVES_SLOPES = {"hash_grid", "step", "likelihood"}
-# Files with half of an equation: students write their functions in the equation's own file.
-MERGED = {"hash_grid": "grid_nodes"}
+# Half of Eq. (9) is a file of its own. Students get both in one.
+HALF = "grid_nodes"
 
 
 class ClassroomError(ValueError):
@@ -53,57 +48,50 @@ def classroom(folder, only=None):
     Returns {"output", "equations": keys written, "functions": how many have to be written, "kept":
     keys left as they were}. Raises ClassroomError or OutputError.
     """
-    folder = Path(folder)
-    old = keys_in(folder)
-    new = [key for key in chosen(only) if key not in old]
-    record = json.dumps(record_of([*old, *new]), indent=1) + "\n"
-    files = {"README.md": readme([*old, *new]), "key/README.md": TEACHER, RECORD: record}
+    folder, every = Path(folder), published.equations()
+    for key in only or ():
+        if key not in every:
+            raise ClassroomError(f"{key!r}: expected one of {', '.join(every)}")
+    old = keys_of(folder / "student") if folder.is_dir() and any(folder.iterdir()) else []
+    new = [key for key in every if key in (only or every) and key not in old]
+    table = "".join(
+        f"| {EQUATIONS[key].number} | `student/{key}.py` | `tutorials/{tutorial_of(key).name}.py` "
+        f"| {', '.join(f'`{name}`' for name in functions_of(key))} |\n"
+        for key in sorted({*old, *new}, key=every.index)
+    )
+    files = {"README.md": README + table, "key/README.md": TEACHER}
     for key in new:
         files |= {f"key/{key}.py": source_of(key), f"student/{key}.py": stub_of(key)}
     with filled(folder) as beside:
         for name, text in files.items():
             (beside / name).parent.mkdir(exist_ok=True)
             (beside / name).write_text(text, encoding="utf-8")
-    count = sum(len(functions_of(key)) for key in new)
-    return {"output": str(folder), "equations": new, "functions": count, "kept": sorted(old)}
+    return {
+        "output": str(folder),
+        "equations": new,
+        "functions": sum(len(functions_of(key)) for key in new),
+        "kept": old,
+    }
 
 
-def record_of(keys):
-    """Return the contents of classroom.json."""
-    return {"p4dgs_classroom": 1, "equations": {key: parts_of(key) for key in keys}}
+def files_of(folder):
+    """Return the folder with a student's files: DIR/student of a classroom, or DIR itself."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ClassroomError(f"{folder}: expected a classroom, or the folder of a student's files")
+    return folder / "student" if (folder / "student").is_dir() else folder
 
 
 def keys_of(folder):
-    """Return the equations of a classroom. Raises ClassroomError if the folder is not one."""
-    try:
-        record = json.loads((Path(folder) / RECORD).read_text(encoding="utf-8"))
-        valid = record == record_of(record["equations"])
-    except (OSError, ValueError, KeyError, TypeError):
-        valid = False
-    if not valid:
+    """Return the equations that students find in a classroom. Raises ClassroomError."""
+    files = files_of(folder)
+    found = [key for key in published.equations() if (files / f"{key}.py").is_file()]
+    if not found:
         raise ClassroomError(
-            f"{folder}: expected a classroom, a folder with the {RECORD} of `p4dgs-ref classroom`"
+            f"{folder}: expected a classroom, which has files such as student/offsets.py; "
+            "`p4dgs-ref classroom` writes one to a new folder"
         )
-    return list(record["equations"])
-
-
-def keys_in(folder):
-    """Return the equations of an existing classroom, or none of a folder that is to become one."""
-    if not folder.is_dir() or not any(folder.iterdir()):
-        return []
-    if not (folder / RECORD).exists():
-        raise ClassroomError(
-            f"{folder}: expected an empty folder, a new one or a classroom; it contains other files"
-        )
-    return keys_of(folder)
-
-
-def chosen(only):
-    """Return the keys to write, in the order in which data flows."""
-    for key in only or ():
-        if key not in EQUATIONS:
-            raise ClassroomError(f"{key!r}: expected one of {', '.join(published.equations())}")
-    return [key for key in published.equations() if not only or key in only]
+    return found
 
 
 # --- the files that students get ------------------------------------------------------------------
@@ -118,19 +106,10 @@ def functions_of(key):
 
 
 def source_of(key):
-    """Return the source of an equation's file, which contains the file merged with it."""
-    module = EQUATIONS[key].module
-    source = text_of(module)
-    if key not in MERGED:
-        return source
-    other = MERGED[key]
-    merged = text_of(f"{module.rpartition('.')[0]}.{other}")
-    return re.sub(rf"import numpy as np\n\nfrom \.{other} import \w+\n", lambda _: merged, source)
-
-
-def text_of(module):
-    """Return the text of a module."""
-    return inspect.getsource(import_module(module))
+    """Return the source of an equation's file, with its other half if it has one."""
+    source = inspect.getsource(import_module(EQUATIONS[key].module))
+    half = inspect.getsource(import_module(f"p4dgs_ref.equations.{HALF}"))
+    return re.sub(rf"import numpy as np\n\nfrom \.{HALF} import \w+\n", lambda _: half, source)
 
 
 def stub_of(key):
@@ -139,14 +118,12 @@ def stub_of(key):
     Docstrings stay, and so do the first lines of a body that unpack `saved`: they show what the
     reference's forward saves.
     """
-    source, number = source_of(key), EQUATIONS[key].number
-    lines, functions = source.splitlines(keepends=True), functions_in(source)
-    task = "has to be written" + (f", Eq. ({number})" if number else "")
+    lines = source_of(key).splitlines(keepends=True)
     # From the last function to the first, so that the line numbers stay valid.
-    nodes = [functions[name] for name in functions_of(key)]
-    for node in sorted(nodes, key=lambda node: -node.lineno):
-        stub = f"    raise NotImplementedError({json.dumps(f'{key}.{node.name} {task}')})\n"
-        lines[kept(node)[-1].end_lineno : node.end_lineno] = [stub]
+    for name, node in reversed(functions_in(source_of(key)).items()):
+        if name in functions_of(key):
+            stub = f'    raise NotImplementedError("{name_of(key)}.{name} has to be written")\n'
+            lines[kept(node)[-1].end_lineno : node.end_lineno] = [stub]
     return "".join(lines)
 
 
@@ -158,20 +135,7 @@ def functions_in(source):
 
 def kept(node):
     """Return the leading statements that stay: the docstring and the unpacking of `saved`."""
-
-    def stays(statement):
-        value = getattr(statement, "value", None)
-        is_text = isinstance(value, ast.Constant) and isinstance(value.value, str)
-        return is_text or ast.unparse(statement).endswith(" = saved")
-
-    return list(takewhile(stays, node.body))
-
-
-def unwritten(source, name):
-    """Whether a function is still as students got it, or missing."""
-    node = functions_in(source).get(name)
-    body = node.body[len(kept(node)) :] if node else []
-    return not node or [ast.unparse(s)[:25] for s in body] == ["raise NotImplementedError"]
+    return node.body[: 1 + ast.unparse(node.body[1]).endswith(" = saved")]
 
 
 # --- what both readers are told -------------------------------------------------------------------
@@ -191,29 +155,30 @@ tutorial that explains each equation.
   change that line.
 - `p4dgs-ref grade DIR` prints your points on inputs that are new in every run; run it again after
   every change. Your teacher will use other inputs.
-- In Python, `eq = school.load("DIR/student/offsets.py")` with `from p4dgs_ref import school` loads
-  the equation from your file. `eq.forward` and `eq.backward` are your functions, and
+- In Python, `eq = school.load("DIR/student/offsets.py")` with `from p4dgs_ref.lab import school`
+  loads the equation from your file. `eq.forward` and `eq.backward` are your functions, and
   `outputs, pullback = eq.vjp(**inputs)` calls them by name.
 - Hand in this folder.
 
 ## How it is graded
 
-{WHOLE} points an equation: {FORWARD} for the forward on ordinary inputs, {GRADIENTS} for the
-gradients, divided equally among the inputs, and {HARD} for the hard cases (zeros, kinks, ties,
-tails, empty axes, clamps and others), half of them for outputs and half for gradients. If there is
-no gradient, all points are for outputs. Each part counts by its share of right answers. A formula
-that is right on paper but has too few digits in float64 loses most of the hard cases.
+10 points an equation: 3 for the forward on ordinary inputs, 3 for the gradients, divided equally
+among the inputs, and 4 for the hard cases (zeros, kinks, ties, tails, empty axes, clamps and
+others), half of them for outputs and half for gradients. If there is no gradient, all points are
+for outputs. Each part counts by its share of right answers. A formula that is right on paper but
+has too few digits in float64 loses most of the hard cases.
 
-- The inputs depend on a seed. They are those of the published test cases, changed at random, or
-  in another order where a change would defeat the purpose of the case. The cotangents are random.
+- The inputs depend on a seed. They are those of the published test cases, changed at random where
+  that does not defeat the purpose of the case. The cotangents are random.
   An answer is right if it agrees with the reference within the same bounds as for the published
-  vectors.
+  vectors. What is said about a wrong answer comes from the published cases, as in the tutorials.
 - Each equation is graded alone. Whatever your file imports from `p4dgs_ref` is the reference's
   code, not yours: `opacity.py`, for example, uses the reference's networks. Only the modules that
   the file imported originally, and those that they use, can be imported from `p4dgs_ref`.
 - A wrong forward is not punished twice. If yours is wrong or missing, your backward is also tried
   on what the reference's forward saves, so keep the line that unpacks `saved` until your forward
-  works. The exceptions are {SLOPES}, whose forwards save the slopes themselves.
+  works. The exceptions are `hash_grid`, `step` and `likelihood`, whose forwards save the slopes
+  themselves.
 - Functions receive float64 and must return float64. Printed text is ignored, and functions that run
   for too long are stopped.
 - A file with a copy of the package's functions gets no points. Copies are recognised whatever their
@@ -230,14 +195,14 @@ TEACHER = """# For the teacher
 This folder, `key/`, contains the complete files. Hand out its parent folder without `key/`.
 
 - `p4dgs-ref grade hand_in/* --classroom COURSE -o marks` grades all folders in `hand_in/` by the
-  same inputs, asks for the equations of COURSE, which is your copy of this classroom, and writes
-  one table: `grades.csv` with a line for each student; `grades.txt` and `grades.json` have the
-  details, too.
+  same inputs, asks for the equations of COURSE, which is your copy of this classroom (without it,
+  those of the first folder), and writes one table: `grades.csv` with a line for each student;
+  `grades.txt` and `grades.json` have the details, too.
 - The inputs depend on a seed. Without `--seed` one is drawn at grading time and printed, so that
   the same points can be had again after an appeal. If you choose a seed, keep it to yourself until
   everybody has handed in: with it and the installed package a student has the answers.
-- Expected values are printed with `--reveal` only. Use it after grading is closed, with the same
-  seed.
+- The points come from these inputs. What is said about a wrong answer comes from the published
+  cases, which everybody has, so no report gives the expected values away.
 - Files of students are run on your machine, each in a process of its own with a time limit, with
   your rights and without any other protection. Use an account or a container that they may break.
 
@@ -262,21 +227,3 @@ This keeps honest students honest. It does not stop a student who is determined 
 
 Read a file of which you are in doubt, or let its author explain a line of it.
 """
-
-
-def readme(keys):
-    """Return the text of DIR/README.md."""
-    text = README.format(
-        WHOLE=FORWARD + GRADIENTS + HARD,
-        FORWARD=FORWARD,
-        GRADIENTS=GRADIENTS,
-        HARD=HARD,
-        SLOPES=", ".join(f"`{key}`" for key in published.equations() if key in SAVES_SLOPES),
-    )
-    for key in sorted(keys, key=published.equations().index):
-        to_write = ", ".join(f"`{name}`" for name in functions_of(key))
-        text += (
-            f"| {EQUATIONS[key].number} | `student/{key}.py` "
-            f"| `tutorials/{tutorial_of(key).name}.py` | {to_write} |\n"
-        )
-    return text

@@ -1,32 +1,136 @@
-"""A student's file, loaded as an equation, and a process that answers the grader with it.
+"""A student's file: what in it is copied, and the guarded process that answers with it.
 
-The process speaks the protocol of `oracle.adapter`. Its replies have two more fields: `said` gives
-the reason if a function returned nothing, and `follow` contains the gradients that the student's
-backward computes from what the reference's forward saved.
+Functions are compared with those of the package statement by statement, without names, comments,
+docstrings and layout, so a copy is still one after small changes. Short functions are alike by
+chance; only a file with enough text in functions that are alike counts as a copy.
+
+The process speaks the protocol of `oracle.adapter`, whose limits of time and bytes hold. It cannot
+import the equation that the file should compute. The field `subject` of a request says what is
+asked: `forward`, `backward`, or `follow`, the backward on what the reference's forward saves.
 """
 
+import ast
 import json
 import os
+import re
 import shlex
 import sys
-import types
+import time
 from functools import cache
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
 from ...oracle.adapter import Adapter, packed, unpacked
+from ...oracle.ports import PortError
 from ...oracle.published import Golden, flatten
 from ...table import EQUATIONS
-from .guard import alone
-from .room import SAVES_SLOPES
+from .room import HALF, stub_of
 
-ROOT = Path(__file__).resolve().parents[3]
-START_SECONDS = 60
+PACKAGE = Path(__file__).resolve().parents[2]
+ALIKE = 0.8  # of a function's text; where tutorials and tests compute the same, it is below 0.4
+ENOUGH = 200  # characters of such functions in a file; names count as one
+SECONDS = 30  # for all cases of an equation; the cases after that are not asked
+START_SECONDS = 60  # importing NumPy does not count against the student
 START = (
     "import sys; sys.path[0] = sys.argv.pop(1); "
-    "from p4dgs_ref.lab.school.student import main; main(*sys.argv[1:])"
+    "from p4dgs_ref.lab.school.student import main; main(sys.argv[1])"
 )
+
+
+# --- copies ---------------------------------------------------------------------------------------
+def copies(source, key, alike=ALIKE):
+    """Return the functions of a student's file that are copies of functions of the package.
+
+    The entries have the form "forward (line 5)". There are none if together they are so short that
+    they may be alike by chance. Raises SyntaxError or ValueError if the file cannot be parsed.
+    """
+    given, found = set().union(*functions(stub_of(key)).values()), {}
+    for name, lines in functions(source).items():
+        mine = [line for line in lines if line not in given]
+        same = [line for line in mine if line in lines_of_the_package()]
+        if same and len("".join(same)) >= alike * len("".join(mine)):
+            found[name] = "".join(same)
+    return list(found) if len("".join(found.values())) >= ENOUGH else []
+
+
+@cache
+def lines_of_the_package():
+    """Return the lines of all functions in the rooms that hold equations."""
+    return {
+        line
+        for room in ("equations", "splatting")
+        for path in (PACKAGE / room).glob("*.py")
+        for lines in functions(path.read_text(encoding="utf-8")).values()
+        for line in lines
+    }
+
+
+def functions(source):
+    """Return {"forward (line 5)": its lines} of all functions in a file.
+
+    A line is a statement with "_" in place of names, those of attributes excepted. Docstrings and
+    assignments of constants are left out.
+    """
+    return {
+        f"{tree.name} (line {tree.lineno})": [
+            re.sub(r"(?<![.\w])[A-Za-z_]\w*", "_", ast.unparse(node).partition("\n")[0])
+            for node in ast.walk(tree)
+            if isinstance(node, ast.stmt) and node is not tree
+            if not isinstance(getattr(node, "value", 0), ast.Constant)
+        ]
+        for tree in ast.walk(ast.parse(source))
+        if isinstance(tree, ast.FunctionDef)
+    }
+
+
+# --- the process, from outside --------------------------------------------------------------------
+class Student(Adapter):
+    """The process with one student's file."""
+
+    def __init__(self, path, timeout):
+        command = [sys.executable, "-c", START, str(PACKAGE.parent), str(path)]
+        super().__init__(shlex.join(command))
+        self.for_case, self.end = timeout, time.monotonic() + SECONDS
+
+    def part(self, name):
+        """Return the port that answers with one part: forward, backward or follow."""
+        return SimpleNamespace(run=lambda case: self.run(case._replace(subject=name)))
+
+    def _exchange(self, request, field):
+        if time.monotonic() >= self.end:
+            raise PortError("hung", f"not asked, because {SECONDS} s are over")
+        self.timeout = self.for_case if "id" in request else START_SECONDS
+        return super()._exchange(request, field)
+
+
+# --- inside the process ---------------------------------------------------------------------------
+class Lock:
+    """A finder of modules that refuses those of the project."""
+
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        """Raise ImportError for a module of the project; leave others to the next finder."""
+        if name.startswith("p4dgs_ref"):
+            raise ImportError(f"{name} cannot be imported by a file that is graded")
+
+
+def alone(key):
+    """Return the module of the reference's equation, which cannot be imported from now on.
+
+    Of the project, only the modules that it imports can still be imported.
+    """
+    for name in [name for name in sys.modules if name.startswith("p4dgs_ref")]:
+        del sys.modules[name]
+    reference = import_module(EQUATIONS[key].module)
+    for name in {reference.__name__, f"p4dgs_ref.equations.{HALF}"} & sys.modules.keys():
+        package, _, module = name.rpartition(".")
+        delattr(sys.modules[package], module)
+        del sys.modules[name]
+    sys.meta_path.insert(0, Lock)
+    return reference
 
 
 def load(path):
@@ -36,123 +140,63 @@ def load(path):
     """
     path = Path(path)
     eq = EQUATIONS[path.stem]
-    module = types.ModuleType(f"{eq.module}_of_a_student")
+    module = ModuleType(f"{eq.module}_of_a_student")
     module.__package__, module.__file__ = eq.module.rpartition(".")[0], str(path)
     exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), module.__dict__)
     sys.modules[module.__name__] = module
     return eq._replace(module=module.__name__)
 
 
-loaded = cache(load)
-
-
-class Student(Adapter):
-    """The process with one student's file, used as a port."""
-
-    def __init__(self, path, timeout):
-        super().__init__(shlex.join([sys.executable, "-c", START, str(ROOT), str(path)]), timeout)
-        self.for_case = timeout
-        # Of the last case: {"forward": why it returned nothing, "backward": likewise}, and
-        # {"in_bar.x": gradients computed from what the reference saved}.
-        self.said, self.follow = {}, {}
-
-    def _exchange(self, request, field):
-        starts = "p4dgs_oracle" in request  # importing NumPy does not count against the student
-        self.timeout = max(START_SECONDS, self.for_case) if starts else self.for_case
-        answer = super()._exchange(request, field)
-        said, follow = answer.get("said"), {"follow": answer.get("follow", {})}
-        self.said = said if isinstance(said, dict) else {}
-        self.follow = {f"in_bar.{name}": a for name, a in unpacked(follow, "follow").items()}
-        return answer
-
-
-# --- inside the process ---------------------------------------------------------------------------
 def main(path):
     """Answer requests from stdin until it ends. Everything else that is printed goes to stderr."""
     reference = alone(Path(path).stem)
-    requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    requests, replies = os.fdopen(os.dup(0)), os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # input() in a student's file ends at once
-    for line in requests:
-        request = json.loads(line)
-        reply = {"p4dgs_oracle": 1}
-        if "p4dgs_oracle" not in request:
-            reply = {"id": request["id"], **answer(path, request, reference)}
-        replies.write(json.dumps(reply).encode() + b"\n")
-        replies.flush()
+    for request in map(json.loads, requests):
+        reply = tried(path, request, reference) if "id" in request else {"p4dgs_oracle": 1}
+        print(json.dumps(reply), file=replies, flush=True)
 
 
-def answer(path, request, reference):
-    """Return the fields of the reply to one case; `reference` is the module of the equation."""
-    key = Path(path).stem
+def tried(path, request, reference):
+    """Return the fields of the reply to one case: an answer, or the error of the student's file."""
+    try:
+        found = answer(load(path), request, reference)
+    except BaseException as error:
+        found = {"error": f"{type(error).__name__}: {error}".strip(": ")}
+    return {"id": request["id"], **found}
+
+
+@np.errstate(all="ignore")
+def answer(eq, request, reference):
+    """Return the outputs or the gradients of one case; `reference` is the equation's module."""
+    record, part = {"settings": request["settings"]}, request["subject"]
     tensors = {
         f"{role}.{name}": a
         for role in ("in", "out_bar")
         for name, a in unpacked(request, role).items()
     }
-    case = Golden(request["id"], "", key, key, "", {"settings": request["settings"]}, tensors)
-    eq, said, gradients, follow = EQUATIONS[key], {}, {}, {}
-
-    def forward():
-        return outputs_of(eq, loaded(path).forward(**case.inputs()))
-
-    def backward(saved):
-        made = loaded(path).backward(saved, **case.cotangents())
-        if not isinstance(made, dict):
-            raise TypeError("expected a dictionary {input name: gradient}")
-        return flat({name: made[name] for name in eq.gradients if name in made})
-
-    outputs, saved = tried(forward, said, "forward") or ({}, None)
-    if eq.gradients and outputs:
-        gradients = tried(lambda: backward(saved), said, "backward")
-    if eq.gradients and key not in SAVES_SLOPES:
-        _, reference_saved = reference.forward(**case.inputs())
-        follow = tried(lambda: backward(reference_saved), {} if outputs else said, "backward")
-    return {
-        "out": numbers(outputs),
-        "in_bar": numbers(gradients or {}),
-        "follow": numbers(follow or {}),
-        "said": said,
-    }
-
-
-def tried(call, said, part):
-    """Return what the call returns; if it fails, return None and put the reason into `said`."""
-    try:
-        with np.errstate(all="ignore"):
-            return call()
-    except NotImplementedError as error:
-        said[part] = f"not written yet ({error})" if str(error) else "not written yet"
-    except BaseException as error:
-        said[part] = f"{type(error).__name__}: {error}".strip(": ")
-    return None
-
-
-def outputs_of(eq, made):
-    """Return (flat outputs, saved) of what a student's forward returned."""
-    if not isinstance(made, tuple) or len(made) != 2:
+    case = Golden(request["id"], "", part, eq.key, "", record, tensors)
+    pair = (reference if part == "follow" else eq).forward(**case.inputs())
+    if not isinstance(pair, tuple) or len(pair) != 2:
         raise TypeError("expected a pair, the output and what backward needs")
-    output, saved = made
-    count = len(eq.outputs)
-    if count > 1 and (not isinstance(output, tuple) or len(output) != count):
-        raise TypeError(f"expected a tuple of {', '.join(eq.outputs)} as output")
-    return flat(eq.named(output if count > 1 else (output,))), saved
+    output, saved = pair
+    if part == "forward":
+        return {"out": numbers(eq.named(output)), "in_bar": {}}
+    made = eq.backward(saved, **case.cotangents())
+    made = {name: made[name] for name in eq.gradients if name in made}
+    return {"out": {}, "in_bar": numbers(made)}
 
 
-def flat(values):
-    """Return arrays and lists of arrays as flat, named arrays; None is left out."""
-    made = {
-        name: list(value) if isinstance(value, (list, tuple)) else np.asarray(value)
-        for name, value in values.items()
-        if value is not None
-    }
-    return flatten(made)
+def numbers(values):
+    """Return arrays and lists of arrays, flat and packed.
 
-
-def numbers(named):
-    """Return the arrays of numbers, packed. Others are left out, so that they count as missing."""
-    return {
-        name: packed(np.ascontiguousarray(a).reshape(a.shape))
-        for name, a in named.items()
-        if a.dtype.kind in "fiub" and a.dtype.itemsize <= 8
-    }
+    What is neither float64 nor whole numbers is left out, so that it counts as missing.
+    """
+    flat = flatten(
+        {
+            name: list(value) if isinstance(value, (list, tuple)) else np.asarray(value)
+            for name, value in values.items()
+        }
+    )
+    return {n: packed(a) for n, a in flat.items() if a.dtype == float or a.dtype.kind in "iub"}

@@ -30,14 +30,10 @@ def test_close_is_relative_to_the_largest_number():
     "mine, said",
     [
         (..., "no answer yet"),
-        (None, "no answer yet"),
         ([1, 2], "solved"),
         ([1, 2.00001], "not solved: nearly right, but 6 right digits are expected"),
-        (
-            [-2, -4],
-            "not solved: all 2 numbers are too large by a factor of 2 and of the opposite sign",
-        ),
-        ([0, 0], "not solved: all 2 numbers are zero"),
+        ([-2, -4], "not solved: all 2 numbers are -2 times the right ones"),
+        ([0, 0], "not solved: all 2 numbers are 0 times the right ones"),
         ([1, 5], "not solved: 1 of 2 numbers are wrong"),
         (3, "not solved: shape (), expected (2,)"),
         ("two", "not solved: expected a number"),
@@ -53,8 +49,8 @@ def test_numbers(mine, said, capsys):
     "mine, said",
     [
         (7, "solved"),
-        (-7, "it is of the opposite sign"),
-        (14, "by a factor of 2"),
+        (-7, "it is -1 times the right number"),
+        (14, "it is 2 times the right number"),
         (8, "it is wrong"),
     ],
 )
@@ -71,7 +67,7 @@ def test_hints_come_one_after_the_other(capsys, monkeypatch):
     for said in (f"1 of 2: {first}", f"2 of 2: {second}", f"2 of 2: {second}"):
         lessons.hint("07.3")
         assert capsys.readouterr().out == f"hint {said}\n"
-    with pytest.raises(ValueError, match="'7.3': expected a number such as '01.2'"):
+    with pytest.raises(KeyError, match="7.3"):
         lessons.hint("7.3")
 
 
@@ -96,7 +92,10 @@ def unwritten(**inputs):
         (unwritten, "not solved: no answer yet"),
         (lambda x_a, O_a, l_a: x_a[:, None] + O_a, "the output x: 60 of 60 numbers are wrong"),
         (lambda x_a, O_a, l_a: x_a, "the output x: shape: (5, 3), expected (5, 4, 3)"),
-        (lambda x_a, O_a, l_a: 1 / 0, "your function raised ZeroDivisionError: division by zero"),
+        (
+            lambda x_a, O_a, l_a: 1 / 0,
+            "error in offsets/ordinary: ZeroDivisionError: division by zero",
+        ),
     ],
 )
 def test_forwards(mine, said, capsys):
@@ -147,27 +146,21 @@ def test_feedback_names_the_mistake_that_the_oracle_names(capsys):
     by_oracle = oracle.check(EQUATIONS["noise"], "noise", wrong_in_q(mean)).first.explanation
     assert "mean over the channels instead of the sum" in by_oracle
     assert said.splitlines()[:3] == [
-        "exercise 07.3: not solved: "
-        "the gradient of q: all 6 numbers are too small by a factor of 5",
+        "exercise 07.3: not solved: the gradient of q: all 6 numbers are 0.2 times the right ones",
+        "  Case noise/ordinary: in_bar.q[3, 0]: got 0.135502324, expected 0.677511622",
         f"  It looks like this: {by_oracle}",
-        "  Case noise/ordinary: [3, 0] is 0.135502324406, not 0.677511622031",
     ]
-    assert "eps S" not in said
 
 
 @pytest.mark.parametrize(
     "change, said",
     [
-        (lambda q_bar, f_bar: 0 * q_bar, "the gradient of q: all 6 numbers are zero\n"),
-        (
-            lambda q_bar, f_bar: q_bar / -3,
-            "are too small by a factor of 3 and of the opposite sign\n",
-        ),
-        (lambda q_bar, f_bar: 7 * q_bar, "are too large by a factor of 7\n"),
-        (lambda q_bar, f_bar: -q_bar, "are of the opposite sign\n"),
+        (lambda q_bar, f_bar: 0 * q_bar, "the gradient of q: all 6 numbers are 0 times"),
+        (lambda q_bar, f_bar: q_bar / -4, "are -0.25 times the right ones\n"),
+        (lambda q_bar, f_bar: 7 * q_bar, "are 7 times the right ones\n"),
         (lambda q_bar, f_bar: q_bar**3 + 1, "q: 6 of 6 numbers are wrong\n"),
         (lambda q_bar, f_bar: q_bar * np.nan, "q: 6 of 6 numbers are wrong\n"),
-        (lambda q_bar, f_bar: q_bar * (1 + 1e-9), "too few right digits: its error is 4.5"),
+        (lambda q_bar, f_bar: q_bar * (1 + 1e-9), "q: too few right digits\n"),
     ],
 )
 def test_feedback_in_plain_words(change, said, capsys):
@@ -182,9 +175,3 @@ def test_feedback_on_integers(capsys):
     lessons.forward("07.2", floored, "rounding")
     said = capsys.readouterr().out
     assert "the output symbols: " in said and " numbers are wrong\n" in said
-
-
-def test_measure_of_accuracy_is_explained_where_digits_are_missing_and_nowhere_else(capsys):
-    few = said_of(lambda q_bar, f_bar: q_bar * (1 + 1e-9), capsys)
-    assert few.count("eps S") == 2 and "eps is the distance from 1 to the next float" in few
-    assert "eps S" not in said_of(lambda q_bar, f_bar: q_bar + f_bar[:, :1], capsys)
