@@ -6,7 +6,7 @@
 # `12_losses`, `15_compositing`. **Takes** four seconds on two cores, 25 minutes of reading and 25
 # of exercises.
 #
-# **Files:** [stability](../p4dgs_ref/lab/stability/__init__.py),
+# **Files:** [__init__.py](../p4dgs_ref/lab/stability/__init__.py) of `stability`,
 # [numerics.py](../p4dgs_ref/equations/numerics.py).
 
 # %%
