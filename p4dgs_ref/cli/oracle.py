@@ -7,11 +7,11 @@ from ..lab.baselines.table import ALL_EQUATIONS
 from ..oracle import published
 from ..oracle.adapter import Adapter
 from ..oracle.checker import check_port
-from ..oracle.export import export
-from ..oracle.ports import FolderPort, require_known
+from ..oracle.streams import export
+from ..oracle.ports import FolderPort
 from ..oracle.report import as_json, listing
 from ..table import table
-from .base import expect, progress, show, tell
+from .base import expect, expect_known, progress, show, tell
 
 
 def list_cases(arguments):
@@ -31,8 +31,7 @@ def path(arguments):
 
 def export_vectors(arguments):
     """Write the vectors into a folder."""
-    done = export(arguments.folder, arguments.vectors)
-    tell(f"{done['output']}: {done['files']} files, {done['bytes']:,} bytes, {done['cases']} cases")
+    tell(f"{arguments.folder}: {export(arguments.folder, arguments.vectors)} cases")
 
 
 def port_of(arguments):
@@ -56,8 +55,7 @@ def port_of(arguments):
 def check(arguments):
     """Judge the answers of a port; exit code 1 if a required case does not pass."""
     level, only = arguments.level, arguments.only
-    for name in only:
-        require_known(name, published.names(), "--only")
+    expect_known("--only", only, published.names())
     with closing(port_of(arguments)) as port:
         report = check_port(
             port,

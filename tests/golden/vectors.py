@@ -21,8 +21,8 @@ import scipy
 from p4dgs_ref import __version__
 from p4dgs_ref.oracle import published, safetensors, streams, tolerance
 from p4dgs_ref.oracle.compare import cast
-from p4dgs_ref.oracle.export import copy_streams, write_expected
 from p4dgs_ref.oracle.published import FOLDER, flatten, read_manifest
+from p4dgs_ref.oracle.streams import copy_streams, write_expected
 from p4dgs_ref.scenes.output import filled
 from tests.golden import independent, measured
 from tests.golden.cases import FLAGS

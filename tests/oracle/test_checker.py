@@ -92,17 +92,13 @@ def test_missing_extra_and_damaged_answers_are_reported(tmp_path):
 
 def test_a_misspelt_case_or_subject_is_refused(tmp_path):
     misspelt = {**right("offsets"), "ordinari/out.x": np.ones(2)}
-    with pytest.raises(safetensors.TensorError) as error:
+    with pytest.raises(safetensors.TensorError, match="offsets.safetensors: ordinari.* ordinary,"):
         judge_folder(tmp_path, "offsets", misspelt)
-    assert str(error.value) == (
-        f"{tmp_path}/offsets.safetensors: case 'ordinari': not among the vectors; "
-        "did you mean 'ordinary'?"
-    )
     for wrong, meant in ("ofsets.npz", "offsets"), ("codec/ful.safetensors", "full"):
         folder = tmp_path / meant
         (folder / wrong).parent.mkdir(parents=True)
         (folder / wrong).write_bytes(b"")
-        with pytest.raises(safetensors.TensorError, match=f"did you mean '{meant}'"):
+        with pytest.raises(safetensors.TensorError, match=f"{wrong}: name: .* {meant},"):
             FolderPort(folder)
 
 
@@ -249,9 +245,7 @@ def test_commands(answered, capsys):
 
 
 def test_an_export_is_whole_and_no_answer(exported, capsys):
-    folder, done = exported
-    files = [file.stat().st_size for file in folder.rglob("*") if file.is_file()]
-    assert (done["files"], done["bytes"]) == (len(files), sum(files))
+    folder, _ = exported
     assert damaged(folder) == []
     code, out, err = run(capsys, "check", str(folder), "--level", "L1")
     assert code == 2 and not out and err.count("\n") == 1 and "the published vectors" in err
@@ -266,7 +260,7 @@ def test_an_export_is_whole_and_no_answer(exported, capsys):
         (["check", ".", "--dtype", "float32"], "apply to --adapter only"),
         (["check", ".", "--level", "L0", "--only", "offsets"], "no such case"),
         (["export", "."], "expected an empty folder"),
-        (["check", ".", "--only", "ofsets"], "did you mean 'offsets'"),
+        (["check", ".", "--only", "ofsets"], "--only ofsets: expected one of"),
     ],
 )
 def test_mistakes_of_the_user(capsys, argv, says):
@@ -330,10 +324,10 @@ def test_answers_to_the_first_version_lack_only_what_joined_since(tmp_path):
 
 
 def test_the_first_version_is_exported_as_it_was(exported):
-    folder, done = exported
+    folder, cases = exported
     manifest = published.read_manifest(folder)
     assert manifest["version"] == "v1.0"
-    assert done["cases"] == len(ids(FIRST)) + len(manifest["streams"])
+    assert cases == len(ids(FIRST)) + len(manifest["streams"])
     assert "since" not in json.dumps(manifest)
     names = {file.name for file in folder.glob("*.safetensors")}
     assert names == set(manifest["files"]) and "kernel.safetensors" not in names
