@@ -7,9 +7,9 @@ from ..lab.baselines.table import ALL_EQUATIONS
 from ..oracle import published
 from ..oracle.adapter import Adapter
 from ..oracle.checker import check_port
-from ..oracle.streams import export
 from ..oracle.ports import FolderPort
 from ..oracle.report import as_json, listing
+from ..oracle.streams import export
 from ..table import table
 from .base import expect, expect_known, progress, show, tell
 
