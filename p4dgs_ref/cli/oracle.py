@@ -1,6 +1,6 @@
 """The commands for ports: list, export and find the golden vectors, check a port with them."""
 
-from contextlib import closing
+from contextlib import nullcontext
 from pathlib import Path
 
 from ..lab.baselines.table import ALL_EQUATIONS
@@ -35,7 +35,7 @@ def export_vectors(arguments):
 
 
 def port_of(arguments):
-    """The port that answers: a folder of answers, or a running program."""
+    """A context with the port that answers: a folder of answers, or a running program."""
     folder, command = arguments.folder, arguments.adapter
     expect(
         (folder is None) != (command is None),
@@ -49,14 +49,14 @@ def port_of(arguments):
         "--dtype, --timeout: these apply to --adapter only; "
         "the precision of a folder is that of its tensors",
     )
-    return FolderPort(folder)
+    return nullcontext(FolderPort(folder))
 
 
 def check(arguments):
     """Judge the answers of a port; exit code 1 if a required case does not pass."""
     level, only = arguments.level, arguments.only
     expect_known("--only", only, published.names())
-    with closing(port_of(arguments)) as port:
+    with port_of(arguments) as port:
         report = check_port(
             port,
             level,

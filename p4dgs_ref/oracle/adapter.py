@@ -17,7 +17,7 @@ nothing else. A port may log to stderr; its end is quoted when something goes wr
 ARRAY is {"dtype": "F64", "shape": [5, 3], "data": BASE64}: the numbers row by row, little-endian,
 with safetensors' names of types. Lists are flat: weights.0, weights.1. Floats have the dtype of the
 first line. The time limit of an answer covers compilation; `--timeout` raises it. At the end stdin
-is closed, and a port that still runs a second later is killed.
+is closed, and a port that still runs a second later is killed, with all that it started.
 Processes and their groups are those of POSIX.
 """
 
@@ -37,7 +37,7 @@ import numpy as np
 
 from .compare import cast
 from .ports import PortError
-from .safetensors import DTYPES, NAMES, TensorError, array_of, json_object
+from .safetensors import TensorError, array_of, json_object, record_of
 
 VERSION = 1
 LONGEST = 2**26  # bytes of an answer
@@ -83,8 +83,11 @@ class Adapter(contextlib.AbstractContextManager):
             "out_bar": self._packed(case, "out_bar."),
         }
         answer = self._ask(request, case.subject)
-        arrays = {f"{role}.": unpacked(answer, role) for role in ("out", "in_bar")}
-        return {role + name: a for role, named in arrays.items() for name, a in named.items()}
+        return {
+            f"{role}.{name}": a
+            for role in ("out", "in_bar")
+            for name, a in unpacked(answer, role).items()
+        }
 
     def decode(self, name, data):
         """Return the arrays that the port finds in a file and None, or None and its refusal.
@@ -142,10 +145,8 @@ class Adapter(contextlib.AbstractContextManager):
         assert self.child, "a process runs"
         line = self.child.exchange(json.dumps(request).encode() + b"\n", self.timeout)
         answer = json_object(line)
-        need(
-            answer is not None,
-            f"expected a line with a JSON object, got {_short(repr(line[:QUOTED])[1:])}",
-        )
+        said = _short(repr(line[:QUOTED])[1:])
+        need(answer is not None, f"expected a line with a JSON object, got {said}")
         want, got = json.dumps(request[field]), _short(json.dumps(answer.get(field)))
         need(got == want, f"expected {field} {want}, got {got}")
         return answer
@@ -166,10 +167,10 @@ class Child:
             )
         except OSError as error:
             raise PortError("died", f"cannot be started ({error.strerror})") from None
+        pipes = self.process.stdin, self.process.stdout, self.process.stderr
+        self.stdin, self.stdout, stderr = filter(None, pipes)
         self.words = b""  # the end of stderr
-        self.listener = threading.Thread(
-            target=self._listen, args=[self.process.stderr], daemon=True
-        )
+        self.listener = threading.Thread(target=self._listen, args=[stderr], daemon=True)
         self.listener.start()
 
     def _listen(self, stderr):
@@ -181,34 +182,31 @@ class Child:
 
         Raises PortError of the kinds died, hung and nonsense (a line without an end).
         """
-        stdin, stdout, line = self.process.stdin, self.process.stdout, bytearray()
-        assert stdin and stdout, "both are pipes"
-        deadline, unsent = time.monotonic() + seconds, memoryview(request)
+        deadline, unsent, line = time.monotonic() + seconds, memoryview(request), bytearray()
         while unsent or not line.endswith(b"\n"):
             left = max(deadline - time.monotonic(), 0)
-            readable, writable, _ = select.select([stdout], [stdin] if unsent else [], [], left)
+            asked = [self.stdin] if unsent else []
+            readable, writable, _ = select.select([self.stdout], asked, [], left)
             if not left or not (readable or writable):
                 said = f"no answer within {seconds:g} s, compilation included; --timeout raises it"
-                raise self._end_of(line, PortError("hung", said))
+                raise self._failure(line, PortError("hung", said))
             if writable:
                 with contextlib.suppress(BrokenPipeError):  # then stdout ends too, or time is up
-                    unsent = unsent[stdin.write(unsent[: select.PIPE_BUF]) :]
+                    unsent = unsent[self.stdin.write(unsent[: select.PIPE_BUF]) :]
             if readable:
-                part = stdout.read(2**16)
+                part = self.stdout.read(2**16)
                 if not part:
-                    raise self._end_of(line, PortError("died", "the process closed its pipes"))
+                    raise self._failure(line, PortError("died", "the process closed its pipes"))
                 line += part
-                need(
-                    len(line) <= LONGEST, f"expected a line of at most {LONGEST:,} bytes, got more"
-                )
+                said = f"expected a line of at most {LONGEST:,} bytes, got more"
+                need(len(line) <= LONGEST, said)
         return bytes(line)
 
-    def _end_of(self, line, running):
+    def _failure(self, line, running):
         """Return the PortError of a process that has ended, or `running` where it still runs."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self.process.wait(0.5)
-        code = self.process.returncode
-        if code is None:
+        try:
+            code = self.process.wait(0.5)
+        except subprocess.TimeoutExpired:
             return running
         how = f"killed by signal {-code}" if code < 0 else f"exit code {code}"
         middle = ", in the middle of a line" if line else ""
@@ -218,7 +216,7 @@ class Child:
         """Close stdin, wait `grace` seconds, kill the group; return the end of stderr."""
         with self.process:  # closes the pipes
             try:
-                self.process.stdin.close()
+                self.stdin.close()
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     self.process.wait(grace)
             finally:
@@ -231,9 +229,8 @@ class Child:
 
 def packed(array):
     """Return an array in the form ARRAY of the protocol."""
-    dtype = NAMES[array.dtype.newbyteorder("<")]
-    data = base64.b64encode(array.astype(DTYPES[dtype]).tobytes()).decode()
-    return {"dtype": dtype, "shape": list(array.shape), "data": data}
+    record, data = record_of(array)
+    return {**record, "data": base64.b64encode(data).decode()}
 
 
 def unpacked(answer, role):

@@ -1,5 +1,6 @@
 """Runs a port on every case, judges its answers, and names the first equation that diverges."""
 
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -29,19 +30,18 @@ class Report(NamedTuple):
 
     def levels(self):
         """Return {level or group: {passed, acceptable, of, says}} of the required cases."""
-        verdicts = {}
-        for r in self.results:
-            if r.required:
-                verdicts.setdefault(r.group or r.level, []).append(r.verdict)
+        says = {**LEVELS, **GROUPS}
+        required = [(r.group or r.level, r.verdict) for r in self.results if r.required]
+        counts = {level: Counter(v for of, v in required if of == level) for level in says}
         return {
             level: {
-                "passed": verdicts[level].count("pass"),
-                "acceptable": verdicts[level].count("acceptable"),
-                "of": len(verdicts[level]),
-                "says": says,
+                "passed": count["pass"],
+                "acceptable": count["acceptable"],
+                "of": count.total(),
+                "says": says[level],
             }
-            for level, says in {**LEVELS, **GROUPS}.items()
-            if level in verdicts
+            for level, count in counts.items()
+            if count
         }
 
     def __str__(self):
@@ -51,10 +51,10 @@ class Report(NamedTuple):
 def check(forward, key, vjp=None, strict=False):
     """Judge a Python function as an equation of the table, or as another subject of the vectors.
 
-    `forward(**inputs)` returns the outputs: a dictionary, a NamedTuple, a tuple in order or one
-    array. `vjp(inputs, cotangents)` returns {input: gradient}; without it only outputs are judged.
-    Arrays are whatever `np.asarray` reads. `strict` fails what is acceptable because the printed
-    formula is no better. Raises KeyError where `key` is no subject.
+    `forward(**inputs)` returns the outputs: a dictionary, a tuple in order or one array.
+    `vjp(inputs, cotangents)` returns {input: gradient}; without it only outputs are judged. Arrays
+    are whatever `np.asarray` reads. `strict` fails what is acceptable because the printed formula
+    is no better. Raises KeyError where `key` is no subject.
     """
     roles = ("out.", "in_bar.") if vjp else ("out.",)
     return Report(check_subject(published.cases(key), FunctionPort(forward, vjp), roles, strict))
@@ -185,9 +185,9 @@ def _shared(results):
     sources = {r.equation: r for r in reversed(results) if r.findings and r.explanation}
 
     def shared(r):
-        source = sources.get(r.equation)
-        silent = r.findings and not r.explanation and not r.hint and not r.recipe
-        if silent and source and r.id.split("/")[0] != source.id.split("/")[0]:
+        source = sources.get(r.equation, r)
+        silent = r.findings and not (r.explanation or r.hint or r.recipe)
+        if silent and r.subject != source.subject:
             return r._replace(explanation=f"{source.explanation} (seen in {source.id})")
         return r
 

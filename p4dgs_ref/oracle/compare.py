@@ -23,7 +23,7 @@ from . import safetensors
 
 # Images have one S for all pixels, a bound for the worst pixel and one for the root mean square.
 IMAGES = ("image", "images")
-PRECISIONS = {"f8": "float64", "f4": "float32"}
+PRECISIONS = "float64", "float32"
 PRINTED = Path(__file__).with_name("printed_v1.safetensors")
 
 
@@ -59,6 +59,11 @@ class Result(NamedTuple):
     unasked: tuple = ()  # names of tensors that are not checked in this precision
     recipe: str = ""  # of the digits that an answer lacks which is as near as the printed formula
     group: str = ""  # of subjects that a port may leave out
+
+    @property
+    def subject(self):
+        """The first part of the id."""
+        return self.id.partition("/")[0]
 
     @property
     def wrong(self):
@@ -97,7 +102,8 @@ def too_wide(tensors, tolerance, precision):
     """Return the names of the tensors of a case that its tolerance cannot judge in a precision.
 
     They would pass although every number were off by 1e-3 of itself, zero or negated. In float32
-    some results cancel this far. A tensor of zeros is always judged: the right answer is zero.
+    some results cancel this far. A tensor of zeros is judged: the right answer is zero. Without a
+    tolerance, no tensor is.
     """
 
     def passes(name, wrong):
@@ -107,8 +113,10 @@ def too_wide(tensors, tolerance, precision):
     return [
         name
         for name, right in expected(tensors).items()
-        if right.dtype.kind == "f" and right.any()
-        if any(passes(name, wrong) for wrong in (1.001 * right, np.zeros_like(right), -right))
+        if tolerance is None
+        or right.dtype.kind == "f"
+        and right.any()
+        and any(passes(name, wrong) for wrong in (1.001 * right, np.zeros_like(right), -right))
     ]
 
 
@@ -161,14 +169,14 @@ def _difference(name, mine, right, scale, tolerance):
 
 def _wrong_type(mine, right, exact):
     """Return the expected type, or "" if the type of the port's array is accepted."""
+    is_whole = mine.dtype.kind in "iub"
     if right.dtype.kind == "f":
-        if exact:
-            return "" if mine.dtype.newbyteorder("<") == right.dtype else f"{right.dtype}"
-        asked = "float64 or float32; half precision is not judged, the vectors' page says why"
-        return "" if mine.dtype.str[1:] in PRECISIONS else asked
+        types = [right.dtype.name] if exact else PRECISIONS
+        asked = f"{' or '.join(types)}; half precision is not judged, the vectors' page says why"
+        return "" if mine.dtype.name in types else asked
     if right.dtype.kind == "b":
-        return "" if mine.dtype.kind in "iub" and np.isin(mine, (0, 1)).all() else "bool"
-    return "" if mine.dtype.kind in "iub" else "integers"
+        return "" if is_whole and np.isin(mine, (0, 1)).all() else "bool"
+    return "" if is_whole else "integers"
 
 
 def _bits(a, dtype):

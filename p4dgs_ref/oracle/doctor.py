@@ -148,16 +148,17 @@ def _scaled(answers):
 
     Every wrong output or gradient has the factor with which most cases agree.
     """
-    found, together = [], {}
+    found = []
     names = (name for *_, wrong in answers for name in wrong)
     for quantity in dict.fromkeys(".".join(name.split(".")[:2]) for name in names):
         rows = _of(answers, quantity)
         rows = explain([_times(factor, quantity, rows) for factor in FACTORS], rows)
         if rows:
             found.append(max(rows, key=lambda row: len(row.cases)).mistake)
-    for mistake in found:
-        for name, tensors in mistake.answers.items():
-            together.setdefault(name, {}).update(tensors)
+    together = {
+        case.name: {n: a for mistake in found for n, a in mistake.answers[case.name].items()}
+        for case, *_ in answers
+    }
     said = " and ".join(mistake.description for mistake in found)
     return [mistake._replace(description=said, answers=together) for mistake in found[:1]]
 
@@ -202,7 +203,7 @@ def _is_mistake(mine, would, right, scale, bound):
     """Whether a wrong tensor is the mistake's, and not the right one with fewer digits."""
     if mine.shape != would.shape or right.dtype.kind != "f":
         return np.array_equal(mine, would) and not np.array_equal(would, right)
-    if mine.dtype.str[1:] not in PRECISIONS or not _shows(mine, would, right, scale, bound):
+    if mine.dtype.name not in PRECISIONS or not _shows(mine, would, right, scale, bound):
         return False
     if would.shape != right.shape:
         right, scale = np.full(would.shape, np.nan), np.zeros(would.shape)

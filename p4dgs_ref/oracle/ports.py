@@ -38,9 +38,8 @@ class FolderPort:
         for place, known in (self.folder, subjects()), (self.folder / "codec", streams):
             for file in sorted(place.glob("*.safetensors")) + sorted(place.glob("*.npz")):
                 need(file.stem in known, f"{file}: name: expected one of {', '.join(known)}")
-                vectors = FOLDER / file.name
-                copied = vectors.is_file() and vectors.read_bytes() == file.read_bytes()
-                need(not copied, f"{file}: expected a port's answers, got the published vectors")
+                same = [v for v in FOLDER.glob(file.name) if v.read_bytes() == file.read_bytes()]
+                need(not same, f"{file}: expected a port's answers, got the published vectors")
 
     def run(self, case):
         """Return the tensors of one case.
@@ -96,9 +95,6 @@ class FolderPort:
             if error.kind == "missing" and name in reasons:  # null: not refused, no arrays given
                 return {}, None
             raise PortError(error.kind, f"{error}, or why it is refused in {file}") from None
-
-    def close(self):
-        """Do nothing; an adapter ends its process here."""
 
 
 class FunctionPort:

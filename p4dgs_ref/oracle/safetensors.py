@@ -36,27 +36,27 @@ class TensorError(ValueError):
 
 
 def dump(arrays, metadata=None):
-    """Return the bytes of a file and the place of every tensor in it.
+    """Return the bytes of a file.
 
-    The places are {name: {dtype, shape, offset, bytes}}, offsets counting from byte 0. Wide types
-    come first, so that every tensor is aligned to its own width. Raises KeyError for a type that is
-    not in DTYPES.
+    Wide types come first, so that every tensor is aligned to its own width. Raises KeyError for a
+    type that is not in DTYPES.
     """
     header = {"__metadata__": metadata} if metadata else {}
-    parts, places, at = [], {}, 0
+    parts, at = [], 0
     for name in sorted(arrays, key=lambda name: -np.asarray(arrays[name]).dtype.itemsize):
-        array = np.asarray(arrays[name])
-        dtype, shape = NAMES[array.dtype.newbyteorder("<")], list(array.shape)
-        data = array.astype(DTYPES[dtype]).tobytes()
-        header[name] = {"dtype": dtype, "shape": shape, "data_offsets": [at, at + len(data)]}
-        places[name] = {"dtype": dtype, "shape": shape, "offset": at, "bytes": len(data)}
+        record, data = record_of(np.asarray(arrays[name]))
+        header[name] = {**record, "data_offsets": [at, at + len(data)]}
         parts.append(data)
         at += len(data)
     text = json.dumps(header, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 8)
-    for place in places.values():
-        place["offset"] += 8 + len(text)
-    return struct.pack("<Q", len(text)) + text + b"".join(parts), places
+    return struct.pack("<Q", len(text)) + text + b"".join(parts)
+
+
+def record_of(array):
+    """Return {dtype, shape} of an array and its bytes; `array_of` undoes it."""
+    dtype = NAMES[array.dtype.newbyteorder("<")]
+    return {"dtype": dtype, "shape": list(array.shape)}, array.astype(DTYPES[dtype]).tobytes()
 
 
 def load(data):
@@ -66,7 +66,7 @@ def load(data):
     need(header is not None, "header: expected its length in 8 bytes and a JSON object")
     header.pop("__metadata__", None)
     for name, record in header.items():
-        offsets = record.get("data_offsets") if isinstance(record, dict) else None
+        offsets: Any = record.get("data_offsets") if isinstance(record, dict) else None
         two = naturals(offsets) and len(offsets) == 2
         need(two, f"{name}.data_offsets: expected two integers, none of them negative")
         arrays[name] = array_of(name, record, body[slice(*offsets)])

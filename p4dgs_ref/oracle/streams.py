@@ -57,10 +57,10 @@ def decoded(data):
 
     Raises BitstreamError.
     """
-    arrays, quantised = {}, quantised_of(open_container(data), data[8])
-    for name, (kind, a) in published.expected(quantised).items():
-        arrays[name] = np.asarray(a).astype(bool if kind == "bit" else published.TYPES[kind])
-    return arrays
+    types = {**published.TYPES, "bit": bool}
+    quantised = quantised_of(open_container(data), data[8])
+    found = published.expected(quantised)
+    return {name: np.asarray(a).astype(types[kind]) for name, (kind, a) in found.items()}
 
 
 def check(port, names=None):
@@ -105,8 +105,8 @@ def judge(row, good, decode):
     elif refused is None:
         said = f"accepted a stream that must be refused: {row['says']}"
     blamed = BLAMED.get(findings[0].tensor, "codec") if findings else "codec"
-    verdict = "fail" if findings or said else "pass"
-    return Result(id, blamed, "L3", verdict, True, tuple(findings), said)
+    wrong = bool(findings or said)
+    return Result(id, blamed, "L3", "fail" if wrong else "pass", True, tuple(findings), said)
 
 
 def stored(row, entry):
@@ -160,5 +160,5 @@ def write_expected(folder):
         except BitstreamError as error:
             refusals[row["name"]] = str(error)
         else:
-            (place / f"{row['name']}.safetensors").write_bytes(safetensors.dump(arrays)[0])
+            (place / f"{row['name']}.safetensors").write_bytes(safetensors.dump(arrays))
     (place / "refusals.json").write_text(json.dumps(refusals, indent=1), encoding="utf-8")

@@ -312,7 +312,7 @@ def build(keys=tuple(FORMULAS)):
 
 
 def main():
-    data, _ = safetensors.dump(build(), {"license": "CC0-1.0"})
+    data = safetensors.dump(build(), {"license": "CC0-1.0"})
     PRINTED.write_bytes(data)
     print(f"{PRINTED.name}: {len(data):,} bytes")
 

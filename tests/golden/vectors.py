@@ -136,7 +136,8 @@ def subject_file(subject, kept):
         tensors.update({f"{case.name}/{name}": a for name, a in own.items()})
     if len({record["id"] for record in records}) < len(records):
         raise ValueError(f"{subject.key}: two cases have one name")
-    data, places = safetensors.dump(tensors, {"license": "CC0-1.0"})
+    data = safetensors.dump(tensors, {"license": "CC0-1.0"})
+    places = places_in(data)
     for record, own in zip(records, names):
         record["tensors"] = [{"name": n, **places[f"{record['name']}/{n}"]} for n in own]
     row = {
@@ -236,6 +237,17 @@ def write(folder, progress=lambda text: None, keep=False, again=()):
     for name, data in files.items():
         (Path(folder) / name).write_bytes(data)
     return manifest
+
+
+def places_in(data):
+    """Return {name: {dtype, shape, offset, bytes}} of a safetensors file, from byte 0 on."""
+    start = 8 + int.from_bytes(data[:8], "little")
+    places = json.loads(data[8:start])
+    del places["__metadata__"]
+    for place in places.values():
+        first, end = place.pop("data_offsets")
+        place.update(offset=start + first, bytes=end - first)
+    return places
 
 
 def _json(value):
