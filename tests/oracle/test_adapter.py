@@ -2,7 +2,6 @@
 
 import base64
 import json
-import os
 import shlex
 import signal
 import subprocess
@@ -16,7 +15,6 @@ import pytest
 
 from p4dgs_ref.oracle import adapter as adapter_module
 from p4dgs_ref.oracle.adapter import Adapter, AdapterError
-from p4dgs_ref.oracle.checker import judge
 from p4dgs_ref.oracle.ports import PortError
 from p4dgs_ref.oracle.published import Golden
 from tests.sampling import few
@@ -88,12 +86,9 @@ def port(tmp_path):
 def alive(pid):
     """Whether a process runs; one that has ended, but that nobody has looked at since, does not."""
     try:
-        os.kill(pid, 0)
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except ProcessLookupError:
+    except (FileNotFoundError, ProcessLookupError):
         return False
-    except FileNotFoundError:  # gone since, or no such folder here
-        return not Path("/proc/self").exists()
 
 
 def wait_until_gone(pids, seconds=5.0):
@@ -330,22 +325,6 @@ def test_a_port_may_skip_or_fail():
     kind, message = failure(ask)
     assert kind == "error" and len(message) < 400
     assert verdicts(ask, 1) == ["ok"] and ask.child is child
-
-
-def test_the_checker_judges_what_can_be_read():
-    """Extra and missing tensors, NaN and wrong types are its business."""
-    extra = "answer['out']['z'] = answer['out']['y']"
-    less = "answer['in_bar'] = {}"
-    wrong = "answer['out']['y'] = {'dtype': 'F64', 'shape': [1], 'data': 'AAAAAAAA+H8='}"
-    ask, _ = here(f"if n == 1: {extra}\nif n == 2: {less}\nif n == 3: {wrong}")
-    results = [judge(case(x=np.ones(1)), ask)[0] for _ in range(4)]
-    assert [[(f.tensor, f.kind) for f in r.findings] for r in results] == [
-        [("out.z", "extra")],
-        [("in_bar.x", "missing")],
-        [("out.y", "value")],
-        [],
-    ]
-    assert [r.verdict for r in results] == ["fail", "fail", "fail", "pass"]
 
 
 def test_a_port_that_cannot_start_is_given_up(port):

@@ -322,13 +322,6 @@ def test_another_factor_is_not_explained():
     assert told("offsets", times("in_bar.x_a", 1.7)) == []
 
 
-def test_the_data_are_small_together():
-    """Vectors and answers as they are installed."""
-    folders = (published.FOLDER, doctor.FOLDER)
-    sizes = [file.stat().st_size for folder in folders for file in folder.iterdir()]
-    assert sum(sizes) < 5_500_000
-
-
 # --- formulas that are wrong otherwise -----------------------------------------------------------
 CLOSE = 1e-6  # of the largest number in an array
 
