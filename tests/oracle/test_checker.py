@@ -17,6 +17,7 @@ from p4dgs_ref import oracle
 from p4dgs_ref.__main__ import main
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.oracle import checker, published, report, safetensors
+from p4dgs_ref.oracle.compare import expected
 from p4dgs_ref.oracle.ports import FolderPort, PortError
 from p4dgs_ref.table import EQUATIONS
 from tests.golden.vectors import damaged
@@ -71,6 +72,17 @@ def test_the_worst_element_is_named(tmp_path):
     assert finding.index == (0, 1, 1) and finding.scaled > finding.bound
     assert finding.absolute == pytest.approx(7e-6) and finding.got == pytest.approx(want - 7e-6)
     assert finding.relative == pytest.approx(7e-6 / abs(want))
+
+
+def test_an_image_has_a_bound_for_all_its_pixels_together():
+    """Every pixel is within its own bound here."""
+    case = published.cases("compositing")[0]
+    bounds, scale = case.tolerance("float64"), case.tensors["scale.out.image"]
+    got = expected(case.tensors)
+    for bound, verdict in (bounds["rms_eps_S"], "pass"), (bounds["eps_S"], "fail"):
+        wrong = got["out.image"] + 0.99 * bound * 2.0**-52 * scale
+        found = checker.judge_answer(case, got | {"out.image": wrong})
+        assert found.verdict == verdict and bounds["rms_eps_S"] < bounds["eps_S"]
 
 
 def test_missing_extra_and_damaged_answers_are_reported(tmp_path):
