@@ -114,9 +114,11 @@ def too_wide(tensors, tolerance, precision):
         name
         for name, right in expected(tensors).items()
         if tolerance is None
-        or right.dtype.kind == "f"
-        and right.any()
-        and any(passes(name, wrong) for wrong in (1.001 * right, np.zeros_like(right), -right))
+        or (
+            right.dtype.kind == "f"
+            and right.any()
+            and any(passes(name, wrong) for wrong in (1.001 * right, np.zeros_like(right), -right))
+        )
     ]
 
 

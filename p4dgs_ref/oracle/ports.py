@@ -83,12 +83,11 @@ class FolderPort:
         """
         file = self.folder / "codec" / "refusals.json"
         reasons = safetensors.json_object(file.read_bytes()) if file.is_file() else {}
-        reason = 0 if reasons is None else reasons.get(name)
-        if not isinstance(reason, str | None):
+        if reasons is None or not isinstance(reasons.get(name), str | None):
             said = "expected a JSON object {name of a stream: the reason of its refusal, or null}"
             raise PortError("damaged", f"{file}: {said}")
-        if reason is not None:
-            return None, reason
+        if reasons.get(name) is not None:
+            return None, reasons[name]
         try:
             return self.load(f"codec/{name}")[0], None
         except PortError as error:

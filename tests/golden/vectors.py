@@ -242,12 +242,13 @@ def write(folder, progress=lambda text: None, keep=False, again=()):
 def places_in(data):
     """Return {name: {dtype, shape, offset, bytes}} of a safetensors file, from byte 0 on."""
     start = 8 + int.from_bytes(data[:8], "little")
-    places = json.loads(data[8:start])
-    del places["__metadata__"]
-    for place in places.values():
-        first, end = place.pop("data_offsets")
-        place.update(offset=start + first, bytes=end - first)
-    return places
+    rows = json.loads(data[8:start]).items()
+    spans = {name: row.pop("data_offsets") for name, row in rows if name != "__metadata__"}
+    return {
+        name: {**row, "offset": start + spans[name][0], "bytes": spans[name][1] - spans[name][0]}
+        for name, row in rows
+        if name in spans
+    }
 
 
 def _json(value):

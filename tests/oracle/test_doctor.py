@@ -328,10 +328,8 @@ CLOSE = 1e-6  # of the largest number in an array
 
 def close(a, b):
     """Whether two arrays are the same numbers. A NaN equals a NaN."""
-    if a.shape != b.shape:
-        return False
-    size = np.abs(b[np.isfinite(b)]).max(initial=0)
-    return np.allclose(a, b, rtol=0, atol=CLOSE * float(size), equal_nan=True)
+    size = float(np.abs(b[np.isfinite(b)]).max(initial=0))
+    return a.shape == b.shape and np.allclose(a, b, rtol=0, atol=CLOSE * size, equal_nan=True)
 
 
 def contradictions(diagnoses, answers):
