@@ -32,7 +32,7 @@ NAMES = {np.dtype(code): name for name, code in DTYPES.items()}
 
 
 class TensorError(ValueError):
-    """A file is invalid. The message is one line with the file, the field and what was expected."""
+    """A file is invalid. The message is one line with the field and what was expected."""
 
 
 def dump(arrays, metadata=None):
