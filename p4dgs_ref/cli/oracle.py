@@ -1,15 +1,16 @@
 """The commands for ports: list, export and find the golden vectors, check a port with them."""
 
-from contextlib import closing
+from contextlib import nullcontext
 from pathlib import Path
 
 from ..lab.baselines import ALL_EQUATIONS
 from ..oracle import published
 from ..oracle.adapter import Adapter
 from ..oracle.checker import check_port
-from ..oracle.export import export
-from ..oracle.ports import FolderPort, require_known
+from ..oracle.ports import FolderPort
+from ..oracle.published import meant
 from ..oracle.report import as_json, listing
+from ..oracle.streams import export
 from ..table import table
 from . import expect, progress, show, tell
 
@@ -31,12 +32,11 @@ def path(arguments):
 
 def export_vectors(arguments):
     """Write the vectors into a folder."""
-    done = export(arguments.folder, arguments.vectors)
-    tell(f"{done['output']}: {done['files']} files, {done['bytes']:,} bytes, {done['cases']} cases")
+    tell(f"{arguments.folder}: {export(arguments.folder, arguments.vectors)} cases")
 
 
 def port_of(arguments):
-    """The port that answers: a folder of answers, or a running program."""
+    """A context with the port that answers: a folder of answers, or a running program."""
     folder, command = arguments.folder, arguments.adapter
     expect(
         (folder is None) != (command is None),
@@ -50,15 +50,15 @@ def port_of(arguments):
         "--dtype, --timeout: these apply to --adapter only; "
         "the precision of a folder is that of its tensors",
     )
-    return FolderPort(folder)
+    return nullcontext(FolderPort(folder))
 
 
 def check(arguments):
     """Judge the answers of a port; exit code 1 if a required case does not pass."""
     level, only = arguments.level, arguments.only
     for name in only:
-        require_known(name, published.names(), "--only")
-    with closing(port_of(arguments)) as port:
+        expect(name in published.names(), f"--only {name}: {meant(name, published.names())}")
+    with port_of(arguments) as port:
         report = check_port(
             port,
             level,

@@ -17,27 +17,27 @@ nothing else. A port may log to stderr; its end is quoted when something goes wr
 ARRAY is {"dtype": "F64", "shape": [5, 3], "data": BASE64}: the numbers row by row, little-endian,
 with safetensors' names of types. Lists are flat: weights.0, weights.1. Floats have the dtype of the
 first line. The time limit of an answer covers compilation; `--timeout` raises it. At the end stdin
-is closed, and a port that still runs a second later is killed.
+is closed, and a port that still runs a second later is killed, with all that it started.
 Processes and their groups are those of POSIX.
 """
 
 import base64
 import contextlib
 import json
-import math
 import os
 import select
 import shlex
 import shutil
 import signal
 import subprocess
+import threading
 import time
 
 import numpy as np
 
 from .compare import cast
 from .ports import PortError
-from .safetensors import DTYPES, NAMES, json_object, naturals
+from .safetensors import TensorError, array_of, json_object, record_of
 
 VERSION = 1
 LONGEST = 2**26  # bytes of an answer
@@ -58,8 +58,8 @@ class Adapter(contextlib.AbstractContextManager):
         """`timeout` is for each case and for the start, in seconds. Raises AdapterError."""
         try:
             self.command = shlex.split(command)
-        except ValueError as error:
-            raise AdapterError(f"adapter {command!r}: expected a command ({error})") from None
+        except ValueError:
+            self.command = []
         if not self.command or shutil.which(self.command[0]) is None:
             raise AdapterError(f"adapter {command!r}: expected a command that can be run")
         self.timeout, self.dtype = timeout, np.dtype(dtype)
@@ -82,7 +82,7 @@ class Adapter(contextlib.AbstractContextManager):
             "in": self._packed(case, "in."),
             "out_bar": self._packed(case, "out_bar."),
         }
-        answer = self._ask(request, case.subject, ("out", "skip", "error"))
+        answer = self._ask(request, case.subject)
         return {
             f"{role}.{name}": a
             for role in ("out", "in_bar")
@@ -94,13 +94,10 @@ class Adapter(contextlib.AbstractContextManager):
 
         Raises PortError as `run` does.
         """
-        answer = self._ask(
-            {"id": f"codec/{name}", "stream": base64.b64encode(data).decode()},
-            "codec",
-            ("arrays", "refused", "skip", "error"),
-        )
+        request = {"id": f"codec/{name}", "stream": base64.b64encode(data).decode()}
+        answer = self._ask(request, "codec")
         if answer.get("refused") is not None:
-            return None, _short(str(answer["refused"]))
+            return None, _short(answer["refused"])
         return unpacked(answer, "arrays"), None
 
     def __exit__(self, *_):
@@ -111,17 +108,16 @@ class Adapter(contextlib.AbstractContextManager):
         child, self.child = self.child, None
         return child.end(grace) if child else ""
 
+    @np.errstate(over="ignore")  # beyond float32: infinite, as in every port
     def _packed(self, case, prefix):
         """Return the tensors of a role as ARRAYs in the precision of the check."""
         tensors = {n: a for n, a in case.tensors.items() if n.startswith(prefix)}
-        with np.errstate(over="ignore"):  # beyond float32: infinite, as in every port
-            tensors = cast(tensors, self.dtype)
-        return {name.removeprefix(prefix): packed(a) for name, a in tensors.items()}
+        return {n.removeprefix(prefix): packed(a) for n, a in cast(tensors, self.dtype).items()}
 
-    def _ask(self, request, subject, kinds):
-        """Return the answer to a request; exactly one of the fields `kinds` is in it.
+    def _ask(self, request, subject):
+        """Return the answer to a request. Raises PortError, also where the port skips or fails.
 
-        After a failure the process is ended, and the next case starts a new one.
+        After any other failure the process is ended, and the next case starts a new one.
         """
         if self.last and PATIENCE in (len({*self.lost}), self.lost.count(subject)):
             said = f"not asked, after {PATIENCE} failures in a row; the last: {self.last}"
@@ -138,19 +134,10 @@ class Adapter(contextlib.AbstractContextManager):
             self.lost.append(stage)
             self.last = PortError(error.kind, f"{error}{f'; stderr: {words}' if words else ''}")
             raise self.last from None
-        except BaseException:  # after Ctrl-C too, no process may be left running
-            self.close(grace=0)
-            raise
         self.lost.clear()
-        found = [kind for kind in kinds if answer.get(kind) is not None]
-        if len(found) != 1:
-            raise PortError(
-                "nonsense",
-                f"expected one of the fields {', '.join(kinds)}, got {', '.join(answer)}",
-            )
         for field, kind in ("skip", "skipped"), ("error", "error"):
-            if field in found:
-                raise PortError(kind, _short(str(answer[field])))
+            if answer.get(field) is not None:
+                raise PortError(kind, _short(answer[field]))
         return answer
 
     def _exchange(self, request, field):
@@ -158,19 +145,15 @@ class Adapter(contextlib.AbstractContextManager):
         assert self.child, "a process runs"
         line = self.child.exchange(json.dumps(request).encode() + b"\n", self.timeout)
         answer = json_object(line)
-        if answer is None:
-            raise PortError(
-                "nonsense",
-                f"expected a line with a JSON object, got {_short(repr(line[:QUOTED])[1:])}",
-            )
-        if answer.get(field) != request[field]:
-            want, got = json.dumps(request[field]), _short(json.dumps(answer.get(field)))
-            raise PortError("nonsense", f"expected {field} {want}, got {got}")
+        said = _short(repr(line[:QUOTED])[1:])
+        need(answer is not None, f"expected a line with a JSON object, got {said}")
+        want, got = json.dumps(request[field]), _short(json.dumps(answer.get(field)))
+        need(got == want, f"expected {field} {want}, got {got}")
         return answer
 
 
 class Child:
-    """A process and the three pipes to it, which are all served at once so that none blocks."""
+    """A process, its pipes, and a thread that keeps the end of its stderr."""
 
     def __init__(self, command):
         try:
@@ -184,71 +167,49 @@ class Child:
             )
         except OSError as error:
             raise PortError("died", f"cannot be started ({error.strerror})") from None
-        self.stdin, self.stdout, self.stderr = filter(
-            None, (self.process.stdin, self.process.stdout, self.process.stderr)
-        )
-        for stream in (self.stdin, self.stdout, self.stderr):
-            os.set_blocking(stream.fileno(), False)
-        self.open = [self.stdout, self.stderr]  # not closed by the port
-        self.unread = bytearray()  # bytes of stdout that are not yet a whole line
+        pipes = self.process.stdin, self.process.stdout, self.process.stderr
+        self.stdin, self.stdout, stderr = filter(None, pipes)
         self.words = b""  # the end of stderr
+        self.listener = threading.Thread(target=self._listen, args=[stderr], daemon=True)
+        self.listener.start()
+
+    def _listen(self, stderr):
+        while part := stderr.read(2**16):
+            self.words = (self.words + part)[-4 * QUOTED :]
 
     def exchange(self, request, seconds):
-        """Send a line and return the next line of the answer.
+        """Send a line and return the line that answers it.
 
         Raises PortError of the kinds died, hung and nonsense (a line without an end).
         """
-        deadline, unsent, end, searched = time.monotonic() + seconds, memoryview(request), -1, 0
-        while end < 0 or unsent:
-            left = deadline - time.monotonic()
-            if left <= 0:
-                raise PortError(
-                    "hung",
-                    f"no answer within {seconds:g} s, compilation included; --timeout raises it",
-                )
-            if len(self.unread) > LONGEST:
-                raise PortError(
-                    "nonsense", f"expected a line of at most {LONGEST:,} bytes, got more"
-                )
-            unsent = unsent[self._serve(unsent, min(left, 0.1)) :]
-            end = self.unread.find(b"\n", searched)
-            searched = len(self.unread) if end < 0 else end
-        line = bytes(self.unread[:end])
-        del self.unread[: end + 1]
-        return line
+        deadline, unsent, line = time.monotonic() + seconds, memoryview(request), bytearray()
+        while unsent or not line.endswith(b"\n"):
+            left = max(deadline - time.monotonic(), 0)
+            asked = [self.stdin] if unsent else []
+            readable, writable, _ = select.select([self.stdout], asked, [], left)
+            if not left or not (readable or writable):
+                said = f"no answer within {seconds:g} s, compilation included; --timeout raises it"
+                raise self._failure(line, PortError("hung", said))
+            if writable:
+                with contextlib.suppress(BrokenPipeError):  # then stdout ends too, or time is up
+                    unsent = unsent[self.stdin.write(unsent[: select.PIPE_BUF]) :]
+            if readable:
+                part = self.stdout.read(2**16)
+                if not part:
+                    raise self._failure(line, PortError("died", "the process closed its pipes"))
+                line += part
+                said = f"expected a line of at most {LONGEST:,} bytes, got more"
+                need(len(line) <= LONGEST, said)
+        return bytes(line)
 
-    def _serve(self, unsent, seconds):
-        """Read and write what the pipes are ready for; return the number of bytes sent."""
-        readable, writable, _ = select.select(
-            self.open, [self.stdin] if unsent else [], [], seconds
-        )
-        for stream in readable:
-            part = os.read(stream.fileno(), 2**16)
-            if stream is self.stdout:
-                self.unread += part
-            else:
-                self.words = (self.words + part)[-4 * QUOTED :]
-            if not part:
-                self.open.remove(stream)
-        # A process that the port started may still hold its stdout.
-        silent = not readable and not writable and self.process.poll() is not None
-        if silent or self.stdout not in self.open:
-            raise self._death()
+    def _failure(self, line, running):
+        """Return the PortError of a process that has ended, or `running` where it still runs."""
         try:
-            return os.write(self.stdin.fileno(), unsent[: 2**16]) if writable else 0
-        except BrokenPipeError:
-            raise self._death() from None
-
-    def _death(self):
-        """Return the PortError of a process that ended or closed its pipes."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self.process.wait(0.5)
-        code = self.process.returncode
-        if code is None:
-            how = "closed its pipes"
-        else:
-            how = f"killed by signal {-code}" if code < 0 else f"exit code {code}"
-        middle = ", in the middle of a line" if self.unread else ""
+            code = self.process.wait(0.5)
+        except subprocess.TimeoutExpired:
+            return running
+        how = f"killed by signal {-code}" if code < 0 else f"exit code {code}"
+        middle = ", in the middle of a line" if line else ""
         return PortError("died", f"the process ended without an answer: {how}{middle}")
 
     def end(self, grace):
@@ -261,17 +222,15 @@ class Child:
             finally:
                 with contextlib.suppress(ProcessLookupError, PermissionError):
                     os.killpg(self.process.pid, signal.SIGKILL)
-            with contextlib.suppress(BlockingIOError):  # empty and held by another process
-                self.words += os.read(self.stderr.fileno(), 2**16)
-        lines = self.words[-4 * QUOTED :].decode(errors="replace").splitlines()
+            self.listener.join(1)  # another process may hold stderr
+        lines = self.words.decode(errors="replace").splitlines()
         return " / ".join(line.strip() for line in lines if line.strip())[-QUOTED:]
 
 
 def packed(array):
     """Return an array in the form ARRAY of the protocol."""
-    dtype = NAMES[array.dtype.newbyteorder("<")]
-    data = base64.b64encode(array.astype(DTYPES[dtype]).tobytes()).decode()
-    return {"dtype": dtype, "shape": list(array.shape), "data": data}
+    record, data = record_of(array)
+    return {**record, "data": base64.b64encode(data).decode()}
 
 
 def unpacked(answer, role):
@@ -280,34 +239,26 @@ def unpacked(answer, role):
     Raises PortError, kind nonsense, which names the array and what was expected.
     """
     fields = answer.get(role)
-    if not isinstance(fields, dict):
-        raise PortError(
-            "nonsense",
-            f"field {role!r}: expected an object of arrays, got {_short(json.dumps(fields))}",
-        )
-    return {name: _array(field, f"{role}.{name}") for name, field in fields.items()}
+    need(isinstance(fields, dict), f"field {role!r}: expected an object of arrays")
+    return {name: _array(f"{role}.{name}", field) for name, field in fields.items()}
 
 
-def _array(field, name):
-    def need(condition, expected):
-        if not condition:
-            raise PortError("nonsense", f"{name}: expected {expected}")
-
-    complete = isinstance(field, dict) and {"dtype", "shape", "data"} <= set(field)
-    need(complete, "the fields dtype, shape and data")
-    code, shape, text = DTYPES.get(str(field["dtype"])), field["shape"], field["data"]
-    need(code, f"a dtype of {', '.join(DTYPES)}, got {_short(json.dumps(field['dtype']))}")
-    is_shape = naturals(shape) and len(shape) <= 32 and max(shape, default=0) < 2**31
-    need(is_shape, "a shape, a list of non-negative integers")
+def _array(name, field):
+    need(isinstance(field, dict), f"{name}: expected the fields dtype, shape and data")
     try:
-        data = base64.b64decode(text, validate=True)
+        return array_of(name, field, base64.b64decode(field.get("data"), validate=True))
+    except TensorError as error:
+        raise PortError("nonsense", str(error)) from None
     except (TypeError, ValueError):
         raise PortError("nonsense", f"{name}: expected data in base64") from None
-    size = math.prod(shape) * np.dtype(code).itemsize
-    need(len(data) == size, f"{size} bytes for {field['dtype']} {shape}, got {len(data)}")
-    need(code != "|b1" or not data.strip(b"\0\1"), "bytes 0 and 1 for BOOL")
-    return np.frombuffer(data, code).reshape(shape)
 
 
-def _short(text):
+def need(condition, message):
+    """Raise PortError where what a port said is none of the protocol's answers."""
+    if not condition:
+        raise PortError("nonsense", message)
+
+
+def _short(said):
+    text = str(said)
     return text if len(text) <= QUOTED else text[:QUOTED] + " ..."

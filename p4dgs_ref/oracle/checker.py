@@ -1,13 +1,14 @@
 """Runs a port on every case, judges its answers, and names the first equation that diverges."""
 
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
 
-from . import doctor, printed, published
-from .compare import Result, compare, expected, precision
+from . import doctor, published
+from .compare import RECIPES, Result, as_printed, compare, expected, precision
 from .ports import FunctionPort, PortError
-from .published import FOLDER, GROUPS, LEVELS
+from .published import GROUPS, LEVELS
 from .report import text
 
 
@@ -29,19 +30,18 @@ class Report(NamedTuple):
 
     def levels(self):
         """Return {level or group: {passed, acceptable, of, says}} of the required cases."""
-        verdicts = {}
-        for r in self.results:
-            if r.required:
-                verdicts.setdefault(r.group or r.level, []).append(r.verdict)
+        says = {**LEVELS, **GROUPS}
+        required = [(r.group or r.level, r.verdict) for r in self.results if r.required]
+        counts = {level: Counter(v for of, v in required if of == level) for level in says}
         return {
             level: {
-                "passed": verdicts[level].count("pass"),
-                "acceptable": verdicts[level].count("acceptable"),
-                "of": len(verdicts[level]),
-                "says": says,
+                "passed": count["pass"],
+                "acceptable": count["acceptable"],
+                "of": count.total(),
+                "says": says[level],
             }
-            for level, says in {**LEVELS, **GROUPS}.items()
-            if level in verdicts
+            for level, count in counts.items()
+            if count
         }
 
     def __str__(self):
@@ -51,10 +51,10 @@ class Report(NamedTuple):
 def check(forward, key, vjp=None, strict=False):
     """Judge a Python function as an equation of the table, or as another subject of the vectors.
 
-    `forward(**inputs)` returns the outputs: a dictionary, a NamedTuple, a tuple in order or one
-    array. `vjp(inputs, cotangents)` returns {input: gradient}; without it only outputs are judged.
-    Arrays are whatever `np.asarray` reads. `strict` fails what is acceptable because the printed
-    formula is no better. Raises KeyError where `key` is no subject.
+    `forward(**inputs)` returns the outputs: a dictionary, a tuple in order or one array.
+    `vjp(inputs, cotangents)` returns {input: gradient}; without it only outputs are judged. Arrays
+    are whatever `np.asarray` reads. `strict` fails what is acceptable because the printed formula
+    is no better. Raises KeyError where `key` is no subject.
     """
     roles = ("out.", "in_bar.") if vjp else ("out.",)
     return Report(check_subject(published.cases(key), FunctionPort(forward, vjp), roles, strict))
@@ -64,7 +64,6 @@ def check_port(
     port,
     levels=(),
     only=(),
-    folder=FOLDER,
     progress=lambda text: None,
     version=published.VERSIONS[-1],
     strict=False,
@@ -75,7 +74,7 @@ def check_port(
     that of the vectors: cases that joined later are left out. `strict` is that of `check`.
     """
     only = {only} if isinstance(only, str) else set(only)
-    manifest = published.read_manifest(folder, version)
+    manifest = published.read_manifest(version=version)
     results = []
     for level in (level for level in LEVELS if not levels or level in levels):
         if level == "L3" and (not only or "codec" in only):
@@ -87,7 +86,7 @@ def check_port(
             names = {subject["key"], subject["equation"], subject.get("group")}
             if subject["level"] == level and (not only or names & only):
                 progress(subject["key"])
-                results += check_subject(published.read(subject, folder), port, strict=strict)
+                results += check_subject(published.read(subject), port, strict=strict)
     return Report(_shared(results))
 
 
@@ -122,7 +121,7 @@ def judge(case, port, roles=("out.", "in_bar."), strict=False):
             case.level,
             verdict=error.kind,
             required=case.record["result"] == "valid" and error.kind != "unasked",
-            explanation=printable(str(error)),
+            explanation=str(error),
             group=case.group,
         )
         return result, None
@@ -135,7 +134,7 @@ def judge_answer(case, got, roles=("out.", "in_bar."), strict=False):
     names = [n for n in expected(case.tensors) if n.startswith(roles) and n not in unasked]
     got = {name: a for name, a in got.items() if name not in unasked}
     findings = findings_of(case, got, names) if names else []
-    mistaken = findings_of(*printed.as_printed(case, got), names) if findings else []
+    mistaken = findings_of(*as_printed(case, got), names) if findings else []
     if not findings:
         verdict = "pass" if names else "unasked"
     else:
@@ -148,7 +147,7 @@ def judge_answer(case, got, roles=("out.", "in_bar."), strict=False):
         required=is_valid and bool(names),
         findings=tuple(mistaken or findings),
         unasked=unasked,
-        recipe=printed.RECIPES[case.subject] if findings and not mistaken else "",
+        recipe=RECIPES[case.subject] if findings and not mistaken else "",
         group=case.group,
     )
 
@@ -167,12 +166,7 @@ def evidence(case, got, result):
     wrong = [finding.tensor for finding in result.findings]
     near = {finding.tensor for finding in findings_of(case, got, got)} - set(wrong)
     shown = {n: a for n, a in got.items() if n not in near and n not in result.unasked}
-    return printed.as_printed(case, got)[0], shown, wrong
-
-
-def printable(text):
-    """Return a port's words, with every unprintable character escaped."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    return as_printed(case, got)[0], shown, wrong
 
 
 def explained(result, diagnoses):
@@ -191,9 +185,9 @@ def _shared(results):
     sources = {r.equation: r for r in reversed(results) if r.findings and r.explanation}
 
     def shared(r):
-        source = sources.get(r.equation)
-        silent = r.findings and not r.explanation and not r.hint and not r.recipe
-        if silent and source and r.id.split("/")[0] != source.id.split("/")[0]:
+        source = sources.get(r.equation, r)
+        silent = r.findings and not (r.explanation or r.hint or r.recipe)
+        if silent and r.subject != source.subject:
             return r._replace(explanation=f"{source.explanation} (seen in {source.id})")
         return r
 

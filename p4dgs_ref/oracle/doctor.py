@@ -68,7 +68,7 @@ def known(subject):
     found = {row["id"]: Mistake(**row, answers={}) for row in rows if row["subject"] == subject}
     if found:
         file = FOLDER / f"{subject}.safetensors.gz"
-        for name, array in safetensors.load(gzip.decompress(file.read_bytes()), file).items():
+        for name, array in safetensors.load(gzip.decompress(file.read_bytes())).items():
             id, case, tensor = name.split("/")
             found[id].answers.setdefault(case, {})[tensor] = array
     return list(found.values())
@@ -93,13 +93,11 @@ def diagnose(subject, answers):
     parts = [explain(mistakes, rows, part) for part, rows in parts.items() if _failing(rows)]
     of_parts = [row for rows in parts for row in _best(rows)]
     explained = _best(whole) or (of_parts if all(map(_best, parts)) else [])
-    if explained and len(parts) == 1:  # the same mistake made in one direction fits as well
-        return explained + _others(of_parts, explained)
-    if explained:
-        return explained
+    if explained:  # where one part is wrong, a mistake in this direction alone fits as well
+        return _distinct(explained + (of_parts if len(parts) == 1 else []))
     hints = [row for row in whole if len(row.cases) >= MOST * row.failed]
     hints.sort(key=lambda row: len(row.cases), reverse=True)
-    return [row._replace(certain=False) for row in hints + _others(of_parts, hints)]
+    return [row._replace(certain=False) for row in _distinct(hints + of_parts)]
 
 
 def explain(mistakes, answers, part=""):
@@ -127,10 +125,10 @@ def _best(rows):
     return [row for row in complete if row.mistake.id] or complete
 
 
-def _others(rows, known):
-    """Return the diagnoses of mistakes that are not among the known ones."""
-    ids = {row.mistake.id for row in known}
-    return [row for row in rows if row.mistake.id not in ids]
+def _distinct(rows):
+    """Return the first diagnosis of every mistake."""
+    ids = [row.mistake.id for row in rows]
+    return [row for i, row in enumerate(rows) if ids.index(row.mistake.id) == i]
 
 
 def _of(answers, prefix):
@@ -150,19 +148,22 @@ def _scaled(answers):
 
     Every wrong output or gradient has the factor with which most cases agree.
     """
-    found, together = [], {}
+    found = []
     names = (name for *_, wrong in answers for name in wrong)
     for quantity in dict.fromkeys(".".join(name.split(".")[:2]) for name in names):
-        of_quantity = _of(answers, quantity)
-        rows = explain([_times(factor, quantity, of_quantity) for factor in FACTORS], of_quantity)
+        rows = _of(answers, quantity)
+        rows = explain([_times(factor, quantity, rows) for factor in FACTORS], rows)
         if rows:
             found.append(max(rows, key=lambda row: len(row.cases)).mistake)
-            for name, tensors in found[-1].answers.items():
-                together.setdefault(name, {}).update(tensors)
+    together = {
+        case.name: {n: a for mistake in found for n, a in mistake.answers[case.name].items()}
+        for case, *_ in answers
+    }
     said = " and ".join(mistake.description for mistake in found)
     return [mistake._replace(description=said, answers=together) for mistake in found[:1]]
 
 
+@np.errstate(all="ignore")
 def _times(factor, quantity, answers):
     """Return the mistake of multiplying an output or a gradient by a factor."""
     role, name = quantity.split(".")
@@ -170,58 +171,53 @@ def _times(factor, quantity, answers):
     scaled = {}
     for case, got, _ in answers:
         floats = (n for n in got if n in case.tensors and case.tensors[n].dtype.kind == "f")
-        with np.errstate(all="ignore"):
-            scaled[case.name] = {n: factor * case.tensors[n] for n in floats}
+        scaled[case.name] = {n: factor * case.tensors[n] for n in floats}
     return Mistake("", case.subject, case.equation, f"{whose} {name} {FACTORS[factor]}", scaled)
 
 
 def _agrees(mistake, case, got, wrong):
     """Whether a port with this mistake would have answered a case like this."""
     stored = mistake.answers.get(case.name, {})
-    if not stored.keys() >= set(wrong):
-        return False
     bound = case.tolerance(precision(got))["eps_S"]
-    for name in stored.keys() & got.keys():
-        mine, right = np.asarray(got[name]), case.tensors[name]
-        scale = case.tensors.get("scale." + name)
-        if name in wrong and not _is_mistake(mine, stored[name], right, scale, bound):
-            return False
-        if name not in wrong and _shows(mine, stored[name], right, scale, LENIENCE * bound):
-            return False
-    return True
+
+    def fits(name):
+        numbers = got[name], stored[name], case.tensors[name], case.tensors.get("scale." + name)
+        if name in wrong:
+            return _is_mistake(*numbers, bound)
+        return not _shows(*numbers, LENIENCE * bound)
+
+    return stored.keys() >= set(wrong) and all(fits(name) for name in stored.keys() & got.keys())
 
 
+@np.errstate(over="ignore")
 def _shows(mine, would, right, scale, bound):
     """Whether a port with this mistake would have failed in a tensor, in the type of `mine`."""
     if would.shape != right.shape or right.dtype.kind != "f":
         return not np.array_equal(would, right)
-    with np.errstate(over="ignore"):
-        would = would.astype(mine.dtype)
+    would = would.astype(mine.dtype)
     return bool((deviations(would, right, scale, mine.dtype)[1] > bound).any())
 
 
+@np.errstate(over="ignore")
 def _is_mistake(mine, would, right, scale, bound):
     """Whether a wrong tensor is the mistake's, and not the right one with fewer digits."""
     if mine.shape != would.shape or right.dtype.kind != "f":
         return np.array_equal(mine, would) and not np.array_equal(would, right)
-    if mine.dtype.str[1:] not in PRECISIONS or not _shows(mine, would, right, scale, bound):
+    if mine.dtype.name not in PRECISIONS or not _shows(mine, would, right, scale, bound):
         return False
     if would.shape != right.shape:
         right, scale = np.full(would.shape, np.nan), np.zeros(would.shape)
-    with np.errstate(over="ignore"):
-        would = would.astype(mine.dtype)
     # A mistake may produce NaN, which must then agree: a very large number stands for it.
+    would = would.astype(mine.dtype)
     mine, would = (np.where(np.isnan(a), a.dtype.type(HUGE), a) for a in (mine, would))
     size = np.maximum(scale, np.abs(would)).astype(float)
-    residual, scaled = deviations(mine, would, size, mine.dtype)
     # A mistake may sum other terms than S describes: then the largest S of the array counts, as
     # long as the mistake changes the number by much more.
     largest = size[size < HUGE].max(initial=0)
-    effect, _ = deviations(would, right, scale, mine.dtype)
+    residual, scaled = deviations(mine, would, size, mine.dtype)
     _, coarse = deviations(mine, would, np.full(size.shape, largest), mine.dtype)
-    allowed = LENIENCE * bound
-    with np.errstate(over="ignore"):
-        near = (scaled <= allowed) | (coarse <= allowed) & (CLOSER * residual <= effect)
+    effect, _ = deviations(would, right, scale, mine.dtype)
     error, units = deviations(mine, right, scale, mine.dtype)
-    worst = units == units.max(initial=0)
+    allowed, worst = LENIENCE * bound, units == units.max(initial=0)
+    near = (scaled <= allowed) | (coarse <= allowed) & (CLOSER * residual <= effect)
     return bool(near.all() and (CLOSER * residual[worst] <= error[worst]).all())

@@ -3,33 +3,25 @@
 A port that runs as a process is in `adapter.py`.
 """
 
-import difflib
 from pathlib import Path
 
 import numpy as np
 
 from . import safetensors
 from .compare import expected, precision
-from .published import FOLDER, flatten, read_manifest, subjects
+from .published import FOLDER, flatten, meant, read_manifest, subjects
+from .safetensors import need
 
 
 class PortError(Exception):
-    """A port gave no answer to a case.
+    """A port gave no answer to a case. The message is one line.
 
     `kind` is missing, damaged, died, hung, nonsense, error, skipped or unasked.
     """
 
     def __init__(self, kind, message):
-        super().__init__(message)
+        super().__init__(" ".join(message.split()))
         self.kind = kind
-
-
-def require_known(name, known, where):
-    """Raise TensorError where a name is unknown; suggest the nearest that is known."""
-    if name not in known:
-        nearest = difflib.get_close_matches(name, known, 1)
-        hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
-        raise safetensors.TensorError(f"{where} {name!r}: not among the vectors{hint}")
 
 
 class FolderPort:
@@ -45,12 +37,9 @@ class FolderPort:
         streams = [row["name"] for row in read_manifest()["streams"]]
         for place, known in (self.folder, subjects()), (self.folder / "codec", streams):
             for file in sorted(place.glob("*.safetensors")) + sorted(place.glob("*.npz")):
-                require_known(file.stem, known, f"{file}: name")
-                vectors = FOLDER / file.name
-                if vectors.is_file() and vectors.read_bytes() == file.read_bytes():
-                    raise safetensors.TensorError(
-                        f"{file}: expected a port's answers, got a copy of the published vectors"
-                    )
+                need(file.stem in known, f"{file}: name: {meant(file.stem, known)}")
+                same = [v for v in FOLDER.glob(file.name) if v.read_bytes() == file.read_bytes()]
+                need(not same, f"{file}: expected a port's answers, got the published vectors")
 
     def run(self, case):
         """Return the tensors of one case.
@@ -61,35 +50,31 @@ class FolderPort:
             arrays, file = self.loaded[case.subject] = self.load(case.subject)
             known = [row["name"] for row in subjects()[case.subject]["cases"]]
             for name in arrays:
-                require_known(name.partition("/")[0], known, f"{file}: case")
+                own = name.partition("/")[0]
+                need(own in known, f"{file}: {name}: case {own!r}: {meant(own, known)}")
         arrays, file = self.loaded[case.subject]
         prefix = case.name + "/"
         found = {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
-        if found:
-            return found
-        answers = {name.partition("/")[2]: a for name, a in arrays.items()}
-        asked = expected(case.tensors).keys() - case.unasked("float32")
-        if precision(answers) == "float32" and not asked:
-            raise PortError("unasked", f"{file}: this case is checked in float64 only")
-        raise PortError("missing", f"{file}: no tensor named {case.name}/...")
+        if not found:
+            answers = {name.partition("/")[2]: a for name, a in arrays.items()}
+            asked = expected(case.tensors).keys() - case.unasked(precision(answers))
+            kind = "missing" if asked else "unasked"
+            raise PortError(kind, f"{file}: no tensor named {case.name}/...")
+        return found
 
     def load(self, subject):
         """Return ({name: array}, file) of a subject. Raises PortError."""
-        names = f"{subject}.safetensors", f"{subject}.npz"
-        file = next((self.folder / name for name in names if (self.folder / name).is_file()), None)
+        files = [self.folder / f"{subject}.{suffix}" for suffix in ("safetensors", "npz")]
+        file = next(filter(Path.is_file, files), None)
         if file is None:
-            raise PortError("missing", f"{self.folder}: expected {' or '.join(names)}")
+            raise PortError("missing", f"expected {files[0]} or .npz")
         try:
             if file.suffix == ".npz":
                 with np.load(file, allow_pickle=False) as arrays:
                     return dict(arrays), file
-            return safetensors.load(file.read_bytes(), file), file
-        except safetensors.TensorError as error:
-            raise PortError("damaged", str(error)) from None
+            return safetensors.load(file.read_bytes()), file
         except Exception as error:  # NumPy raises whatever its zip, header and type parsers raise
-            raise PortError(
-                "damaged", f"{file}: expected a valid npz of numbers ({type(error).__name__})"
-            ) from None
+            raise PortError("damaged", f"{file}: {error}") from None
 
     def decode(self, name, _):
         """Return the arrays that the port found in a stream and None, or None and its refusal.
@@ -98,26 +83,17 @@ class FolderPort:
         """
         file = self.folder / "codec" / "refusals.json"
         reasons = safetensors.json_object(file.read_bytes()) if file.is_file() else {}
-        if reasons is None:
-            raise PortError(
-                "damaged",
-                f"{file}: expected a JSON object {{name of a stream: the reason of its refusal, "
-                "or null}",
-            )
-        reason = reasons.get(name)
-        if isinstance(reason, str):
-            return None, reason
-        if reason is not None:
-            raise PortError("damaged", f"{file}: {name}: expected the reason as a text, or null")
+        if reasons is None or not isinstance(reasons.get(name), str | None):
+            said = "expected a JSON object {name of a stream: the reason of its refusal, or null}"
+            raise PortError("damaged", f"{file}: {said}")
+        if reasons.get(name) is not None:
+            return None, reasons[name]
         try:
             return self.load(f"codec/{name}")[0], None
         except PortError as error:
             if error.kind == "missing" and name in reasons:  # null: not refused, no arrays given
                 return {}, None
             raise PortError(error.kind, f"{error}, or why it is refused in {file}") from None
-
-    def close(self):
-        """Do nothing; an adapter ends its process here."""
 
 
 class FunctionPort:
@@ -141,8 +117,6 @@ class FunctionPort:
 
 def _named(out, case):
     """Return a function's outputs as {name: value}."""
-    if hasattr(out, "_asdict"):
-        return out._asdict()
     if isinstance(out, dict):
         return out
     names = dict.fromkeys(n.split(".")[1] for n in case.tensors if n.startswith("out."))
@@ -152,10 +126,9 @@ def _named(out, case):
 
 def _arrays(values, prefix, case):
     """Return the values as flat arrays; a value is a list where the case's tensor is one."""
-
-    def array(name, value):
-        is_list = f"{prefix}{name}.0" in case.tensors
-        return [np.asarray(b) for b in value] if is_list else np.asarray(value)
-
-    given = {name: array(name, value) for name, value in values.items() if value is not None}
+    given = {
+        name: list(value) if f"{prefix}{name}.0" in case.tensors else np.asarray(value)
+        for name, value in values.items()
+        if value is not None
+    }
     return flatten(given, prefix)

@@ -3,68 +3,76 @@
 import json
 from collections import Counter
 
-from .published import GROUPS, subjects
+from .published import subjects
 
 SHOWN = 8  # names of failing cases of a subject, at most
-REASONS = 3  # explanations of a subject, at most
 FEWER = "right formula, fewer digits here; the recipe is"
 
 
 def name_of(equation):
     """Return `Eq. (11) likelihood`, `D1 activations`, or the key alone where there is no number."""
-    subject = subjects().get(equation, {"number": ""})
-    if "group" in subject:
-        return f"{subject['number']} {equation}"
-    return f"Eq. ({subject['number']}) {equation}" if subject["number"][:1].isdigit() else equation
+    number = subjects().get(equation, {"number": ""})["number"]
+    heading = f"Eq. ({number})" if number[:1].isdigit() else number
+    return f"{heading} {equation}".strip()
 
 
 def text(report):
-    """Return the scores, the first divergence with its explanation, and what else failed."""
-    results, lines = report.results, []
+    """Return the scores, what was not judged, the first divergence, and what else failed."""
+    sections = scores, left_out, unasked, acceptable, divergence
+    return "\n".join(line for section in sections for line in section(report))
+
+
+def scores(report):
+    """Yield a line for every level and group with required cases."""
     for level, row in report.levels().items():
         also = f", {row['acceptable']} acceptable" if row["acceptable"] else ""
-        lines.append(f"{f'{level} ' + row['says']:<18} {row['passed']:>4} of {row['of']}{also}")
-    asked = {_subject(r) for r in results if r.required}
-    for group in GROUPS:
-        left = len({_subject(r) for r in results if r.group == group} - asked)
-        if left:
-            lines.append(f"{group}: {left} equation{'s' * (left > 1)} left out, which is allowed")
-    left = sum(r.level == "L3" and not r.required for r in results)
-    if left:
-        lines.append(f"version 2: {left} streams left out, which is allowed")
-    unasked = sum(r.verdict == "unasked" for r in results)
-    tensors = sum(len(r.unasked) for r in results if r.verdict != "unasked")
-    if unasked or tensors:
-        also = f" and {tensors} tensors of other cases" if tensors else ""
-        lines.append(f"{unasked} cases{also} are not checked in this precision")
-    acceptable = [r for r in results if r.verdict == "acceptable"]
-    for recipe in dict.fromkeys(r.recipe for r in acceptable):
-        ids = ", ".join(r.id for r in acceptable if r.recipe == recipe)
-        why = f"{FEWER}: {recipe}" if recipe else "another answer is defensible here"
-        lines += [f"acceptable: {ids}", f"  {why}"]
-    first = report.first
+        yield f"{f'{level} ' + row['says']:<18} {row['passed']:>4} of {row['of']}{also}"
+
+
+def left_out(report):
+    """Return a line for every level or group with cases that the port may leave out, and does."""
+    optional = [r for r in report.results if not r.required]
+    left = Counter(r.group or r.level for r in optional if r.verdict in ("skipped", "missing"))
+    return [f"{name}: {count} cases left out, which is allowed" for name, count in left.items()]
+
+
+def unasked(report):
+    """Return a line about cases and tensors that are not judged in the port's precision."""
+    cases = sum(r.verdict == "unasked" for r in report.results)
+    tensors = sum(len(r.unasked) for r in report.results if r.verdict != "unasked")
+    also = f" and {tensors} tensors of other cases" if tensors else ""
+    return [f"{cases} cases{also} are not checked in this precision"] * bool(cases or tensors)
+
+
+def acceptable(report):
+    """Yield the cases that are acceptable, by the reason."""
+    results = [r for r in report.results if r.verdict == "acceptable"]
+    for recipe in dict.fromkeys(r.recipe for r in results):
+        yield f"acceptable: {', '.join(r.id for r in results if r.recipe == recipe)}"
+        yield f"  {FEWER}: {recipe}" if recipe else "  another answer is defensible here"
+
+
+def divergence(report):
+    """Return the first wrong case with its explanation, then a line or two a subject."""
+    first, required = report.first, [r.verdict for r in report.results if r.required]
     if first:
-        lines += ["", f"first divergence: {name_of(first.equation)}", *_case(first)]
-        lines += _others([r for r in results if r.wrong and r is not first], first.explanation)
-    else:
-        how = "passes or is acceptable" if any(r.required for r in acceptable) else "passes"
-        lines.append(f"every required case {how}" if report.ok else "no required case was run")
-    return "\n".join(lines)
-
-
-def _subject(result):
-    return result.id.split("/")[0]
+        others = [r for r in report.results if r.wrong and r is not first]
+        heading = ["", f"first divergence: {name_of(first.equation)}"]
+        return [*heading, *_case(first), *_others(others, first.explanation)]
+    how = "passes or is acceptable" if "acceptable" in required else "passes"
+    return [f"every required case {how}" if report.ok else "no required case was run"]
 
 
 def _case(result):
-    lines = [f"  {result.id}: {result.verdict}"]
     head, said = _reason(result)
-    if said:
-        lines.append(f"    {head}: {said}")
-    for finding in result.findings:
-        head = "" if finding.kind == "value" else f"{finding.tensor}: {finding.kind}: "
-        lines.append(f"    {head}{finding.message}")
-    return lines
+    lines = [f"{head}: {said}"] if said else []
+    lines += [
+        finding.message
+        if finding.kind == "value"
+        else f"{finding.tensor}: {finding.kind}: {finding.message}"
+        for finding in result.findings
+    ]
+    return [f"  {result.id}: {result.verdict}", *(f"    {line}" for line in lines)]
 
 
 def _reason(result):
@@ -77,22 +85,19 @@ def _reason(result):
 
 
 def _others(results, known):
-    """Return what fails besides the first case, a line or two a subject."""
+    """Return what fails besides the first case."""
     lines = ["", f"{len(results)} more fail:"] if results else []
-    for key in dict.fromkeys(map(_subject, results)):
-        rows = [r for r in results if _subject(r) == key]
+    for key in dict.fromkeys(r.subject for r in results):
+        rows = [r for r in results if r.subject == key]
         names = [r.id.split("/")[1] for r in rows if r.verdict == "fail"]
         more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-        counts = Counter(sorted(r.verdict for r in rows if r.verdict != "fail"))
         said = [", ".join(names[:SHOWN]) + more] * bool(names)
+        counts = Counter(sorted(r.verdict for r in rows if r.verdict != "fail"))
         said += [f"{count} {verdict}" for verdict, count in counts.items()]
         lines.append(f"  {key}: {'; '.join(said)}")
-        reasons = Counter(_reason(r) for r in rows if _reason(r)[1])
-        for (head, said), count in list(reasons.items())[:REASONS]:
+        for (head, said), count in Counter(_reason(r) for r in rows if _reason(r)[1]).items():
             where = f" ({count} of these)" if count < len(rows) else ""
             lines.append(f"    {head}{where}: {'the same' if said == known else said}")
-        if len(reasons) > REASONS:
-            lines.append(f"    and {len(reasons) - REASONS} more reasons")
     return lines
 
 

@@ -32,62 +32,66 @@ NAMES = {np.dtype(code): name for name, code in DTYPES.items()}
 
 
 class TensorError(ValueError):
-    """A file is invalid. The message is one line with the file, the field and what was expected."""
+    """A file is invalid. The message is one line with the field and what was expected."""
 
 
 def dump(arrays, metadata=None):
-    """Return the bytes of a file and the place of every tensor in it.
+    """Return the bytes of a file.
 
-    The places are {name: {dtype, shape, offset, bytes}}, offsets counting from byte 0. Wide types
-    come first, so that every tensor is aligned to its own width. Raises KeyError for a type that is
-    not in DTYPES.
+    Wide types come first, so that every tensor is aligned to its own width. Raises KeyError for a
+    type that is not in DTYPES.
     """
     header = {"__metadata__": metadata} if metadata else {}
-    parts, places, at = [], {}, 0
+    parts, at = [], 0
     for name in sorted(arrays, key=lambda name: -np.asarray(arrays[name]).dtype.itemsize):
-        array = np.asarray(arrays[name])
-        dtype, shape = NAMES[array.dtype.newbyteorder("<")], list(array.shape)
-        data = array.astype(DTYPES[dtype]).tobytes()
-        header[name] = {"dtype": dtype, "shape": shape, "data_offsets": [at, at + len(data)]}
-        places[name] = {"dtype": dtype, "shape": shape, "offset": at, "bytes": len(data)}
+        record, data = record_of(np.asarray(arrays[name]))
+        header[name] = {**record, "data_offsets": [at, at + len(data)]}
         parts.append(data)
         at += len(data)
     text = json.dumps(header, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 8)
-    for place in places.values():
-        place["offset"] += 8 + len(text)
-    return struct.pack("<Q", len(text)) + text + b"".join(parts), places
+    return struct.pack("<Q", len(text)) + text + b"".join(parts)
 
 
-def load(data, source: object = "safetensors"):
+def record_of(array):
+    """Return {dtype, shape} of an array and its bytes; `array_of` undoes it."""
+    dtype = NAMES[array.dtype.newbyteorder("<")]
+    return {"dtype": dtype, "shape": list(array.shape)}, array.astype(DTYPES[dtype]).tobytes()
+
+
+def load(data):
     """Return every tensor in the bytes of a file, {name: array}. Raises TensorError."""
-
-    def need(condition, field, expected):
-        if not condition:
-            raise TensorError(f"{source}: {field}: expected {expected}")
-
-    need(len(data) >= 8, "length", "at least the 8 bytes of the header's length")
-    n, rest = struct.unpack("<Q", data[:8])[0], len(data) - 8
-    need(n <= rest, "header", f"{n} bytes, the file has {rest} after its length")
-    header = json_object(data[8 : 8 + n])
-    need(header is not None, "header", "a JSON object")
+    length = int.from_bytes(data[:8], "little")
+    header, body, arrays = json_object(data[8 : 8 + length]), memoryview(data)[8 + length :], {}
+    need(header is not None, "header: expected its length in 8 bytes and a JSON object")
     header.pop("__metadata__", None)
-    body, arrays = memoryview(data)[8 + n :], {}
-    for name, h in header.items():
-        known = isinstance(header[name], dict) and str(h.get("dtype")) in DTYPES
-        said = f"one of {', '.join(DTYPES)}; bfloat16 is not judged, the vectors' page says why"
-        need(known, f"{name}.dtype", said)
-        shape, offsets = h.get("shape"), h.get("data_offsets")
-        need(naturals(shape), f"{name}.shape", "a list of integers, none of them negative")
+    for name, record in header.items():
+        offsets: Any = record.get("data_offsets") if isinstance(record, dict) else None
         two = naturals(offsets) and len(offsets) == 2
-        need(two, f"{name}.data_offsets", "two integers, none of them negative")
-        dtype, (start, end) = np.dtype(DTYPES[h["dtype"]]), offsets
-        size = math.prod(shape) * dtype.itemsize  # Python's integers do not overflow
-        said = f"{size} bytes for {h['dtype']} {shape} within the {len(body)} of the file"
-        inside = start <= end <= len(body) and end - start == size
-        need(inside, f"{name}.data_offsets", f"{said}, got {start} to {end}")
-        arrays[name] = np.frombuffer(body[start:end], dtype).reshape(shape)
+        need(two, f"{name}.data_offsets: expected two integers, none of them negative")
+        arrays[name] = array_of(name, record, body[slice(*offsets)])
     return arrays
+
+
+def array_of(name, record, data):
+    """Return the array that `dtype` and `shape` of a record describe. Raises TensorError."""
+    code, shape = DTYPES.get(str(record.get("dtype"))), record.get("shape")
+    known = f"one of {', '.join(DTYPES)}; bfloat16 is not judged, the vectors' page says why"
+    need(code, f"{name}.dtype: expected {known}")
+    possible = naturals(shape) and len(shape) <= 32 and max(shape, default=0) < 2**31
+    need(possible, f"{name}.shape: expected a list of integers, none of them negative")
+    size = math.prod(shape) * np.dtype(code).itemsize  # Python's integers do not overflow
+    said = f"expected {size} bytes for {record['dtype']} {shape}, got {len(data)}"
+    need(len(data) == size, f"{name}: {said}")
+    bits = code != "|b1" or not bytes(data).strip(b"\0\1")
+    need(bits, f"{name}: expected bytes 0 and 1 for BOOL")
+    return np.frombuffer(data, code).reshape(shape)
+
+
+def need(condition, message):
+    """Raise TensorError where a condition fails."""
+    if not condition:
+        raise TensorError(message)
 
 
 def json_object(text) -> Any:

@@ -7,17 +7,24 @@ for a stream that was not refused. Integers may have any integer type, and masks
 BOOL; q, x_a and attributes are F64, and the numbers of the networks F32.
 
 Version 2 goes beyond the paper: a port may leave out all its streams, but not some of them.
+
+`export` copies streams and vectors into a folder, for ports that read files.
 """
 
 import json
+import shutil
+from pathlib import Path
 
 import numpy as np
 
 from ..codec import published
-from ..codec.container import open_container
+from ..codec.container import BitstreamError, open_container
 from ..codec.file import quantised_of
-from .compare import Finding, Result, first
+from ..scenes.output import OutputError, filled
+from . import safetensors
+from .compare import Result, differences
 from .ports import PortError
+from .published import FOLDER, VERSIONS, read_manifest
 
 VERSION_2 = "codec/coded_"  # how the ids of its streams begin
 # The arrays in the order in which a decoder finds them, each with the equation (or the codec) to
@@ -50,10 +57,10 @@ def decoded(data):
 
     Raises BitstreamError.
     """
-    arrays, quantised = {}, quantised_of(open_container(data), data[8])
-    for name, (kind, a) in published.expected(quantised).items():
-        arrays[name] = np.asarray(a).astype(bool if kind == "bit" else published.TYPES[kind])
-    return arrays
+    types = {**published.TYPES, "bit": bool}
+    quantised = quantised_of(open_container(data), data[8])
+    found = published.expected(quantised)
+    return {name: np.asarray(a).astype(types[kind]) for name, (kind, a) in found.items()}
 
 
 def check(port, names=None):
@@ -90,55 +97,16 @@ def judge(row, good, decode):
     except PortError as error:
         return Result(id, "codec", "L3", error.kind, True, explanation=str(error))
     if good and refused is None:
-        findings = compare(row, arrays)
+        entries = {entry["name"]: entry for entry in row["arrays"]}
+        want = {name: stored(row, entries[name]) for name in BLAMED if name in entries}
+        findings = differences(want, arrays)
     elif good:
         said = f"refused a valid stream: {refused}"
     elif refused is None:
         said = f"accepted a stream that must be refused: {row['says']}"
     blamed = BLAMED.get(findings[0].tensor, "codec") if findings else "codec"
-    verdict = "fail" if findings or said else "pass"
-    return Result(id, blamed, "L3", verdict, True, tuple(findings), said)
-
-
-def compare(row, arrays):
-    """Return all differences of a port's arrays from a good stream, in the order of BLAMED."""
-    wanted = {entry["name"]: entry for entry in row["arrays"]}
-    extra = [name for name in arrays if name not in wanted]
-    found = [_difference(row, wanted[name], arrays.get(name)) for name in BLAMED if name in wanted]
-    return [
-        *(finding for finding in found if finding),
-        *(Finding(name, "extra", "not expected for this stream") for name in extra),
-    ]
-
-
-def _difference(row, entry, mine):
-    """Return None if the array has the numbers of the stream's, bit for bit, else a Finding."""
-    name, want = entry["name"], stored(row, entry)
-    is_float = want.dtype.kind == "f"
-    if mine is None:
-        return Finding(name, "missing", f"expected {entry['type']} {want.shape}")
-    mine = np.asarray(mine)
-    if mine.shape != want.shape:
-        return Finding(name, "shape", f"{mine.shape}, expected {want.shape}")
-    if mine.dtype.newbyteorder("<") != want.dtype if is_float else mine.dtype.kind not in "iub":
-        return Finding(
-            name, "dtype", f"{mine.dtype}, expected {want.dtype if is_float else 'integers'}"
-        )
-    wrong = _bits(mine, want.dtype) != _bits(want, want.dtype) if is_float else mine != want
-    if not wrong.any():
-        return None
-    index = first(wrong)
-    got, right = mine[index].item(), want[index].item()
-    said = (
-        f"{name}{list(index)}: got {got!r}, expected {right!r} "
-        f"({int(wrong.sum())} of {wrong.size} numbers off; all bits must agree)"
-    )
-    return Finding(name, "value", said, index, float(got), float(right))
-
-
-def _bits(a, dtype):
-    """Return the bits of floats as integers, which tell -0 from 0 and compare NaN."""
-    return a.astype(dtype).view(f"u{dtype.itemsize}")
+    wrong = bool(findings or said)
+    return Result(id, blamed, "L3", "fail" if wrong else "pass", True, tuple(findings), said)
 
 
 def stored(row, entry):
@@ -150,3 +118,47 @@ def stored(row, entry):
         packed = np.frombuffer(body, np.uint8, -(-count // 8), at)
         return np.unpackbits(packed, bitorder="little")[:count].reshape(shape)
     return np.frombuffer(body, published.TYPES[kind], count, at).reshape(shape)
+
+
+def export(folder, version=VERSIONS[-1]):
+    """Copy a version of the published vectors into a folder; return the number of its cases.
+
+    The folder `codec` beside them holds what a right port answers to the streams, as an example.
+    Raises OutputError where the folder holds other things, because files could be overwritten.
+    """
+    place = Path(folder)
+    if place.is_dir() and any(place.iterdir()) and not (place / "manifest.json").is_file():
+        raise OutputError(
+            f"{folder}: expected an empty folder, or an earlier export with its manifest.json"
+        )
+    manifest = read_manifest(version=version)
+    with filled(folder) as beside:
+        for file in sorted(FOLDER.iterdir()):
+            asked = file.suffix != ".safetensors" or file.name in manifest["files"]
+            if file.is_file() and asked:
+                shutil.copyfile(file, beside / file.name)
+        if version != VERSIONS[-1]:
+            text = json.dumps(manifest, separators=(",", ":"))
+            (beside / "manifest.json").write_text(text, encoding="utf-8")
+        copy_streams(beside)
+        write_expected(beside)
+    return sum(len(row["cases"]) for row in manifest["subjects"]) + len(manifest["streams"])
+
+
+def copy_streams(folder):
+    """Copy the conformance streams to `folder`/streams, where the manifest says they are."""
+    shutil.copytree(published.FOLDER, Path(folder) / "streams", dirs_exist_ok=True)
+
+
+def write_expected(folder):
+    """Decode every stream and write what was found into `folder`/codec, as a port would."""
+    place, refusals, rows = Path(folder) / "codec", {}, read_rows()
+    place.mkdir(parents=True, exist_ok=True)
+    for row in rows["good"] + rows["bad"]:
+        try:
+            arrays = decoded((published.FOLDER / row["file"]).read_bytes())
+        except BitstreamError as error:
+            refusals[row["name"]] = str(error)
+        else:
+            (place / f"{row['name']}.safetensors").write_bytes(safetensors.dump(arrays))
+    (place / "refusals.json").write_text(json.dumps(refusals, indent=1), encoding="utf-8")

@@ -71,6 +71,7 @@ def scales(answer, inputs, cotangents, flat, seed):
     return {name: _scale(name, flat[name], wide[name], narrow[name]) for name in wide}
 
 
+@np.errstate(all="ignore")
 def _spread(answer, inputs, cotangents, flat, delta, rng):
     """Return the root mean square change of every number, divided by delta."""
 
@@ -78,15 +79,14 @@ def _spread(answer, inputs, cotangents, flat, delta, rng):
         return (a * (1 + delta * rng.choice([-1.0, 1.0], np.shape(a)))).astype(a.dtype)
 
     squares = {name: np.zeros(a.shape) for name, a in flat.items() if a.dtype.kind == "f"}
-    with np.errstate(all="ignore"):
-        for _ in range(PROBES):
-            try:
-                moved = answer(change_floats(inputs, move), change_floats(cotangents, move))
-            except ValueError:  # at a threshold the number of kept Gaussians may change
-                continue
-            for name in squares:
-                step = np.abs(moved[name] - flat[name]) / delta
-                squares[name] += np.where(np.isfinite(step), np.minimum(step, 1e150), 0) ** 2
+    for _ in range(PROBES):
+        try:
+            moved = answer(change_floats(inputs, move), change_floats(cotangents, move))
+        except ValueError:  # at a threshold the number of kept Gaussians may change
+            continue
+        for name in squares:
+            step = np.abs(moved[name] - flat[name]) / delta
+            squares[name] += np.where(np.isfinite(step), np.minimum(step, 1e150), 0) ** 2
     return {name: np.sqrt(square / PROBES) for name, square in squares.items()}
 
 
@@ -96,10 +96,8 @@ def _scale(name, values, wide, narrow):
     # the quotient grows by sixteen. There the second term is left out and S is |y|.
     size = np.maximum(size, np.where(narrow > 4 * wide, 0, wide))
     largest = size.max(initial=0)
-    if name.split(".")[1] in IMAGES:
-        size = largest.reshape(())
-    else:
-        size = np.maximum(size, LEAST * largest)
+    is_image = name.split(".")[1] in IMAGES
+    size = largest.reshape(()) if is_image else np.maximum(size, LEAST * largest)
     # float32 has enough digits for S, but not always the range
     in_range = (size == 0) | (size > 1e-30) & (size < 1e30)
     return size.astype(np.float32) if in_range.all() else size

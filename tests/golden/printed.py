@@ -7,7 +7,7 @@ tanh is 1, the length of a vector whose square overflows. A port on stock automa
 has the right formula and misses them. For such tensors the file holds `<precision>/<subject>/
 <case>/scale.<tensor>`, a scale that takes the place of the published S, and
 `<precision>/<subject>/<case>/range.<tensor>`, which is true where the printed formula leaves the
-range of the precision. `p4dgs_ref.oracle.printed` reads both.
+range of the precision. `p4dgs_ref.oracle.compare` reads both.
 
 The scale is the largest of S, of the effect of roundings within the printed formula (the root mean
 square change of a number when the result of every operation is changed by +-delta of itself,
@@ -21,8 +21,7 @@ import numpy as np
 
 from p4dgs_ref.lab.baselines.rotation_4d import product
 from p4dgs_ref.oracle import published, safetensors
-from p4dgs_ref.oracle.compare import IMAGES, cast, deviations
-from p4dgs_ref.oracle.printed import FILE
+from p4dgs_ref.oracle.compare import IMAGES, PRINTED, cast, deviations
 from tests.golden import tape
 from tests.golden.tape import Value
 
@@ -313,9 +312,9 @@ def build(keys=tuple(FORMULAS)):
 
 
 def main():
-    data, _ = safetensors.dump(build(), {"license": "CC0-1.0"})
-    FILE.write_bytes(data)
-    print(f"{FILE.name}: {len(data):,} bytes")
+    data = safetensors.dump(build(), {"license": "CC0-1.0"})
+    PRINTED.write_bytes(data)
+    print(f"{PRINTED.name}: {len(data):,} bytes")
 
 
 if __name__ == "__main__":

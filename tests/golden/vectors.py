@@ -21,8 +21,8 @@ import scipy
 from p4dgs_ref import __version__
 from p4dgs_ref.oracle import published, safetensors, streams, tolerance
 from p4dgs_ref.oracle.compare import cast
-from p4dgs_ref.oracle.export import copy_streams, write_expected
 from p4dgs_ref.oracle.published import FOLDER, flatten, read_manifest
+from p4dgs_ref.oracle.streams import copy_streams, write_expected
 from p4dgs_ref.scenes.output import filled
 from tests.golden import independent, measured
 from tests.golden.cases import FLAGS
@@ -136,7 +136,8 @@ def subject_file(subject, kept):
         tensors.update({f"{case.name}/{name}": a for name, a in own.items()})
     if len({record["id"] for record in records}) < len(records):
         raise ValueError(f"{subject.key}: two cases have one name")
-    data, places = safetensors.dump(tensors, {"license": "CC0-1.0"})
+    data = safetensors.dump(tensors, {"license": "CC0-1.0"})
+    places = places_in(data)
     for record, own in zip(records, names):
         record["tensors"] = [{"name": n, **places[f"{record['name']}/{n}"]} for n in own]
     row = {
@@ -236,6 +237,18 @@ def write(folder, progress=lambda text: None, keep=False, again=()):
     for name, data in files.items():
         (Path(folder) / name).write_bytes(data)
     return manifest
+
+
+def places_in(data):
+    """Return {name: {dtype, shape, offset, bytes}} of a safetensors file, from byte 0 on."""
+    start = 8 + int.from_bytes(data[:8], "little")
+    rows = json.loads(data[8:start]).items()
+    spans = {name: row.pop("data_offsets") for name, row in rows if name != "__metadata__"}
+    return {
+        name: {**row, "offset": start + spans[name][0], "bytes": spans[name][1] - spans[name][0]}
+        for name, row in rows
+        if name in spans
+    }
 
 
 def _json(value):

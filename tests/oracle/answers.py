@@ -34,7 +34,7 @@ def broken(key, name, change):
 def write(folder, **answers):
     """Write {tensor: array} of subjects into a folder, and return it."""
     for key, arrays in answers.items():
-        (folder / f"{key}.safetensors").write_bytes(safetensors.dump(arrays)[0])
+        (folder / f"{key}.safetensors").write_bytes(safetensors.dump(arrays))
     return folder
 
 

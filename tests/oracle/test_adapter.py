@@ -2,7 +2,6 @@
 
 import base64
 import json
-import os
 import shlex
 import signal
 import subprocess
@@ -16,7 +15,6 @@ import pytest
 
 from p4dgs_ref.oracle import adapter as adapter_module
 from p4dgs_ref.oracle.adapter import Adapter, AdapterError
-from p4dgs_ref.oracle.checker import judge
 from p4dgs_ref.oracle.ports import PortError
 from p4dgs_ref.oracle.published import Golden
 from tests.sampling import few
@@ -88,12 +86,9 @@ def port(tmp_path):
 def alive(pid):
     """Whether a process runs; one that has ended, but that nobody has looked at since, does not."""
     try:
-        os.kill(pid, 0)
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except ProcessLookupError:
+    except (FileNotFoundError, ProcessLookupError):
         return False
-    except FileNotFoundError:  # gone since, or no such folder here
-        return not Path("/proc/self").exists()
 
 
 def wait_until_gone(pids, seconds=5.0):
@@ -223,7 +218,7 @@ DEATHS = {
 
 @pytest.mark.parametrize("twist", few(DEATHS, 1))
 def test_a_death_costs_one_case(port, twist):
-    ask = port(f"if n == 3: {twist}")
+    ask = port(f"if n == 3: {twist}", timeout=3.0)
     assert verdicts(ask, 2) == ["ok", "ok"]
     kind, message = failure(ask)
     assert kind == "died" and DEATHS[twist] in message
@@ -259,7 +254,7 @@ SLEEPER = "open({!r}, 'a').write(str(subprocess.Popen(['sleep', '60']).pid) + '\
 @pytest.mark.parametrize(
     "twist, words",
     [
-        ("if n: print('warming up')", "'warming up'"),
+        ("if n: print('warming up')", "'warming up"),
         ("if n == 0: answer = {'p4dgs_oracle': 2}", "expected p4dgs_oracle 1, got 2"),
     ],
 )
@@ -292,21 +287,20 @@ FIELDS = {
     "answer['out']['y']['data'] = '!' * 64": "base64",
     "answer['out']['y']['data'] = 5": "base64",
     "answer['out']['y']['data'] = 'AAAA'": "48 bytes for F64 [2, 3], got 3",
-    "answer['out']['y']['dtype'] = 'float64'": "a dtype of F64",
-    "answer['out']['y']['dtype'] = ['F64']": "a dtype of F64",
+    "answer['out']['y']['dtype'] = 'float64'": "out.y.dtype: expected one of F64",
+    "answer['out']['y']['dtype'] = ['F64']": "out.y.dtype: expected one of F64",
     "answer['out']['y']['shape'] = [2, 2]": "32 bytes",
-    "answer['out']['y']['shape'] = 6": "a shape",
-    "answer['out']['y']['shape'] = [-2, -3]": "a shape",
-    "answer['out']['y']['shape'] = [2.0, 3]": "a shape",
+    "answer['out']['y']['shape'] = 6": "out.y.shape",
+    "answer['out']['y']['shape'] = [-2, -3]": "out.y.shape",
+    "answer['out']['y']['shape'] = [2.0, 3]": "out.y.shape",
     "answer['out']['y']['shape'] = [10**9, 10**9, 10**9]": "bytes for",
-    "answer['out']['y']['shape'] = [0] * 99": "a shape",
+    "answer['out']['y']['shape'] = [0] * 99": "out.y.shape",
     "answer['out']['y'].update(dtype='BOOL', shape=[48])": "bytes 0 and 1",
-    "del answer['in_bar']['x']['shape']": "in_bar.x: expected the fields",
-    "answer['out']['y'] = [1.0]": "the fields",
+    "del answer['in_bar']['x']['shape']": "in_bar.x.shape: expected a list",
+    "answer['out']['y'] = [1.0]": "out.y: expected the fields",
     "answer['out'] = [1.0]": "'out': expected an object of arrays",
     "del answer['in_bar']": "'in_bar': expected",
-    "del answer['out']": "expected one of the fields out, skip, error",
-    "answer['skip'] = 'too'": "expected one of",
+    "del answer['out']": "'out': expected an object of arrays",
 }
 
 
@@ -331,22 +325,6 @@ def test_a_port_may_skip_or_fail():
     kind, message = failure(ask)
     assert kind == "error" and len(message) < 400
     assert verdicts(ask, 1) == ["ok"] and ask.child is child
-
-
-def test_the_checker_judges_what_can_be_read():
-    """Extra and missing tensors, NaN and wrong types are its business."""
-    extra = "answer['out']['z'] = answer['out']['y']"
-    less = "answer['in_bar'] = {}"
-    wrong = "answer['out']['y'] = {'dtype': 'F64', 'shape': [1], 'data': 'AAAAAAAA+H8='}"
-    ask, _ = here(f"if n == 1: {extra}\nif n == 2: {less}\nif n == 3: {wrong}")
-    results = [judge(case(x=np.ones(1)), ask)[0] for _ in range(4)]
-    assert [[(f.tensor, f.kind) for f in r.findings] for r in results] == [
-        [("out.z", "extra")],
-        [("in_bar.x", "missing")],
-        [("out.y", "value")],
-        [],
-    ]
-    assert [r.verdict for r in results] == ["fail", "fail", "fail", "pass"]
 
 
 def test_a_port_that_cannot_start_is_given_up(port):
@@ -393,7 +371,7 @@ def test_stopping_the_checker_stops_the_port(port, tmp_path):
     script = (
         "from p4dgs_ref.oracle.adapter import Adapter\nimport signal, sys\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "ask = Adapter(sys.argv[1])\nask.decode('full', b'')\n"
+        "with Adapter(sys.argv[1]) as ask:\n    ask.decode('full', b'')\n"
     )
     checker = subprocess.Popen(
         [sys.executable, "-c", script, shlex.join(port.adapter.command)], stderr=subprocess.PIPE

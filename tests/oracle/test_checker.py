@@ -17,6 +17,7 @@ from p4dgs_ref import oracle
 from p4dgs_ref.__main__ import main
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.oracle import checker, published, report, safetensors
+from p4dgs_ref.oracle.compare import expected
 from p4dgs_ref.oracle.ports import FolderPort, PortError
 from p4dgs_ref.table import EQUATIONS
 from tests.golden.vectors import damaged
@@ -73,6 +74,17 @@ def test_the_worst_element_is_named(tmp_path):
     assert finding.relative == pytest.approx(7e-6 / abs(want))
 
 
+def test_an_image_has_a_bound_for_all_its_pixels_together():
+    """Every pixel is within its own bound here."""
+    case = published.cases("compositing")[0]
+    bounds, scale = case.tolerance("float64"), case.tensors["scale.out.image"]
+    got = expected(case.tensors)
+    for bound, verdict in (bounds["rms_eps_S"], "pass"), (bounds["eps_S"], "fail"):
+        wrong = got["out.image"] + 0.99 * bound * 2.0**-52 * scale
+        found = checker.judge_answer(case, got | {"out.image": wrong})
+        assert found.verdict == verdict and bounds["rms_eps_S"] < bounds["eps_S"]
+
+
 def test_missing_extra_and_damaged_answers_are_reported(tmp_path):
     got = right("offsets") | {"ordinary/out.y": np.ones(3)}
     del got["ordinary/in_bar.l_a"]
@@ -92,17 +104,13 @@ def test_missing_extra_and_damaged_answers_are_reported(tmp_path):
 
 def test_a_misspelt_case_or_subject_is_refused(tmp_path):
     misspelt = {**right("offsets"), "ordinari/out.x": np.ones(2)}
-    with pytest.raises(safetensors.TensorError) as error:
+    with pytest.raises(safetensors.TensorError, match="offsets.safetensors: ordinari.* ordinary,"):
         judge_folder(tmp_path, "offsets", misspelt)
-    assert str(error.value) == (
-        f"{tmp_path}/offsets.safetensors: case 'ordinari': not among the vectors; "
-        "did you mean 'ordinary'?"
-    )
     for wrong, meant in ("ofsets.npz", "offsets"), ("codec/ful.safetensors", "full"):
         folder = tmp_path / meant
         (folder / wrong).parent.mkdir(parents=True)
         (folder / wrong).write_bytes(b"")
-        with pytest.raises(safetensors.TensorError, match=f"did you mean '{meant}'"):
+        with pytest.raises(safetensors.TensorError, match=f"{wrong}: name: .* {meant},"):
             FolderPort(folder)
 
 
@@ -125,7 +133,8 @@ def test_a_port_may_leave_out_a_baseline_but_not_some_of_its_cases(tmp_path):
     assert found.ok and found.levels().keys() == {"baselines"}
     assert found.levels()["baselines"]["passed"] == found.levels()["baselines"]["of"] == passed
     assert f"baselines level L1    {passed} of {passed}\n" in str(found)
-    assert "baselines: 9 equations left out, which is allowed" in str(found)
+    left = sum(not r.required for r in found.results)
+    assert f"baselines: {left} cases left out, which is allowed" in str(found)
     assert {r.verdict for r in found.results} == {"pass", "missing"}
     got = {n: a for n, a in right("marginal").items() if not n.startswith("flashes/")}
     found = judge_folder(tmp_path, "marginal", got)
@@ -135,8 +144,10 @@ def test_a_port_may_leave_out_a_baseline_but_not_some_of_its_cases(tmp_path):
 def test_a_port_without_any_baseline_passes(answered):
     found = checker.check_port(FolderPort(answered), ["L1"])
     assert found.ok and found.levels().keys() == {"L1"}
-    assert "baselines: 10 equations left out" in str(found) and found.first is None
-    assert "beyond: 1 equation left out" in str(found)
+    assert found.first is None
+    for group in published.GROUPS:
+        left = sum(r.group == group for r in found.results)
+        assert f"{group}: {left} cases left out, which is allowed" in str(found)
 
 
 def test_a_process_may_skip_a_baseline():
@@ -249,9 +260,7 @@ def test_commands(answered, capsys):
 
 
 def test_an_export_is_whole_and_no_answer(exported, capsys):
-    folder, done = exported
-    files = [file.stat().st_size for file in folder.rglob("*") if file.is_file()]
-    assert (done["files"], done["bytes"]) == (len(files), sum(files))
+    folder, _ = exported
     assert damaged(folder) == []
     code, out, err = run(capsys, "check", str(folder), "--level", "L1")
     assert code == 2 and not out and err.count("\n") == 1 and "the published vectors" in err
@@ -266,7 +275,7 @@ def test_an_export_is_whole_and_no_answer(exported, capsys):
         (["check", ".", "--dtype", "float32"], "apply to --adapter only"),
         (["check", ".", "--level", "L0", "--only", "offsets"], "no such case"),
         (["export", "."], "expected an empty folder"),
-        (["check", ".", "--only", "ofsets"], "did you mean 'offsets'"),
+        (["check", ".", "--only", "ofsets"], "--only ofsets: did you mean 'offsets'? expected one of"),
     ],
 )
 def test_mistakes_of_the_user(capsys, argv, says):
@@ -330,10 +339,10 @@ def test_answers_to_the_first_version_lack_only_what_joined_since(tmp_path):
 
 
 def test_the_first_version_is_exported_as_it_was(exported):
-    folder, done = exported
+    folder, cases = exported
     manifest = published.read_manifest(folder)
     assert manifest["version"] == "v1.0"
-    assert done["cases"] == len(ids(FIRST)) + len(manifest["streams"])
+    assert cases == len(ids(FIRST)) + len(manifest["streams"])
     assert "since" not in json.dumps(manifest)
     names = {file.name for file in folder.glob("*.safetensors")}
     assert names == set(manifest["files"]) and "kernel.safetensors" not in names
@@ -353,15 +362,11 @@ def test_commands_know_both_versions(capsys):
 
 
 def test_half_precision_is_told_why_it_is_not_judged(tmp_path):
-    result = judged(write(tmp_path, offsets=right("offsets", np.float16)))
+    result = judge_folder(tmp_path, "offsets", right("offsets", np.float16)).results[0]
     assert result.verdict == "fail" and "half precision is not judged" in result.findings[0].message
     file = tmp_path / "offsets.safetensors"
     file.write_bytes(file.read_bytes().replace(b'"F16"', b'"B16"'))
-    result = judged(tmp_path)
+    result = checker.check_port(FolderPort(tmp_path), only="offsets").results[0]
     assert result.verdict == "damaged" and "bfloat16 is not judged" in result.explanation
     page = (published.FOLDER / "README.md").read_text(encoding="utf-8")
     assert "Half and bfloat16 are not judged" in page and "compiling just in time" in page
-
-
-def judged(folder):
-    return checker.check_port(FolderPort(folder), only="offsets").results[0]

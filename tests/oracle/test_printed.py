@@ -11,7 +11,7 @@ import pytest
 
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.oracle import checker, doctor, published, report, safetensors
-from p4dgs_ref.oracle import printed as scales
+from p4dgs_ref.oracle import compare as scales
 from p4dgs_ref.oracle.compare import expected
 from tests.golden import printed
 from tests.oracle.answers import Port, case_of, in_precision, ours, write
@@ -138,9 +138,9 @@ def test_equal_images_have_a_scale(dtype):
 @pytest.mark.parametrize("key", few(printed.FORMULAS, 2))
 def test_the_file_is_what_the_workshop_measures(key):
     """Scales within a factor of two, because roundings differ between machines."""
-    stored, made = safetensors.load(scales.FILE.read_bytes()), printed.build((key,))
+    stored, made = safetensors.load(scales.PRINTED.read_bytes()), printed.build((key,))
     stored = {name: a for name, a in stored.items() if name.split("/")[1] == key}
-    assert set(stored) == set(made) and scales.FILE.stat().st_size < 40_000
+    assert set(stored) == set(made) and scales.PRINTED.stat().st_size < 40_000
     for name, a in stored.items():
         if a.dtype.kind == "b":
             assert np.array_equal(a, made[name]), name

@@ -12,7 +12,7 @@ import pytest
 from p4dgs_ref.codec import published
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.codec.file import quantised_of
-from p4dgs_ref.oracle import checker, export, safetensors, streams
+from p4dgs_ref.oracle import checker, safetensors, streams
 from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.oracle.ports import FolderPort, PortError
 from tests.golden.vectors import stream_records
@@ -45,7 +45,7 @@ for text in sys.stdin:
 def ours(tmp_path_factory):
     """What this project's decoder finds, as files; nothing may write into it."""
     folder = tmp_path_factory.mktemp("ours")
-    export.write_expected(folder)
+    streams.write_expected(folder)
     return folder
 
 
@@ -69,7 +69,7 @@ def change(folder, name, **arrays):
     """Replace arrays of one answer; None takes one away."""
     path = folder / "codec" / f"{name}.safetensors"
     kept = {**safetensors.load(path.read_bytes()), **arrays}
-    path.write_bytes(safetensors.dump({n: a for n, a in kept.items() if a is not None})[0])
+    path.write_bytes(safetensors.dump({n: a for n, a in kept.items() if a is not None}))
 
 
 def read(folder, name):
@@ -97,7 +97,7 @@ def test_they_come_from_the_decoder(tmp_path, monkeypatch):
         return quantised._replace(positions=quantised.positions ^ 1)
 
     monkeypatch.setattr(streams, "quantised_of", lossy)
-    export.write_expected(tmp_path)
+    streams.write_expected(tmp_path)
     wrong = check(tmp_path)
     assert set(wrong) == set(GOOD)
     assert {r.findings[0].tensor for r in wrong.values()} == {"positions"}
@@ -226,14 +226,14 @@ def test_a_port_may_leave_out_version_2(folder, why):
     forget(folder, VALID_2, why)
     found = checker.check_port(FolderPort(folder), only="codec")
     assert found.ok and found.levels()["L3"]["of"] == len(GOOD + BAD) - len(VALID_2)
-    assert "version 2: 6 streams left out, which is allowed" in str(found)
+    assert "L3: 6 cases left out, which is allowed" in str(found)
     assert {r.id[6:] for r in found.results if not r.required} == set(VALID_2)
     assert {r.verdict for r in found.results if not r.required} == {"skipped"}
     forget(folder, VERSION_2, why)
     found = checker.check_port(FolderPort(folder), only="codec")
     left = VALID_2 if why else VERSION_2  # invalid streams that are refused count as passes
     assert found.ok and {r.id[6:] for r in found.results if not r.required} == set(left)
-    assert f"version 2: {len(left)} streams left out" in str(found)
+    assert f"L3: {len(left)} cases left out" in str(found)
 
 
 @pytest.mark.parametrize("why", ["version 2", None])
@@ -308,8 +308,8 @@ def test_a_process_may_skip_version_2():
 
 def test_the_manifest_says_where_and_what(tmp_path):
     """Every file that a record names lies where `copy` puts it, with its checksum."""
-    export.copy_streams(tmp_path)
-    export.copy_streams(tmp_path)  # over what is there
+    streams.copy_streams(tmp_path)
+    streams.copy_streams(tmp_path)  # over what is there
     records = stream_records()
     assert [r["result"] for r in records] == ["valid"] * len(GOOD) + ["invalid"] * len(BAD)
     assert len({r["id"] for r in records}) == len(records)

@@ -53,7 +53,7 @@ def files():
 
 
 def packed(arrays):
-    return gzip.compress(safetensors.dump(arrays)[0], mtime=0)
+    return gzip.compress(safetensors.dump(arrays), mtime=0)
 
 
 def kept(name, data):
