@@ -71,7 +71,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .fixed_point import table as normative
+from .fixed_point import table
 
 MU_BITS, SIGMA_BITS, PRECISION = 10, 4, 24
 MU_LIMIT = 1 << 34
@@ -79,7 +79,7 @@ SIGMA_MIN, SIGMA_MAX = -8 << SIGMA_BITS, (20 << SIGMA_BITS) - 1
 Z_BITS, PHI_BITS, EXP2_BITS = 14, 6, 16  # fractional bits of z, of phi's argument, and of exp2
 Z_LIMIT = 6 << Z_BITS
 HALF = 1 << MU_BITS - 1  # half a symbol
-CHUNK, TABLES = 1 << 15, 1 << 12  # symbols and tables processed at a time, to fit the cache
+CHUNK, TABLES = 1 << 15, 1 << 9  # symbols and tables processed at a time, to fit the cache
 
 
 class Model(NamedTuple):
@@ -124,13 +124,18 @@ def gaussian_model(mu_units, sigma_units):
 
     pairs = np.flatnonzero(used)
     sigma_units, place = (pairs >> MU_BITS) + SIGMA_MIN, pairs & (1 << MU_BITS) - 1
-    _, _, low, reach = shape_of(sigma_units)
-    keys, first = build_keys(sigma_units, place)
+    parts = [
+        keys_of(sigma_units[a : a + TABLES], place[a : a + TABLES]) + (a << PRECISION)
+        for a in range(0, len(pairs), TABLES)
+    ]
     table_of_pair = np.empty(len(used), np.int32)
     table_of_pair[pairs] = np.arange(len(pairs))
     for a in range(0, len(pair), CHUNK):  # in place: from here on a pair is the number of its table
         pair[a : a + CHUNK] = table_of_pair[pair[a : a + CHUNK]]
-    return Model(keys, first, 2 * reach + 1, low, pair, lowest)
+    _, _, low, reach = shape_of(sigma_units)
+    entries = 2 * reach + 2
+    keys = np.concatenate([*parts, [len(pairs) << PRECISION]])
+    return Model(keys, np.cumsum(entries) - entries, entries - 1, low, pair, lowest)
 
 
 def check_integers(name, values, shape, low, high):
@@ -145,38 +150,25 @@ def check_integers(name, values, shape, low, high):
         )
 
 
-def build_keys(sigma_units, place):
-    """The keys of U tables and the index of each table's first entry, from arrays [U].
+def keys_of(sigma_units, place):
+    """The keys of a few tables (parts 5 and 6), counted from 0, without the closing one.
 
     `place` is mu' modulo one block, in units of 1/1024 symbol.
     """
-    entries = 2 * shape_of(sigma_units)[3] + 2
-    ends = np.cumsum(entries)
-    keys, first = np.empty(int(entries.sum()) + 1, np.int64), ends - entries
-    for a in range(0, len(entries), TABLES):
-        rows = slice(a, a + TABLES)
-        keys_here = keys_of(sigma_units[rows], place[rows])
-        keys[first[a] : ends[rows][-1]] = keys_here + (a << PRECISION)
-    keys[-1] = len(entries) << PRECISION
-    return keys, first
-
-
-def keys_of(sigma_units, place):
-    """The keys of a few tables (parts 5 and 6), counted from 0, without the closing one."""
-    phi, exp2 = normative("phi"), normative("exp2")
+    phi, exp2 = table("phi"), table("exp2")
     e, _, low, reach = shape_of(sigma_units)
     entries = 2 * reach + 2
-    table = np.repeat(np.arange(len(entries)), entries)
-    j = np.arange(len(table)) - (np.cumsum(entries) - entries)[table]
+    number = np.repeat(np.arange(len(entries)), entries)  # of each entry's table
+    j = np.arange(len(number)) - (np.cumsum(entries) - entries)[number]
     unit, scale = MU_BITS + low, exp2[sigma_units & (1 << SIGMA_BITS) - 1]
     lowest = (place + HALF >> unit) - reach
     # |K 2^(10+low) - 512 - mu'| <= 195 * 2^25 < 2^33, times exp2 <= 2^16: below 2^49. It is linear
     # in j, so everything but j is computed once for a table.
     below_first, step = ((lowest << unit) - (HALF + place)) * scale, scale << unit
-    z = below_first[table] + j * step[table] >> (EXP2_BITS + MU_BITS - Z_BITS + e)[table]
+    z = below_first[number] + j * step[number] >> (EXP2_BITS + MU_BITS - Z_BITS + e)[number]
     z = np.clip(z, -Z_LIMIT, Z_LIMIT - 1) + Z_LIMIT
     i, r = z >> Z_BITS - PHI_BITS, z & (1 << Z_BITS - PHI_BITS) - 1
     C = phi[i] + (np.diff(phi)[i] * r >> Z_BITS - PHI_BITS)
     # entries = n + 1, and the product stays below 2^48
-    cum = (C * ((1 << PRECISION) - entries)[table] >> PRECISION) + j
-    return (table << PRECISION) + cum
+    cum = (C * ((1 << PRECISION) - entries)[number] >> PRECISION) + j
+    return (number << PRECISION) + cum
