@@ -80,7 +80,7 @@ from .fixed_point import bit_length
 PRECISION, WORD, LOWEST = 24, 32, 1 << 31
 CERTAIN, SLOT, LOW_WORD = 1 << PRECISION, (1 << PRECISION) - 1, (1 << WORD) - 1
 MAX_LANES, MIN_LANES, BITS_PER_LANE = 1024, 32, 5000
-PIECE = 8192  # numbers converted to Python integers at a time
+PIECE = 8 * MAX_LANES  # numbers converted to Python integers at a time: whole rows
 
 
 def encode(entries, keys, lanes=None, push_rows=None):
@@ -287,11 +287,11 @@ def pop_rows_plainly(states, words, tables, keys, entries):
     bases = np.arange(0, keys[-1] + 1, CERTAIN)
     first = keys.searchsorted(bases).tolist()
     spans = list(zip(bases.tolist(), first, first[1:]))  # of a table: its first key, its entries
-    states, lanes = [*states], cycle(range(len(states)))
+    states, lanes = [*states], range(len(states))
     for a in range(0, len(tables), PIECE):
         stack, found = words[:PIECE][::-1].tolist(), []  # a symbol takes one word at most
         given, used = len(stack), tables[a : a + PIECE].tolist()
-        for lane, (base, low, high) in zip(lanes, map(spans.__getitem__, used)):
+        for lane, (base, low, high) in zip(cycle(lanes), map(spans.__getitem__, used)):
             x = states[lane]
             slot = base | x & SLOT
             following = bisect_right(edges, slot, low, high)  # searches one table only
