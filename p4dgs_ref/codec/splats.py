@@ -33,7 +33,7 @@ PROPERTIES = (
 
 
 def write_gaussians(path: str | Path, gaussians: Gaussians, comments: Iterable[str] = ()) -> None:
-    """Write Gaussians as 3DGS does; `comments` go to the header.
+    """Write Gaussians as 3DGS does; `comments` go to the header, in ASCII and cut to one line.
 
     Raises SceneError where a number is NaN or infinite as float32.
     """
@@ -50,10 +50,5 @@ def write_gaussians(path: str | Path, gaussians: Gaussians, comments: Iterable[s
         rows = np.concatenate(columns, axis=1).astype("<f4")
     bad = np.count_nonzero(~np.isfinite(rows).all(axis=1))
     require(not bad, path, f"{bad} Gaussians are NaN or infinite; expected finite numbers")
-    write_ply(path, {"vertex": (PROPERTIES, rows)}, map(printable, comments))
-
-
-def printable(text):
-    """As much of a text as fits into a line of a header, in printable ASCII."""
-    words = " ".join(text.split())[:LONGEST_COMMENT]
-    return "".join(c if " " <= c <= "~" else "?" for c in words)
+    lines = [ascii(text)[1:-1][:LONGEST_COMMENT] for text in comments]
+    write_ply(path, {"vertex": (PROPERTIES, rows)}, lines)
