@@ -151,14 +151,13 @@ def coding_context(design, networks, grids, positions):
     (12) in integers; choices Q6 (one step per group), Q7, Q8 and Q11.
     """
     psi_q, psi_p = (whole_layers(*networks[name]) for name in ("psi_q", "psi_p"))
-    A, n = len(positions), sum(design.widths)
-    ctx = CodingContext(np.empty((A, 4)), np.empty((A, n), np.int64), np.empty((A, n), np.int32))
-    rows = CHUNK // max(len(design.grid) * design.F, 8 * max(design.F, 3), *design.context, 2 * n)
-    for a in range(0, A, rows):
-        h = hash_feature(positions[a : a + rows], grids, design)
-        for whole, part in zip(ctx, context_of(h, psi_q, psi_p, design)):
-            whole[a : a + rows] = part
-    return ctx
+    columns = len(design.grid) * design.F, 8 * max(design.F, 3), 2 * sum(design.widths)
+    rows = CHUNK // max(*columns, *design.context)
+    parts = [
+        context_of(hash_feature(positions[a : a + rows], grids, design), psi_q, psi_p, design)
+        for a in range(0, len(positions), rows)
+    ]
+    return CodingContext(*map(np.concatenate, zip(*parts)))
 
 
 def context_of(h, psi_q, psi_p, design):
@@ -187,4 +186,4 @@ def context_of(h, psi_q, psi_p, design):
     log2_sigma = np.clip(raw, int(RAW_MIN) << 16, int(RAW_MAX) << 16) * LOG2_E + 2**15 >> 16
     sigma_units = (log2_sigma - log2_q[:, group] + (1 << 15 - SIGMA_BITS)) >> 16 - SIGMA_BITS
     q = q_units * (np.array(design.Q_0) * 2.0**-15)
-    return q, mu_units, np.clip(sigma_units, SIGMA_MIN, SIGMA_MAX)
+    return q, mu_units, np.clip(sigma_units, SIGMA_MIN, SIGMA_MAX).astype(np.int32)

@@ -104,10 +104,9 @@ def read_header(data, version=1):
         pairs = json.loads(str(data, "ascii"), object_pairs_hook=tuple)
     except (ValueError, RecursionError):
         pairs = []
-    expect(isinstance(pairs, tuple), "expected a JSON object")
-    fields = dict(pairs)
-    expect(len(pairs) == len(fields), "expected no field twice")
-    needed = FIELDS
+    whole = isinstance(pairs, tuple) and len(dict(pairs)) == len(pairs)
+    expect(whole, "expected a JSON object with no field twice")
+    fields, needed = dict(pairs), FIELDS
     if version == 2:
         base = fields.pop("as", None)
         expect(base in tuple(BASES), f"field 'as': expected one of {', '.join(BASES)}")

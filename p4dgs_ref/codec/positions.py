@@ -39,7 +39,15 @@ import numpy as np
 from ..model import LATTICE, on_lattice
 from .container import require
 from .fixed_point import bit_length
-from .streams import MAX_GAMMA, gamma_fields, pack_fields, raw_bits, read_gammas, unpack_fields
+from .streams import (
+    MAX_GAMMA,
+    expect_end,
+    gamma_fields,
+    pack_fields,
+    raw_bits,
+    read_gammas,
+    unpack_fields,
+)
 
 
 def extended(box):
@@ -63,9 +71,10 @@ def write_gaps(positions, box, bits):
     choices = range(max(most - MAX_GAMMA, 0), most + 1)
     r = min(choices, key=lambda r: int((r + 2 * bit_length((gaps >> r) + 1)).sum()))
     high, widths = gamma_fields((gaps >> r) + 1)
-    low = gaps & (1 << r) - 1
-    widths = np.concatenate([np.full(len(gaps), r), widths])
-    return bytes([r]) + pack_fields(np.concatenate([low, high]), widths)
+    return bytes([r]) + pack_fields(
+        np.concatenate([gaps & (1 << r) - 1, high]),
+        np.concatenate([np.full(len(gaps), r), widths]),
+    )
 
 
 def read_gaps(data, start, count, box, bits):
@@ -84,8 +93,7 @@ def read_gaps(data, start, count, box, bits):
     require(enough, name, len(data), "the data end before the last bit of a gap")
     low = unpack_fields(raw_bits(data, at, end), np.full(count, r))
     gamma, end = read_gammas(data, end, count, name)
-    rest = raw_bits(data, end, min(end + 8, 8 * len(data)))
-    require(len(rest) < 8 and not rest.any(), name, end // 8, "bits left over")
+    expect_end(data, end, name)
     # A gap larger than every code is cut to the first number beyond them: no sum overflows.
     codes = np.cumsum((np.minimum(gamma - 1, 1 << most - r) << r) + low)
     require((codes >> most == 0).all(), name, start, f"gaps that add up to 2^{most} or more")

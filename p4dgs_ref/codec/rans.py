@@ -110,8 +110,7 @@ def choose_lanes(freqs):
     length = bit_length(freqs)
     bits = (PRECISION + 2 - length << PRECISION) - (freqs << PRECISION + 1 - length)
     most = (int(bits.sum()) >> PRECISION) // BITS_PER_LANE
-    lanes = min(1 << max(most.bit_length() - 1, 0), MAX_LANES)
-    return lanes if lanes >= MIN_LANES else 1
+    return min(1 << most.bit_length() - 1, MAX_LANES) if most >= MIN_LANES else 1
 
 
 def push_tail(starts, freqs, lanes):
@@ -156,9 +155,8 @@ def close_lanes(states):
     x, words = states[0], []
     for state in reversed(states[1:]):
         n = state.bit_length() - 32
-        x = push_bits(x, 31, state & LOWEST - 1, words)
-        x = push_bits(x, n, (state >> 31) - (1 << n), words)
-        x = push_bits(x, 5, n, words)
+        for b, v in (31, state & LOWEST - 1), (n, (state >> 31) - (1 << n)), (5, n):
+            x = push_bits(x, b, v, words)
     return x, words
 
 

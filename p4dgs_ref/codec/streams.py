@@ -96,8 +96,7 @@ def decode_symbols(data, model, section="stream", pop_rows=None, at=0):
             start,
             f"a symbol of magnitude {largest}, expected at most 2^31",
         )
-    rest = raw_bits(data, end, min(end + 8, 8 * len(data)))
-    require(len(rest) < 8 and not rest.any(), section, end // 8, "bits left over")
+    expect_end(data, end, section)
     return symbols
 
 
@@ -105,6 +104,12 @@ def raw_bits(data, start, stop):
     """The bits from start to stop of bytes, the lowest of a byte first: an array of 0 and 1."""
     raw = np.frombuffer(data, np.uint8, (stop + 7) // 8 - start // 8, start // 8)
     return np.unpackbits(raw, bitorder="little")[start % 8 :][: stop - start]
+
+
+def expect_end(data, end, section):
+    """Refuse data in which anything but unused zeros follows bit `end`."""
+    rest = raw_bits(data, end, min(end + 8, 8 * len(data)))
+    require(len(rest) < 8 and not rest.any(), section, end // 8, "bits left over")
 
 
 def ideal_bits_gaussian(symbols, mu_units, sigma_units):
