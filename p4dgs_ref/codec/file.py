@@ -18,8 +18,8 @@ two kinds of streams in `streams.py`. A is the number of anchors.
     10  anchor_mlps      float16    psi_alpha, psi_c, psi_r, psi_s
     11  context_mlps     float16    psi_p, psi_q
 
-In version 2, `positions.py` says what follows the box in section 2, and `weights.py` what sections
-9 to 11 hold. All other sections are the same.
+In version 2, `version_2.py` says what follows the box in section 2 and what sections 9 to 11 hold.
+All other sections are the same.
 
 All numbers are little-endian. A decoder needs the sections in another order: it reads header,
 positions, hash_grid and context_mlps and computes the coding context (`context.py`). It can then
@@ -89,10 +89,9 @@ from .container import SECTIONS, BitstreamError, open_container, require, write_
 from .context import coding_context
 from .gaussian_table import gaussian_model
 from .header import check_work, read_header, write_header
-from .positions import read_gaps, write_gaps
 from .quantise import BOX, EncodeError, Quantised, coded, dequantise, quantise, valid_box
 from .streams import decode_bits, decode_symbols, encode_bits, encode_gaussian
-from .weights import networks_of, read_weights, write_weights
+from .version_2 import networks_of, read_gaps, read_weights, write_gaps, write_weights
 
 NETWORK_SECTIONS = {
     "anchor_mlps": ANCHOR_NETWORKS,

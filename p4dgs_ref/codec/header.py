@@ -36,7 +36,7 @@ parser needs many times the memory of its text.
 VERSION 2. The header has two more fields:
 
     as             the name of a base design
-    position_bits  bits of a coordinate of a position (`positions.py`): 1 to 16
+    position_bits  bits of a coordinate of a position (`version_2.py`): 1 to 16
 
 `as` and `anchors` must be there. Any other field that is missing has the value of the base design.
 The limits above hold for all values together. The base designs stand at the end of this page and in

@@ -23,7 +23,7 @@ from ..scenes.scene import LARGEST_BOX, MOST_STEPS
 from .container import BitstreamError
 from .context import CodingContext, coding_context
 from .header import read_header, write_header
-from .positions import codes_of
+from .version_2 import codes_of
 
 BOX = f"lo <= hi, finite, within +-{LARGEST_BOX:g}"  # what the box of a file must be
 
@@ -68,7 +68,7 @@ def quantise(model):
     Anchors whose children are all masked are dropped, except that one anchor always stays. In a
     scene without view effects, hidden units that are zero for every anchor are dropped too. Dropped
     and masked numbers may have any value; all others must be finite. The coded design sorts the
-    anchors (`positions.py`).
+    anchors (`version_2.py`).
 
     Raises EncodeError, which names the array, and OverflowError, which names the element, where
     |f / q| is more than 2^31.
