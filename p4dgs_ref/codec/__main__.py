@@ -9,7 +9,7 @@ import sys
 from importlib import import_module
 from textwrap import fill
 
-from .fixed_point import table
+from .gaussian_table import table
 from .header import BASES
 
 PARTS = (
@@ -18,7 +18,6 @@ PARTS = (
     "header",
     "version_2",
     "context",
-    "fixed_point",
     "gaussian_table",
     "streams",
     "rans",

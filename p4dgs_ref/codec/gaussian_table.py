@@ -67,11 +67,12 @@ Worked numbers. mu / q = 0.3 and sigma / q = 1.5 give mu_units = 307 and sigma_u
 The symbol 0 therefore has the frequency 4352098, a probability of 0.2594, and costs 1.947 bits.
 """
 
+import json
+from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-
-from .fixed_point import table
 
 MU_BITS, SIGMA_BITS, PRECISION = 10, 4, 24
 MU_LIMIT = 1 << 34
@@ -91,6 +92,13 @@ class Model(NamedTuple):
     low: np.ndarray  # [U]  number of raw bits per symbol
     table: np.ndarray  # [n]  which table each symbol uses, int32
     lowest: np.ndarray  # [n]  c - W, the first block of the symbol's table, int32
+
+
+@cache
+def table(name):
+    """A table of `tables.json`, int64. The tables are part of the format: do not recompute them."""
+    tables = json.loads(Path(__file__).with_name("tables.json").read_text())
+    return np.array(tables[name], np.int64)
 
 
 def shape_of(sigma_units):

@@ -75,12 +75,16 @@ from itertools import cycle
 import numpy as np
 
 from .container import BitstreamError, require
-from .fixed_point import bit_length
 
 PRECISION, WORD, LOWEST = 24, 32, 1 << 31
 CERTAIN, SLOT, LOW_WORD = 1 << PRECISION, (1 << PRECISION) - 1, (1 << WORD) - 1
 MAX_LANES, MIN_LANES, BITS_PER_LANE = 1024, 32, 5000
 PIECE = 8 * MAX_LANES  # numbers converted to Python integers at a time: whole rows
+
+
+def bit_length(values):
+    """The number of binary digits of integers from 0 to 2^53, int64."""
+    return np.frexp(values)[1].astype(np.int64)
 
 
 def encode(entries, keys, lanes=None, push_rows=None):

@@ -39,7 +39,6 @@ import numpy as np
 from ..scenes.scene import MOST_SYMBOL
 from . import rans
 from .container import require
-from .fixed_point import bit_length
 from .gaussian_table import CHUNK, PRECISION, gaussian_model
 
 MAX_GAMMA = 33
@@ -121,7 +120,7 @@ def ideal_bits_gaussian(symbols, mu_units, sigma_units):
     entries, gamma = find_entries(symbols, model)
     bits = PRECISION - np.log2(np.diff(model.keys)[entries]) + model.low[model.table]
     escaped = entries - model.first[model.table] == model.blocks[model.table]
-    bits[escaped] += 2 * bit_length(gamma) - 1
+    bits[escaped] += 2 * rans.bit_length(gamma) - 1
     return bits
 
 
@@ -138,7 +137,7 @@ def find_entries(symbols, model):
 
 def gamma_fields(values):
     """The gamma codes of integers as two fields each: b zeros and a one, then r in b bits."""
-    b = bit_length(values) - 1
+    b = rans.bit_length(values) - 1
     fields = np.stack([1 << b, values - (1 << b)], axis=1).ravel()
     return fields, np.stack([b + 1, b], axis=1).ravel()
 

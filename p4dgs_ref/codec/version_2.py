@@ -75,7 +75,6 @@ from ..model import LATTICE, on_lattice, step_of_code
 from ..scenes.scene import MOST_STEPS
 from . import rans
 from .container import require
-from .fixed_point import bit_length
 from .gaussian_table import SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, gaussian_model
 from .streams import (
     MAX_GAMMA,
@@ -116,7 +115,7 @@ def write_gaps(positions, box, bits):
     gaps = np.diff(codes_of(positions, box, bits), prepend=0)
     most = bits * len(extended(box))
     choices = range(max(most - MAX_GAMMA, 0), most + 1)
-    r = min(choices, key=lambda r: int((r + 2 * bit_length((gaps >> r) + 1)).sum()))
+    r = min(choices, key=lambda r: int((r + 2 * rans.bit_length((gaps >> r) + 1)).sum()))
     high, widths = gamma_fields((gaps >> r) + 1)
     return bytes([r]) + pack_fields(
         np.concatenate([gaps & (1 << r) - 1, high]),
