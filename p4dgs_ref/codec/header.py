@@ -146,8 +146,7 @@ def check_work(design, anchors, size):
         numbers <= most,
         f"{numbers} numbers declared, expected at most {most} in sections of {size} bytes",
     )
-    layers = design.layers()
-    weights = sum(rows * columns for name in CONTEXT_NETWORKS for rows, columns in layers[name])
+    weights = sum(I * J for name in CONTEXT_NETWORKS for I, J in design.layers()[name])
     nodes = sum(2 ** len(axes) for axes, _ in design.grid)
     work, most = anchors * (weights + nodes * 64 * (design.F + 8)), 2**34 + 2**15 * size
     expect(

@@ -88,12 +88,11 @@ def decode_symbols(data, model, section="stream", pop_rows=None, at=0):
         low = raw_bits(data, at, at + int(widths.sum()))
         symbols[rows] = (model.lowest[rows] + place << widths) + unpack_fields(low, widths)
         at += len(low)
-        largest = np.abs(symbols[rows]).max()
         require(
-            largest <= MOST_SYMBOL,
+            np.abs(symbols[rows]).max() <= MOST_SYMBOL,
             section,
             start,
-            f"a symbol of magnitude {largest}, expected at most 2^31",
+            "a symbol beyond +-2^31",
         )
     expect_end(data, end, section)
     return symbols
@@ -214,8 +213,7 @@ def decode_bits(data, count, section="stream"):
     if f in (0, rans.CERTAIN):
         bits = np.full(count, f == rans.CERTAIN)
     else:
-        tables = np.zeros(count, np.uint8)
-        entries, end = rans.decode(data, tables, bit_keys(f), end, section)
+        entries, end = rans.decode(data, np.zeros(count, np.uint8), bit_keys(f), end, section)
         bits = entries.astype(bool)
     require(len(data) == end, section, end, f"{len(data) - end} bytes left over")
     return bits

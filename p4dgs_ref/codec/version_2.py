@@ -135,8 +135,12 @@ def read_gaps(data, start, count, box, bits):
     at = 8 * (start + 1)
     end = at + r * count
     # At least one more bit per gap, so that a wrong count is refused before it costs memory.
-    enough = end + count <= 8 * len(data)
-    require(enough, name, len(data), "the data end before the last bit of a gap")
+    require(
+        end + count <= 8 * len(data),
+        name,
+        len(data),
+        "the data end before the last bit of a gap",
+    )
     low = unpack_fields(raw_bits(data, at, end), np.full(count, r))
     gamma, end = read_gammas(data, end, count, name)
     expect_end(data, end, name)

@@ -330,7 +330,7 @@ def test_symbols_beyond_2_to_the_31_are_refused():
     zero = np.zeros(2, int)
     data = encode_gaussian(np.array([2**31, 0]), zero, zero)
     # The same tables five symbols higher
-    assert "at most 2^31" in outcome(data, zero + 5 * 1024, zero)
+    assert "beyond +-2^31" in outcome(data, zero + 5 * 1024, zero)
 
 
 def test_damaged_bit_streams():
