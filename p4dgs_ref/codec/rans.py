@@ -284,28 +284,27 @@ def pop_rows_plainly(states, words, tables, keys, entries):
 
     With one lane it is step 1.
     """
+    starts, freqs = keys & SLOT, np.diff(keys)
     # Lists are faster to read than arrays, but take time to make.
-    edges = keys.tolist() if len(keys) < 4 * len(tables) else memoryview(keys)
-    bases = np.arange(0, keys[-1] + 1, CERTAIN)
-    first = keys.searchsorted(bases).tolist()
-    spans = list(zip(bases.tolist(), first, first[1:]))  # of a table: its first key, its entries
+    fewer = len(keys) < 4 * len(tables)
+    starts, freqs = (a.tolist() if fewer else memoryview(a) for a in (starts, freqs))
+    first = keys.searchsorted(np.arange(0, keys[-1] + 1, CERTAIN))  # entry of every table
     states, lanes = [*states], range(len(states))
     for a in range(0, len(tables), PIECE):
         stack, found = words[:PIECE][::-1].tolist(), []  # a symbol takes one word at most
-        given, used = len(stack), tables[a : a + PIECE].tolist()
-        for lane, (base, low, high) in zip(cycle(lanes), map(spans.__getitem__, used)):
+        given, used = len(stack), tables[a : a + PIECE]
+        lows, highs = first[used].tolist(), first[1:][used].tolist()
+        for lane, low, high in zip(cycle(lanes), lows, highs):
             x = states[lane]
-            slot = base | x & SLOT
-            following = bisect_right(edges, slot, low, high)  # searches one table only
-            start = edges[following - 1]
-            x = (x >> PRECISION) * (edges[following] - start) + (slot - start)
+            slot = x & SLOT
+            entry = bisect_right(starts, slot, low, high) - 1  # searches one table only
+            x = (x >> PRECISION) * freqs[entry] + slot - starts[entry]
             if x < LOWEST:
                 x = x << WORD | stack.pop()
             states[lane] = x
-            found.append(following)
+            found.append(entry)
         entries[a : a + PIECE] = found
         words = words[given - len(stack) :]
-    entries -= 1
     return states, words
 
 
