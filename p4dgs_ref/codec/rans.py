@@ -122,7 +122,7 @@ def push_tail(starts, freqs, lanes):
     x, stack, left = LOWEST, [], len(starts)
     some = lanes if lanes > 1 else PIECE
     # Starting a lane takes 31 bits, so as many words as lanes suffice.
-    while left and (lanes == 1 or left % lanes or len(stack) < lanes):
+    while left and (lanes == 1 or len(stack) < lanes):
         first = (left - 1) // some * some
         (x,), words = push_rows_plainly([x], starts[first:left], freqs[first:left])
         left, stack = first, stack + words[::-1]
