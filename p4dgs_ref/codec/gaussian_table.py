@@ -80,7 +80,7 @@ SIGMA_MIN, SIGMA_MAX = -8 << SIGMA_BITS, (20 << SIGMA_BITS) - 1
 Z_BITS, PHI_BITS, EXP2_BITS = 14, 6, 16  # fractional bits of z, of phi's argument, and of exp2
 Z_LIMIT = 6 << Z_BITS
 HALF = 1 << MU_BITS - 1  # half a symbol
-CHUNK, TABLES = 1 << 15, 1 << 9  # symbols and tables processed at a time, to fit the cache
+CHUNK, TABLES = 1 << 15, 1 << 12  # symbols and tables processed at a time, to fit the cache
 
 
 class Model(NamedTuple):
