@@ -7,7 +7,6 @@
 # exercises.
 #
 # **Files:** [context.py](../p4dgs_ref/codec/context.py),
-# [fixed_point.py](../p4dgs_ref/codec/fixed_point.py),
 # [container.py](../p4dgs_ref/codec/container.py).
 
 # %%
@@ -19,7 +18,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from p4dgs_ref import look_at, oracle
-from p4dgs_ref.codec import container, context, fixed_point, published
+from p4dgs_ref.codec import container, context, published
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
 from p4dgs_ref.codec.quantise import dequantise
 from p4dgs_ref.equations import hash_grid, prior
@@ -357,13 +356,13 @@ def shuffled(x, W):
     return y
 
 
-ordinary = fixed_point.product
-fixed_point.product = shuffled
+ordinary = context.product
+context.product = shuffled
 for _ in range(20):
     again = context.coding_context(design, model.networks, model.grids, quantised.positions)
     for a, b in zip(again, quantised.context):
         assert np.array_equal(a, b)
-fixed_point.product = ordinary
+context.product = ordinary
 rows = [row for row in inspect.ledger(data) if row["name"] in ATTRIBUTE_SECTIONS]
 by_tables = sum(row["integer_bytes"] for row in rows)
 by_floats = sum(row["estimate_bytes"] for row in rows)
@@ -408,15 +407,15 @@ stored = {array["name"]: streams.stored(row, array) for array in row["arrays"]}
 stream = (published.FOLDER / "full.p4dgs").read_bytes()
 full = quantised_of(container.open_container(stream)).model
 widths = full.design.widths
-layers = fixed_point.whole_layers(*full.networks["psi_p"])
+layers = context.whole_layers(*full.networks["psi_p"])
 h = stored["h"].astype(float)
-y = fixed_point.run_network(h, layers)
+y = context.run_network(h, layers)
 of_sigma = y[:, prior.layout(widths)[1]]
-raw = fixed_point.rescale(of_sigma, layers[-1].bits, 16, 2**24)
+raw = context.rescale(of_sigma, layers[-1].bits, 16, 2**24)
 raw = np.clip(raw, -14 << 16, 6 << 16)
 fraction, p = np.frexp(full.design.Q_0)
 D = np.floor(fraction * 2**24).astype(int) * stored["q_units"]
-log2_D = np.repeat(fixed_point.log2(D), widths, axis=1)
+log2_D = np.repeat(context.log2(D), widths, axis=1)
 exponents = np.repeat(p.astype(int), widths)
 with suppress(NotImplementedError):
     answer_2 = my_network(h, layers)

@@ -10,7 +10,7 @@
 #
 # **Files:** [weight_bits.py](../p4dgs_ref/equations/weight_bits.py) (the equation),
 # [coded_networks.py](../p4dgs_ref/training/coded_networks.py) (training),
-# [weights.py](../p4dgs_ref/codec/weights.py) (the format).
+# [version_2.py](../p4dgs_ref/codec/version_2.py) (the format).
 
 # %%
 import csv
@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from p4dgs_ref.codec.weights import write_weights
+from p4dgs_ref.codec.version_2 import write_weights
 from p4dgs_ref.equations import mlp, noise, positional_encoding, weight_bits
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.lab.writer import bd_rate

@@ -7,7 +7,7 @@
 #
 #     python tutorials/beyond_positions.py report/bouncing.p4dgs
 #
-# **Files:** [positions.py](../p4dgs_ref/codec/positions.py) (the format),
+# **Files:** [version_2.py](../p4dgs_ref/codec/version_2.py) (the format),
 # [model.py](../p4dgs_ref/model.py) (`snap`), [header.py](../p4dgs_ref/codec/header.py) and
 # [container.py](../p4dgs_ref/codec/container.py) (the smaller header and frame).
 
@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from p4dgs_ref import decode, oracle
-from p4dgs_ref.codec.positions import codes_of, write_gaps
+from p4dgs_ref.codec.version_2 import codes_of, write_gaps
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import snap
 

@@ -9,17 +9,15 @@ import sys
 from importlib import import_module
 from textwrap import fill
 
-from .fixed_point import table
+from .gaussian_table import table
 from .header import BASES
 
 PARTS = (
     "container",
     "file",
     "header",
-    "positions",
-    "weights",
+    "version_2",
     "context",
-    "fixed_point",
     "gaussian_table",
     "streams",
     "rans",
@@ -35,12 +33,15 @@ TABLES = {
 
 def page():
     """The format page as text."""
-    texts = {f"{name}.py": import_module(f".{name}", __package__).__doc__ or "" for name in PARTS}
-    for name, meaning in TABLES.items():
-        numbers = " ".join(map(str, table(name).tolist()))
-        texts[f"Table {name}"] = f"{meaning}\n\n{fill(numbers, 100)}"
     bases = [f'"{name}": {json.dumps(base)}' for name, base in BASES.items()]
-    texts["Base designs"] = "\n\n".join(fill(base, 100) for base in bases)
+    texts = {
+        **{f"{name}.py": import_module(f".{name}", __package__).__doc__ or "" for name in PARTS},
+        **{
+            f"Table {name}": f"{meaning}\n\n{fill(' '.join(map(str, table(name))), 100)}"
+            for name, meaning in TABLES.items()
+        },
+        "Base designs": "\n\n".join(fill(base, 100) for base in bases),
+    }
     page = "The file format of p4dgs_ref, versions 1 and 2\n"
     for number, (title, text) in enumerate(texts.items(), 1):
         heading = f"{number}. {title}"

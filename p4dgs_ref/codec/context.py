@@ -10,6 +10,53 @@ in units of 2^-c" is floor((y + 2^(a-c-1)) / 2^(a-c)) where a > c, and y 2^(c-a)
 clips before this multiplication overflows. clip(v, low, high) is v, at least low, at most high.
 "Bits of" an integer is the number of its binary digits, 0 for 0.
 
+NETWORKS give the same outputs on every machine and in any order of summation. A number is
+represented by an integer n and a number of fractional bits a; its value is n times 2^-a. The
+fractional bits of a layer follow from its weights alone, never from the data.
+
+a. Input. The input x of a network is a vector of integers with |x| <= X = 2^15 and a = 15.
+
+b. Layer. The weights W (I rows, J columns) and biases b (J) are the float16 numbers of the file.
+   With
+
+       p   = the least integer with max |W| < 2^p      (0 where all are zero)
+       p_b = the least integer with max |b| < 2^p_b    (0 where all are zero)
+       n   = min(15 - p, 50 - p_b - a, 24)
+
+   they become integers, and the layer is computed in integers:
+
+       W' = W 2^n         rounded to the nearest integer, ties to even;  |W'| < 2^15
+       b' = b 2^(a + n)   rounded in the same way;                       |b'| <= 2^50
+       y  = x W' + b'     in units of 2^-(a + n)
+
+   Every output and every partial sum is bounded by
+
+       B = X max_j sum_i |W'_ij| + max_j |b'_j|.
+
+   Because I <= 2^14 and X <= 2^22, B is below 2^52. A float64, and therefore a JavaScript number,
+   holds every partial sum exactly, so the products may be added in any order, with or without fused
+   multiply-add.
+
+c. Hidden layer. Let s = max(0, bits of B - 22). The input of the next layer is
+
+       x = max(0, floor((y + floor(2^s / 2)) / 2^s))
+
+   with a + n - s fractional bits and the bound X = floor((B + floor(2^s / 2)) / 2^s).
+
+d. Last layer. Its output is y itself, with a + n fractional bits and the bound B.
+
+Any of n, a and a + n may be negative.
+
+Worked numbers of a network. x = (16384, -8192), W = (0.5, -0.3)^T and b = (0.1); in float16, -0.3
+is -0.300048828125 and 0.1 is 0.0999755859375.
+
+    p = 0, p_b = -3, n = min(15, 38, 24) = 15, W' = (16384, -9832)^T, b' = 107347968
+    y = 456327168 in units of 2^-30, which is 0.42499
+    B = 2^15 (16384 + 9832) + 107347968 = 966393856
+    as a hidden layer: s = 8, x = 1782528, a = 22, X = 3774976
+
+THE CONTEXT of an anchor follows from its position and the two networks.
+
 1. Hash feature. Let n be one coordinate of the position, 0 to 65535. A level of resolution R has
    along that axis
 
@@ -31,7 +78,7 @@ clips before this multiplication overflows. clip(v, low, high) is v, at least lo
    otherwise, with products modulo 2^32 (in JavaScript Math.imul, and >>> 0 before mod). A level of
    two axes has no k. The features of an anchor are ordered level by level, F numbers each.
 
-2. Networks. psi_q and psi_p are evaluated on h as `fixed_point.py` describes.
+2. Networks. psi_q and psi_p are evaluated on h as described under NETWORKS.
 
 3. Steps. For each of the four outputs of psi_q:
 
@@ -69,7 +116,7 @@ clips before this multiplication overflows. clip(v, low, high) is v, at least lo
 
 The columns of an anchor are ordered f, s, l, O; `file.py` gives the outputs of psi_p and psi_q.
 
-Worked numbers. A level "xy" with R = 3 and T = 9, and an anchor at (20000, 50000, any):
+Worked numbers of a context. A level "xy" with R = 3 and T = 9, an anchor at (20000, 50000, any):
 
     base = (0, 1)     t = (40000, 34465)
     nodes             3            4             6            7
@@ -77,7 +124,7 @@ Worked numbers. A level "xy" with R = 3 and T = 9, and an anchor at (20000, 5000
     signs             +            -             -            +
     v = 49108675      Q = 131068   h = 375
 
-The network of `fixed_point.py` has the output y = 456327168 with a = 30 and B = 966393856.
+The network above has the output y = 456327168 with a = 30 and B = 966393856.
 
     as an output of psi_q    u = 1741, v = 18125, i = 283, r = 13, share = 11753797,
                              q_units = 45913; with Q_0 = 0.1, q = 0.1401153564453125
@@ -96,21 +143,79 @@ import numpy as np
 from ..equations.grid_nodes import entries
 from ..equations.prior import RAW_MAX, RAW_MIN, layout
 from ..model import GROUPS, LATTICE
-from .fixed_point import (
-    INPUT_BITS,
-    bit_length,
-    halve,
-    log2,
-    rescale,
-    run_network,
-    table,
-    whole_layers,
-)
-from .gaussian_table import MU_BITS, MU_LIMIT, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN
+from .gaussian_table import MU_BITS, MU_LIMIT, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, table
+from .rans import bit_length
 
+INPUT_BITS, ACTIVATION_BITS, WEIGHT_BITS, BIAS_BITS, MOST_SCALE = 15, 22, 15, 50, 24
 STEP_FLOOR, STEP_MAX = 32, 2**16  # of q_units, 2 Q_0 / 2^16 each; the floor of Q7 is 2^-10 Q_0
 LOG2_E = 94548  # log2(e) in units of 2^-16
 CHUNK = 2**18  # numbers per temporary array, so that memory does not grow with the anchors
+
+
+class Layer(NamedTuple):
+    """Integers held in float64, exact because none reaches 2^53."""
+
+    W: np.ndarray  # [I, J]
+    b: np.ndarray  # [J]
+    bits: int  # fractional bits of the output y
+    bound: int  # upper bound of |y| and of every partial sum
+    s: int  # bits of y that a hidden layer rounds away
+
+
+def exponent(values):
+    """The least integer p with max |values| < 2^p; 0 where all values are zero."""
+    return int(np.frexp(np.abs(values).max(initial=0.0))[1])
+
+
+def halve(values, s):
+    """values / 2^s rounded to the nearest integer, ties up: integers held in float64, s > 0."""
+    return np.floor((values + 2**s // 2) * 2.0**-s) if s > 0 else values
+
+
+def whole_layers(weights, biases):
+    """The layers of a network in integers, from the weights and biases in the file."""
+    layers, bits, X = [], INPUT_BITS, 2**INPUT_BITS
+    for W, b in zip(weights, biases):
+        n = min(WEIGHT_BITS - exponent(W), BIAS_BITS - exponent(b) - bits, MOST_SCALE)
+        W, b, bits = np.rint(W * 2.0**n), np.rint(b * 2.0 ** (bits + n)), bits + n
+        # |x_i| <= X, so by the triangle inequality no sum of some of the products x_i W_ij, with or
+        # without b_j, exceeds the bound. Integers up to 2^53 are exact in float64.
+        largest_sum = int(np.abs(W).sum(axis=0).max(initial=0.0))
+        bound = X * largest_sum + int(np.abs(b).max(initial=0.0))
+        assert bound < 2**52, "a partial sum could be rounded"
+        s = max(0, bound.bit_length() - ACTIVATION_BITS)
+        layers.append(Layer(W, b, bits, bound, s))
+        bits, X = bits - s, bound + 2**s // 2 >> s
+    return layers
+
+
+def product(x, W):
+    """x W, exact in any order of summation. Nothing else here calls a library's matrix product."""
+    return x @ W
+
+
+def run_network(x, layers):
+    """The outputs y [A, J] of the last layer for inputs x [A, I] in units of 2^-15, |x| <= 2^15."""
+    for layer in layers[:-1]:
+        x = np.maximum(halve(product(x, layer.W) + layer.b, layer.s), 0.0)
+    return product(x, layers[-1].W) + layers[-1].b
+
+
+def rescale(y, unit, bits, limit):
+    """Outputs y in units of 2^-unit converted to units of 2^-bits, clipped to +-limit: int64."""
+    s = unit - bits
+    if s < 0:  # few fractional bits: clip first, so that the multiplication stays exact
+        y = np.clip(y, -limit, limit) * 2.0 ** min(-s, 30)
+    return np.clip(halve(y, s), -limit, limit).astype(np.int64)
+
+
+def log2(values):
+    """log2 of positive integers in units of 2^-16: the exponent, then a table of 256 steps."""
+    length = bit_length(values)
+    # Shift the leading one to bit 23; the 23 bits after it are 8 of the index and 15 of the rest.
+    leading = values << np.maximum(24 - length, 0) >> np.maximum(length - 24, 0)
+    steps, i, r = table("log2"), leading >> 15 & 255, leading & 2**15 - 1
+    return (length - 1 << 16) + steps[i] + ((steps[i + 1] - steps[i]) * r >> 15)
 
 
 class CodingContext(NamedTuple):
@@ -151,14 +256,13 @@ def coding_context(design, networks, grids, positions):
     (12) in integers; choices Q6 (one step per group), Q7, Q8 and Q11.
     """
     psi_q, psi_p = (whole_layers(*networks[name]) for name in ("psi_q", "psi_p"))
-    A, n = len(positions), sum(design.widths)
-    ctx = CodingContext(np.empty((A, 4)), np.empty((A, n), np.int64), np.empty((A, n), np.int32))
-    rows = CHUNK // max(len(design.grid) * design.F, 8 * max(design.F, 3), *design.context, 2 * n)
-    for a in range(0, A, rows):
-        h = hash_feature(positions[a : a + rows], grids, design)
-        for whole, part in zip(ctx, context_of(h, psi_q, psi_p, design)):
-            whole[a : a + rows] = part
-    return ctx
+    columns = len(design.grid) * design.F, 8 * max(design.F, 3), 2 * sum(design.widths)
+    rows = CHUNK // max(*columns, *design.context)
+    parts = [
+        context_of(hash_feature(positions[a : a + rows], grids, design), psi_q, psi_p, design)
+        for a in range(0, len(positions), rows)
+    ]
+    return CodingContext(*map(np.concatenate, zip(*parts)))
 
 
 def context_of(h, psi_q, psi_p, design):
@@ -187,4 +291,4 @@ def context_of(h, psi_q, psi_p, design):
     log2_sigma = np.clip(raw, int(RAW_MIN) << 16, int(RAW_MAX) << 16) * LOG2_E + 2**15 >> 16
     sigma_units = (log2_sigma - log2_q[:, group] + (1 << 15 - SIGMA_BITS)) >> 16 - SIGMA_BITS
     q = q_units * (np.array(design.Q_0) * 2.0**-15)
-    return q, mu_units, np.clip(sigma_units, SIGMA_MIN, SIGMA_MAX)
+    return q, mu_units, np.clip(sigma_units, SIGMA_MIN, SIGMA_MAX).astype(np.int32)

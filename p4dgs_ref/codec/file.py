@@ -18,8 +18,8 @@ two kinds of streams in `streams.py`. A is the number of anchors.
     10  anchor_mlps      float16    psi_alpha, psi_c, psi_r, psi_s
     11  context_mlps     float16    psi_p, psi_q
 
-In version 2, `positions.py` says what follows the box in section 2, and `weights.py` what sections
-9 to 11 hold. All other sections are the same.
+In version 2, `version_2.py` says what follows the box in section 2 and what sections 9 to 11 hold.
+All other sections are the same.
 
 All numbers are little-endian. A decoder needs the sections in another order: it reads header,
 positions, hash_grid and context_mlps and computes the coding context (`context.py`). It can then
@@ -89,10 +89,9 @@ from .container import SECTIONS, BitstreamError, open_container, require, write_
 from .context import coding_context
 from .gaussian_table import gaussian_model
 from .header import check_work, read_header, write_header
-from .positions import read_gaps, write_gaps
 from .quantise import BOX, EncodeError, Quantised, coded, dequantise, quantise, valid_box
 from .streams import decode_bits, decode_symbols, encode_bits, encode_gaussian
-from .weights import networks_of, read_weights, write_weights
+from .version_2 import networks_of, read_gaps, read_weights, write_gaps, write_weights
 
 NETWORK_SECTIONS = {
     "anchor_mlps": ANCHOR_NETWORKS,
@@ -135,10 +134,12 @@ def sections_of(quantised):
         sections[name] = encode_gaussian(*(array[:, columns][kept] for array in arrays))
     for name, members in NETWORK_SECTIONS.items():
         present = {member: model.networks[member] for member in members if member in model.networks}
-        if present and model.design.coded:
-            sections[name] = write_weights(present, model.steps)
-        elif present:
-            sections[name] = network_numbers(present).astype("<f2").tobytes()
+        if present:
+            sections[name] = (
+                write_weights(present, model.steps)
+                if model.design.coded
+                else network_numbers(present).astype("<f2").tobytes()
+            )
     try:
         check_work(model.design, len(model.anchors.mask), sum(map(len, sections.values())))
     except BitstreamError as error:
@@ -182,14 +183,12 @@ def quantised_of(sections, version=1):
     networks, steps, layers = {}, {}, design.layers()
     for name, members in NETWORK_SECTIONS.items():
         shapes = {member: layers[member] for member in members if member in layers}
-        if shapes and design.coded:
-            decoded, codes = read_weights(sections[name], name, shapes)
+        if shapes:
+            read = read_weights if design.coded else read_networks
+            decoded, codes = read(sections[name], name, shapes)
             networks, steps = networks | decoded, steps | codes
-        elif shapes:
-            networks |= read_networks(sections[name], name, shapes)
     grids = read_grids(sections["hash_grid"], design)
     mask = decode_bits(sections["masks"], A * design.k, "masks").reshape(A, design.k)
-    x_a = unsnap(positions, *box)
     ctx, kept = coding_context(design, networks, grids, positions), coded(mask, design)
     found = [
         (columns, read_symbols(sections[name], name, ctx, columns, kept))
@@ -200,7 +199,7 @@ def quantised_of(sections, version=1):
     for columns, values in found:
         symbols[:, columns][kept[:, columns]] = values
     del found, values
-    anchors = Anchors(x_a, *dequantise(symbols, ctx, design), mask)
+    anchors = Anchors(unsnap(positions, *box), *dequantise(symbols, ctx, design), mask)
     model = Model(design, anchors, networks, grids, box, background, steps or None)
     return Quantised(model, positions, symbols, kept, ctx)
 
@@ -208,12 +207,10 @@ def quantised_of(sections, version=1):
 def check_presence(sections, layers):
     """Refuse a file that lacks a section or has one that its scene does not need."""
     for name in SECTIONS:
-        members = NETWORK_SECTIONS.get(name)
-        needed = members is None or any(member in layers for member in members)
+        needed = name not in NETWORK_SECTIONS or layers.keys() & NETWORK_SECTIONS[name]
         require(name in sections or not needed, name, 0, "section is missing")
-        require(
-            needed or name not in sections, name, 0, "scene lists no effect that needs this section"
-        )
+        unneeded = "scene lists no effect that needs this section"
+        require(needed or name not in sections, name, 0, unneeded)
 
 
 def read_symbols(data, name, ctx, columns, kept):
@@ -248,10 +245,10 @@ def read_grids(data, design):
 
 
 def read_networks(data, section, shapes):
-    """The networks {name: (weights, biases)} of a section, float64, from their layers' shapes."""
+    """The networks {name: (weights, biases)} of a section, float64, which have no steps: {}."""
     size = 2 * sum((I + 1) * J for network in shapes.values() for I, J in network)
     require(len(data) == size, section, len(data), f"expected {size} bytes, found {len(data)}")
     numbers = np.frombuffer(data, "<f2").astype(float)
     finite = np.isfinite(numbers)
     require(finite.all(), section, 2 * int(finite.argmin()), "expected finite weights")
-    return networks_of(numbers, shapes)
+    return networks_of(numbers, shapes), {}

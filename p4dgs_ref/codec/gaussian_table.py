@@ -67,11 +67,12 @@ Worked numbers. mu / q = 0.3 and sigma / q = 1.5 give mu_units = 307 and sigma_u
 The symbol 0 therefore has the frequency 4352098, a probability of 0.2594, and costs 1.947 bits.
 """
 
+import json
+from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-
-from .fixed_point import table as normative
 
 MU_BITS, SIGMA_BITS, PRECISION = 10, 4, 24
 MU_LIMIT = 1 << 34
@@ -93,6 +94,13 @@ class Model(NamedTuple):
     lowest: np.ndarray  # [n]  c - W, the first block of the symbol's table, int32
 
 
+@cache
+def table(name):
+    """A table of `tables.json`, int64. The tables are part of the format: do not recompute them."""
+    tables = json.loads(Path(__file__).with_name("tables.json").read_text())
+    return np.array(tables[name], np.int64)
+
+
 def shape_of(sigma_units):
     """e, step, low and W of deviations (parts 1 to 4), int64."""
     e = sigma_units >> SIGMA_BITS
@@ -104,12 +112,9 @@ def shape_of(sigma_units):
 def gaussian_model(mu_units, sigma_units):
     """The model of n symbols, from integers mu_units [n] and sigma_units [n].
 
-    Symbols with the same deviation and the same place of mu' in its block share one table. Raises
-    ValueError for other dtypes, unequal shapes, or values outside the ranges above. P-4DGS Eqs.
-    (11) and (12).
+    They lie in the ranges above. Symbols with the same deviation and the same place of mu' in its
+    block share one table. P-4DGS Eqs. (11) and (12).
     """
-    check_integers("mu_units", mu_units, (mu_units.size,), -MU_LIMIT, MU_LIMIT)
-    check_integers("sigma_units", sigma_units, mu_units.shape, SIGMA_MIN, SIGMA_MAX)
     pair, lowest = np.empty(len(mu_units), np.int32), np.empty(len(mu_units), np.int32)
     used = np.zeros(SIGMA_MAX - SIGMA_MIN + 1 << MU_BITS, bool)
     for a in range(0, len(pair), CHUNK):
@@ -124,59 +129,39 @@ def gaussian_model(mu_units, sigma_units):
 
     pairs = np.flatnonzero(used)
     sigma_units, place = (pairs >> MU_BITS) + SIGMA_MIN, pairs & (1 << MU_BITS) - 1
-    _, _, low, reach = shape_of(sigma_units)
-    keys, first = build_keys(sigma_units, place)
+    parts = [
+        keys_of(sigma_units[a : a + TABLES], place[a : a + TABLES]) + (a << PRECISION)
+        for a in range(0, len(pairs), TABLES)
+    ]
     table_of_pair = np.empty(len(used), np.int32)
     table_of_pair[pairs] = np.arange(len(pairs))
     for a in range(0, len(pair), CHUNK):  # in place: from here on a pair is the number of its table
         pair[a : a + CHUNK] = table_of_pair[pair[a : a + CHUNK]]
-    return Model(keys, first, 2 * reach + 1, low, pair, lowest)
-
-
-def check_integers(name, values, shape, low, high):
-    """Raise ValueError unless an array holds signed integers of a shape and in a range."""
-    if values.dtype.kind != "i" or values.shape != shape:
-        raise ValueError(
-            f"{name}: expected signed integers {shape}, got {values.dtype} {values.shape}"
-        )
-    if values.size and not low <= values.min() <= values.max() <= high:
-        raise ValueError(
-            f"{name}: expected values within {low} to {high}, got {values.min()} to {values.max()}"
-        )
-
-
-def build_keys(sigma_units, place):
-    """The keys of U tables and the index of each table's first entry, from arrays [U].
-
-    `place` is mu' modulo one block, in units of 1/1024 symbol.
-    """
-    entries = 2 * shape_of(sigma_units)[3] + 2
-    ends = np.cumsum(entries)
-    keys, first = np.empty(int(entries.sum()) + 1, np.int64), ends - entries
-    for a in range(0, len(entries), TABLES):
-        rows = slice(a, a + TABLES)
-        keys_here = keys_of(sigma_units[rows], place[rows])
-        keys[first[a] : ends[rows][-1]] = keys_here + (a << PRECISION)
-    keys[-1] = len(entries) << PRECISION
-    return keys, first
+    _, _, low, reach = shape_of(sigma_units)
+    entries = 2 * reach + 2
+    keys = np.concatenate([*parts, [len(pairs) << PRECISION]])
+    return Model(keys, np.cumsum(entries) - entries, entries - 1, low, pair, lowest)
 
 
 def keys_of(sigma_units, place):
-    """The keys of a few tables (parts 5 and 6), counted from 0, without the closing one."""
-    phi, exp2 = normative("phi"), normative("exp2")
+    """The keys of a few tables (parts 5 and 6), counted from 0, without the closing one.
+
+    `place` is mu' modulo one block, in units of 1/1024 symbol.
+    """
+    phi, exp2 = table("phi"), table("exp2")
     e, _, low, reach = shape_of(sigma_units)
     entries = 2 * reach + 2
-    table = np.repeat(np.arange(len(entries)), entries)
-    j = np.arange(len(table)) - (np.cumsum(entries) - entries)[table]
+    number = np.repeat(np.arange(len(entries)), entries)  # of each entry's table
+    j = np.arange(len(number)) - (np.cumsum(entries) - entries)[number]
     unit, scale = MU_BITS + low, exp2[sigma_units & (1 << SIGMA_BITS) - 1]
     lowest = (place + HALF >> unit) - reach
     # |K 2^(10+low) - 512 - mu'| <= 195 * 2^25 < 2^33, times exp2 <= 2^16: below 2^49. It is linear
     # in j, so everything but j is computed once for a table.
     below_first, step = ((lowest << unit) - (HALF + place)) * scale, scale << unit
-    z = below_first[table] + j * step[table] >> (EXP2_BITS + MU_BITS - Z_BITS + e)[table]
+    z = below_first[number] + j * step[number] >> (EXP2_BITS + MU_BITS - Z_BITS + e)[number]
     z = np.clip(z, -Z_LIMIT, Z_LIMIT - 1) + Z_LIMIT
     i, r = z >> Z_BITS - PHI_BITS, z & (1 << Z_BITS - PHI_BITS) - 1
     C = phi[i] + (np.diff(phi)[i] * r >> Z_BITS - PHI_BITS)
     # entries = n + 1, and the product stays below 2^48
-    cum = (C * ((1 << PRECISION) - entries)[table] >> PRECISION) + j
-    return (table << PRECISION) + cum
+    cum = (C * ((1 << PRECISION) - entries)[number] >> PRECISION) + j
+    return (number << PRECISION) + cum

@@ -36,7 +36,7 @@ parser needs many times the memory of its text.
 VERSION 2. The header has two more fields:
 
     as             the name of a base design
-    position_bits  bits of a coordinate of a position (`positions.py`): 1 to 16
+    position_bits  bits of a coordinate of a position (`version_2.py`): 1 to 16
 
 `as` and `anchors` must be there. Any other field that is missing has the value of the base design.
 The limits above hold for all values together. The base designs stand at the end of this page and in
@@ -104,10 +104,9 @@ def read_header(data, version=1):
         pairs = json.loads(str(data, "ascii"), object_pairs_hook=tuple)
     except (ValueError, RecursionError):
         pairs = []
-    expect(isinstance(pairs, tuple), "expected a JSON object")
-    fields = dict(pairs)
-    expect(len(pairs) == len(fields), "expected no field twice")
-    needed = FIELDS
+    whole = isinstance(pairs, tuple) and len(dict(pairs)) == len(pairs)
+    expect(whole, "expected a JSON object with no field twice")
+    fields, needed = dict(pairs), FIELDS
     if version == 2:
         base = fields.pop("as", None)
         expect(base in tuple(BASES), f"field 'as': expected one of {', '.join(BASES)}")
@@ -147,8 +146,7 @@ def check_work(design, anchors, size):
         numbers <= most,
         f"{numbers} numbers declared, expected at most {most} in sections of {size} bytes",
     )
-    layers = design.layers()
-    weights = sum(rows * columns for name in CONTEXT_NETWORKS for rows, columns in layers[name])
+    weights = sum(I * J for name in CONTEXT_NETWORKS for I, J in design.layers()[name])
     nodes = sum(2 ** len(axes) for axes, _ in design.grid)
     work, most = anchors * (weights + nodes * 64 * (design.F + 8)), 2**34 + 2**15 * size
     expect(

@@ -1,6 +1,7 @@
 """From a trained model to the integers of its file, and to the model that a decoder finds there."""
 
 from dataclasses import replace
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from ..scenes.scene import LARGEST_BOX, MOST_STEPS
 from .container import BitstreamError
 from .context import CodingContext, coding_context
 from .header import read_header, write_header
-from .positions import codes_of
+from .version_2 import codes_of
 
 BOX = f"lo <= hi, finite, within +-{LARGEST_BOX:g}"  # what the box of a file must be
 
@@ -67,7 +68,7 @@ def quantise(model):
     Anchors whose children are all masked are dropped, except that one anchor always stays. In a
     scene without view effects, hidden units that are zero for every anchor are dropped too. Dropped
     and masked numbers may have any value; all others must be finite. The coded design sorts the
-    anchors (`positions.py`).
+    anchors (`version_2.py`).
 
     Raises EncodeError, which names the array, and OverflowError, which names the element, where
     |f / q| is more than 2^31.
@@ -77,10 +78,8 @@ def quantise(model):
     alive[0] |= not alive.any()
     anchors = Anchors(*(array[alive] for array in model.anchors))
     box = round_box(model.box)
-    networks, steps = round_networks(model.networks), None
-    if model.design.coded:
-        steps = model.steps or first_steps(model.networks)
-        networks = round_to_steps(model.networks, steps)
+    steps = (model.steps or first_steps(model.networks)) if model.design.coded else None
+    networks = round_networks(model.networks, steps)
     grids = [
         np.where(finite(f"hash grid level {i}", grid) >= 0, 1.0, -1.0)
         for i, grid in enumerate(model.grids)
@@ -139,45 +138,32 @@ def active_units(model, name):
     return [units.any(axis=0) for units in layer_inputs[1:]]
 
 
-def round_networks(networks):
-    """Networks rounded to float16 (Q18), as float64 arrays in row order, as a decoder has them.
+def round_networks(networks, steps):
+    """Networks as the file holds them, float64 arrays in row order: as a decoder has them.
 
-    Raises EncodeError, which names the network, for a weight that float16 cannot hold.
+    They are rounded to float16 (Q18), or to multiples of their tensors' steps (B1) where there are
+    codes of steps, as in `Model.steps`. Raises EncodeError, which names the network.
     """
     rounded = {}
     for name, pair in networks.items():
-        with np.errstate(over="ignore"):
-            rounded[name] = tuple(
-                [np.array(a, np.float16, order="C").astype(float) for a in arrays]
-                for arrays in pair
-            )
+        codes = steps[name] if steps else [repeat(None)] * 2
+        rounded[name] = tuple([*map(round_weights, *part)] for part in zip(pair, codes))
         require_encodable(
             all(np.isfinite(a).all() for arrays in rounded[name] for a in arrays),
-            f"network {name}: expected finite weights within float16's range, +-65504",
+            f"network {name}: expected finite weights within float16's range, +-65504, or of at "
+            f"most {MOST_STEPS} steps in the coded design",
         )
     return rounded
 
 
-def round_to_steps(networks, steps):
-    """Networks rounded to multiples of their tensors' steps (B1), float64.
-
-    `steps` are codes as in `Model.steps`. Raises EncodeError, which names the network, for a weight
-    of more steps than a file can hold.
-    """
-    rounded = {}
-    for name, pair in networks.items():
-        sizes = [step_of_code(codes) for codes in steps[name]]
-        symbols = [
-            [np.rint(a / step) + 0.0 for a, step in zip(*weights)] for weights in zip(pair, sizes)
-        ]
-        require_encodable(
-            all((np.abs(a) <= MOST_STEPS).all() for arrays in symbols for a in arrays),
-            f"network {name}: expected finite weights of at most {MOST_STEPS} steps",
-        )
-        rounded[name] = tuple(
-            [a * step for a, step in zip(*weights)] for weights in zip(symbols, sizes)
-        )
-    return rounded
+def round_weights(weights, code):
+    """An array of weights as a file holds it; not finite where it cannot."""
+    if code is None:
+        with np.errstate(over="ignore"):
+            return np.array(weights, np.float16, order="C").astype(float)
+    step = step_of_code(code)
+    n = np.rint(np.array(weights, order="C") / step) + 0.0
+    return np.where(np.abs(n) <= MOST_STEPS, n * step, np.nan)
 
 
 def underflows(networks):
@@ -245,13 +231,19 @@ def check_shapes(model):
         "anchors O_a": (A, design.k, 3),
         "anchors mask": (A, design.k),
         "hash grid": design.levels(),
+        **{
+            f"network {name}": ([*pairs], [(columns,) for _, columns in pairs])
+            for name, pairs in design.layers().items()
+        },
     }
-    for name, pairs in design.layers().items():
-        expected[f"network {name}"] = [*pairs], [(columns,) for _, columns in pairs]
-    found = {f"anchors {name}": array.shape for name, array in model.anchors._asdict().items()}
-    found["hash grid"] = [grid.shape for grid in model.grids]
-    for name, pair in model.networks.items():
-        found[f"network {name}"] = tuple([a.shape for a in arrays] for arrays in pair)
+    found = {
+        **{f"anchors {name}": array.shape for name, array in model.anchors._asdict().items()},
+        "hash grid": [grid.shape for grid in model.grids],
+        **{
+            f"network {name}": tuple([a.shape for a in arrays] for arrays in pair)
+            for name, pair in model.networks.items()
+        },
+    }
     for name in {**expected, **found}:
         require_encodable(
             found.get(name) == expected.get(name),

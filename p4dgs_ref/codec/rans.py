@@ -70,17 +70,21 @@ probabilities 3/4 and 1/4. The message 0 1 0 is pushed from its last symbol on: 
 """
 
 from bisect import bisect_right
-from itertools import chain
+from itertools import cycle
 
 import numpy as np
 
 from .container import BitstreamError, require
-from .fixed_point import bit_length
 
 PRECISION, WORD, LOWEST = 24, 32, 1 << 31
 CERTAIN, SLOT, LOW_WORD = 1 << PRECISION, (1 << PRECISION) - 1, (1 << WORD) - 1
 MAX_LANES, MIN_LANES, BITS_PER_LANE = 1024, 32, 5000
-PIECE = 8192  # numbers converted to Python integers at a time
+PIECE = 8 * MAX_LANES  # numbers converted to Python integers at a time: whole rows
+
+
+def bit_length(values):
+    """The number of binary digits of integers from 0 to 2^53, int64."""
+    return np.frexp(values)[1].astype(np.int64)
 
 
 def encode(entries, keys, lanes=None, push_rows=None):
@@ -95,8 +99,7 @@ def encode(entries, keys, lanes=None, push_rows=None):
     lanes = lanes or choose_lanes(freqs)
     x, stack, left = push_tail(starts, freqs, lanes)
     states = start_lanes(x, lanes, stack)
-    rows = [values[:left].reshape(-1, lanes) for values in (starts, freqs)]
-    states, row_words = (push_rows or push_rows_fast)(states, *rows)
+    states, row_words = (push_rows or push_rows_fast)(states, starts[:left], freqs[:left])
     x, top = close_lanes(states)
     tail = (len(entries) - left).to_bytes(4, "little") if lanes > 1 else b""
     high = 0x80 if x > LOW_WORD else 0
@@ -111,34 +114,21 @@ def choose_lanes(freqs):
     length = bit_length(freqs)
     bits = (PRECISION + 2 - length << PRECISION) - (freqs << PRECISION + 1 - length)
     most = (int(bits.sum()) >> PRECISION) // BITS_PER_LANE
-    lanes = min(1 << max(most.bit_length() - 1, 0), MAX_LANES)
-    return lanes if lanes >= MIN_LANES else 1
+    return min(1 << most.bit_length() - 1, MAX_LANES) if most >= MIN_LANES else 1
 
 
 def push_tail(starts, freqs, lanes):
     """Step 1 in lane 0: its state, the stack, and how many symbols are left for the rows."""
-    x, words = LOWEST, []
-    left_and_symbols = zip(range(len(starts), 0, -1), backwards(starts), backwards(freqs))
-    for left, start, freq in left_and_symbols:
-        # Starting a lane takes 31 bits, so as many words as lanes suffice.
-        if lanes > 1 and left % lanes == 0 and len(words) >= lanes:
-            break
-        if x >= freq << 39:
-            words.append(x & LOW_WORD)
-            x >>= WORD
-        # x + floor(x / freq) (2^24 - freq) = floor(x / freq) 2^24 + x mod freq
-        x += x // freq * (CERTAIN - freq) + start
-    else:
-        left = 0
-    if lanes > 1 and (left % lanes or len(words) < lanes):
+    x, stack, left = LOWEST, [], len(starts)
+    some = lanes if lanes > 1 else PIECE
+    # Starting a lane takes 31 bits, so as many words as lanes suffice.
+    while left and (lanes == 1 or len(stack) < lanes):
+        first = (left - 1) // some * some
+        (x,), words = push_rows_plainly([x], starts[first:left], freqs[first:left])
+        left, stack = first, stack + words[::-1]
+    if lanes > 1 and len(stack) < lanes:
         raise ValueError(f"{len(starts)} symbols are too short a message for {lanes} lanes")
-    return x, words, left
-
-
-def backwards(values):
-    """The Python integers of an array from its end, converted piece by piece to save memory."""
-    ends = range(len(values), 0, -PIECE)
-    return chain.from_iterable(values[max(end - PIECE, 0) : end].tolist()[::-1] for end in ends)
+    return x, stack, left
 
 
 def push_bits(x, b, v, words):
@@ -169,35 +159,38 @@ def close_lanes(states):
     x, words = states[0], []
     for state in reversed(states[1:]):
         n = state.bit_length() - 32
-        x = push_bits(x, 31, state & LOWEST - 1, words)
-        x = push_bits(x, n, (state >> 31) - (1 << n), words)
-        x = push_bits(x, 5, n, words)
+        for b, v in (31, state & LOWEST - 1), (n, (state >> 31) - (1 << n)), (5, n):
+            x = push_bits(x, b, v, words)
     return x, words
 
 
 def push_rows_plainly(states, starts, freqs):
-    """Step 3 in readable form: the states after all rows, and the words in the decoder's order."""
-    words = []
-    for row in reversed(range(len(starts))):
-        for lane in reversed(range(len(states))):
-            x, start, freq = states[lane], int(starts[row, lane]), int(freqs[row, lane])
-            if x >= freq << 39:
-                words.append(x & LOW_WORD)
-                x >>= WORD
-            states[lane] = (x // freq << PRECISION) + x % freq + start
-    return states, np.array(words[::-1], np.int64)
+    """Step 3 symbol by symbol: the states after all rows, and the words in the decoder's order.
+
+    With one lane it is step 1.
+    """
+    states, words = [*states], []
+    lanes = cycle(reversed(range(len(states))))
+    for lane, start, freq in zip(lanes, starts[::-1].tolist(), freqs[::-1].tolist()):
+        x = states[lane]
+        if x >= freq << 39:
+            words.append(x & LOW_WORD)
+            x >>= WORD
+        # x + floor(x / freq) (2^24 - freq) = floor(x / freq) 2^24 + x mod freq
+        states[lane] = x + x // freq * (CERTAIN - freq) + start
+    return states, words[::-1]
 
 
 def push_rows_fast(states, starts, freqs):
     """The same as `push_rows_plainly`, over all lanes at once; x and freq 2^39 fit into int64."""
     x = np.array(states, np.int64)
+    starts, freqs = (values.reshape(-1, len(x)) for values in (starts, freqs))
     limits, rest = freqs << 39, (1 << PRECISION) - freqs
     before, full = np.empty_like(starts), np.empty(starts.shape, bool)
     for row in reversed(range(len(starts))):
         before[row] = x
         np.greater_equal(x, limits[row], out=full[row])
         x >>= full[row] * WORD
-        # x + floor(x / freq) (2^24 - freq) = floor(x / freq) 2^24 + x mod freq
         x += x // freqs[row] * rest[row] + starts[row]
     return x.tolist(), before[full] & LOW_WORD  # row by row, lane by lane: the decoder's order
 
@@ -218,8 +211,8 @@ def decode(data, tables, keys, at=0, section="stream", pop_rows=None):
     end = start + 4 * count
     try:
         states, words = open_lanes(x, lanes, words)
-        rows = [values[:left].reshape(-1, lanes) for values in (tables, entries)]
-        states, words = (pop_rows or pop_rows_fast)(states, words, rows[0], keys, rows[1])
+        pop_rows = pop_rows or pop_rows_fast
+        states, words = pop_rows(states, words, tables[:left], keys, entries[:left])
         require(
             all(state >> 31 == 1 for state in states[1:]),
             section,
@@ -228,7 +221,7 @@ def decode(data, tables, keys, at=0, section="stream", pop_rows=None):
         )
         unread = len(words)
         x, words = end_lanes(states, words)
-        x, words = pop_tail(x, words, tables[left:], keys, entries[left:])
+        (x,), words = pop_rows_plainly([x], words, tables[left:], keys, entries[left:])
     except IndexError:  # of an empty stack
         raise BitstreamError(section, len(data), "the data end before the last symbol") from None
     end -= 4 * len(words)
@@ -286,46 +279,39 @@ def end_lanes(states, words):
     return x, np.concatenate([np.array(pushed[::-1], words.dtype), words])
 
 
-def pop_tail(x, words, tables, keys, entries):
-    """Step 1 of the decoder: fills `entries`, returns the state of lane 0 and the words left."""
+def pop_rows_plainly(states, words, tables, keys, entries):
+    """Step 3 of the decoder symbol by symbol: fills `entries`, returns states and words left.
+
+    With one lane it is step 1.
+    """
+    starts, freqs = keys & SLOT, np.diff(keys)
     # Lists are faster to read than arrays, but take time to make.
-    edges = keys.tolist() if len(keys) < 4 * len(tables) else memoryview(keys)
-    first = keys.searchsorted(np.arange((int(keys[-1]) >> PRECISION) + 1) << PRECISION)
+    fewer = len(keys) < 4 * len(tables)
+    starts, freqs = (a.tolist() if fewer else memoryview(a) for a in (starts, freqs))
+    first = keys.searchsorted(np.arange(0, keys[-1] + 1, CERTAIN))  # entry of every table
+    states, lanes = [*states], range(len(states))
     for a in range(0, len(tables), PIECE):
         stack, found = words[:PIECE][::-1].tolist(), []  # a symbol takes one word at most
-        given, used = len(stack), tables[a : a + PIECE].astype(np.int64)
-        bases, lows, highs = used << PRECISION, first[used], first[used + 1]
-        for base, low, high in zip(bases.tolist(), lows.tolist(), highs.tolist()):
-            target = base + (x & SLOT)
-            following = bisect_right(edges, target, low, high)  # searches one table only
-            start = edges[following - 1]
-            x = (x >> PRECISION) * (edges[following] - start) + target - start
+        given, used = len(stack), tables[a : a + PIECE]
+        lows, highs = first[used].tolist(), first[1:][used].tolist()
+        for lane, low, high in zip(cycle(lanes), lows, highs):
+            x = states[lane]
+            slot = x & SLOT
+            entry = bisect_right(starts, slot, low, high) - 1  # searches one table only
+            x = (x >> PRECISION) * freqs[entry] + slot - starts[entry]
             if x < LOWEST:
                 x = x << WORD | stack.pop()
-            found.append(following)
+            states[lane] = x
+            found.append(entry)
         entries[a : a + PIECE] = found
         words = words[given - len(stack) :]
-    entries -= 1
-    return x, words
-
-
-def pop_rows_plainly(states, words, tables, keys, entries):
-    """Step 3 of the decoder in readable form: fills `entries`, returns states and words left."""
-    edges, stack = keys.tolist(), words[::-1].tolist()
-    for row in range(len(tables)):
-        for lane, x in enumerate(states):
-            target = int(tables[row, lane]) << PRECISION | x & SLOT
-            entry = bisect_right(edges, target) - 1
-            x = (x >> PRECISION) * (edges[entry + 1] - edges[entry]) + target - edges[entry]
-            if x < LOWEST:
-                x = x << WORD | stack.pop()
-            states[lane], entries[row, lane] = x, entry
-    return states, words[len(words) - len(stack) :]
+    return states, words
 
 
 def pop_rows_fast(states, words, tables, keys, entries):
     """The same as `pop_rows_plainly`, over all lanes at once."""
     x, count = np.array(states, np.int64), 0
+    tables, entries = (values.reshape(-1, len(x)) for values in (tables, entries))
     for row in range(len(tables)):
         target = tables[row].astype(np.int64) << PRECISION | x & SLOT
         entry = keys.searchsorted(target, "right") - 1

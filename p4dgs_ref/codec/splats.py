@@ -26,14 +26,13 @@ from ..scenes.files import write_ply
 C_0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), the spherical harmonic of degree 0
 CLOSEST = 2.0**-24  # of alpha to 0 and 1
 THINNEST = 1e-10  # scene units
-LONGEST_COMMENT = 92  # characters, so that a line has at most 100
 PROPERTIES = (
     "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3"
 ).split()
 
 
 def write_gaussians(path: str | Path, gaussians: Gaussians, comments: Iterable[str] = ()) -> None:
-    """Write Gaussians as 3DGS does; `comments` go to the header.
+    """Write Gaussians as 3DGS does; `comments` go to the header, in ASCII.
 
     Raises SceneError where a number is NaN or infinite as float32.
     """
@@ -50,10 +49,4 @@ def write_gaussians(path: str | Path, gaussians: Gaussians, comments: Iterable[s
         rows = np.concatenate(columns, axis=1).astype("<f4")
     bad = np.count_nonzero(~np.isfinite(rows).all(axis=1))
     require(not bad, path, f"{bad} Gaussians are NaN or infinite; expected finite numbers")
-    write_ply(path, {"vertex": (PROPERTIES, rows)}, map(printable, comments))
-
-
-def printable(text):
-    """As much of a text as fits into a line of a header, in printable ASCII."""
-    words = " ".join(text.split())[:LONGEST_COMMENT]
-    return "".join(c if " " <= c <= "~" else "?" for c in words)
+    write_ply(path, {"vertex": (PROPERTIES, rows)}, (ascii(text)[1:-1] for text in comments))

@@ -39,8 +39,7 @@ import numpy as np
 from ..scenes.scene import MOST_SYMBOL
 from . import rans
 from .container import require
-from .fixed_point import bit_length
-from .gaussian_table import CHUNK, PRECISION, check_integers, gaussian_model
+from .gaussian_table import CHUNK, PRECISION, gaussian_model
 
 MAX_GAMMA = 33
 
@@ -48,8 +47,8 @@ MAX_GAMMA = 33
 def encode_gaussian(symbols, mu_units, sigma_units, lanes=None, push_rows=None):
     """The stream of symbols [n], each coded under its own Gaussian. P-4DGS Eqs. (10) and (11).
 
-    Any symbol up to 2^31 in magnitude can be coded, however improbable. `lanes` and `push_rows` are
-    passed to `rans.encode`. Raises ValueError for other dtypes, shapes or ranges.
+    All three are integers in one axis. Any symbol up to 2^31 in magnitude can be coded, however
+    improbable. `lanes` and `push_rows` are passed to `rans.encode`.
     """
     model = gaussian_model(mu_units, sigma_units)
     entries, gamma = find_entries(symbols, model)
@@ -64,8 +63,7 @@ def encode_gaussian(symbols, mu_units, sigma_units, lanes=None, push_rows=None):
 def decode_gaussian(data, mu_units, sigma_units, section="stream", pop_rows=None):
     """The symbols [n] of a stream, int64.
 
-    Raises BitstreamError for data that `encode_gaussian` does not write, and ValueError for
-    mu_units or sigma_units outside their ranges.
+    Raises BitstreamError for data that `encode_gaussian` does not write.
     """
     return decode_symbols(data, gaussian_model(mu_units, sigma_units), section, pop_rows)
 
@@ -90,15 +88,13 @@ def decode_symbols(data, model, section="stream", pop_rows=None, at=0):
         low = raw_bits(data, at, at + int(widths.sum()))
         symbols[rows] = (model.lowest[rows] + place << widths) + unpack_fields(low, widths)
         at += len(low)
-        largest = np.abs(symbols[rows]).max()
         require(
-            largest <= MOST_SYMBOL,
+            np.abs(symbols[rows]).max() <= MOST_SYMBOL,
             section,
             start,
-            f"a symbol of magnitude {largest}, expected at most 2^31",
+            "a symbol beyond +-2^31",
         )
-    rest = raw_bits(data, end, min(end + 8, 8 * len(data)))
-    require(len(rest) < 8 and not rest.any(), section, end // 8, "bits left over")
+    expect_end(data, end, section)
     return symbols
 
 
@@ -106,6 +102,12 @@ def raw_bits(data, start, stop):
     """The bits from start to stop of bytes, the lowest of a byte first: an array of 0 and 1."""
     raw = np.frombuffer(data, np.uint8, (stop + 7) // 8 - start // 8, start // 8)
     return np.unpackbits(raw, bitorder="little")[start % 8 :][: stop - start]
+
+
+def expect_end(data, end, section):
+    """Refuse data in which anything but unused zeros follows bit `end`."""
+    rest = raw_bits(data, end, min(end + 8, 8 * len(data)))
+    require(len(rest) < 8 and not rest.any(), section, end // 8, "bits left over")
 
 
 def ideal_bits_gaussian(symbols, mu_units, sigma_units):
@@ -117,13 +119,12 @@ def ideal_bits_gaussian(symbols, mu_units, sigma_units):
     entries, gamma = find_entries(symbols, model)
     bits = PRECISION - np.log2(np.diff(model.keys)[entries]) + model.low[model.table]
     escaped = entries - model.first[model.table] == model.blocks[model.table]
-    bits[escaped] += 2 * bit_length(gamma) - 1
+    bits[escaped] += 2 * rans.bit_length(gamma) - 1
     return bits
 
 
 def find_entries(symbols, model):
     """The entry of every symbol in the model's tables, and v of the escapes."""
-    check_integers("symbols", symbols, model.table.shape, -MOST_SYMBOL, MOST_SYMBOL)
     place = (symbols >> model.low[model.table]) - model.lowest
     blocks = model.blocks[model.table]
     escaped = np.flatnonzero((place < 0) | (place >= blocks))
@@ -135,7 +136,7 @@ def find_entries(symbols, model):
 
 def gamma_fields(values):
     """The gamma codes of integers as two fields each: b zeros and a one, then r in b bits."""
-    b = bit_length(values) - 1
+    b = rans.bit_length(values) - 1
     fields = np.stack([1 << b, values - (1 << b)], axis=1).ravel()
     return fields, np.stack([b + 1, b], axis=1).ravel()
 
@@ -181,18 +182,12 @@ def unpack_fields(raw, widths):
 
 
 def encode_bits(bits, lanes=None):
-    """The stream of booleans [n] that share one probability. P-4DGS Eq. (14).
-
-    Raises ValueError for other dtypes or shapes.
-    """
-    if bits.dtype != bool or bits.ndim != 1:
-        raise ValueError(f"bits: expected booleans in one axis, got {bits.dtype} {bits.shape}")
+    """The stream of booleans [n] that share one probability. P-4DGS Eq. (14)."""
     if len(bits) == 0:
         return b""
     f = probability_of_one(int(bits.sum()), len(bits))
-    message = (
-        b"" if f in (0, rans.CERTAIN) else rans.encode(bits.astype(np.int64), bit_keys(f), lanes)
-    )
+    certain = f in (0, rans.CERTAIN)
+    message = b"" if certain else rans.encode(bits.astype(np.int64), bit_keys(f), lanes)
     return f.to_bytes(4, "little") + message
 
 
@@ -218,8 +213,7 @@ def decode_bits(data, count, section="stream"):
     if f in (0, rans.CERTAIN):
         bits = np.full(count, f == rans.CERTAIN)
     else:
-        tables = np.zeros(count, np.uint8)
-        entries, end = rans.decode(data, tables, bit_keys(f), end, section)
+        entries, end = rans.decode(data, np.zeros(count, np.uint8), bit_keys(f), end, section)
         bits = entries.astype(bool)
     require(len(data) == end, section, end, f"{len(data) - end} bytes left over")
     return bits

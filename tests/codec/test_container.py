@@ -91,12 +91,7 @@ def test_every_truncation_and_every_flipped_bit_is_refused(sections, version):
         (1, lambda d: b"", 0, "at least"),
         (1, lambda d: repaired(d[:15] + bytes(4) + d[19:]), 14, "add up"),
         (1, lambda d: repaired(d[:15] + b"\xff" * 4 + d[19:]), 14, "add up"),
-        (
-            1,
-            lambda d: write_container({})[:9] + b"\x0b" + write_container({})[10:],
-            9,
-            "do not fit",
-        ),
+        (1, lambda d: EMPTY[:9] + b"\x0b" + EMPTY[10:], 113, "wrong checksum of header"),
         *(
             (1, lambda d, n=n: repaired(d[:104] + bytes([n]) + d[105:]), 104, "ascending")
             for n in (0, 12, 255)
@@ -154,8 +149,8 @@ def test_good_files_are_read_whole(tmp_path):
     [
         (b"", LARGE, "not a P-4DGS file: wrong magic number, expected 89 50 34 44"),
         (MAGIC + b"\3", LARGE, "version 3"),
-        (frame(18), LARGE, f"total length 18, but the file has {LARGE} bytes"),
-        (frame(LARGE), LARGE, f"total length {LARGE}, expected at most {2**29}"),
+        (frame(18), LARGE, f"total length 18, expected the file's {LARGE} bytes"),
+        (frame(LARGE), LARGE, f"the file's {LARGE} bytes, at most {2**29}"),
         (frame(2**29), 2**29, "the lengths of the sections add up to 18"),
         (frame(2**29)[:-1], 2**29, "wrong checksum"),
         (b"", 5, "not a P-4DGS file: expected at least 18 bytes"),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.special import log_ndtr
 
-from p4dgs_ref.codec import fixed_point, gaussian_table, rans, streams
+from p4dgs_ref.codec import gaussian_table, rans, streams
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.codec.gaussian_table import (
     MU_BITS,
@@ -77,7 +77,7 @@ EDGES = {  # symbols, mu_units, sigma_units
 
 
 def test_tables_are_those_of_the_format():
-    tables = {name: fixed_point.table(name) for name in ("phi", "exp2", "sigmoid", "log2")}
+    tables = {name: gaussian_table.table(name) for name in ("phi", "exp2", "sigmoid", "log2")}
     numbers = np.concatenate(list(tables.values())).astype("<i4")
     digest = hashlib.sha256(numbers.tobytes()).hexdigest()
     assert digest == "0b6b33feb22f099d8d04ffc834e32affe12432e36e09c5e1f25e7209c56d9477"
@@ -108,25 +108,6 @@ def test_every_table_totals_2_to_the_24_and_every_frequency_is_positive():
     escape = model.keys[model.first + model.blocks]
     assert (escape == (np.arange(1, len(model.first) + 1) << 24) - 1).all()
     assert model.keys[-1] == len(model.first) << 24
-
-
-@pytest.mark.parametrize(
-    "changes, match",
-    [
-        (dict(mu_units=np.zeros(3)), "mu_units: expected signed integers"),
-        (dict(mu_units=np.array([0, 0, MU_LIMIT + 1])), "mu_units: expected values within"),
-        (dict(mu_units=np.zeros((3, 1), int)), r"mu_units: expected signed integers \(3,\)"),
-        (dict(sigma_units=np.array([0, SIGMA_MAX + 1, 0])), "sigma_units: expected values within"),
-        (dict(sigma_units=np.array([0])), r"sigma_units: expected signed integers \(3,\)"),
-        (dict(symbols=np.array([0, 1, 2**31 + 1])), "symbols: .* got 0 to 2147483649"),
-        (dict(symbols=np.zeros(3)), "symbols: expected signed"),
-        (dict(symbols=np.zeros(2, int)), "symbols: expected signed"),
-    ],
-)
-def test_wrong_arguments_are_named(changes, match):
-    inputs = {name: np.zeros(3, int) for name in ("symbols", "mu_units", "sigma_units")}
-    with pytest.raises(ValueError, match=match):
-        encode_gaussian(**{**inputs, **changes})
 
 
 def test_worked_numbers():
@@ -248,8 +229,6 @@ def test_bits(n, p):
 def test_probability_is_certain_only_where_all_bits_are_equal():
     found = [streams.probability_of_one(ones, 2**26) for ones in (0, 1, 2**26 - 1, 2**26)]
     assert found == [0, 1, 2**24 - 1, 2**24]
-    with pytest.raises(ValueError, match="booleans"):
-        encode_bits(np.zeros(3))
 
 
 def test_frequencies_and_coder_use_no_float_arithmetic():
@@ -351,7 +330,7 @@ def test_symbols_beyond_2_to_the_31_are_refused():
     zero = np.zeros(2, int)
     data = encode_gaussian(np.array([2**31, 0]), zero, zero)
     # The same tables five symbols higher
-    assert "at most 2^31" in outcome(data, zero + 5 * 1024, zero)
+    assert "beyond +-2^31" in outcome(data, zero + 5 * 1024, zero)
 
 
 def test_damaged_bit_streams():

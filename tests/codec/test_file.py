@@ -18,6 +18,7 @@ from tests.codec.models import (
     MAKE,
     arrays_of,
     changed,
+    coded,
     digest,
     exact_context,
 )
@@ -229,7 +230,9 @@ def test_everything_masked_leaves_one_anchor_and_the_background(model):
     assert sum(row["bytes"] for row in ledger(data)) == len(data)
 
 
-def test_the_order_of_axes_in_memory_does_not_matter(model):
+@pytest.mark.parametrize("make", [MAKE["random"], coded], ids=["version 1", "version 2"])
+def test_the_order_of_axes_in_memory_does_not_matter(make):
+    model = make()
     networks = {
         name: tuple([*map(np.asfortranarray, part)] for part in pair)
         for name, pair in model.networks.items()

@@ -15,13 +15,8 @@ import scipy.special
 
 from p4dgs_ref import model as pipelines
 from p4dgs_ref.codec import context as integer_context
-from p4dgs_ref.codec import fixed_point
+from p4dgs_ref.codec.context import Layer, run_network, whole_layers
 from p4dgs_ref.codec.file import decode, encode
-from p4dgs_ref.codec.fixed_point import (
-    Layer,
-    run_network,
-    whole_layers,
-)
 from p4dgs_ref.equations import hash_grid, likelihood, mlp, prior, step
 from p4dgs_ref.report.inspect import ledger
 from tests.codec.models import DECODE_AND_PRINT, digest, random_model
@@ -124,7 +119,7 @@ def test_any_order_of_summation_decodes_the_same(coded, monkeypatch, name):
         called.append("hash grid")
         return sum(weight[:, c, None] * signs[:, c] for c in reversed(range(weight.shape[1])))
 
-    monkeypatch.setattr(fixed_point, "product", product)
+    monkeypatch.setattr(integer_context, "product", product)
     monkeypatch.setattr(integer_context.np, "einsum", interpolate)
     assert digest(decode(data)) == expected
     # Three layers each of psi_q and psi_p, and eight levels.

@@ -121,5 +121,5 @@ def test_any_text_can_be_a_comment(tmp_path):
     write_gaussians(tmp_path / "a.ply", some(3), texts)
     lines, rows = by_hand(tmp_path / "a.ply")
     assert len(rows) == 3 and len(lines) == 2 + len(texts) + 1 + 17
-    assert "comment two lines end_header" in lines and all(line.isprintable() for line in lines)
+    assert r"comment two\nlines\r\nend_header" in lines and all(map(str.isprintable, lines))
     np.testing.assert_allclose(read_gaussians(tmp_path / "a.ply").x, some(3).x, atol=1e-6)

@@ -7,12 +7,12 @@ import zlib
 import numpy as np
 import pytest
 
-from p4dgs_ref.codec import container, positions
+from p4dgs_ref.codec import container, version_2
 from p4dgs_ref.codec.container import read_container
 from p4dgs_ref.codec.file import decode, encode
 from p4dgs_ref.codec.header import BASES, read_header, write_header
-from p4dgs_ref.codec.positions import read_gaps, write_gaps
 from p4dgs_ref.codec.quantise import quantise
+from p4dgs_ref.codec.version_2 import read_gaps, write_gaps
 from p4dgs_ref.model import on_lattice, snap
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
@@ -129,7 +129,7 @@ def test_worked_numbers_of_positions():
     assert gaps_file([10, 27], 4) == bytes([0x04, 0xBA, 0x05])
     assert np.array_equal(read_gaps(bytes([0x04, 0xBA, 0x05]), 0, 2, BOX, 2), points)
     for text in ("10 and 27", "04 BA 05", "0, 21845, 43690 and 65535"):
-        assert text in " ".join(positions.__doc__.split())
+        assert text in " ".join(version_2.__doc__.split())
 
 
 @pytest.mark.parametrize(

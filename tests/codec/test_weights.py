@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.codec import weights
+from p4dgs_ref.codec import version_2 as weights
 from p4dgs_ref.codec.file import decode, encode
 from p4dgs_ref.codec.quantise import EncodeError, quantise
-from p4dgs_ref.codec.weights import read_weights, write_weights
+from p4dgs_ref.codec.version_2 import read_weights, write_weights
 from p4dgs_ref.model import first_steps, step_code, step_of_code
 from p4dgs_ref.training.fit import fit
 from tests.codec.models import prefixes, random_model, refusal

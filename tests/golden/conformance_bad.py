@@ -603,8 +603,7 @@ def _word_given_back():
     for start, freq in zip(starts[: -tail - 1 : -1].tolist(), freqs[: -tail - 1 : -1].tolist()):
         x = (x // freq << rans.PRECISION) + x % freq + start
     states = rans.start_lanes(x, 2, stack)
-    rows = [values[:-tail].reshape(-1, 2) for values in (starts, freqs)]
-    states, row_words = rans.push_rows_plainly(states, *rows)
+    states, row_words = rans.push_rows_plainly(states, starts[:-tail], freqs[:-tail])
     x, top = rans.close_lanes(states)
     words = np.concatenate([np.array(part, "<u4") for part in (top[::-1], row_words, stack)])
     features = b"\x81" + tail.to_bytes(4, "little") + x.to_bytes(8, "little") + words.tobytes()

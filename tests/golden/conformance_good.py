@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from p4dgs_ref.codec.context import coding_context
-from p4dgs_ref.codec.positions import codes_of
 from p4dgs_ref.codec.quantise import Quantised, coded
+from p4dgs_ref.codec.version_2 import codes_of
 from p4dgs_ref.model import Anchors, Design, Model, on_lattice, split, unsnap
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 

@@ -15,7 +15,7 @@ from p4dgs_ref.codec import container, file, published
 from p4dgs_ref.codec.__main__ import page
 from p4dgs_ref.codec.container import SECTIONS, layout, read_container
 from p4dgs_ref.codec.file import quantised_of
-from p4dgs_ref.codec.fixed_point import table
+from p4dgs_ref.codec.gaussian_table import table
 from p4dgs_ref.equations import grid_nodes
 from p4dgs_ref.report import figures as report
 from p4dgs_ref.report.figures import heat_image

@@ -4,7 +4,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.codec import container, fixed_point, published
+from p4dgs_ref.codec import container, context, published
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.equations import prior
 from p4dgs_ref.lab.school import lessons
@@ -44,9 +44,9 @@ for array in full_row["arrays"]:
     stored[array["name"]] = streams.stored(full_row, array)
 stream = (published.FOLDER / "full.p4dgs").read_bytes()
 full = quantised_of(container.open_container(stream)).model
-layers = fixed_point.whole_layers(*full.networks["psi_p"])
+layers = context.whole_layers(*full.networks["psi_p"])
 h = stored["h"].astype(float)
-y = fixed_point.run_network(h, layers)
+y = context.run_network(h, layers)
 lessons.number("21.2", my_network(h, layers), y, digits=15)
 
 
@@ -66,12 +66,12 @@ def my_sigma_units(raw, log2_D, p):
 
 widths = full.design.widths
 of_sigma = y[:, prior.layout(widths)[1]]
-raw = fixed_point.rescale(of_sigma, layers[-1].bits, 16, 2**24)
+raw = context.rescale(of_sigma, layers[-1].bits, 16, 2**24)
 raw = np.clip(raw, -14 << 16, 6 << 16)
 fraction, p = np.frexp(full.design.Q_0)
 mantissa = np.floor(fraction * 2**24).astype(int)
 D = mantissa * stored["q_units"]
-log2_D = np.repeat(fixed_point.log2(D), widths, axis=1)
+log2_D = np.repeat(context.log2(D), widths, axis=1)
 exponents = np.repeat(p.astype(int), widths)
 mine = my_sigma_units(raw, log2_D, exponents)
 lessons.number("21.3", mine, stored["sigma_units"], digits=15)
