@@ -275,7 +275,7 @@ def test_an_export_is_whole_and_no_answer(exported, capsys):
         (["check", ".", "--dtype", "float32"], "apply to --adapter only"),
         (["check", ".", "--level", "L0", "--only", "offsets"], "no such case"),
         (["export", "."], "expected an empty folder"),
-        (["check", ".", "--only", "ofsets"], "--only ofsets: did you mean 'offsets'? expected one of"),
+        (["check", ".", "--only", "ofsets"], "--only ofsets: did you mean 'offsets'?"),
     ],
 )
 def test_mistakes_of_the_user(capsys, argv, says):
