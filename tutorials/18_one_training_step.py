@@ -12,8 +12,8 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import SETTINGS, Camera, View, load_scene
-from p4dgs_ref.equations import hash_grid, likelihood, noise, render_loss, total_loss
+from p4dgs_ref import SETTINGS, load_scene
+from p4dgs_ref.equations import likelihood, noise, render_loss, total_loss
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import Anchors, context, groups, predict, split
 from p4dgs_ref.splatting import render
@@ -393,95 +393,11 @@ lessons.backward("18.3", my_backward, "temporal_prediction", "x", "s", "r")
 # %% [markdown]
 # ## Check your port
 # `p4dgs-ref oracle check DIR --only trace` compares ten whole training steps: the losses, the
-# norms of all gradients, and all parameters at the end. The port below is this project's own
-# training step, fed with the inputs of the vectors. Typical mistakes of ports are to place
-# $\epsilon$ inside the root, to count steps for arrays that did not take part, and to move the
-# positions in stage 4.
-
-
-# %%
-ATTRIBUTES = ("x_a", "f_a", "log_s", "log_l", "O_a")
-NETWORKS = ("psi_alpha", "psi_c", "psi_r", "psi_s", "psi_d", "psi_p", "psi_q")
-
-
-def own_name(tensor):
-    """The name in Parameters of a tensor: psi_c.W0 of psi_c_weights.0, and grid.1 of grids.1."""
-    for theirs, ours in (("_weights.", ".W"), ("_biases.", ".b"), ("grids.", "grid.")):
-        tensor = tensor.replace(theirs, ours)
-    return tensor
-
-
-def parameters_of(given):
-    arrays = {name: given[name] for name in ATTRIBUTES}
-    for name in ("grids", *(f"{n}_{part}" for n in NETWORKS for part in ("weights", "biases"))):
-        for i, array in enumerate(given[name]):
-            arrays[own_name(f"{name}.{i}")] = array
-    return Parameters(arrays, given["x_a"].dtype)
-
-
-def design_of(given):
-    return design._replace(
-        d=given["f_a"].shape[1],
-        k=given["O_a"].shape[1],
-        L_x=given["L_x"],
-        L_t=given["L_t"],
-        Q_0=tuple(given["Q_0"]),
-        tau_alpha=given["tau_alpha"],
-        effects=given["effects"],
-    )
-
-
-def views_of(given):
-    width, height = (int(n) for n in given["size"])
-    views = []
-    posed = zip(given["W"], given["T"], given["focal"], given["center"])
-    for (W, T, focal, center), time, image in zip(posed, given["times"], given["truth"]):
-        camera = Camera(W, T, *focal, *center, width, height)
-        views.append(View("", image, None, camera, time))
-    return views
-
+# norms of all gradients, and all parameters at the end. What a port has to compute there is
+# `trace_vjp` in [pipeline.py](../tests/golden/pipeline.py), which made these vectors. Typical
+# mistakes of ports are to place $\epsilon$ inside the root, to count steps for arrays that did not
+# take part, and to move the positions in stage 4. The equations that join all parts of the step
+# are checked here:
 
 # %%
-def port(**given):
-    p = parameters_of(given)
-    networks = {name: p.network(name) for name in NETWORKS}
-    grids = p.listed("grid")
-    located = hash_grid.locate(
-        given["x_a"],
-        given["lo"],
-        given["hi"],
-        given["resolutions"],
-        [len(grid) for grid in grids],
-    )
-    fixed = objective.Fixed(
-        given["mask"],
-        located,
-        given["background"],
-        stage=4,
-        lambda_rate=given["lambda_rate"],
-        lambda_ssim=given["lambda_ssim"],
-        settings=SETTINGS["exact"],
-    )
-    names = [own_name(tensor) for tensor in given["arrays"]]
-    rates = dict(zip(names, given["learning_rates"]))
-    views = views_of(given)
-    adam = Adam(p)
-    out = {}
-
-    def record(name, value):
-        out.setdefault(name, []).append(value)
-
-    for v, u in zip(given["views"], given["u"]):
-        losses, _, back = objective.loss(p, design_of(given), networks, grids, fixed, views[v], u)
-        gradients, _ = back()
-        adam.step(p, gradients, rates.get)
-        for name in ("L1", "D_SSIM", "L_render", "L_rate", "bits", "L_total"):
-            record(name, getattr(losses, name))
-        record("gradient_norm", [np.linalg.norm(gradients[name]) for name in names])
-        record("total", [p[name].sum() for name in names])
-        record("ramp", [p[name].ravel() @ np.cos(np.arange(p[name].size)) for name in names])
-    out["final"] = np.concatenate([p[name].ravel() for name in names])
-    return {name: np.array(values) for name, values in out.items()}
-
-
-lessons.passes("trace", port=port)
+lessons.passes("render_loss", "total_loss")

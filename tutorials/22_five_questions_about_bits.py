@@ -23,9 +23,7 @@ from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
 from p4dgs_ref.equations import likelihood, noise
 from p4dgs_ref.lab.accuracy import formulas
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.model import Context
 from p4dgs_ref.report import inspect
-from p4dgs_ref.training import objective
 
 plt = lessons.begin("22_five_questions_about_bits")
 rng = np.random.default_rng(22)
@@ -477,10 +475,4 @@ lessons.backward("22.3", my_rate_backward, "rate_stage", "mu", "q")
 
 
 # %%
-def port(noisy, mu, sigma, q, mask, grids, d, k):
-    widths = design._replace(d=d, k=k)
-    return objective.rate(noisy, Context(q, mu, sigma), grids, mask, widths)[0]
-
-
-lessons.passes("rate_stage", port=port)
 lessons.passes("likelihood")

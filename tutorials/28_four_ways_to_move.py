@@ -390,9 +390,9 @@ assert np.isclose(holdings["P-4DGS"][0][0], (3 + 16 + 6 + 4 * 3 + 4) / 4, rtol=0
 # are rounded and coded besides. The numbers of the others could be coded as well.
 #
 # **What one picture costs.** We count multiplications that are followed by an addition, for one
-# Gaussian at one time, from the shapes of the layers. The part of a first layer that reads $E(t)$
-# is the same for all Gaussians, as are the time nets. Our anchors also evaluate four networks,
-# whose cost is divided by $k$.
+# Gaussian at one time: every weight of a network is one. Our anchors also evaluate four networks,
+# whose cost is divided by $k$. (The part of a first layer that reads $E(t)$ is the same for all
+# Gaussians, and fast code computes it once.)
 
 
 # %%
@@ -400,28 +400,16 @@ def products(layers):
     return sum(rows * columns for rows, columns in layers)
 
 
-def cost_of_psi_d(preset):
-    heads = d3dgs.HEADS
-    form = preset.L_x, preset.L_t, preset.deformation, heads, preset.time_net, preset.skip
-    layers = deformation_layers(*form)["psi_d"]
-    from_t = preset.time_net[-1] if preset.time_net else 1 + 2 * preset.L_t
-    readers = 1 + preset.skip  # how many layers read E(t)
-    return products(layers) - readers * from_t * preset.deformation[0]
-
-
 def cost_of_ours(preset):
     layers = design_of(preset, MODEL_EFFECTS).layers()
     anchor = sum(products(layers[name]) for name in ("psi_alpha", "psi_c", "psi_r", "psi_s"))
-    return (
-        products(layers["psi_d"]) - (1 + 2 * preset.L_t) * preset.deformation[0] + anchor / preset.k
-    )
+    return products(layers["psi_d"]) + anchor / preset.k
 
 
 def cost_of_planes(preset):
-    F, widths = preset.features, preset.hidden
-    inputs, W = F * len(preset.levels), widths[-1]
+    inputs, W = preset.features * len(preset.levels), preset.hidden[-1]
     reading = inputs * (6 * 4 + 5)  # six planes, four nodes each, and the product of the six
-    decoder = products(zip((inputs, *widths), widths)) + products([(W, W)] * 3) + W * 10
+    decoder = products(zip((inputs, *preset.hidden), preset.hidden)) + 3 * W * W + W * 10
     return reading + decoder
 
 
@@ -429,8 +417,8 @@ def cost_of_planes(preset):
 LINE = 4**3 + 4 * 4 + 3 * 4 + 2 * 3 * 4 + 3 * 3 * 4 + 3
 costs = {
     "P-4DGS": [cost_of_ours(TINY), cost_of_ours(PAPER_SYNTHETIC)],
-    "D3DGS": [cost_of_psi_d(d3dgs.TINY), cost_of_psi_d(d3dgs.PAPER_SYNTHETIC)],
-    "D3DGS small": [cost_of_psi_d(d3dgs.TINY_SMALL)],
+    "D3DGS": [shared for _, shared, _ in holdings["D3DGS"]],  # all of it is its network
+    "D3DGS small": [shared for _, shared, _ in holdings["D3DGS small"]],
     "4DHexPlane": [cost_of_planes(hexplane.TINY), cost_of_planes(hexplane.PAPER_SYNTHETIC)],
     "4DGS": 2 * [LINE + 3 * 3 * 16],  # G4: three waves of 16 harmonics of three colours
 }
@@ -739,12 +727,10 @@ assert abs(gain[1]) < 0.01 and gain[30] > 0.35
 # %%
 sections = ledger((published.FOLDER / "full.p4dgs").read_bytes())
 coded = ("features", "scales", "offset_scales", "offsets", "hash_grid")
-estimated = 0.0
 for part in sections:
     if part["name"] in coded:
-        estimated += part["estimate_bytes"]
-        estimate, size = part["estimate_bytes"], part["bytes"]
-        print(f"{part['name']:14s} {estimate:4.0f} bytes estimated, {size:4d} written")
+        print("{name:14s} {estimate_bytes:4.0f} bytes estimated, {bytes:4d} written".format(**part))
+estimated = sum(part["estimate_bytes"] for part in sections if part["name"] in coded)
 written = sum(part["bytes"] for part in sections)
 print(f"the whole file {estimated:4.0f} bytes estimated, {written:4d} written")
 assert estimated < 0.2 * written
@@ -842,9 +828,7 @@ lessons.show(figure, "28_four_ways_to_move_reading")
 # the recording. What does each of the three ways to move show?
 
 # %%
-answer_1 = ...
-answer_2 = ...
-answer_3 = ...
+answer_1 = answer_2 = answer_3 = ...
 
 lessons.number("28.1", answer_1)
 lessons.number("28.2", answer_2)

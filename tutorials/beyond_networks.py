@@ -226,12 +226,8 @@ FORM = "{bytes:7.3f}{psi_d:10.3f}{dB:+8.2f}{SSIM:+9.4f}"
 for (scene, seed, rate), row in found.items():
     sizes = paper[scene, seed, rate]["bytes"], coded[scene, seed, rate]["bytes"]
     print(f"{scene + ',':9} {seed:4}{sizes[0]:15,.0f}{sizes[1]:7,.0f}" + FORM.format(**row))
-for name, of in (("mean", np.mean), ("deviation", np.std), ("lowest", np.min), ("highest", np.max)):
-    print(f"{name:36}" + FORM.format(**{column: of(a) for column, a in columns.items()}))
-print("\nmean bytes        paper   coded")
-for part in ("deformation", "networks", "anchors", "positions", "other"):
-    means = [np.mean([rows[key][f"{part}_bytes"] for key in usual]) for rows in (paper, coded)]
-    print(f"{part:14}{means[0]:9,.0f}{means[1]:8,.0f}")
+means = {name: a.mean() for name, a in columns.items()}
+print(f"{'mean':36}" + FORM.format(**means))
 
 
 # %% [markdown]
