@@ -207,7 +207,7 @@ def export_ply(arguments):
         f"{file.stem}, a P-4DGS model, frozen at time {arguments.time:.6g}",
         "frozen view: {}, camera at {:.4g} {:.4g} {:.4g}".format(name, *camera.center),
         "background of the model: {:.3g} {:.3g} {:.3g}".format(*model.background),
-        f"effects of the model: {' '.join(model.design.effects)}",
+        f"effects of the model: {' '.join(model.design.effects) or 'none'}",
     )
     with new_file(arguments.output or file.with_suffix(".ply")) as output:
         splats.write_gaussians(output, gaussians, comments)

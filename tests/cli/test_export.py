@@ -65,7 +65,7 @@ def test_the_header_says_what_was_frozen(place, run):
     assert run("export-ply sum.p4dgs -o sum.ply")[0] == 0
     assert comments(place / "sum.ply")[2:] == [
         "comment background of the model: 0 0 0",
-        "comment effects of the model:",
+        "comment effects of the model: none",
     ]
     assert comments(place / "sum.ply")[0].endswith("frozen at time 0")
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import imageio.v3 as iio
 import numpy as np
+from scipy.ndimage import gaussian_filter, zoom
 
 from p4dgs_ref.codec.file import decode
 from p4dgs_ref.lab import stability
@@ -170,18 +171,13 @@ def code_hash(name):
 
 def record(names):
     """Note in gallery.json that the code as it is drew these pictures."""
-    drawn = drawn_before() | {name: code_hash(name) for name in names}
+    drawn = json.loads(DRAWN.read_text()) | {name: code_hash(name) for name in names}
     write_text(DRAWN, json.dumps(drawn, indent=1, sort_keys=True) + "\n")
-
-
-def drawn_before():
-    """What gallery.json says."""
-    return json.loads(DRAWN.read_text(encoding="utf-8")) if DRAWN.is_file() else {}
 
 
 def stale():
     """Names of the pictures that other code than today's has drawn."""
-    drawn = drawn_before()
+    drawn = json.loads(DRAWN.read_text())
     return [name for name in {**PICTURES, **DRAW} if drawn.get(name) != code_hash(name)]
 
 
@@ -204,18 +200,9 @@ def draw_accuracy(out):
 def shrink(source, target):
     """Write the image `source` to `target`, at most WIDTH pixels wide."""
     image = iio.imread(source)[..., :3].astype(float)
-    height, width = image.shape[:2]
-    if width > WIDTH:
-        rows = shares(height, round(height * WIDTH / width))
-        columns = shares(width, WIDTH)
-        image = np.einsum("ih,hwc,jw->ijc", rows, image, columns, optimize=True)
+    factor = WIDTH / image.shape[1]
+    if factor < 1:
+        smooth = gaussian_filter(image, (0.4 / factor, 0.4 / factor, 0))
+        image = zoom(smooth, (factor, factor, 1), order=1, mode="nearest", grid_mode=True)
     pixels = image.round().clip(0, 255).astype(np.uint8)
     iio.imwrite(target, pixels, extension=".png", optimize=True)
-
-
-def shares(n, m):
-    """The share of each of n old pixels in each of m new ones (m, n); every row sums to 1."""
-    edges = np.linspace(0, n, m + 1)
-    low, high = edges[:-1, None], edges[1:, None]
-    overlap = np.minimum(high, np.arange(1, n + 1)) - np.maximum(low, np.arange(n))
-    return np.clip(overlap, 0, None) * m / n

@@ -17,8 +17,8 @@ import json
 import re
 import sys
 import tempfile
-import traceback
 import types
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,8 +34,7 @@ PROSE, CODE = "# %% [markdown]", "# %%"
 NAME = re.compile(r"(?<!\[)`(\d\d_\w+)`")  # of a tutorial in the prose, unless it is linked already
 LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)[^)\s]+")  # a target without https: and the like
 START = "import sys; from tutorials.tools.notebooks import record; record(*sys.argv[1:])"
-PACKAGE = "To run it, install the package: `pip install .` in the folder above `tutorials/`."
-WITHOUT = "To run it, install what it imports: `pip install numpy scipy matplotlib`."
+INSTALL = "To run it, install the package: `pip install .` in the folder above `tutorials/`."
 METADATA = {
     "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
     "language_info": {
@@ -111,9 +110,7 @@ def links(source):
         parts.append(f"[solutions](../solutions/{source.name})")
     parts += [f"previous: [{name}]({name}.ipynb)" for name in names[max(i - 1, 0) : i]]
     parts += [f"next: [{name}]({name}.ipynb)" for name in names[i + 1 : i + 2]]
-    package = re.search(r"^(from|import) p4dgs_ref\b", source.read_text(encoding="utf-8"), re.M)
-    install = PACKAGE if package else WITHOUT
-    return " · ".join([*parts, "[all tutorials](../README.md)"]) + f"\n\n{install}"
+    return " · ".join([*parts, "[all tutorials](../README.md)"]) + f"\n\n{INSTALL}"
 
 
 def moved(link):
@@ -161,18 +158,15 @@ def record(source, result):
     """
     import matplotlib.pyplot as plt
 
-    source, outputs, every, terminal = Path(source), [], [], sys.stderr
+    source, outputs, every = Path(source), [], []
     sys.argv, sys.ps1 = ["kernel", "-f", "kernel.json"], ">>> "
-    sys.stdout, sys.stderr = Stream("stdout", outputs), Stream("stderr", outputs)
     sys.modules["__main__"] = main = types.ModuleType("__main__")
     plt.show = lambda *args, **settings: outputs.extend(figures(plt))
     code = [cell for cell in cells(source.read_text(encoding="utf-8")) if not cell.prose]
     for count, cell in enumerate(code, 1):
-        try:
+        out, err = Stream("stdout", outputs), Stream("stderr", outputs)
+        with redirect_stdout(out), redirect_stderr(err):
             value = value_of(cell, source.name, vars(main))
-        except BaseException as error:
-            print(where(cell, source.name, error), file=terminal)
-            sys.exit(1)
         if value is not None:
             data = {"data": {"text/plain": repr(value)}, "metadata": {}}
             outputs.append({"output_type": "execute_result", "execution_count": count, **data})
@@ -189,15 +183,6 @@ def value_of(cell, name, namespace):
     last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
     exec(compile(tree, name, "exec"), namespace)
     return eval(compile(ast.Expression(last.value), name, "eval"), namespace) if last else None
-
-
-def where(cell, name, error):
-    """Return one line: the cell, the line of the file that raised the error, and the error."""
-    frames = traceback.extract_tb(error.__traceback__)
-    lines = [frame.lineno for frame in frames if frame.filename == name]
-    line = error.lineno if isinstance(error, SyntaxError) else lines[-1]
-    message = " ".join(str(error).split())
-    return f"cell at line {cell.line}, line {line}: {type(error).__name__}: {message}"
 
 
 def figures(plt):

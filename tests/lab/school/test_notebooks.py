@@ -196,7 +196,7 @@ def test_last_notebook_links_the_one_before_and_no_solution(small):
     assert "".join(notebook["cells"][0]["source"]) == (
         "Made from [02_next.py](../02_next.py) · previous: [01_small](01_small.ipynb) · "
         "[all tutorials](../README.md)\n\n"
-        "To run it, install what it imports: `pip install numpy scipy matplotlib`."
+        "To run it, install the package: `pip install .` in the folder above `tutorials/`."
     )
     assert notebook["cells"][1]["outputs"][0]["data"] == {"text/plain": "'last'"}
 
@@ -220,14 +220,13 @@ def test_missing_stale_and_orphaned_notebooks_are_found(small):
 @pytest.mark.parametrize(
     "code, said",
     [
-        ("x = 1\n\n\ndef f():\n    return x / 0\n\n\nf()", "line 8: ZeroDivisionError: division"),
-        ("x = 1\nx = = 2", "line 5: SyntaxError: invalid syntax"),
-        ("raise ValueError('two\\nlines')", "line 4: ValueError: two lines"),
-        ("raise SystemExit(3)", "line 4: SystemExit: 3"),
+        ("x = 1\n\n\ndef f():\n    return x / 0\n\n\nf()", "ZeroDivisionError: division by zero"),
+        ("x = 1\nx = = 2", "SyntaxError: invalid syntax"),
+        ("raise SystemExit(3)", "exit code 3"),
         ("import os\n\nos._exit(7)", "exit code 7"),
     ],
 )
-def test_error_names_tutorial_cell_and_line(code, said, small):
+def test_error_names_the_tutorial(code, said, small):
     folder = small.parent / "notebooks"
     folder.mkdir()
     (folder / "01_small.ipynb").write_text("as before")
@@ -236,7 +235,6 @@ def test_error_names_tutorial_cell_and_line(code, said, small):
         notebooks.main(["01"], small.parent)
     error = str(stopped.value)
     assert error.startswith("01_small.py, ") and said in error and "\n" not in error
-    assert "cell at line 3" in error or "exit code" in said
     assert [file.read_text() for file in folder.iterdir()] == ["as before"]
 
 
