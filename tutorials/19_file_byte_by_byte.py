@@ -420,23 +420,8 @@ lessons.number("19.3", answer_3, [24, 14])
 # %% [markdown]
 # ## Check your port
 # `p4dgs-ref oracle check DIR --only codec` reads the arrays that a port decoded from the
-# published streams. In Python, the check takes an object that decodes. Typical mistakes of ports
-# at this level are native instead of little-endian numbers, lengths that are used before they are
-# checked, a section that may be absent and is expected nevertheless, and positions divided by
-# `65536` instead of `65535`.
-
-
-# %%
-class Port:
-    """A port as the oracle expects it: `decode` returns the arrays of a stream or a refusal."""
-
-    def decode(self, name, stream):
-        try:
-            return streams.decoded(stream), None
-        except p4.BitstreamError as error:
-            return None, str(error)
-
-
-report = oracle.check_port(Port(), only="codec")
-print(report)
-assert report.ok
+# published streams. In Python, `oracle.check_port(port, only="codec")` takes an object whose
+# method `decode(name, stream)` returns the arrays and None, or None and the reason of a refusal.
+# Typical mistakes of ports at this level are native instead of little-endian numbers, lengths that
+# are used before they are checked, a section that may be absent and is expected nevertheless, and
+# positions divided by `65536` instead of `65535`.

@@ -53,8 +53,6 @@ needs = {
     "background": "a colour behind T_N",
 }
 assert set(needs) == set(MODEL_EFFECTS)
-for effect in MODEL_EFFECTS:
-    print(f"{effect:14s} {needs[effect]}")
 
 # %% [markdown]
 # ## By hand

@@ -775,8 +775,6 @@ for points, hue, mark, name in ((ours, 0, "o", "ours"), (theirs, 1, "s", "theirs
 both = [bytes_at(points, 33.0) / 1000 for points in (ours, theirs)]
 curves.plot(both, [33, 33], color="k", ls="--", lw=1.5)
 curves.annotate(f"{at_33:.1f} times", (np.sqrt(np.prod(both)), 33.1), ha="center", fontsize=12)
-curves.plot([38, 152], [34, 35], color="0.5", ls=":", lw=1.5)
-curves.annotate("4.0 times? 1 dB apart", (75, 34.75), ha="right", fontsize=12, color="0.3")
 curves.set(
     xlabel="file (kB of 1000 bytes)",
     ylabel="PSNR (dB)",

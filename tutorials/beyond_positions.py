@@ -54,8 +54,7 @@ def predicted_bits(A, bits):
     return 3 * bits - order_bits(A)
 
 
-print(f"order of 200 anchors: {order_bits(200):.1f} bits each")
-print(f"predicted at 10 bits: {predicted_bits(200, 10):.1f} bits each")
+print(f"200 anchors: order {order_bits(200):.1f} bits each, 10 bits {predicted_bits(200, 10):.1f}")
 
 # %% [markdown]
 # ## Candidates
@@ -70,20 +69,9 @@ print(f"predicted at 10 bits: {predicted_bits(200, 10):.1f} bits each")
 
 
 # %%
-def codes_at(model, bits):
-    """The sorted codes of a model's anchors, on a lattice of `bits` bits."""
-    positions, _ = snap(model.anchors.x_a, *model.box, bits)
-    return np.sort(codes_of(positions, model.box, bits))
-
-
 def sorted_positions(model, bits):
     positions, _ = snap(model.anchors.x_a, *model.box, bits)
     return positions[codes_of(positions, model.box, bits).argsort(kind="stable")]
-
-
-def rice_bits(codes):
-    gaps = np.diff(codes, prepend=0)
-    return min(int((gaps >> r).sum()) + len(gaps) * (1 + r) for r in range(48))
 
 
 def gamma_bits(model, bits):
@@ -91,29 +79,13 @@ def gamma_bits(model, bits):
     return 8 * len(write_gaps(sorted_positions(model, bits), model.box, bits))
 
 
-def splitting_bits(codes, digits):
-    """The bits of count splitting, computed and not written."""
-    n = len(codes)
-    if n == 1:
-        return digits  # the rest of a single point as it is
-    if n == 0 or digits == 0:
-        return 0.0
-    lower = codes >> digits - 1 & 1 == 0
-    k = int(lower.sum())
-    binomial = np.exp(lgamma(n + 1) - lgamma(k + 1) - lgamma(n - k + 1) - n * log(2))
-    halves = (splitting_bits(codes[part], digits - 1) for part in (lower, ~lower))
-    return sum(halves) - np.log2(0.5 / (n + 1) + 0.5 * binomial)
-
-
 def bits_per_anchor(model, bits):
     """{candidate: bits per anchor}."""
-    A, codes = model.primitives, codes_at(model, bits)
+    A = model.primitives
     return {
         "raw": 3 * bits,
         "raw without order": predicted_bits(A, bits),
-        "Rice": rice_bits(codes) / A,
         "gamma (chosen)": gamma_bits(model, bits) / A,
-        "count splitting": splitting_bits(codes, 3 * bits) / A,
     }
 
 
@@ -186,9 +158,7 @@ lessons.finish(
     legend={},
 )
 shares = bits_per_anchor(model, 10)
-right.barh(list(shares)[::-1], list(shares.values())[::-1])
-for y, value in enumerate(list(shares.values())[::-1]):
-    right.text(value, y, f" {value:.1f}", va="center")
+right.bar_label(right.barh(list(shares)[::-1], list(shares.values())[::-1]), fmt=" %.1f")
 right.set(
     xlabel="bits per anchor",
     title="ten bits per axis",

@@ -44,8 +44,7 @@ def effects(arguments):
         scene = read_scene(arguments)
         found = effect_ledger.ledger(scene, preset, arguments.seed, share, progress, arguments.jobs)
         effect_ledger.draw_ledger(beside / "effects.png", found)
-    few = "\n\n45 steps of the preset smoke: too few for the PSNR to mean anything"
-    show(arguments, {"effects": found}, effect_ledger.describe(found) + few * arguments.quick)
+    show(arguments, {"effects": found}, effect_ledger.describe(found, arguments.quick))
 
 
 def suggest_effects(arguments):

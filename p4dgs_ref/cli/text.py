@@ -1,7 +1,5 @@
 """What the commands print for people; --json prints the same values."""
 
-from textwrap import shorten
-
 from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, SOURCES, differences
 
 
@@ -81,9 +79,8 @@ def cell(value):
 
 
 def setting(value):
-    """A field of a preset; the end of a long tuple is left out."""
-    text = ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-    return shorten(text, 28, placeholder=" ...")
+    """A field of a preset."""
+    return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def presets(chosen, every_field):

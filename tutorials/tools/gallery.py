@@ -1,7 +1,7 @@
 """The pictures of tutorials/README.md, which come from commands and from the tutorials.
 
-`python -m tutorials.tools.syllabus` draws them anew and reduces them in size. Which code drew a
-picture is recorded in gallery.json, so that a test notices pictures that are out of date.
+`python -m tutorials.tools.syllabus` draws them anew. Which code drew a picture is recorded in
+gallery.json, so that a test notices pictures that are out of date.
 """
 
 import hashlib
@@ -10,10 +10,6 @@ import json
 import tempfile
 from pathlib import Path
 from typing import NamedTuple
-
-import imageio.v3 as iio
-import numpy as np
-from scipy.ndimage import gaussian_filter, zoom
 
 from p4dgs_ref.codec.file import decode
 from p4dgs_ref.lab import stability
@@ -26,8 +22,6 @@ from tutorials.tools import animation, architecture, handout
 from tutorials.tools.shared import FOLDER, write_text
 
 DRAWN = Path(__file__).with_name("gallery.json")  # {picture: hash of the code that drew it}
-
-WIDTH = 640  # pixels of a figure
 
 
 class Picture(NamedTuple):
@@ -145,10 +139,7 @@ def take(out, pictures):
     renewed = [name for name, figure in figures.items() if figure.is_file()]
     with filled(pictures) as beside:
         for name in renewed:
-            if name.endswith(".gif") or PICTURES[name].drawn_by == "demo":
-                (beside / name).write_bytes(figures[name].read_bytes())
-            else:
-                shrink(figures[name], beside / name)
+            (beside / name).write_bytes(figures[name].read_bytes())
     return renewed
 
 
@@ -195,14 +186,3 @@ def draw_accuracy(out):
     """Turn the knob whose picture is shown and draw the stability map, both into `out`."""
     report.run(["cut"], out)
     stability.draw_map(Path(out) / PICTURES["accuracy_likelihood.png"].figure)
-
-
-def shrink(source, target):
-    """Write the image `source` to `target`, at most WIDTH pixels wide."""
-    image = iio.imread(source)[..., :3].astype(float)
-    factor = WIDTH / image.shape[1]
-    if factor < 1:
-        smooth = gaussian_filter(image, (0.4 / factor, 0.4 / factor, 0))
-        image = zoom(smooth, (factor, factor, 1), order=1, mode="nearest", grid_mode=True)
-    pixels = image.round().clip(0, 255).astype(np.uint8)
-    iio.imwrite(target, pixels, extension=".png", optimize=True)
