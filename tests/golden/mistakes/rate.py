@@ -306,7 +306,7 @@ LIKELIHOOD = [
         "likelihood-density",
         "the density at f times q for the mass of the bin",
         {
-            "TO_BITS * log_p, *slopes(offset, sigma, z, w, ratio)": (
+            "TO_BITS * log_p, *slopes(offset, sigma, low, high, z, w, ratio)": (
                 "TO_BITS * (np.log(w * PHI_0) - z * z / 2), *(TO_BITS * a for a in (-offset "
                 "/ sigma**2, (z * z - 1) / sigma, 1 / q))"
             )
