@@ -885,7 +885,11 @@ def check():
                 ]
                 differences.append((ends[0] - ends[1]) / (2 * nudge))
             if all(abs(slope - other) > 1e-4 * abs(other) + 1e-8 for other in differences):
-                wrong.append(f"stage {stage}, {name}: gradient {slope:.6g}, {differences}")
+                off = abs(slope - differences[0]) / max(abs(differences[0]), 1e-300)
+                wrong.append(
+                    f"stage {stage}, {name}: gradient {slope:.6g}, by differences "
+                    f"{differences[0]:.6g}, relative error {off:.1e}"
+                )
     return wrong
 
 

@@ -377,8 +377,8 @@ assert abs(squared_error[0.25] / squared_error[0.125] - 4) < 0.05
 
 # %% [markdown]
 # ## Exercises
-# **07.1** What are the symbols of $0.625$, $-0.3$, $0.125$ and $1.1$ with the step $0.25$? Give a
-# list of four integers.
+# **07.1** What are the symbols of $0.625$, $0.375$, $-0.875$ and $-0.45$ with the step $0.25$? Give
+# a list of four integers.
 #
 # **07.2** Write Eq. (10) with both outputs, the symbols as integers.
 #

@@ -1,5 +1,5 @@
 # %% [markdown]
-# # Support: from splats to a pixel's colour, and back without a division
+# # Support: from splats to a pixel's colour, and back in one sweep
 #
 # **Promise.** After this you can composite splats by hand, and derive the gradient of every opacity
 # in one sweep from back to front. **Before it:** `14_projection`. **Takes** three seconds of
@@ -387,11 +387,14 @@ lessons.show(
 # ## Break it
 # There is another correct formula for the gradient. Let $S_i$ be the contribution of everything
 # behind layer $i$ to the pixel:
-# $$S_i = T_i\,(1-\alpha_i)\,B_i = C - \sum_{j\le i} c_j\alpha_jT_j \quad\Longrightarrow\quad
+# $$S_i = T_i\,(1-\alpha_i)\,B_i = \sum_{j>i} c_j\alpha_jT_j + T_N c_{bg} \quad\Longrightarrow\quad
 #   \bar\alpha_i = T_ic_i - \frac{S_i}{1-\alpha_i}.$$
-# Shapes and signs are right, and on ordinary pixels the result is right too. But the formula
-# *divides*. For an opaque layer the quotient is $0/0$, and for deep layers $S_i$ is the
-# difference of two nearly equal numbers, so that its relative error is large.
+# Published kernels and `00_whole_paper` use it. It divides, so that an opaque layer gives $0/0$,
+# but below the limit of $0.99$ it is as good as the sweep, *if $S_i$ is a sum from the back*. It is
+# tempting to save this sum: a kernel that keeps the pixel $C$ of the forward pass can walk from the
+# front and subtract what it has passed, $S_i = C - \sum_{j\le i} c_j\alpha_jT_j$. Shapes and signs
+# are right, and on ordinary pixels the result is right too. But behind opaque layers $S_i$ is much
+# smaller than $C$, and a small difference of two large numbers keeps none of their digits.
 
 
 # %%
@@ -407,12 +410,18 @@ def by_sweep(alpha, gray, T, background):
 
 
 def by_division(alpha, gray, T, background):
-    """d C / d alpha of one pixel, from S and a division."""
-    contributions = np.cumsum(alpha * T[:-1] * gray)
-    C = contributions[-1] + T[-1] * background
-    S = C - contributions
+    """d C / d alpha of one pixel, from S summed from the back, and a division."""
+    parts = np.append(alpha * T[:-1] * gray, T[-1] * background)
+    S = np.cumsum(parts[::-1])[-2::-1]
     with np.errstate(invalid="ignore"):
         return T[:-1] * gray - S / (1 - alpha)
+
+
+def by_subtraction(alpha, gray, T, background):
+    """The same with S as the pixel minus everything up to layer i."""
+    passed = np.cumsum(alpha * T[:-1] * gray)
+    C = passed[-1] + T[-1] * background
+    return T[:-1] * gray - (C - passed) / (1 - alpha)
 
 
 def slopes_of(formula, alpha, gray, dtype):
@@ -427,25 +436,26 @@ grays = rng.uniform(size=40)
 alphas[[10, 25]] = 0.99
 exact = slopes_of(by_sweep, alphas, grays, np.float64)
 errors = {}
-for formula in (by_sweep, by_division):
+for formula in (by_sweep, by_division, by_subtraction):
     single = slopes_of(formula, alphas, grays, np.float32)
     errors[formula.__name__] = np.abs(single - exact) / np.abs(exact)
-assert errors["by_sweep"].max() < 1e-4
-assert errors["by_division"].max() > 0.1
+assert max(errors["by_sweep"].max(), errors["by_division"].max()) < 1e-4
+assert errors["by_subtraction"].max() > 0.1
 opaque = np.array([0.5, 1.0]), np.array([0.3, 0.6])
 assert np.isfinite(slopes_of(by_sweep, *opaque, np.float64)).all()
 assert np.isnan(slopes_of(by_division, *opaque, np.float64)[1])
 
 figure, ax = plt.subplots(figsize=(9, 4.8))
 ax.semilogy(errors["by_sweep"], "o-", ms=4, label="sweep from the back")
-ax.semilogy(errors["by_division"], "s--", ms=4, label=r"division by $1-\alpha_i$")
+ax.semilogy(errors["by_division"], "D:", ms=4, label="division, $S_i$ summed from the back")
+ax.semilogy(errors["by_subtraction"], "s--", ms=4, label=r"division, $S_i = C - \dots$")
 ax.axvline(10, color="0.6", lw=1, label="opacity 0.99")
 ax.axvline(25, color="0.6", lw=1)
 lessons.finish(
     ax,
     xlabel="layer, front to back",
     ylabel=r"relative error of $\bar\alpha_i$ in float32",
-    title="Behind nearly opaque layers the division has no correct digits",
+    title="Behind nearly opaque layers the subtraction leaves no correct digit",
     legend={"loc": "right"},
 )
 lessons.show(figure, "15_compositing_division")

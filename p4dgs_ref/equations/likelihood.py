@@ -94,16 +94,21 @@ def rate(f_noisy, mu, sigma, q):
         if len(rows):
             log_p[rows], ratio[rows] = regime(low[rows], high[rows], z[rows], w[rows])
 
-    return TO_BITS * log_p, *slopes(offset, sigma, z, w, ratio)
+    return TO_BITS * log_p, *slopes(offset, sigma, low, high, z, w, ratio)
 
 
-def slopes(offset, sigma, z, w, ratio):
+def slopes(offset, sigma, low, high, z, w, ratio):
     """Slopes of the bits by f_noisy, sigma and q; ratio is phi(low) / p."""
     # phi(low) - phi(high) = phi(low) * drop, without a difference
     drop = -np.expm1(-z * w)
     slope_z = -np.sign(offset) * ratio * drop  # d log p / dz, with the sign of the offset
     slope_w = ratio * (1 - drop / 2)  # d log p / dw
     sigma_slope = -(offset / sigma * slope_z + w * slope_w)  # sigma divides both z and w
+    # It is also (low phi(low) - high phi(high)) / p, which keeps its digits in a wide bin with one
+    # edge on the mean, where the sum above subtracts w from w.
+    wide = np.flatnonzero(drop > 0.5)
+    edges = low[wide] - high[wide] * np.exp(-z[wide] * w[wide])
+    sigma_slope[wide] = ratio[wide] * edges
     per_unit = TO_BITS / sigma
     return per_unit * slope_z, per_unit * sigma_slope, per_unit * slope_w
 

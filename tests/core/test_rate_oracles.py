@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from p4dgs_ref.equations import (
     grid_nodes,
@@ -89,6 +90,16 @@ def test_likelihood_against_constants(mu, sigma, sign):
     exact = (Z[0] % 0.5 == 0) | (mu == 0)
     assert exact.sum() > 100
     check_bits_and_slopes(*rate(sign * Z, W, mu, sigma), sign, 1e-12, 1e-12, exact)
+
+
+@SIGNS
+def test_slope_of_sigma_where_an_edge_lies_on_the_mean(sign):
+    """There log p depends on sigma through the far edge alone, by high phi(high) / p."""
+    high = np.array([[1.5, 3.0, 10.0, 30.0]])
+    density = np.exp(-(high**2) / 2) / np.sqrt(2 * np.pi)
+    want = high * density / (ndtr(high) - 0.5) / np.log(2)
+    _, slopes = rate(sign * high / 2, high)
+    np.testing.assert_allclose(slopes["sigma"], want, rtol=1e-13)
 
 
 @SIGNS

@@ -90,6 +90,9 @@ def spatial_cases():
         {**masked, "mask": rng.random((6, 5)) < 0.6, "tau_alpha": 0.125},
         ("masked",),
     )
+    rng = np.random.default_rng(224)
+    faint = anchor_inputs(rng, 5, 4, 3, (7,), MODEL_EFFECTS)
+    yield Case("masked_at_zero", {**faint, "mask": rng.random((5, 3)) < 0.6}, ("masked",))
     yield Case(
         "no_view", anchor_inputs(np.random.default_rng(203), 6, 5, 2, (8,), UNSEEN), ("off",)
     )

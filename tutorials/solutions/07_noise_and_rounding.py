@@ -8,13 +8,14 @@ from p4dgs_ref.equations import noise, rounding
 from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
-# **07.1** The quotients are $2.5$, $-1.2$, $0.5$ and $4.4$. The first and the third are ties, and
-# they are rounded to the even neighbour.
+# **07.1** The quotients are $2.5$, $1.5$, $-3.5$ and $-1.8$. The first three are ties, and they are
+# rounded to the even neighbour. Rounding ties up, down or away from zero, and cutting off the
+# fraction, all give other lists.
 
 # %%
-four = np.array([[0.625, -0.3, 0.125, 1.1]])
+four = np.array([[0.625, 0.375, -0.875, -0.45]])
 quarter = np.array([[0.25]])
-lessons.number("07.1", [2, -1, 0, 4], rounding.forward(four, quarter)[0][0][0])
+lessons.number("07.1", [2, 2, -4, -2], rounding.forward(four, quarter)[0][0][0])
 
 
 # %% [markdown]

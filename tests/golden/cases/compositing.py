@@ -59,6 +59,16 @@ def cases():
             "color_bar": 0.75 * np.array([[1.0, 2.0, -4.0]]),
         },
     )
+    # Opacities above 0.99, of which only the pixels next to a mean exceed it after the falloff.
+    bright = dict(
+        mean2d=np.array([[1.0, 1.0625], [3.0, 2.0]]),
+        conic=np.array([[0.4, 0.1, 0.5], [0.2, -0.05, 0.3]]),
+        alpha=np.array([0.9990234375, 0.99609375]),
+        color=np.array([[0.9, 0.2, 0.4], [0.1, 0.8, 0.6]]),
+        depth=np.array([1.0, 2.0]),
+        visible=np.ones(2, bool),
+    )
+    yield Case("clamp_of_the_product", dict(**bright, **view), ("clamped",))
     n = 200  # alpha 0.99 each: the second layer shows 1 %, the third 1e-4
     wall = dict(
         mean2d=np.zeros((n, 2)),

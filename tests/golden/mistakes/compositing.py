@@ -227,6 +227,25 @@ SUM = [
     ),
     edited(
         "compositing",
+        "compositing-background-detached",
+        "alpha receives no gradient through the background's T_N",
+        {"g[pixels] @ background + h[pixels]": "h[pixels]"},
+    ),
+    edited(
+        "compositing",
+        "compositing-opacity-clamp",
+        "the opacity itself is clamped at 0.99, not its product with the falloff",
+        {
+            "return np.minimum(alpha[:, None] * falloff, alpha_max), falloff": (
+                "return np.minimum(alpha, alpha_max)[:, None] * falloff, falloff"
+            ),
+            "V *= alpha[:, None] * falloff <= alpha_max": "pass",
+            "V.sum(axis=1)\n": "V.sum(axis=1) * (alpha <= alpha_max)\n",
+            "V *= alpha[:, None]  #": "V *= np.minimum(alpha, alpha_max)[:, None]  #",
+        },
+    ),
+    edited(
+        "compositing",
         "compositing-no-gradient-through-transmittance",
         "alpha receives no gradient through what lies behind it",
         {"V[i] -= behind": "pass"},

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from tests.golden.mistakes.kit import edited, given_as, known
+from p4dgs_ref.splatting import covariance
+from tests.golden.mistakes.kit import edited, given_as, known, surgery
 
 # Text of the equations that several mistakes replace.
 JACOBIAN = "W[None, :2] - uv[:, :, None] * W[2]"
@@ -17,7 +18,36 @@ def projected(bar, r):
     return bar - r * (bar * r).sum(axis=1, keepdims=True)
 
 
+# The factor of w in the entries of R off its diagonal, 2 (a b +- w c), and its sign.
+TURNS = {(0, 1): (3, -1), (0, 2): (2, 1), (1, 0): (3, 1)}
+TURNS |= {(1, 2): (1, -1), (2, 0): (2, -1), (2, 1): (1, 1)}
+
+
+def one_sign(row, column):
+    """R with the other sign before w in one entry."""
+    axis, sign = TURNS[row, column]
+
+    def run(given, cotangents):
+        s, r, Sigma_bar = given["s"], given["r"], cotangents["Sigma_bar"]
+        R = covariance.rotation_matrix(r)
+        R[:, row, column] -= 4 * sign * r[:, 0] * r[:, axis]
+        M = R * s[:, None, :]
+        bars = covariance.backward((M, R, s, r), Sigma_bar)
+        M_bar = (Sigma_bar + Sigma_bar.transpose(0, 2, 1)) @ M
+        entry_bar = -4 * sign * M_bar[:, row, column] * s[:, column]
+        bars["r"][:, [0, axis]] += entry_bar[:, None] * r[:, [axis, 0]]
+        return {"Sigma": M @ M.transpose(0, 2, 1)}, bars
+
+    return surgery(
+        "covariance",
+        f"covariance-sign-{row + 1}{column + 1}",
+        f"one wrong sign in R: that of the product with w in row {row + 1}, column {column + 1}",
+        run,
+    )
+
+
 COVARIANCE = [
+    *(one_sign(*place) for place in TURNS),
     known(
         "covariance",
         "covariance-real-last",
@@ -242,6 +272,25 @@ FORMULAS = [
                 "ratio_bar = uv_bar * inside - (m_bar * W[:2]).sum(axis=2) * focal * z / "
                 "np.where(x_c[:, :2], x_c[:, :2], np.inf) ** 2"
             ),
+        },
+    ),
+    edited(
+        "projection",
+        "projection-jacobian-sign",
+        "the third column of the Jacobian has the wrong sign: + f_x u / z",
+        {
+            JACOBIAN: JACOBIAN.replace("-", "+"),
+            "uv_bar = -(m_bar @ W[2])": "uv_bar = (m_bar @ W[2])",
+        },
+    ),
+    edited(
+        "projection",
+        "projection-detached-determinant",
+        "the gradient of the conic takes the determinant for a constant",
+        {
+            "cov_bar -= K @ symmetric(a_bar, b_bar / 2, c_bar) @ K": (
+                "cov_bar += symmetric(c_bar, -b_bar / 2, a_bar) * np.linalg.det(K)[:, None, None]"
+            )
         },
     ),
     edited(

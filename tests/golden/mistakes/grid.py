@@ -132,6 +132,31 @@ HASH_GRID = [
     ),
     edited(
         "hash_grid",
+        "hash-grid-teschner",
+        "another set of primes: 73856093, 19349663, 83492791 of Teschner et al. 2003",
+        {"* PRIMES[:D]": "* np.array([73856093, 19349663, 83492791], np.uint32)[:D]"},
+        helper=NODES,
+    ),
+    edited(
+        "hash_grid",
+        "hash-grid-primes-from-second",
+        "the axes are multiplied by 2654435761, 805459861, 3674653429: the first is not 1",
+        {"* PRIMES[:D]": "* np.array([2654435761, 805459861, 3674653429], np.uint32)[:D]"},
+        helper=NODES,
+    ),
+    edited(
+        "hash_grid",
+        "hash-grid-smoothstep",
+        "the weights are smoothed: f^2 (3 - 2 f) for the fraction f",
+        {
+            "(position - base)[:, None, :]": (
+                "((position - base) ** 2 * (3 - 2 * (position - base)))[:, None, :]"
+            )
+        },
+        helper=NODES,
+    ),
+    edited(
+        "hash_grid",
         "hash-grid-no-wrap",
         "the products are not wrapped to 32 bits",
         {

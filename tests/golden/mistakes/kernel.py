@@ -62,6 +62,31 @@ RULES = {
             )
         },
     ),
+    "kernel-tiles-ignored": (
+        "every pixel draws all visible splats: the lists of the tiles are ignored",
+        {
+            "[found.row[start:end] for start, end in found.ranges]": (
+                "len(found.ranges) * [np.argsort(np.where(visible, depth, np.inf), kind='stable')"
+                "[: visible.sum()]]"
+            )
+        },
+    ),
+    "kernel-no-background": (
+        "the background is left out",
+        {
+            " + T[:, None] * background)": ")",
+            "g @ background + h": "h.copy()",
+            "(T[:, :, None] * image_bar).sum(axis=(0, 1))": "0 * background",
+        },
+    ),
+    "kernel-background-detached": (
+        "alpha receives no gradient through the background's T_N",
+        {"g @ background + h": "h.copy()"},
+    ),
+    "kernel-last-from-zero": (
+        "`last` counts from 0: the first splat of the list is 0",
+        {"np.arange(1, len(rows) + 1)": "np.arange(len(rows))"},
+    ),
     "kernel-last-counts-drawn": (
         "`last` counts the splats that were drawn, not their places in the list of the tile",
         {"(A > 0) * np.arange(1, len(rows) + 1)[:, None]": "np.cumsum(A > 0, axis=0)"},

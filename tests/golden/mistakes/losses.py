@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tests.golden.mistakes.kit import edited, known, no_gradient
+from tests.golden.mistakes.kit import edited, known, no_gradient, surgery
 
 # --- Eqs. (15) and (17) -------------------------------------------------------------------------
 
@@ -233,21 +233,38 @@ RENDER_LOSS = [
 # --- SSIM ---------------------------------------------------------------------------------------
 
 
+def reflected(given, cotangents):
+    """Images padded by their mirror; the windows whose centres lie in the image count."""
+    height, width, _ = given["image"].shape
+    places = np.pad(np.arange(height * width).reshape(height, width), 5, mode="reflect")
+    wide = {name: a.reshape(height * width, -1)[places] for name, a in given.items()}
+    out, bars = VALID.run(wide, cotangents)
+    image_bar = np.zeros_like(given["image"]).reshape(height * width, -1)
+    np.add.at(image_bar, places, bars["image"])
+    return out, {"image": image_bar.reshape(given["image"].shape)}
+
+
+VALID = edited(
+    "ssim",
+    "ssim-valid",
+    "only pixels whose window lies inside the image count (valid padding)",
+    {
+        "np.mean(luminance + structure - luminance * structure)": (
+            "np.mean((luminance + structure - luminance * "
+            "structure)[blur(np.ones_like(x)) > 1 - 1e-9])"
+        ),
+        "share = ssim_bar / x.size": (
+            "share = ssim_bar * (inside := blur(np.ones_like(x)) > 1 - 1e-9) / max(inside.sum(), 1)"
+        ),
+    },
+)
 SSIM = [
-    edited(
+    VALID,
+    surgery(
         "ssim",
-        "ssim-valid",
-        "only pixels whose window lies inside the image count (valid padding)",
-        {
-            "np.mean(luminance + structure - luminance * structure)": (
-                "np.mean((luminance + structure - luminance * "
-                "structure)[blur(np.ones_like(x)) > 1 - 1e-9])"
-            ),
-            "share = ssim_bar / x.size": (
-                "share = ssim_bar * (inside := blur(np.ones_like(x)) > 1 - 1e-9) / "
-                "max(inside.sum(), 1)"
-            ),
-        },
+        "ssim-reflect",
+        "at the border the images are continued by their mirror (reflect padding), not by zeros",
+        reflected,
     ),
     edited(
         "ssim",

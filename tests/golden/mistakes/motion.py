@@ -1,10 +1,13 @@
 """Known mistakes in the encoding of position and time and in Eqs. (5) and (6)."""
 
+from functools import partial
+
 import numpy as np
 
 from p4dgs_ref.equations.numerics import normalise, normalise_backward
 from tests.golden.mistakes.kit import (
     edited,
+    given_as,
     inverse,
     known,
     no_gradient,
@@ -50,6 +53,12 @@ ENCODING = [
         "encoding-pi",
         "the frequencies have a factor pi: sin(2^j pi p)",
         {"(1 << np.arange(L)).astype(dtype)": "(np.pi * (1 << np.arange(L))).astype(dtype)"},
+    ),
+    edited(
+        "positional_encoding",
+        "encoding-two-pi",
+        "the frequencies have a factor 2 pi: sin(2^j 2 pi p)",
+        {"(1 << np.arange(L)).astype(dtype)": "(2 * np.pi * (1 << np.arange(L))).astype(dtype)"},
     ),
     edited(
         "positional_encoding",
@@ -195,6 +204,12 @@ DEFORMATION = [
     ),
     known(
         "deformation",
+        "deformation-time-symmetric",
+        "the time from 0 to 1 is mapped to -1 to 1 before E(t)",
+        **given_as(t=lambda given: 2 * given["t"] - 1),
+    ),
+    known(
+        "deformation",
         "deformation-identity-added",
         "delta_r is returned relative to the quaternion (1, 0, 0, 0)",
         outputs={"delta_r": lambda r: r + np.array(IDENTITY, r.dtype)[: r.shape[1]]},
@@ -223,16 +238,16 @@ for _i, _row in enumerate(
         TABLE[_i, _j, _k] = _sign
 
 
-def multiplied(given, cotangents):
-    """r_t is the unit quaternion along delta_r r where rotation is on."""
+def multiplied(given, cotangents, product=TABLE, one=0):
+    """r_t is the unit quaternion along (one + delta_r) r where rotation is on."""
     r, delta = given["r"], given["delta_r"]
     if not delta.shape[1]:
         return port("deformed")(given, cotangents)
     out, in_bar = port("deformed")({**given, "delta_r": delta[:, :0]}, cotangents)
-    table = TABLE.astype(r.dtype)
-    r_t, norm = normalise(np.einsum("ijk,nj,nk->ni", table, delta, r))
+    table, turn = product.astype(r.dtype), delta + np.array([one, 0, 0, 0], r.dtype)
+    r_t, norm = normalise(np.einsum("ijk,nj,nk->ni", table, turn, r))
     bar = normalise_backward(r_t, norm, cotangents["r_t_bar"])
-    r_bar = np.einsum("ijk,ni,nj->nk", table, bar, delta)
+    r_bar = np.einsum("ijk,ni,nj->nk", table, bar, turn)
     delta_bar = np.einsum("ijk,ni,nk->nj", table, bar, r)
     return {**out, "r_t": r_t}, {**in_bar, "r": r_bar, "delta_r": delta_bar}
 
@@ -267,6 +282,24 @@ DEFORMED = [
         "deformed-product",
         "the quaternions are multiplied, delta_r r, instead of added",
         multiplied,
+    ),
+    surgery(
+        "deformed",
+        "deformed-product-right",
+        "the quaternions are multiplied, r delta_r, instead of added",
+        partial(multiplied, product=TABLE.swapaxes(1, 2)),
+    ),
+    surgery(
+        "deformed",
+        "deformed-turned",
+        "delta_r is taken relative to (1, 0, 0, 0) and multiplied: (1 + delta_r) r",
+        partial(multiplied, one=1),
+    ),
+    surgery(
+        "deformed",
+        "deformed-turned-right",
+        "delta_r is taken relative to (1, 0, 0, 0) and multiplied: r (1 + delta_r)",
+        partial(multiplied, product=TABLE.swapaxes(1, 2), one=1),
     ),
     edited(
         "deformed",

@@ -103,6 +103,20 @@ VIEW = [
             ),
         },
     ),
+    *(
+        edited(
+            "view",
+            f"view-epsilon-{epsilon}-in-the-root",
+            f"{epsilon} stands inside the root of delta_vc, which also divides",
+            {
+                "delta_vc = length(v)": f"delta_vc = np.sqrt(length(v) ** 2 + {epsilon})",
+                "perpendicular(d_vc, d_vc_bar)": (
+                    "(d_vc_bar - d_vc * (d_vc * d_vc_bar).sum(axis=1, keepdims=True))"
+                ),
+            },
+        )
+        for epsilon in ("1e-6", "1e-8", "1e-12")
+    ),
     edited(
         "view",
         "view-radial-gradient",
@@ -184,6 +198,22 @@ MASKING = [
         "masking-threshold-ignored",
         "everything not masked is kept: tau_alpha is ignored",
         {KEPT: "mask", **READ},
+    ),
+    edited(
+        "masking",
+        "masking-multiplied",
+        "alpha is multiplied by the mask; at tau_alpha = 0 a masked child is kept, with opacity 0",
+        {
+            f"index = np.flatnonzero({KEPT})": (
+                "alpha = alpha * mask\n    index = np.flatnonzero(alpha >= tau_alpha)"
+            ),
+            "return (alpha.reshape(-1)[index], *kept, index), (index, alpha.shape)": (
+                "return (alpha.reshape(-1)[index], *kept, index), (index, alpha.shape, mask)"
+            ),
+            "scatter(saved, alpha_bar)": "scatter(saved, alpha_bar) * saved[2]",
+            "index, (A, k) = saved": "index, (A, k), _ = saved",
+            **READ,
+        },
     ),
     known(
         "masking",

@@ -167,6 +167,12 @@ ROUNDING = [
     ),
     edited(
         "rounding",
+        "rounding-half-step-up",
+        "f_hat is half a step too high: (symbol + 1/2) q",
+        {"(symbols * q.astype(np.float64))": "((symbols + 0.5) * q.astype(np.float64))"},
+    ),
+    edited(
+        "rounding",
         "rounding-float32",
         "f / q is divided in float32",
         {RINT: "np.rint(f.astype(np.float32) / q.astype(np.float32))"},
@@ -181,9 +187,6 @@ ROUNDING = [
 
 
 # --- Eq. (11) -----------------------------------------------------------------------------------
-HAC_BITS = -math.log2(1e-6)
-
-
 def printed(given, cotangents):
     """The difference of the two values as printed, which cancels in the tails."""
     f, mu, sigma, q = (given[name] for name in ("f_noisy", "mu", "sigma", "q"))
@@ -200,7 +203,63 @@ def printed(given, cotangents):
     }
 
 
+def at_least(name, bound):
+    """An input with a lower bound, where its gradient stops."""
+    return dict(
+        inputs={name: lambda a: np.maximum(a, a.dtype.type(bound))},
+        inputs_bar={name: lambda bar, a: np.where(a >= bound, bar, 0)},
+    )
+
+
+def mass_plus(floor):
+    """-log2(p + floor), for bits = -log2 p."""
+    return dict(
+        outputs={"bits": lambda bits: -np.log2(np.exp2(-bits) + bits.dtype.type(floor))},
+        outputs_bar={"bits": lambda bar, bits: bar / (1 + floor * np.exp2(bits))},
+    )
+
+
+def mass_at_least(floor):
+    """The bits of a mass with a lower bound, and no gradient beyond it."""
+    most = -math.log2(floor)
+    return dict(
+        outputs={"bits": lambda bits: np.minimum(bits, bits.dtype.type(most))},
+        outputs_bar={"bits": lambda bar, bits: np.where(bits <= most, bar, 0)},
+    )
+
+
 LIKELIHOOD = [
+    known(
+        "likelihood",
+        "likelihood-least-sigma",
+        "sigma is at least 0.11, as in entropy-model libraries whose symbols are integers",
+        **at_least("sigma", 0.11),
+    ),
+    known(
+        "likelihood",
+        "likelihood-least-mass",
+        "the mass is at least 1e-9, as in entropy-model libraries: at most 29.9 bits",
+        **mass_at_least(1e-9),
+    ),
+    known(
+        "likelihood",
+        "likelihood-mass-plus",
+        "1e-10 is added to the mass before the logarithm",
+        **mass_plus(1e-10),
+    ),
+    known(
+        "likelihood",
+        "likelihood-sigma-plus",
+        "1e-6 is added to sigma",
+        inputs={"sigma": lambda sigma: sigma + sigma.dtype.type(1e-6)},
+    ),
+    known(
+        "likelihood",
+        "likelihood-bin-from-f",
+        "the bin reaches from f to f + q instead of from f - q/2 to f + q/2",
+        inputs=lambda given: {**given, "f_noisy": given["f_noisy"] + given["q"] / 2},
+        inputs_bar=lambda bars, given: {**bars, "q": bars["q"] + bars["f_noisy"] / 2},
+    ),
     known(
         "likelihood",
         "likelihood-nats",
@@ -234,8 +293,7 @@ LIKELIHOOD = [
         "likelihood",
         "likelihood-floor",
         "the mass has HAC's floor of 1e-6: at most 19.93 bits, no gradient beyond",
-        outputs={"bits": lambda bits: np.minimum(bits, bits.dtype.type(HAC_BITS))},
-        outputs_bar={"bits": lambda bar, bits: np.where(bits <= HAC_BITS, bar, 0)},
+        **mass_at_least(1e-6),
     ),
     surgery(
         "likelihood",
@@ -248,7 +306,7 @@ LIKELIHOOD = [
         "likelihood-density",
         "the density at f times q for the mass of the bin",
         {
-            "TO_BITS * log_p, *slopes(offset, sigma, z, w, ratio)": (
+            "TO_BITS * log_p, *slopes(offset, sigma, low, high, z, w, ratio)": (
                 "TO_BITS * (np.log(w * PHI_0) - z * z / 2), *(TO_BITS * a for a in (-offset "
                 "/ sigma**2, (z * z - 1) / sigma, 1 / q))"
             )
@@ -360,6 +418,12 @@ PRIOR = [
             SIGMA: "np.logaddexp(0, np.clip(raw, RAW_MIN, RAW_MAX))",
             SIGMA_BAR: "sigma_bar * -np.expm1(-sigma) * free",
         },
+    ),
+    edited(
+        "prior",
+        "prior-softplus-free",
+        "sigma = softplus(raw) without the clamp of raw",
+        {SIGMA: "np.logaddexp(0, raw)", SIGMA_BAR: "sigma_bar * -np.expm1(-sigma)"},
     ),
     edited(
         "prior",

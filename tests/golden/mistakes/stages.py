@@ -3,7 +3,8 @@
 import numpy as np
 
 from p4dgs_ref.equations import deformation, deformed
-from tests.golden.mistakes.kit import known, port, surgery
+from tests.golden.mistakes.kit import given_as, known, port, surgery
+from tests.golden.subjects import subjects
 
 
 # --- Fig. 1 -------------------------------------------------------------------------------------
@@ -28,7 +29,34 @@ def deformation_seen(given, cotangents):
     return out, {**bars, "x": bars["x"] + x_bar}
 
 
+def mask_multiplied(given, cotangents):
+    """All children whose opacity times the mask reaches tau_alpha, with that opacity."""
+    mask = given["mask"].ravel()
+    everything = {**given, "mask": np.ones_like(given["mask"]), "tau_alpha": -2.0}
+    out, pullback = subjects()["spatial_prediction"].vjp(**everything)
+    out["alpha"] = out["alpha"] * mask
+    kept = out["alpha"] >= given["tau_alpha"]
+    whole = {f"{name}_bar": np.zeros_like(a) for name, a in out.items() if name != "index"}
+    if kept.sum() == len(next(iter(cotangents.values()), kept)):
+        for name, bar in cotangents.items():
+            whole[name][kept] = bar
+    whole["alpha_bar"] *= mask
+    return {name: a[kept] for name, a in out.items()}, pullback(**whole)
+
+
 RENDERING = [
+    surgery(
+        "spatial_prediction",
+        "stage-mask-multiplied",
+        "alpha is multiplied by the mask; at tau_alpha = 0 a masked child is kept, with opacity 0",
+        mask_multiplied,
+    ),
+    known(
+        "temporal_prediction",
+        "stage-time-symmetric",
+        "the time from 0 to 1 is mapped to -1 to 1 before E(t)",
+        **given_as(t=lambda given: 2 * given["t"] - 1),
+    ),
     known(
         "spatial_prediction",
         "stage-l-and-s-exchanged",
