@@ -220,8 +220,10 @@ share = image_bar * slope
 assert share.size == 12288
 assert abs(share.sum() - of_picture[a, j]) < 1e-6 * np.abs(share).sum()
 row, column = np.unravel_index(np.abs(share[..., 0]).argmax(), share.shape[:2])
-print(f"the largest share of red has pixel ({column}, {row}):", end=" ")
-print(f"{image[row, column, 0]:.3f}, truth {truth[row, column, 0]:.3f}")
+print(
+    f"the largest share of red has pixel ({column}, {row}): "
+    f"{image[row, column, 0]:.3f}, truth {truth[row, column, 0]:.3f}"
+)
 
 # %% [markdown]
 # **The other direction.** Now we send back a cotangent that is zero except for the red value of
@@ -356,8 +358,10 @@ bits_of_numbers, _ = likelihood.forward(noisy, ctx.mu, ctx.sigma, columns)
 strength = np.abs(slope).max(axis=2)
 reach = (strength > 1e-3 * strength.max()).sum()
 pixels = strength.size
-print(f"anchor 12 costs {bits_of_numbers[a].sum():.0f} bits;", end=" ")
-print(f"its feature 3 reaches {reach} of {pixels} pixels")
+print(
+    f"anchor 12 costs {bits_of_numbers[a].sum():.0f} bits; "
+    f"its feature 3 reaches {reach} of {pixels} pixels"
+)
 assert 0 < reach < pixels
 
 # %% [markdown]

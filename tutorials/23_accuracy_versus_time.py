@@ -167,8 +167,10 @@ scene = forms.splat_scene(300, 48)
 drawn = measure_forms(forms.rendered(choices, scene), 9)
 exact, paper, fast = drawn[-3:]
 for row in (exact, paper, fast):
-    print(f"{row['line']:15s} {row['ms']:6.2f} ms, {row['pairs']:7,} pairs", end=", ")
-    print(f"error of the image {row['error']:.1e}, of the gradients {row['gradient_error']:.1e}")
+    print(
+        f"{row['line']:15s} {row['ms']:6.2f} ms, {row['pairs']:7,} pairs, "
+        f"error of the image {row['error']:.1e}, of the gradients {row['gradient_error']:.1e}"
+    )
 assert exact["error"] == 0
 assert exact["pairs"] == 300 * 48 * 48
 assert fast["error"] < paper["error"]

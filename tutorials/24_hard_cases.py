@@ -169,8 +169,10 @@ def determinant(dtype):
     return float(a * c - b * b)
 
 
-print(f"float32 {determinant(np.float32):.6g}, float64 {determinant(np.float64):.6g}", end=", ")
-print(f"true {true_det:.6g}")
+print(
+    f"float32 {determinant(np.float32):.6g}, float64 {determinant(np.float64):.6g}, "
+    f"true {true_det:.6g}"
+)
 assert 2.35e15 < cov[0, 0] * cov[1, 1] < 2.45e15
 assert 5.45e7 < true_det < 5.55e7
 assert determinant(np.float32) == 0

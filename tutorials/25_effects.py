@@ -237,8 +237,10 @@ with counted() as wasted:
 with counted() as spared:
     absent.gaussians(0.3, camera)
 bytes_of_zeros = components(p4.encode(neutral))["deformation_mlp"]
-print(f"multiply-adds {sum(wasted.multiply_adds[effect] for effect in fx.MOTION):,}", end=", ")
-print(f"bytes of psi_d {bytes_of_zeros:,}")
+print(
+    f"multiply-adds {sum(wasted.multiply_adds[effect] for effect in fx.MOTION):,}, "
+    f"bytes of psi_d {bytes_of_zeros:,}"
+)
 for effect in fx.MOTION:
     assert wasted.multiply_adds[effect] > 0 == spared.multiply_adds[effect]
 assert ("deformation", "forward") in wasted.calls

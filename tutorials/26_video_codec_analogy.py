@@ -402,8 +402,10 @@ assert p4.encode(inter) == inter_data
 
 # %%
 motion = files["inter"]["ψ_d, the motion"]
-print(f"psi_d has {motion:,} bytes, {motion / inter_bytes:.0%} of this inter file;", end=" ")
-print("lambda_rate cannot change them")
+print(
+    f"psi_d has {motion:,} bytes, {motion / inter_bytes:.0%} of this inter file; "
+    "lambda_rate cannot change them"
+)
 assert 0.3 < motion / inter_bytes < 0.7
 
 # %% [markdown]

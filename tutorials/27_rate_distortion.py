@@ -263,8 +263,10 @@ assert 0 <= bits_of_wide_bin[0, 0] < 1e-6
 limit = 2 * np.array(start.design.Q_0)
 growth = points[-1]["q"] / points[0]["q"]
 law = best_step(PRICES[-1]) / best_step(PRICES[0])
-print(f"steps at the highest price over steps at the lowest: {growth.round(2)};", end=" ")
-print(f"the law says {law:.2f}")
+print(
+    f"steps at the highest price over steps at the lowest: {growth.round(2)}; "
+    f"the law says {law:.2f}"
+)
 assert np.allclose(limit, [0.5, 0.02, 0.02, 0.2])
 assert growth[0] > 1.3 and growth[3] > 1.3
 assert (points[-1]["q"] > 0.99 * limit).all()

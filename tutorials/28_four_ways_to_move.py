@@ -756,8 +756,10 @@ on_object = view.alpha > 0.5
 without = np.where(on_object[..., None], view.image[~on_object].mean(axis=0), view.image)
 marks = score(without, view)
 p = on_object.mean()
-print(f"the object, {p:.0%} of the pixels, is missing: {marks['psnr_db']:.1f} dB;", end=" ")
-print(f"on the object alone {marks['psnr_fg_db']:.1f} dB")
+print(
+    f"the object, {p:.0%} of the pixels, is missing: {marks['psnr_db']:.1f} dB; "
+    f"on the object alone {marks['psnr_fg_db']:.1f} dB"
+)
 assert np.isclose(marks["psnr_db"], marks["psnr_fg_db"] - 10 * np.log10(p), atol=1e-6)
 two_views = np.array([1e-2, 1e-5])
 mean_of_dB = np.mean([decibel(e) for e in two_views])
