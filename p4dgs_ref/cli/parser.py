@@ -130,9 +130,9 @@ EXPERIMENT = (
 )
 VECTORS = option(
     "--vectors",
-    choices=("1.0", "1.1"),
-    default="1.1",
-    help="version of the vectors; 1.0 leaves out the cases that joined later",
+    choices=("1.0", "1.1", "1.2"),
+    default="1.2",
+    help="version of the vectors; earlier ones leave out the cases that joined later",
 )
 ORACLE = {
     "list": ("oracle.list_cases", "list all cases and what each of them tests", (VECTORS,)),

@@ -105,7 +105,7 @@ def slopes(offset, sigma, low, high, z, w, ratio):
     slope_w = ratio * (1 - drop / 2)  # d log p / dw
     sigma_slope = -(offset / sigma * slope_z + w * slope_w)  # sigma divides both z and w
     # It is also (low phi(low) - high phi(high)) / p, which keeps its digits in a wide bin with one
-    # edge on the mean, where the sum above subtracts w from w.
+    # edge near the mean, where the sum above subtracts w from w.
     wide = np.flatnonzero(drop > 0.5)
     edges = low[wide] - high[wide] * np.exp(-z[wide] * w[wide])
     sigma_slope[wide] = ratio[wide] * edges

@@ -16,7 +16,7 @@ from . import safetensors
 from .compare import too_wide
 
 FOLDER = Path(__file__).with_name("v1")
-VERSIONS = "1.0", "1.1"
+VERSIONS = "1.0", "1.1", "1.2"
 LEVELS = {
     "L0": "scalars",
     "L1": "one equation",

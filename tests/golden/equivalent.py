@@ -24,6 +24,8 @@ EQUIVALENT = {
         "at low = 0 one minus the tails and their difference are the same number"
     ),
     "likelihood:rate:int:3": "between 0 and 1 sigma both formulas have all their digits",
+    "likelihood:slopes:gt-gte:1": BORDER,
+    "likelihood:slopes:float:1": "between 0.5 and 0.505 both formulas have all their digits",
     "likelihood:narrow_bin:int:11": "three millionths of a term that is at most 4e-11",
     "weight_bits:forward:lt-lte:1": BORDER,
     "hash_rate:forward:swap-arguments:1": "the entropy of two counts is symmetric in them",

@@ -41,7 +41,7 @@ def diagnosis(patient):
     return [r for r in results if r.verdict == "fail"]
 
 
-# A few of 362 in the short lane, others every day; the slow lane has the rest.
+# A few of them in the short lane, others every day; the slow lane has the rest.
 @pytest.mark.parametrize("mistake", few(MISTAKES, 14), ids=lambda m: m.id)
 def test_a_known_mistake_is_noticed_and_explained(mistake):
     wrong = diagnosis(Patient(mistake))

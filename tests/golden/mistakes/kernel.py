@@ -72,7 +72,7 @@ RULES = {
         },
     ),
     "kernel-no-background": (
-        "the background is left out",
+        "the kernel leaves the background out",
         {
             " + T[:, None] * background)": ")",
             "g @ background + h": "h.copy()",
@@ -80,7 +80,7 @@ RULES = {
         },
     ),
     "kernel-background-detached": (
-        "alpha receives no gradient through the background's T_N",
+        "alpha receives no gradient through the kernel's T_N of the background",
         {"g @ background + h": "h.copy()"},
     ),
     "kernel-last-from-zero": (

@@ -48,7 +48,7 @@ RENDERING = [
     surgery(
         "spatial_prediction",
         "stage-mask-multiplied",
-        "alpha is multiplied by the mask; at tau_alpha = 0 a masked child is kept, with opacity 0",
+        "masks only multiply opacities; at tau_alpha = 0 masked children stay, with opacity 0",
         mask_multiplied,
     ),
     known(
