@@ -29,7 +29,7 @@ from .trainer import Trainer, assemble, tagged
 
 SAVE_EVERY = 20.0  # seconds between checkpoints
 FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.2 dB against 48, 16 far more (reference.md, Limits)
-LEAST_GAIN = 1.0  # dB above the best picture of one colour
+LEAST_GAIN = 1.0  # dB above the mean of the training pictures
 CHECKPOINT = "checkpoint.npz"
 # Part of what the checksum is taken of, so that the checkpoint of another release does not fit.
 RELEASE = f"checkpoint 3, fields {Preset._fields}".encode()
@@ -64,7 +64,7 @@ def train(
     fit, OutputError for a folder in which another training runs, and NotFinite with the first
     equation, array and index that is NaN or infinite. Ctrl-C or SIGTERM raise KeyboardInterrupt
     after the current iteration, a second one at once. Warns of a scene with few training views, and
-    of a result that is hardly better than a picture of one colour.
+    of a result that is hardly better than the mean of the training pictures.
     """
     return fit(
         scene, preset, seed, settings, points, folder, resume, stream, save_every, **changes
@@ -121,22 +121,23 @@ def warn_of_few_views(scene):
 
 
 def warn_of_failure(trainer):
-    """Warn where the pictures of a trained model are hardly better than one colour.
+    """Warn where a trained model is hardly better than one picture that is shown for all views.
 
-    Both are compared with all training views. The mean of their colours has the smallest squared
-    error of all colours.
+    This picture is the mean of the training views. Both are compared with the test views, which
+    training has not seen, or with the training views where a scene has no others.
     """
-    model, views = trainer.model(), trainer.scene.train
-    color = np.mean([view.image.mean(axis=(0, 1)) for view in views], axis=0)
-    flat = np.mean([psnr(np.broadcast_to(color, v.image.shape), v.image) for v in views])
+    model, scene = trainer.model(), trainer.scene
+    views, mean = scene.test or scene.train, np.mean([v.image for v in scene.train], axis=0)
+    flat = np.mean([psnr(mean, v.image) for v in views])
     learnt = np.mean(
         [psnr(model.render(v.camera, v.time, trainer.settings), v.image) for v in views]
     )
-    if learnt < flat + LEAST_GAIN < np.inf:  # infinite where the scene itself has one colour
+    if learnt < flat + LEAST_GAIN < np.inf:  # infinite where all views are the same picture
+        kind = "test views, which it has not seen" if scene.test else "training views"
         warnings.warn(
-            f"scene {trainer.scene.name}: the result has {learnt:.2f} dB on the training views, a "
-            f"picture of one colour {flat:.2f} dB; try sparse_share=1, more iterations "
-            "(stage_ends), another seed, or pictures in which the object is larger",
+            f"scene {scene.name}: the result is useless: it has {learnt:.2f} dB on the {kind}, the "
+            f"mean of the training pictures {flat:.2f} dB; try another seed, more iterations "
+            "(stage_ends), more views, or pictures in which the object is larger",
             stacklevel=4,
         )
 
