@@ -125,7 +125,7 @@ def train(arguments):
 
 def encode(arguments):
     """Compress a run to a file."""
-    with new_file(arguments.output) as output:
+    with new_file(arguments.output, Path(arguments.run) / CHECKPOINT) as output:
         model, values = load_model(arguments.run)
         data, seconds = timed(p4.encode, model)
         write_atomically(output, lambda file: file.write(data))
@@ -149,7 +149,7 @@ def decode(arguments):
             for i, array in enumerate(layers)
         },
     }
-    with filled(arguments.output) as beside:
+    with filled(arguments.output, arguments.file) as beside:
         np.savez(beside / "model.npz", **arrays)
         (beside / "model.json").write_text(json.dumps(model.design._asdict(), indent=1) + "\n")
     tell(f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json; {seconds:.3f} s")
@@ -178,7 +178,7 @@ def render(arguments):
         camera, times = held_camera(model, *place), np.linspace(0, 1, arguments.frames)
         views = [(f"t_{i:03d}", camera, t) for i, t in enumerate(times)]
     images = []
-    with filled(arguments.output) as beside:
+    with filled(arguments.output, arguments.file) as beside:
         for name, camera, t in views:
             image = model.render(camera, t, p4.SETTINGS[arguments.settings])
             images.append(np.clip(image, 0, 1))
@@ -209,7 +209,7 @@ def export_ply(arguments):
         "background of the model: {:.3g} {:.3g} {:.3g}".format(*model.background),
         f"effects of the model: {' '.join(model.design.effects) or 'none'}",
     )
-    with new_file(arguments.output or file.with_suffix(".ply")) as output:
+    with new_file(arguments.output or file.with_suffix(".ply"), file) as output:
         splats.write_gaussians(output, gaussians, comments)
     tell(f"{output}: {len(gaussians.alpha)} Gaussians, frozen for {name}")
 
@@ -222,7 +222,7 @@ def evaluate(arguments):
     size = compression(model, data, metrics["gaussians"])
     metrics = {"scene": scene.name, **metrics, **size, "decode_seconds": seconds}
     if arguments.output:
-        with filled(arguments.output) as beside:
+        with filled(arguments.output, arguments.file) as beside:
             figures.write_comparison(beside, scene, rows, images)
     shown = {**json_safe(metrics), "views": [json_safe(row) for row in rows]}
     show(arguments, shown, text.evaluation(metrics, rows))
@@ -234,7 +234,7 @@ def inspect(arguments):
     data, _, _ = read_file(arguments.file)
     rows, gaps = sizes.ledger(data), sizes.GAPS
     if arguments.output:
-        with filled(arguments.output) as beside:
+        with filled(arguments.output, arguments.file) as beside:
             figures.write_csv(beside / "size.csv", rows)
             figures.draw_ledger(beside / "size.png", rows)
             if arguments.heat:

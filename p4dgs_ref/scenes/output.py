@@ -106,16 +106,16 @@ def made(path):
 
 
 @contextmanager
-def filled(path):
+def filled(path, reads=None):
     """Yield a fresh folder to write into, whose files move to the folder `path` at the end.
 
-    After an error nothing is moved.
+    After an error nothing is moved. None of them may take the place of the file `reads`.
     """
     with made(path) as folder, new_part(folder) as part:
         yield part
         files = [file for file in part.rglob("*") if file.is_file()]
         for file in files:
-            with new_file(folder / file.relative_to(part)):
+            with new_file(folder / file.relative_to(part), reads):
                 pass
         with deferred():  # all files move, or none
             for file in sorted(files, key=lambda file: file.stat().st_mtime_ns):  # oldest first
@@ -124,7 +124,12 @@ def filled(path):
 
 
 @contextmanager
-def new_file(path):
-    """Prove that the file `path` can be written; its folder is made as in `made`."""
+def new_file(path, reads=None):
+    """Prove that the file `path` can be written; its folder is made as in `made`.
+
+    It must not be the file `reads`, from which it is made.
+    """
+    if reads is not None and destination(path) == Path(os.path.realpath(reads)):
+        raise OutputError(f"{path}: this is the input; expected another place to write to")
     with made(destination(path).parent):
         yield Path(path)

@@ -318,6 +318,8 @@ LINES = [
     ("effects scene --apply", ("--apply", "--suggest")),
     ("effects scene --suggest --quick", ("--suggest", "--quick")),
     ("inspect good.p4dgs --heat", ("--heat", "-o FOLDER")),
+    ("export-ply good.p4dgs -o good.p4dgs", ("good.p4dgs", "the input")),
+    ("export-ply good.p4dgs -o ./good.p4dgs", ("good.p4dgs", "the input")),
     ("accuracy --only speed", ("--only speed", "renderer")),
     ("stability --only H-R", ("--only H-R", "H-R1")),
     ("ablate nowhere -o out", ("nowhere", "packaged")),
