@@ -1,12 +1,14 @@
 """`python -m p4dgs_ref.codec` prints the complete file format as one page.
 
 Every part of the format is the docstring of the module that implements it. The page begins at the
-outside of the file and ends with the tables of integers that a decoder needs.
+outside of the file and leads to the tables of integers that a decoder needs. Its last part says how
+a picture is drawn from what was decoded.
 """
 
 import json
 import sys
 from importlib import import_module
+from pathlib import Path
 from textwrap import fill
 
 from .gaussian_table import table
@@ -23,6 +25,7 @@ PARTS = (
     "rans",
     "published",
 )
+PICTURE = Path(__file__).with_name("picture.txt")
 TABLES = {
     "phi": "round(2^24 Phi(z)) at z = -6, -6 + 1/64, ... 6, Phi the normal distribution function",
     "exp2": "round(2^16 2^(-i/16)) for i = 0, 1, ... 15",
@@ -41,6 +44,7 @@ def page():
             for name, meaning in TABLES.items()
         },
         "Base designs": "\n\n".join(fill(base, 100) for base in bases),
+        "From the arrays to a picture": PICTURE.read_text(encoding="utf-8"),
     }
     page = "The file format of p4dgs_ref, versions 1 and 2\n"
     for number, (title, text) in enumerate(texts.items(), 1):

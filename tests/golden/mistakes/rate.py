@@ -203,22 +203,6 @@ def printed(given, cotangents):
     }
 
 
-def at_least(name, bound):
-    """An input with a lower bound, where its gradient stops."""
-    return dict(
-        inputs={name: lambda a: np.maximum(a, a.dtype.type(bound))},
-        inputs_bar={name: lambda bar, a: np.where(a >= bound, bar, 0)},
-    )
-
-
-def mass_plus(floor):
-    """-log2(p + floor), for bits = -log2 p."""
-    return dict(
-        outputs={"bits": lambda bits: -np.log2(np.exp2(-bits) + bits.dtype.type(floor))},
-        outputs_bar={"bits": lambda bar, bits: bar / (1 + floor * np.exp2(bits))},
-    )
-
-
 def mass_at_least(floor):
     """The bits of a mass with a lower bound, and no gradient beyond it."""
     most = -math.log2(floor)
@@ -233,7 +217,8 @@ LIKELIHOOD = [
         "likelihood",
         "likelihood-least-sigma",
         "sigma is at least 0.11, as in entropy-model libraries whose symbols are integers",
-        **at_least("sigma", 0.11),
+        inputs={"sigma": lambda sigma: np.maximum(sigma, sigma.dtype.type(0.11))},
+        inputs_bar={"sigma": lambda bar, sigma: np.where(sigma >= 0.11, bar, 0)},
     ),
     known(
         "likelihood",
@@ -245,7 +230,8 @@ LIKELIHOOD = [
         "likelihood",
         "likelihood-mass-plus",
         "1e-10 is added to the mass before the logarithm",
-        **mass_plus(1e-10),
+        outputs={"bits": lambda bits: -np.log2(np.exp2(-bits) + bits.dtype.type(1e-10))},
+        outputs_bar={"bits": lambda bar, bits: bar / (1 + 1e-10 * np.exp2(bits))},
     ),
     known(
         "likelihood",

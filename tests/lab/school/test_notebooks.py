@@ -238,12 +238,6 @@ def test_error_names_the_tutorial(code, said, small):
     assert [file.read_text() for file in folder.iterdir()] == ["as before"]
 
 
-def test_unknown_names_are_refused(small):
-    with pytest.raises(SystemExit, match="^9: expected the name or the number of a tutorial$"):
-        notebooks.main(["01_small", "9"], small.parent)
-    assert not (small.parent / "notebooks").exists()
-
-
 @pytest.mark.slow
 def test_command_makes_what_is_named(small, capsys):
     notebooks.main(["02"], small.parent)

@@ -332,8 +332,3 @@ def test_picture_of_changed_code_is_stale(tmp_path, monkeypatch):
     gallery.record(["demo.png"])
     gallery.record(["compositing.png"])
     assert not gallery.stale()
-
-
-def test_unknown_tutorial_is_refused():
-    with pytest.raises(SystemExit, match="expected numbers of tutorials"):
-        syllabus.main(["29"])

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.lab.baselines import METHODS
 from p4dgs_ref.lab.tables import sweep as study
 from p4dgs_ref.lab.tables.methods import CODED, StudyError
 
@@ -86,16 +85,6 @@ def test_what_has_arrived_is_drawn(swept, tmp_path):
     assert (result["points"], result["missing"]) == (2, 8)
     assert [point["seeds"] for point in result["curve"]] == [1, 1]
     assert not result["baselines"]
-
-
-def test_every_baseline_is_drawn(swept, tmp_path, monkeypatch):
-    figures = []
-    monkeypatch.setattr(study, "save_figure", lambda figure, path: figures.append(figure))
-    others, curve = [CODED, *METHODS], swept[2]["curve"]
-    points = {name: [{"bytes": 9e5, "psnr_db": 30.0}] for name in others}
-    study.draw(tmp_path / "a.png", [{"scene": "s", **point} for point in curve], curve, points)
-    labels = [text.get_text() for text in figures[0].axes[0].get_legend().get_texts()]
-    assert labels[3:] == others
 
 
 def test_trainings_of_another_length_or_scene_are_other_points(swept, scene):
