@@ -3,7 +3,7 @@
 #
 # **Promise.** After this you can open a `.p4dgs` file with nothing but `struct`, and say of each
 # byte what it is for. **Before it:** `07_noise_and_rounding`, `10_prior_and_likelihood`. **Takes**
-# four seconds on two cores, 25 minutes of reading and 40 of exercises.
+# four seconds on two cores, 25 minutes of reading and 35 of exercises.
 #
 # **Files:** [container.py](../p4dgs_ref/codec/container.py),
 # [header.py](../p4dgs_ref/codec/header.py), [file.py](../p4dgs_ref/codec/file.py),
