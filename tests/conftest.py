@@ -3,6 +3,8 @@
 The header shows the seed of the short lane's samples.
 """
 
+import signal
+
 import pytest
 
 import p4dgs_ref
@@ -11,6 +13,8 @@ from tests.sampling import SEED
 # Before NumPy loads, as every command does it: processes that a test starts inherit this setting,
 # and with another number of BLAS threads the last digits differ.
 p4dgs_ref.prepare()
+# A shell starts what runs in its background with SIGINT ignored, which tests of Ctrl-C must not be.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser):

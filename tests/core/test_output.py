@@ -143,7 +143,6 @@ def test_a_signal_does_not_part_the_files_of_a_report(tmp_path, monkeypatch, num
         replace(*names)
 
     monkeypatch.setattr(os, "replace", interrupted)
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it
     before = signal.getsignal(number)
     with pytest.raises(KeyboardInterrupt):
         write_folder(tmp_path / "x")
