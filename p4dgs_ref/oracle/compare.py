@@ -174,7 +174,8 @@ def _wrong_type(mine, right, exact):
     is_whole = mine.dtype.kind in "iub"
     if right.dtype.kind == "f":
         types = [right.dtype.name] if exact else PRECISIONS
-        asked = f"{' or '.join(types)}; half precision is not judged, the vectors' page says why"
+        half = "; half precision is not judged, the vectors' page says why"
+        asked = " or ".join(types) + half * (mine.dtype.kind == "f")
         return "" if mine.dtype.name in types else asked
     if right.dtype.kind == "b":
         return "" if is_whole and np.isin(mine, (0, 1)).all() else "bool"
