@@ -14,7 +14,8 @@ two kinds of streams in `streams.py`. A is the number of anchors.
     7   masks            bits       k bits per anchor: 1 where the child is kept
     8   hash_grid        bits       level by level, T nodes of F entries, one bit each: 1 for an
                                     entry of +1, 0 for -1
-    9   deformation_mlp  float16    psi_d, psi_t; absent where nothing moves
+    9   deformation_mlp  float16    psi_d, then psi_t where it exists; absent where nothing moves,
+                                    also with `time_net`
     10  anchor_mlps      float16    psi_alpha, psi_c, psi_r, psi_s
     11  context_mlps     float16    psi_p, psi_q
 

@@ -11,8 +11,12 @@ objects:
            file, and why. `section` is "container" for the frame of the file. `offset` counts bytes
            from the start of the section, or of the file for the container; it is null where
            correct decoders may differ. `kind` is one of magic, version, length (of file or
-           section), checksum, table (section ids and their order), missing, unexpected (a section),
-           header (its content), number (a weight or the box), stream (an entropy-coded message).
+           section), checksum, table (section ids and their order; the w of version 2), missing,
+           unexpected (a section), header (its content), number (a weight or the box), stream (an
+           entropy-coded message; the r of the positions). An impossible state is refused where it
+           begins, behind the byte of lanes (`state_too_small`: byte 1; `idle_high_word`: byte 5,
+           as its section begins with a probability), and gaps that add up to too much at r
+           (`coded_overrun`: byte 24).
 
 The streams whose names begin with `coded_` have version 2. Their `header` is the JSON as it stands
 in the file, without what the base design says. A port must read version 1. It may refuse or skip
