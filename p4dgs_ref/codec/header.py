@@ -47,11 +47,12 @@ Worked numbers. {"as":"tiny","anchors":199,"k":5} stands for the header of versi
 anchors, five children, and the rest of the base design "tiny"; its positions have 10 bits.
 
 BOTH VERSIONS. Time is bounded by n, the number of bytes of all sections together. The header
-promises at most 2^22 + 2^4 n numbers. The coding context of one anchor needs a multiplication for every weight of
-psi_p and psi_q, without biases, and reads 2^D nodes of F entries in every level of D axes. A node
-counts as 64 (F + 8) multiplications, because memory is slower than arithmetic. All anchors together
-need at most 2^34 + 2^15 n multiplications. The files of all presets stay within both limits,
-whatever the number of their anchors. A decoder checks all limits before it reads other sections.
+promises at most 2^22 + 2^4 n numbers. The coding context of one anchor needs a multiplication for
+every weight of psi_p and psi_q, without biases, and reads 2^D nodes of F entries in every level of
+D axes. A node counts as 64 (F + 8) multiplications, because memory is slower than arithmetic. All
+anchors together need at most 2^34 + 2^15 n multiplications. The files of all presets stay within
+both limits, whatever the number of their anchors. A decoder checks all limits before it reads other
+sections.
 """
 
 import json
