@@ -43,9 +43,9 @@ plt = lessons.pyplot()
 #
 # The preset `tiny` has 16,759 weights in 33,518 bytes. Rounding them after training needed 5.6 bits
 # a weight for the same PSNR (`bouncing`, the networks without the context's). Prototypes that
-# trained with the rate needed 2.8 bits a weight at -0.1 dB on average. With ten bits for a position
-# ([B2](beyond_positions.py)) they predict a file 0.27 times as large: about 10,600 bytes for
-# `bouncing` instead of 38,671.
+# trained with the rate needed 2.8 bits a weight at -0.1 dB on average. With ten bits for a
+# coordinate ([B2](reference.md#beyond-the-paper)) they predict a file 0.27 times as large: about
+# 10,600 bytes for `bouncing` instead of 38,671.
 #
 # ## The equation on a small network
 # The network below learns the height of a bouncing ball over time. It has the form of $\psi_d$, but

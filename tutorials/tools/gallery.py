@@ -50,7 +50,7 @@ PICTURES = {
     ),
     "whole_paper.png": Picture(
         "tutorial",
-        "00_whole_paper.png",
+        "out/00_whole_paper.png",
         "The paper in one file: unseen views, the decoded pictures, their error, and the bytes",
     ),
     "deformed.png": Picture(

@@ -10,7 +10,6 @@ Each of these also draws the architecture anew and writes the glossary and the h
 
 import ast
 import re
-import runpy
 import sys
 import tempfile
 import time
@@ -256,7 +255,8 @@ def run(name, out):
 
 
 MADE = {  # what draws pictures and is no numbered tutorial with a solution
-    "00": lambda out: runpy.run_path(str(FOLDER / "00_whole_paper.py"))["main"](folder=Path(out)),
+    # Without a file of its own it writes into `out` below the current folder, as in a notebook.
+    "00": lambda out: shared.run("00", ["-c", (FOLDER / "00_whole_paper.py").read_text()], out),
     "beyond": lambda out: run("beyond_networks", out),
     "demo": gallery.draw_demo,
     "accuracy": gallery.draw_accuracy,

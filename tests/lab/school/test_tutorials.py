@@ -309,7 +309,7 @@ def test_pictures_are_those_of_the_tutorials_as_they_are():
 
 def test_picture_of_changed_code_is_stale(tmp_path, monkeypatch):
     for picture in gallery.PICTURES.values():
-        for file in FOLDER.glob(f"{picture.figure[:2]}*.py"):
+        for file in FOLDER.glob(f"{Path(picture.figure).name[:2]}*.py"):
             (tmp_path / file.name).write_bytes(file.read_bytes())
     monkeypatch.setattr(gallery, "FOLDER", tmp_path)
     monkeypatch.setattr(gallery, "DRAWN", tmp_path / "gallery.json")
