@@ -109,7 +109,7 @@ def run(tmp_path, capfd, monkeypatch):
 
 def test_every_program_is_run_and_the_first_is_short():
     assert BOTH.count("```python") == len(PROGRAMS) + len(["five lines", "check", "one equation"])
-    assert OF_VECTORS == [CHECK] and CHECK[0].count("\n") == 5
+    assert OF_VECTORS == [CHECK] and CHECK[0].count("\n") == 6
     assert len(PROGRAMS[0][0].splitlines()) <= 12
     slope, quotient = numbers(PROGRAMS[0][1])[-2:]
     assert slope == quotient != 0

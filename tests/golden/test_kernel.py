@@ -101,7 +101,8 @@ def test_what_is_within_a_pixel_adds_up(case):
     order = np.argsort(i["depth"], kind="stable")
     shown = (out["T"] * out["A"] * (i["color"] @ g.T))[order]
     seen = np.cumsum(shown[::-1], axis=0)[::-1] + T[y, x] * (g @ i["background"])
-    assert np.allclose((out["T"] * out["T_bar"])[order], seen * (out["A"][order] > 0))
+    seen *= out["A"][order] > 0
+    assert np.allclose((out["T"] * out["T_bar"])[order], seen, rtol=1e-10, atol=1e-12)
 
 
 # --- gradients, ties, digits --------------------------------------------------------------------
