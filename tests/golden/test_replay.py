@@ -7,6 +7,7 @@ from p4dgs_ref.equations import hash_grid
 from p4dgs_ref.oracle import FolderPort, checker, published
 from p4dgs_ref.oracle.compare import compare
 from p4dgs_ref.oracle.published import flatten
+from p4dgs_ref.oracle.report import as_json
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training import objective
@@ -204,6 +205,8 @@ def test_a_report_says_after_which_step_which_array_differs_first(tmp_path):
     said = found.first.id, str(found).split("growing: fail\n")[1].splitlines()[:9]
     assert said[0] == "training_steps/growing" and found.levels().keys() == {"inside"}
     assert said[1][0].startswith("    after step 3: out.f_a.2[")
+    first = {row["id"]: row["first"] for row in as_json(found)["cases"]}
+    assert first["training_steps/growing"] == "out.f_a.2"
     assert said[1][8] == f"    and {len(late) - 8} more tensors"
     shown["growing/out.fa.2"] = shown.pop("growing/out.f_a.2")
     found = checker.check_port(FolderPort(write(tmp_path, training_steps=shown)), only="inside")
