@@ -414,7 +414,10 @@ def kernel_cases():
 
 
 def pixels_cases():
-    """The cases of `kernel` at a few pixels, x before y."""
+    """The cases of `kernel` at a few pixels, x before y.
+
+    Of those of `opaque`, one has a clamped splat, and five end before their last splat.
+    """
     for case in kernel_cases():
         i, rng = case.inputs, np.random.default_rng(281)
         pixels = np.sort(rng.choice(i["width"] * i["height"], PIXELS, replace=False))

@@ -448,7 +448,7 @@ SUBJECTS = (
         (),
         trace_steps_vjp,
         trace_steps_cases,
-        {**CONSTANTS, "arrays": list(ARRAYS)},
+        CONSTANTS,
         group="inside",
     ),
     Subject(
