@@ -38,7 +38,8 @@ REFERENCE = (ROOT / "tutorials" / "reference.md").read_text(encoding="utf-8")
 BOTH = README + REFERENCE
 PROGRAM = re.compile(r"```python\n((?:(?!```).)*)```\n```text\n(.*?)```", re.DOTALL)
 PROGRAMS = PROGRAM.findall(REFERENCE)
-(FIVE_LINES,) = PROGRAM.findall(README)
+FIVE_LINES, CHECK = PROGRAM.findall(README)
+OF_VECTORS = PROGRAM.findall((p4.oracle.path() / "README.md").read_text(encoding="utf-8"))
 PAGES = {"README.md": README, "tutorials/reference.md": REFERENCE}
 SMOKE_INSTEAD = ('preset="tiny"', 'preset="smoke"')
 
@@ -85,7 +86,9 @@ def demo(column):
 
 
 @pytest.mark.parametrize(
-    "program, output", PROGRAMS, ids=["example", "face", "port", "slips", "sizes"]
+    "program, output",
+    [*PROGRAMS, CHECK],
+    ids=["example", "face", "port", "slips", "sizes", "check"],
 )
 def test_program_prints_what_stands_below_it(run, program, output):
     assert run(program) == (output, "")
@@ -105,7 +108,8 @@ def run(tmp_path, capfd, monkeypatch):
 
 
 def test_every_program_is_run_and_the_first_is_short():
-    assert BOTH.count("```python") == len(PROGRAMS) + len(["five lines", "one equation"])
+    assert BOTH.count("```python") == len(PROGRAMS) + len(["five lines", "check", "one equation"])
+    assert OF_VECTORS == [CHECK] and CHECK[0].count("\n") == 6
     assert len(PROGRAMS[0][0].splitlines()) <= 12
     slope, quotient = numbers(PROGRAMS[0][1])[-2:]
     assert slope == quotient != 0

@@ -25,7 +25,7 @@ LEVELS = {
     "L4": "the pipeline",
 }
 # Groups of subjects that a port may leave out, with their level.
-GROUPS = {"baselines": "level L1", "beyond": "level L1"}
+GROUPS = {"baselines": "level L1", "beyond": "level L1", "inside": "levels L2, L4"}
 
 
 class Golden(NamedTuple):

@@ -5,7 +5,7 @@ from collections import Counter
 
 from .published import subjects
 
-SHOWN = 8  # names of failing cases of a subject, at most
+SHOWN = 8  # failing cases of a subject, wrong tensors of a case, at most
 FEWER = "right formula, fewer digits here; the recipe is"
 
 
@@ -18,8 +18,11 @@ def name_of(equation):
 
 def text(report):
     """Return the scores, what was not judged, the first divergence, and what else failed."""
-    sections = scores, left_out, unasked, acceptable, divergence
-    return "\n".join(line for section in sections for line in section(report))
+    return "\n".join(
+        line
+        for section in (scores, left_out, unasked, acceptable, divergence)
+        for line in section(report)
+    )
 
 
 def scores(report):
@@ -31,8 +34,11 @@ def scores(report):
 
 def left_out(report):
     """Return a line for every level or group with cases that the port may leave out, and does."""
-    optional = [r for r in report.results if not r.required]
-    left = Counter(r.group or r.level for r in optional if r.verdict in ("skipped", "missing"))
+    left = Counter(
+        r.group or r.level
+        for r in report.results
+        if not r.required and r.verdict in ("skipped", "missing")
+    )
     return [f"{name}: {count} cases left out, which is allowed" for name, count in left.items()]
 
 
@@ -57,8 +63,12 @@ def divergence(report):
     first, required = report.first, [r.verdict for r in report.results if r.required]
     if first:
         others = [r for r in report.results if r.wrong and r is not first]
-        heading = ["", f"first divergence: {name_of(first.equation)}"]
-        return [*heading, *_case(first), *_others(others, first.explanation)]
+        return [
+            "",
+            f"first divergence: {name_of(first.equation)}",
+            *_case(first),
+            *_others(others, first.explanation),
+        ]
     how = "passes or is acceptable" if "acceptable" in required else "passes"
     return [f"every required case {how}" if report.ok else "no required case was run"]
 
@@ -66,13 +76,16 @@ def divergence(report):
 def _case(result):
     head, said = _reason(result)
     lines = [f"{head}: {said}"] if said else []
-    lines += [
-        finding.message
-        if finding.kind == "value"
-        else f"{finding.tensor}: {finding.kind}: {finding.message}"
-        for finding in result.findings
-    ]
+    lines += [_difference(result, finding) for finding in result.findings[:SHOWN]]
+    lines += [f"and {len(result.findings) - SHOWN} more tensors"] * (len(result.findings) > SHOWN)
     return [f"  {result.id}: {result.verdict}", *(f"    {line}" for line in lines)]
+
+
+def _difference(result, finding):
+    """Return what is wrong with a tensor and, where there is one for every step, after which."""
+    said = f"{finding.tensor}: {finding.kind}: " * (finding.kind != "value") + finding.message
+    is_of_step = result.subject.endswith("_steps") and finding.kind != "extra"
+    return f"after step {int(finding.tensor.split('.')[2]) + 1}: {said}" if is_of_step else said
 
 
 def _reason(result):
@@ -92,8 +105,11 @@ def _others(results, known):
         names = [r.id.split("/")[1] for r in rows if r.verdict == "fail"]
         more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
         said = [", ".join(names[:SHOWN]) + more] * bool(names)
-        counts = Counter(sorted(r.verdict for r in rows if r.verdict != "fail"))
-        said += [f"{count} {verdict}" for verdict, count in counts.items()]
+        said += [
+            f"{count} {verdict}"
+            for verdict, count in Counter(sorted(r.verdict for r in rows)).items()
+            if verdict != "fail"
+        ]
         lines.append(f"  {key}: {'; '.join(said)}")
         for (head, said), count in Counter(_reason(r) for r in rows if _reason(r)[1]).items():
             where = f" ({count} of these)" if count < len(rows) else ""
@@ -110,6 +126,7 @@ def as_json(report):
             "level": r.level,
             "verdict": r.verdict,
             "required": r.required,
+            "first": r.findings[0].tensor if r.findings else None,
             "worst": _worst(r.findings),
             "explanation": r.explanation or None,
             "hint": r.hint or None,
@@ -135,11 +152,13 @@ def _worst(findings):
 def listing(manifest):
     """Return a line for every case: id, level, result class, what it tests."""
     rows = [
-        (case["id"], subject["level"], case["result"], case["tests"])
-        for subject in manifest["subjects"]
-        for case in subject["cases"]
+        *(
+            (case["id"], subject["level"], case["result"], case["tests"])
+            for subject in manifest["subjects"]
+            for case in subject["cases"]
+        ),
+        *((row["id"], "L3", row["result"], row["says"]) for row in manifest["streams"]),
     ]
-    rows += [(row["id"], "L3", row["result"], row["says"]) for row in manifest["streams"]]
     width = max(len(row[0]) for row in rows)
     return "\n".join(
         f"{id:<{width}}  {level}  {kind:<10}  {says}" for id, level, kind, says in rows

@@ -34,6 +34,7 @@ from tests.golden.subjects import Subject, no_pullback
 TILE, MASK, STOP, ALPHA_MAX = 16, 1 / 255, 1e-4, 0.99
 CONSTANTS = {"tile": TILE, "mask": MASK, "stop": STOP, "alpha_max": ALPHA_MAX}
 SPLATS = ("mean2d", "conic", "alpha", "color")
+PIXELS = 12  # of each case, whose splats are shown one by one
 
 
 class Lists(NamedTuple):
@@ -148,20 +149,26 @@ def composite(
     return (image, T_all, last), tiles
 
 
+def along_the_pixels(tile, inputs, image_bar, transmittance_bar):
+    """Return the gradients of A and of T in front of each splat [M, P], 0 where none is drawn."""
+    g, h = image_bar[tile.pixels].reshape(-1, 3), transmittance_bar[tile.pixels].ravel()
+    A_bar, behind = inputs["color"][tile.rows] @ g.T, g @ inputs["background"] + h
+    T_bar = np.empty_like(A_bar)
+    for i in reversed(range(len(A_bar))):
+        A_bar[i] -= behind
+        behind = behind + tile.A[i] * A_bar[i]
+        T_bar[i] = behind
+    return A_bar * tile.before * (tile.A > 0), T_bar * (tile.A > 0)
+
+
 def gradients(tiles, T, inputs, image_bar, transmittance_bar):
     """Return the gradients of mean2d, conic, alpha, color and background."""
     found = {name: np.zeros_like(inputs[name]) for name in SPLATS}
-    background = inputs["background"]
     for tile in tiles:
         rows, g = tile.rows, image_bar[tile.pixels].reshape(-1, 3)
-        h = transmittance_bar[tile.pixels].ravel()
         a, b, c = inputs["conic"][rows].T[:, :, None]
         np.add.at(found["color"], rows, (tile.A * tile.before) @ g)
-        V, behind = inputs["color"][rows] @ g.T, g @ background + h
-        for i in reversed(range(len(rows))):
-            V[i] -= behind
-            behind = behind + tile.A[i] * V[i]
-        V *= tile.before * tile.falloff * (tile.A > 0)
+        V = along_the_pixels(tile, inputs, image_bar, transmittance_bar)[0] * tile.falloff
         np.add.at(found["alpha"], rows, V.sum(axis=1))
         V *= inputs["alpha"][rows, None]  # from here on the gradient of the exponent
         e_x, e_y = tile.e_x, tile.e_y
@@ -186,6 +193,18 @@ def kernel_vjp(**inputs):
         return gradients(tiles, T, inputs, image_bar, transmittance_bar)
 
     return {"image": image, "transmittance": T, "last": last}, pullback
+
+
+def pixels_vjp(pixels, image_bar, **inputs):
+    """Splats, gradient of the image -> what every splat is at some pixels, and its gradients."""
+    (_, T, _), tiles = composite(**inputs)
+    found = np.zeros((4, len(inputs["alpha"]), *T.shape), T.dtype)
+    for tile in tiles:
+        values = tile.A, tile.before * (tile.A > 0)
+        values += along_the_pixels(tile, inputs, image_bar, np.zeros_like(T))
+        area = found[(..., *tile.pixels)]
+        area[:, tile.rows] = np.reshape(values, (4, -1, *area.shape[2:]))
+    return dict(zip(("A", "T", "A_bar", "T_bar"), found[(..., *pixels.T[::-1])])), no_pullback
 
 
 def by_monomials(inputs, cotangents):
@@ -336,17 +355,31 @@ def in_layers(rng, N, layers):
     return np.where(rng.random(N) < 0.2, np.nextafter(depth, np.float32(99)), depth)
 
 
+# Name, seed, arguments of `splats` but for the depths, the depths, and flags.
+SMALL = (
+    (
+        ("ordinary", 251, (61, 28, 40, (0.6, 4.5), (0.02, 0.9))),
+        lambda rng, N: rng.uniform(0.5, 4, N),
+        ("ordinary",),
+    ),
+    (
+        ("equal_depths", 252, (45, 19, 22, (1, 4), (0.05, 0.7))),
+        lambda rng, N: in_layers(rng, N, 3),
+        ("order",),
+    ),
+    (
+        ("opaque", 253, (44, 21, 18, (2, 9), (0.7, 1.4))),
+        lambda rng, N: rng.uniform(1, 2, N),
+        ("opaque", "clamped"),
+    ),
+)
+
+
 def small_splats():
     """Yield (name, splats, flags) of the small cases."""
-    rng = np.random.default_rng(251)
-    depth = rng.uniform(0.5, 4, 61)
-    yield "ordinary", splats(rng, 61, 28, 40, (0.6, 4.5), (0.02, 0.9), depth), ("ordinary",)
-    rng = np.random.default_rng(252)
-    tied = splats(rng, 45, 19, 22, (1, 4), (0.05, 0.7), in_layers(rng, 45, 3))
-    yield "equal_depths", tied, ("order",)
-    rng = np.random.default_rng(253)
-    wall = splats(rng, 44, 21, 18, (2, 9), (0.7, 1.4), rng.uniform(1, 2, 44))
-    yield "opaque", wall, ("opaque", "clamped")
+    for (name, seed, drawn), depth, flags in SMALL:
+        rng = np.random.default_rng(seed)
+        yield name, splats(rng, *drawn, depth(rng, drawn[0])), flags
 
 
 @cache
@@ -378,6 +411,19 @@ def kernel_cases():
         yield Case(
             name, inputs, flags, cotangents=image_bars(np.random.default_rng(261 + seed), inputs)
         )
+
+
+def pixels_cases():
+    """The cases of `kernel` at a few pixels, x before y.
+
+    Of those of `opaque`, one has a clamped splat, and five end before their last splat.
+    """
+    for case in kernel_cases():
+        i, rng = case.inputs, np.random.default_rng(281)
+        pixels = np.sort(rng.choice(i["width"] * i["height"], PIXELS, replace=False))
+        given = {**i, "image_bar": case.cotangents["image_bar"]}
+        given["pixels"] = np.stack([pixels % i["width"], pixels // i["width"]], axis=1)
+        yield Case(case.name, given, case.flags)
 
 
 def many_cases():
@@ -433,6 +479,26 @@ SUBJECTS = (
         lists_cases,
         {"tile": TILE},
         single=True,
+    ),
+    Subject(
+        "kernel_pixels",
+        "L2",
+        "compositing",
+        "",
+        "splats, image_bar -> opacity and T of every splat at some pixels, and their gradients",
+        {
+            **SPLAT_SHAPES,
+            "image_bar": "H W 3",
+            "pixels": "P 2",
+            **dict.fromkeys(("A", "T", "A_bar", "T_bar"), "N P"),
+        },
+        (),
+        pixels_vjp,
+        pixels_cases,
+        CONSTANTS,
+        single=True,
+        steady=("depth",),
+        group="inside",
     ),
     Subject(
         "kernel",

@@ -16,6 +16,7 @@ from p4dgs_ref import model
 from p4dgs_ref.codec.file import decode, encode
 from p4dgs_ref.equations.grid_nodes import locate
 from p4dgs_ref.model import Anchors
+from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.published import FOLDER
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS, View
@@ -26,6 +27,7 @@ from p4dgs_ref.training import objective
 from p4dgs_ref.training.fit import train
 from p4dgs_ref.training.parameters import Adam, Parameters
 from p4dgs_ref.training.presets import SMOKE
+from p4dgs_ref.training.trainer import LEARNING_RATES
 from tests.golden.cases import Case
 from tests.golden.flat import (
     CAMERA_SHAPES,
@@ -139,7 +141,7 @@ def frames_cases():
 
 
 # --- trace --------------------------------------------------------------------------------------
-def trace_vjp(
+def traced(
     x_a,
     f_a,
     log_s,
@@ -171,17 +173,13 @@ def trace_vjp(
     lambda_ssim,
     **networks,
 ):
-    """Steps of stage 4: one view and one noise a step, gradients of L_total, Adam.
+    """Yield the parameters after every step of stage 4, its losses and its gradients.
 
-    Adam's n-th step, g being the gradient: m = 0.9 m + 0.1 g, v = 0.999 v + 0.001 g^2, both 0 at
-    first; then the parameter moves by -rate (m / (1 - 0.9^n)) / (sqrt(v / (1 - 0.999^n)) + e),
-    e = 1e-15 / sqrt(1 - 0.999^n) (Kingma and Ba 2015). x_a does not move: its learning rate is 0,
-    because the grid has located it. There is no volume term.
-
-    Returns the losses of every step [S] before the step; `gradient_norm` [S, P] before the step;
-    `total` and `ramp` [S, P] after the step, the sum of every parameter array and the sum of its
-    elements times cos 0, cos 1, cos 2, ...; and `final`, all parameters after the last step, the
-    arrays row by row, one after the other.
+    One view and one noise a step, gradients of L_total, Adam. Adam's n-th step, g being the
+    gradient: m = 0.9 m + 0.1 g, v = 0.999 v + 0.001 g^2, both 0 at first; then the parameter moves
+    by -rate (m / (1 - 0.9^n)) / (sqrt(v / (1 - 0.999^n)) + e), e = 1e-15 / sqrt(1 - 0.999^n)
+    (Kingma and Ba 2015). x_a does not move: its learning rate is 0, because the grid has located
+    it. There is no volume term.
     """
     p = gather(
         dict(x_a=x_a, f_a=f_a, log_s=log_s, log_l=log_l, O_a=O_a), networks_of(networks), grids
@@ -199,16 +197,28 @@ def trace_vjp(
     )
     located = locate(x_a, lo, hi, resolutions, [len(grid) for grid in grids])
     fixed = objective.Fixed(mask, located, background, 4, lambda_rate, lambda_ssim, EXACT)
-    names = [own_name(name) for name in arrays]
-    rates = dict(zip(names, learning_rates.tolist(), strict=True))
+    rates = dict(zip(map(own_name, arrays), learning_rates.tolist(), strict=True))
     adam = Adam(p)
-    rows = {name: [] for name in TRACED}
     for v, noise in zip(views, u):
         camera = camera_of(W[v], T[v], focal[v], center[v], size)
         view = View("", truth[v], None, camera, times[v])
         losses, _, back = objective.loss(p, design, nets, levels, fixed, view, noise)
         gradients, _ = back()
         adam.step(p, gradients, rates.get)
+        yield p, losses, gradients
+
+
+def trace_vjp(arrays, **inputs):
+    """Steps of stage 4: the losses, and what they leave of the parameters.
+
+    Returns the losses of every step [S] before the step; `gradient_norm` [S, P] before the step;
+    `total` and `ramp` [S, P] after the step, the sum of every parameter array and the sum of its
+    elements times cos 0, cos 1, cos 2, ...; and `final`, all parameters after the last step, the
+    arrays row by row, one after the other.
+    """
+    names = [own_name(name) for name in arrays]
+    rows = {name: [] for name in TRACED}
+    for p, losses, gradients in traced(arrays=arrays, **inputs):
         for name in LOSSES:
             rows[name].append(getattr(losses, name))
         rows["gradient_norm"].append([np.linalg.norm(gradients[name]) for name in names])
@@ -216,6 +226,32 @@ def trace_vjp(
         rows["ramp"].append([ramp(p[name]) for name in names])
     outputs = {name: np.array(values, p.vector.dtype) for name, values in rows.items()}
     return {**outputs, "final": np.concatenate([p[name].ravel() for name in names])}, no_pullback
+
+
+def trace_steps_vjp(**inputs):
+    """The same steps: the loss of each of them and the parameters after it, array by array."""
+    states = [
+        {"L_total": p.vector.dtype.type(losses.L_total), **{n: joined(p, n) for n in ARRAYS}}
+        for p, losses, _ in traced(**inputs)
+    ]
+    return by_step(states), no_pullback
+
+
+# The parameters: anchors, networks, grid. There is no psi_t, and no step of coded networks.
+ARRAYS = tuple(name for name in LEARNING_RATES if name not in ("psi_t", "log_step"))
+
+
+def joined(parameters, stem):
+    """Return the arrays of a Parameters that belong to an array of the vectors, as one."""
+    if stem in parameters.arrays:
+        return parameters[stem].copy()
+    parts = [a.ravel() for name, a in parameters.arrays.items() if name.split(".")[0] == stem]
+    return np.concatenate(parts)
+
+
+def by_step(states):
+    """Return {"x_a.0": array, ...}, the arrays of a list of states, state by state."""
+    return {f"{name}.{i}": a for i, state in enumerate(states) for name, a in state.items()}
 
 
 LOSSES = ("L1", "D_SSIM", "L_render", "L_rate", "bits", "L_total")
@@ -231,8 +267,8 @@ def gather(attributes, networks, grids):
     """All parameters in one Parameters, copied, as `objective` names them."""
     arrays = dict(attributes)
     for name, pair in networks.items():
-        for kind, layers in zip("Wb", pair):
-            arrays.update({f"{name}.{kind}{i}": layer for i, layer in enumerate(layers)})
+        for i, (W, b) in enumerate(zip(*pair)):
+            arrays.update({f"{name}.W{i}": W, f"{name}.b{i}": b})
     arrays.update({f"grid.{i}": grid for i, grid in enumerate(grids)})
     return Parameters(arrays, attributes["x_a"].dtype)
 
@@ -245,6 +281,11 @@ def own_name(tensor):
 
 def trace_cases():
     yield Case("ten_steps", trace_inputs(np.random.default_rng(440)))
+
+
+def trace_steps_cases():
+    """The published inputs of `trace`: on another processor the last bits of `truth` differ."""
+    yield Case("ten_steps", published.cases("trace")[0].inputs())
 
 
 def trace_inputs(rng, A=9, k=5, d=7, V=6):
@@ -338,6 +379,41 @@ def draw(rng, design, A):
 
 ANCHOR_SHAPES = {"x_a": "A 3", "f_a": "A d", "O_a": "A k 3", "mask": "A k", "background": "3"}
 NUMBERS = dict.fromkeys(("tau_alpha", "effects", "L_x", "L_t"), "")
+TRACE_SHAPES = {
+    **ANCHOR_SHAPES,
+    "log_s": "A 3",
+    "log_l": "A 3",
+    "lo": "3",
+    "hi": "3",
+    "grids": "*T F",
+    "resolutions": "",
+    "Q_0": "4",
+    "W": "V 3 3",
+    "T": "V 3",
+    "focal": "V 2",
+    "center": "V 2",
+    "size": "2",
+    "times": "V",
+    "truth": "V H W 3",
+    "views": "S",
+    "u": "S A n",
+    "learning_rates": "P",
+    "arrays": "",
+    **NUMBERS,
+    "lambda_rate": "",
+    "lambda_ssim": "",
+    **shapes_of(*NETWORKS),
+}
+OF_ANCHORS = {"x_a": "A 3", "f_a": "A d", "log_s": "A 3", "log_l": "A 3", "O_a": "A k 3"}
+STATE_SHAPES = OF_ANCHORS | {name: f"P{a}" for name, a in zip(ARRAYS[5:], "abcdefgh")}
+
+
+def each_step(shapes):
+    """Return the axes of inputs, of which a list of outputs has one array for every step."""
+    ends = {name: axes.split(" -> ") for name, axes in shapes.items()}
+    return {name: f"{axes[0]} -> *{axes[-1]}" for name, axes in ends.items()} | {"L_total": "*"}
+
+
 CONSTANTS = {"STEPS": STEPS}
 SUBJECTS = (
     Subject(
@@ -363,35 +439,26 @@ SUBJECTS = (
         CONSTANTS,
     ),
     Subject(
+        "trace_steps",
+        "L4",
+        "total_loss",
+        "1 to 9, 11 to 17",
+        "parameters, views, noise -> the parameters after every step",
+        {**TRACE_SHAPES, **each_step(STATE_SHAPES)},
+        (),
+        trace_steps_vjp,
+        trace_steps_cases,
+        CONSTANTS,
+        group="inside",
+    ),
+    Subject(
         "trace",
         "L4",
         "total_loss",
         "1 to 9, 11 to 17",
         "parameters, views, noise -> losses, gradient norms, checksums, final parameters",
         {
-            **ANCHOR_SHAPES,
-            "log_s": "A 3",
-            "log_l": "A 3",
-            "lo": "3",
-            "hi": "3",
-            "grids": "*T F",
-            "resolutions": "",
-            "Q_0": "4",
-            "W": "V 3 3",
-            "T": "V 3",
-            "focal": "V 2",
-            "center": "V 2",
-            "size": "2",
-            "times": "V",
-            "truth": "V H W 3",
-            "views": "S",
-            "u": "S A n",
-            "learning_rates": "P",
-            "arrays": "",
-            **NUMBERS,
-            "lambda_rate": "",
-            "lambda_ssim": "",
-            **shapes_of(*NETWORKS),
+            **TRACE_SHAPES,
             **dict.fromkeys(LOSSES, "S"),
             **dict.fromkeys(("gradient_norm", "total", "ramp"), "S P"),
             "final": "M",

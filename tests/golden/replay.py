@@ -18,16 +18,23 @@ from p4dgs_ref.training.density import Statistics
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.parameters import Adam, Parameters
 from p4dgs_ref.training.presets import Preset
-from p4dgs_ref.training.trainer import LEARNING_RATES, Trainer
+from p4dgs_ref.training.trainer import Trainer
 from tests.golden.cases import Case
 from tests.golden.flat import CAMERA_SHAPES, camera_of
 from tests.golden.kernel import single
-from tests.golden.pipeline import LOSSES, draw
+from tests.golden.pipeline import (
+    ARRAYS,
+    LOSSES,
+    OF_ANCHORS,
+    STATE_SHAPES,
+    by_step,
+    draw,
+    each_step,
+    joined,
+)
 from tests.golden.pipeline import views_of as views_of_model
 from tests.golden.subjects import Subject, no_pullback
 
-# The parameters: anchors, networks, grid. There is no psi_t, and no step of coded networks.
-ARRAYS = tuple(name for name in LEARNING_RATES if name not in ("psi_t", "log_step"))
 ROLES = {"": "parameters", "m_": "first", "v_": "second"}
 SUMS = ("visits", "opacity", "gradient", "seen")
 GIVEN = ("W", "T", "focal", "center", "size", "times", "truth", "background")  # the views
@@ -118,14 +125,6 @@ class Replayed(Trainer):
         super().freeze_positions()
 
 
-def joined(parameters, stem):
-    """Return the arrays of a Parameters that belong to an array of the vectors, as one."""
-    if stem in parameters.arrays:
-        return parameters[stem].copy()
-    parts = [a.ravel() for name, a in parameters.arrays.items() if name.split(".")[0] == stem]
-    return np.concatenate(parts)
-
-
 def parted(arrays, design):
     """Undo `joined`: the Parameters of {array: values}."""
     found = {}
@@ -188,11 +187,10 @@ def state_of(trainer):
     return state
 
 
-def replay(u, views, iteration, effects, draws=(), trainer=Replayed, **inputs):
-    """Steps of training from a state: the state after them, and the losses before each of them.
+def steps(u, views, iteration, effects, draws=(), trainer=Replayed, **inputs):
+    """Yield the losses and learning rates of every step from a state, and the state after it.
 
     Growing, masking and the change of the stage happen within the steps where the settings say so.
-    `rates` are the learning rates of every step.
     """
     scene = {name: inputs.pop(name) for name in GIVEN}
     background = scene.pop("background")
@@ -201,14 +199,31 @@ def replay(u, views, iteration, effects, draws=(), trainer=Replayed, **inputs):
     trainer = trainer_of(trainer, *given)
     trainer.rng = GivenNumbers(u, draws)
     trainer.order = views[::-1]
-    rows, rates = [], []
     for _ in views:
-        rates.append([trainer.rate_of(name) for name in ARRAYS])
-        rows.append(trainer.step()[0])
+        rates = [trainer.rate_of(name) for name in ARRAYS]
+        losses = trainer.step()[0]
+        yield losses, rates, state_of(trainer)
+
+
+def replay(**inputs):
+    """Steps of training from a state: the state after them, and the losses before each of them.
+
+    `rates` are the learning rates of every step.
+    """
+    rows, rates, states = zip(*steps(**inputs))
     dtype = inputs["x_a"].dtype
     losses = {name: np.array([getattr(row, name) for row in rows], dtype) for name in LOSSES}
-    outputs = {**losses, "rates": np.array(rates, dtype), **state_of(trainer)}
-    return outputs, no_pullback
+    return {**losses, "rates": np.array(rates, dtype), **states[-1]}, no_pullback
+
+
+def replay_steps(**inputs):
+    """The same steps: the loss of each of them and the state after it, the moments first."""
+    states = []
+    for losses, _, state in steps(**inputs):
+        loss = inputs["x_a"].dtype.type(losses.L_total)
+        moments_first = sorted(state, key=lambda name: name[:2] not in ROLES)
+        states.append({"L_total": loss, **{name: state[name] for name in moments_first}})
+    return by_step(states), no_pullback
 
 
 # --- cases --------------------------------------------------------------------------------------
@@ -315,12 +330,11 @@ def whole_cases():
 
 def shapes():
     """Return the axes of all inputs and outputs; A anchors become B."""
-    anchors = {"x_a": "3", "f_a": "d", "log_s": "3", "log_l": "3", "O_a": "k 3"}
     found = {}
     for tag in ROLES:
-        for name, letter in zip(ARRAYS, "_____abcdefgh"):
-            own = anchors.get(name)
-            found[tag + name] = f"A {own} -> B {own}" if own else f"P{letter}"
+        for name, axes in STATE_SHAPES.items():
+            ends = f"{axes} -> {axes.replace('A', 'B')}"
+            found[tag + name] = ends if name in OF_ANCHORS else axes
     found |= {name: "A k -> B k" for name in ("mask", *SUMS)} | {"visits": "A -> B"}
     cameras = {name: f"V {axes}" for name, axes in CAMERA_SHAPES.items() if name != "size"}
     return {
@@ -357,11 +371,15 @@ def subject(key, formula, cases):
         {"arrays": list(ARRAYS), "beta_1": 0.9, "beta_2": 0.999, "epsilon": 1e-15},
         single=True,
         # On a lattice whose corners are float32 numbers: a small coordinate has no more digits.
-        even=("out.x_a",),
+        even=("out.x_a", *(f"out.x_a.{i}" for i in range(6))),
     )
 
 
+OF_STATE = {name: axes for name, axes in shapes().items() if name in state_names()}
 SUBJECTS = (
+    subject(
+        "training_steps", "state, views, noise -> state after every step", event_cases
+    )._replace(shapes=shapes() | each_step(OF_STATE), vjp=replay_steps, group="inside"),
     subject("training", "state, views, noise -> state after an event", event_cases),
     subject("training_whole", "state, views, noise -> state after ten steps", whole_cases),
 )

@@ -34,53 +34,63 @@ def of_feature(key):
 
 
 def tanh_cases():
-    yield Case("ordinary", dict(y=np.array([[0.3, -0.7], [1.9, -2.5], [1e-3, -4.0]])))
-    yield Case("near_zero", dict(y=np.array([[1e-9, -1e-30, 0.0]])), ("zero", "extreme"))
-    yield Case(
-        "tails",
-        dict(y=np.array([[9.0, -9.0], [18.0, -18.0], [20.0, -400.0]])),
-        ("saturated", "extreme"),
-    )
+    return [
+        Case("ordinary", dict(y=np.array([[0.3, -0.7], [1.9, -2.5], [1e-3, -4.0]]))),
+        Case("near_zero", dict(y=np.array([[1e-9, -1e-30, 0.0]])), ("zero", "extreme")),
+        Case(
+            "tails",
+            dict(y=np.array([[9.0, -9.0], [18.0, -18.0], [20.0, -400.0]])),
+            ("saturated", "extreme"),
+        ),
+    ]
 
 
 def sigmoid_cases():
-    yield Case("ordinary", dict(y=np.array([[0.3, -0.7, 1.9], [-2.5, 0.0, 4.0]])))
-    yield Case(
-        "tails", dict(y=np.array([[17.0, -17.0, 37.0], [-37.0, 80.0, -80.0]])), ("saturated",)
-    )
-    yield Case(
-        "beyond_exp",
-        dict(y=np.array([[710.0, -1000.0, -1e4]])),
-        ("saturated", "extreme"),
-        cotangents={"color_bar": np.array([[[2.0, -3, 5]]])},
-        expected={"color": np.array([[[1.0, 0, 0]]]), "y_bar": np.zeros((1, 3))},
-    )
+    return [
+        Case("ordinary", dict(y=np.array([[0.3, -0.7, 1.9], [-2.5, 0.0, 4.0]]))),
+        Case(
+            "tails", dict(y=np.array([[17.0, -17.0, 37.0], [-37.0, 80.0, -80.0]])), ("saturated",)
+        ),
+        Case(
+            "beyond_exp",
+            dict(y=np.array([[710.0, -1000.0, -1e4]])),
+            ("saturated", "extreme"),
+            cotangents={"color_bar": np.array([[[2.0, -3, 5]]])},
+            expected={"color": np.array([[[1.0, 0, 0]]]), "y_bar": np.zeros((1, 3))},
+        ),
+    ]
 
 
 def unit_cases():
     y = np.array([[0.9, -0.3, 0.2, 0.5], [-2.0, 1.0, 4.0, -3.0], [0.1, 0.0, -0.01, 0.02]])
-    yield Case("ordinary", dict(y=y))
-    yield Case(
-        "long_and_short", dict(y=y * np.array([[1e25], [1e-7], [1e6]])), ("normalise", "extreme")
-    )
-    yield Case(
-        "zero",
-        dict(y=np.zeros((1, 4))),
-        ("normalise", "zero", "single"),
-        smooth=False,
-        cotangents={"r_bar": np.array([[[3.0, -5, 7, 11]]])},
-        expected={"r": np.zeros((1, 1, 4)), "y_bar": np.array([[3e12, -5e12, 7e12, 11e12]])},
-    )
+    return [
+        Case("ordinary", dict(y=y)),
+        Case(
+            "long_and_short",
+            dict(y=y * np.array([[1e25], [1e-7], [1e6]])),
+            ("normalise", "extreme"),
+        ),
+        Case(
+            "zero",
+            dict(y=np.zeros((1, 4))),
+            ("normalise", "zero", "single"),
+            smooth=False,
+            cotangents={"r_bar": np.array([[[3.0, -5, 7, 11]]])},
+            expected={"r": np.zeros((1, 1, 4)), "y_bar": np.array([[3e12, -5e12, 7e12, 11e12]])},
+        ),
+    ]
 
 
 # --- waves, rotations, pixels -------------------------------------------------------------------
 def waves_cases():
-    yield Case("ordinary", dict(p=np.array([[0.37], [-1.2], [2.9]]), L=4))
-    yield Case(
-        "paper_frequencies",
-        dict(p=np.array([[0.0], [1.0], [-1.3], [1e-5], [12.0]]), L=10),
-        ("zero", "extreme"),
-    )
+    return [
+        Case("ordinary", dict(p=np.array([[0.37], [-1.2], [2.9]]), L=4)),
+        Case(
+            "paper_frequencies",
+            dict(p=np.array([[0.0], [1.0], [-1.3], [1e-5], [12.0]]), L=10),
+            ("zero", "extreme"),
+        ),
+    ]
 
 
 def matrix_vjp(r):
@@ -98,26 +108,28 @@ def matrix_cases():
             [-0.2, 0.8, 0.9, 1],
         ]
     )
-    yield Case("ordinary", dict(r=r / np.linalg.norm(r, axis=1, keepdims=True)))
     h = np.sqrt(
         0.5
     )  # quarter turns about z (x to y) and x (y to z); half a turn about y; none, twice
     turns = np.array([[h, 0, 0, h], [h, h, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [-1, 0, 0, 0]])
-    yield Case(
-        "turns",
-        dict(r=turns),
-        expected={
-            "R": np.array(
-                [
-                    [[0.0, -1, 0], [1, 0, 0], [0, 0, 1]],
-                    [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
-                    np.diag([-1, 1, -1]),
-                    np.eye(3),
-                    np.eye(3),
-                ]
-            )
-        },
-    )
+    return [
+        Case("ordinary", dict(r=r / np.linalg.norm(r, axis=1, keepdims=True))),
+        Case(
+            "turns",
+            dict(r=turns),
+            expected={
+                "R": np.array(
+                    [
+                        [[0.0, -1, 0], [1, 0, 0], [0, 0, 1]],
+                        [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+                        np.diag([-1, 1, -1]),
+                        np.eye(3),
+                        np.eye(3),
+                    ]
+                )
+            },
+        ),
+    ]
 
 
 def pixel_vjp(x, W, T, focal, center, size):
@@ -141,7 +153,6 @@ def pixel_cases():
         center=np.array([30.2, 24.9]),
         size=np.array([64, 48]),
     )
-    yield Case("ordinary", dict(x=rng.normal(size=(5, 3)), **view))
     plain = dict(
         W=np.eye(3),
         T=np.zeros(3),
@@ -152,12 +163,6 @@ def pixel_cases():
     # The axis meets the image of 6 x 4 pixels at (2.5, 1.5), between four of them. The outermost
     # centres are (0, 0) and (5, 3).
     seen = np.array([[0, 0, 1.0], [-2.5 / 8, -1.5 / 4, 1], [5 / 8, 0.75, 2]])
-    yield Case(
-        "pixel_centres",
-        dict(x=seen, **plain),
-        ("zero",),
-        expected={"mean2d": np.array([[2.5, 1.5], [0, 0], [5, 3]]), "depth": np.array([1.0, 1, 2])},
-    )
     # u = 8 x / z, v = 4 y / z: in the last row du/dx = 32, du/dz = -16, dv/dy = 16, dv/dz = -4.
     near = np.array(
         [[0.125, 0.0625, 0.1875], [0.125, 0.0625, 0], [0.125, 0.0625, -1], [0.125, 0.0625, 0.25]]
@@ -166,30 +171,42 @@ def pixel_cases():
         "mean2d_bar": np.array([[2.0, -3], [5, 7], [-11, 13], [17, -19]]),
         "depth_bar": np.array([1.0, -2, 3, 4]),
     }
-    yield Case(
-        "near_plane",
-        dict(x=near, **plain),
-        ("behind", "zero"),
-        smooth=False,
-        cotangents=bars,
-        expected={
-            "visible": np.array([False, False, False, True]),
-            "mean2d": np.array([[0.0, 0]] * 3 + [[6.5, 2.5]]),
-            "x_bar": np.array([[0.0, 0, 0]] * 3 + [[544, -304, 4 - 16 * 17 + 4 * 19]]),
-        },
-    )
-    yield Case(
-        "on_the_near_plane",
-        dict(x=np.array([[0.125, 0.0625, 0.2]]), **plain),
-        ("behind", "kink", "single"),
-        smooth=False,
-        cotangents={name: a[:1] for name, a in bars.items()},
-        expected={
-            "visible": np.array([False]),
-            "mean2d": np.zeros((1, 2)),
-            "x_bar": np.zeros((1, 3)),
-        },
-    )
+    return [
+        Case("ordinary", dict(x=rng.normal(size=(5, 3)), **view)),
+        Case(
+            "pixel_centres",
+            dict(x=seen, **plain),
+            ("zero",),
+            expected={
+                "mean2d": np.array([[2.5, 1.5], [0, 0], [5, 3]]),
+                "depth": np.array([1.0, 1, 2]),
+            },
+        ),
+        Case(
+            "near_plane",
+            dict(x=near, **plain),
+            ("behind", "zero"),
+            smooth=False,
+            cotangents=bars,
+            expected={
+                "visible": np.array([False, False, False, True]),
+                "mean2d": np.array([[0.0, 0]] * 3 + [[6.5, 2.5]]),
+                "x_bar": np.array([[0.0, 0, 0]] * 3 + [[544, -304, 4 - 16 * 17 + 4 * 19]]),
+            },
+        ),
+        Case(
+            "on_the_near_plane",
+            dict(x=np.array([[0.125, 0.0625, 0.2]]), **plain),
+            ("behind", "kink", "single"),
+            smooth=False,
+            cotangents={name: a[:1] for name, a in bars.items()},
+            expected={
+                "visible": np.array([False]),
+                "mean2d": np.zeros((1, 2)),
+                "x_bar": np.zeros((1, 3)),
+            },
+        ),
+    ]
 
 
 def lens_vjp(camera_angle_x, fl_x, fl_y, cx, cy, w, h, downscale):
@@ -212,20 +229,25 @@ def lens_cases():
     given = dict(
         camera_angle_x=0.7, fl_x=113.0, fl_y=96.5, cx=36.25, cy=28.0, w=64, h=48, downscale=1
     )
-    yield Case(
-        "ordinary",
-        given,
-        expected={"center": np.array([35.75, 27.5]), "focal": np.array([113.0, 96.5])},
-    )
-    yield Case(
-        "halved",
-        {**given, "downscale": 2},
-        expected={"center": np.array([17.625, 13.5]), "focal": np.array([56.5, 48.25])},
-    )
     silent = dict.fromkeys(("fl_x", "fl_y", "cx", "cy"))
-    yield Case(
-        "angle_alone", {**given, **silent}, ("off",), expected={"center": np.array([31.5, 23.5])}
-    )
+    return [
+        Case(
+            "ordinary",
+            given,
+            expected={"center": np.array([35.75, 27.5]), "focal": np.array([113.0, 96.5])},
+        ),
+        Case(
+            "halved",
+            {**given, "downscale": 2},
+            expected={"center": np.array([17.625, 13.5]), "focal": np.array([56.5, 48.25])},
+        ),
+        Case(
+            "angle_alone",
+            {**given, **silent},
+            ("off",),
+            expected={"center": np.array([31.5, 23.5])},
+        ),
+    ]
 
 
 SUBJECTS = (

@@ -27,42 +27,44 @@ def cell_vjp(x, lo, hi, res):
 
 def cell_cases():
     box = dict(lo=np.float64(-1.0), hi=np.float64(3.0))
-    yield Case("ordinary", dict(x=np.array([-0.9, -0.13, 0.77, 2.9, 1.6]), **box, res=7))
-    yield Case(
-        "on_nodes",
-        dict(x=np.arange(-1.0, 4), **box, res=5),
-        ("kink", "zero"),
-        smooth=False,
-        expected={
-            "node": np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 4]]),
-            "weight": np.tile([1.0, 0], (5, 1)),
-        },
-    )
-    yield Case(
-        "outside",
-        dict(x=np.array([-1.5, -1e30, 3.5, 1e30]), **box, res=5),
-        ("outside", "clamped", "extreme"),
-        smooth=False,
-        expected={
-            "node": np.array([[0, 1], [0, 1], [4, 4], [4, 4]]),
-            "weight": np.tile([1.0, 0], (4, 1)),
-        },
-    )
     flat = dict(lo=np.float64(0.5), hi=np.float64(0.5))
-    yield Case(
-        "no_extent",
-        dict(x=np.array([0.5, 0.4, 7.0]), **flat, res=5),
-        ("zero", "outside"),
-        smooth=False,
-        expected={"node": np.tile([0, 1], (3, 1)), "weight": np.tile([1.0, 0], (3, 1))},
-    )
-    yield Case(
-        "one_node",
-        dict(x=np.array([-0.9, 3.0]), **box, res=1),
-        ("single",),
-        smooth=False,
-        expected={"node": np.zeros((2, 2), int), "weight": np.tile([1.0, 0], (2, 1))},
-    )
+    return [
+        Case("ordinary", dict(x=np.array([-0.9, -0.13, 0.77, 2.9, 1.6]), **box, res=7)),
+        Case(
+            "on_nodes",
+            dict(x=np.arange(-1.0, 4), **box, res=5),
+            ("kink", "zero"),
+            smooth=False,
+            expected={
+                "node": np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 4]]),
+                "weight": np.tile([1.0, 0], (5, 1)),
+            },
+        ),
+        Case(
+            "outside",
+            dict(x=np.array([-1.5, -1e30, 3.5, 1e30]), **box, res=5),
+            ("outside", "clamped", "extreme"),
+            smooth=False,
+            expected={
+                "node": np.array([[0, 1], [0, 1], [4, 4], [4, 4]]),
+                "weight": np.tile([1.0, 0], (4, 1)),
+            },
+        ),
+        Case(
+            "no_extent",
+            dict(x=np.array([0.5, 0.4, 7.0]), **flat, res=5),
+            ("zero", "outside"),
+            smooth=False,
+            expected={"node": np.tile([0, 1], (3, 1)), "weight": np.tile([1.0, 0], (3, 1))},
+        ),
+        Case(
+            "one_node",
+            dict(x=np.array([-0.9, 3.0]), **box, res=1),
+            ("single",),
+            smooth=False,
+            expected={"node": np.zeros((2, 2), int), "weight": np.tile([1.0, 0], (2, 1))},
+        ),
+    ]
 
 
 def row_vjp(corner, res, table):
@@ -77,38 +79,44 @@ def row_vjp(corner, res, table):
 
 def row_cases():
     rng = np.random.default_rng(102)
-    yield Case(
-        "dense",
-        dict(
-            corner=np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 4], [1, 2, 3], [4, 4, 4]]),
-            res=5,
-            table=125,
-        ),
-        expected={"row": np.array([0, 4, 20, 100, 86, 124])},
-    )
-    yield Case(
-        "dense_plane",
-        dict(corner=np.array([[0, 0], [6, 1], [1, 6], [6, 6]]), res=7, table=60),
-        expected={"row": np.array([0, 13, 43, 48])},
-    )
-    # 2654435761 = 0x9E3779B1 and 805459861 = 0x30025795; their last 13 bits are 0x19B1 and
-    # 0x1795, and the XOR of those is 0xE24.
-    yield Case(
-        "primes",
-        dict(corner=np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1]]), res=24, table=2**13),
-        expected={"row": np.array([1, 0x19B1, 0x1795, 0xE24])},
-    )
     # A table of 6007 rows needs all 32 bits, and a signed number would be negative.
     paper = np.concatenate([rng.integers(0, 514, (8, 3)), [[513, 513, 513], [0, 513, 1]]])
-    yield Case("paper_3d", dict(corner=paper, res=514, table=2**13), ("extreme",))
-    yield Case("table_of_no_power_of_two", dict(corner=paper, res=514, table=6007), ("extreme",))
     plane = np.concatenate([rng.integers(0, 1026, (7, 2)), [[1025, 1025]]])
-    yield Case("paper_2d", dict(corner=plane, res=1026, table=2**15), ("extreme",))
     # Products beyond 2^53, which a double does not hold.
     beyond = rng.integers(2**23, 2**24, (9, 3))
-    yield Case(
-        "products_beyond_doubles", dict(corner=beyond, res=2**24, table=2**15 - 19), ("extreme",)
-    )
+    return [
+        Case(
+            "dense",
+            dict(
+                corner=np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 4], [1, 2, 3], [4, 4, 4]]),
+                res=5,
+                table=125,
+            ),
+            expected={"row": np.array([0, 4, 20, 100, 86, 124])},
+        ),
+        Case(
+            "dense_plane",
+            dict(corner=np.array([[0, 0], [6, 1], [1, 6], [6, 6]]), res=7, table=60),
+            expected={"row": np.array([0, 13, 43, 48])},
+        ),
+        # 2654435761 = 0x9E3779B1 and 805459861 = 0x30025795; their last 13 bits are 0x19B1 and
+        # 0x1795, and the XOR of those is 0xE24.
+        Case(
+            "primes",
+            dict(
+                corner=np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1]]), res=24, table=2**13
+            ),
+            expected={"row": np.array([1, 0x19B1, 0x1795, 0xE24])},
+        ),
+        Case("paper_3d", dict(corner=paper, res=514, table=2**13), ("extreme",)),
+        Case("table_of_no_power_of_two", dict(corner=paper, res=514, table=6007), ("extreme",)),
+        Case("paper_2d", dict(corner=plane, res=1026, table=2**15), ("extreme",)),
+        Case(
+            "products_beyond_doubles",
+            dict(corner=beyond, res=2**24, table=2**15 - 19),
+            ("extreme",),
+        ),
+    ]
 
 
 # --- what follows psi_q and psi_p ---------------------------------------------------------------
@@ -120,25 +128,27 @@ def step_vjp(u, Q_0):
 
 def step_cases():
     Q_0 = np.array([1.0, 0.001, 0.2])
-    yield Case("ordinary", dict(u=np.array([[0.0, 0.3, -0.4], [1.1, -1.2, 2.0]]), Q_0=Q_0))
     beside = np.array([[-3.80, -3.81, -3.82], [-3.83, -3.805, -3.815]])
-    yield Case("beside_the_floor", dict(u=beside, Q_0=Q_0), ("clamped",))
     floored = np.array(
         [[-5.0, -10, -19], [-44, -100, -1e4]]
     )  # 1 + tanh is exactly 0 from -19.07 on
-    yield Case(
-        "on_the_floor",
-        dict(u=floored, Q_0=Q_0),
-        ("clamped", "saturated"),
-        smooth=False,
-        cotangents={"q_bar": np.array([[2.0, -3, 5], [-7, 11, 13]])},
-        expected={"q": np.tile(Q_0 / 1024, (2, 1)), "u_bar": np.zeros((2, 3))},
-    )
-    yield Case(
-        "large",
-        dict(u=np.array([[5.0, 12, 20], [44, 100, 1e4]]), Q_0=Q_0),
-        ("saturated", "extreme"),
-    )
+    return [
+        Case("ordinary", dict(u=np.array([[0.0, 0.3, -0.4], [1.1, -1.2, 2.0]]), Q_0=Q_0)),
+        Case("beside_the_floor", dict(u=beside, Q_0=Q_0), ("clamped",)),
+        Case(
+            "on_the_floor",
+            dict(u=floored, Q_0=Q_0),
+            ("clamped", "saturated"),
+            smooth=False,
+            cotangents={"q_bar": np.array([[2.0, -3, 5], [-7, 11, 13]])},
+            expected={"q": np.tile(Q_0 / 1024, (2, 1)), "u_bar": np.zeros((2, 3))},
+        ),
+        Case(
+            "large",
+            dict(u=np.array([[5.0, 12, 20], [44, 100, 1e4]]), Q_0=Q_0),
+            ("saturated", "extreme"),
+        ),
+    ]
 
 
 def sigma_vjp(raw):
@@ -154,20 +164,22 @@ def sigma_vjp(raw):
 
 
 def sigma_cases():
-    yield Case("ordinary", dict(raw=np.array([[0.0, -1.5, 2.3], [-7.1, 4.4, -13.9]])))
     raw, bar = (
         np.array([[-14.0, -14.5], [6.0, 6.5], [-1e4, 1e4]]),
         np.array([[2.0, -3], [5, 7], [-11, 13]]),
     )
     sigma = np.exp(np.array([[-14.0, -14], [6, 6], [-14, 6]]))
-    yield Case(
-        "clamped",
-        dict(raw=raw),
-        ("clamped", "kink"),
-        smooth=False,
-        cotangents={"sigma_bar": bar},
-        expected={"sigma": sigma, "raw_bar": bar * sigma * [[1, 0], [1, 0], [0, 0]]},
-    )
+    return [
+        Case("ordinary", dict(raw=np.array([[0.0, -1.5, 2.3], [-7.1, 4.4, -13.9]]))),
+        Case(
+            "clamped",
+            dict(raw=raw),
+            ("clamped", "kink"),
+            smooth=False,
+            cotangents={"sigma_bar": bar},
+            expected={"sigma": sigma, "raw_bar": bar * sigma * [[1, 0], [1, 0], [0, 0]]},
+        ),
+    ]
 
 
 # --- ties and bins ------------------------------------------------------------------------------

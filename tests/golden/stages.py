@@ -80,24 +80,22 @@ def anchor_inputs(rng, A, d, k, hidden, effects):
 
 
 def spatial_cases():
-    yield Case(
-        "ordinary", anchor_inputs(np.random.default_rng(201), 7, 6, 5, (8, 9), MODEL_EFFECTS)
-    )
-    rng = np.random.default_rng(202)
-    masked = anchor_inputs(rng, 6, 4, 5, (7,), MODEL_EFFECTS)
-    yield Case(
-        "masked_children",
-        {**masked, "mask": rng.random((6, 5)) < 0.6, "tau_alpha": 0.125},
-        ("masked",),
-    )
-    rng = np.random.default_rng(224)
-    faint = anchor_inputs(rng, 5, 4, 3, (7,), MODEL_EFFECTS)
-    yield Case("masked_at_zero", {**faint, "mask": rng.random((5, 3)) < 0.6}, ("masked",))
-    yield Case(
-        "no_view", anchor_inputs(np.random.default_rng(203), 6, 5, 2, (8,), UNSEEN), ("off",)
-    )
-    seeing = anchor_inputs(np.random.default_rng(204), 5, 4, 2, (7,), (*UNSEEN, "view_color"))
-    yield Case("color_sees_the_view", seeing, ("off",))
+    def inputs(seed, *sizes, effects=MODEL_EFFECTS):
+        return anchor_inputs(np.random.default_rng(seed), *sizes, effects)
+
+    def masked(seed, A, d, k):
+        rng = np.random.default_rng(seed)
+        anchors = anchor_inputs(rng, A, d, k, (7,), MODEL_EFFECTS)
+        return {**anchors, "mask": rng.random((A, k)) < 0.6}
+
+    seeing = inputs(204, 5, 4, 2, (7,), effects=(*UNSEEN, "view_color"))
+    return [
+        Case("ordinary", inputs(201, 7, 6, 5, (8, 9))),
+        Case("masked_children", {**masked(202, 6, 4, 5), "tau_alpha": 0.125}, ("masked",)),
+        Case("masked_at_zero", masked(224, 5, 4, 3), ("masked",)),
+        Case("no_view", inputs(203, 6, 5, 2, (8,), effects=UNSEEN), ("off",)),
+        Case("color_sees_the_view", seeing, ("off",)),
+    ]
 
 
 # --- Fig. 1: canonical Gaussians -> Gaussians at t ----------------------------------------------
@@ -139,10 +137,12 @@ def temporal_cases():
             bias += 0.5  # few units of a ReLU are dead
         return dict(**gaussians(rng, N), t=t, **field, psi_d_weights=weights, psi_d_biases=biases)
 
-    yield Case("ordinary", inputs(211, 7, (9, 8), 0.37))
-    yield Case("start", inputs(212, 5, (8,), 0.0, L_x=4), ("zero",))
-    yield Case("turns_and_moves", inputs(213, 6, (9,), 1.0, L_t=3, heads=(3, 0, 4)), ("off",))
-    yield Case("rests", inputs(214, 5, (6,), 0.5, heads=(0, 0, 0)), ("off",))
+    return [
+        Case("ordinary", inputs(211, 7, (9, 8), 0.37)),
+        Case("start", inputs(212, 5, (8,), 0.0, L_x=4), ("zero",)),
+        Case("turns_and_moves", inputs(213, 6, (9,), 1.0, L_t=3, heads=(3, 0, 4)), ("off",)),
+        Case("rests", inputs(214, 5, (6,), 0.5, heads=(0, 0, 0)), ("off",)),
+    ]
 
 
 def gaussians(rng, N):
@@ -163,11 +163,8 @@ def projection_vjp(x, s, r, W, T, focal, center, size):
     """
     Sigma, saved_covariance = covariance.forward(s.astype(float), r.astype(float))
     splats, saved_projection = render.project(x, Sigma, camera_of(W, T, focal, center, size), EXACT)
-    names = ("mean2d", "cov2d", "conic", "depth", "visible")
-    outputs = dict(zip(names, splats))
-    del outputs["cov2d"]
-    for name in ("mean2d", "conic", "depth"):
-        outputs[name] = outputs[name].astype(x.dtype, copy=False)
+    named = dict(zip(("mean2d", "cov2d", "conic", "depth"), splats))
+    floats = {n: named[n].astype(x.dtype, copy=False) for n in ("mean2d", "conic", "depth")}
 
     def pullback(mean2d_bar=None, conic_bar=None, depth_bar=None):
         places = projection.backward(
@@ -176,7 +173,7 @@ def projection_vjp(x, s, r, W, T, focal, center, size):
         bars = {"x": places["x"], **covariance.backward(saved_covariance, places["Sigma"])}
         return {name: bar.astype(x.dtype, copy=False) for name, bar in bars.items()}
 
-    return outputs, pullback
+    return {**floats, "visible": splats[-1]}, pullback
 
 
 # Neither square nor centred, with pixels that are not square.
@@ -185,22 +182,24 @@ VIEWPOINT = look_at((1.2, -2.6, 1.1), (0.05, 0, -0.1), 21.0, 18.0, 15, 11, c_x=6
 
 def projection_cases():
     view = described(VIEWPOINT)
-    yield Case("ordinary", dict(**gaussians(np.random.default_rng(221), 7), **view))
     near = gaussians(np.random.default_rng(222), 8)
     toward = VIEWPOINT.center * np.array([[0.0], [0.2], [0.5], [0.8], [0.97], [1.0], [1.5], [3.0]])
-    yield Case("some_behind", dict(near, x=toward + 0.1 * near["x"], **view), ("behind",))
     wide = gaussians(np.random.default_rng(223), 6)
-    yield Case(
-        "beyond_the_clamp",
-        dict(wide, x=wide["x"] + 5 * VIEWPOINT.R[0] * np.array([[1], [-1]] * 3), **view),
-        ("clamped", "outside"),
-    )
     inside_out = gaussians(np.random.default_rng(224), 5)
-    yield Case(
-        "negative_scales",
-        dict(inside_out, s=inside_out["s"] * [-1, 1, -0.3], **view),
-        ("negative",),
-    )
+    return [
+        Case("ordinary", dict(**gaussians(np.random.default_rng(221), 7), **view)),
+        Case("some_behind", dict(near, x=toward + 0.1 * near["x"], **view), ("behind",)),
+        Case(
+            "beyond_the_clamp",
+            dict(wide, x=wide["x"] + 5 * VIEWPOINT.R[0] * np.array([[1], [-1]] * 3), **view),
+            ("clamped", "outside"),
+        ),
+        Case(
+            "negative_scales",
+            dict(inside_out, s=inside_out["s"] * [-1, 1, -0.3], **view),
+            ("negative",),
+        ),
+    ]
 
 
 def compositing_vjp(x, s, r, alpha, color, W, T, focal, center, size, background, occlusion):
@@ -235,16 +234,18 @@ def compositing_cases():
             | changes
         )
 
-    yield Case("ordinary", inputs(231, 12))
-    yield Case("no_occlusion", inputs(232, 9, occlusion=False), ("off",))
     some = inputs(233, 10)
     behind = np.where(np.arange(10)[:, None] % 4 == 3, 2 * VIEWPOINT.center, 0)
-    yield Case("some_behind", {**some, "x": some["x"] + behind}, ("behind",))
-    yield Case(
-        "opaque",
-        inputs(234, 8, alpha=np.tile([1.0, 0.5], 4), s=np.full((8, 3), 0.7)),
-        ("opaque", "clamped"),
-    )
+    return [
+        Case("ordinary", inputs(231, 12)),
+        Case("no_occlusion", inputs(232, 9, occlusion=False), ("off",)),
+        Case("some_behind", {**some, "x": some["x"] + behind}, ("behind",)),
+        Case(
+            "opaque",
+            inputs(234, 8, alpha=np.tile([1.0, 0.5], 4), s=np.full((8, 3), 0.7)),
+            ("opaque", "clamped"),
+        ),
+    ]
 
 
 SUBJECTS = (

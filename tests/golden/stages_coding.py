@@ -72,11 +72,13 @@ def context_cases():
         )
 
     dense = (("xyz", 3), ("xy", 4), ("xz", 4), ("yz", 4))
-    yield Case("ordinary", inputs(241, 7, 5, 2, dense, (27, 16, 16, 16), 2, (8,)))
     hashed = (("xyz", 5), ("xyz", 9), ("xy", 7), ("yz", 11))
-    yield Case("hashed", inputs(242, 9, 4, 3, hashed, (32, 32, 19, 19), 3, (6, 7)))
     outside = inputs(243, 8, 2, 4, (("xyz", 3), ("xz", 5)), (27, 25), 1, (5,))
-    yield Case("outside_the_box", {**outside, "x_a": 1.7 * outside["x_a"]}, ("outside", "clamped"))
+    return [
+        Case("ordinary", inputs(241, 7, 5, 2, dense, (27, 16, 16, 16), 2, (8,))),
+        Case("hashed", inputs(242, 9, 4, 3, hashed, (32, 32, 19, 19), 3, (6, 7))),
+        Case("outside_the_box", {**outside, "x_a": 1.7 * outside["x_a"]}, ("outside", "clamped")),
+    ]
 
 
 # --- noisy attributes -> bits -------------------------------------------------------------------
@@ -127,10 +129,12 @@ def rate_cases():
             k=k,
         )
 
-    yield Case("ordinary", inputs(251, 6, 4, 5, 1.0))
-    yield Case("tails", inputs(252, 5, 3, 2, 30.0), ("tail", "masked"))
     masked = inputs(253, 4, 5, 2, 1.0)
-    yield Case("all_masked", {**masked, "mask": np.zeros((4, 2), bool)}, ("masked",))
+    return [
+        Case("ordinary", inputs(251, 6, 4, 5, 1.0)),
+        Case("tails", inputs(252, 5, 3, 2, 30.0), ("tail", "masked")),
+        Case("all_masked", {**masked, "mask": np.zeros((4, 2), bool)}, ("masked",)),
+    ]
 
 
 SUBJECTS = (

@@ -84,10 +84,25 @@ def test_the_lists_are_those_of_the_package(case):
     assert np.array_equal(mine.tile, theirs.tile) and np.array_equal(mine.row, theirs.row)
 
 
-# --- the published kernel's own way -------------------------------------------------------------
-
-
-# kernel_many takes a minute this way.
+# --- within a pixel -----------------------------------------------------------------------------
+@pytest.mark.parametrize("case", published.cases("kernel_pixels"), ids=lambda case: case.id)
+def test_what_is_within_a_pixel_adds_up(case):
+    """To the gradient of alpha of the package's loop, and to what is seen behind each splat."""
+    (i, _), out = wide(case), {n: case.tensors[f"out.{n}"] for n in ("A", "T", "A_bar", "T_bar")}
+    g, (x, y) = i["image_bar"][i["pixels"][:, 1], i["pixels"][:, 0]], i["pixels"].T
+    alone = np.zeros_like(i["image_bar"])
+    alone[y, x] = g
+    (_, T), saved = loop.forward(*arguments(i), PAPER._replace(dtype="float64"))
+    want = loop.backward(saved, alone)["alpha"]
+    a, b, c = i["conic"].T[:, :, None]
+    e_x, e_y = x - i["mean2d"][:, :1], y - i["mean2d"][:, 1:]
+    falloff = np.exp(-0.5 * (a * e_x**2 + c * e_y**2) - b * e_x * e_y)
+    assert np.allclose((out["A_bar"] * falloff).sum(axis=1), want, rtol=1e-10, atol=1e-12)
+    order = np.argsort(i["depth"], kind="stable")
+    shown = (out["T"] * out["A"] * (i["color"] @ g.T))[order]
+    seen = np.cumsum(shown[::-1], axis=0)[::-1] + T[y, x] * (g @ i["background"])
+    seen *= out["A"][order] > 0
+    assert np.allclose((out["T"] * out["T_bar"])[order], seen, rtol=1e-10, atol=1e-12)
 
 
 # --- gradients, ties, digits --------------------------------------------------------------------

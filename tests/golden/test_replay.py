@@ -4,19 +4,23 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.equations import hash_grid
-from p4dgs_ref.oracle import checker, published
+from p4dgs_ref.oracle import FolderPort, checker, published
 from p4dgs_ref.oracle.compare import compare
 from p4dgs_ref.oracle.published import flatten
+from p4dgs_ref.oracle.report import as_json
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import Preset
+from p4dgs_ref.training.trainer import LEARNING_RATES
 from tests.golden import replay
 from tests.golden.mistakes import MISTAKES
-from tests.oracle.answers import Port
+from tests.golden.pipeline import by_step
+from tests.oracle.answers import Port, right, write
 
-CASES = published.cases("training") + published.cases("training_whole")
+CASES = [c for key in ("training", "training_whole") for c in published.cases(key)]
+EVERY_STEP = published.cases("training_steps")
 DESIGN = design_of(replay.PRESET, MODEL_EFFECTS)
 ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")
 FROM_STAGE_4 = ("psi_p", "psi_q", "grid")
@@ -28,7 +32,7 @@ def rate(i, name, n):
     stage = 1 + sum(n >= end for end in i["stage_ends"][:3])
     if (name == "x_a" and stage == 4) or (name in FROM_STAGE_4 and stage < 4):
         return 0.0
-    first, last = i[replay.LEARNING_RATES[name]]
+    first, last = i[LEARNING_RATES[name]]
     share = min(max((n - i["decay_from"]) / (i["stage_ends"][-1] - i["decay_from"]), 0), 1)
     return first ** (1 - share) * last**share
 
@@ -133,12 +137,12 @@ def adjust(i, state, n, draws):
 
 
 def plainly(i):
-    """The outputs of a case."""
+    """The outputs of a case, and the state after every step."""
     state = {name: i[name].copy() for name in replay.state_names()}
     counts = dict(zip(replay.ARRAYS, state.pop("steps").tolist()))
     box = tuple(state["box"]) if len(state["box"]) else None
     views = replay.views_of(*(i[name] for name in replay.GIVEN[:-1]))
-    rows, rates = [], []
+    rows, rates, states = [], [], []
     for step, (number, u) in enumerate(zip(i["views"], i["u"])):
         n = i["iteration"] + step
         if n >= i["stage_ends"][2] and box is None:
@@ -161,20 +165,19 @@ def plainly(i):
             adjust(i, state, n + 1, i.get("draws"))
         rows.append(losses)
         rates.append([now[name] for name in replay.ARRAYS])
-    found = {f"out.{name}": a for name, a in state.items()}
-    found["out.steps"] = np.array([counts[name] for name in replay.ARRAYS])
-    found["out.box"] = np.array(box or np.zeros((0, 3))).reshape(-1, 3)
-    found["out.rates"] = np.array(rates)
-    return found | {f"out.{n}": np.array([getattr(r, n) for r in rows]) for n in replay.LOSSES}
+        states.append({name: a.copy() for name, a in state.items()})
+        states[-1]["steps"] = np.array([counts[name] for name in replay.ARRAYS])
+        states[-1]["L_total"] = np.float64(losses.L_total)
+        states[-1]["box"] = np.array(box or np.zeros((0, 3))).reshape(-1, 3)
+    losses = {name: np.array([getattr(row, name) for row in rows]) for name in replay.LOSSES}
+    found = {**by_step(states), **states[-1], **losses, "rates": np.array(rates)}
+    return flatten(found, "out.")
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_plain_loops_end_in_the_same_state(case):
-    assert compare(case.tensors, plainly(case.inputs()), case.tolerance("float64")) == []
-
-
-# --- gradients ----------------------------------------------------------------------------------
-# Not log_l and O_a: they move x, and no gradient flows back from E(x) (Q10).
+@pytest.mark.parametrize("case", CASES + EVERY_STEP, ids=lambda case: case.id)
+def test_plain_loops_come_to_the_same_states(case):
+    got = {name: a for name, a in plainly(case.inputs()).items() if name in case.tensors}
+    assert compare(case.tensors, got, case.tolerance("float64")) == []
 
 
 # --- what happens in the cases ------------------------------------------------------------------
@@ -185,6 +188,29 @@ def test_every_field_of_the_preset_is_a_setting():
         settings = case.inputs()
         assert {*replay.SETTINGS} <= {*settings}
         assert {*Preset._fields} - {*replay.SETTINGS} == {*replay.UNUSED}
+
+
+# --- a port that shows its steps ----------------------------------------------------------------
+def test_a_report_says_after_which_step_which_array_differs_first(tmp_path):
+    """A port may leave out the subject, and some of its arrays; what it answers must be right."""
+    shown = right("training_steps")
+    for name in [name for name in shown if name.startswith(("growing/out.m_", "growing/out.v_"))]:
+        del shown[name]
+    (tmp_path / "right").mkdir()
+    port = FolderPort(write(tmp_path / "right", training_steps=shown, training=right("training")))
+    assert checker.check_port(port, ["L4"], ["training", "training_steps"]).ok
+    late = [f"growing/out.{name}.{n}" for n in (2, 3) for name in replay.ARRAYS[1:]]
+    wrong = shown | {name: shown[name] + 1 for name in late}
+    found = checker.check_port(FolderPort(write(tmp_path, training_steps=wrong)), only="inside")
+    said = found.first.id, str(found).split("growing: fail\n")[1].splitlines()[:9]
+    assert said[0] == "training_steps/growing" and found.levels().keys() == {"inside"}
+    assert said[1][0].startswith("    after step 3: out.f_a.2[")
+    first = {row["id"]: row["first"] for row in as_json(found)["cases"]}
+    assert first["training_steps/growing"] == "out.f_a.2"
+    assert said[1][8] == f"    and {len(late) - 8} more tensors"
+    shown["growing/out.fa.2"] = shown.pop("growing/out.f_a.2")
+    found = checker.check_port(FolderPort(write(tmp_path, training_steps=shown)), only="inside")
+    assert "\n    out.fa.2: extra: not expected in this case" in str(found) and not found.ok
 
 
 # --- mistakes -----------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from p4dgs_ref.oracle import published
+from p4dgs_ref.oracle.published import flatten
 from tests.golden import pipeline, stages, stages_coding
 from tests.golden.independent import filtered_ssim
 
@@ -62,3 +63,19 @@ def test_first_losses_are_those_of_an_evaluation_by_stages():
     tensors = published.cases("trace")[0].tensors
     found = [tensors[f"out.{name}"][0] for name in pipeline.LOSSES]
     assert np.allclose(found, want, rtol=1e-11)
+
+
+def test_the_arrays_of_every_step_have_the_published_checksums():
+    """Those of a network are one vector here, and W and b of each layer by themselves there."""
+    steps, trace = (published.cases(key)[0].tensors for key in ("trace_steps", "trace"))
+    inputs = flatten(published.cases("trace")[0].inputs())
+    names = next(pipeline.trace_cases()).inputs["arrays"]
+    for stem in pipeline.ARRAYS:
+        own = [n for n in names if pipeline.own_name(n).split(".")[0] == stem]
+        own.sort(key=lambda name: pipeline.own_name(name)[::-1])  # W0, b0, W1, b1
+        ends, at = np.cumsum([inputs[n].size for n in own]), [names.index(n) for n in own]
+        for step in range(pipeline.STEPS):
+            parts = np.split(steps[f"out.{stem}.{step}"].ravel(), ends[:-1])
+            sums = [[part.sum(), pipeline.ramp(part)] for part in parts]
+            want = np.stack([trace["out.total"][step, at], trace["out.ramp"][step, at]], axis=1)
+            assert np.allclose(sums, want, rtol=1e-11, atol=1e-11), f"{stem} after step {step + 1}"

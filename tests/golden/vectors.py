@@ -50,7 +50,7 @@ def vector(subject, case):
     flat = subject.answer(case.inputs, cotangents)
     scale = tolerance.scales(steady(subject, case), case.inputs, cotangents, flat, case.name)
     better, provenance, by_reference = independent.values(subject, case, cotangents, flat)
-    scale |= {name: np.full_like(scale[name], scale[name].max()) for name in subject.even}
+    scale |= {n: np.full_like(S, S.max()) for n, S in scale.items() if n in subject.even}
     error = max(
         measured.float32_error(answer, case.inputs, cotangents, flat, scale)
         for answer in (subject.answer, *subject.twins)
@@ -63,16 +63,19 @@ def vector(subject, case):
         **flat,
         **{f"scale.{name}": a for name, a in scale.items()},
     }
-    record = {"id": id, "name": case.name, "tests": says(case), "flags": list(case.flags)}
-    record["result"] = "acceptable" if id in ACCEPTABLE else "valid"
-    if id in ACCEPTABLE:
-        record["why"] = ACCEPTABLE[id]
-    record |= joining(id)
-    record["provenance"] = provenance
-    if by_reference:
-        record["reference"] = by_reference
-    record["settings"] = settings(case.inputs)
-    record["tolerance"] = measured.tolerances(error, flat)
+    record = {
+        "id": id,
+        "name": case.name,
+        "tests": says(case),
+        "flags": list(case.flags),
+        "result": "acceptable" if id in ACCEPTABLE else "valid",
+        **({"why": ACCEPTABLE[id]} if id in ACCEPTABLE else {}),
+        **joining(id),
+        "provenance": provenance,
+        **({"reference": by_reference} if by_reference else {}),
+        "settings": settings(case.inputs),
+        "tolerance": measured.tolerances(error, flat),
+    }
     return record, {name: np.ascontiguousarray(a).reshape(a.shape) for name, a in tensors.items()}
 
 

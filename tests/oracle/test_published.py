@@ -137,7 +137,7 @@ def test_the_shapes_of_the_manifest_hold(manifest, golden):
             for tensor, a in case.tensors.items():
                 role, name, *_ = tensor.split(".")
                 if role in ("in", "out"):
-                    axes = subject["shapes"][name].split("->")[0 if role == "in" else -1]
+                    axes = subject["shapes"][name].split(" -> ")[0 if role == "in" else -1]
                     is_list = axes.startswith("*")  # letters may differ from array to array
                     off = "off" in case.record["flags"]
                     bind(

@@ -9,13 +9,15 @@ from . import Case, without_view
 
 def cases():
     inputs = random_anchor_network(np.random.default_rng(3))
-    yield Case("ordinary", inputs)
-    yield Case("no_view", without_view(inputs), ("off",))
     biases = [*inputs["biases"][:-1], np.array([40.0, -40.0, 0.0, 400.0])]
     weights = [*inputs["weights"][:-1], 0 * inputs["weights"][-1]]
-    yield Case(
-        "saturated",
-        {**inputs, "weights": weights, "biases": biases},
-        ("saturated",),
-        expected={"alpha": np.tile([1.0, -1.0, 0.0, 1.0], (5, 1))},
-    )
+    return [
+        Case("ordinary", inputs),
+        Case("no_view", without_view(inputs), ("off",)),
+        Case(
+            "saturated",
+            {**inputs, "weights": weights, "biases": biases},
+            ("saturated",),
+            expected={"alpha": np.tile([1.0, -1.0, 0.0, 1.0], (5, 1))},
+        ),
+    ]

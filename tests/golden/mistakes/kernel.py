@@ -47,7 +47,7 @@ RULES = {
     ),
     "kernel-clamp-blocks-gradient": (
         "the clamp of alpha at 0.99 stops the gradient, as autodiff of a minimum does",
-        {"* (tile.A > 0)": "* (tile.A > 0) * (tile.raw <= V.dtype.type(ALPHA_MAX))"},
+        {"* tile.falloff": "* tile.falloff * (tile.raw <= tile.A.dtype.type(ALPHA_MAX))"},
     ),
     "kernel-ties-reversed": (
         "equal depths are drawn in descending order of index",
@@ -75,13 +75,13 @@ RULES = {
         "the kernel leaves the background out",
         {
             " + T[:, None] * background)": ")",
-            "g @ background + h": "h.copy()",
-            "(T[:, :, None] * image_bar).sum(axis=(0, 1))": "0 * background",
+            'g @ inputs["background"] + h': "h.copy()",
+            "(T[:, :, None] * image_bar).sum(axis=(0, 1))": "0 * inputs['background']",
         },
     ),
     "kernel-background-detached": (
         "alpha receives no gradient through the kernel's T_N of the background",
-        {"g @ background + h": "h.copy()"},
+        {'g @ inputs["background"] + h': "h.copy()"},
     ),
     "kernel-last-from-zero": (
         "`last` counts from 0: the first splat of the list is 0",
