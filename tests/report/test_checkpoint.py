@@ -180,6 +180,16 @@ def test_a_good_checkpoint_goes_on_to_the_same_bytes(copied, run):
     assert p4.encode(load_model(copied)[0]) == whole
 
 
+def test_a_state_stays_as_it_is_when_a_training_goes_on_from_it(run):
+    """So that several can go on from one, here one whose children are all masked at once."""
+    folder, scene, changes = run
+    arrays, values = begun = load_checkpoint(folder)
+    trainer = fit(scene, "smoke", 0, begun=begun, **changes, mask_from=0, min_opacity=1e9)
+    assert trainer.iteration == 9 and not trainer.mask.any()
+    again = load_checkpoint(folder)
+    assert values == again[1] and all(np.array_equal(a, again[0][n]) for n, a in arrays.items())
+
+
 def test_the_folder_of_another_training_is_refused(copied, run):
     first, *others = run[1].train
     negative = replace(first, image=1 - first.image)

@@ -113,10 +113,6 @@ def check(losses):
     assert all(np.isfinite(v) for v in losses)
 
 
-def test_there_are_twenty_starts():
-    assert len(STARTS) == 20
-
-
 def test_a_start_that_cannot_end_well_is_named():
     """These tests would notice: a NaN in a parameter stops training and is named."""
     trainer = Trainer(scene(), choose("smoke", {}), 3)
