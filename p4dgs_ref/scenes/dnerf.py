@@ -71,7 +71,8 @@ def read_split(folder, file, color, downscale):
         name, where = frame.file_path, f"{file}: frames[{i}].file_path"
         image = read_image(folder, name, where)
         height, width = image.shape[:2]
-        camera = make_camera(*frame.transform_matrix, *lens, width, height, downscale)
+        R, T = frame.transform_matrix
+        camera = make_camera(R, T, *lens, width, height, downscale)
         shown = name.removeprefix("./").removesuffix(".png")
         views.append(View(shown, *shrink(image, color, downscale, where), camera, frame.time))
     return tuple(views)

@@ -41,8 +41,11 @@ BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 def read_json(file, expected=FOLDERS):
     """The JSON object in a file; `expected` says what it should be."""
     with reading(file, f"JSON in UTF-8, {expected}"):
-        size = file.stat().st_size
-        require(size <= LARGEST_JSON, file, f"larger than {LARGEST_JSON} bytes; expected JSON")
+        require(
+            file.stat().st_size <= LARGEST_JSON,
+            file,
+            f"larger than {LARGEST_JSON} bytes; expected JSON",
+        )
         data = json.loads(file.read_text(encoding="utf-8"))
     require(isinstance(data, dict), file, f"a {type(data).__name__}; expected a JSON object")
     return data
@@ -156,8 +159,7 @@ def read_ply(path):
     )
     (_, count), *lines = (line.split() for line in elements[0].splitlines())
     order = BYTE_ORDERS[start.split("\nformat ")[1].split()[0]]
-    properties = [line for line in lines if line[0] == "property"]
-    kind = np.dtype([(line[-1], order + PLY_TYPES[line[1]]) for line in properties])
+    kind = [(line[-1], order + PLY_TYPES[line[1]]) for line in lines if line[0] == "property"]
     vertices = np.frombuffer(body, kind, int(count))
     comments = [line[8:] for line in head.decode("ascii").splitlines() if line[:8] == "comment "]
     return vertices, comments, body[vertices.nbytes :]

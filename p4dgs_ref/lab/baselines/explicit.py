@@ -25,16 +25,15 @@ the presets. Statistics are those of `training.density`, with one child per Gaus
 import json
 import math
 from dataclasses import dataclass, make_dataclass
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ...equations import render_loss, view
 from ...equations.numerics import normalise, sigmoid
-from ...model import pull
+from ...model import bounding_box, pull
 from ...scenes.fields import require
-from ...scenes.files import read_ply, reading, write_ply
+from ...scenes.files import read_ply, write_ply
 from ...splatting import render
 from ...splatting.covariance import rotation_matrix
 from ...splatting.settings import FAST
@@ -142,6 +141,11 @@ class Explicit:
         """The number of stored Gaussians."""
         return len(self.parameters["x"])
 
+    @property
+    def box(self):
+        """The corners of the bounding box of the stored centres."""
+        return bounding_box(self.parameters["x"])
+
     def gaussians(self, t, camera):
         """The Gaussians at time t in [0, 1] for this camera."""
         return self.predict(t, camera.center)[0]
@@ -231,15 +235,14 @@ def of_network(name, weights, biases):
 def read_file(path):
     """Return the arrays {name: array} and the JSON values of a file.
 
-    Raises ValueError with one line for a file that no model has saved.
+    Raises an error for a file that no model has saved.
     """
-    with reading(Path(path), "the file of a baseline"):
-        vertices, comments, rest = read_ply(path)
-        rows = vertices.view("<f4").reshape(len(vertices), len(vertices.dtype))
-        values, network = json.loads(comments[0]), np.frombuffer(rest, "<f4")
-        count = sum(map(math.prod, values["shapes"].values()))
-        require(len(network) == count, path, f"expected {count} float32 after the vertices")
-        arrays = {**split(rows, values["rows"]), **split(network, values["shapes"])}
+    vertices, comments, rest = read_ply(path)
+    rows = vertices.view("<f4").reshape(len(vertices), len(vertices.dtype))
+    values, network = json.loads(comments[0]), np.frombuffer(rest, "<f4")
+    count = sum(map(math.prod, values["shapes"].values()))
+    require(len(network) == count, path, f"expected {count} float32 after the vertices")
+    arrays = {**split(rows, values["rows"]), **split(network, values["shapes"])}
     arrays.pop("normals", None)
     return arrays, values
 

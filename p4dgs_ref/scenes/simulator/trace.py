@@ -51,7 +51,8 @@ def rays(camera):
     )
     x, y = (u + du - camera.c_x) / camera.f_x, (v + dv - camera.c_y) / camera.f_y
     d = np.stack([x, y, np.ones(u.shape)], axis=-1)
-    return unit(d.reshape(-1, 3) @ camera.R)  # R maps world to camera; its transpose maps back
+    d = d.reshape(-1, 3) @ camera.R  # R maps world to camera; its transpose maps back
+    return unit(d)
 
 
 def unit(v):
