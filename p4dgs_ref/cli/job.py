@@ -157,7 +157,7 @@ def decode(arguments):
 
 def read_model(path):
     """The model of a file of ours, or of a baseline's."""
-    from ..lab import baselines  # a tenth of a second that few files need
+    from ..lab import baselines  # a tenth of a second that other commands do not need
 
     return baselines.load(path) if Path(path).suffix == ".ply" else read_file(path)[1]
 
@@ -215,14 +215,17 @@ def export_ply(arguments):
     _, model, _ = read_file(arguments.file)
     camera, name = frozen_camera(arguments, model)
     file, gaussians = Path(arguments.file), model.gaussians(arguments.time, camera)
-    comments = (
-        f"{file.stem}, a P-4DGS model, frozen at time {arguments.time:.6g}",
-        "frozen view: {}, camera at {:.4g} {:.4g} {:.4g}".format(name, *camera.center),
-        "background of the model: {:.3g} {:.3g} {:.3g}".format(*model.background),
-        f"effects of the model: {' '.join(model.design.effects) or 'none'}",
-    )
     with new_file(arguments.output or file.with_suffix(".ply"), file) as output:
-        splats.write_gaussians(output, gaussians, comments)
+        splats.write_gaussians(
+            output,
+            gaussians,
+            comments=(
+                f"{file.stem}, a P-4DGS model, frozen at time {arguments.time:.6g}",
+                "frozen view: {}, camera at {:.4g} {:.4g} {:.4g}".format(name, *camera.center),
+                "background of the model: {:.3g} {:.3g} {:.3g}".format(*model.background),
+                f"effects of the model: {' '.join(model.design.effects) or 'none'}",
+            ),
+        )
     tell(f"{output}: {len(gaussians.alpha)} Gaussians, frozen for {name}")
 
 
