@@ -1,7 +1,7 @@
 """The main job: fit a scene, compress it to a file, decode that file, render, measure, draw.
 
-Its two trainings, like those of a study, are independent and can run in several processes. Studies
-never take times in them.
+Its two designs are trained alike until stage 4. From there on they are independent, as are the
+trainings of a study, and can run in several processes. Studies never take times in them.
 """
 
 import json
