@@ -155,7 +155,11 @@ def decode(arguments):
     tell(f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json; {seconds:.3f} s")
 
 
-FIELD_OF_VIEW = 41.0  # of a held camera, in degrees
+def read_model(path):
+    """The model of a file of ours, or of a baseline's."""
+    from ..lab import baselines  # a tenth of a second that other commands do not need
+
+    return baselines.load(path) if Path(path).suffix == ".ply" else read_file(path)[1]
 
 
 def held_camera(model, azimuth=40.0, elevation=30.0, distance=3.6, size=128):
@@ -163,25 +167,29 @@ def held_camera(model, azimuth=40.0, elevation=30.0, distance=3.6, size=128):
     azimuth, elevation = np.radians([azimuth, elevation])
     middle, level = (model.box[0].astype(float) + model.box[1]) / 2, np.cos(elevation)
     outward = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
-    focal = size / 2 / np.tan(np.radians(FIELD_OF_VIEW) / 2)
+    focal = size / 2 / np.tan(np.radians(41.0) / 2)  # a field of view of 41 degrees
     return p4.look_at(middle + distance * outward, middle, focal, focal, size, size)
 
 
 def render(arguments):
     """Draw pictures of a file."""
-    _, model, _ = read_file(arguments.file)
+    model = read_model(arguments.file)
     if arguments.scene:
-        scene = p4.load_scene(arguments.scene, downscale=arguments.downscale)
-        views = [(view.name.replace("/", "_"), view.camera, view.time) for view in scene.test]
+        views = [
+            (view.name.replace("/", "_"), view.camera, view.time)
+            for view in p4.load_scene(arguments.scene, downscale=arguments.downscale).test
+        ]
     else:
-        place = arguments.azimuth, arguments.elevation, arguments.distance, arguments.size
-        camera, times = held_camera(model, *place), np.linspace(0, 1, arguments.frames)
-        views = [(f"t_{i:03d}", camera, t) for i, t in enumerate(times)]
+        camera = held_camera(
+            model, arguments.azimuth, arguments.elevation, arguments.distance, arguments.size
+        )
+        views = [
+            (f"t_{i:03d}", camera, t) for i, t in enumerate(np.linspace(0, 1, arguments.frames))
+        ]
     images = []
     with filled(arguments.output, arguments.file) as beside:
         for name, camera, t in views:
-            image = model.render(camera, t, p4.SETTINGS[arguments.settings])
-            images.append(np.clip(image, 0, 1))
+            images.append(np.clip(model.render(camera, t, p4.SETTINGS[arguments.settings]), 0, 1))
             iio.imwrite(beside / f"{name}.png", (images[-1] * 255).round().astype(np.uint8))
         if not arguments.scene:
             figures.write_gif(beside / "motion.gif", images)
@@ -200,17 +208,24 @@ def frozen_camera(arguments, model):
 
 def export_ply(arguments):
     """Write the Gaussians of one time as one camera sees them."""
+    expect(
+        Path(arguments.file).suffix != ".ply",
+        f"{arguments.file}: expected a .p4dgs file; `p4dgs-ref render` draws a baseline's",
+    )
     _, model, _ = read_file(arguments.file)
     camera, name = frozen_camera(arguments, model)
     file, gaussians = Path(arguments.file), model.gaussians(arguments.time, camera)
-    comments = (
-        f"{file.stem}, a P-4DGS model, frozen at time {arguments.time:.6g}",
-        "frozen view: {}, camera at {:.4g} {:.4g} {:.4g}".format(name, *camera.center),
-        "background of the model: {:.3g} {:.3g} {:.3g}".format(*model.background),
-        f"effects of the model: {' '.join(model.design.effects) or 'none'}",
-    )
     with new_file(arguments.output or file.with_suffix(".ply"), file) as output:
-        splats.write_gaussians(output, gaussians, comments)
+        splats.write_gaussians(
+            output,
+            gaussians,
+            comments=(
+                f"{file.stem}, a P-4DGS model, frozen at time {arguments.time:.6g}",
+                "frozen view: {}, camera at {:.4g} {:.4g} {:.4g}".format(name, *camera.center),
+                "background of the model: {:.3g} {:.3g} {:.3g}".format(*model.background),
+                f"effects of the model: {' '.join(model.design.effects) or 'none'}",
+            ),
+        )
     tell(f"{output}: {len(gaussians.alpha)} Gaussians, frozen for {name}")
 
 

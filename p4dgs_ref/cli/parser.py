@@ -209,7 +209,7 @@ GROUPS = {
                 option(
                     "--points",
                     metavar="FILE",
-                    help="start from points in scene coordinates: .npy, .ply or points3D.txt",
+                    help="start from points in scene coordinates: .npy, .ply, points3D.txt or .bin",
                 ),
                 output("run folder", required=True),
                 switch("--resume", "go on from the checkpoint in the run folder"),
@@ -236,7 +236,7 @@ GROUPS = {
             "job.render",
             "draw a file over time, from a held camera or from the test views of a scene",
             (
-                FILE,
+                option("file", help="a .p4dgs file, or a baseline's .ply"),
                 NEW_FOLDER,
                 option(
                     "--azimuth",

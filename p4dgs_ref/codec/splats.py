@@ -49,4 +49,4 @@ def write_gaussians(path: str | Path, gaussians: Gaussians, comments: Iterable[s
         rows = np.concatenate(columns, axis=1).astype("<f4")
     bad = np.count_nonzero(~np.isfinite(rows).all(axis=1))
     require(not bad, path, f"{bad} Gaussians are NaN or infinite; expected finite numbers")
-    write_ply(path, {"vertex": (PROPERTIES, rows)}, (ascii(text)[1:-1] for text in comments))
+    write_ply(path, PROPERTIES, rows, (ascii(text)[1:-1] for text in comments))

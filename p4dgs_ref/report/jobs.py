@@ -1,7 +1,7 @@
 """The main job: fit a scene, compress it to a file, decode that file, render, measure, draw.
 
-Its two trainings, like those of a study, are independent and can run in several processes. Studies
-never take times in them.
+Its two designs are trained alike until stage 4. From there on they are independent, as are the
+trainings of a study, and can run in several processes. Studies never take times in them.
 """
 
 import json
@@ -51,18 +51,19 @@ def in_processes(function, tasks, jobs):
     tasks = list(tasks)
     if min(jobs, len(tasks)) <= 1:
         yield from map(function, tasks)
-        return
-    with processes(min(jobs, len(tasks))) as pool:
-        yield from pool.map(function, tasks)
+    else:
+        with processes(min(jobs, len(tasks))) as pool:
+            yield from pool.map(function, tasks)
 
 
 # --- the main job ---------------------------------------------------------------------------------
-def one_design(scene, preset, seed, path, stream=None):
+def one_design(scene, preset, seed, path, begun=None, before=0.0, stream=None):
     """Train, write the file, decode it and measure the decoded model.
 
-    Returns metrics, the rows and images of the views, the model, and the history of the training.
+    Training goes on from the state `begun`, which took `before` seconds. Returns metrics, the rows
+    and images of the views, the model, and the history of the training.
     """
-    trainer, train_seconds = timed(lambda: fit(scene, preset, seed, stream=stream))
+    trainer, seconds = timed(fit, scene, preset, seed, begun=begun, stream=stream)
     data, encode_seconds = timed(encode, trainer.model())
     path.write_bytes(data)
     model, decode_seconds = timed(decode, path.read_bytes())
@@ -70,8 +71,8 @@ def one_design(scene, preset, seed, path, stream=None):
     metrics = {
         **metrics,
         **compression(model, data, metrics["gaussians"]),
-        "train_seconds": train_seconds,
-        "ms_per_step": 1e3 * train_seconds / preset.iterations,
+        "train_seconds": before + seconds,
+        "ms_per_step": 1e3 * (before + seconds) / preset.iterations,
         "encode_seconds": encode_seconds,
         "decode_seconds": decode_seconds,
     }
@@ -79,17 +80,23 @@ def one_design(scene, preset, seed, path, stream=None):
 
 
 def designs(scene, preset, seed, path, stream, jobs):
-    """What `one_design` returns for the preset, and for the paper's design beside a coded one."""
-    own = scene, preset, seed, path
+    """What `one_design` returns for the preset, and the metrics of the paper's design beside it.
+
+    Both are trained alike until stage 4, so this part is done once. There are no other metrics
+    where the preset is the paper's design.
+    """
     if not preset.coded:
-        return one_design(*own, stream), None
-    file = path.with_name(f"{path.stem}_paper_design{path.suffix}")
-    paper = scene, paper_design(preset), seed, file
+        return one_design(scene, preset, seed, path, stream=stream), None
+    paper, file = paper_design(preset), path.with_name(f"{path.stem}_paper_design{path.suffix}")
+    trainer, before = timed(fit, scene, paper, seed, stream=stream, until=preset.stage_ends[2])
+    begun = trainer.state()
+    own, other = (scene, preset, seed, path), (scene, paper, seed, file)
     if jobs == 1:
-        return one_design(*own, stream), one_design(*paper, stream)
+        own, other = (one_design(*each, begun, before, stream) for each in (own, other))
+        return own, other[0]
     with processes(1) as pool:
-        waiting = pool.submit(one_design, *paper)
-        return one_design(*own, stream), waiting.result()
+        waiting = pool.submit(one_design, *other, begun, before)
+        return one_design(*own, begun, before, stream), waiting.result()[0]
 
 
 def main_job(
@@ -104,8 +111,9 @@ def main_job(
 ) -> dict:
     """Run everything, write the report into `folder` and return the metrics.
 
-    A preset with coded networks is trained twice: as it is, and as the paper's design; at once if
-    `jobs` is at least 2, and then times are those of two processes that share the machine. Pictures
+    A preset with coded networks is trained as it is and as the paper's design. Stages 1 to 3 are
+    the same and done once. Stage 4 is done in two processes at once if `jobs` is at least 2; then
+    its times are those of two processes that share the machine. Pictures
     and metrics are those of the preset's own decoded model; `paper_design` has bytes, PSNR and SSIM
     of the other, or of the same model where the preset is the paper's design. The folder gets all
     files at the end, or none. `start` is the `time.perf_counter()` from which the seconds of the
@@ -115,9 +123,8 @@ def main_job(
     start = time.perf_counter() if start is None else start
     chosen, name = choose(preset, changes), scene.name.replace("/", "_")
     with filled(folder) as beside:
-        found, other = designs(scene, chosen, seed, beside / f"{name}.p4dgs", stream, jobs)
+        found, paper = designs(scene, chosen, seed, beside / f"{name}.p4dgs", stream, jobs)
         own, rows, images, model, history = found
-        paper = other[0] if other else None
         metrics = {
             "scene": scene.name,
             "preset": chosen.name,

@@ -5,10 +5,14 @@ The first anchors of a real scene stand at the points of
 .npy    an array of shape [A, 3]
 .ply    x, y and z of the element `vertex`, binary, as COLMAP and 3DGS write them
 .txt    COLMAP's points3D.txt: lines of POINT3D_ID X Y Z R G B ERROR TRACK[]
+.bin    COLMAP's points3D.bin: the number of points as uint64, then for each point uint64
+        POINT3D_ID, double X Y Z, uint8 R G B, double ERROR, uint64 entries of its TRACK, and
+        8 bytes for each of these; little endian
 """
 
 import json
 import os
+import struct
 import warnings
 from contextlib import contextmanager
 from functools import partial
@@ -30,14 +34,18 @@ PLY_TYPES = {
     **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
+COLMAP_POINT = struct.Struct("<Q3d3BdQ")
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 def read_json(file, expected=FOLDERS):
     """The JSON object in a file; `expected` says what it should be."""
     with reading(file, f"JSON in UTF-8, {expected}"):
-        size = file.stat().st_size
-        require(size <= LARGEST_JSON, file, f"larger than {LARGEST_JSON} bytes; expected JSON")
+        require(
+            file.stat().st_size <= LARGEST_JSON,
+            file,
+            f"larger than {LARGEST_JSON} bytes; expected JSON",
+        )
         data = json.loads(file.read_text(encoding="utf-8"))
     require(isinstance(data, dict), file, f"a {type(data).__name__}; expected a JSON object")
     return data
@@ -56,9 +64,9 @@ def read_image(folder, name, where):
     )
     with reading(file, "a PNG of RGB or RGBA pixels", where), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a picture so large that it could be an attack
-        clear = "transparency" in iio.immeta(file, plugin="pillow")  # alpha of a palette's colours
-        image = iio.imread(file, plugin="pillow", mode="RGBA" if clear else None)
-    return as_float(image, f"{where}: {file}")
+        with iio.imopen(file, "r", plugin="pillow") as opened:
+            clear = "transparency" in opened.metadata()  # alpha of a palette's colours
+            return as_float(opened.read(mode="RGBA" if clear else None), f"{where}: {file}")
 
 
 def shrink(image, color, downscale, where):
@@ -75,8 +83,7 @@ def shrink(image, color, downscale, where):
 
 def box_filter(image, s):
     """The means over boxes of s by s pixels."""
-    height, width = image.shape[0] // s, image.shape[1] // s
-    boxes = image.reshape(height, s, width, s, *image.shape[2:])
+    boxes = image.reshape(image.shape[0] // s, s, image.shape[1] // s, s, *image.shape[2:])
     return boxes.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
 
 
@@ -100,8 +107,8 @@ def reading(file, expected, where=None):
 def read_points(path: str | Path) -> np.ndarray:
     """The points [A, 3] of a file as float64; SceneError where it holds something else."""
     path = Path(path)
-    require(path.suffix in READERS, path, "expected a file whose name ends in .npy, .ply or .txt")
-    with reading(path, "points in a .npy, a binary .ply or COLMAP's points3D.txt"):
+    require(path.suffix in READERS, path, f"expected a name that ends in {', '.join(READERS)}")
+    with reading(path, "points in a .npy, a binary .ply or COLMAP's points3D.txt or .bin"):
         points = READERS[path.suffix](path)
     require(
         points.ndim == 2 and points.shape[1] == 3 and 0 < len(points) <= MOST_ANCHORS,
@@ -116,51 +123,68 @@ def read_points(path: str | Path) -> np.ndarray:
     return points.astype(float)
 
 
-def write_ply(path, elements, comments=()):
-    """Write float32 numbers as a binary file; returns the bytes of the header and every element.
+def write_ply(path, properties, rows, comments=(), rest=b""):
+    """Write float32 rows [N, P] as the vertices of a binary file, and further bytes after them.
 
-    `elements` is {name: (names of its properties, rows [N, P])}. A comment is one line of ASCII.
+    Returns the bytes of the header, of the vertices and of the rest. A comment is one line of
+    ASCII. The rest is not an element of the file, because viewers take each line `property` of a
+    header for a property of the vertices.
     """
-    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
-    for name, (properties, rows) in elements.items():
-        lines.append(f"element {name} {len(rows)}")
-        lines += [f"property float {of_element}" for of_element in properties]
-    header = "\n".join([*lines, "end_header\n"]).encode("ascii")
-    parts = [header, *(rows.astype("<f4").tobytes() for _, rows in elements.values())]
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        *(f"comment {text}" for text in comments),
+        f"element vertex {len(rows)}",
+        *(f"property float {of_vertex}" for of_vertex in properties),
+        "end_header\n",
+    ]
+    parts = "\n".join(lines).encode("ascii"), rows.astype("<f4").tobytes(), rest
     write_atomically(Path(path), lambda file: file.write(b"".join(parts)))
     return [len(part) for part in parts]
 
 
-def read_ply(path, expected=("vertex",)):
-    """The first elements of a binary file, its comments, and the number of bytes that follow.
+def read_ply(path):
+    """The vertices of a binary file, its comments, and the bytes that follow the vertices.
 
-    `expected` are the names of these elements. An element is a structured array [N], whose fields
-    are its properties. COLMAP and 3DGS write `vertex` first.
+    Vertices are the first element, as COLMAP and 3DGS write them. They are a structured array [N],
+    whose fields are their properties.
     """
     head, end, body = Path(path).read_bytes().partition(b"\nend_header\n")
     require(head[:3] == b"ply" and end, path, "expected a header from 'ply' to 'end_header'")
     start, *elements = head.decode("ascii").split("\nelement ")
+    require(
+        elements and elements[0].startswith("vertex "),
+        path,
+        "expected 'vertex' as the first element",
+    )
+    (_, count), *lines = (line.split() for line in elements[0].splitlines())
     order = BYTE_ORDERS[start.split("\nformat ")[1].split()[0]]
-    found, at = {}, 0
-    for name, element in zip(expected, elements):
-        first, *lines = (line.split() for line in element.splitlines())
-        require(first[0] == name, path, f"expected {name!r}, not {first[0]!r}")
-        properties = [line for line in lines if line[0] == "property"]
-        kind = np.dtype([(line[-1], order + PLY_TYPES[line[1]]) for line in properties])
-        found[name] = np.frombuffer(body, kind, int(first[1]), at)
-        at += found[name].nbytes
+    kind = [(line[-1], order + PLY_TYPES[line[1]]) for line in lines if line[0] == "property"]
+    vertices = np.frombuffer(body, kind, int(count))
     comments = [line[8:] for line in head.decode("ascii").splitlines() if line[:8] == "comment "]
-    return found, comments, len(body) - at
+    return vertices, comments, body[vertices.nbytes :]
 
 
 def read_vertices(path):
     """The coordinates [A, 3] of the vertices of a PLY file."""
-    vertices = read_ply(path)[0]["vertex"]
+    vertices, *_ = read_ply(path)
     return np.stack([vertices[axis] for axis in "xyz"], axis=1)
+
+
+def read_points3d(path):
+    """The coordinates [A, 3] in COLMAP's points3D.bin."""
+    data, at, points = path.read_bytes(), 8, []
+    for _ in range(int.from_bytes(data[:8], "little")):
+        _, *point, _, _, _, _, entries = COLMAP_POINT.unpack_from(data, at)
+        points.append(point)
+        at += COLMAP_POINT.size + 8 * entries
+    require(at == len(data), path, f"expected to end with its last point, at byte {at}")
+    return np.array(points)
 
 
 READERS = {
     ".npy": np.load,
     ".ply": read_vertices,
+    ".bin": read_points3d,
     ".txt": partial(np.loadtxt, usecols=(1, 2, 3), ndmin=2),
 }

@@ -81,13 +81,21 @@ def fit(
     resume: bool = False,
     stream: TextIO | None = None,
     save_every: float = SAVE_EVERY,
+    begun: tuple[dict, dict] | None = None,
+    until: float = np.inf,
     **changes: Any,
 ) -> Trainer:
-    """Do what `train` does, but return the Trainer, which also has the history."""
+    """Do what `train` does, but return the Trainer, which also has the history.
+
+    Training goes on from `begun`, the `state` of another Trainer that has done the same so far, and
+    stops at the iteration `until`, where the preset does not end before.
+    """
     chosen = choose(preset, changes)
     # Non-finite values are found and named; NumPy's warnings would say the same less clearly.
     with np.errstate(all="ignore"):
         trainer, progress = Trainer(scene, chosen, seed, settings, points), Progress(stream)
+        if begun:
+            trainer.restore(*begun)
         with nullcontext() if folder is None else locked(folder), deferred() as asked:
             common = identity(trainer)
             if resume and folder is not None:
@@ -99,14 +107,16 @@ def fit(
 
             keep()
             saved = time.monotonic()
-            warn_of_few_views(scene)
-            while trainer.iteration < chosen.iterations and not asked:
+            if not begun:
+                warn_of_few_views(scene)
+            while trainer.iteration < min(until, chosen.iterations) and not asked:
                 progress(trainer, *trainer.step())
                 if time.monotonic() - saved > save_every:
                     keep()
                     saved = time.monotonic()
             keep()  # then `deferred` raises KeyboardInterrupt where it was asked for
-        warn_of_failure(trainer)
+        if until >= chosen.iterations:
+            warn_of_failure(trainer)
     return trainer
 
 
@@ -197,8 +207,7 @@ def load_checkpoint(folder):
             f"{path}: damaged, edited or written by another release; expected a checkpoint as "
             "`p4dgs-ref train` writes it; train again into another folder"
         )
-    with np.load(io.BytesIO(data)) as file:
-        arrays = dict(file)
+    arrays = dict(np.load(io.BytesIO(data)))
     return arrays, json.loads(str(arrays.pop("values")))
 
 

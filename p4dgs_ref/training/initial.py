@@ -73,8 +73,9 @@ def initial_parameters(preset, design, rng, points=None):
         for i in range(trunk, trunk + 3):
             arrays[f"psi_d.W{i}"] *= preset.deformation_gain
             arrays[f"psi_d.b{i}"] *= preset.deformation_gain
-    for i, shape in enumerate(design.levels()):
-        arrays[f"grid.{i}"] = rng.uniform(-1e-4, 1e-4, shape)  # HAC: random signs with a gradient
+    arrays |= {  # HAC: random signs with a gradient
+        f"grid.{i}": rng.uniform(-1e-4, 1e-4, shape) for i, shape in enumerate(design.levels())
+    }
     if design.coded:
         p = Parameters(arrays)
         arrays["log_step"] = first_log_steps({name: p.network(name) for name in design.layers()})

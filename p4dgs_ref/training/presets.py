@@ -12,7 +12,6 @@ from ..model import MOST_NUMBERS, declared_numbers
 from ..scenes.scene import MODEL_EFFECTS
 from .initial import design_of
 
-INFINITY = float("inf")
 LARGEST = 1e18  # of a field: an integer of a hundred digits could not become a float
 
 
@@ -33,7 +32,9 @@ POSITIVE = (f"a positive number up to {LARGEST:g}", lambda value: 0 < value <= L
 NOT_NEGATIVE = between(0, LARGEST)
 RATE = (
     "first,last, two positive rates or 0,0",
-    lambda ends: len(ends) == 2 and (all(0 < rate < INFINITY for rate in ends) or not any(ends)),
+    lambda ends: (
+        len(ends) == 2 and (all(0 < rate < float("inf") for rate in ends) or not any(ends))
+    ),
 )
 STEP = between(2.0**-40, 2.0**40)
 FLAG = ("true or false", lambda value: True)

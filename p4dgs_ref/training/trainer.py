@@ -57,8 +57,10 @@ def assemble(p, design, mask, box, background):
 
 
 def tagged(arrays, tag):
-    """The arrays whose names begin with the tag and a slash, without these."""
-    return {name[len(tag) + 1 :]: a for name, a in arrays.items() if name.startswith(f"{tag}/")}
+    """Copies of the arrays whose names begin with the tag and a slash, without these."""
+    return {
+        name[len(tag) + 1 :]: a.copy() for name, a in arrays.items() if name.startswith(f"{tag}/")
+    }
 
 
 class Trainer(Loop):
@@ -149,8 +151,16 @@ class Trainer(Loop):
             if self.design.coded:
                 self.parameters["log_step"][...] = coded_networks.first_log_steps(self.networks)
         u = self.rng.random((len(self.mask), sum(self.design.widths)), np.float32) - np.float32(0.5)
-        model = self.parameters, self.design, self.networks, self.grids
-        inputs = (*model, self.fixed(), view, u, self.moments_of(view))
+        inputs = (
+            self.parameters,
+            self.design,
+            self.networks,
+            self.grids,
+            self.fixed(),
+            view,
+            u,
+            self.moments_of(view),
+        )
         losses, seen, back = objective.loss(*inputs)
         gradients, mean2d_bar = back()
         # The opacities are checked too: masking would hide a NaN among them from the loss.
@@ -231,14 +241,18 @@ class Trainer(Loop):
         }
 
     def restore(self, arrays, values):
-        """Take over what `state` returned."""
-        self.adopt(Parameters(tagged(arrays, "p")))
-        self.adam.first = Parameters(tagged(arrays, "m"))
-        self.adam.second = Parameters(tagged(arrays, "v"))
-        self.adam.steps = dict(values["steps"])
+        """Take over copies of what `state` returned.
+
+        An array that is not among it stays as it is. The state of the paper's design has no
+        "log_step", of which the coded design makes no use before stage 4.
+        """
+        self.adopt(Parameters({**self.parameters.arrays, **tagged(arrays, "p")}))
+        self.adam.first = Parameters({**self.adam.first.arrays, **tagged(arrays, "m")})
+        self.adam.second = Parameters({**self.adam.second.arrays, **tagged(arrays, "v")})
+        self.adam.steps |= values["steps"]
         self.statistics = density.Statistics(**tagged(arrays, "stat"))
-        self.mask, self.order, self.iteration = arrays["mask"], arrays["order"], values["iteration"]
-        self.rng.bit_generator.state, self.history = values["rng"], values["history"]
-        self.box = tuple(arrays["box"])
+        self.order, self.iteration = arrays["order"], values["iteration"]
+        self.rng.bit_generator.state, self.history = values["rng"], [*values["history"]]
+        self.mask, self.box = arrays["mask"].copy(), tuple(arrays["box"])
         if self.box:
             self.freeze_positions()

@@ -192,7 +192,7 @@ def test_mistakes_in_scenes_of_nerf_ds(place, refused, mistake, words):
 
 LINES = [
     ("", ("COMMAND",)),
-    ("train scene -o new --preset smoke --points text", ("text", ".npy, .ply or .txt")),
+    ("train scene -o new --preset smoke --points text", ("text", ".npy, .ply, .bin, .txt")),
     ("train scene -o new --preset smoke --points points3D.txt", ("points3D.txt", "missing")),
     ("fly", ("fly", "demo")),
     ("train scene", ("-o",)),

@@ -146,14 +146,10 @@ def other_number(arrays, values):
     arrays["p/f_a"][0, 0] += 1
 
 
-def nothing(arrays, values):
-    pass
-
-
 # name: (the edit of the file, words of the message)
 EDITS = {
     "a number": (edited(other_number, sealed=False), ("edited",)),
-    "compressed": (edited(nothing, save=np.savez_compressed, sealed=False), ("damaged",)),
+    "compressed": (edited(lambda *_: None, save=np.savez_compressed, sealed=False), ("damaged",)),
     "of another release": (of_another_release, ("another release",)),
     "cut in the middle": (changed_bytes(lambda data: data[: len(data) // 2]), ("damaged",)),
     "cut at the end": (changed_bytes(lambda data: data[:-1]), ("damaged",)),
@@ -175,9 +171,19 @@ def test_an_edited_checkpoint_is_refused(copied, run, capsys, name):
 
 def test_a_good_checkpoint_goes_on_to_the_same_bytes(copied, run):
     whole = p4.encode(p4.train(run[1], "smoke", **run[2]))
-    edited(nothing)(copied / CHECKPOINT)
+    edited(lambda *_: None)(copied / CHECKPOINT)
     assert p4.encode(resume(copied, run).model()) == whole
     assert p4.encode(load_model(copied)[0]) == whole
+
+
+def test_a_state_stays_as_it_is_when_a_training_goes_on_from_it(run):
+    """So that several can go on from one, here one whose children are all masked at once."""
+    folder, scene, changes = run
+    arrays, values = begun = load_checkpoint(folder)
+    trainer = fit(scene, "smoke", 0, begun=begun, **changes, mask_from=0, min_opacity=1e9)
+    assert trainer.iteration == 9 and not trainer.mask.any()
+    again = load_checkpoint(folder)
+    assert values == again[1] and all(np.array_equal(a, again[0][n]) for n, a in arrays.items())
 
 
 def test_the_folder_of_another_training_is_refused(copied, run):

@@ -11,9 +11,12 @@ The module of a method has Preset, PRESETS and Trainer, whose `kind` of model is
 """
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from ...scenes.fields import require
+from ...scenes.files import reading
 from ...splatting.settings import FAST
 from ...table import BEYOND, EQUATIONS, Equation
 from ...training.parameters import Parameters
@@ -62,11 +65,15 @@ def train(scene, method="d3dgs", preset=None, seed=0, settings=FAST, report=None
 
 
 def load(path):
-    """The model in a file of any method. Raises ValueError for another file."""
-    arrays, values = explicit.read_file(path)
-    module, _ = module_of(values["method"])
-    preset, background = module.Preset(**values["form"]), np.array(values["background"])
-    return module.Trainer.kind(Parameters(arrays), preset, background, values["occlusion"])
+    """The model in a file of any method. Raises ValueError with one line for another file."""
+    with reading(Path(path), "the file of a baseline"), np.errstate(all="ignore"):
+        arrays, values = explicit.read_file(path)
+        p, (module, _) = Parameters(arrays), module_of(values["method"])
+        require(np.isfinite(p.vector).all(), path, "expected finite numbers")
+        preset, background = module.Preset(**values["form"]), np.array(values["background"], float)
+        model = module.Trainer.kind(p, preset, background.reshape(3), values["occlusion"])
+        model.predict(0.0, model.box[0])  # fails where an array is missing or of another shape
+    return model
 
 
 # Rows as in `p4dgs_ref.table`.

@@ -1,15 +1,17 @@
 """What the baselines share: explicit Gaussians, their presets, their file and their training.
 
-A file is one PLY: Gaussians as its vertices, every network in a second element.
+A file is one PLY with Gaussians as its vertices. All numbers of networks and planes follow the
+vertices, where a viewer does not look. They are not an element, because common viewers take each
+line `property` of a header for one of the vertices, and would read rows that are too long.
 
     ply
     format binary_little_endian 1.0
-    comment {"method": "d3dgs", ...}     what a reader must know besides the numbers, as JSON
+    comment {"method": "d3dgs", ...}     what a reader must know besides the numbers, as JSON,
+                                         also the shapes of what follows the vertices
+    comment M float32 of networks follow the vertices
     element vertex N                     a row for each Gaussian, the properties of 3DGS's PLY
     property float x
     ...
-    element network M                    all weights one after another; the comment has their shapes
-    property float value
     end_header
 
 All numbers are float32, as in the files of the authors; D3DGS keeps its network in a file of its
@@ -23,16 +25,15 @@ the presets. Statistics are those of `training.density`, with one child per Gaus
 import json
 import math
 from dataclasses import dataclass, make_dataclass
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ...equations import render_loss, view
 from ...equations.numerics import normalise, sigmoid
-from ...model import pull
+from ...model import bounding_box, pull
 from ...scenes.fields import require
-from ...scenes.files import read_ply, reading, write_ply
+from ...scenes.files import read_ply, write_ply
 from ...splatting import render
 from ...splatting.covariance import rotation_matrix
 from ...splatting.settings import FAST
@@ -140,6 +141,11 @@ class Explicit:
         """The number of stored Gaussians."""
         return len(self.parameters["x"])
 
+    @property
+    def box(self):
+        """The corners of the bounding box of the stored centres."""
+        return bounding_box(self.parameters["x"])
+
     def gaussians(self, t, camera):
         """The Gaussians at time t in [0, 1] for this camera."""
         return self.predict(t, camera.center)[0]
@@ -169,10 +175,6 @@ class Explicit:
             for i in range(numbers.shape[1])
         ]
         network = np.concatenate([np.zeros(0), *(array.ravel() for array in arrays.values())])
-        elements = {
-            "vertex": (properties, np.concatenate(columns, axis=1)),
-            "network": (["value"], network[:, None]),
-        }
         values = {
             "method": self.METHOD,
             "form": {f: getattr(self.preset, f) for f in FORM if hasattr(self.preset, f)},
@@ -181,7 +183,9 @@ class Explicit:
             "rows": {name: array.shape[1:] for name, array in rows.items()},
             "shapes": {name: array.shape for name, array in arrays.items()},
         }
-        other, gaussians, network_bytes = write_ply(path, elements, [json.dumps(values)])
+        comments = json.dumps(values), f"{len(network)} float32 of networks follow the vertices"
+        rows, rest = np.concatenate(columns, axis=1), network.astype("<f4").tobytes()
+        other, gaussians, network_bytes = write_ply(path, properties, rows, comments, rest)
         return {"gaussians": gaussians, "network": network_bytes, "other": other}
 
 
@@ -231,16 +235,14 @@ def of_network(name, weights, biases):
 def read_file(path):
     """Return the arrays {name: array} and the JSON values of a file.
 
-    Raises ValueError with one line for a file that no model has saved.
+    Raises an error for a file that no model has saved.
     """
-    with reading(Path(path), "the file of a baseline"):
-        elements, comments, rest = read_ply(path, ("vertex", "network"))
-        vertices, flat = (
-            rows.view("<f4").reshape(len(rows), len(rows.dtype)) for rows in elements.values()
-        )
-        values = json.loads(comments[0])
-        require(not rest, path, "expected nothing after the last number")
-        arrays = {**split(vertices, values["rows"]), **split(flat[:, 0], values["shapes"])}
+    vertices, comments, rest = read_ply(path)
+    rows = vertices.view("<f4").reshape(len(vertices), len(vertices.dtype))
+    values, network = json.loads(comments[0]), np.frombuffer(rest, "<f4")
+    count = sum(map(math.prod, values["shapes"].values()))
+    require(len(network) == count, path, f"expected {count} float32 after the vertices")
+    arrays = {**split(rows, values["rows"]), **split(network, values["shapes"])}
     arrays.pop("normals", None)
     return arrays, values
 

@@ -123,7 +123,7 @@ def test_the_vertices_are_those_of_3dgs(trained, tmp_path):
     trained["d3dgs"].save(tmp_path / "a.ply")
     head, _, body = (tmp_path / "a.ply").read_bytes().partition(b"end_header\n")
     lines = head.decode().splitlines()
-    names = [line.split()[2] for line in lines if line.startswith("property")][:62]
+    names = [line.split()[2] for line in lines if line.startswith("property")]
     assert names[:9] == ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
     assert names[9:54] == [f"f_rest_{i}" for i in range(45)]
     assert names[54:] == [
@@ -132,20 +132,36 @@ def test_the_vertices_are_those_of_3dgs(trained, tmp_path):
         *(f"rot_{i}" for i in range(4)),
     ]
     N, p = trained["d3dgs"].primitives, trained["d3dgs"].parameters
-    rows = np.frombuffer(body, "<f4", 62 * N).reshape(N, 62)
+    rows = np.frombuffer(body, "<f4", len(names) * N).reshape(N, len(names))
     assert np.array_equal(rows[:, :3], p["x"]) and not np.any(rows[:, 3:6])
     assert np.array_equal(rows[:, 9 + 15 + 2], p["sh_rest"][:, 1, 2])
     assert np.array_equal(rows[:, 54], p["logit_alpha"])
     assert np.array_equal(rows[:, 58:], p["raw_r"])
 
 
-def test_bad_files(trained, tmp_path):
+# What stands in the header of a file, and what no file of a baseline has in its place.
+EDITS = {
+    b'"method"': b'"methods"',
+    b'"form"': b'"from"',
+    b'"rows"': b'"row"',
+    b'"background": [1.0,': b'"background": [',
+    b'"logit_alpha": []': b'"logit_beta": []',
+    b"property float y\n": b"",
+    b"comment {": b"comment [",
+}
+
+
+@pytest.mark.parametrize("method", ["d3dgs", "hexplane", "gaussian4d"])
+def test_bad_files(trained, tmp_path, method):
     path = tmp_path / "a.ply"
-    trained["d3dgs"].save(path)
+    trained[method].save(path)
     data = path.read_bytes()
-    wrong = data.replace(b'"method": "d3dgs"', b'"method": "xxxxx"')
-    for bad in (b"", b"ply\n", data[:-1], data + b"1234", data[:600], b"x" + data, wrong):
+    nan = data.replace(b"end_header\n", b"end_header\n" + np.float32("nan").tobytes())[:-4]
+    cut = b"", b"ply\n", data[:-1], data[:-4], data + b"1234", data[:600], b"x" + data, nan
+    edited = [data.replace(old, new) for old, new in EDITS.items()]
+    assert data not in edited
+    for bad in (*cut, *edited, data.replace(method.encode(), b"x", 1)):
         path.write_bytes(bad)
-        with pytest.raises(ValueError, match="a.ply|method 'xxxxx'") as caught:
+        with pytest.raises(ValueError, match="a.ply: ") as caught:
             baselines.load(path)
         assert "\n" not in str(caught.value)

@@ -36,8 +36,6 @@ def case_of(key, name="ordinary"):
 
 
 def test_the_table_names_every_equation_of_the_room():
-    keys = {eq.key for eq in BASELINE_EQUATIONS.values()}
-    assert keys == set(BASELINE_EQUATIONS)
     for eq in BASELINE_EQUATIONS.values():
         assert isinstance(eq, Equation) and eq.formula and eq.module.rpartition(".")[2] == eq.key
         assert eq.number[0] in "DHG" and eq.number[1:].isdigit()
