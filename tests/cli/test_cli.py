@@ -290,12 +290,12 @@ def test_long_trainings_need_a_yes(place, run, monkeypatch, line):
     def stop(*arguments, **named):
         raise KeyboardInterrupt
 
+    for name in ("report.jobs.fit", "cli.job.fit", "lab.tables.methods.in_processes"):
+        monkeypatch.setattr(f"p4dgs_ref.{name}", stop)
     code, _, err = run(line)
     (millions, words), (first, second) = ESTIMATED[line], err.splitlines()
     assert code == 2 and f"minutes for {millions}000000 iterations" in first and "--yes" in second
     assert not Path("run").exists()
-    for name in ("report.jobs.fit", "cli.job.fit", "lab.tables.methods.in_processes"):
-        monkeypatch.setattr(f"p4dgs_ref.{name}", stop)
     code, _, err = run(f"{line} --yes")
     assert code == 130 and words in err and not Path("run").exists()
 
