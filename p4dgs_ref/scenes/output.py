@@ -74,8 +74,10 @@ def new_part(folder):
             yield part
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-                name = error.filename or [part, *files_in(part)][-1]
-                error.filename = os.path.join(*(p for p in Path(name).parts if p != part.name))
+                name = error.filename2 or error.filename or [part, *files_in(part)][-1]
+                error.filename = os.path.join(
+                    *(place for place in Path(name).parts if not place.startswith(PART))
+                )
             raise
 
 
