@@ -2,7 +2,7 @@
 
 A study is a list of Tasks and what it says about their rows. A row begins with the fields method,
 scene, seed, psnr_db and bytes, and lies as JSON beside its file. A row that is there is not made
-again, so a killed study goes on, and the jobs of a cluster can fill one folder.
+again, so a killed sweep goes on, and the jobs of a cluster can fill one folder.
 """
 
 import json
