@@ -38,6 +38,10 @@ def read_preset(arguments):
 
 def read_file(path):
     """The bytes of a file, its model, and the seconds that decoding took."""
+    expect(
+        Path(path).is_file() or not Path(path).exists(),
+        f"{path}: a folder, pipe or device; expected a .p4dgs file",
+    )
     try:
         data = container.read_file(path)
         return data, *timed(p4.decode, data)
@@ -45,17 +49,19 @@ def read_file(path):
         raise UsageError(f"{path}: {error}") from None
 
 
-def estimate(arguments, scene, preset, trainings=1):
-    """Time the first steps of long trainings; more than an hour needs --yes."""
-    anchors = preset.anchors if scene.points is None else len(scene.points)
-    if anchors <= 1000 and trainings * preset.iterations <= 10_000:
+def estimate(arguments, trainers, jobs=1):
+    """Time the first steps of long trainings; more than an hour needs --yes.
+
+    `trainers` holds pairs of a Trainer and the number of trainings like it, of which `jobs` run at
+    once.
+    """
+    iterations = sum(count * trainer.preset.iterations for trainer, count in trainers)
+    if iterations <= 10_000 and all(trainer.primitives <= 2000 for trainer, _ in trainers):
         return
-    trainer, iterations = Trainer(scene, preset), trainings * preset.iterations
-    steps = min(3, preset.iterations)
-    minutes = timed(lambda: [trainer.step() for _ in range(steps)])[1] / steps * iterations / 60
+    minutes = sum(count * seconds_of(trainer) for trainer, count in trainers) / 60 / jobs
     say(
-        f"preset {preset.name}: about {minutes:.0f} minutes for {iterations} iterations, "
-        f"judging by the first {steps} (later stages cost more)"
+        f"about {minutes:.0f} minutes for {iterations} iterations, judging by the first of every "
+        "training (later stages cost more)"
     )
     expect(
         minutes <= 60 or arguments.yes,
@@ -63,10 +69,19 @@ def estimate(arguments, scene, preset, trainings=1):
     )
 
 
+def seconds_of(trainer):
+    """About how long a training takes, judging by its first iterations, which are done."""
+    steps = min(3, trainer.preset.iterations)
+    _, seconds = timed(lambda: [trainer.step() for _ in range(steps)])
+    return seconds / steps * trainer.preset.iterations
+
+
 def demo(arguments):
     """Run the main job and write its report."""
     preset, scene = read_preset(arguments), read_scene(arguments)
-    estimate(arguments, scene, preset, 2 if preset.coded and arguments.jobs == 1 else 1)
+    estimate(
+        arguments, [(Trainer(scene, preset), 2 if preset.coded and arguments.jobs == 1 else 1)]
+    )
     metrics = p4.main_job(
         scene,
         preset,
@@ -101,8 +116,8 @@ def train(arguments):
     if arguments.points:
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
-        estimate(arguments, scene, preset)
-    if "effects" not in read_description(find_scene(arguments.scene)):
+        estimate(arguments, [(Trainer(scene, preset), 1)])
+    if not resume and "effects" not in read_description(find_scene(arguments.scene)):
         say(
             "warning: no scene.json lists effects, so all are trained; "
             f"`p4dgs-ref effects {arguments.scene} --suggest --apply` finds and lists them"
@@ -135,11 +150,9 @@ def encode(arguments):
 def decode(arguments):
     """Write the arrays of a file as model.npz and its design as model.json."""
     _, model, seconds = read_file(arguments.file)
-    lo, hi = model.box
     arrays = {
         **model.anchors._asdict(),
-        "lo": lo,
-        "hi": hi,
+        **dict(zip(("lo", "hi"), model.box)),
         "background": model.background,
         **{f"grid.{i}": grid for i, grid in enumerate(model.grids)},
         **{
@@ -234,13 +247,20 @@ def evaluate(arguments):
     data, model, seconds = read_file(arguments.file)
     scene = read_scene(arguments)
     metrics, rows, images = p4.evaluate(model, scene)
-    size = compression(model, data, metrics["gaussians"])
-    metrics = {"scene": scene.name, **metrics, **size, "decode_seconds": seconds}
+    metrics = {
+        "scene": scene.name,
+        **metrics,
+        **compression(model, data, metrics["gaussians"]),
+        "decode_seconds": seconds,
+    }
     if arguments.output:
         with filled(arguments.output, arguments.file) as beside:
             figures.write_comparison(beside, scene, rows, images)
-    shown = {**json_safe(metrics), "views": [json_safe(row) for row in rows]}
-    show(arguments, shown, text.evaluation(metrics, rows))
+    show(
+        arguments,
+        {**json_safe(metrics), "views": [json_safe(row) for row in rows]},
+        text.evaluation(metrics, rows),
+    )
 
 
 def inspect(arguments):

@@ -1,7 +1,7 @@
 """The commands of the laboratory: what choices cost, the paper's tables, the classroom."""
 
 from contextlib import nullcontext
-from pathlib import Path
+from functools import partial
 
 from ..lab import bench, effect_ledger, school
 from ..lab.accuracy import report as accuracies
@@ -9,9 +9,9 @@ from ..lab.stability import describe, draw_map, rows
 from ..lab.suggest import foretold, suggest
 from ..lab.tables import ablate, compare, methods, sweep
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
-from ..scenes.output import filled, made
+from ..scenes.output import filled
 from . import expect, progress, say, show, tell
-from .job import read_scene
+from .job import estimate, read_scene
 
 
 def turn_knobs(arguments):
@@ -28,8 +28,7 @@ def hard_cases(arguments):
     with filled(arguments.output) as beside:
         cases = rows(arguments.only)
         draw_map(beside / "stability.png")
-    text = f"{describe(cases)}\nmap: {Path(arguments.output) / 'stability.png'}"
-    show(arguments, {"cases": cases}, text)
+    show(arguments, {"cases": cases}, f"{describe(cases)}\nmap: {arguments.output}/stability.png")
     return int(any(row["verdict"] == "fails" for row in cases))
 
 
@@ -69,6 +68,11 @@ def times(arguments):
     show(arguments, result, bench.describe(result))
 
 
+def make(arguments, tasks):
+    """Make the rows of a study that are missing, after an estimate of the time."""
+    methods.make_missing(tasks, progress, arguments.jobs, partial(estimate, arguments))
+
+
 def show_table(arguments, study, result):
     """Show the result of a study and where its files are."""
     show(arguments, result, f"{study.describe(result)}\nfiles and tables: {arguments.output}")
@@ -76,15 +80,14 @@ def show_table(arguments, study, result):
 
 def compare_methods(arguments):
     """Train all methods on scenes and print the paper's Tables 1 and 2 in form."""
-    methods.known(arguments.methods)
     names, seeds = arguments.scenes or compare.dynamic_scenes(), arguments.seeds
     if arguments.quick:
         names, seeds = names[:1], 1
     scenes, options = [load_scene(name) for name in names], (arguments.methods, seeds)
     with filled(arguments.output) as beside:
-        result = compare.compare(
-            scenes, beside, *options, arguments.iterations, progress, arguments.jobs
-        )
+        tasks = compare.plan(scenes, beside, *options, arguments.iterations)
+        make(arguments, tasks)
+        result = compare.collect(tasks, beside, progress)
     show_table(arguments, compare, result)
 
 
@@ -92,13 +95,13 @@ def sweep_rates(arguments):
     """Make the points of a rate-distortion curve, or one of them, and draw what is there."""
     scene, point = load_scene(arguments.scene), arguments.point
     options = arguments.lambda_rate, arguments.seeds, arguments.iterations, arguments.methods
-    with made(arguments.output) as folder:
-        tasks = sweep.plan(scene, folder, *options)
+    with filled(arguments.output) as beside:
+        tasks = sweep.plan(scene, arguments.output, *options)
         if point:
             return make_point(arguments, tasks, *point)
         if not arguments.collect:
-            methods.make_missing(tasks, progress, arguments.jobs)
-        result = sweep.collect(tasks, Path(folder))
+            make(arguments, tasks)
+        result = sweep.collect(tasks, beside)
     show_table(arguments, sweep, result)
 
 
@@ -109,7 +112,7 @@ def make_point(arguments, tasks, i, count):
         f"--point {i}/{count}: expected I/{len(tasks)} with I from 1 to {len(tasks)}, the "
         "number of points of this sweep",
     )
-    methods.make_missing([tasks[i - 1]])
+    make(arguments, [tasks[i - 1]])
     path = str(tasks[i - 1].record)
     show(arguments, {"point": i, "of": count, "output": path}, f"point {i} of {count}: {path}")
 
@@ -118,7 +121,9 @@ def ablate_parts(arguments):
     """Print the paper's Table 3 in form, and the method with one part left out at a time."""
     scene, options = load_scene(arguments.scene), (arguments.seeds, arguments.iterations)
     with filled(arguments.output) as beside:
-        result = ablate.ablate(scene, beside, *options, progress, arguments.jobs)
+        tasks = ablate.plan(scene, beside, *options)
+        make(arguments, tasks)
+        result = ablate.collect(tasks, beside)
     show_table(arguments, ablate, result)
 
 

@@ -127,6 +127,7 @@ EXPERIMENT = (
         help="of every training (default those of the preset)",
     ),
     JOBS,
+    YES,
 )
 VECTORS = option(
     "--vectors",
@@ -535,13 +536,23 @@ def parser():
     return top
 
 
-def how_to_resume(arguments):
-    """The end of the message of a stopped command: how to go on, if there is a checkpoint."""
+# The end of the message of a stopped command: what is kept, and how to go on.
+NOTHING_KEPT = "; nothing is kept, because all files are written at the end"
+STOPPED = {
+    "train": "; the last checkpoint is kept, the same command with --resume goes on from it",
+    "sweep": "; the points that are done are kept, the same command makes the others",
+    "compare": NOTHING_KEPT,
+    "ablate": NOTHING_KEPT,
+    "demo": f"{NOTHING_KEPT}; `p4dgs-ref train` keeps checkpoints, from which --resume goes on",
+}
+
+
+def how_to_go_on(arguments):
+    """What STOPPED says of a command; nothing of a training that has no checkpoint yet."""
     from ..training.fit import CHECKPOINT
 
-    is_kept = arguments.command == "train" and Path(arguments.output, CHECKPOINT).is_file()
-    said = "; the last checkpoint is kept, the same command with --resume goes on from it"
-    return said if is_kept else ""
+    is_lost = arguments.command == "train" and not Path(arguments.output, CHECKPOINT).is_file()
+    return "" if is_lost else STOPPED.get(arguments.command, "")
 
 
 def run(argv, start):
@@ -561,7 +572,7 @@ def run(argv, start):
                 function = getattr(import_module(f".{module}", __package__), name)
             return function(arguments) or 0
     except KeyboardInterrupt:
-        code, message = 130, f"stopped{how_to_resume(arguments)}"
+        code, message = 130, f"stopped{how_to_go_on(arguments)}"
     except (ArithmeticError, MemoryError) as error:
         code, message = 1, str(error) or "out of memory"
     except OSError as error:

@@ -65,10 +65,9 @@ def ledger(rows, gaps):
     """The sections of a file: bytes by the entropy, bytes in the file, and why they differ."""
     file = {"name": "file", **{key: sum(row[key] for row in rows) for key in BYTES}}
     heads = "section", "entropy", "integers", "payload", "headers", "bytes", "symbols", "bits each"
-    lines = [LEDGER.format(*heads)]
-    for row in [*rows, file]:
-        values = [row.get(key) for key in ("name", *BYTES, "symbols", "bits_per_symbol")]
-        lines.append(LEDGER.format(*map(cell, values)).rstrip())
+    columns = "name", *BYTES, "symbols", "bits_per_symbol"
+    table = [heads, *([cell(row.get(key)) for key in columns] for row in [*rows, file])]
+    lines = [LEDGER.format(*line).rstrip() for line in table]
     lines += ["", "In bytes. The columns differ because of:"]
     return "\n".join([*lines, *(f"  {name:20} {why}" for name, why in gaps.items())])
 
@@ -93,10 +92,14 @@ def presets(chosen, every_field):
         changed = [field for field, *_ in differences(preset)]
         columns = list(dict.fromkeys((preset, PAPER_SYNTHETIC, PAPER_REAL)))
         table = [["  field", *(p.name for p in columns), "source of the paper presets"]]
-        for field in SOURCES if every_field else changed:
-            star = "* " if field in changed else "  "
-            values = (setting(getattr(p, field)) for p in columns)
-            table.append([star + field, *values, SOURCES[field]])
+        table += [
+            [
+                f"* {field}" if field in changed else f"  {field}",
+                *(setting(getattr(p, field)) for p in columns),
+                SOURCES[field],
+            ]
+            for field in (SOURCES if every_field else changed)
+        ]
         widths = [max(map(len, column)) for column in zip(*table)]
         lines.append(f"{preset.name}: {len(changed)} fields (*) differ from {PAPER_SYNTHETIC.name}")
         lines += ["  ".join(map(str.ljust, row, widths)).rstrip() for row in table]

@@ -50,7 +50,8 @@ def pyplot():
 
 def save_figure(figure, path):
     """Write a PNG without matplotlib's version in it, so that equal pictures are equal files."""
-    figure.savefig(path, metadata={"Software": None})
+    with open(path, "wb") as file:  # a path's file would be removed again where the disk is full
+        figure.savefig(file, metadata={"Software": None})
     pyplot().close(figure)
 
 
@@ -129,8 +130,13 @@ def write_gif(path, images):
 
 def write_motion(path, model, camera, frames=24, zoom=4):
     """A GIF of the model over t, seen by one camera at rest."""
-    images = [np.clip(model.render(camera, t), 0, 1) for t in np.linspace(0, 1, frames)]
-    write_gif(path, [image.repeat(zoom, 0).repeat(zoom, 1) for image in images])
+    write_gif(
+        path,
+        [
+            np.clip(model.render(camera, t), 0, 1).repeat(zoom, 0).repeat(zoom, 1)
+            for t in np.linspace(0, 1, frames)
+        ],
+    )
 
 
 def write_size(folder, preset, own, paper=None):

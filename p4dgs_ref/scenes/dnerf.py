@@ -70,9 +70,7 @@ def read_split(folder, file, color, downscale):
     for i, frame in enumerate(data.frames):
         name, where = frame.file_path, f"{file}: frames[{i}].file_path"
         image = read_image(folder, name, where)
-        height, width = image.shape[:2]
-        R, T = frame.transform_matrix
-        camera = make_camera(R, T, *lens, width, height, downscale)
+        camera = make_camera(*frame.transform_matrix, *lens, *image.shape[1::-1], downscale)
         shown = name.removeprefix("./").removesuffix(".png")
         views.append(View(shown, *shrink(image, color, downscale, where), camera, frame.time))
     return tuple(views)

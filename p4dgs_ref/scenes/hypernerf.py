@@ -111,8 +111,9 @@ def choose_pictures(folder, downscale):
 
     Smaller pictures are taken where the folder has them; pixels are averaged for the rest.
     """
-    names = [path.name[:-1] for path in folder.glob("rgb/[1-9]*x")]
-    ratios = [int(name) for name in names if name.isdecimal()]
+    ratios = [
+        int(path.name[:-1]) for path in folder.glob("rgb/[1-9]*x") if path.name[:-1].isdecimal()
+    ]
     require(ratios, folder / "rgb", "no pictures; expected a folder 1x, 2x or the like")
     wanted = min(ratios) * downscale
     ratio = max(ratio for ratio in ratios if wanted % ratio == 0)
@@ -179,6 +180,10 @@ def straighten(image, lens, stride):
     y_d = y * radial + (2 * p[1] * x * y + p[0] * (r2 + 2 * y * y))
     distorted = np.stack([x_d, y_d], axis=-1) * lens.focal + lens.principal_point
     u, v = np.moveaxis(distorted / stride - 0.5, -1, 0)
-    channels = np.moveaxis(image, -1, 0)
-    moved = [map_coordinates(channel, (v, u), order=1, mode="nearest") for channel in channels]
-    return np.stack(moved, axis=-1)
+    return np.stack(
+        [
+            map_coordinates(channel, (v, u), order=1, mode="nearest")
+            for channel in np.moveaxis(image, -1, 0)
+        ],
+        axis=-1,
+    )

@@ -1,12 +1,14 @@
 """Files and folders that are never half-written.
 
-Everything is written into a hidden folder `.part-...` beside its place and then renamed. A rename
-replaces a file in one step, so a reader sees the old file or the whole new one. Only the hidden
-folder of a process that was killed stays.
+Everything is written into a hidden folder `.p4dgs-part-...` beside its place and then renamed. A
+rename replaces a file in one step, so a reader sees the old file or the whole new one. The hidden
+folder of a process that was killed stays until something else is written beside it.
 """
 
+import errno
 import os
 import shutil
+import time
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,7 +20,8 @@ try:
 except ImportError:  # Windows: nothing is locked there
     fcntl = None
 
-PART = ".part-"
+PART = ".p4dgs-part-"
+LOCKING = 5.0  # seconds within which a process has locked the hidden folder that it has made
 
 
 class OutputError(ValueError):
@@ -26,23 +29,26 @@ class OutputError(ValueError):
 
 
 @contextmanager
-def locked(folder):
+def locked(folder, wait=False):
     """Hold the lock of a folder, which the system releases when the process ends.
 
-    Raises OutputError where another process holds it. Not every file system has such locks.
+    Where another process holds it, waits or raises OutputError. Yields whether there is a lock,
+    because not every file system has them.
     """
     with ExitStack() as stack:
-        if fcntl is not None:
+        has_locks = fcntl is not None
+        if has_locks:
             handle = os.open(folder, os.O_RDONLY)
             stack.callback(os.close, handle)
-            with suppress(OSError):  # a file system without locks
-                try:
-                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    raise OutputError(
-                        f"{folder}: another process is writing to it; expected a folder of its own"
-                    ) from None
-        yield
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise OutputError(
+                    f"{folder}: another process is writing to it; expected a folder of its own"
+                ) from None
+            except OSError:
+                has_locks = False
+        yield has_locks
 
 
 def destination(path):
@@ -56,11 +62,40 @@ def destination(path):
 
 @contextmanager
 def new_part(folder):
-    """Yield a hidden folder inside of `folder`, which is removed at the end."""
+    """Yield a hidden folder inside of `folder`, which is locked, and removed at the end.
+
+    Where the disk is full, the error names the file in `folder` that was written last.
+    """
     with ExitStack() as stack:
         with deferred():  # a signal between its making and its `with` would leave it behind
-            part = stack.enter_context(TemporaryDirectory(prefix=PART, dir=folder))
-        yield Path(part)
+            part = Path(stack.enter_context(TemporaryDirectory(prefix=PART, dir=folder)))
+            stack.enter_context(locked(part, wait=True))
+        try:
+            yield part
+        except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+                name = error.filename2 or error.filename or [part, *files_in(part)][-1]
+                error.filename = os.path.join(
+                    *(place for place in Path(name).parts if not place.startswith(PART))
+                )
+            raise
+
+
+def files_in(folder):
+    """All files below a folder in the order in which they were written; at one time, by size."""
+    files = filter(Path.is_file, folder.rglob("*"))
+    return sorted(files, key=lambda file: (file.stat().st_mtime_ns, file.stat().st_size))
+
+
+def sweep(folder):
+    """Remove the hidden folders in `folder` whose processes were killed.
+
+    A process that lives holds the lock of its folder, or has made it LOCKING seconds ago at most.
+    """
+    for part in folder.glob(f"{PART}*"):
+        with suppress(OSError, OutputError), locked(part) as is_ours:
+            if is_ours and time.time() - part.stat().st_mtime > LOCKING:
+                shutil.rmtree(part)
 
 
 @contextmanager
@@ -74,6 +109,7 @@ def replaced(path):
 
 def write_atomically(path, write):
     """Call `write(file)` on a new file, then put it in the place of `path`."""
+    sweep(destination(path).parent)
     with replaced(path) as beside, open(beside, "wb") as file:
         write(file)
         file.flush()
@@ -112,13 +148,14 @@ def filled(path, reads=None):
     After an error nothing is moved. None of them may take the place of the file `reads`.
     """
     with made(path) as folder, new_part(folder) as part:
+        sweep(folder)
         yield part
-        files = [file for file in part.rglob("*") if file.is_file()]
+        files = files_in(part)
         for file in files:
             with new_file(folder / file.relative_to(part), reads):
                 pass
         with deferred():  # all files move, or none
-            for file in sorted(files, key=lambda file: file.stat().st_mtime_ns):  # oldest first
+            for file in files:
                 with replaced(folder / file.relative_to(part)) as beside:
                     shutil.move(file, beside)
 

@@ -143,10 +143,15 @@ class Scene:
         held_back = list_of(list(test), f"{name}: test", index)
         listed = model_effects(effects, f"{name}: effects")
         color = background_color(background, listed, name)
-        views = []
-        for i, (image, camera, time) in enumerate(zip(images, cameras, moments)):
-            pixels, alpha = over_background(as_float(image, f"{name}: images[{i}]"), color)
-            views.append(View(f"images[{i}]", pixels, alpha, camera, time))
+        views = [
+            View(
+                f"images[{i}]",
+                *over_background(as_float(image, f"{name}: images[{i}]"), color),
+                camera,
+                time,
+            )
+            for i, (image, camera, time) in enumerate(zip(images, cameras, moments))
+        ]
         return cls(
             name,
             train=tuple(view for i, view in enumerate(views) if i not in held_back),

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import resource
 import shutil
 from pathlib import Path
 
@@ -11,8 +12,13 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
+from p4dgs_ref.cli import parser as cli
+from p4dgs_ref.report import figures
+from p4dgs_ref.scenes.output import PART
 from p4dgs_ref.training.fit import fit, load_checkpoint
 from tests.sampling import few
+
+from .conftest import tree
 
 ROOT = Path(p4.__file__).resolve().parents[1]
 
@@ -287,14 +293,21 @@ LINES = [
             ("decode", " -o new"),
             ("render", " -o new"),
             ("evaluate", " scene -o new"),
+            ("export-ply", ""),
         )
         for file, words in (
+            ("/dev/zero", ("a folder, pipe or device",)),
             ("text", ("not a P-4DGS file",)),
             ("nowhere.p4dgs", ("No such file",)),
-            ("scene", ("Is a directory",)),
+            ("scene", ("a folder, pipe or device",)),
             ("cut.p4dgs", ("container", "length")),
         )
     ),
+    ("encode /dev/zero -o x", ("/dev/zero/checkpoint.npz", "Not a directory")),
+    ("simulate /dev/zero -o out", ("/dev/zero", "a device")),
+    ("train scene -o out --points /dev/zero", ("/dev/zero", ".npy, .ply or .txt")),
+    ("oracle check /dev/zero", ("/dev/zero: expected a folder",)),
+    ("grade /dev/zero", ("/dev/zero: expected a classroom",)),
     ("decode good.p4dgs -o text", ("text", "folder that can be written")),
     ("inspect good.p4dgs -o text/new", ("text/new", "folder that can be written")),
     ("evaluate good.p4dgs nowhere", ("nowhere", "packaged")),
@@ -328,6 +341,7 @@ LINES = [
     ("sweep bouncing --lambda-rate , -o out", ("--lambda-rate", "''")),
     ("sweep bouncing --collect -o out", ("out", "empty sweep")),
     ("sweep bouncing --point 4/3 -o out", ("--point 4/3", "1 to 15")),
+    ("sweep bouncing --point 0/15 -o out", ("--point 0/15", "1 to 15")),
     ("sweep bouncing --lambda-rate 1,-2 -o out", ("--lambda-rate", "'-2'")),
     ("sweep bouncing --lambda-rate 1,x -o out", ("--lambda-rate", "'x'")),
     ("sweep bouncing --point 1 -o out", ("--point", "fraction", "'1'")),
@@ -336,6 +350,8 @@ LINES = [
     ("compare nowhere -o out", ("nowhere", "packaged")),
     ("compare --iterations 0 -o out", ("--iterations", "'0'")),
     ("compare --seeds 0 -o out", ("--seeds", "'0'")),
+    (f"compare --iterations {'9' * 20} -o out", ("--iterations", "9'")),
+    (f"ablate bouncing --iterations {'9' * 5000} -o out", ("--iterations", "9'")),
     ("compare bouncing -o text", ("text", "folder that can be written")),
 ]
 
@@ -347,8 +363,7 @@ def test_mistakes_on_the_command_line(original, refused, monkeypatch, line, word
 
 
 def test_no_test_views():
-    view = p4.load_scene("bouncing", downscale=8).train[0]
-    scene = p4.Scene("only", (view,))
+    scene = p4.Scene("only", p4.load_scene("bouncing", downscale=8).train[:1])
     with pytest.raises(ValueError, match="only: split 'test'.*no views"):
         p4.evaluate(None, scene)
 
@@ -373,6 +388,12 @@ def test_learning_rate_that_explodes(place, run):
     found = failed("demo scene -o new --set lr_c=1e39,1e39")
     assert found.startswith("0: after Adam's step, parameter psi_c.W0[")
     assert sorted(place.rglob("*")) == before
+
+
+def test_a_training_that_goes_on_is_not_told_of_effects(place, capsys):
+    for line, count in (("-o new", 1), ("-o run --resume", 0)):
+        assert cli.run(["train", "scene", *line.split(), "--preset", "smoke", "--quiet"], 0.0) == 0
+        assert capsys.readouterr().err.count("no scene.json lists effects") == count
 
 
 def test_out_of_memory(place, run, monkeypatch):
@@ -404,7 +425,6 @@ def link_to_a_pipe(path):
 
 ODD = {
     "pipe": os.mkfifo,
-    "device": lambda path: os.mknod(path, 0o20600, os.makedev(1, 3)),  # ours, like /dev/null
     "folder": os.mkdir,
     "link": link_to_a_pipe,
 }
@@ -422,11 +442,8 @@ WRITING = {
 def test_outputs_that_are_no_files(place, run, kind):
     """Something else in the place of a file that would be written stays as it is."""
     shutil.copytree(place / "run", place / kind)
-    try:
-        for name in WRITING.values():
-            ODD[kind](place / kind / name)
-    except PermissionError:
-        pytest.skip("only root may make a device node")
+    for name in WRITING.values():
+        ODD[kind](place / kind / name)
 
     def nodes():
         found = {path: os.lstat(path) for path in place.rglob("*")}
@@ -438,6 +455,36 @@ def test_outputs_that_are_no_files(place, run, kind):
         assert code == 2 and err.count("\n") == 1, err
         assert f"{kind}/{name}: expected a regular file or nothing, found" in err
     assert nodes() == before
+
+
+# The file at which a disk is full that takes no file of more than a thousand bytes.
+FULL = {
+    "demo scene -o out --preset smoke --quiet": "out/scene.p4dgs",
+    "train scene -o out --preset smoke --quiet": "out/checkpoint.npz",
+    "encode run -o out/x": "out/x",
+    "decode good.p4dgs -o out": "out/model.npz",
+    "render good.p4dgs -o out --frames 1 --size 200": "out/t_000.png",
+    "evaluate good.p4dgs scene -o out": "out/comparison.png",
+    f"simulate {ROOT}/tiny_scenes/static/scene.json -o out": "out/scene.json",
+    "inspect good.p4dgs -o out": "out/size.png",
+    "export-ply good.p4dgs -o out/x.ply": "out/x.ply",
+    "compare scene --quick --iterations 4 --jobs 1 -o out": "out/scene_p4dgs_seed0.p4dgs",
+}
+
+
+@pytest.mark.parametrize("line", FULL)
+def test_a_full_disk_names_the_file(original, run, monkeypatch, line):
+    monkeypatch.chdir(original)
+    figures.pyplot()  # keeps a list of fonts, which is longer
+    before, (_, most) = tree(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, most))
+    try:
+        code, out, err = run(line)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+    assert (code, out) == (2, "") and err.startswith("p4dgs-ref: ")
+    assert err.endswith(f"{FULL[line]}: File too large\n") and PART not in err
+    assert tree() == before
 
 
 def test_names_reach_the_terminal_without_their_control_characters(place, run):

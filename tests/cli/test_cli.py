@@ -75,18 +75,12 @@ def test_demo(report):
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics == json.loads(out)
     assert (metrics["scene"], metrics["preset"], metrics["seed"]) == ("bouncing", "smoke", 3)
-    assert metrics["changes"] == {"Q_f": 0.5}
-    paper = {key: metrics[key] for key in ("bytes", "psnr_db", "ssim")}
-    assert metrics["paper_design"] == paper  # the preset itself is the paper's design
-    assert (folder / "bouncing.p4dgs").stat().st_size == metrics["bytes"]
-    assert metrics["bytes"] == sum(metrics["components"].values())
     spent = [metrics[key] for key in ("train_seconds", "encode_seconds", "decode_seconds")]
     assert 0 < min(spent) and sum(spent) < metrics["seconds"]
     assert 5 < metrics["psnr_fg_db"] < metrics["psnr_db"] < 30 and 0 < metrics["ssim"] < 1
     *lines, warning = err.splitlines()  # without a terminal about a dozen lines, not 45
     assert 10 <= len(lines) <= 16 and "useless" in warning  # after 45 steps
-    words = "45/45,stage 4,loss,PSNR,bits/parameter,anchors,Gaussians,ms/step,s left".split(",")
-    assert [word for word in words if word not in lines[-1]] == []
+    assert lines[-1].startswith("45/45  ") and lines[-1].endswith(" ms/step")
 
 
 @pytest.mark.slow
@@ -105,7 +99,6 @@ def test_inspect_and_evaluate_agree_with_the_demo(report, ok):
     file, metrics = report[0] / "bouncing.p4dgs", json.loads(report[1])
     listed = ok(f"inspect {file} --json")
     assert sum(row["bytes"] for row in listed["sections"]) == listed["bytes"] == metrics["bytes"]
-    assert all(row["name"] and row["bytes"] >= 0 for row in listed["sections"])
     scored = ok(f"evaluate {file} bouncing --downscale 2 --json")
     same = "psnr_db psnr_fg_db ssim bytes explicit_bytes ratio components anchors gaussians".split()
     assert {key: scored[key] for key in same} == {key: metrics[key] for key in same}
@@ -181,7 +174,7 @@ def test_train_on_the_layout_of_nerf_ds(ok):
         assert np.ptp(file["p/x_a"][:, 0]) == pytest.approx(2 * scale, abs=0.05)
 
 
-def test_simulate(ok):
+def test_simulate(ok, refused):
     description = json.loads((ROOT / "tiny_scenes/static/scene.json").read_text())
     description["resolution"] = [8, 8]
     description["lens"] = {key: value / 8 for key, value in description["lens"].items()}
@@ -189,6 +182,7 @@ def test_simulate(ok):
     Path("scene.json").write_text(json.dumps(description))
     assert ok("simulate scene.json -o drawn").startswith("drawn: drawn in ")
     assert len(p4.load_scene("drawn").train) == 2
+    refused("simulate drawn/scene.json -o drawn", ("drawn/scene.json", "the input"))
 
 
 def test_tables(ok):
@@ -271,13 +265,39 @@ def test_a_terminal_shows_progress_until_something_else_is_printed(monkeypatch, 
     assert capsys.readouterr() == ("done\n", "")
 
 
-def test_long_trainings_need_a_yes(run, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    options = "--preset smoke --downscale 8 --set stage_ends=9,9,9,90000000 --set anchors=2"
-    code, _, err = run(f"train bouncing -o run {options}")
-    first, second = err.splitlines()
-    assert code == 2 and "minutes for 90000000 iterations" in first and "--yes" in second
+@pytest.mark.slow
+def test_a_pipe_is_not_waited_for(tmp_path):
+    (tmp_path / "answers").mkdir()
+    os.mkfifo(tmp_path / "answers/likelihood.safetensors")
+    process = start("oracle", "check", "answers", "--only", "likelihood", cwd=tmp_path)
+    assert process.wait(timeout=60) == 1
+
+
+LONG = "--preset smoke --downscale 8 --set stage_ends=9,9,9,90000000 --set anchors=2"
+WHOLE = "--seeds 3 --iterations 90000000"
+ESTIMATED = {  # millions of iterations, and what is said when the training is stopped
+    f"train bouncing -o run {LONG}": (90, "stopped\n"),
+    f"demo bouncing -o run {LONG} --set coded=true --jobs 1": (180, "from which --resume goes on"),
+    f"compare scene -o run {WHOLE} --method hexplane": (6 * 90, "nothing is kept"),
+    f"sweep scene -o run {WHOLE} --lambda-rate 0,1": (6 * 90, "points that are done are kept"),
+    f"sweep scene -o run {WHOLE} --lambda-rate 0,1 --point 2/6": (90, "are kept"),
+    f"ablate scene -o run {WHOLE} --jobs 9": (24 * 90, "nothing is kept"),
+}
+
+
+@pytest.mark.parametrize("line", ESTIMATED)
+def test_long_trainings_need_a_yes(place, run, monkeypatch, line):
+    def stop(*arguments, **named):
+        raise KeyboardInterrupt
+
+    for name in ("report.jobs.fit", "cli.job.fit", "lab.tables.methods.in_processes"):
+        monkeypatch.setattr(f"p4dgs_ref.{name}", stop)
+    code, _, err = run(line)
+    (millions, words), (first, second) = ESTIMATED[line], err.splitlines()
+    assert code == 2 and f"minutes for {millions}000000 iterations" in first and "--yes" in second
     assert not Path("run").exists()
+    code, _, err = run(f"{line} --yes")
+    assert code == 130 and words in err and not Path("run").exists()
 
 
 def test_python_face_has_every_name():
@@ -306,23 +326,17 @@ def test_compare_quick_has_one_row_a_method(place, run):
     assert (code, err) == (0, "")
     result = json.loads((place / "out/compare.json").read_text())
     assert json.loads(out) == result
-    rows = result["methods"]
-    assert [row["method"] for row in rows] == ["p4dgs", *METHODS]
-    assert {(row["scene"], row["seed"]) for row in rows} == {("scene", 0)}
-    for row in rows:
-        ending = "p4dgs" if row["method"] == "p4dgs" else "ply"
-        file = place / "out" / f"scene_{row['method']}_seed0.{ending}"
-        assert file.stat().st_size == row["bytes"]
+    assert [row["method"] for row in result["methods"]] == ["p4dgs", *METHODS]
+    assert {(row["scene"], row["seed"]) for row in result["methods"]} == {("scene", 0)}
 
 
 def test_sweep_point_by_point(place, run, refused):
     sweep, folder = "sweep scene --seeds 1 --lambda-rate 0,0.5 --iterations 4", "report/sweep"
     assert run(f"{sweep} --point 2/2")[0] == 0
     assert not (place / folder / "sweep.csv").exists()
-    assert run(f"{sweep} --collect")[0] == 0
+    arrived = json.loads(run(f"{sweep} --collect --json")[1])
+    assert (arrived["points"], arrived["missing"], arrived["baselines"]) == (1, 1, {})
     assert len((place / folder / "sweep.csv").read_text().splitlines()) == 2
-    refused(f"{sweep} --point 3/3", ("--point 3/3", "1 to 2"))
-    refused(f"{sweep} --point 0/2", ("--point 0/2", "1 to 2"))
     code, out, err = run(f"{sweep} --json --jobs 1")
     assert (code, err) == (0, "") and json.loads(out)["missing"] == 0
     assert len((place / folder / "sweep.csv").read_text().splitlines()) == 3

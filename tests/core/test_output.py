@@ -2,8 +2,6 @@
 
 import os
 import signal
-import socket
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -22,13 +20,6 @@ from p4dgs_ref.scenes.output import (
 SCENE = p4.load_scene("bouncing", downscale=16)
 
 
-def unix_socket(path):
-    here = os.open(path.parent, os.O_RDONLY)  # the name of a socket has at most 108 bytes
-    with socket.socket(socket.AF_UNIX) as server:
-        server.bind(f"/proc/self/fd/{here}/{path.name}" if sys.platform == "linux" else str(path))
-    os.close(here)
-
-
 def device(path):
     try:
         os.mknod(path, 0o20600, os.makedev(1, 3))  # a node of our own, like /dev/null
@@ -38,7 +29,6 @@ def device(path):
 
 KINDS = {
     "pipe": os.mkfifo,
-    "socket": unix_socket,
     "device": device,
     "folder": os.mkdir,
     "link to itself": lambda path: path.symlink_to(path.name),
@@ -154,14 +144,34 @@ def refuse_locks(*arguments):
     raise OSError(95, "Operation not supported")
 
 
+def hidden(folder, *names):
+    """Hidden folders, all but `new` made long ago."""
+    parts = [folder / f"{output.PART}{name}" for name in names]
+    for part in parts:
+        (part / "deep").mkdir(parents=True)
+        os.utime(part, None if part.name.endswith("new") else (0, 0))
+    return parts
+
+
+@pytest.mark.parametrize("write", [write_file, write_folder])
+def test_hidden_folders_of_killed_processes_are_removed(tmp_path, write):
+    killed, new = hidden(tmp_path, "killed", "new")
+    with output.new_part(tmp_path) as alive:
+        os.utime(alive, (0, 0))
+        write(tmp_path / "x")
+        assert not killed.exists() and alive.exists() and new.exists()
+
+
 @pytest.mark.parametrize("without", ["fcntl", "locks"])
 def test_without_locks_everything_is_written(tmp_path, monkeypatch, without):
+    hidden(tmp_path, "perhaps alive")
     if without == "fcntl":
         monkeypatch.setattr(output, "fcntl", None)
     else:
         monkeypatch.setattr(output.fcntl, "flock", refuse_locks)
     p4.train(SCENE, "smoke", folder=tmp_path, stage_ends=(1, 1, 1, 1))
-    assert [path.name for path in tmp_path.iterdir()] == ["checkpoint.npz"]
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == [f"{output.PART}perhaps alive", "checkpoint.npz"]
 
 
 def test_two_trainings_in_one_folder(tmp_path):

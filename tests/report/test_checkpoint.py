@@ -337,23 +337,6 @@ def test_training_in_a_thread(scene):
     assert len(done) == 1
 
 
-def test_ctrl_c_in_the_demo_leaves_nothing(tmp_path, monkeypatch, capsys):
-    call_at(monkeypatch, Adam, "step", 3, half_step)
-    argv = [
-        "demo",
-        "bouncing",
-        "--downscale",
-        "8",
-        "--preset",
-        "smoke",
-        "--quiet",
-        "-o",
-        str(tmp_path / "new" / "out"),
-    ]
-    assert cli.run(argv, time.perf_counter()) == 130
-    assert capsys.readouterr().err == "p4dgs-ref: stopped\n" and not list(tmp_path.iterdir())
-
-
 OPTIONS = (
     "--preset smoke --seed 2 --downscale 4 --set grow=reseed --set stage_ends=40,60,120,240 "
     "--save-every 0"

@@ -78,16 +78,11 @@ def plan(scene, folder, seeds=3, iterations=None):
     ]
 
 
-def ablate(scene, folder, seeds=3, iterations=None, progress=lambda line: None, jobs=1):
-    """Make all steps and parts left out; files and ablate.csv go into a folder. Returns their rows.
-
-    Raises SceneError for a scene without test views.
-    """
-    tasks = plan(scene, folder, seeds, iterations)
-    methods.make_missing(tasks, progress, jobs)
+def collect(tasks, folder):
+    """Write ablate.csv into a folder; returns the rows of all steps and parts left out."""
     rows = methods.made(tasks)
     write_csv(folder / "ablate.csv", rows)
-    return {"scene": scene.name, "rows": rows, "steps": summaries(rows)}
+    return {"scene": tasks[0].scene.name, "rows": rows, "steps": summaries(rows)}
 
 
 def summaries(rows):

@@ -49,27 +49,33 @@ def dynamic_scenes():
     return [name for name in packaged_scenes() if moves(load_scene(name).effects)]
 
 
-def compare(scenes, folder, names=(), seeds=3, iterations=None, progress=lambda line: None, jobs=1):
-    """Train methods on scenes and write files, compare.json, .csv and .png into a folder.
+def plan(scenes, folder, names=(), seeds=3, iterations=None):
+    """The Tasks of all scenes, seeds and methods.
 
     `names` are those of methods, nothing means all; ours is always one of them. Seeds are 0 to
-    seeds - 1, and all methods take the same iterations. Returns what compare.json holds. Raises
-    StudyError for an unknown method, and SceneError for a scene without test views.
+    seeds - 1, and all methods take the same iterations. Raises StudyError for an unknown method.
     """
-    chosen = methods.known([OURS, *names] if names else [])
-    groups = [
-        [Task(scene, name, seed, folder, iterations) for name in chosen]
+    return [
+        Task(scene, name, seed, folder, iterations)
         for scene in scenes
         for seed in range(seeds)
+        for name in methods.known([OURS, *names] if names else [])
     ]
-    methods.make_missing([task for tasks in groups for task in tasks], progress, jobs)
-    rows, shown = [], {}
-    for tasks in groups:
-        scene = tasks[0].scene
+
+
+def collect(tasks, folder, progress=lambda line: None):
+    """Time what the Tasks have made, and write compare.json, .csv and .png into a folder.
+
+    Returns what compare.json holds.
+    """
+    rows, shown, chosen = [], {}, [*dict.fromkeys(task.method for task in tasks)]
+    for start in range(0, len(tasks), len(chosen)):
+        own = tasks[start : start + len(chosen)]  # of one scene and seed
+        scene = own[0].scene
         progress(f"{scene.name}: times of rendering")
-        models = {task.method: methods.load(task.path) for task in tasks}
+        models = {task.method: methods.load(task.path) for task in own}
         speeds = rendering(scene.test, models)
-        rows += [{**row, **speeds[row["method"]]} for row in methods.made(tasks)]
+        rows += [{**row, **speeds[row["method"]]} for row in methods.made(own)]
         shown.setdefault(scene.name, (scene.test, models))
     result = {
         "methods": rows,

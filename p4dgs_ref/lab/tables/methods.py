@@ -2,7 +2,7 @@
 
 A study is a list of Tasks and what it says about their rows. A row begins with the fields method,
 scene, seed, psnr_db and bytes, and lies as JSON beside its file. A row that is there is not made
-again, so a killed study goes on, and the jobs of a cluster can fill one folder.
+again, so a killed sweep goes on, and the jobs of a cluster can fill one folder.
 """
 
 import json
@@ -18,9 +18,8 @@ from ...model import CONTEXT_NETWORKS, Anchors, Design, Model, bounding_box
 from ...report.evaluate import evaluate, json_safe
 from ...report.inspect import components, ledger
 from ...report.jobs import in_processes
-from ...scenes import Scene
+from ...scenes import Scene, output
 from ...scenes.files import read_json
-from ...scenes.output import write_atomically
 from ...scenes.scene import require
 from ...training.initial import design_of
 from ...training.parameters import Parameters
@@ -110,18 +109,30 @@ def preset_of(task):
     return replace(theirs, **{name: max(round(share * n), n > 0) for name, n in dates.items()})
 
 
+def trainer_of(task):
+    """The Trainer of a task before its first step."""
+    preset = preset_of(task)
+    if not task.own:
+        return baselines.module_of(task.method)[0].Trainer(task.scene, preset, task.seed)
+    design = design_of(preset, task.scene.effects)._replace(**task.design)
+    trainer = Trainer(task.scene, preset, task.seed, design=design)
+    for name in task.zeros:
+        trainer.parameters[name][...] = 0
+    return trainer
+
+
+def trainers(tasks):
+    """Pairs of a Trainer and the number of tasks that differ from its own in the seed alone."""
+    alike = {}
+    for task in tasks:
+        alike.setdefault(task._replace(seed=0).path, []).append(task)
+    return [(trainer_of(own[0]), len(own)) for own in alike.values()]
+
+
 def fit(task):
     """The trained model of a task."""
-    preset = preset_of(task)
-    if task.own:
-        design = design_of(preset, task.scene.effects)._replace(**task.design)
-        trainer = Trainer(task.scene, preset, task.seed, design=design)
-        for name in task.zeros:
-            trainer.parameters[name][...] = 0
-    else:
-        trainer = baselines.module_of(task.method)[0].Trainer(task.scene, preset, task.seed)
     with np.errstate(all="ignore"):  # the trainers look for non-finite values themselves
-        return trainer.run()
+        return trainer_of(task).run()
 
 
 def write(task, model):
@@ -131,7 +142,7 @@ def write(task, model):
     if task.plain is not None:
         return save_plain(model, task.path, task.plain)
     data = encode(model)
-    write_atomically(task.path, lambda file: file.write(data))
+    output.write_atomically(task.path, lambda file: file.write(data))
     return kinds(components(data))
 
 
@@ -161,8 +172,8 @@ def make(task):
     `train_seconds` are processor time.
     """
     model, (seconds, _) = clocked(fit, task)
-    task.path.parent.mkdir(parents=True, exist_ok=True)
-    sizes = write(task, model)
+    with output.made(task.folder):
+        sizes = write(task, model)
     metrics, _, _ = evaluate(load(task.path), task.scene)
     row = {
         "method": task.method,
@@ -182,15 +193,20 @@ def make(task):
         row["estimated_bytes"] = round(sum(part["estimate_bytes"] for part in sections.values()))
         row["anchor_bytes"] = sum(sections[name]["bytes"] for name in ATTRIBUTE_SECTIONS)
     text = json.dumps(json_safe(row), indent=1) + "\n"
-    write_atomically(task.record, lambda file: file.write(text.encode()))
+    output.write_atomically(task.record, lambda file: file.write(text.encode()))
     return row
 
 
-def make_missing(tasks, progress=lambda line: None, jobs=1):
-    """Make the rows that are not there. Raises SceneError where a scene has no test views."""
+def make_missing(tasks, progress=lambda line: None, jobs=1, agree=lambda trainers, jobs: None):
+    """Make the rows that are not there. Raises SceneError where a scene has no test views.
+
+    Before that, `agree` gets the `trainers` of these tasks and how many of them run at once; it
+    raises an error to stop.
+    """
     for task in tasks:
         require(task.scene.test, f"scene {task.scene.name}", "split 'test': no views to measure on")
     missing = [task for task in tasks if not task.record.exists()]
+    agree(trainers(missing), min(jobs, len(missing)))
     for done, _ in enumerate(in_processes(make, missing, jobs), 1):
         progress(f"{done} of {len(missing)} trainings")
 
@@ -220,7 +236,7 @@ def save_plain(model, path, half=()):
     ]
     design = str(model.design._asdict())
     record = np.array((*values.values(), design), [*types, ("design", f"S{len(design)}")])
-    write_atomically(path, lambda file: np.save(file, record))
+    output.write_atomically(path, lambda file: np.save(file, record))
     sizes = [sum(record[name].nbytes for name in part) for part in (gaussians, network)]
     other = path.stat().st_size - sum(sizes)
     return {"gaussians": sizes[0], "network": sizes[1], "other": other}

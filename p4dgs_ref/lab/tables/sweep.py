@@ -75,7 +75,8 @@ def collect(tasks, folder):
     rows = methods.made(tasks)
     ours = sorted((row for row in rows if row["method"] == OURS), key=rate_of)
     if not ours:
-        raise StudyError(f"{folder}: an empty sweep; expected at least one point with lambda_rate")
+        place = tasks[0].folder if tasks else folder
+        raise StudyError(f"{place}: an empty sweep; expected at least one point with lambda_rate")
     write_csv(folder / "sweep.csv", rows)
     curves = {
         name: means([row for row in rows if row["method"] == name], "lambda_rate")

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...splatting.camera import look_at
 from ..dnerf import OPENGL_TO_OPENCV
-from ..output import filled
+from ..output import filled, new_file
 from . import trace
 from .description import describe
 
@@ -31,21 +31,19 @@ def simulate(
 
     The same description gives the same pixels. `progress(done, total)` is called after every
     picture. Nothing reaches the folder before everything is drawn. Raises SceneError for a
-    description that cannot be drawn, OutputError for a folder that cannot be written to.
+    description that cannot be drawn, OutputError for a folder that cannot be written to or whose
+    scene.json is the one that is drawn.
     """
     description = describe(scene_json)
-    text = (
-        json.dumps(scene_json, indent=1) + "\n"
-        if isinstance(scene_json, dict)
-        else Path(scene_json).read_text(encoding="utf-8")
-    )
+    source = None if isinstance(scene_json, dict) else Path(scene_json)
+    text = source.read_text(encoding="utf-8") if source else json.dumps(scene_json, indent=1) + "\n"
     views = {split: place_cameras(description, split) for split in ("train", "test")}
     named = [
         (f"{split}/r_{i:03d}.png", *view)
         for split, posed in views.items()
         for i, view in enumerate(posed)
     ]
-    with filled(out_dir) as folder:
+    with new_file(Path(out_dir) / "scene.json", source), filled(out_dir) as folder:
         (folder / "scene.json").write_text(text, encoding="utf-8")
         for split, posed in views.items():
             (folder / split).mkdir()
@@ -81,7 +79,6 @@ def place_cameras(description, split):
 def camera_at(description, azimuth, elevation):
     """A camera on the sphere about the target that looks at the target, with z up."""
     paths, lens = description.cameras, description.lens
-    width, height = map(int, description.resolution)
     outward = np.array(
         [
             math.cos(elevation) * math.cos(azimuth),
@@ -94,8 +91,7 @@ def camera_at(description, azimuth, elevation):
         paths.target,
         lens.fl_x,
         lens.fl_y,
-        width,
-        height,
+        *map(int, description.resolution),
         lens.cx - 0.5,
         lens.cy - 0.5,
     )
@@ -119,10 +115,10 @@ def transforms(split, posed):
     frames = []
     for i, (camera, t) in enumerate(posed):
         c2w = np.eye(4)
-        c2w[:3, :3] = camera.R.T * OPENGL_TO_OPENCV
-        c2w[:3, 3] = camera.center
-        name = f"./{split}/r_{i:03d}"
-        frames.append({"file_path": name, "time": t, "transform_matrix": c2w.tolist()})
+        c2w[:3] = np.column_stack([camera.R.T * OPENGL_TO_OPENCV, camera.center])
+        frames.append(
+            {"file_path": f"./{split}/r_{i:03d}", "time": t, "transform_matrix": c2w.tolist()}
+        )
     return (
         json.dumps(head)[:-1]
         + ',\n "frames": [\n  '

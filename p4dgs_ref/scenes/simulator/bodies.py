@@ -61,9 +61,7 @@ def box_normal(shape, p):
     """The point is on the face whose coordinate is largest in units of the box."""
     q = (p - shape.center) / shape.half
     face = np.abs(q).argmax(axis=1)[:, None]
-    normal = np.zeros_like(q)
-    np.put_along_axis(normal, face, np.sign(np.take_along_axis(q, face, axis=1)), axis=1)
-    return normal
+    return np.where(np.arange(3) == face, np.sign(q), 0.0)
 
 
 def capsule_hit(shape, o, d):
@@ -149,6 +147,8 @@ def pulse(motion, t):
     return 1 + motion.amount * np.sin(wave(motion, t))
 
 
+# How a motion of an effect changes what those before it have made of a body.
+COMBINED = {"translation": np.add, "rotation": np.matmul, "scaling": np.multiply}
 # kind: the effect that a scene must list for the motion to happen, and its formula
 MOTIONS = {
     "line": ("translation", line),
@@ -185,19 +185,13 @@ def poses(bodies, effects, t, viewer):
     found = {}
     for body in bodies:
         base = found.get(body.parent, Pose(np.eye(3), np.zeros(3), 1.0))
-        R = base.R @ turn(body.turn.axis, body.turn.degrees)
-        offset, scale = body.position, 1.0
+        turned = base.R @ turn(body.turn.axis, body.turn.degrees)
+        moved = {"translation": body.position, "rotation": turned, "scaling": 1.0}
         for motion in body.motion:
             effect, formula = MOTIONS[motion.kind]
-            if effect not in effects:
-                continue
-            value = formula(motion, t)
-            if effect == "translation":
-                offset = offset + value
-            elif effect == "rotation":
-                R = R @ value
-            else:
-                scale *= value
+            if effect in effects:
+                moved[effect] = COMBINED[effect](moved[effect], formula(motion, t))
+        offset, R, scale = moved.values()
         T = base.T + base.R @ offset
         if body.faces_camera and "view_geometry" in effects:
             R = facing(T, viewer)

@@ -113,11 +113,9 @@ def describe(source):
 
     Raises SceneError with one line that names the file, the field and what was expected.
     """
-    data, where = source, "scene"
-    if not isinstance(source, dict):
-        data = read_json(Path(source), "a scene.json like that of tiny_scenes/bouncing")
-        where = str(source)
-    description = fields(data, where, SCENE)
+    is_read, expected = isinstance(source, dict), "a scene.json like that of tiny_scenes/bouncing"
+    where = "scene" if is_read else str(source)
+    description = fields(source if is_read else read_json(Path(source), expected), where, SCENE)
     require(description.bodies, f"{where}: bodies", "empty; expected at least one body")
     known = {None}
     for i, body in enumerate(description.bodies):

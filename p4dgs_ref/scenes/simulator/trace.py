@@ -51,8 +51,7 @@ def rays(camera):
     )
     x, y = (u + du - camera.c_x) / camera.f_x, (v + dv - camera.c_y) / camera.f_y
     d = np.stack([x, y, np.ones(u.shape)], axis=-1)
-    d = d.reshape(-1, 3) @ camera.R  # R maps world to camera; its transpose maps back
-    return unit(d)
+    return unit(d.reshape(-1, 3) @ camera.R)  # R maps world to camera; its transpose maps back
 
 
 def unit(v):
@@ -81,8 +80,9 @@ def shade(body, pose, x, viewer, light, effects):
     if not shiny and "diffuse" not in effects:
         return color
     normal = NORMALS[body.shape.kind](body.shape, local) @ pose.R.T
-    sunlit = light.kind == "sun"
-    to_light = unit(np.broadcast_to(-light.direction, x.shape) if sunlit else light.position - x)
+    to_light = unit(
+        np.broadcast_to(-light.direction, x.shape) if light.kind == "sun" else light.position - x
+    )
     facing = np.maximum(dot(normal, to_light), 0)[:, None]
     if "diffuse" in effects:
         color = diffuse(color, facing, light.ambient)

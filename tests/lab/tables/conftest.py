@@ -20,16 +20,20 @@ def scene():
 def compared(scene, tmp_path_factory):
     """The folder and the result of a comparison of two seeds."""
     folder = tmp_path_factory.mktemp("compare")
+    tasks = compare.plan([scene], folder, OTHERS, 2, 4)
+    methods.make_missing(tasks)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compare, "TURNS", 1)
-        return folder, compare.compare([scene], folder, OTHERS, 2, 4)
+        return folder, compare.collect(tasks, folder)
 
 
 @pytest.fixture(scope="session")
 def ablated(scene, tmp_path_factory):
     """The folder and the result of an ablation."""
     folder = tmp_path_factory.mktemp("ablate")
-    return folder, ablate.ablate(scene, folder, 1, 12)
+    tasks = ablate.plan(scene, folder, 1, 12)
+    methods.make_missing(tasks)
+    return folder, ablate.collect(tasks, folder)
 
 
 @pytest.fixture(scope="session")

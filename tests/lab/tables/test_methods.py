@@ -6,8 +6,8 @@ import pickle
 import pytest
 
 from p4dgs_ref.lab import baselines, writer
-from p4dgs_ref.lab.tables import ablate, compare, methods, sweep
-from p4dgs_ref.lab.tables.methods import OURS, StudyError, Task
+from p4dgs_ref.lab.tables import ablate, compare, methods
+from p4dgs_ref.lab.tables.methods import OURS, Task
 from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.report.inspect import ledger
 from p4dgs_ref.scenes import SceneError
@@ -120,14 +120,7 @@ def test_only_scenes_that_move_are_compared():
     assert not {"static", "orientation"} & names
 
 
-def test_mistakes_are_named(scene, tmp_path):
-    words = "method 'nerf': expected one of p4dgs, p4dgs_coded, d3dgs"
-    with pytest.raises(StudyError, match=words):
-        compare.compare([scene], tmp_path, ["nerf"])
-    with pytest.raises(StudyError, match="method 'nerf'"):
-        sweep.plan(scene, tmp_path, names=["nerf"])
-    empty = dataclasses.replace(scene, test=())
-    for study in (compare.compare, ablate.ablate):
-        with pytest.raises(SceneError, match="scene bouncing: split 'test': no views"):
-            study([empty] if study is compare.compare else empty, tmp_path)
+def test_a_scene_without_test_views_is_refused(scene, tmp_path):
+    with pytest.raises(SceneError, match="scene bouncing: split 'test': no views"):
+        methods.make_missing(ablate.plan(dataclasses.replace(scene, test=()), tmp_path))
     assert not list(tmp_path.iterdir())

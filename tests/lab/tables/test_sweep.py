@@ -9,7 +9,7 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.lab.tables import sweep as study
-from p4dgs_ref.lab.tables.methods import CODED, StudyError
+from p4dgs_ref.lab.tables.methods import CODED
 
 from .shared import SWEEP, table
 
@@ -74,19 +74,6 @@ def test_composition_sums_to_the_files(swept):
     assert "Table 4" in lines[-12] and lines[-4].split()[-2:] == ["47.6", "26.9"]
 
 
-def test_what_has_arrived_is_drawn(swept, tmp_path):
-    _, tasks, _ = swept
-    moved = [task._replace(folder=tmp_path / "points") for task in tasks]
-    (tmp_path / "points").mkdir()
-    for old, new in list(zip(tasks, moved))[1:3]:
-        new.path.write_bytes(old.path.read_bytes())
-        new.record.write_bytes(old.record.read_bytes())
-    result = study.collect(moved, tmp_path)
-    assert (result["points"], result["missing"]) == (2, 8)
-    assert [point["seeds"] for point in result["curve"]] == [1, 1]
-    assert not result["baselines"]
-
-
 def test_trainings_of_another_length_or_scene_are_other_points(swept, scene):
     folder, tasks, _ = swept
     longer = study.plan(scene, folder, **{**SWEEP, "iterations": 13})
@@ -95,10 +82,3 @@ def test_trainings_of_another_length_or_scene_are_other_points(swept, scene):
     assert not {task.path for task in other} & {task.path for task in tasks}
     more = study.plan(scene, folder, **{**SWEEP, "lambdas": (0.0, 1.0, 300.0), "seeds": 3})
     assert {task.path for task in tasks} < {task.path for task in more}
-
-
-def test_empty_sweeps(scene, tmp_path):
-    for lambdas in ((), study.LAMBDAS):
-        with pytest.raises(StudyError, match="an empty sweep; expected at least one point"):
-            study.collect(study.plan(scene, tmp_path, lambdas), tmp_path)
-    assert not list(tmp_path.iterdir())
