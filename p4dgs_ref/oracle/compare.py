@@ -302,7 +302,7 @@ def as_printed(case, got):
     for name in stored.keys() - tensors.keys():
         a, tensor = stored[name], name.removeprefix("range.")
         own, scale = np.asarray(mine.get(tensor)), "scale." + tensor
-        if own.shape == a.shape and own.dtype.kind in "fbiu":
+        if own.shape == a.shape and (own.dtype.name == precise or own.dtype.kind in "biu"):
             least = np.finfo(precise).eps * case.tensors.get(scale, 0)
             lost = a & ~(np.isfinite(own) & (np.abs(own) > least))
             mine[tensor] = np.where(lost, tensors[tensor].astype(own.dtype), own)
