@@ -166,13 +166,15 @@ def _scaled(answers):
 @np.errstate(all="ignore")
 def _times(factor, quantity, answers):
     """Return the mistake of multiplying an output or a gradient by a factor."""
-    role, name = quantity.split(".")
+    (role, name), first = quantity.split("."), answers[0][0]
     whose = "the output" if role == "out" else "the gradient of"
-    scaled = {}
-    for case, got, _ in answers:
-        floats = (n for n in got if n in case.tensors and case.tensors[n].dtype.kind == "f")
-        scaled[case.name] = {n: factor * case.tensors[n] for n in floats}
-    return Mistake("", case.subject, case.equation, f"{whose} {name} {FACTORS[factor]}", scaled)
+    scaled = {
+        case.name: {
+            n: factor * a for n, a in case.tensors.items() if n in got and a.dtype.kind == "f"
+        }
+        for case, got, _ in answers
+    }
+    return Mistake("", first.subject, first.equation, f"{whose} {name} {FACTORS[factor]}", scaled)
 
 
 def _agrees(mistake, case, got, wrong):

@@ -54,8 +54,12 @@ class FolderPort:
             arrays, file = self.loaded[case.subject] = self.load(case.subject)
             known = [row["name"] for row in subjects()[case.subject]["cases"]]
             for name in arrays:
-                own = name.partition("/")[0]
+                own, _, tensor = name.partition("/")
                 need(own in known, f"{file}: {name}: case {own!r}: {meant(own, known)}")
+                need(
+                    not tensor.startswith("scale."),
+                    f"{file}: {name}: expected a port's answers, got a scale of the vectors",
+                )
         arrays, file = self.loaded[case.subject]
         prefix = case.name + "/"
         found = {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}

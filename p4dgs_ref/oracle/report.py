@@ -43,11 +43,13 @@ def left_out(report):
 
 
 def unasked(report):
-    """Return a line about cases and tensors that are not judged in the port's precision."""
+    """Return a line about cases and tensors of which no bound tells wrong answers."""
     cases = sum(r.verdict == "unasked" for r in report.results)
     tensors = sum(len(r.unasked) for r in report.results if r.verdict != "unasked")
     also = f" and {tensors} tensors of other cases" if tensors else ""
-    return [f"{cases} cases{also} are not checked in this precision"] * bool(cases or tensors)
+    return [f"{cases} cases{also} are not judged here: a wrong answer would pass too"] * bool(
+        cases or tensors
+    )
 
 
 def acceptable(report):
@@ -103,12 +105,14 @@ def _others(results, known):
     for key in dict.fromkeys(r.subject for r in results):
         rows = [r for r in results if r.subject == key]
         names = [r.id.split("/")[1] for r in rows if r.verdict == "fail"]
-        more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-        said = [", ".join(names[:SHOWN]) + more] * bool(names)
-        said += [
-            f"{count} {verdict}"
-            for verdict, count in Counter(sorted(r.verdict for r in rows)).items()
-            if verdict != "fail"
+        shown = ", ".join(names[:SHOWN]) + f" and {len(names) - SHOWN} more" * (len(names) > SHOWN)
+        said = [
+            *[shown] * bool(names),
+            *(
+                f"{count} {verdict}"
+                for verdict, count in Counter(sorted(r.verdict for r in rows)).items()
+                if verdict != "fail"
+            ),
         ]
         lines.append(f"  {key}: {'; '.join(said)}")
         for (head, said), count in Counter(_reason(r) for r in rows if _reason(r)[1]).items():

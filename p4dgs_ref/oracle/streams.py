@@ -105,8 +105,8 @@ def judge(row, good, decode):
     elif refused is None:
         said = f"accepted a stream that must be refused: {row['says']}"
     blamed = BLAMED.get(findings[0].tensor, "codec") if findings else "codec"
-    wrong = bool(findings or said)
-    return Result(id, blamed, "L3", "fail" if wrong else "pass", True, tuple(findings), said)
+    verdict = "fail" if findings or said else "pass"
+    return Result(id, blamed, "L3", verdict, True, tuple(findings), said)
 
 
 def stored(row, entry):
@@ -140,18 +140,16 @@ def export(folder, version=VERSIONS[-1]):
         if version != VERSIONS[-1]:
             text = json.dumps(manifest, separators=(",", ":"))
             (beside / "manifest.json").write_text(text, encoding="utf-8")
-        copy_streams(beside)
-        write_expected(beside)
+        write_streams(beside)
     return sum(len(row["cases"]) for row in manifest["subjects"]) + len(manifest["streams"])
 
 
-def copy_streams(folder):
-    """Copy the conformance streams to `folder`/streams, where the manifest says they are."""
+def write_streams(folder):
+    """Copy the conformance streams to `folder`/streams, where the manifest says they are.
+
+    What is found in them goes into `folder`/codec, as a port would write it.
+    """
     shutil.copytree(published.FOLDER, Path(folder) / "streams", dirs_exist_ok=True)
-
-
-def write_expected(folder):
-    """Decode every stream and write what was found into `folder`/codec, as a port would."""
     place, refusals, rows = Path(folder) / "codec", {}, read_rows()
     place.mkdir(parents=True, exist_ok=True)
     for row in rows["good"] + rows["bad"]:

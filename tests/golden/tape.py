@@ -48,12 +48,11 @@ class Value:
 
     def __truediv__(self, other):
         a, b = self, self.of(other)
-        quotient = self.made(
+        return self.made(
             a.array / b.array,
             (a, lambda bar: bar / b.array),
-            (b, lambda bar: -bar * quotient.array / b.array),
+            (b, lambda bar: -bar * a.array / (b.array * b.array)),
         )
-        return quotient
 
     def __matmul__(self, other):
         a, b = self, self.of(other)
@@ -74,6 +73,14 @@ class Value:
         """Return the exponential."""
         power = self.made(np.exp(self.array), (self, lambda bar: bar * power.array))
         return power
+
+    def expm1(self):
+        """Return exp - 1, whose slope is the exponential."""
+        return self.made(np.expm1(self.array), (self, lambda bar: bar * np.exp(self.array)))
+
+    def log(self):
+        """Return the natural logarithm."""
+        return self.made(np.log(self.array), (self, lambda bar: bar / self.array))
 
     def tanh(self):
         """Return tanh, with the slope 1 - tanh**2."""

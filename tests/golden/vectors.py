@@ -22,7 +22,7 @@ from p4dgs_ref import __version__
 from p4dgs_ref.oracle import published, safetensors, streams, tolerance
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.oracle.published import FOLDER, flatten, read_manifest
-from p4dgs_ref.oracle.streams import copy_streams, write_expected
+from p4dgs_ref.oracle.streams import write_streams
 from p4dgs_ref.scenes.output import filled
 from tests.golden import independent, measured
 from tests.golden.cases import FLAGS
@@ -321,8 +321,7 @@ def regenerate(folder, progress):
         for name in WRITTEN:
             shutil.copyfile(FOLDER / name, place / name)
         write(place, progress)
-        copy_streams(place)
-        write_expected(place)
+        write_streams(place)
 
 
 def main():

@@ -33,12 +33,6 @@ def test_mutations_are_killed_or_equivalent():
     assert reasons == EQUIVALENT and all(EQUIVALENT.values())
 
 
-def test_the_survivors_are_described_as_the_code_is():
-    described = {mutation.id: mutation.description for mutation in mutations()}
-    for survivor in committed()["mutations"]["survivors"]:
-        assert described[survivor["id"]] == survivor["change"]
-
-
 def test_the_pages_say_what_the_file_says():
     top = kill_matrix.MATRIX.parents[2]
     reference = (top / "tutorials" / "reference.md").read_text(encoding="utf-8")
@@ -69,13 +63,6 @@ def test_everything_again(judge):
 
 
 # --- the judge ----------------------------------------------------------------------------------
-@pytest.mark.slow
-def test_our_own_code_passes(judge):
-    with laboratory():
-        assert [case.id for case in judge.cases if judge.wrong(case)] == []
-    assert {case.level for case in judge.cases} >= {"L0", "L1", "L2", "L4"}
-
-
 def test_a_change_that_changes_nothing_is_not_killed(judge):
     places = {("p4dgs_ref.equations.offsets", None)}
     with laboratory(), nullcontext():

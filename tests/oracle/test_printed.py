@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.oracle import checker, doctor, published, report, safetensors
+from p4dgs_ref.oracle import checker, published, report, safetensors
 from p4dgs_ref.oracle import compare as scales
 from p4dgs_ref.oracle.compare import expected
 from tests.golden import printed
@@ -44,25 +44,24 @@ MISSED = {
 
 
 @pytest.mark.parametrize("key, dtype", few(CONCERNED, 12))
-def test_the_formulas_as_printed_are_acceptable_and_fail_strictly(key, dtype):
+def test_the_formulas_as_printed_are_acceptable_or_not_judged_and_fail_strictly(key, dtype):
     """SSIM and its loss are among them."""
     found, strictly = (judged(key, dtype, strict) for strict in (False, True))
     assert found.ok and found.first is None, str(found)
     acceptable = {r.id for r in found.results if r.verdict == "acceptable" and r.required}
-    assert acceptable == {r.id for r in strictly.results if r.wrong}
+    vague = {r.id for r, s in zip(found.results, strictly.results) if r.unasked != s.unasked}
+    assert acceptable | vague == {r.id for r in strictly.results if r.wrong}
     if dtype is np.float64:
-        assert {id for id in MISSED if id.startswith(f"{key}/")} <= acceptable
-    counts = found.levels().values()
-    assert sum(row["acceptable"] for row in counts) == len(acceptable) < len(found.results)
-    assert all(row["passed"] + row["acceptable"] == row["of"] for row in counts)
+        assert {id for id in MISSED if id.startswith(f"{key}/")} <= acceptable | vague
+    (row,) = found.levels().values()
+    assert row["of"] - row["passed"] == row["acceptable"] == len(acceptable) < row["of"]
     assert {r.recipe for r in found.results} <= {"", scales.RECIPES.get(key)}
 
 
 def test_the_report_says_so():
     found, strictly = (judged("deformed", np.float64, strict) for strict in (False, True))
     said = "right formula, fewer digits here; the recipe is: |r| by hypot"
-    for text in (str(found), str(strictly)):
-        assert said in text
+    assert said in str(found) and said in str(strictly)
     assert "acceptable: deformed/H-G5.nearly_w, " in str(found)
     assert "every required case passes or is acceptable" in str(found)
     rows = {row["id"]: row for row in report.as_json(found)["cases"]}
@@ -85,40 +84,31 @@ def test_the_command_has_an_option_that_is_strict(tmp_path, capsys):
 # --- wrong formulas -----------------------------------------------------------------------------
 
 
-KNOWN = [mistake for key in printed.FORMULAS for mistake in doctor.known(key)]
+RANGES = [
+    (id, precision, name.removeprefix("range."))
+    for (id, precision), tensors in scales.measured().items()
+    for name in tensors
+    if name.startswith("range.") and name != "range.out.visible"
+]
 
 
-@pytest.mark.parametrize("mistake", few(KNOWN, 10), ids=lambda mistake: mistake.id)
-def test_a_known_mistake_is_never_acceptable_alone(mistake):
-    """It fails some case that is not merely acceptable."""
-    verdicts = set()
-    for case in published.cases(mistake.subject):
-        got = expected(case.tensors) | mistake.answers.get(case.name, {})
-        verdicts.add(checker.judge_answer(case, got).verdict)
-    assert "fail" in verdicts
-
-
-@pytest.mark.parametrize("dtype", PRECISIONS)
-def test_beyond_the_range_only_lost_numbers_are_accepted(dtype):
+@pytest.mark.parametrize("id, precision, name", RANGES)
+def test_beyond_the_range_only_lost_numbers_are_accepted(id, precision, name):
     """A finite number is judged there too: only 0, infinities and NaN are what overflow leaves."""
-    seen = 0
-    for (id, precision), tensors in scales.measured().items():
-        ranges = [name for name in tensors if name.startswith("range.")]
-        if precision != np.dtype(dtype).name or not ranges:
-            continue
-        case = case_of(id)
-        right = {n: a.astype(dtype) for n, a in expected(case.tensors).items()}
-        for name in (name.removeprefix("range.") for name in ranges):
-            for change in (np.negative, lambda a: a * dtype(1.5)):
-                result = checker.judge_answer(case, {**right, name: change(right[name])})
-                assert result.verdict == "fail", (id, name)
-            for lost in (0, np.inf, np.nan):
-                gone = np.where(tensors[f"range.{name}"], dtype(lost), right[name])
-                result = checker.judge_answer(case, {**right, name: gone})
-                near_zero = lost == 0 and result.verdict == "pass"  # 0 may be within the bound
-                assert near_zero or result.verdict == "acceptable", (id, name, lost)
-            seen += 1
-    assert seen >= 6
+    case = case_of(id)
+    right = in_precision(expected(case.tensors), precision)
+    lost, a = scales.measured()[id, precision][f"range.{name}"], right[name]
+    finite = [np.where(a == 0, 1, factor * a).astype(precision) for factor in (-1, 0.5)]
+    # A float64 tensor among float32 ones has the range of float64.
+    mixed = np.full(a.shape, np.nan) if precision == "float32" else finite[0]
+    for wrong in (*finite, mixed, a.astype(str), a.astype(complex)):
+        result = checker.judge_answer(case, {**right, name: wrong})
+        assert result.verdict == "fail" or name in case.unasked(precision)
+    for value in (0, np.inf, np.nan):
+        gone = np.where(lost, value, a).astype(precision)
+        result = checker.judge_answer(case, {**right, name: gone})
+        near_zero = value == 0 and result.verdict == "pass"  # 0 may be within the bound
+        assert near_zero or result.verdict == "acceptable" or name in result.unasked
 
 
 @pytest.mark.parametrize("dtype", PRECISIONS)
@@ -150,13 +140,14 @@ def test_the_file_is_what_the_workshop_measures(key):
 
 def test_only_subjects_with_a_recipe_have_wider_scales():
     cases = {id for id, _ in scales.measured()}
-    assert {id.split("/")[0] for id in cases} <= set(scales.RECIPES) == set(printed.FORMULAS)
+    assert {id.split("/")[0] for id in cases} <= set(scales.RECIPES)
+    assert set(scales.RECIPES) == {*printed.FORMULAS, "projection"}
     for id, precision in scales.measured():
         case = case_of(id)
-        got = {n: a.astype(precision) for n, a in expected(case.tensors).items()}
-        for name, wide in scales.as_printed(case, got)[0].tensors.items():
+        wide = scales.as_printed(case, in_precision(expected(case.tensors), precision))[0].tensors
+        for name, S in case.tensors.items():
             if name.startswith("scale."):
-                assert wide.shape == case.tensors[name].shape and (wide >= case.tensors[name]).all()
+                assert wide[name].shape == S.shape and (wide[name] >= S).all()
 
 
 # --- tensors that are wrong, or not asked --------------------------------------------------------
@@ -174,28 +165,27 @@ NOT_ASKED = {
 }
 
 
-def perturbed(case, name):
+def perturbed(a, S):
     """Return a tensor off by 1e-3, zero and negated.
 
     What is all zero is changed by 1e-3 of its S, and by 1e-3 where S is 0.
     """
-    a = case.tensors[name]
     if a.dtype.kind == "b":
         return [~a]
     if a.dtype.kind != "f":
         return [a + 1, -a - 1]
     if a.any():
         return [1.001 * a, np.zeros_like(a), -a]
-    S = np.where(case.tensors["scale." + name] == 0, 1, case.tensors["scale." + name])
-    return [a + 1e-3 * S, a - 1e-3 * S]
+    return [sign * 1e-3 * np.where(S == 0, 1, S) for sign in (1, -1)]
 
 
 def judgements(case, dtype):
     """Yield (name, Result) of every wrong tensor alone, in turn."""
+    scale_of = {**case.tensors, **scales.measured().get((case.id, dtype), {})}
     for name, right in expected(case.tensors).items():
         if name not in case.unasked(dtype) and right.size:
             alone = {n: case.tensors[n] for n in (name, "scale." + name) if n in case.tensors}
-            for wrong in perturbed(case, name):
+            for wrong in perturbed(right, scale_of.get("scale." + name)):
                 got = in_precision({name: wrong}, dtype)
                 yield name, checker.judge_answer(case._replace(tensors=alone), got)
 
@@ -205,18 +195,16 @@ def judgements(case, dtype):
     few([(key, t) for key in published.subjects() for t in ("float64", "float32")], 10),
 )
 def test_no_wrong_tensor_passes(key, dtype):
-    """Nor is it acceptable, but where the printed formula has no more digits."""
-    results = []
-    for case in published.cases(key):
-        as_printed = scales.measured().get((case.id, dtype), {})
-        for name, result in judgements(case, dtype):
-            results.append(result)
-            if result.recipe:
-                assert f"scale.{name}" in as_printed, (case.id, name)
-            else:
-                assert result.verdict != "pass" and result.findings, (case.id, name)
-                assert result.wrong == result.required, (case.id, name)
-    assert results and sum(bool(r.recipe) for r in results) < 0.2 * len(results)
+    """Nor is it acceptable: where the printed formula is as far off, the tensor is not judged."""
+    results = [(case, *row) for case in published.cases(key) for row in judgements(case, dtype)]
+    for case, name, result in results:
+        assert not result.recipe and result.verdict != "pass", (case.id, name)
+        if result.unasked:
+            lost = {n.split(".", 1)[1] for n in scales.measured()[case.id, dtype]}
+            assert name in lost and not result.required, (case.id, name)
+        else:
+            assert result.findings and result.wrong == result.required, (case.id, name)
+    assert results and sum(bool(r.unasked) for *_, r in results) < 0.2 * len(results)
 
 
 @pytest.mark.parametrize("key", few(published.subjects(), 12))
@@ -227,27 +215,3 @@ def test_what_is_not_asked_in_float32(key):
             every = list(expected(case.tensors))
             listed = NOT_ASKED.get(case.id, [])
             assert case.unasked("float32") == (every if listed is None else listed), case.id
-
-
-def single(case, dtype):
-    """Right answers; what float32 cannot compute is nonsense."""
-    got = in_precision(expected(case.tensors), dtype)
-    return {n: a + np.inf if n in case.unasked("float32") else a for n, a in got.items()}
-
-
-def test_they_are_counted_apart():
-    port = Port(single, np.float32)
-    results = [
-        result
-        for key in ("projection", "likelihood")
-        for result in checker.check_subject(published.cases(key), port)
-    ]
-    found, verdicts = checker.Report(results), {r.id: r.verdict for r in results}
-    assert found.ok and verdicts["likelihood/H-R5.width1e+06"] == "unasked"
-    assert verdicts["projection/H-G3.1e4px"] == "pass"
-    count = sum(verdict == "unasked" for verdict in verdicts.values())
-    assert f"{count} cases and 8 tensors of other cases are not checked" in str(found)
-    assert found.levels()["L1"]["passed"] == len(results) - count
-    rows = {row["id"]: row for row in report.as_json(found)["cases"]}
-    assert rows["projection/H-G3.1e3px"]["unasked"] == ["out.conic", "in_bar.Sigma"]
-    assert not rows["likelihood/H-R5.width1e+06"]["required"]

@@ -104,36 +104,6 @@ def coefficient_major(sh):
     return np.swapaxes(sh.reshape(N, K, 3), 1, 2)
 
 
-def raised(by):
-    """The first coefficient that raises the colour by so much."""
-
-    def change(sh):
-        first = np.zeros_like(sh)
-        first[:, :, 0] = by * 2 * np.sqrt(np.pi)
-        return sh + first
-
-    return change
-
-
-def unclamped(shown):
-    """`run` with no clamp in backward; in forward neither where `shown`."""
-
-    def run(given, cotangents):
-        # What the clamp cuts off is the colour of the opposite coefficients.
-        opposite = {**given, "sh": raised(-1)(-given["sh"])}
-        out, in_bar = port("sh_color")(given, cotangents)
-        below, _ = port("sh_color")(opposite, cotangents)
-        bar = -cotangents["color_bar"] * (below["color"] > 0)
-        _, below_bar = port("sh_color")(opposite, {"color_bar": bar})
-        color = out["color"] - below["color"] if shown else out["color"]
-        return {"color": color}, {
-            "d": in_bar["d"] + below_bar["d"],
-            "sh": in_bar["sh"] - below_bar["sh"],
-        }
-
-    return run
-
-
 def unit_direction(given, cotangents):
     length = np.linalg.norm(given["d"], axis=1, keepdims=True)
     unit = given["d"] / length
@@ -149,17 +119,17 @@ SH_COLOR = [
         "1/2 is not added",
         {"raw = 0.5 + np.einsum": "raw = np.einsum"},
     ),
-    surgery(
+    edited(
         "sh_color",
         "sh-color-no-clamp",
         "the colour is not clamped at 0",
-        unclamped(shown=True),
+        {"np.maximum(raw, 0)": "raw", "color_bar * (raw >= 0)": "color_bar"},
     ),
-    surgery(
+    edited(
         "sh_color",
         "sh-color-clamp-gradient",
         "the gradient passes where the colour was clamped to 0",
-        unclamped(shown=False),
+        {"color_bar * (raw >= 0)": "color_bar"},
     ),
     known(
         "sh_color",
@@ -653,7 +623,9 @@ def schur(shape=1, velocity=1):
         if shape != 1:
             G = bars.pop("Sigma_t_bar")
             factor = var**-shape
-            changed["Sigma_t"] = Sigma[:, :3, :3] - factor[:, None, None] * outer(b, b)
+            changed["Sigma_t"] = (
+                Sigma[:, :3, :3] - factor[:, None, None] * b[:, :, None] * b[:, None]
+            )
             Sigma_bar[:, :3, :3] += G
             Sigma_bar[:, :3, 3] -= factor[:, None] * times(G + np.swapaxes(G, 1, 2), b)
             Sigma_bar[:, 3, 3] += shape * factor / var * (b * times(G, b)).sum(axis=1)
@@ -675,10 +647,6 @@ def schur(shape=1, velocity=1):
         }
 
     return run
-
-
-def outer(a, b):
-    return a[:, :, None] * b[:, None, :]
 
 
 def times(matrices, vectors):

@@ -53,7 +53,23 @@ def cube(given):
     return {**given, "hi": given["lo"] + (given["hi"] - given["lo"]).max()}
 
 
+def lower_cell(out, given):
+    """The last node as the upper end of the cell before it."""
+    res = given["res"]
+    last = (out["node"][:, :1] == res - 1) & (res > 1)
+    return {
+        "node": np.where(last, [res - 2, res - 1], out["node"]),
+        "weight": np.where(last, [0.0, 1.0], out["weight"]),
+    }
+
+
 HASH_GRID = [
+    known(
+        "grid_cell",
+        "grid-cell-last-node",
+        "the last node is (res - 2, weight 1), which is as right; the convention is (res - 1, 0)",
+        outputs=lower_cell,
+    ),
     known(
         "hash_grid",
         "hash-grid-planes",
@@ -280,7 +296,31 @@ def per_entry(given):
     return 1 / np.float64(sum(grid.size for grid in given["grids"]))
 
 
+def rounded_count(dtype, left):
+    """Signs as h + p - stop_gradient(p), which are summed in a precision."""
+    return edited(
+        "hash_rate",
+        f"hash-rate-rounded-count-{dtype}",
+        f"signs are h + p - stop_gradient(p), which leaves {left} of a count of 0: count p >= 0",
+        {
+            "int(np.count_nonzero(grid >= 0)) for grid in grids": (
+                "float(((np.where(p >= 0, p.dtype.type(1), -1) + p - p + 1) / 2).sum()) "
+                f"for p in (grid.astype(np.{dtype}) for grid in grids)"
+            ),
+            "entropy(n_pos, n - n_pos)": (
+                f"sum(-own * np.log2(np.{dtype}(own) / np.{dtype}(n)) "
+                "for own in (n_pos, n - n_pos) if own)"
+            ),
+            "np.asarray(n_pos), np.asarray(n - n_pos)": (
+                "np.asarray(round(n_pos)), np.asarray(n - round(n_pos))"
+            ),
+        },
+    )
+
+
 HASH_RATE = [
+    rounded_count("float64", "1e-17"),
+    rounded_count("float32", "1e-8"),
     edited(
         "hash_rate",
         "hash-rate-crossed",

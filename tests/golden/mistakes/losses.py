@@ -167,7 +167,7 @@ RENDER_LOSS = [
     edited(
         "render_loss",
         "render-loss-sign-of-zero",
-        "where image and truth are equal, L1 has slope 1 instead of 0",
+        "where image and truth are equal, L1 has slope 1, not the convention 0 of all kinks here",
         {
             "(np.sign(difference), lambda_ssim": (
                 "(np.where(difference >= 0, 1, -1).astype(image.dtype), lambda_ssim"
@@ -220,7 +220,7 @@ RENDER_LOSS = [
     edited(
         "render_loss",
         "render-loss-negative-sign-of-zero",
-        "where image and truth are equal, L1 has slope -1 instead of 0",
+        "where image and truth are equal, L1 has slope -1, not the convention 0 of all kinks here",
         {
             "(np.sign(difference), lambda_ssim": (
                 "(np.where(difference > 0, 1, -1).astype(image.dtype), lambda_ssim"

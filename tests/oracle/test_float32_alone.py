@@ -1,0 +1,108 @@
+"""A port that computes in float32 alone, as on a GPU: right, it fails nothing; wrong, it is found.
+
+The port is this project's own code, in float32 also where it asks for float64.
+"""
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.oracle import published
+from p4dgs_ref.oracle.checker import Report, check_subject
+from p4dgs_ref.oracle.compare import change_floats
+from p4dgs_ref.oracle.report import as_json
+from tests.golden.mistakes import MISTAKES
+from tests.golden.mistakes.__main__ import answers
+from tests.golden.subjects import subjects
+from tests.oracle.answers import Port
+from tests.sampling import few
+
+SUBJECTS = published.subjects()
+KEYS = [key for key, row in SUBJECTS.items() if row["level"] != "L3"]
+# Known mistakes that show elsewhere than in float32: one is that of such a port, and 0.2 is another
+# number there.
+NOT_FOUND = "rounding-float32", "projection-near-inclusive"
+FOUND = [m for m in MISTAKES if m.subject in KEYS and m.id not in NOT_FOUND]
+
+SOME = "projection", "likelihood"
+
+
+class Single(np.ndarray):
+    """An array of float32 numbers. What is computed from it is float32 too, whatever is asked."""
+
+    def __array_ufunc__(self, ufunc, method, *inputs, **keywords):
+        return single(getattr(ufunc, method)(*plain(inputs), **plain(keywords)))
+
+    def __array_function__(self, function, _, inputs, keywords):
+        return single(function(*plain(inputs), **plain(keywords)))
+
+    def astype(self, dtype, **_):
+        return single(np.asarray(self).astype(plain(dtype)))
+
+
+def plain(value):
+    """Return arrays as NumPy's own, and float32 for float64; an `out` keeps its memory."""
+    if isinstance(value, (list, tuple)):
+        return type(value)(map(plain, value))
+    if isinstance(value, dict):
+        return {name: plain(a) for name, a in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return np.asarray(value, np.float32 if value.dtype == np.float64 else None)
+    is_type = isinstance(value, (type, np.dtype)) and value in (float, np.float64)
+    return np.float32 if is_type else value
+
+
+def single(value):
+    """Return arrays, and those of a list or tuple, as Singles."""
+    if isinstance(value, (list, tuple)):
+        return type(value)(map(single, value))
+    value = plain(value)
+    return value.view(Single) if isinstance(value, np.ndarray) else value
+
+
+def alone(answer):
+    """The port whose answers are those of `answer(case)` in float32 alone.
+
+    What is not asked in float32 is nonsense.
+    """
+
+    def compute(case, _):
+        got = answer(case._replace(tensors=change_floats(case.tensors, single)))
+        unasked = case.unasked("float32")
+        return {n: np.full_like(a, np.nan) if n in unasked else a for n, a in got.items()}
+
+    return Port(compute, np.float32)
+
+
+def ours(case):
+    return subjects()[case.subject].answer(case.inputs(), case.cotangents())
+
+
+@pytest.mark.parametrize("key", few(KEYS, 12))
+def test_a_right_port_fails_nothing(key):
+    found = Report(check_subject(published.cases(key), alone(ours)))
+    assert not any(r.wrong for r in found.results), str(found)
+
+
+@pytest.mark.parametrize("mistake", few(FOUND, 12), ids=lambda mistake: mistake.id)
+def test_a_wrong_port_is_found(mistake):
+    port = alone(lambda case: answers(mistake, case))
+    assert any(r.wrong for r in check_subject(published.cases(mistake.subject), port))
+
+
+def test_what_is_not_judged_is_counted_apart():
+    """A needle and a Gaussian of 1e19 units are culled in float32. Strictly, they may not be."""
+    results, strictly = (
+        [r for key in SOME for r in check_subject(published.cases(key), alone(ours), strict=strict)]
+        for strict in (False, True)
+    )
+    lost = {r.id: r.unasked for r, s in zip(results, strictly) if r.unasked != s.unasked}
+    assert list(lost) == ["projection/H-G3.1e4px", "projection/H-G4.scale1e30"]
+    assert list(lost) == [r.id for r in strictly if r.wrong]
+    assert all({"out.visible", "out.cov2d"} < {*unasked} for unasked in lost.values())
+    found, cases = Report(results), sum(r.verdict == "unasked" for r in results)
+    tensors = sum(len(r.unasked) for r in results if r.verdict == "pass")
+    assert f"{cases} cases and {tensors} tensors of other cases are not judged here" in str(found)
+    assert found.levels()["L1"]["passed"] == len(results) - cases
+    rows = {row["id"]: row for row in as_json(found)["cases"]}
+    assert rows["projection/H-G3.1e3px"]["unasked"] == ["out.conic", "in_bar.Sigma"]
+    assert not rows["likelihood/H-R5.width1e+06"]["required"]
