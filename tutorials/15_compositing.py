@@ -312,7 +312,7 @@ by_gradient = sum(inner(ours[name], d[name]) for name in moved)
 assert abs(by_difference - by_gradient) < 1e-6 * abs(by_difference)
 
 # %% [markdown]
-# What do the pixels demand of a splat? The next picture shows two round splats, of which the
+# How does each pixel pull on a splat? The next picture shows two round splats, of which the
 # front one is in the wrong place, and the loss $\frac12\|C - C^*\|^2$ against the correct picture
 # $C^*$. A pixel pulls an opacity up where more of the splat is missing, and down where the splat
 # hides something that should be seen. The strength of this pull is $-T_i\,(c_i - B_i)\cdot g$. If

@@ -316,8 +316,8 @@ lessons.show(
 # %% [markdown]
 # Who writes the list? Either a person, or a program that looks at the pictures
 # (`p4dgs-ref effects SCENE --suggest`). Does anything move? The program trains twice for a short
-# while, once with the true times of the views and once with the same times dealt out to the views
-# at random. If nothing moves, a time says nothing about its picture, and both trainings predict
+# while, once with the true times of the views and once with the same times shuffled among the
+# views. If nothing moves, a time says nothing about its picture, and both trainings predict
 # views that they have not seen equally well. If something moves, the true times win. What the
 # pictures do not decide is listed: an unnecessary effect costs bytes, but a missing one makes the
 # pictures wrong.

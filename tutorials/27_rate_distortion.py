@@ -35,7 +35,7 @@ plt = lessons.begin("27_rate_distortion")
 # ## By hand
 # A number can be coded in three ways. A costs 6 bits and leaves an error of 0.01, B costs 3 bits
 # and leaves 0.05, and C costs 1 bit and leaves 0.3. With $\lambda = 0.005$ the cheapest way is A,
-# with 0.02 it is B, and with 0.2 it is C. Nobody has to know how many bits there are to spend.
+# with 0.02 it is B, and with 0.2 it is C. No bit budget is needed.
 
 # %%
 ways = {"A": (6, 0.01), "B": (3, 0.05), "C": (1, 0.3)}

@@ -99,8 +99,8 @@ assert int(position) == 2 and np.isclose(position - 2, 0.4)
 # ## In code
 # One ball bounces three times. Each of the three ways to move is fitted to it by the project's own
 # equations, their backward and its Adam. To see the motion alone, we do without pictures: the loss
-# says how far everything that is visible is from the ball, and whether as much is visible as should
-# be. At every time $t$, with positions $x_i$, weights $w_i$ and the ball at $x^*$, it is
+# says how far everything that is visible is from the ball, and whether the total weight is right.
+# At every time $t$, with positions $x_i$, weights $w_i$ and the ball at $x^*$, it is
 # $$L_t = \sum_i w_i\,|x_i - x^*|^2 + \Big(\sum_i w_i - w^*\Big)^2,
 #   \qquad w^* = 1 \text{ as long as the ball is there.}$$
 # The weight of a 4D Gaussian is that of G3. A network or planes have no weight, but can shrink a
@@ -327,8 +327,8 @@ rows[1, 2].legend(loc="upper right", fontsize=12)
 lessons.show(figure, "28_four_ways_to_move")
 
 # %% [markdown]
-# The network and the planes move *one* Gaussian along the whole path. That of the planes is bent in
-# places where the readings pass a node, such as $t = 2/7$ and $5/7$, and both round the bounces.
+# The network and the planes move *one* Gaussian along the whole path. The path of the planes bends
+# where the readings pass a node, such as $t = 2/7$ and $5/7$, and both round the bounces.
 # The eight 4D Gaussians are eight straight lines that fade into each other. About as much is seen
 # of them as of the ball, but the arcs have become polygons.
 #
@@ -515,8 +515,8 @@ lessons.show(figure, "28_four_ways_to_move_influence")
 #
 # **Fast or periodic motion.** A ball swings $k$ times up and down, $z = \frac12\sin 2\pi k t$. The
 # network sees the time through waves of up to $2^{L_t - 1} = 8$ radians for the whole recording,
-# 1.3 swings. Eight nodes have seven cells, less than two for a swing as soon as $k \ge 4$. Eight
-# straight lines are one for each half swing at $k = 4$.
+# 1.3 swings. Eight nodes have seven cells, less than two for a swing as soon as $k \ge 4$. Of the
+# eight straight lines, at $k = 4$ there is one segment per half swing.
 #
 # **What appears and vanishes.** A ball at rest is there from $t = 0.4$ to $0.6$ only. A 4D Gaussian
 # does this by itself. In the other methods the opacity knows no time, so that the Gaussian must

@@ -1,8 +1,8 @@
 """Which effects do the pictures call for? Judged by short trainings in pairs.
 
 What an effect looks at, the time of a view or the place of its camera, tells something about the
-picture only where the effect plays a part. Training begins with these values dealt out to the views
-at random. After half of the iterations it goes on twice, once with these and once with the true
+picture only where the effect plays a part. Training begins with these values shuffled among the
+views. After half of the iterations it goes on twice, once with these and once with the true
 values. Both see the views in the same order, so without the effect neither has an advantage. They
 are compared on views that neither has seen. Occlusion is trained with and without it.
 

@@ -184,7 +184,7 @@ def explained(result, diagnoses):
 
 
 def _shared(results):
-    """Give wrong answers of which nothing is known the explanation of their equation.
+    """Reuse an equation's explanation for failures without a diagnosis.
 
     It comes from the cases of another subject; where the doctor was silent about a case of the same
     subject, that case contradicts it.
