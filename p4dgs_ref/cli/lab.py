@@ -132,8 +132,8 @@ def classroom(arguments):
     done = school.classroom(arguments.folder, arguments.only)
     kept = f"; kept as they were: {', '.join(done['kept'])}" if done["kept"] else ""
     tell(
-        f"{done['output']}: {done['functions']} functions of {len(done['equations'])} equations "
-        f"to write in student/; the key is in key/; README.md and key/README.md explain{kept}"
+        f"{done['output']}: {done['functions']} functions of {len(done['equations'])} equations to "
+        f"write; hand out student/, keep key/; README.md explains what to do{kept}"
     )
 
 

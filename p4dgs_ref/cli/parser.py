@@ -465,7 +465,7 @@ GROUPS = {
                     "folders",
                     nargs="+",
                     metavar="DIR",
-                    help="what a student handed in: a classroom, or the files of its student/",
+                    help="what a student handed in: the folder student/, or one that contains it",
                 ),
                 JSON,
                 option(

@@ -3,7 +3,7 @@
 A teacher's session in Python:
 
     from p4dgs_ref.lab import school
-    school.classroom("course")  # writes course/student, course/key and course/README.md
+    school.classroom("course")  # writes course/student, to be handed out, and course/key
     grades = school.grade("anna", "ben", classroom="course")  # what two students handed in
     print(school.text(grades))  # the sums, and the points of every equation
     eq = school.load("course/student/offsets.py")  # the equation in a student's file

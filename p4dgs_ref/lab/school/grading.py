@@ -3,12 +3,13 @@
 Points come from held-back inputs. What is said about a wrong answer comes from the published cases,
 in the words of the tutorials' exercises.
 
-The grades of a class have the form of grades.json: a dictionary with the seed and the students,
-who have a row for every equation, which has its parts.
+The grades of a class have the form of grades.json: a dictionary with the seed, the students, who
+have a row for every equation, which has its parts, and the pairs of students whose files are alike.
 """
 
 import json
 import secrets
+from itertools import combinations
 from pathlib import Path
 
 from ...oracle import published
@@ -21,20 +22,21 @@ from ...table import EQUATIONS
 from ..writer import table
 from .held_back import cases, is_ordinary
 from .lessons import problem
-from .room import files_of, keys_of, parts_of, stub_of
-from .student import Student, copies
+from .room import files_of, keys_of, parts_of, source_of, stub_of
+from .student import Student, alike, copies, functions, same_lines
 from .syllabus import tutorial_of
 
 FORWARD, GRADIENTS, HARD = 3, 3, 4  # points of an equation
 ROLES = {"forward": "out.", "backward": "in_bar.", "follow": "in_bar."}
 # The forwards of these save slopes, from which their backwards follow in a line or two.
 SAVES_SLOPES = {"hash_grid", "step", "likelihood"}
+ALL_LINES = "all lines of the key"  # what was copied, where functions are short
 
 
 def grade(*folders, classroom=None, seed=None, timeout=5.0, progress=lambda text: None):
-    """Grade what students handed in, all by the same inputs.
+    """Grade what students handed in, all by the same inputs, and compare it in pairs.
 
-    A folder is a classroom, of which DIR/student counts, or contains a student's files itself.
+    A folder contains a student's files, or a folder `student` with them, as a classroom does.
     `classroom` is the one whose equations are asked for; the default is the first folder. `seed`
     determines the inputs; without it one is drawn. `timeout` is the time for one case, in seconds.
     Nothing is written. Raises ClassroomError.
@@ -42,10 +44,13 @@ def grade(*folders, classroom=None, seed=None, timeout=5.0, progress=lambda text
     keys = keys_of(folders[0] if classroom is None else classroom)
     seed = secrets.randbelow(2**32) if seed is None else seed
     places = [files_of(folder) for folder in folders]
-    students = []
+    students, works = [], []
     for folder, files in zip(folders, places):
         progress(f"grading {folder}")
-        rows = [row_of(key, files / f"{key}.py", seed, timeout) for key in keys]
+        read = {key: source_in(files / f"{key}.py", key) for key in keys}
+        works.append({key: source for key, (source, _) in read.items()})
+        whole = same_lines(works[-1], {key: source_of(key) for key in keys})
+        rows = [row_of(key, files, *read[key], key in whole, seed, timeout) for key in keys]
         students.append(
             {
                 "student": str(folder),
@@ -54,14 +59,28 @@ def grade(*folders, classroom=None, seed=None, timeout=5.0, progress=lambda text
                 "equations": rows,
             }
         )
-    return {"seed": seed, "students": students}
+    pairs = [
+        {"students": [str(one), str(other)], "equations": sorted(alike(a, b) | alike(b, a))}
+        for (one, a), (other, b) in combinations(zip(folders, works), 2)
+    ]
+    return {"seed": seed, "students": students, "alike": [p for p in pairs if p["equations"]]}
 
 
 # --- one equation ---------------------------------------------------------------------------------
-def row_of(key, path, seed, timeout):
-    """Return the row of one file.
+def source_in(path, key):
+    """Return a student's file and "", or "" and why it is not graded."""
+    try:
+        source = path.read_text(encoding="utf-8")
+        functions(source)
+    except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
+        return "", f"{path.name} cannot be read: {type(error).__name__}: {error}"
+    return ("", "not begun") if source == stub_of(key) else (source, "")
 
-    `says` is the reason why points are missing, `flags` are copies of the package; with any of them
+
+def row_of(key, files, source, says, is_whole, seed, timeout):
+    """Return the row of one equation; `says` is why its file is not graded, if it is not.
+
+    In the row, `says` is the reason why points are missing. `flags` are copies; with any of them
     there are no points.
     """
     row = {
@@ -72,15 +91,12 @@ def row_of(key, path, seed, timeout):
         "of": FORWARD + GRADIENTS + HARD,
         "flags": [],
         "parts": [],
+        "says": says,
     }
-    try:
-        source = path.read_text(encoding="utf-8")
-        flags = copies(source, key)
-    except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
-        return {**row, "says": f"{path.name} cannot be read: {type(error).__name__}: {error}"}
-    if source == stub_of(key):
-        return {**row, "says": "not begun"}
-    with Student(path, timeout) as student:
+    if says:
+        return row
+    flags = copies(source, key) or [ALL_LINES] * is_whole
+    with Student(files / f"{key}.py", timeout) as student:
         parts = marks(key, student, cases(key, seed))
         points = round(sum(part["points"] for part in parts), 4)
         says = reason(key, student) if points < row["of"] else ""
@@ -106,8 +122,9 @@ def marks(key, student, cases):
             if is_ordinary(case) == ordinary
             if any(f"{tensor}.".startswith(prefix) for tensor in expected(case.tensors))
         ]
-        part = {"points": of * said.count(False) / max(len(said), 1), "of": of}
-        parts.append({"name": name, **part, "right": said.count(False), "asked": len(said)})
+        right, asked = said.count(False), len(said)
+        points = of * right / max(asked, 1)
+        parts.append({"name": name, "points": points, "of": of, "right": right, "asked": asked})
     return parts
 
 
@@ -138,11 +155,12 @@ def wrong_in(case, student, part):
 
 def reason(key, student):
     """Return what is wrong with the forward or the backward on the published cases."""
-    for part in parts_of(key):
-        said = problem(published.cases(key), student.part(part), (ROLES[part],))
-        if said:
-            return f"{part}: {said}"
-    return "right on the published cases, wrong on inputs that are held back"
+    problems = (
+        (part, problem(published.cases(key), student.part(part), (ROLES[part],)))
+        for part in parts_of(key)
+    )
+    unseen = "right on the published cases, wrong on inputs that are held back"
+    return next((f"{part}: {said}" for part, said in problems if said), unseen)
 
 
 # --- the grades as text, JSON and CSV -----------------------------------------------------------
@@ -155,6 +173,7 @@ def rows_of(grades):
             "points": student["points"],
             "of": student["of"],
             "copied": sum(bool(row["flags"]) for row in student["equations"]),
+            "alike": sum(student["student"] in pair["students"] for pair in grades["alike"]),
             "seed": grades["seed"],
         }
         for student in grades["students"]
@@ -162,9 +181,14 @@ def rows_of(grades):
 
 
 def text(grades):
-    """Return the sums of all students as a table, and then the details of each."""
-    sums = ("student", "points", "of", "copied", "seed")
+    """Return the sums of all students as a table, who are alike, and then the details of each."""
+    sums = ("student", "points", "of", "copied", "alike", "seed")
     lines = table({name: f"{{{name}}}" for name in sums}, rows_of(grades))
+    pairs = [
+        f"    {' and '.join(pair['students'])}: {', '.join(pair['equations'])}"
+        for pair in grades["alike"]
+    ]
+    lines += ["", "alike, which alone does not prove that anybody copied:", *pairs] * bool(pairs)
     return "\n\n".join(["\n".join(lines), *map(details, grades["students"])])
 
 

@@ -7,11 +7,13 @@ from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
 from ...oracle import published
 from ...oracle.checker import Report, check, check_subject
+from ...oracle.compare import change_floats
 from ...oracle.ports import FunctionPort
 from ...scenes.output import write_atomically
 from ...table import EQUATIONS
@@ -29,7 +31,24 @@ STYLE = {
     "axes.spines.right": False,
 }
 NEARLY = 1e-6  # of a number: a smaller error comes from rounding, not from the formula
-TELLING = (0, 0.5, 1, 2)  # magnitudes of factors that are told without giving an answer away
+NEAR = 0.01  # of a number: an answer with a smaller error is nearly right
+# Factors that are told without giving an answer away, and what may have been confused.
+TELLING = {
+    0: "",
+    0.5: "",
+    1: "",
+    2: "",
+    8: "bits instead of bytes",
+    1 / 8: "bytes instead of bits",
+    1 / np.log(2): "bits instead of nats",
+    np.log(2): "nats instead of bits",
+    180 / np.pi: "degrees instead of radians",
+    np.pi / 180: "radians instead of degrees",
+    100: "per cent instead of a fraction",
+    1 / 100: "a fraction instead of per cent",
+    1000: "a unit that is a thousandth",
+    1 / 1000: "a unit that is a thousand times larger",
+}
 RESULTS = {}  # exercise -> whether it is solved, for tests that run a tutorial or its solutions
 ASKED = {}  # exercise -> how many hints were asked for
 
@@ -107,24 +126,8 @@ def show(figure, name, title="", size=16):
 
 # --- checks of gradients --------------------------------------------------------------------------
 def random_like(rng, values):
-    """Return normal random numbers in the shape of an array, a list of arrays or a dictionary."""
-    if isinstance(values, dict):
-        return {name: random_like(rng, value) for name, value in values.items()}
-    if isinstance(values, list):
-        return [random_like(rng, value) for value in values]
-    return rng.normal(size=np.shape(values))
-
-
-def moved(values, directions, h):
-    """Return values + h * directions, for an array, a list of arrays or a dictionary.
-
-    Entries of a dictionary that have no direction stay as they are.
-    """
-    if isinstance(values, dict):
-        return values | {name: moved(values[name], d, h) for name, d in directions.items()}
-    if isinstance(values, list):
-        return [moved(value, d, h) for value, d in zip(values, directions)]
-    return values + h * directions
+    """Return standard normal numbers in the form of an array or a list of arrays."""
+    return change_floats({"": values}, lambda a: rng.standard_normal(a.shape))[""]
 
 
 def inner(a, b):
@@ -148,9 +151,14 @@ def adjoint(rng, forward, inputs, cotangents, gradients, tolerance=1e-7):
     `forward(**inputs)` returns a pair whose first part are outputs in the form of `cotangents`.
     Returns the direction, and the change of the loss along it by differences.
     """
-    d, h = random_like(rng, inputs), 1e-6
-    up, down = (inner(forward(**moved(inputs, d, step))[0], cotangents) for step in (h, -h))
-    difference, gradient = (up - down) / (2 * h), inner(gradients, d)
+    d, h = {name: random_like(rng, value) for name, value in inputs.items()}, 1e-6
+
+    def loss(step):
+        along = iter(published.flatten(d).values())
+        moved = change_floats(inputs, lambda a: a + step * next(along))
+        return inner(forward(**moved)[0], cotangents)
+
+    difference, gradient = (loss(h) - loss(-h)) / (2 * h), inner(gradients, d)
     print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
     assert close(difference, gradient, tolerance)
     return d, difference
@@ -195,17 +203,24 @@ def number(exercise, mine, want=None, digits=6):
     except (TypeError, ValueError):
         return settle(exercise, "no answer yet" if mine is ... else "expected a number")
     if mine.shape != want.shape:
-        return settle(exercise, f"shape {mine.shape}, expected {want.shape}")
-    if close(mine, want, 10.0**-digits):
+        shapes = f"{list(mine.shape)}, expected {list(want.shape)}"
+        return settle(exercise, f"shape {shapes}; [] is a single number")
+    right = np.isclose(mine, want, 0, 10.0**-digits * np.abs(want).max(initial=0))
+    if right.all():
         return settle(exercise, "")
-    if close(mine, want, 0.01):
+    if np.isclose(mine, want, NEAR, 0).all():
         return settle(exercise, f"nearly right, but {digits} right digits are expected")
-    return settle(exercise, difference(mine, want))
+    first = tuple(np.argwhere(~right)[0].tolist())
+    example = f"; the first, {list(first)}: {difference(mine[first], want[first])}"
+    return settle(exercise, difference(mine, want, example))
 
 
 def forward(exercise, mine, key):
     """Check a forward: `mine(**inputs)` returns one array, a tuple or a dictionary of outputs."""
-    settle(exercise, problem(published.cases(key), FunctionPort(mine), ("out.",)))
+    cases = published.cases(key)
+    names = dict.fromkeys(n.split(".")[1] for n in cases[0].tensors if n.startswith("out."))
+    port = FunctionPort(lambda **inputs: outputs_of(mine(**inputs), names))
+    settle(exercise, problem(cases, port, ("out.",)))
 
 
 def backward(exercise, mine, key, *wanted):
@@ -216,7 +231,7 @@ def backward(exercise, mine, key, *wanted):
 
     def vjp(inputs, cotangents):
         made = mine(inputs, cotangents)
-        return {name: made[name] for name in wanted or made}
+        return gradients_of(made, wanted or made)
 
     roles = tuple(f"in_bar.{name}" for name in wanted or [""])
     settle(exercise, problem(published.cases(key), FunctionPort(lambda **_: {}, vjp), roles))
@@ -244,42 +259,96 @@ def stored(name):
 
 
 # --- what is wrong with an answer -----------------------------------------------------------------
+class WrongForm(TypeError):
+    """An answer does not have the form that is asked for. The message is one sentence."""
+
+
+def outputs_of(made, names):
+    """Return what a forward made as {name: value}. Raises WrongForm for too few or too many."""
+    if isinstance(made, dict):
+        return made
+    given = made if isinstance(made, tuple) else (made,)
+    if len(given) != len(names):
+        asked = "the output" if len(names) == 1 else f"a tuple of {len(names)} outputs,"
+        got = f"{len(given)} of type {type(made).__name__}"
+        raise WrongForm(f"expected {asked} {', '.join(names)}, got {got}")
+    return dict(zip(names, given))
+
+
+def gradients_of(made, names):
+    """Return the gradients in `names` of those that a backward made. Raises WrongForm."""
+    if not isinstance(made, dict):
+        raise WrongForm(
+            f"expected a dictionary {{input name: gradient}}, got {type(made).__name__}"
+        )
+    return {name: made[name] for name in names if name in made}
+
+
 @np.errstate(all="ignore")
 def problem(cases, port, roles):
     """Return what is wrong with a port in its first wrong case, or "" if nothing is.
 
     The oracle's doctor sees the answers to all cases and names the mistake if it knows it.
     """
-    first = Report(check_subject(cases, port, roles)).first
+    answers = {}  # those that are judged; asked again, a port may answer something else
+    kept = SimpleNamespace(run=lambda case: answers.setdefault(case.id, port.run(case)))
+    first = Report(check_subject(cases, kept, roles)).first
     if first is None:
         return ""
     if not first.findings:
-        return f"{first.verdict} in {first.id}: {first.explanation}"
+        said = f"{first.verdict} in {first.id}: {first.explanation}"
+        return said.rpartition(f"{WrongForm.__name__}: ")[2]
     finding, known = first.findings[0], first.explanation or first.hint
     role, name = finding.tensor.split(".", 1)
-    said = f"{finding.kind}: {finding.message}"
+    case = next(case for case in cases if case.id == first.id)
+    mine, right = (of.get(finding.tensor) for of in (answers[case.id], case.tensors))
+    said = f": {finding.message}"
     if finding.kind == "value":
-        case = next(case for case in cases if case.id == first.id)
-        how = difference(port.run(case)[finding.tensor], case.tensors[finding.tensor])
-        said = f"{how}\n  Case {first.id}: {finding.message.partition(' (')[0]}"
+        place = finding.message.partition(" (")[0]
+        said = f": {difference(mine, right)}\n  Case {case.id}: {place}"
+    if finding.kind in ("missing", "shape"):
+        got = "missing" if mine is None else f"of the shape {list(mine.shape)}"
+        said = f" is {got}; expected {axes_of(case, finding.tensor)} of {right.dtype}"
     if known:
         said += f"\n  It looks like this: {known}"
-    return f"{'the output' if role == 'out' else 'the gradient of'} {name}: {said}"
+    return f"{'the output' if role == 'out' else 'the gradient of'} {name}{said}"
+
+
+def axes_of(case, tensor):
+    """Return the shape of a tensor, with the names of its axes: "[A, k, 3] = [5, 4, 3]"."""
+    role, name = tensor.split(".")[:2]
+    axes = published.subjects()[case.subject]["shapes"][name].strip("*").split(" -> ")
+    names = f"[{', '.join(axes[-1 if role == 'out' else 0].split())}]"
+    return " = ".join(dict.fromkeys((names, str(list(case.tensors[tensor].shape)))))
 
 
 @np.errstate(all="ignore")
-def difference(mine, right):
-    """Return how an array differs from the right one of the same shape: by a factor, if it does.
+def difference(mine, right, example=""):
+    """Return how an array differs from the right one of the same shape.
 
     Of a single number only a telling factor is named; others would give the right one away.
+    `example` follows where the errors of several numbers have nothing in common.
     """
     wrong = ~np.isclose(mine, right, NEARLY, 0)
-    if not wrong.any():
-        return "too few right digits"
     factor = np.vdot(right, mine) / np.vdot(right, right)
-    if right.size == 1:
-        told = round(abs(factor), 6) in TELLING
-        return f"it is {factor:.6g} times the right number" if told else "it is wrong"
-    if close(mine, factor * right, NEARLY):
-        return f"all {right.size} numbers are {factor:.6g} times the right ones"
-    return f"{wrong.sum()} of {right.size} numbers are wrong"
+    telling = [told for told in TELLING if np.isclose(abs(factor), told, NEAR, 0)]
+    unit = "".join(f" ({TELLING[told]}?)" for told in telling if TELLING[told])
+    sign = "right" if factor > 0 else "wrong"
+    size = "large" if abs(factor) > 1 else "small"
+    some = f"{wrong.sum()} of {right.size} numbers"
+    rules = (
+        (not wrong.any(), "too few right digits"),
+        (np.isclose(mine, right, NEAR, 0).all(), "nearly right"),
+        (right.size == 1 and telling, f"it is {factor:.3g} times the right number{unit}"),
+        (
+            right.size == 1 and np.isfinite(factor),
+            f"it is wrong: its sign is {sign}, its magnitude too {size}",
+        ),
+        (
+            close(mine, factor * right, NEARLY),
+            f"all {right.size} numbers are {factor:.6g} times the right ones{unit}",
+        ),
+        (close(np.abs(mine), np.abs(right), NEARLY), f"{some} have the wrong sign"),
+        (True, f"{some} are wrong{example}"),
+    )
+    return next(said for holds, said in rules if holds)

@@ -1,4 +1,9 @@
-"""Writes a classroom: the files for students, the teacher's key, and a README with the rules."""
+"""Writes a classroom: a folder for students, a folder with the key, and a README for each reader.
+
+DIR/README.md     what the teacher does
+DIR/student/      what is handed out and handed in: README.md with the rules, and <key>.py
+DIR/key/          the complete files, which stay with the teacher
+"""
 
 import ast
 import inspect
@@ -40,7 +45,7 @@ class ClassroomError(ValueError):
 
 
 def classroom(folder, only=None):
-    """Write DIR/student/<key>.py, DIR/key/<key>.py and a README.md for each of the two readers.
+    """Write student/<key>.py, key/<key>.py and a README.md for each of the two readers.
 
     `only` lists the equations; without it all are written. If the folder is a classroom already,
     equations are added, and the files of the students stay.
@@ -55,13 +60,16 @@ def classroom(folder, only=None):
     old = keys_of(folder / "student") if folder.is_dir() and any(folder.iterdir()) else []
     new = [key for key in every if key in (only or every) and key not in old]
     table = "".join(
-        f"| {EQUATIONS[key].number} | `student/{key}.py` | `tutorials/{tutorial_of(key).name}.py` "
+        f"| {EQUATIONS[key].number} | `{key}.py` | `tutorials/{tutorial_of(key).name}.py` "
         f"| {', '.join(f'`{name}`' for name in functions_of(key))} |\n"
         for key in sorted({*old, *new}, key=every.index)
     )
-    files = {"README.md": README + table, "key/README.md": TEACHER}
-    for key in new:
-        files |= {f"key/{key}.py": source_of(key), f"student/{key}.py": stub_of(key)}
+    files = {
+        "README.md": TEACHER,
+        "student/README.md": STUDENT + table,
+        **{f"student/{key}.py": stub_of(key) for key in new},
+        **{f"key/{key}.py": source_of(key) for key in new},
+    }
     with filled(folder) as beside:
         for name, text in files.items():
             (beside / name).parent.mkdir(exist_ok=True)
@@ -75,7 +83,7 @@ def classroom(folder, only=None):
 
 
 def files_of(folder):
-    """Return the folder with a student's files: DIR/student of a classroom, or DIR itself."""
+    """Return the folder with a student's files: the folder itself, or `student` inside it."""
     folder = Path(folder)
     if not folder.is_dir():
         raise ClassroomError(f"{folder}: expected a classroom, or the folder of a student's files")
@@ -139,9 +147,9 @@ def kept(node):
 
 
 # --- what both readers are told -------------------------------------------------------------------
-README = """# Classroom
+STUDENT = """# Equations to write
 
-Each file in `student/` is one equation of the paper P-4DGS from which the bodies of some functions
+Each file in this folder is one equation of the paper P-4DGS from which the bodies of some functions
 have been removed. The docstring at the top contains the formula, and the comments beside the
 arguments give their shapes and units. Derive the backward on paper, then write the bodies in place
 of `raise NotImplementedError(...)`. The other functions without a body are helpers of these two;
@@ -153,10 +161,10 @@ tutorial that explains each equation.
 - `backward` returns a dictionary from input names to gradients. Some backwards keep the line that
   unpacks `saved`, which shows what the reference's forward saves. You may save something else and
   change that line.
-- `p4dgs-ref grade DIR` prints your points on inputs that are new in every run; run it again after
-  every change. Your teacher will use other inputs.
-- In Python, `eq = school.load("DIR/student/offsets.py")` with `from p4dgs_ref.lab import school`
-  loads the equation from your file. `eq.forward` and `eq.backward` are your functions, and
+- `p4dgs-ref grade DIR`, where DIR is this folder, prints your points on inputs that are new in
+  every run; run it again after every change. Your teacher will use other inputs.
+- In Python, `eq = school.load("DIR/offsets.py")` with `from p4dgs_ref.lab import school` loads the
+  equation from your file. `eq.forward` and `eq.backward` are your functions, and
   `outputs, pullback = eq.vjp(**inputs)` calls them by name.
 - Hand in this folder.
 
@@ -182,7 +190,9 @@ has too few digits in float64 loses most of the hard cases.
 - Functions receive float64 and must return float64. Printed text is ignored, and functions that run
   for too long are stopped.
 - A file with a copy of the package's functions gets no points. Copies are recognised whatever their
-  names, comments and layout are; short functions, which are alike by chance, do not count.
+  names, comments and layout are. Short functions, which are alike by chance, do not count, unless
+  the text is the reference's line for line: with its comments, or in three files or more.
+- Your teacher is told which files of two students are alike. That takes no points away.
 
 ## The equations
 
@@ -192,11 +202,12 @@ has too few digits in float64 loses most of the hard cases.
 
 TEACHER = """# For the teacher
 
-This folder, `key/`, contains the complete files. Hand out its parent folder without `key/`.
-
-- `p4dgs-ref grade hand_in/* --classroom COURSE -o marks` grades all folders in `hand_in/` by the
-  same inputs, asks for the equations of COURSE, which is your copy of this classroom (without it,
-  those of the first folder), and writes one table: `grades.csv` with a line for each student;
+- Hand out `student/`, the equations with bodies removed and a page with the rules. Students hand
+  in the same folder. Keep `key/`, the complete files.
+- Collect what students hand in as one folder a student, such as `hand_in/anna`, which is her
+  `student/` renamed or contains it. `p4dgs-ref grade hand_in/* --classroom COURSE -o marks` grades
+  all of them by the same inputs, asks for the equations of COURSE, which is this folder (without
+  it, those of the first student), and writes one table: `grades.csv` with a line for each student;
   `grades.txt` and `grades.json` have the details, too.
 - The inputs depend on a seed. Without `--seed` one is drawn at grading time and printed, so that
   the same points can be had again after an appeal. If you choose a seed, keep it to yourself until
@@ -209,20 +220,33 @@ This folder, `key/`, contains the complete files. Hand out its parent folder wit
 ## What is noticed, and what remains possible
 
 While a file is graded, its process cannot import the equation that it should compute, nor anything
-else of `p4dgs_ref` that the original file does not import. Functions that agree in four fifths of
+else of `p4dgs_ref` that the original file does not import.
+
+**Copies of the package** cost all points of the equation: functions that agree in four fifths of
 their text with those of the key or of the installed package, whatever their names, comments,
-docstrings and layout are, cost all points of the equation. The report names them beside the points
-that the file would have had, so that you can decide otherwise.
+docstrings and layout are. The report names them beside the points that the file would have had, so
+that you can decide otherwise.
+
+**Short equations** are written by everybody in the same way: `view`, `offsets`, `opacity`, `color`,
+`rotation`, `scale`, `step`, `noise`, `rate_loss`, `total_loss`. Equal code is no proof there. A
+file of these counts as a copy if it has all lines of the key as they are in the key, comments and
+names included, and chance can be excluded: because one of these lines has a comment, or because
+there are three such files or more. The report then says *all lines of the key*.
+
+**Students are compared in pairs**, and the report lists the equations in which two of them are
+alike, by the same two rules. It takes no points away, since it proves nothing by itself: both may
+have worked together, or started from the same solution of a tutorial. Short equations with equal
+code are not listed, for the reason above. A group of students who copied from each other is listed
+as all its pairs.
 
 This keeps honest students honest. It does not stop a student who is determined to cheat:
 
-- A copy of which more was changed is not noticed, and neither is one of the short equations, which
-  everybody writes in the same way: `view`, `offsets`, `opacity`, `color`, `rotation`, `scale`,
-  `step`, `noise`, `rate_loss`, `total_loss`.
+- A copy of which more was changed is not noticed, and neither is one of a short equation without
+  its comments, or with other names.
 - A file can open the installed package as a text and run it, undo the lock on imports, start a
   process of its own or look into the memory of the one that it runs in. Whoever reads the file sees
   this at once.
-- Solutions of the tutorials, ports on the web, answers of other students and those of language
+- Solutions of the tutorials, ports on the web, answers of earlier years and those of language
   models are not compared.
 
 Read a file of which you are in doubt, or let its author explain a line of it.

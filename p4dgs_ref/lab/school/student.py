@@ -1,8 +1,11 @@
 """A student's file: what in it is copied, and the guarded process that answers with it.
 
-Functions are compared with those of the package statement by statement, without names, comments,
-docstrings and layout, so a copy is still one after small changes. Short functions are alike by
-chance; only a file with enough text in functions that are alike counts as a copy.
+Functions are compared with those of the package, and of other students, statement by statement,
+without names, comments, docstrings and layout, so a copy is still one after small changes. Short
+functions are alike by chance; only a file with enough text in functions that are alike counts.
+
+Short equations have one right form. What shows a copy of them is what no formula determines: the
+comments, or the names and the layout of several files.
 
 The process speaks the protocol of `oracle.adapter`, whose limits of time and bytes hold. It cannot
 import the equation that the file should compute. The field `subject` of a request says what is
@@ -27,11 +30,13 @@ from ...oracle.adapter import Adapter, packed, unpacked
 from ...oracle.ports import PortError
 from ...oracle.published import Golden, flatten
 from ...table import EQUATIONS
+from .lessons import WrongForm, gradients_of, outputs_of
 from .room import HALF, stub_of
 
 PACKAGE = Path(__file__).resolve().parents[2]
 ALIKE = 0.8  # of a function's text; where tutorials and tests compute the same, it is below 0.4
 ENOUGH = 200  # characters of such functions in a file; names count as one
+SEVERAL = 3  # files without a comment whose lines are the same by more than chance
 SECONDS = 30  # for all cases of an equation; the cases after that are not asked
 START_SECONDS = 60  # importing NumPy does not count against the student
 START = (
@@ -41,38 +46,72 @@ START = (
 
 
 # --- copies ---------------------------------------------------------------------------------------
-def copies(source, key, alike=ALIKE):
-    """Return the functions of a student's file that are copies of functions of the package.
+def copies(source, key, others=None, alike=ALIKE):
+    """Return the functions of a student's file that are copies.
 
-    The entries have the form "forward (line 5)". There are none if together they are so short that
-    they may be alike by chance. Raises SyntaxError or ValueError if the file cannot be parsed.
+    `others` are the statements they are compared with, by default those of the package. The entries
+    have the form "forward (line 5)". There are none if together they are so short that they may be
+    alike by chance. Raises SyntaxError or ValueError if the file cannot be parsed.
     """
-    given, found = set().union(*functions(stub_of(key)).values()), {}
+    others = statements_of_the_package() if others is None else others
+    given, found = statements(stub_of(key)), {}
     for name, lines in functions(source).items():
         mine = [line for line in lines if line not in given]
-        same = [line for line in mine if line in lines_of_the_package()]
+        same = [line for line in mine if line in others]
         if same and len("".join(same)) >= alike * len("".join(mine)):
             found[name] = "".join(same)
     return list(found) if len("".join(found.values())) >= ENOUGH else []
 
 
-@cache
-def lines_of_the_package():
-    """Return the lines of all functions in the rooms that hold equations."""
+def same_lines(mine, theirs):
+    """Return the equations for which a student has all lines that another author wrote.
+
+    Both are {key: source}. There are none if the lines may be the same by chance: in fewer than
+    SEVERAL files, and without a comment.
+    """
+    lines = {key: written(source, key) for key, source in theirs.items()}
+    same = [key for key in lines if set() < lines[key] <= written(mine[key], key)]
+    has_comment = any("#" in line for key in same for line in lines[key])
+    return same if has_comment or len(same) >= SEVERAL else []
+
+
+def written(source, key):
+    """Return the lines of functions in a file that are not those of the file as handed out."""
+    mine, given = (
+        {line.strip() for line in text.splitlines() if line[:1].isspace()}
+        for text in (source, stub_of(key))
+    )
+    return mine - given
+
+
+def alike(mine, theirs):
+    """Return the equations for which what a student wrote is in another student's files."""
+    same = same_lines(theirs, mine)
     return {
-        line
-        for room in ("equations", "splatting")
-        for path in (PACKAGE / room).glob("*.py")
-        for lines in functions(path.read_text(encoding="utf-8")).values()
-        for line in lines
+        key
+        for key, source in mine.items()
+        if key in same or copies(source, key, statements(theirs[key]))
     }
 
 
-def functions(source):
-    """Return {"forward (line 5)": its lines} of all functions in a file.
+@cache
+def statements_of_the_package():
+    """Return the statements of all functions in the rooms that hold equations."""
+    paths = [path for room in ("equations", "splatting") for path in (PACKAGE / room).glob("*.py")]
+    return set().union(*(statements(path.read_text(encoding="utf-8")) for path in paths))
 
-    A line is a statement with "_" in place of names, those of attributes excepted. Docstrings and
-    assignments of constants are left out.
+
+def statements(source):
+    """Return the statements of all functions in a file, in the form of `functions`."""
+    return set().union(*functions(source).values())
+
+
+@cache
+def functions(source):
+    """Return {"forward (line 5)": its statements} of all functions in a file.
+
+    A statement has "_" in place of names, those of attributes excepted. Docstrings and assignments
+    of constants are left out.
     """
     return {
         f"{tree.name} (line {tree.lineno})": [
@@ -179,13 +218,12 @@ def answer(eq, request, reference):
     case = Golden(request["id"], "", part, eq.key, "", record, tensors)
     pair = (reference if part == "follow" else eq).forward(**case.inputs())
     if not isinstance(pair, tuple) or len(pair) != 2:
-        raise TypeError("expected a pair, the output and what backward needs")
+        raise WrongForm("expected a pair, the output and what backward needs")
     output, saved = pair
     if part == "forward":
-        return {"out": numbers(eq.named(output)), "in_bar": {}}
+        return {"out": numbers(outputs_of(output, eq.outputs)), "in_bar": {}}
     made = eq.backward(saved, **case.cotangents())
-    made = {name: made[name] for name in eq.gradients if name in made}
-    return {"out": {}, "in_bar": numbers(made)}
+    return {"out": {}, "in_bar": numbers(gradients_of(made, eq.gradients))}
 
 
 def numbers(values):

@@ -101,10 +101,10 @@ def test_the_heart_of_eqs_9_and_11_is_to_be_written(key, heart, whole):
 
 
 def test_readme_lists_every_equation_with_its_tutorial(whole):
-    text = (whole / "README.md").read_text()
+    text = (whole / "student" / "README.md").read_text()
     for key in KEYS:
         tutorial = f"tutorials/{tutorial_of(key).name}.py"
-        assert re.search(rf"\| `student/{key}.py` \| `{tutorial}` \| `forward`", text)
+        assert re.search(rf"\| `{key}.py` \| `{tutorial}` \| `forward`", text)
     assert "10 points an equation: 3 for the forward" in text and "{" not in text
     assert all(f"`{key}`" in text for key in grading.SAVES_SLOPES)
 
