@@ -122,8 +122,7 @@ def write_container(sections, version=1):
     else:
         numbers = [len(sections[name]) + 1 if name in sections else 0 for name in SECTIONS]
         w = (max(numbers).bit_length() + 7) // 8 or 1
-        head = MAGIC + bytes([version, w])
-        head += b"".join(number.to_bytes(w, "little") for number in numbers)
+        head = b"".join([MAGIC, bytes([version, w]), *(n.to_bytes(w, "little") for n in numbers)])
         crc = zlib.crc32(b"".join([head, *bodies]))
     return b"".join([head, CRC.pack(crc), *bodies])
 

@@ -72,11 +72,22 @@ symbol times q, the step of its anchor and group. Each operation on doubles is r
 fused multiply-add). The offsets of masked children are 0.
 
 Encoding again. Encoding a decoded model gives the same bytes if this encoder wrote the file.
-Another valid file may give others, because this encoder writes the header without spaces, drops
-anchors without children (one always stays), stores 0 where the box has no extent, drops hidden
-units that are 0 for every anchor in scenes without view effects, and chooses the number of lanes,
-the length of the tail and the probability of a bit. In version 2 it also sorts the anchors and
-chooses the base design, the raw bits of a gap, and the levels and codes of networks.
+Another valid file may give other bytes, because this encoder writes the header without spaces and
+chooses the number of lanes, the length of the tail and the probability of a bit. In version 2 it
+also chooses the base design, the raw bits of a gap, and the levels and codes of networks. The file
+that it writes decodes to the same numbers, with three exceptions:
+
+1. Anchors without children are dropped, except that one anchor always stays. The published stream
+   `all_masked_but_one` has such anchors. The numbers of all other anchors stay.
+2. In a scene without view effects, hidden units of the anchor networks that are 0 for every anchor
+   are dropped. The pictures stay.
+3. On an axis on which the box has no extent, every n stands for the same coordinate, so that a
+   decoded model does not hold n, and 0 is stored. Where n was not 0 (only in version 1, as in
+   `one_anchor`), the anchor gets another hash feature and therefore other steps, and its attributes
+   move by half a new step at most. If a symbol would then exceed 2^31, the model is refused.
+
+A model is also refused if the file that this encoder writes is too short for the limits of work in
+`header.py`, which a longer file of the same model may meet.
 
 Worked numbers. lo = -1.5, hi = 1.5 and n = 20000 give -1.5 + 20000 * (3 / 65535) =
 -0.5844586861982147. With d = 4, k = 2, hidden = [8] and both view effects, anchor_mlps holds

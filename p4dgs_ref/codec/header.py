@@ -85,9 +85,8 @@ def write_header(model):
 
 def as_base(name, fields):
     """The header of version 2 that names a base design and the fields that differ from it."""
-    base = BASES[name]
     fields = json.loads(in_json(fields))  # with lists, as the base has them
-    return in_json({"as": name} | {k: v for k, v in fields.items() if base.get(k) != v})
+    return in_json({"as": name} | {k: v for k, v in fields.items() if BASES[name].get(k) != v})
 
 
 def in_json(fields):

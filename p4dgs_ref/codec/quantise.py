@@ -166,16 +166,6 @@ def round_weights(weights, code):
     return np.where(np.abs(n) <= MOST_STEPS, n * step, np.nan)
 
 
-def underflows(networks):
-    """How many weights that are not 0 become 0 in float16; those below 3e-8 do (Q18)."""
-    arrays = [a for pair in networks.values() for part in pair for a in part]
-    return sum(
-        int(np.count_nonzero(a)) - int(np.count_nonzero(np.asarray(a).astype(np.float16)))
-        for a in arrays
-        if np.isfinite(a).all()
-    )
-
-
 def round_attributes(values, q, design):
     """The symbols of attributes [A, n], by Eq. (10), group by group."""
     columns = []

@@ -284,10 +284,9 @@ def pop_rows_plainly(states, words, tables, keys, entries):
 
     With one lane it is step 1.
     """
-    starts, freqs = keys & SLOT, np.diff(keys)
     # Lists are faster to read than arrays, but take time to make.
-    fewer = len(keys) < 4 * len(tables)
-    starts, freqs = (a.tolist() if fewer else memoryview(a) for a in (starts, freqs))
+    form = np.ndarray.tolist if len(keys) < 4 * len(tables) else memoryview
+    starts, freqs = form(keys & SLOT), form(np.diff(keys))
     first = keys.searchsorted(np.arange(0, keys[-1] + 1, CERTAIN))  # entry of every table
     states, lanes = [*states], range(len(states))
     for a in range(0, len(tables), PIECE):

@@ -213,7 +213,6 @@ def decode_bits(data, count, section="stream"):
     if f in (0, rans.CERTAIN):
         bits = np.full(count, f == rans.CERTAIN)
     else:
-        entries, end = rans.decode(data, np.zeros(count, np.uint8), bit_keys(f), end, section)
-        bits = entries.astype(bool)
+        bits, end = rans.decode(data, np.zeros(count, np.uint8), bit_keys(f), end, section)
     require(len(data) == end, section, end, f"{len(data) - end} bytes left over")
-    return bits
+    return bits.astype(bool)

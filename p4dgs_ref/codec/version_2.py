@@ -61,8 +61,8 @@ there. The number is
 which is exact: n has 15 bits and the step 5. Only these numbers are computed further; whatever is
 said about the float16 numbers of version 1 holds for them.
 
-An encoder may choose t, r and c. This one changes them in turn, four times each, to those that need
-the fewest bits, with r and c from -6 to 6.
+An encoder may choose t, r and c. This one changes them in turn, until nothing changes but at most
+four times each, to those that need the fewest bits, with r and c from -6 to 6.
 
 Worked numbers of networks. s = 186 is the step 26 2^-8 = 0.1015625, and the symbol -3 is
 -0.3046875. With t = 1, r = -1 and c = 2 its sigma_units are 32: a deviation of 4 symbols. In the
@@ -78,7 +78,7 @@ from ..model import LATTICE, on_lattice, step_of_code
 from ..scenes.scene import MOST_STEPS
 from . import rans
 from .container import require
-from .gaussian_table import SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, gaussian_model
+from .gaussian_table import CHUNK, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, gaussian_model
 from .streams import (
     MAX_GAMMA,
     decode_symbols,
@@ -210,8 +210,7 @@ def read_weights(data, section, shapes):
         f"expected symbols within +-{MOST_STEPS}",
     )
     numbers = symbols * np.repeat(step_of_code(steps.ravel()), [len(part) for part in scales])
-    ends = np.cumsum([len(network) for network in shapes.values()])
-    of_network = np.split(steps.T, ends[:-1], axis=1)
+    of_network = np.split(steps.T, np.cumsum([*map(len, shapes.values())])[:-1], axis=1)
     return networks_of(numbers, shapes), dict(zip(shapes, map(tuple, of_network)))
 
 
@@ -225,9 +224,14 @@ def networks_of(numbers, shapes):
     return networks
 
 
+def level_index(scales):
+    """The index in LEVELS of the binary logarithms of deviations, integers."""
+    return np.clip(scales, LEVELS[0], LEVELS[-1]) - LEVELS[0]
+
+
 def sigma_units(scales):
     """The sigma_units of symbols from the binary logarithms of their deviations, integers."""
-    return np.clip(scales, LEVELS[0], LEVELS[-1]) << SIGMA_BITS
+    return LEVELS[level_index(scales)] << SIGMA_BITS
 
 
 @cache
@@ -238,35 +242,60 @@ def tables_of_levels():
 
 def tables_of(scales):
     """`gaussian_model` of symbols, from the binary logarithms of their deviations."""
-    levels = tables_of_levels()
-    i = np.clip(scales, LEVELS[0], LEVELS[-1]) - LEVELS[0]
+    levels, i = tables_of_levels(), level_index(scales)
     return levels._replace(table=levels.table[i], lowest=levels.lowest[i])
 
 
 @cache
 def costs():
     """Bits, in units of 1/256, of magnitudes at every level [28, MOST] and of CODES [13]."""
-    scales = np.repeat(LEVELS, MOST)
-    magnitudes = np.tile(np.arange(MOST), len(LEVELS))
+    scales, magnitudes = np.repeat(LEVELS, MOST), np.tile(np.arange(MOST), len(LEVELS))
     bits = ideal_bits_gaussian(magnitudes, 0 * scales, sigma_units(scales)).reshape(-1, MOST)
     price = ideal_bits_gaussian(CODES, 0 * CODES, 0 * CODES)
     return np.rint(256 * bits), np.rint(256 * price)  # whole numbers: their sums are exact
 
 
-def fit(symbols, coded):
-    """The level, row codes [I] and column codes [J] of symbols [I, J]; only 0 unless `coded`."""
-    bits, price = costs()
+def price(magnitudes, scales):
+    """The bits, as in `costs`, of magnitudes at scales; the two have shapes that NumPy combines."""
+    return costs()[0].take(MOST * level_index(scales) + magnitudes)  # faster than two indices
+
+
+def fit(symbols, coded, best_level=None):
+    """The level, row codes [I] and column codes [J] of symbols [I, J]; only 0 unless `coded`.
+
+    `best_level` may be `best_level_plainly`.
+    """
     magnitudes = np.minimum(np.abs(symbols), MOST - 1)
-
-    def cost(scales):
-        return bits[np.clip(scales, LEVELS[0], LEVELS[-1]) - LEVELS[0], magnitudes]
-
     r, c = (np.zeros(length, np.int64) for length in symbols.shape)
     for _ in range(SWEEPS):
-        t = LEVELS[np.argmin([cost(t + r[:, None] + c).sum() for t in LEVELS])]
+        before, t = (r, c), (best_level or best_level_fast)(magnitudes, r[:, None] + c)
         if coded:
-            of_rows = [cost(t + code + 0 * r[:, None] + c).sum(axis=1) for code in CODES]
-            r = CODES[np.argmin(of_rows + price[:, None], axis=0)]
-            of_columns = [cost(t + r[:, None] + code + 0 * c).sum(axis=0) for code in CODES]
-            c = CODES[np.argmin(of_columns + price[:, None], axis=0)]
+            r = best_codes(magnitudes, t + c)
+            c = best_codes(magnitudes.T, t + r)
+        if all(map(np.array_equal, before, (r, c))):
+            break  # every further sweep would find the same
     return int(t), r, c
+
+
+def best_codes(magnitudes, scales):
+    """The codes [I] of rows that need the fewest bits.
+
+    `scales` [J] are what the codes are added to: the level plus the codes of the columns.
+    """
+    blocks = np.array_split(magnitudes, 1 + magnitudes.size // CHUNK)  # so that memory is bounded
+    of_rows = [price(block, np.add.outer(CODES, scales)[:, None]).sum(axis=2) for block in blocks]
+    return CODES[np.argmin(np.concatenate(of_rows, axis=1) + costs()[1][:, None], axis=0)]
+
+
+def best_level_plainly(magnitudes, codes):
+    """The level that needs the fewest bits; `codes` [I, J] are sums of row and column codes."""
+    return LEVELS[np.argmin([price(magnitudes, t + codes).sum() for t in LEVELS])]
+
+
+def best_level_fast(magnitudes, codes):
+    """The same as `best_level_plainly`. A tensor has few different pairs of a magnitude and a code,
+    so each pair is looked up once and its bits are multiplied by its count.
+    """
+    pairs, counts = np.unique(codes * MOST + magnitudes, return_counts=True)
+    of_pairs = price(pairs % MOST, np.add.outer(LEVELS, pairs // MOST))
+    return LEVELS[np.argmin(of_pairs @ counts)]

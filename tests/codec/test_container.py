@@ -113,13 +113,6 @@ def test_refusals_name_the_place(sections, version, change, at, message):
     assert message in error.message
 
 
-def test_damaged_section_is_named(sections):
-    data = bytearray(write_container(sections))
-    data[-1] ^= 1
-    last = [name for name in SECTIONS if sections[name]][-1]
-    assert str(refusal(read_container, data)).startswith(f"section '{last}', byte 0: checksum")
-
-
 LARGE = 3 * 2**30
 
 

@@ -50,19 +50,15 @@ def network_arrays(model, section):
 
 def test_the_decoded_model_is_the_quantised_one_bit_for_bit(made):
     _, quantised, data, decoded = made
-    expected, found = arrays_of(quantised.model), arrays_of(decoded)
-    assert set(found) == set(expected)
-    for name, a in expected.items():
-        assert found[name].dtype == a.dtype, name
-        assert found[name].shape == a.shape, name
-        assert found[name].tobytes() == a.tobytes(), name
+    assert digest(decoded) == digest(quantised.model)
+    found = arrays_of(decoded)
+    for name, a in arrays_of(quantised.model).items():
         assert found[name].strides == a.strides or not a.size, name
     assert repr(decoded.design) == repr(quantised.model.design)
     again = quantised_of(read_container(data))
     for name in ("positions", "symbols", "kept"):
         assert np.array_equal(getattr(again, name), getattr(quantised, name)), name
-    for a, b in zip(again.context, quantised.context):
-        assert np.array_equal(a, b)
+    assert all(map(np.array_equal, again.context, quantised.context))
 
 
 def test_encoding_again_gives_the_same_bytes(made):

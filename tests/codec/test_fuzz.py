@@ -4,25 +4,30 @@ import contextlib
 import dataclasses
 import json
 import tracemalloc
+from collections import Counter
 from datetime import date
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from p4dgs_ref.codec import container, file
 from p4dgs_ref.codec.container import (
+    BitstreamError,
     open_container,
     read_container,
     write_container,
 )
-from p4dgs_ref.codec.file import decode, encode
+from p4dgs_ref.codec.file import NETWORK_SECTIONS, decode, encode, quantised_of
 from p4dgs_ref.codec.gaussian_table import SIGMA_MAX, SIGMA_MIN, gaussian_model
 from p4dgs_ref.codec.header import MOST_NUMBERS, declared_numbers
-from p4dgs_ref.codec.quantise import quantise
+from p4dgs_ref.codec.published import FOLDER
+from p4dgs_ref.codec.quantise import quantise, without_silent_units
 from p4dgs_ref.codec.streams import decode_symbols, encode_bits, encode_gaussian
-from tests.codec.models import refusal
+from p4dgs_ref.model import join
+from tests.codec.models import changed, digest, refusal
 from tests.golden import fuzz
-from tests.golden.damage import Mutation, assemble, mutation
+from tests.golden.damage import Mutation, assemble, damage_header, mutation
 from tests.golden.sample_model import sample_model
 from tests.sampling import few
 
@@ -44,6 +49,8 @@ REAL = dict(
         *((axes, n) for axes in ("xy", "xz", "yz") for n in LEVELS_2D),
     ),
 )
+
+DEMO = Path(__file__).resolve().parents[2] / "tutorials" / "demo.p4dgs"
 
 
 @pytest.fixture(scope="module")
@@ -145,6 +152,73 @@ def test_the_program_reports_how_many_files_it_tried(tmp_path, least, capsys):
         with pytest.raises(SystemExit, match="2"):
             fuzz.main([str(tmp_path / name)])
         assert reason in capsys.readouterr().err.splitlines()[-1]
+
+
+# --- Encoding again ---
+
+
+def edited(rng, data):
+    """A file with another header or other weights, a box without extent, or no children."""
+    sections = read_container(data)
+    name = rng.choice([name for name in NETWORK_SECTIONS if name in sections])
+    box = np.frombuffer(sections["positions"], "<f4", 6).reshape(2, 3)
+    flat, at = np.where(rng.random(3) < 0.5, box[0], box), 2 * rng.integers(len(sections[name]) / 2)
+    changes = (
+        {"positions": flat.tobytes() + sections["positions"][24:]},
+        {"masks": bytes(4), "offsets": b""},
+        {name: sections[name][:at] + rng.bytes(2) + sections[name][at + 2 :]},
+        {name: bytes(len(sections[name]))},
+        {"header": read_container(damage_header(rng, data, True)[1])["header"]},
+    )
+    return write_container({**sections, **changes[rng.integers(5)]}, data[8])
+
+
+def kept(model):
+    """What the page says that an encoder keeps: no anchors without children, no silent units."""
+    alive = model.anchors.mask.any(axis=1)
+    alive[0] |= not alive.any()
+    anchors = {name: array[alive] for name, array in model.anchors._asdict().items()}
+    return without_silent_units(changed(model, **anchors))
+
+
+@pytest.mark.parametrize("count", [100, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.filterwarnings("error")
+def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
+    """Where the box has no extent, 0 is stored, and attributes may move by half of another step."""
+    good = json.loads((FOLDER / "manifest.json").read_text())["good"]
+    paths = [DEMO, *(FOLDER / row["file"] for row in good)]
+    seed, seen = date.today().toordinal(), Counter()
+    for i in range(count):
+        rng = np.random.default_rng([seed, i])
+        data = edited(rng, paths[rng.integers(len(paths))].read_bytes())
+        try:
+            q = quantised_of(open_container(data), data[8])
+        except BitstreamError:
+            continue
+        (lo, hi), expected = q.model.box, kept(q.model)
+        lost = bool(q.positions[:, lo == hi].any())
+        seen.update(
+            decoded=1,
+            flat=lost,
+            fewer_anchors=len(expected.anchors.mask) < len(q.positions),
+            fewer_units=expected.design != q.model.design,
+        )
+        try:
+            again = encode(q.model)
+        except OverflowError:
+            assert lost, f"seed {seed}, mutant {i}"
+            continue
+        found = quantised_of(open_container(again), again[8])
+        if lost:
+            moved = np.abs(join(found.model.anchors) - join(expected.anchors))
+            steps = np.repeat(found.context.q, expected.design.widths, axis=1)
+            assert (moved <= steps / 2 * (1 + 1e-12)).all(), f"seed {seed}, mutant {i}"
+        else:
+            assert digest(found.model) == digest(expected), f"seed {seed}, mutant {i}"
+            assert found.model.design == expected.design
+        assert encode(found.model) == again, f"seed {seed}, mutant {i}"
+    assert seen["decoded"] > count / 3 and seen["flat"] and seen["fewer_anchors"]
+    assert count < 1000 or seen["fewer_units"]
 
 
 # --- Memory ---

@@ -79,16 +79,6 @@ def reversed_sums(x, W):
     return y
 
 
-def scattered_sums(x, W):
-    """Add the terms in ascending order, in every other output in descending order."""
-    y = np.zeros((len(x), W.shape[1]))
-    for j in range(W.shape[1]):
-        terms = np.sort(x * W[:, j], axis=1)[:, :: 1 - 2 * (j % 2)]
-        if terms.size:
-            y[:, j] = np.cumsum(terms, axis=1)[:, -1]
-    return y
-
-
 def halved_sums(x, W):
     """Add in a tree, as threads do."""
     if len(W) < 2:
@@ -99,7 +89,6 @@ def halved_sums(x, W):
 
 PRODUCTS = {
     "reversed": reversed_sums,
-    "scattered": scattered_sums,
     "tree": halved_sums,
     "extended": lambda x, W: (x.astype(np.longdouble) @ W.astype(np.longdouble)).astype(float),
     "integers": lambda x, W: (x.astype(np.int64) @ W.astype(np.int64)).astype(float),

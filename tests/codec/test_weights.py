@@ -83,22 +83,30 @@ def test_rows_and_columns_that_are_almost_zero_are_cheap():
     assert len(write_weights(networks, steps)) < 0.34 * whole
 
 
-def test_the_codes_chosen_never_cost_more_than_none():
-    rng = np.random.default_rng(4)
-    bits, price = weights.costs()
-    for scale in (0.2, 1, 30, 5000):
-        n = np.rint(scale * rng.normal(size=(9, 5)) * rng.lognormal(size=5)).astype(np.int64)
-        magnitudes = np.minimum(np.abs(n), weights.MOST - 1)
-        t, r, c = weights.fit(n, True)
-        zero = list(weights.CODES).index(0)
+@pytest.mark.parametrize("scale", [0.2, 1, 30, 5000])
+def test_the_codes_chosen_never_cost_more_than_none_and_are_found_soon(monkeypatch, scale):
+    rng, calls, price = np.random.default_rng(4), [], weights.price
+    n = np.rint(scale * rng.normal(size=(9, 5)) * rng.lognormal(size=5)).astype(np.int64)
+    magnitudes = np.minimum(np.abs(n), weights.MOST - 1)
+    plain = weights.fit(n, True, weights.best_level_plainly)
+    monkeypatch.setattr(weights, "price", lambda *pair: calls.append(pair) or price(*pair))
+    t, r, c = weights.fit(n, True)
+    assert len(calls) <= 3 * weights.SWEEPS  # the plain search looks up 28 levels in every sweep
+    assert np.array_equal([t, *r, *c], [plain[0], *plain[1], *plain[2]])
+    bits = [
+        price(magnitudes, t + r[:, None] + c).sum() + price(np.abs(np.append(r, c)), 0).sum()
+        for t, r, c in ((t, r, c), *((level, 0 * r, 0 * c) for level in weights.LEVELS))
+    ]
+    assert bits[0] == min(bits)
 
-        def cost(t, r, c):
-            scales = np.clip(t + r[:, None] + c, weights.LEVELS[0], weights.LEVELS[-1])
-            codes = price[np.concatenate([r, c]) + zero].sum()
-            return bits[scales - weights.LEVELS[0], magnitudes].sum() + codes
 
-        plain = [cost(t, 0 * r, 0 * c) for t in weights.LEVELS]
-        assert cost(t, r, c) <= min(plain)
+def test_rows_of_large_tensors_get_the_codes_that_they_get_alone():
+    """Tensors are searched in blocks."""
+    rng = np.random.default_rng(5)
+    magnitudes = np.abs(np.rint(9 * rng.normal(size=(300, 250)) * rng.lognormal(size=(300, 1))))
+    magnitudes, scales = magnitudes.astype(int), rng.integers(-3, 4, 250)
+    alone = [weights.best_codes(row[None], scales)[0] for row in magnitudes]
+    assert weights.best_codes(magnitudes, scales).tolist() == alone and len({*alone}) > 3
 
 
 def test_every_truncation_is_refused():
