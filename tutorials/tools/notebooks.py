@@ -32,6 +32,7 @@ DPI = 100  # of the figures: most are 800 pixels wide
 COLOR_STEP = 5  # of 255; rounding the colours saves a third of the bytes, and nobody sees it
 PROSE, CODE = "# %% [markdown]", "# %%"
 NAME = re.compile(r"(?<!\[)`(\d\d_\w+)`")  # of a tutorial in the prose, unless it is linked already
+IDEAS = re.compile(r"^ *def |\bassert\b|\bprint\(", re.M)  # a cell without any of them only draws
 LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)[^)\s]+")  # a target without https: and the like
 START = "import sys; from tutorials.tools.notebooks import record; record(*sys.argv[1:])"
 INSTALL = "To run it, install the package: `pip install .` in the folder above `tutorials/`."
@@ -90,6 +91,8 @@ def unrun(source):
         else:
             count += 1
             parts.append(notebook_cell(id, "code", cell.text, execution_count=count, outputs=[]))
+            if "lessons.show(" in cell.text and not IDEAS.search(cell.text):
+                parts[-1]["metadata"] = {"jupyter": {"source_hidden": True}}
     digest = hashlib.sha256(source.read_bytes()).hexdigest()
     metadata = {**METADATA, "p4dgs_ref": {"source_sha256": digest}}
     return {"cells": parts, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}

@@ -13,7 +13,6 @@ import numpy as np
 
 from ...oracle import published
 from ...oracle.checker import Report, check, check_subject
-from ...oracle.compare import change_floats
 from ...oracle.ports import FunctionPort
 from ...scenes.output import write_atomically
 from ...table import EQUATIONS
@@ -117,17 +116,33 @@ def show(figure, name, title="", size=16):
         figure.suptitle(title, fontsize=size)
     place = out() / f"{name}.png"
     write_atomically(place, lambda file: figure.savefig(file, bbox_inches="tight"))
-    print(f"figure: {place.parent.name}/{place.name}")
     if interactive():
         pyplot().show(block=False)
     else:
+        print(f"figure: {place.parent.name}/{place.name}")
         pyplot().close(figure)
 
 
 # --- checks of gradients --------------------------------------------------------------------------
 def random_like(rng, values):
-    """Return standard normal numbers in the form of an array or a list of arrays."""
-    return change_floats({"": values}, lambda a: rng.standard_normal(a.shape))[""]
+    """Return normal random numbers in the shape of an array, a list of arrays or a dictionary."""
+    if isinstance(values, dict):
+        return {name: random_like(rng, value) for name, value in values.items()}
+    if isinstance(values, list):
+        return [random_like(rng, value) for value in values]
+    return rng.normal(size=np.shape(values))
+
+
+def moved(values, directions, h):
+    """Return values + h * directions, for an array, a list of arrays or a dictionary.
+
+    Entries of a dictionary that have no direction stay as they are.
+    """
+    if isinstance(values, dict):
+        return values | {name: moved(values[name], d, h) for name, d in directions.items()}
+    if isinstance(values, list):
+        return [moved(value, d, h) for value, d in zip(values, directions)]
+    return values + h * directions
 
 
 def inner(a, b):
@@ -151,14 +166,9 @@ def adjoint(rng, forward, inputs, cotangents, gradients, tolerance=1e-7):
     `forward(**inputs)` returns a pair whose first part are outputs in the form of `cotangents`.
     Returns the direction, and the change of the loss along it by differences.
     """
-    d, h = {name: random_like(rng, value) for name, value in inputs.items()}, 1e-6
-
-    def loss(step):
-        along = iter(published.flatten(d).values())
-        moved = change_floats(inputs, lambda a: a + step * next(along))
-        return inner(forward(**moved)[0], cotangents)
-
-    difference, gradient = (loss(h) - loss(-h)) / (2 * h), inner(gradients, d)
+    d, h = random_like(rng, inputs), 1e-6
+    up, down = (inner(forward(**moved(inputs, d, step))[0], cotangents) for step in (h, -h))
+    difference, gradient = (up - down) / (2 * h), inner(gradients, d)
     print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
     assert close(difference, gradient, tolerance)
     return d, difference
