@@ -202,7 +202,6 @@ def page(title):
         figure = plt.figure(figsize=(12.8, 7.2), layout="constrained")
         PICTURES[title](figure)
         figure.suptitle(title, x=0.01, ha="left", size=24, weight="bold")
-        figure.canvas.draw()
     return figure
 
 
@@ -216,6 +215,7 @@ def draw():
         for i, title in enumerate(PICTURES, 1):
             figure = page(title)
             pages.savefig(figure, bbox_inches=figure.bbox_inches)  # whatever rcParams say
+            figure.canvas.draw()  # after the pass for the page, so that the layout has settled
             pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
             iio.imwrite(beside / "tour" / f"{i:02d}.png", pixels, optimize=True, bits=8)
 

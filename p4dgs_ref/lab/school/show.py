@@ -187,7 +187,7 @@ def anchors(figure, model, camera, chosen, view):
     """Anchors and children in canonical space, and the ellipses of the children; one stands out."""
     left, right = figure.subplots(1, 2)
     g, image = model.gaussians(None, camera), 0.5 * frame(model, camera, None) + 0.5
-    picture(left, image**0, camera, **view)
+    picture(left, np.ones_like(image), camera, **view)
     left.set_title(f"{model.primitives} anchors (black), {len(g.x)} children (blue)")
     families(left, model, camera, chosen)
     picture(right, image, camera, **view, title="the children are Gaussians, and paint")
@@ -215,7 +215,7 @@ def prediction(figure, file, camera, t, chosen, walk):
     family.set_title(f"its {own.sum()} Gaussians")
     shades = np.array([file.model.gaussians(t, at).color[own] for at in walk.values()])
     for i, away in enumerate(mean2d - middle, 1):
-        place = middle + away * (1 + 2 / np.linalg.norm(away))
+        place = middle + away * (1 + 2.6 / np.linalg.norm(away))
         family.text(*place, i, ha="center", va="center", weight="bold", size=22)
         extent = (min(walk), max(walk), i + 0.4, i - 0.4)
         colors.imshow(shades[None, :, i - 1], extent=extent, aspect="auto")
