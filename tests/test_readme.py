@@ -242,10 +242,10 @@ def anchors(text):
     return [re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles]
 
 
-def test_readme_fits_a_few_screens_and_begins_with_the_paper_in_one_file():
-    assert len(README.splitlines()) <= 150
+def test_readme_fits_a_few_screens_and_begins_with_the_tour():
+    assert len(README.splitlines()) <= 130
     links = re.findall(r"(?<!!)\[[^]]*\]\(([^)]+)\)", README)
-    assert links[0] == "tutorials/notebooks/00_whole_paper.ipynb"
+    assert links[0] == "tutorials/tour.md"
     pictures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", README)
     assert pictures == ["tutorials/pictures/demo.gif", "tutorials/pictures/architecture.png"]
     assert README.index("2510.10030") < README.index(links[0])

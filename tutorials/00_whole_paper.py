@@ -283,7 +283,7 @@ def start(rng):
 
 def strip(title, images, names=None):
     """A row of images [P, 3], or [P] with one number for each pixel, below a title."""
-    figure, axes = plt.subplots(1, len(images), figsize=(9, 2.2), layout="constrained")
+    figure, axes = plt.subplots(1, len(images), figsize=(9, 2.2), dpi=100, layout="constrained")
     figure.suptitle(title)
     for axis, image, name in zip(axes, images, names or [""] * len(images)):
         axis.imshow(image.reshape(SIZE, SIZE, -1).squeeze().clip(0, 1), cmap="gray")
@@ -292,7 +292,7 @@ def strip(title, images, names=None):
 
 def plot(title, **labels):
     """Empty axes below a title."""
-    figure, axis = plt.subplots(figsize=(9, 3.5), layout="constrained")
+    figure, axis = plt.subplots(figsize=(9, 3.5), dpi=100, layout="constrained")
     axis.set(title=title, **labels)
     return axis
 

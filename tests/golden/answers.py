@@ -18,7 +18,7 @@ import numpy as np
 
 from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.lab.school.syllabus import TUTORIALS
-from tutorials.tools.syllabus import FOLDER, name_of_check, write_text
+from tutorials.tools.syllabus import FOLDER, write_text
 
 FROM_DATA = {  # compared with arrays of the golden data or of a file, or with counts in the text
     "10.1",
@@ -33,8 +33,12 @@ FILE = Path(lessons.__file__).with_name("answers.json")
 
 def asked(source):
     """The exercises that a tutorial compares with a stored answer."""
-    calls = [node for node in ast.walk(ast.parse(source)) if name_of_check(node) == "number"]
-    return {call.args[0].value for call in calls if len(call.args) == 2}
+    calls = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call))
+    return {
+        call.args[0].value
+        for call in calls
+        if ast.unparse(call.func) == "lessons.number" and len(call.args) == 2
+    }
 
 
 def answers():

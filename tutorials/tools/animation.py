@@ -5,18 +5,12 @@ decoded picture. The camera swings slowly, at times that no training view has, a
 plays forwards and backwards.
 """
 
-import math
-
 import imageio.v3 as iio
 import numpy as np
 from scipy.cluster.vq import kmeans2, vq
 
-from p4dgs_ref.report.evaluate import decibel, squared_error
-from p4dgs_ref.report.figures import LARGEST_ERROR, pyplot
-from p4dgs_ref.scenes.load import DESCRIPTION, find_scene
-from p4dgs_ref.scenes.scene import over_background
-from p4dgs_ref.scenes.simulator import camera_at
-from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.report import evaluate, figures
+from p4dgs_ref.scenes import load, scene, simulator
 from p4dgs_ref.scenes.simulator.trace import trace
 
 FRAMES = 24
@@ -36,7 +30,7 @@ def views(description):
     """The (camera, time) of every frame."""
     path = np.radians(np.linspace(*AZIMUTHS, FRAMES))
     return [
-        (camera_at(description, azimuth, math.radians(ELEVATION)), (i + 0.5) / FRAMES)
+        (simulator.camera_at(description, azimuth, np.radians(ELEVATION)), (i + 0.5) / FRAMES)
         for i, azimuth in enumerate(path)
     ]
 
@@ -44,7 +38,7 @@ def views(description):
 def truth(description, camera, t, background):
     """The picture [H, W, 3] that the ray tracer draws, in the 8 bits that a scene's files have."""
     pixels = np.rint(trace(description, camera, t) * 255).astype(np.uint8)
-    return over_background(pixels / 255, background)[0]
+    return scene.over_background(pixels / 255, background)[0]
 
 
 def palette(pictures, background):
@@ -63,7 +57,7 @@ def with_palette(picture, colors):
 def frame(true, decoded, t, colors):
     """One frame [height, width, 3] in 8 bits: three panels with titles, the scale of the error."""
     error = np.abs(decoded - true).mean(axis=2)
-    psnr = decibel(squared_error(decoded, true))
+    psnr = evaluate.decibel(evaluate.squared_error(decoded, true))
     panels = (
         (f"truth, t = {t:.2f}", with_palette(true, colors)),
         (f"decoded, PSNR {psnr:.1f} dB", with_palette(decoded, colors)),
@@ -71,7 +65,7 @@ def frame(true, decoded, t, colors):
     )
     side = ZOOM * true.shape[1]
     width, height = 3 * side + 4 * GAP, HEAD + ZOOM * true.shape[0] + FOOT
-    figure = pyplot().figure(figsize=(width / 100, height / 100), dpi=100)
+    figure = figures.pyplot().figure(figsize=(width / 100, height / 100), dpi=100)
 
     def write(text, x, y, align):
         figure.text(x / width, y / height, text, ha=align, va="center", fontsize=11)
@@ -80,26 +74,26 @@ def frame(true, decoded, t, colors):
         left = GAP + i * (side + GAP)
         figure.figimage(picture.repeat(ZOOM, 0).repeat(ZOOM, 1), left, FOOT, origin="upper")
         write(title, left + side / 2, height - HEAD / 2, "center")
-    ramp = error_colors(np.tile(np.linspace(0, LARGEST_ERROR, side // 2), (12, 1)))
+    ramp = error_colors(np.tile(np.linspace(0, figures.LARGEST_ERROR, side // 2), (12, 1)))
     figure.figimage(ramp, left + side // 4, FOOT // 2 - 6, origin="upper")
     write("0 ", left + side // 4, FOOT / 2, "right")
-    write(f" ≥ {LARGEST_ERROR}", left + 3 * side // 4, FOOT / 2, "left")
+    write(f" ≥ {figures.LARGEST_ERROR}", left + 3 * side // 4, FOOT / 2, "left")
     figure.canvas.draw()
     pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()
-    pyplot().close(figure)
+    figures.pyplot().close(figure)
     grey = (pixels == pixels[..., :1]).all(axis=2)  # letters: 16 greys leave colours for the rest
     pixels[grey] = np.rint(pixels[grey] / 17) * 17
     return pixels
 
 
 def error_colors(error):
-    """The colours of errors [H, W] from 0 to LARGEST_ERROR, in ERROR_COLORS steps."""
-    return pyplot().get_cmap("magma", ERROR_COLORS)(error / LARGEST_ERROR)[..., :3]
+    """The colours of errors [H, W] from 0 to figures.LARGEST_ERROR, in ERROR_COLORS steps."""
+    return figures.pyplot().get_cmap("magma", ERROR_COLORS)(error / figures.LARGEST_ERROR)[..., :3]
 
 
-def draw(path, model, scene="bouncing"):
+def draw(path, model, name="bouncing"):
     """Write the animation of a decoded model of a packaged scene to a GIF."""
-    description = describe(find_scene(scene) / DESCRIPTION)
+    description = simulator.describe(load.find_scene(name) / load.DESCRIPTION)
     shown = [
         (truth(description, camera, t, model.background), np.clip(model.render(camera, t), 0, 1), t)
         for camera, t in views(description)

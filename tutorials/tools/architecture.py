@@ -6,8 +6,9 @@
 Positions are literal, in hundredths of the drawing's width.
 """
 
-from typing import NamedTuple
+from collections import namedtuple
 
+from matplotlib.colors import to_rgb
 from matplotlib.patches import Ellipse, FancyArrowPatch, FancyBboxPatch
 from matplotlib.path import Path
 
@@ -24,42 +25,15 @@ GAP, MARGIN = 0.6, 0.7  # between the boxes of a frame, and around them
 CENTRED = {"ha": "center", "va": "center_baseline"}
 
 
-class Box(NamedTuple):
-    """One equation of a frame."""
-
-    key: str  # of p4dgs_ref.table, or of its own where the table has none
-    number: str
-    text: str
-
-
-class Frame(NamedTuple):
-    """A part of the method: a title over boxes."""
-
-    title: str
-    color: str
-    left: float
-    top: float
-    width: float
-    boxes: tuple
-
-
-class Icon(NamedTuple):
-    """What flows between the frames."""
-
-    text: str
-    x: float  # the centre
-    y: float
-    ellipses: tuple  # (x, y, width, height, angle, colour) about the centre
-    framed: bool = False
-
-
-class Arrow(NamedTuple):
-    """A line through points, with its head at the last one."""
-
-    points: tuple
-    text: str = ""
-    at: tuple = (0, 0)  # the centre of the text
-
+# A part of the method: a title over boxes, one for an equation. A key is that of p4dgs_ref.table,
+# or one of its own where the table has none.
+Frame = namedtuple("Frame", "title color left top width boxes")
+Box = namedtuple("Box", "key number text")
+# What flows between the frames; x and y are its centre, and its ellipses are (x, y, width, height,
+# angle, colour) about the centre.
+Icon = namedtuple("Icon", "text x y ellipses framed", defaults=(False,))
+# A line through points with its head at the last one, and a text with its centre `at` a point.
+Arrow = namedtuple("Arrow", "points text at", defaults=("", (0, 0)))
 
 FRAMES = (
     Frame(
@@ -218,10 +192,14 @@ def show(name):
 
 def draw(lit=(), dpi=100):
     """Return a figure of the method in which the boxes of the keys `lit` stand out, or all."""
-    size = (INCHES, INCHES * HEIGHT / WIDTH)
-    figure = lessons.pyplot().figure(figsize=size, dpi=dpi)
+    figure = lessons.pyplot().figure(figsize=(INCHES, INCHES * HEIGHT / WIDTH), dpi=dpi)
     paint(figure.add_axes((0, 0, 1, 1)), lit)
     return figure
+
+
+def save(path):
+    """Write the drawing as a PNG, without matplotlib's version in it."""
+    draw(dpi=150).savefig(path, metadata={"Software": None})
 
 
 def paint(axes, lit=()):
@@ -229,9 +207,8 @@ def paint(axes, lit=()):
     axes.set(xlim=(0, WIDTH), ylim=(0, HEIGHT))
     axes.set_axis_off()
     for arrow in ARROWS:
-        line = FancyArrowPatch(path=Path(arrow.points), arrowstyle="-|>", mutation_scale=8)
-        line.set(color=DARK, linewidth=1.2)
-        axes.add_artist(line)
+        style = {"arrowstyle": "-|>", "mutation_scale": 8, "color": DARK, "linewidth": 1.2}
+        axes.add_artist(FancyArrowPatch(path=Path(arrow.points), **style))
         write(axes, *arrow.at, arrow.text)
     for icon in ICONS:
         paint_icon(axes, icon, 0.3 if lit else 0.8)
@@ -243,18 +220,17 @@ def paint_icon(axes, icon, alpha):
     if icon.framed:
         rounded(axes, icon.x - 4, icon.y - 4, 8, 8, WHITE, GREY)
     for x, y, width, height, angle, color in icon.ellipses:
-        place = (icon.x + x, icon.y + y)
-        axes.add_artist(Ellipse(place, width, height, angle=angle, color=color, alpha=alpha, lw=0))
+        style = {"angle": angle, "color": color, "alpha": alpha, "lw": 0}
+        axes.add_artist(Ellipse((icon.x + x, icon.y + y), width, height, **style))
     write(axes, icon.x, icon.y - 4.4, icon.text, va="top")
 
 
 def paint_frame(axes, frame, lit):
-    keys = {box.key for box in frame.boxes}
-    on = not lit or not keys.isdisjoint(lit)
+    on = not lit or any(box.key in lit for box in frame.boxes)
     color, ink = (frame.color, INK) if on else (GREY, GREY)
     height = TITLE + ROW * len(frame.boxes) + MARGIN
-    bottom = frame.top - height
-    rounded(axes, frame.left, bottom, frame.width, height, pale(color, 0.08), color)
+    outer = frame.left, frame.top - height, frame.width, height
+    rounded(axes, *outer, pale(color, 0.08), color)
     middle = frame.left + frame.width / 2
     write(axes, middle, frame.top - TITLE / 2, frame.title, color=ink, weight="bold")
     for i, box in enumerate(frame.boxes):
@@ -265,8 +241,7 @@ def paint_frame(axes, frame, lit):
         inner = frame.left + MARGIN, y, frame.width - 2 * MARGIN, ROW - GAP
         rounded(axes, *inner, pale(color, 0.3) if on else WHITE, color, edge)
         y += (ROW - GAP) / 2
-        left = frame.left + 2 * MARGIN
-        write(axes, left, y, box.number, color=ink, weight="bold", ha="left")
+        write(axes, frame.left + 2 * MARGIN, y, box.number, color=ink, weight="bold", ha="left")
         write(axes, middle + 1.6 * bool(box.number), y, box.text, color=ink)
 
 
@@ -275,12 +250,10 @@ def write(axes, x, y, text, size=8.5, color=INK, **style):
 
 
 def rounded(axes, x, y, width, height, face, edge, linewidth=0.9):
-    shape = "round,pad=0,rounding_size=0.6"
-    box = FancyBboxPatch((x, y), width, height, boxstyle=shape, fc=face, ec=edge, lw=linewidth)
-    axes.add_artist(box)
+    style = {"boxstyle": "round,pad=0,rounding_size=0.6", "fc": face, "ec": edge, "lw": linewidth}
+    axes.add_artist(FancyBboxPatch((x, y), width, height, **style))
 
 
 def pale(color, share):
-    """A colour "#rrggbb" mixed with white."""
-    parts = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    return tuple(1 - share * (1 - part) for part in parts)
+    """A colour mixed with white."""
+    return tuple(1 - share * (1 - part) for part in to_rgb(color))

@@ -7,30 +7,24 @@ gallery.json, so that a test notices pictures that are out of date.
 import hashlib
 import inspect
 import json
-import tempfile
+from collections import namedtuple
 from pathlib import Path
-from typing import NamedTuple
 
 from p4dgs_ref.codec.file import decode
 from p4dgs_ref.lab import stability
 from p4dgs_ref.lab.accuracy import diagram, forms, report
-from p4dgs_ref.report.figures import write_comparison, write_size
-from p4dgs_ref.report.jobs import main_job
-from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.scenes.output import filled
-from tutorials.tools import animation, architecture, handout
+from p4dgs_ref.lab.school import show
+from p4dgs_ref.report import figures, jobs
+from p4dgs_ref.scenes import load_scene, output
+from tutorials.tools import animation, architecture, handout, tour
 from tutorials.tools.shared import FOLDER, write_text
 
 DRAWN = Path(__file__).with_name("gallery.json")  # {picture: hash of the code that drew it}
 
 
-class Picture(NamedTuple):
-    """One picture of the gallery."""
-
-    drawn_by: str  # "demo" and "accuracy" are commands of p4dgs-ref
-    figure: str  # the file that this command or tutorial writes
-    caption: str
-
+# One picture of the gallery: what draws it ("demo" and "accuracy" are commands of p4dgs-ref), the
+# file that this command or tutorial writes, and the caption.
+Picture = namedtuple("Picture", "drawn_by figure caption")
 
 PICTURES = {
     "demo.png": Picture(
@@ -110,15 +104,16 @@ PICTURES = {
     ),
 }
 
-DRAWING, HANDOUT = "architecture.png", "handout.pdf"  # which are drawn in every run
+DRAWING, HANDOUT, TOUR = "architecture.png", "handout.pdf", "tour.pdf"
 DRAW = {  # what draws the pictures that come from no tutorial
-    "demo.png": (write_comparison,),
-    "demo_size.png": (write_size,),
+    "demo.png": (figures.write_comparison,),
+    "demo_size.png": (figures.write_size,),
     "demo.gif": (animation,),
     "accuracy_rendering.png": (forms.cut, diagram.lines, diagram.place_labels),
     "accuracy_likelihood.png": (stability.maps, stability.draw_maps, stability.draw_map),
     DRAWING: (architecture,),
     HANDOUT: (architecture, handout),
+    TOUR: (show, tour),
 }
 
 
@@ -137,7 +132,7 @@ def take(out, pictures):
     """
     figures = {name: Path(out) / picture.figure for name, picture in PICTURES.items()}
     renewed = [name for name, figure in figures.items() if figure.is_file()]
-    with filled(pictures) as beside:
+    with output.filled(pictures) as beside:
         for name in renewed:
             (beside / name).write_bytes(figures[name].read_bytes())
     return renewed
@@ -155,8 +150,7 @@ def code_hash(name):
         own = FOLDER / f"{figure.stem}.py"
         (file,) = [own] if own.is_file() else FOLDER.glob(f"{figure.stem[:2]}_*.py")
         text = file.read_text(encoding="utf-8").split("# ## Exercises")[0]
-    lines = text.splitlines()
-    code = [line.rstrip() for line in lines if line.strip() and not line.startswith("#")]
+    code = [line.rstrip() for line in text.splitlines() if line.strip() and line[0] != "#"]
     return hashlib.sha256("\n".join(code).encode()).hexdigest()[:16]
 
 
@@ -174,12 +168,15 @@ def stale():
 
 def draw_demo(out):
     """Run the demo, and leave its pictures and the animation of its file in the folder `out`."""
-    with tempfile.TemporaryDirectory() as report:
-        main_job(load_scene("bouncing"), folder=report)
-        for figure in (PICTURES["demo.png"].figure, PICTURES["demo_size.png"].figure):
-            (Path(out) / figure).write_bytes((Path(report) / figure).read_bytes())
-        model = decode((Path(report) / "bouncing.p4dgs").read_bytes())
-    animation.draw(Path(out) / PICTURES["demo.gif"].figure, model)
+    jobs.main_job(load_scene("bouncing"), folder=out)
+    data = (Path(out) / "bouncing.p4dgs").read_bytes()
+    animation.draw(Path(out) / PICTURES["demo.gif"].figure, decode(data))
+
+
+def draw_tour(_):
+    """Draw the paper in ten pictures, which have a folder of their own."""
+    tour.draw()
+    record([TOUR])
 
 
 def draw_accuracy(out):

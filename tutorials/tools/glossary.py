@@ -6,7 +6,7 @@ letters come from the list, because a program cannot read them in the code.
 """
 
 import re
-from typing import NamedTuple
+from collections import namedtuple
 
 from p4dgs_ref.table import EQUATIONS
 from tests.core import shape_comments
@@ -22,15 +22,12 @@ UNITS = (
     "1 / square pixels",
 )
 
+STATED = re.compile(rf"\(({'|'.join(UNITS)})[;)]")  # the unit that a comment states
 
-class Symbol(NamedTuple):
-    """One row: a letter of the paper and its name in the code."""
-
-    letter: str  # LaTeX; "" where neither the paper nor 3DGS has one
-    name: str  # of an argument or an output; of a network for the comments of `weights`
-    meaning: str = ""  # "" stands for the first comment that says it
-    unit: str = ""  # likewise
-
+# One row: a letter of the paper in LaTeX, "" where neither the paper nor 3DGS has one, and its name
+# in the code, of an argument, an output or a network. The meaning and the unit are those of the
+# first comment that states them, unless they are given.
+Symbol = namedtuple("Symbol", "letter name meaning unit", defaults=("", ""))
 
 SECTIONS = {
     "Anchors": (
@@ -153,6 +150,7 @@ AXES = {
     "W": "columns of an image",
     "C": "colours of an image",
 }
+HEADS = ("letter", "name", "meaning", "shape", "unit", "equations")
 # The network's own names, which stand for other symbols, and what only saves time.
 LEFT_OUT = {("mlp", "x"), ("mlp", "y"), "weights", "biases", "truth_moments"}
 
@@ -168,13 +166,8 @@ comments in the code.
 """
 
 
-class Mention(NamedTuple):
-    """A symbol in one equation."""
-
-    key: str
-    computed: bool
-    shapes: tuple  # of text
-    comment: str
+# A symbol in one equation: whether it is computed there, its shapes as text, and its comment.
+Mention = namedtuple("Mention", "key computed shapes comment")
 
 
 def mentions():
@@ -183,16 +176,15 @@ def mentions():
     for key, equation in EQUATIONS.items():
         computed = shape_comments.outputs(equation.forward, equation.outputs)
         for name, spec in computed.items():
-            found.setdefault(name, []).append(Mention(key, True, written(spec), ""))
+            if (key, name) not in LEFT_OUT:
+                found.setdefault(name, []).append(Mention(key, True, written(spec), ""))
         for name, comment in shape_comments.comments(equation.forward).items():
             spec = shape_comments.parsed(comment)
             if spec.network:
                 name = comment.split(",")[0]
             if not {name, (key, name)} & LEFT_OUT:
                 found.setdefault(name, []).append(Mention(key, False, written(spec), comment))
-    for key, name in (entry for entry in LEFT_OUT if isinstance(entry, tuple)):
-        found[name] = [mention for mention in found[name] if mention.key != key]
-    return {name: rows for name, rows in found.items() if rows and name != "psi"}
+    return {name: rows for name, rows in found.items() if name != "psi"}
 
 
 def written(spec):
@@ -212,12 +204,6 @@ def meaning(comment):
     return re.sub(r", converted to .*|, > 0", "", said).strip()
 
 
-def unit(comment):
-    """The unit that a comment states in parentheses, or ""."""
-    stated = re.search(rf"\(({'|'.join(UNITS)})[;)]", comment)
-    return stated[1] if stated else ""
-
-
 def row(symbol, places):
     """The cells of a symbol."""
     places = sorted(places, key=lambda place: (not place.computed, not EQUATIONS[place.key].number))
@@ -227,7 +213,7 @@ def row(symbol, places):
         f"`{symbol.name}`",
         symbol.meaning or next(filter(None, map(meaning, comments)), ""),
         "; ".join(dict.fromkeys(shape for place in places for shape in place.shapes)),
-        symbol.unit or next(filter(None, map(unit, comments)), ""),
+        symbol.unit or next(iter(STATED.findall(" ".join(comments))), ""),
         ", ".join(links(places)),
     )
 
@@ -247,8 +233,7 @@ def links(places):
 def glossary():
     """The text of glossary.md."""
     found, text = mentions(), INTRODUCTION
-    heads = ("letter", "name", "meaning", "shape", "unit", "equations")
     for title, symbols in SECTIONS.items():
         rows = [row(symbol, found[symbol.name]) for symbol in symbols]
-        text += f"\n## {title}\n\n{table(heads, rows)}\n"
+        text += f"\n## {title}\n\n{table(HEADS, rows)}\n"
     return f"{text}\n## Axes\n\n{table(('letter', 'counts'), AXES.items())}\n"

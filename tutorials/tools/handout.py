@@ -4,7 +4,7 @@
 gradient printed here with the `backward` in the code.
 """
 
-from typing import NamedTuple
+from collections import namedtuple
 
 from matplotlib.patches import Rectangle
 
@@ -17,14 +17,8 @@ DRAWING = PAGE[0] - 2 * MARGIN  # width
 SMALLEST = 7.0  # points
 
 
-class Row(NamedTuple):
-    """One equation: its formula and the gradients of its inputs, in mathtext."""
-
-    key: str
-    number: str
-    formula: str
-    gradients: str
-
+# One equation: its formula and the gradients of its inputs, in mathtext.
+Row = namedtuple("Row", "key number formula gradients")
 
 ROWS = (
     Row(
@@ -192,6 +186,9 @@ LEGEND = (
 )
 
 
+UNDATED = dict.fromkeys(("Creator", "Producer", "CreationDate"))  # so that equal pages are equal
+
+
 def draw():
     """Return the page as a figure."""
     figure = lessons.pyplot().figure(figsize=PAGE, dpi=150)
@@ -210,9 +207,8 @@ def draw():
     colors = {box.key: frame.color for frame in architecture.FRAMES for box in frame.boxes}
     for row in ROWS:
         y -= step
-        bar = Rectangle((MARGIN / PAGE[0], (y - 0.09) / PAGE[1]), 0.05 / PAGE[0], step / PAGE[1])
-        bar.set(color=colors[row.key], linewidth=0)
-        figure.add_artist(bar)
+        corner, size = (MARGIN / PAGE[0], (y - 0.09) / PAGE[1]), (0.05 / PAGE[0], step / PAGE[1])
+        figure.add_artist(Rectangle(corner, *size, color=colors[row.key], linewidth=0))
         write(figure, MARGIN + 0.13, y, row.number, weight="bold")
         write(figure, MARGIN + 0.5, y, row.formula)
         write(figure, MARGIN + 3.55, y, row.gradients)
@@ -226,7 +222,4 @@ def write(figure, x, y, text, size=8.2, **style):
 
 def save(path):
     """Write the page as PDF, without a date and without matplotlib's version."""
-    figure = draw()
-    nothing = dict.fromkeys(("Creator", "Producer", "CreationDate"))
-    figure.savefig(path, metadata={"Title": TITLE, **nothing})
-    lessons.pyplot().close(figure)
+    draw().savefig(path, metadata={"Title": TITLE, **UNDATED})

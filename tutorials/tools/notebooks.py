@@ -9,7 +9,6 @@ hash does not cover the package: where a change of its code moves what tutorials
 notebooks again.
 """
 
-import ast
 import base64
 import hashlib
 import io
@@ -18,7 +17,7 @@ import re
 import sys
 import tempfile
 import types
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,7 +31,7 @@ DPI = 100  # of the figures: most are 800 pixels wide
 COLOR_STEP = 5  # of 255; rounding the colours saves a third of the bytes, and nobody sees it
 PROSE, CODE = "# %% [markdown]", "# %%"
 NAME = re.compile(r"(?<!\[)`(\d\d_\w+)`")  # of a tutorial in the prose, unless it is linked already
-IDEAS = re.compile(r"^ *def |\bassert\b|\bprint\(", re.M)  # a cell without any of them only draws
+ONLY_DRAWS = re.compile(r"(?!.*(\n *def |\bassert\b|\bprint\()).*lessons\.show\(", re.S)  # a cell
 LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)[^)\s]+")  # a target without https: and the like
 START = "import sys; from tutorials.tools.notebooks import record; record(*sys.argv[1:])"
 INSTALL = "To run it, install the package: `pip install .` in the folder above `tutorials/`."
@@ -90,12 +89,23 @@ def unrun(source):
             parts.append(notebook_cell(id, "markdown", LINK.sub(moved, text)))
         else:
             count += 1
-            parts.append(notebook_cell(id, "code", cell.text, execution_count=count, outputs=[]))
-            if "lessons.show(" in cell.text and not IDEAS.search(cell.text):
-                parts[-1]["metadata"] = {"jupyter": {"source_hidden": True}}
-    digest = hashlib.sha256(source.read_bytes()).hexdigest()
-    metadata = {**METADATA, "p4dgs_ref": {"source_sha256": digest}}
-    return {"cells": parts, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
+            parts.append(
+                notebook_cell(
+                    id,
+                    "code",
+                    cell.text,
+                    metadata={"jupyter": {"source_hidden": bool(ONLY_DRAWS.match(cell.text))}},
+                    execution_count=count,
+                    outputs=[],
+                )
+            )
+    own = {"source_sha256": hashlib.sha256(source.read_bytes()).hexdigest()}
+    return {
+        "cells": parts,
+        "metadata": {**METADATA, "p4dgs_ref": own},
+        "nbformat": 4,
+        "nbformat_minor": 5,
+    }
 
 
 def notebook_cell(id, kind, text, **more):
@@ -140,15 +150,15 @@ def make(source):
     return target
 
 
-class Stream(io.TextIOBase):
-    """A text stream that adds to the outputs of a cell."""
+class Printed(io.TextIOBase):
+    """What a cell prints, as outputs of the cell, between its figures."""
 
-    def __init__(self, name, outputs):
-        self.name, self.outputs = name, outputs
+    def __init__(self, outputs):
+        self.outputs = outputs
 
     def write(self, text):
-        if not self.outputs or self.outputs[-1].get("name") != self.name:
-            self.outputs.append({"output_type": "stream", "name": self.name, "text": ""})
+        if not self.outputs or self.outputs[-1]["output_type"] != "stream":
+            self.outputs.append({"output_type": "stream", "name": "stdout", "text": ""})
         self.outputs[-1]["text"] += text
         return len(text)
 
@@ -166,26 +176,15 @@ def record(source, result):
     sys.modules["__main__"] = main = types.ModuleType("__main__")
     plt.show = lambda *args, **settings: outputs.extend(figures(plt))
     code = [cell for cell in cells(source.read_text(encoding="utf-8")) if not cell.prose]
-    for count, cell in enumerate(code, 1):
-        out, err = Stream("stdout", outputs), Stream("stderr", outputs)
-        with redirect_stdout(out), redirect_stderr(err):
-            value = value_of(cell, source.name, vars(main))
-        if value is not None:
-            data = {"data": {"text/plain": repr(value)}, "metadata": {}}
-            outputs.append({"output_type": "execute_result", "execution_count": count, **data})
+    for cell in code:
+        with redirect_stdout(Printed(outputs)):
+            # With empty lines before the cell, errors and warnings give the line in the file.
+            text = "\n" * cell.line + "\n".join(cell.lines)
+            exec(compile(text, source.name, "exec"), vars(main))
         plt.show()
         every.append(outputs.copy())
         outputs.clear()
     Path(result).write_text(json.dumps(every), encoding="utf-8")
-
-
-def value_of(cell, name, namespace):
-    """Run a cell; return the value of its last statement if that is an expression."""
-    # With empty lines before the cell, errors and warnings give the line in the file.
-    tree = ast.parse("\n" * cell.line + "\n".join(cell.lines), name)
-    last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
-    exec(compile(tree, name, "exec"), namespace)
-    return eval(compile(ast.Expression(last.value), name, "eval"), namespace) if last else None
 
 
 def figures(plt):

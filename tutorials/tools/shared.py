@@ -22,8 +22,13 @@ def run(name, arguments, out):
         "PYTHONPATH": path,
         "PYTHONUTF8": "1",
     }
-    call = [sys.executable, *map(str, arguments)]
-    done = subprocess.run(call, env=environment, cwd=out, capture_output=True, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, *map(str, arguments)],
+        env=environment,
+        cwd=out,
+        capture_output=True,
+        encoding="utf-8",
+    )
     if done.returncode:
         said = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
         sys.exit(f"{name}, {said[-1]}")

@@ -3,24 +3,22 @@
 python -m tutorials.tools.syllabus               run all tutorials, draw all, write the index
 python -m tutorials.tools.syllabus 00 06 demo    only these tutorials and the pictures of the demo
 python -m tutorials.tools.syllabus accuracy      only the pictures of the two studies of accuracy
+python -m tutorials.tools.syllabus tour          only the ten pictures of the tour
 python -m tutorials.tools.syllabus index         only the index, with the times it already holds
 
 Each of these also draws the architecture anew and writes the glossary and the handout.
 """
 
-import ast
 import re
 import sys
 import tempfile
 import time
+from collections import namedtuple
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
-from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.lab.school.syllabus import TUTORIALS, tutorial_of
 from p4dgs_ref.oracle.published import subjects
-from p4dgs_ref.scenes.output import write_atomically
 from p4dgs_ref.table import EQUATIONS
 from tutorials.tools import architecture, gallery, glossary, handout, shared
 from tutorials.tools.notebooks import cells
@@ -34,21 +32,16 @@ WRITTEN = 3  # lines of a solution that are written in a minute
 
 
 # --- the facts that a tutorial states about itself ------------------------------------------------
-class Facts(NamedTuple):
-    """The facts that are read from a tutorial's file."""
-
-    title: str
-    after: tuple  # numbers of the tutorials that a reader should know
-    reading: int  # minutes
-    doing: int  # minutes for the exercises
-    exercises: dict  # "01.2" -> keys of the equations that it is about
+# What is read from a tutorial's file: its title, the numbers of the tutorials that a reader should
+# know, the minutes for reading and for the exercises, and the exercises with the keys of the
+# equations that they are about, {"01.2": keys}.
+Facts = namedtuple("Facts", "title after reading doing exercises")
 
 
 @cache
 def facts(tutorial, folder=FOLDER):
     """The Facts of a tutorial. Raises ValueError naming the file if its first cell lacks one."""
-    path = Path(folder) / f"{tutorial.name}.py"
-    source = path.read_text(encoding="utf-8")
+    source = (Path(folder) / f"{tutorial.name}.py").read_text(encoding="utf-8")
     title = re.match(r"# %% \[markdown\]\n# # (.*)\n", source)
     first_cell = source.split("\n# %%", 1)[0].splitlines()
     head = " ".join(line.lstrip("# ").strip() for line in first_cell[2:])
@@ -59,12 +52,12 @@ def facts(tutorial, folder=FOLDER):
     )
     if not title or not said:
         raise ValueError(
-            f"{path.name}: expected a title, then "
+            f"{tutorial.name}.py: expected a title, then "
             "**Before it:** ... **Takes** ... on two cores, "
             "... minutes of reading and ... of exercises."
         )
-    after, minutes = prerequisites(said[1]), map(int, said.groups()[1:])
-    return Facts(title[1], after, *minutes, exercises(source, tutorial.keys))
+    asked = exercises(source, tutorial.keys)
+    return Facts(title[1], prerequisites(said[1]), int(said[2]), int(said[3]), asked)
 
 
 def minutes(name, folder=FOLDER):
@@ -72,8 +65,8 @@ def minutes(name, folder=FOLDER):
 
     Reading ends at the exercises. Both are rounded to five minutes.
     """
-    source = (Path(folder) / f"{name}.py").read_text(encoding="utf-8")
-    taught, _, asked = source.partition("# ## Exercises")
+    text = (Path(folder) / f"{name}.py").read_text(encoding="utf-8")
+    taught, _, asked = text.partition("# ## Exercises")
     solution = Path(folder) / "solutions" / f"{name}.py"
     doing = time_to_read(f"# %% [markdown]\n#{asked}")
     doing += EACH * len(re.findall(r"\*\*(\d\d\.\d|Predict, then run\.)\*\*", asked))
@@ -84,8 +77,8 @@ def minutes(name, folder=FOLDER):
 
 def time_to_read(source):
     """Minutes to read the prose and the code of some cells."""
-    words = sum(len(cell.text.split()) for cell in cells(source) if cell.prose)
-    return words / WORDS + len(code_lines(source)) / LINES
+    words = [word for cell in cells(source) if cell.prose for word in cell.text.split()]
+    return len(words) / WORDS + len(code_lines(source)) / LINES
 
 
 def code_lines(source):
@@ -110,35 +103,20 @@ def exercises(source, keys):
 
     An exercise whose check names none of the tutorial's equations is about all of them.
     """
+    calls = re.findall(r'lessons\.(\w+)\(\s*"(\d\d\.\d)",([^\n]*(?:\n    [^\n]*)*)', source)
     found = {}
-    for node in ast.walk(ast.parse(source)):
-        check = name_of_check(node)
-        if check == "number":
-            about = {name.id for name in ast.walk(node) if isinstance(name, ast.Name)}
-        elif check in ("forward", "backward"):
-            about = {subjects()[node.args[2].value]["equation"]}
-        else:
-            continue
-        found[node.args[0].value] = tuple(key for key in keys if key in about) or keys
+    for check, exercise, given in calls:
+        words = set(re.findall(r"\w+", given))
+        if check != "number":
+            words = {subjects()[word]["equation"] for word in words & set(subjects())}
+        found[exercise] = tuple(key for key in keys if key in words) or keys
     return dict(sorted(found.items()))
-
-
-def name_of_check(node):
-    """The name of the function of `lessons` that a syntax node calls, or None."""
-    called = node.func if isinstance(node, ast.Call) else None
-    if isinstance(called, ast.Attribute) and isinstance(called.value, ast.Name):
-        return called.attr if called.value.id == "lessons" else None
-    return None
 
 
 # --- tables ---------------------------------------------------------------------------------------
 def equations_table(folder=FOLDER):
     """A Markdown table with one row for each equation."""
-    about = {}
-    for tutorial in TUTORIALS:
-        for exercise, keys in facts(tutorial, folder).exercises.items():
-            for key in keys:
-                about.setdefault(key, []).append(exercise)
+    asked = [item for t in TUTORIALS for item in facts(t, folder).exercises.items()]
     files = {key: equation.module.replace(".", "/") + ".py" for key, equation in EQUATIONS.items()}
     rows = [
         (
@@ -147,7 +125,7 @@ def equations_table(folder=FOLDER):
             f"[`{file}`](../{file})",
             f"[`{key}.safetensors`](../p4dgs_ref/oracle/v1/{key}.safetensors)",
             f"[{tutorial_of(key).name}](notebooks/{tutorial_of(key).name}.ipynb)",
-            ", ".join(about.get(key, [])),
+            ", ".join(exercise for exercise, keys in asked if key in keys),
         )
         for key, file in files.items()
     ]
@@ -156,8 +134,11 @@ def equations_table(folder=FOLDER):
 
 def path_table(folder=FOLDER):
     """A Markdown table of the path of four hours."""
-    chosen = [tutorial for tutorial in TUTORIALS if tutorial.name[:2] in PATH]
-    rows = [(both_forms(t.name), facts(t, folder).title, str(minutes(t.name)[0])) for t in chosen]
+    rows = [
+        (both_forms(t.name), facts(t, folder).title, str(minutes(t.name)[0]))
+        for t in TUTORIALS
+        if t.name[:2] in PATH
+    ]
     return shared.table(("tutorial", "what it is about", "minutes"), rows)
 
 
@@ -171,50 +152,24 @@ def order_table(seconds, folder=FOLDER):
     heads = ("tutorial", "what it is about", "after", "exercises", "seconds", "minutes")
     rows = []
     for tutorial in TUTORIALS:
-        own, measured = facts(tutorial, folder), seconds.get(tutorial.name[:2])
-        rows.append(
-            (
-                both_forms(tutorial.name),
-                own.title,
-                listed(own.after),
-                str(len(own.exercises)),
-                f"{measured:.1f}" if measured else "",
-                f"{own.reading} + {own.doing}",
-            )
+        title, after, reading, doing, asked = facts(tutorial, folder)
+        row = (
+            both_forms(tutorial.name),
+            title,
+            ", ".join(after),
+            str(len(asked)),
+            f"{seconds[tutorial.name[:2]]:.1f}" if tutorial.name[:2] in seconds else "",
+            f"{reading} + {doing}",
         )
+        rows.append(row)
     return shared.table(heads, rows)
-
-
-def listed(numbers):
-    """ "07, 10", or "01 to 15" if no tutorial between the first and the last is missing."""
-    if len(numbers) > 2:
-        between = [t.name[:2] for t in TUTORIALS if numbers[0] <= t.name[:2] <= numbers[-1]]
-        if list(numbers) == between:
-            return f"{numbers[0]} to {numbers[-1]}"
-    return ", ".join(numbers)
-
-
-def graph(folder=FOLDER):
-    """The prerequisites as a Mermaid graph, without arrows that follow from two others."""
-    before = {tutorial.name[:2]: set(facts(tutorial, folder).after) for tutorial in TUTORIALS}
-    reach = {}
-    for number, direct in before.items():  # a prerequisite has a lower number
-        reach[number] = direct.union(*(reach[n] for n in direct))
-    lines = ["```mermaid", "graph LR"]
-    for tutorial in TUTORIALS:
-        number = tutorial.name[:2]
-        lines.append(f'    t{number}["{number} {tutorial.name[3:].replace("_", " ")}"]')
-        for n in sorted(before[number]):
-            if not any(n in reach[other] for other in before[number]):
-                lines.append(f"    t{n} --> t{number}")
-    return "\n".join([*lines, "```"])
 
 
 def measured_before(folder=FOLDER):
     """{number: seconds} as README.md states them."""
     text = (Path(folder) / "README.md").read_text(encoding="utf-8")
-    found = re.findall(r"^\| \[(\d\d)_.*\| (\d+\.\d) \| [^|]* \|$", text, re.M)
-    return {number: float(seconds) for number, seconds in found}
+    rows = r"^\| \[(\d\d)_.*\| (\d+\.\d) \| [^|]* \|$"
+    return {number: float(seconds) for number, seconds in re.findall(rows, text, re.M)}
 
 
 def index(seconds, folder=FOLDER):
@@ -227,23 +182,13 @@ def index(seconds, folder=FOLDER):
         "architecture": f"![{CAPTION}](pictures/{gallery.DRAWING})",
         "path": path_table(folder),
         "order": order_table(seconds, folder),
-        "graph": graph(folder),
         "equations": equations_table(folder),
         "gallery": gallery.gallery(),
     }
     for name, made in sections.items():
-        mark = f"<!-- {name} -->\n"
-        before, after = text.split(mark, 1)
+        before, mark, after = text.partition(f"<!-- {name} -->\n")
         text = f"{before}{mark}{made}\n<!-- end -->{after.split('<!-- end -->', 1)[1]}"
     return text
-
-
-# --- the drawing ----------------------------------------------------------------------------------
-def draw_architecture(file):
-    """Write the drawing as a PNG, without matplotlib's version in it."""
-    figure = architecture.draw(dpi=150)
-    figure.savefig(file, metadata={"Software": None})
-    lessons.pyplot().close(figure)
 
 
 # --- measuring ------------------------------------------------------------------------------------
@@ -260,6 +205,7 @@ MADE = {  # what draws pictures and is no numbered tutorial with a solution
     "beyond": lambda out: run("beyond_networks", out),
     "demo": gallery.draw_demo,
     "accuracy": gallery.draw_accuracy,
+    "tour": gallery.draw_tour,
 }
 
 
@@ -268,8 +214,7 @@ def main(chosen):
     names = {tutorial.name[:2]: tutorial.name for tutorial in TUTORIALS}
     unknown = sorted(set(chosen) - {*names, *MADE, "index"})
     if unknown:
-        others = ", ".join(map(repr, (*MADE, "index")))
-        sys.exit(f"{' '.join(unknown)}: expected numbers of tutorials, or one of {others}")
+        sys.exit(f"{' '.join(unknown)}: expected numbers of tutorials, index, {', '.join(MADE)}")
     seconds = measured_before()
     with tempfile.TemporaryDirectory() as out:
         for number in [number for number in names if not chosen or number in chosen]:
@@ -278,7 +223,7 @@ def main(chosen):
         for make in [make for word, make in MADE.items() if not chosen or word in chosen]:
             make(out)
         gallery.record(gallery.take(out, FOLDER / "pictures"))
-    write_atomically(FOLDER / "pictures" / gallery.DRAWING, draw_architecture)
+    architecture.save(FOLDER / "pictures" / gallery.DRAWING)
     handout.save(FOLDER / gallery.HANDOUT)
     gallery.record([gallery.DRAWING, gallery.HANDOUT])
     write_text(FOLDER / "glossary.md", glossary.glossary())

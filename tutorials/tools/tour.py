@@ -1,0 +1,224 @@
+"""The paper in ten pictures: tutorials/tour/*.png and tour.pdf, from the demo's file.
+
+`python -m tutorials.tools.syllabus tour` draws them. tutorials/tour.md is their text, whose numbers
+a test finds in the pictures. `python -m tutorials.tools.tour` trains the failures of the last
+picture anew, which takes a few minutes; their files lie beside the pictures, so that nobody has to
+train in order to draw.
+"""
+
+from dataclasses import replace
+
+import imageio.v3 as iio
+import numpy as np
+from matplotlib.backends.backend_pdf import PdfPages
+from scipy.special import ndtr
+
+from p4dgs_ref.codec import container, file, quantise, rans
+from p4dgs_ref.lab.school import lessons, show
+from p4dgs_ref.report import evaluate, inspect
+from p4dgs_ref.scenes import load, output, simulator
+from p4dgs_ref.training import presets, trainer
+from tutorials.tools import animation, handout, shared
+
+PLACE = shared.FOLDER / "tour"
+SCENE = simulator.describe(load.find_scene("bouncing") / load.DESCRIPTION)
+WALK = {a: simulator.camera_at(SCENE, np.radians(a), np.radians(26)) for a in range(361)}
+CAMERA, T = WALK[305], 0.3  # which all pictures show
+VIEW = {"xlim": (1, 62), "ylim": (59, 10)}  # without the empty margins
+DATA = (shared.FOLDER / "demo.p4dgs").read_bytes()
+FILE = file.quantised_of(container.read_container(DATA), DATA[8])
+MODEL, DESIGN = FILE.model, FILE.model.design
+TRUTH = animation.truth(SCENE, CAMERA, T, MODEL.background)
+
+# Rate (MB) of every scene in the paper's tables, those of D-NeRF and then those of NeRF-DS.
+PAPER = {
+    "4DGS": (243.19, 400.54, 322.34, 433.92, 423.43, 301.36, 347.14, 751.50)
+    + (204.09, 128.75, 396.73, 280.38, 124.93, 275.61, 164.99),
+    "4DHexPlane": (19.70, 21.22, 20.97, 20.78, 33.02, 22.45, 19.42, 31.83)
+    + (52.36, 60.16, 65.58, 52.04, 103.00, 60.07, 50.51),
+    "D3DGS": (45.27, 10.99, 38.99, 24.04, 73.53, 44.44, 21.64, 56.72)
+    + (47.24, 68.67, 88.15, 52.32, 57.22, 49.09, 52.99),
+    "P-4DGS": (1.07, 0.63, 1.33, 0.73, 2.04, 0.93, 0.70, 0.88)
+    + (0.67, 0.66, 0.90, 0.67, 0.66, 0.75, 0.62),
+}
+SECTIONS = {  # in the order of the strip: label and colour
+    "positions": ("positions", show.PARTS["position, masks"]),
+    "features": ("features", show.PARTS["feature"]),
+    "scales": ("scales", show.PARTS["scales"]),
+    "offset_scales": ("offset\nscales", show.PARTS["offset scales"]),
+    "offsets": ("offsets", show.PARTS["offsets"]),
+    "masks": ("", show.GREY),
+    "hash_grid": ("", show.CONTEXT),
+    "context_mlps": ("context", show.CONTEXT),
+    "deformation_mlp": ("motion network", show.TIME),
+    "anchor_mlps": ("prediction networks", show.SPACE),
+    "header": ("", show.GREY),
+}
+
+
+class Silent(np.random.Generator):
+    """A generator that makes the noise of Eq. (7) zero: only this noise is drawn in float32."""
+
+    def random(self, size=None, dtype=np.float64):
+        return super().random(size) if dtype is np.float64 else np.full(size, 0.5, dtype)
+
+
+FAILURES = {  # title: generator of training, and what of the demo's preset changes
+    "no noise": (Silent, {}),
+    "no rate": (np.random.Generator, {"lambda_rate": 0.0}),
+    "rate times 100": (np.random.Generator, {"lambda_rate": 100 * presets.TINY_CODED.lambda_rate}),
+    "one frequency in time": (np.random.Generator, {"L_t": 1}),
+}
+
+
+def train():
+    """Train the failures and write their files."""
+    for title, (generator, changes) in FAILURES.items():
+        run = trainer.Trainer(load.load_scene("bouncing"), presets.TINY_CODED._replace(**changes))
+        run.rng = generator(run.rng.bit_generator)
+        (PLACE / f"{title.replace(' ', '_')}.p4dgs").write_bytes(file.encode(run.run()))
+
+
+# --- the pictures that are not in `show` ----------------------------------------------------------
+def why(figure):
+    """What a moving scene costs."""
+    left, right = figure.subplots(1, 2, width_ratios=(1.1, 1))
+    count = int(MODEL.anchors.mask.sum())
+    numbers = f"{count} Gaussians\nof {evaluate.FLOATS_PER_GAUSSIAN} numbers,\nand a network"
+    for size, x, color, label in (
+        (
+            len((shared.FOLDER / "pictures" / "demo.gif").read_bytes()),
+            20,
+            "#e3e3e3",
+            "the animation on the front page",
+        ),
+        (evaluate.explicit_bytes(MODEL, count), 20, "#b0b0b0", numbers),
+        (len(DATA), 105, show.SPACE, "the file"),
+    ):
+        side = np.sqrt(size)
+        left.fill((0, side, side, 0), (0, 0, side, side), color=color)
+        left.text(x, side - 12, f"{label}:\n{size:,} bytes", va="top")
+    left.set(aspect="equal", title="our scene (area = bytes)")
+    left.set_axis_off()
+    for i, (name, sizes) in enumerate(PAPER.items()):
+        color = show.SPACE if name == "P-4DGS" else show.GREY
+        right.plot(sizes, [i] * len(sizes), "o", ms=14, alpha=0.6, color=color, mew=0)
+        right.text(0.5, i + 0.2, f"{name}: {min(sizes):.2f} to {max(sizes):.2f} MB", color=color)
+    right.set(
+        title="the paper's 15 scenes",
+        xlabel="MB of a scene",
+        xscale="log",
+        xticks=(1, 10, 100),
+        xticklabels=(1, 10, 100),
+        yticks=(),
+        ylim=(-0.5, 3.6),
+    )
+
+
+def parts(figure):
+    """The file as a strip, section by section, in the paper's design and with coded networks."""
+    ax = figure.subplots()
+    plain = replace(MODEL, design=DESIGN._replace(coded=False, position_bits=16), steps=None)
+    paper, own = (inspect.components(data) for data in (file.encode(plain), DATA))
+    zoom, colors = sum(paper.values()) / len(DATA), {n: color for n, (_, color) in SECTIONS.items()}
+    labels = {name: label and f"{own[name]:,}\n{label}" for name, (label, _) in SECTIONS.items()}
+    for y, sizes, title in ((4, paper, "the paper's design"), (2.4, own, "coded networks")):
+        networks = sum(size for name, size in sizes.items() if "mlp" in name)
+        said = f"{sum(sizes.values()):,} bytes, {networks:,} of them networks"
+        ax.text(0, y + 0.45, f"{title}: {said}", size=18)
+        show.strip(ax, {name: sizes[name] for name in SECTIONS}, y, colors)
+    between = (0, len(DATA), zoom * len(DATA), 0), (2.05, 2.05, 0.9, 0.9)
+    ax.fill(*between, color=show.PALE, alpha=0.5, lw=0)
+    show.strip(ax, {name: zoom * own[name] for name in SECTIONS}, 0.4, colors, 1, labels)
+    ax.set(xlim=(0, zoom * len(DATA)), ylim=(-1.3, 4.9))
+    ax.set_axis_off()
+
+
+def breaks(figure):
+    """The same picture after failures of training and of decoding."""
+    sections = container.read_container(DATA)
+    first, *rest = sections["deformation_mlp"]
+    sections["deformation_mlp"] = bytes([first ^ 64, *rest])
+    files = {
+        "the file": DATA,
+        **{title: (PLACE / f"{title.replace(' ', '_')}.p4dgs").read_bytes() for title in FAILURES},
+        "one bit changed": container.write_container(sections, DATA[8]),
+    }
+    shown = {title: (file.decode(data), data) for title, data in files.items()}
+    shown["one ulp in the decoder"] = one_ulp()
+    first, *axes = figure.subplots(2, 4).flat
+    truth = animation.truth(SCENE, show.enlarged(CAMERA, 8), T, MODEL.background)
+    show.picture(first, truth, CAMERA, **VIEW, title="the truth,\nray traced")
+    for ax, (title, found) in zip(axes, shown.items()):
+        show.scored_picture(ax, *found, CAMERA, T, TRUTH, VIEW, title)
+
+
+def one_ulp(wrong=2000):
+    """The model that a decoder finds if sigma of one symbol is an ulp too large, and the message.
+
+    The coder's tables come from floats here, as tutorial 21 explains. The decoder reads zeros after
+    the data, as many do.
+    """
+    sent, symbols = FILE.symbols[FILE.kept], np.zeros_like(FILE.symbols)
+    n, values = np.arange(len(sent)), np.arange(sent.min(), sent.max() + 1)
+    ctx, q = inspect.float_context(MODEL), np.repeat(FILE.context.q, DESIGN.widths, axis=1)
+    mu, sigma = ((array / q)[FILE.kept].astype(np.float32) for array in (ctx.mu, ctx.sigma))
+
+    def keys():
+        below = ndtr((np.append(-np.inf, values[1:] - 0.5) - mu[:, None]) / sigma[:, None])
+        counts = (below * (rans.CERTAIN - len(values))).astype(np.int64) + np.arange(len(values))
+        return np.append(counts + (n[:, None] << rans.PRECISION), len(n) << rans.PRECISION)
+
+    data = rans.encode(n * len(values) + sent - values[0], keys(), lanes=1)
+    sigma[wrong] = np.nextafter(sigma[wrong], np.float32(np.inf))
+    *_, state, start = rans.read_head(data, 0, len(n), "message")
+    words, entries = np.append(np.frombuffer(data, "<u4", offset=start), 0 * n), 0 * n
+    rans.pop_rows_plainly([state], words, n, keys(), entries)
+    symbols[FILE.kept] = entries - n * len(values) + values[0]
+    f, s, l, O = quantise.dequantise(symbols, FILE.context, DESIGN)
+    return replace(MODEL, anchors=MODEL.anchors._replace(f_a=f, s_a=s, l_a=l, O_a=O)), data
+
+
+# --- all pictures ---------------------------------------------------------------------------------
+# Anchor 127 has its children all over the blue ball; the pixel is at the lower edge of the red one.
+PICTURES = {  # title: what fills its figure
+    "1  Why": why,
+    "2  Anchors and children": lambda figure: show.anchors(figure, MODEL, CAMERA, 127, VIEW),
+    "3  Prediction": lambda figure: show.prediction(figure, FILE, CAMERA, T, 127, WALK),
+    "4  Time": lambda figure: show.time(figure, MODEL, CAMERA, T, VIEW),
+    "5  Splatting": lambda figure: show.pixel(figure, MODEL, CAMERA, T, (36, 32)),
+    "6  Steps": lambda figure: show.steps(figure, MODEL, CAMERA, T, TRUTH, VIEW),
+    "7  Context": lambda figure: show.knowledge(figure, FILE, level=0.0),
+    "8  Bits": lambda figure: show.bits(figure, DATA, CAMERA, T, VIEW),
+    "9  Bytes": parts,
+    "10  What breaks": breaks,
+}
+
+
+def page(title):
+    """The figure of one picture, 1,280 pixels wide."""
+    plt = lessons.pyplot()
+    with plt.rc_context(show.STYLE):
+        figure = plt.figure(figsize=(12.8, 7.2), layout="constrained")
+        PICTURES[title](figure)
+        figure.suptitle(title, x=0.01, ha="left", size=24, weight="bold")
+    return figure
+
+
+def draw():
+    """Write all pictures, in 256 colours each, and the PDF, one picture a page."""
+    with (
+        output.filled(shared.FOLDER) as beside,
+        PdfPages(beside / "tour.pdf", metadata=handout.UNDATED) as pages,
+    ):
+        (beside / "tour").mkdir()
+        for i, title in enumerate(PICTURES, 1):
+            figure = page(title)
+            pages.savefig(figure, bbox_inches=figure.bbox_inches)  # whatever rcParams say
+            figure.canvas.draw()  # after the pass for the page, so that the layout has settled
+            pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
+            iio.imwrite(beside / "tour" / f"{i:02d}.png", pixels, optimize=True, bits=8)
+
+
+if __name__ == "__main__":
+    train()
