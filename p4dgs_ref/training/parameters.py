@@ -107,11 +107,7 @@ class Adam:
         g = np.clip(gradients.vector, -largest, largest)
         m += (1 - BETA_1) * (g - m)
         v += (1 - BETA_2) * (g * g - v)
-        change = np.sqrt(v)
-        change += EPSILON
-        np.divide(m, change, out=change)
-        change *= parameters.per_element(corrected)
-        parameters.vector -= change
+        parameters.vector -= m / (np.sqrt(v) + EPSILON) * parameters.per_element(corrected)
 
 
 def exponential(step, first, last, until, start=0):

@@ -118,9 +118,7 @@ class Preset(NamedTuple):
         "iterations at which stages 1 to 4 end",
     )
     lambda_ssim: float = row(0.2, 0.2, between(0, 1), "3DGS (Q13)", "weight of D-SSIM")
-    sparse_share: float = row(0.0, 0.1, NOT_NEGATIVE, OFF_Q13, "a sparse scene has less foreground")
-    sparse_ssim: float = row(0.2, 0.6, between(0, 1), OFF_Q13, "its lambda_ssim in stages 1 and 2")
-    sparse_lr_c: float = row(1.0, 0.5, NOT_NEGATIVE, OFF_Q13, "factor of its lr_c there")
+    sparse_share: float = row(0.0, 0.1, NOT_NEGATIVE, OFF_Q13, "below it, foreground weighs more")
     # learning rates: first and last, geometric over all iterations from `decay_from` on
     decay_from: int = row(0, 1800, NOT_NEGATIVE, "ours (Q17)", "first iteration of the decay")
     lr_x: tuple = row((0.0, 0.0), (0.002, 2e-4), RATE, "Scaffold-GS (Q14)", "positions")

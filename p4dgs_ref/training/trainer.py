@@ -32,12 +32,6 @@ LEARNING_RATES = {
 }
 # The stage in which an array first takes part; all others take part in all stages.
 FIRST_STAGE = {"psi_d": 3, "psi_t": 3, "psi_p": 4, "psi_q": 4, "grid": 4, "log_step": 4}
-UNLIKE = 0.1  # difference of a channel from which on a pixel is unlike the background
-
-
-def covered_share(image):
-    """The share of the pixels of an image [H, W, 3] that are unlike its median colour."""
-    return np.mean(np.abs(image - np.median(image, axis=(0, 1))).max(axis=2) > UNLIKE)
 
 
 def assemble(p, design, mask, box, background):
@@ -94,21 +88,15 @@ class Trainer(Loop):
         )
 
     @cached_property
-    def sparse(self):
-        """Whether few pixels are unlike the background of their picture (Q13)."""
-        shares = [covered_share(view.image) for view in self.scene.train]
-        return np.mean(shares) < self.preset.sparse_share
+    def body_weight(self):
+        """How often a pixel of the body counts in L1 in stages 1 and 2, where nothing moves (Q13).
 
-    @property
-    def starts_sparse(self):
-        """Whether a sparse scene is in stages 1 and 2, which would otherwise learn only background.
-
-        Nothing moves there, and L1 pulls every pixel to its median over time. Where a thin body
-        moves, that is the background. psi_c and psi_s saturate on the way to it, and their
-        gradients vanish for good. SSIM sees the body, and with a slow psi_c the opacities fall
-        before all colours are those of the background; dead anchors are then re-seeded.
+        L1 pulls every pixel to its median over time. Where a thin body moves, that is the
+        background: opacities fall, or psi_c saturates, and the body is lost for good. In a sparse
+        scene the body therefore counts as much as the whole picture, until it has learned to move.
         """
-        return self.stage <= 2 and self.sparse
+        cover = np.mean([objective.body(view.image).mean() for view in self.scene.train])
+        return 1 / cover if 0 < cover < self.preset.sparse_share else 1.0
 
     @property
     def stage(self):
@@ -119,24 +107,27 @@ class Trainer(Loop):
         """The current learning rate of a name of LEARNING_RATES; 0 where the stage has none."""
         if self.stage < FIRST_STAGE.get(name, 1) or (name == "x_a" and self.stage == 4):
             return 0.0
-        first, last = getattr(self.preset, LEARNING_RATES[name])
-        rate = exponential(
-            self.iteration, first, last, self.preset.iterations, self.preset.decay_from
+        return exponential(
+            self.iteration,
+            *getattr(self.preset, LEARNING_RATES[name]),
+            self.preset.iterations,
+            self.preset.decay_from,
         )
-        return rate * self.preset.sparse_lr_c if name == "psi_c" and self.starts_sparse else rate
 
     def fixed(self):
         """The inputs of the next iteration that are not parameters."""
-        preset, stage = self.preset, self.stage
-        coded_for = self.iteration - preset.stage_ends[2]  # iterations of stage 4
+        preset, stage, (_, rested, moved, _) = self.preset, self.stage, self.preset.stage_ends
+        coded_for = self.iteration - moved  # iterations of stage 4
         return objective.Fixed(
             mask=self.mask,
             located=self.located,
             background=self.scene.background,
             stage=stage,
             lambda_rate=preset.lambda_rate,
-            lambda_ssim=preset.sparse_ssim if self.starts_sparse else preset.lambda_ssim,
+            lambda_ssim=preset.lambda_ssim,
             settings=self.settings,
+            lambda_body=(1 - preset.lambda_ssim)
+            * (exponential(self.iteration, self.body_weight, 1.0, moved, rested) - 1),
             coded=self.layout if stage == 4 else None,
             network_price=min(coded_for / max(preset.network_ramp, 1), 1.0),  # rises to 1
         )

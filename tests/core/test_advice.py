@@ -9,9 +9,9 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.cli import text
-from p4dgs_ref.training import fit
+from p4dgs_ref.training import fit, objective
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
-from p4dgs_ref.training.trainer import Trainer, covered_share
+from p4dgs_ref.training.trainer import Trainer
 
 
 def scene(count, thick=2, color=(0.2, 0.3, 0.4)):
@@ -94,25 +94,29 @@ def test_the_command_line_prints_a_warning_as_one_line(capsys, monkeypatch):
 
 
 # --- sparse scenes ---
-def test_covered_share_is_that_of_the_smaller_part():
-    image = np.zeros((10, 10, 3))
-    image[:, :3] = (0, 0.2, 0)
-    image[0, 9] = (0.05, 0.05, 0.05)
-    assert covered_share(image) == 0.3
+def test_the_body_is_what_is_unlike_the_median_colour():
+    """A pixel of the body counts by the weight, another one not at all, at equal errors."""
+    truth = np.zeros((10, 10, 3))
+    truth[:, :3] = (0, 0.2, 0)
+    truth[0, 9] = (0.05, 0.05, 0.05)
+    body = objective.body(truth)
+    assert body[:, :3].all() and body.sum() == 30
+    fixed = Trainer(scene(3), TINY).fixed()
+    (plain, back), (more, back_more) = (
+        objective.picture_loss(truth - 0.5, truth, fixed._replace(lambda_body=weight))
+        for weight in (0.0, 4.0)
+    )
+    assert more[0] - plain[0] == pytest.approx(4 * 0.3 * 0.5)
+    of_body = 300 * (back_more(3.0) - back(3.0))
+    assert np.allclose(of_body, -12 * body[:, :, None], atol=1e-12)
 
 
-def test_a_sparse_scene_starts_with_more_ssim_and_slower_colors():
-    """One of sixteen columns is less than a tenth, two are more; from stage 3 on all are equal."""
-    weights, rates = {}, {}
-    for thick in (1, 2):
-        for preset in (TINY, PAPER_SYNTHETIC._replace(anchors=50, lr_c=(0.008, 0.008))):
-            trainer, case = Trainer(scene(3, thick), preset), (thick, preset.name)
-            weights[case], rates[case] = [], []
-            for trainer.iteration in (0, *preset.stage_ends[:3]):
-                weights[case].append(trainer.fixed().lambda_ssim)
-                rates[case].append(trainer.rate_of("psi_c"))
-    assert weights[1, "tiny"] == [0.6, 0.6, 0.2, 0.2]
-    assert weights[2, "tiny"] == weights[1, "paper_synthetic"] == [0.2] * 4
-    assert rates[1, "tiny"] == pytest.approx([0.004, 0.004, *rates[2, "tiny"][2:]])
-    for full in (rates[2, "tiny"], rates[1, "paper_synthetic"]):
-        assert full[:2] == pytest.approx([0.008, 0.008])
+def test_a_sparse_scene_counts_its_body_as_often_as_all_pixels():
+    """One of sixteen columns is less than a tenth, two are more; from stage 4 on all are equal."""
+    expected = [0.8 * 15, 0.8 * 15, 0.8 * 3, 0, 0]  # half-way through stage 3, 4 times for 16
+    for thick, preset in ((1, TINY), (2, TINY), (1, PAPER_SYNTHETIC._replace(anchors=50))):
+        trainer, weights = Trainer(scene(3, thick), preset), []
+        _, rested, moved, end = preset.stage_ends
+        for trainer.iteration in (0, rested, (rested + moved) // 2, moved, end):
+            weights.append(trainer.fixed().lambda_body)
+        assert weights == pytest.approx(expected if preset == TINY and thick == 1 else [0] * 5)

@@ -94,7 +94,7 @@ PRESET = Preset(
 # Fields that only the name of a preset or the start of a training concerns, or that are off.
 UNUSED = (
     *("name", "anchors", "extent", "feature_std", "opacity_bias", "upright"),
-    *("deformation_gain", "sparse_share", "sparse_ssim", "sparse_lr_c"),
+    *("deformation_gain", "sparse_share"),
     *("coded", "position_bits", "network_ramp", "lr_step"),
 )
 # What the vectors switch off and no preset can switch on, at its place among the settings.

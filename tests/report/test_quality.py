@@ -11,8 +11,9 @@ import p4dgs_ref as p4
 from p4dgs_ref.report.inspect import components
 
 THIN = Path(__file__).parent / "thin_scenes"
-# Scene: least PSNR in dB, least SSIM, most bytes. The last three are thin things that move, a few
-# pixels among many white ones: a white picture has 18.7, 15.0 and 16.1 dB.
+# Scene: least PSNR in dB, least SSIM, most bytes. The last four are thin things that move, a few
+# pixels among many white ones: a white picture has 18.7, 15.0, 16.1 and 21.4 dB. The hoop was lost
+# as long as all pixels counted alike in L1.
 PROMISED = {
     "figure": (30.5, 0.978, 50_000),
     "glossy": (32.0, 0.978, 50_000),
@@ -20,6 +21,7 @@ PROMISED = {
     "rods": (23.0, 0, 50_000),
     "leaf": (23.0, 0, 50_000),
     "fence": (23.0, 0, 50_000),
+    "hoop": (25.0, 0, 50_000),
 }
 
 
