@@ -305,7 +305,7 @@ LINES = [
     ),
     ("encode /dev/zero -o x", ("/dev/zero/checkpoint.npz", "Not a directory")),
     ("simulate /dev/zero -o out", ("/dev/zero", "a device")),
-    ("train scene -o out --points /dev/zero", ("/dev/zero", ".npy, .ply or .txt")),
+    ("train scene -o out --points /dev/zero", ("/dev/zero", ".npy, .ply, .bin, .txt")),
     ("oracle check /dev/zero", ("/dev/zero: expected a folder",)),
     ("grade /dev/zero", ("/dev/zero: expected a classroom",)),
     ("decode good.p4dgs -o text", ("text", "folder that can be written")),
