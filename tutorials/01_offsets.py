@@ -200,19 +200,19 @@ assert close(large, 100 * small)
 
 # %% [markdown]
 # ## Exercises
-# Replace the dots and the `raise` lines below, then run the cell. It compares your functions with
+# Replace each `...` and the `raise` lines below, then run the cell. It compares your functions with
 # *golden vectors*, which are inputs and outputs that come with the project. `lessons.hint("01.2")`
 # prints a hint, and a second call prints another one. The last question of a tutorial has no blank:
 # write down what you expect, and why, then test it with a few lines of code. The solutions have the
 # answer to it too.
 #
-# **01.1** A second child of the anchor in "By hand" has the offset $(0, 4, -0.5)$. Where does it
+# **01.1** ● A second child of the anchor in "By hand" has the offset $(0, 4, -0.5)$. Where does it
 # stand? Give a list of three numbers.
 #
-# **01.2** Write Eq. (1) for arrays.
+# **01.2** ● Write Eq. (1) for arrays.
 #
-# **01.3** Write its backward. The dictionary `cotangents` holds the cotangents of the outputs, here
-# `x_bar` for the output `x`.
+# **01.3** ●● Write its backward. The dictionary `cotangents` holds the cotangents of the outputs,
+# here `x_bar` for the output `x`.
 #
 # **Predict, then run.** A port keeps all numbers in float16. An anchor stands at $x = 1000$, with
 # $l_a = 0.1$. Which of the offsets $1, 2, 3, \dots$ is the first that moves its child?

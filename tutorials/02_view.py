@@ -343,13 +343,13 @@ print(f"largest change of a direction {turn:.1e} degrees, of a distance {shift:.
 
 # %% [markdown]
 # ## Exercises
-# **02.1** The anchor of "By hand" moves by $(0.7, 0, 0)$. By how much does its distance change, to
-# first order?
+# **02.1** ● The anchor of "By hand" moves by $(0.7, 0, 0)$. By how much does its distance change,
+# to first order?
 #
-# **02.2** Write Eq. (2). The checks contain lengths near `1e200` and `1e-200` and a camera at the
-# position of an anchor. `np.hypot` and `np.where` help.
+# **02.2** ●● Write Eq. (2). The checks contain lengths near `1e200` and `1e-200` and a camera at
+# the position of an anchor. `np.hypot` and `np.where` help.
 #
-# **02.3** Write its backward: two terms, and zero where the distance is zero.
+# **02.3** ●●● Write its backward: two terms, and zero where the distance is zero.
 #
 # **Predict, then run.** A port computes the distance as the root of the sum of squares, in
 # float16. An anchor is $300$ units away along x. Which distance and which direction does it get?

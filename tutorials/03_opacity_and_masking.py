@@ -355,15 +355,15 @@ print(f"the network is cheaper from {count / k:.0f} anchors on")
 
 # %% [markdown]
 # ## Exercises
-# **03.1** A Gaussian has $\alpha = 0.6$ and $\bar\alpha = 2$. What is $\bar\psi$?
+# **03.1** ● A Gaussian has $\alpha = 0.6$ and $\bar\alpha = 2$. What is $\bar\psi$?
 #
-# **03.2** Write Eq. (3), including the network and the $\tanh$.
+# **03.2** ●● Write Eq. (3), including the network and the $\tanh$.
 #
-# **03.3** Write the backward of the network for any number of layers. Run its forward again to find
-# the input of each layer.
+# **03.3** ●●● Write the backward of the network for any number of layers. Run its forward again to
+# find the input of each layer.
 #
-# **03.4** Write the backward of masking. A Boolean array as an index, `zeros[keep] = ...`, does the
-# scattering.
+# **03.4** ●● Write the backward of masking. A Boolean array as an index, `zeros[keep] = ...`, does
+# the scattering.
 #
 # **Predict, then run.** The opacities of all children of an anchor fall just below $\tau_\alpha$.
 # Which gradient does its feature get from the next picture?

@@ -409,14 +409,14 @@ assert close(rounded / exact, 1.025)
 
 # %% [markdown]
 # ## Exercises
-# **04.1** $y = (0, 3, 0, 4)$ and $\bar r = (0, 0, 0, 25)$. What is $\bar y$? Give a list of four.
+# **04.1** ● $y = (0, 3, 0, 4)$ and $\bar r = (0, 0, 0, 25)$. What is $\bar y$? Give a list of four.
 #
-# **04.2** Write the colours: the sigmoid of `psi [A, 3 k]`, child by child. $e^{800}$ is larger
+# **04.2** ●● Write the colours: the sigmoid of `psi [A, 3 k]`, child by child. $e^{800}$ is larger
 # than any float, so think of $e^{-|\psi|}$.
 #
-# **04.3** Write the backward of the rotation.
+# **04.3** ●● Write the backward of the rotation.
 #
-# **04.4** Write the backward of the scale.
+# **04.4** ●● Write the backward of the scale.
 #
 # In the last two, the derivations above give `psi_bar`, and the function that `network` returns
 # does the rest.

@@ -407,13 +407,13 @@ print(f"ten numbers for 20,000 Gaussians at 100 times would take {2 * 10 * 20_00
 
 # %% [markdown]
 # ## Exercises
-# **05.1** $\mathcal{E}(p) = (p, \sin p, \cos p, \sin 2p, \cos 2p)$ at $p = 0$, and all cotangents
+# **05.1** ● $\mathcal{E}(p) = (p, \sin p, \cos p, \sin 2p, \cos 2p)$ at $p = 0$, and all cotangents
 # are one. What is $\bar p$?
 #
-# **05.2** Write the backward of $\mathcal{E}$ for vectors.
+# **05.2** ●● Write the backward of $\mathcal{E}$ for vectors.
 #
-# **05.3** Write Eq. (5) as it is printed: every row with a copy of $\mathcal{E}(t)$, a ReLU after
-# every layer before the heads, and then each head for itself.
+# **05.3** ●● Write Eq. (5) as it is printed: every row with a copy of $\mathcal{E}(t)$, a ReLU
+# after every layer before the heads, and then each head for itself.
 #
 # **Predict, then run.** Times are stored in float16, and $\mathcal{E}$ has $10$ frequencies. How
 # wrong can the angle of the fastest wave be for a time between $0.5$ and $1$?

@@ -288,12 +288,12 @@ assert "psi_d" not in design_of(paper, ()).layers()
 
 # %% [markdown]
 # ## Exercises
-# **06.1** $r = (1, 0, 0, 0)$ and $\Delta r = (0, 0, 0, 1)$. By how many degrees does the Gaussian
+# **06.1** ● $r = (1, 0, 0, 0)$ and $\Delta r = (0, 0, 0, 1)$. By how many degrees does the Gaussian
 # turn? The real part of a unit quaternion is the cosine of half the angle.
 #
-# **06.2** Write Eq. (6), including corrections of width zero.
+# **06.2** ●● Write Eq. (6), including corrections of width zero.
 #
-# **06.3** Write its backward. `numerics.normalise(y)` returns $y/n$ and $n$, and
+# **06.3** ●● Write its backward. `numerics.normalise(y)` returns $y/n$ and $n$, and
 # `numerics.normalise_backward(y / n, n, bar)` returns the gradient of $y$.
 #
 # **Predict, then run.** Both $r$ and $\Delta r$ are multiplied by $100$. What happens to $r'$ and

@@ -377,12 +377,12 @@ assert abs(squared_error[0.25] / squared_error[0.125] - 4) < 0.05
 
 # %% [markdown]
 # ## Exercises
-# **07.1** What are the symbols of $0.625$, $0.375$, $-0.875$ and $-0.45$ with the step $0.25$? Give
-# a list of four integers.
+# **07.1** ● What are the symbols of $0.625$, $0.375$, $-0.875$ and $-0.45$ with the step $0.25$?
+# Give a list of four integers.
 #
-# **07.2** Write Eq. (10) with both outputs, the symbols as integers.
+# **07.2** ●● Write Eq. (10) with both outputs, the symbols as integers.
 #
-# **07.3** Write the backward of Eq. (7).
+# **07.3** ●● Write the backward of Eq. (7).
 #
 # **Predict, then run.** All numbers of a group are exact multiples of their step. What is the mean
 # squared error with the noise of training, and what is it in the file?

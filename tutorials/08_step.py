@@ -319,12 +319,13 @@ for group, column in zip("fslO", share.T):
 
 # %% [markdown]
 # ## Exercises
-# **08.1** At which $u$ is the step half of $Q_0$?
+# **08.1** ● At which $u$ is the step half of $Q_0$?
 #
-# **08.2** Write Eq. (8) with its floor. You may use `u, saved = mlp.forward(x, weights, biases)`.
+# **08.2** ●● Write Eq. (8) with its floor. You may use
+# `u, saved = mlp.forward(x, weights, biases)`.
 #
-# **08.3** Write its backward, with the slope 0 on the floor. `mlp.backward(saved, u_bar)` returns a
-# dictionary of `"x"`, `"weights"` and `"biases"`.
+# **08.3** ●● Write its backward, with the slope 0 on the floor. `mlp.backward(saved, u_bar)`
+# returns a dictionary of `"x"`, `"weights"` and `"biases"`.
 #
 # **Predict, then run.** A port computes $1 + \tanh u$ in float16, as it is printed. What does it
 # return at $u = -4$ and at $u = -5$? The true values are $0.00067$ and $0.000091$.

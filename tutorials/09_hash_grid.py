@@ -332,13 +332,14 @@ print(f"{signs_of_hac} signs take {signs_of_hac / 8 / 2**20:.2f} MiB")
 
 # %% [markdown]
 # ## Exercises
-# **09.1** With the parameters of the section "By hand", what does an anchor at $(0.75, 0.25)$ read?
+# **09.1** ● With the parameters of the section "By hand", what does an anchor at $(0.75, 0.25)$
+# read?
 #
-# **09.2** Write the row of a corner: dense if the $n^D$ nodes fit into the table, otherwise hashed
-# as in "By hand". The type `uint32` wraps around by itself.
+# **09.2** ●● Write the row of a corner: dense if the $n^D$ nodes fit into the table, otherwise
+# hashed as in "By hand". The type `uint32` wraps around by itself.
 #
-# **09.3** Write the backward of Eq. (9). It needs two lines of the section above, and `np.split` to
-# cut the rows into levels.
+# **09.3** ●● Write the backward of Eq. (9). It needs two lines of the section above, and `np.split`
+# to cut the rows into levels.
 #
 # **Predict, then run.** All parameters of the grid are multiplied by $1000$. What happens to $h$,
 # and what to the gradients?

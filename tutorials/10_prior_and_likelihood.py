@@ -425,15 +425,15 @@ assert abs(bits_in_file - bits_exact[0, 0]) > 1e-2
 
 # %% [markdown]
 # ## Exercises
-# **10.1** Compute $\log p$ (natural logarithm) of the golden bins `z_golden` and `w_golden` below,
-# as an array of the same length. Here $|z|$ lies between $1$ and $40$, and $w = 1$. The formula
-# with `erfcx` works for all of them if you use $|z|$, and so does `scipy.special.log_ndtr`, which
-# is $\log\Phi$ with all its digits.
+# **10.1** ●● Compute $\log p$ (natural logarithm) of the golden bins `z_golden` and `w_golden`
+# below, as an array of the same length. Here $|z|$ lies between $1$ and $40$, and $w = 1$. The
+# formula with `erfcx` works for all of them if you use $|z|$, and so does `scipy.special.log_ndtr`,
+# which is $\log\Phi$ with all its digits.
 #
-# **10.2** Write the backward of Eq. (12), with `mlp.forward`, `mlp.backward`, `prior.layout`,
+# **10.2** ●● Write the backward of Eq. (12), with `mlp.forward`, `mlp.backward`, `prior.layout`,
 # `prior.RAW_MIN` and `prior.RAW_MAX`.
 #
-# **10.3** Write the backward of Eq. (11), with the function `slopes_of_log_p` of this tutorial.
+# **10.3** ●●● Write the backward of Eq. (11), with the function `slopes_of_log_p` of this tutorial.
 #
 # **Predict, then run.** A scene changes its unit from metres to millimetres, so that $f$, $\mu$,
 # $\sigma$ and $q$ are all multiplied by $1000$. What happens to the bits, and what to the gradient
@@ -474,3 +474,21 @@ lessons.backward("10.3", my_likelihood_backward, "likelihood")
 
 # %%
 lessons.passes("likelihood", "prior")
+
+# %% [markdown]
+# ## An open project
+# **Beat the context with a table.** The hash grid and the networks give the decoder a step, a mean
+# and a deviation for every number. Is a table enough, for example one mean and one deviation for
+# each column? `p4dgs-ref inspect tutorials/demo.p4dgs` prints the baseline. The symbols of
+# features, scales, offset scales and offsets take $1145 + 377 + 484 + 1557 = 3563$ bytes, and the
+# context takes $109$ (`hash_grid`) and $434$ (`context_mlps`). The sum is $4106$ bytes.
+#
+# Measure the same sum for your table, with the same symbols. It consists of their bits by Eq. (11)
+# ($3532$ bytes with the context), $31$ bytes for the coder, the table, and what you keep of the
+# context. If the steps still come from $\psi_q$, this is the grid and $484$ of the $2056$ numbers
+# in `context_mlps`, about $102$ bytes. Fewer than $4106$ bytes is a success.
+#
+# To begin, `codec.file.quantised_of(codec.container.open_container(data), 2)` of the package
+# returns the `symbols [199, 34]`, and in `kept` which of them the file holds. In units of its step,
+# every bin has the width $1$. First try a Gaussian for each column, then ask which columns are not
+# Gaussian and which predict each other. What happens to both sums with ten times as many anchors?

@@ -288,12 +288,12 @@ print(f"Eq. (17) describes {100 * in_rate / in_file:.0f} % of this file, which h
 
 # %% [markdown]
 # ## Exercises
-# **11.1** Write the backward of Eq. (13).
+# **11.1** ●● Write the backward of Eq. (13).
 #
-# **11.2** Write the backward of Eq. (14). All levels have the same slope, which depends on the
+# **11.2** ●● Write the backward of Eq. (14). All levels have the same slope, which depends on the
 # signs of all levels.
 #
-# **11.3** Write Eq. (17): the bits, and the bits per parameter. If there are no parameters, the
+# **11.3** ● Write Eq. (17): the bits, and the bits per parameter. If there are no parameters, the
 # loss is $0$.
 #
 # **Predict, then run.** Every parameter of the hash grid changes its sign. What happens to

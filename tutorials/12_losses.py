@@ -360,15 +360,15 @@ assert chosen == sorted(chosen, reverse=True)
 
 # %% [markdown]
 # ## Exercises
-# **12.1** For the golden case printed below, with $\lambda_{rate} = 10^{-3}$, give three numbers:
+# **12.1** ● For the golden case printed below, with $\lambda_{rate} = 10^{-3}$, give three numbers:
 # $\mathcal{L}_{total}$, $\bar{\mathcal{L}}_{render}$ and $\bar{\mathcal{L}}_{rate}$. The cotangent
 # $\bar{\mathcal{L}}_{total}$ is printed as `out_bar.L_total`.
 #
-# **12.2** Write Eq. (16). `ssim.dissimilarity(image, truth)[0]` is $1 - \mathrm{SSIM}$ with all its
-# digits. Subtracting a rounded SSIM from $1$ loses digits, and one golden case has nearly equal
+# **12.2** ● Write Eq. (16). `ssim.dissimilarity(image, truth)[0]` is $1 - \mathrm{SSIM}$ with all
+# its digits. Subtracting a rounded SSIM from $1$ loses digits, and one golden case has nearly equal
 # images.
 #
-# **12.3** Write the backward of SSIM, with `window.blur`.
+# **12.3** ●●● Write the backward of SSIM, with `window.blur`.
 #
 # **Predict, then run.** Both pictures are made half as bright. What happens to L1, and what to
 # $1 - \mathrm{SSIM}$?

@@ -417,12 +417,12 @@ assert share_of_invalid(of_rounded) == 0
 
 # %% [markdown]
 # ## Exercises
-# **13.1** Compute $\Sigma$ `[3, 3]` of $r = (\frac12, \frac12, \frac12, \frac12)$ and
+# **13.1** ● Compute $\Sigma$ `[3, 3]` of $r = (\frac12, \frac12, \frac12, \frac12)$ and
 # $s = (1, 2, 3)$ by hand. Where does each axis go?
 #
-# **13.2** Write the forward.
+# **13.2** ●● Write the forward.
 #
-# **13.3** Write its backward.
+# **13.3** ●●● Write its backward.
 #
 # **Predict, then run.** A quaternion $r$ is replaced by $-r$. What happens to $\Sigma$, and what
 # to $\bar r$?

@@ -512,13 +512,13 @@ assert errors[16] < 0.02
 
 # %% [markdown]
 # ## Exercises
-# **14.1** The flat Gaussian of "By hand" stands twice as far away, at $(1, 8)$. What is its
+# **14.1** ● The flat Gaussian of "By hand" stands twice as far away, at $(1, 8)$. What is its
 # variance in pixels, including the blur?
 #
-# **14.2** Write the forward. Compute Gaussians that are too near as if they were at $(0, 0, 1)$,
+# **14.2** ●● Write the forward. Compute Gaussians that are too near as if they were at $(0, 0, 1)$,
 # and set all culled rows to zero at the end.
 #
-# **14.3** Write its backward.
+# **14.3** ●●● Write its backward.
 #
 # **Predict, then run.** The same camera takes pictures of twice the width and height, with twice
 # the focal length. What happens to the mean, the variances and the blur of a splat, all in pixels?

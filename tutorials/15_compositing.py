@@ -516,12 +516,12 @@ assert psnr_of(~most) < 15
 
 # %% [markdown]
 # ## Exercises
-# **15.1** In the pixel of "By hand", layer $1$ turns white. Give four numbers: the pixel and, for
-# $g = 1$, the three gradients $\bar\alpha_i$.
+# **15.1** ●● In the pixel of "By hand", layer $1$ turns white. Give four numbers: the pixel and,
+# for $g = 1$, the three gradients $\bar\alpha_i$.
 #
-# **15.2** Write the forward pass. The argument `alpha_max` is the limit of $0.99$.
+# **15.2** ●● Write the forward pass. The argument `alpha_max` is the limit of $0.99$.
 #
-# **15.3** Write its backward pass. Rows that are not visible get the gradient zero.
+# **15.3** ●●● Write its backward pass. Rows that are not visible get the gradient zero.
 #
 # **Predict, then run.** A port multiplies up transmittances in float16, through layers of opacity
 # $0.9$. After how many layers is the transmittance exactly zero? Is it visible in the picture?

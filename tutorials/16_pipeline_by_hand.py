@@ -590,14 +590,14 @@ print(f"the pixel before {np.round(pixel, 4)} and after {np.round(again, 4)}")
 
 # %% [markdown]
 # ## Exercises
-# **16.1** What is the pixel's colour, three numbers, at $t = 0$? (At $t = 0.5$ it is `pixel`.)
+# **16.1** ● What is the pixel's colour, three numbers, at $t = 0$? (At $t = 0.5$ it is `pixel`.)
 #
-# **16.2** Write Eqs. (1) to (4) and the masking for arrays. If `effects` lacks `view_geometry`,
+# **16.2** ●● Write Eqs. (1) to (4) and the masking for arrays. If `effects` lacks `view_geometry`,
 # the networks $\psi_\alpha$, $\psi_r$ and $\psi_s$ read the features only. If it lacks
 # `view_color`, the same holds for $\psi_c$. To leave the view out, give a network two arrays of
 # shape `(A, 0)` in the place of the outputs of Eq. (2).
 #
-# **16.3** Write the backward of all of them together. You may use the modules of
+# **16.3** ●●● Write the backward of all of them together. You may use the modules of
 # `p4dgs_ref.equations`, because the exercise is about how they are connected.
 #
 # **Predict, then run.** The anchor and the camera move together by $(1, 0, 0)$. Which of the

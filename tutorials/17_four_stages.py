@@ -386,13 +386,13 @@ assert abs(after - scores[3]) < 0.5
 
 # %% [markdown]
 # ## Exercises
-# **17.1** What percentage of its iterations does the preset `paper_real` spend in stage 3?
+# **17.1** ● What percentage of its iterations does the preset `paper_real` spend in stage 3?
 #
-# **17.2** In which stage of `tiny` does each of these arrays move for the first time: x_a, f_a,
+# **17.2** ● In which stage of `tiny` does each of these arrays move for the first time: x_a, f_a,
 # log_s, log_l, O_a, psi_alpha, psi_c, psi_r, psi_s, psi_d, psi_p, psi_q, grid? Give thirteen
 # numbers.
 #
-# **17.3** Write the part of the backward that stage 4 adds: the gradients of all bits for the
+# **17.3** ●●● Write the part of the backward that stage 4 adds: the gradients of all bits for the
 # noisy numbers and the steps. The output `bits` is Eq. (13) plus Eq. (14), without the offsets of
 # masked children. The output `L_rate` is `bits` divided by the count of all numbers, the masked
 # ones included.

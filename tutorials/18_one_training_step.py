@@ -366,13 +366,13 @@ assert 0 < reach < pixels
 
 # %% [markdown]
 # ## Exercises
-# **18.1** How large is the gradient of L1 alone for one number of a picture of 64 x 64 pixels,
+# **18.1** ● How large is the gradient of L1 alone for one number of a picture of 64 x 64 pixels,
 # with $\lambda_{SSIM} = 0.2$? Give its magnitude.
 #
-# **18.2** Adam's very first step has no memory. By how much does a parameter move if the learning
+# **18.2** ● Adam's very first step has no memory. By how much does a parameter move if the learning
 # rate is 0.015 and its gradient is -3e-5?
 #
-# **18.3** Write the backward of Eqs. (5) and (6) as the pipeline uses it, in which no gradient
+# **18.3** ●● Write the backward of Eqs. (5) and (6) as the pipeline uses it, in which no gradient
 # flows from $\mathcal{E}(x)$ back to x (choice Q10 in `reference.md`).
 #
 # **Predict, then run.** The whole loss is multiplied by $1000$. How do Adam's steps change?

@@ -3,7 +3,7 @@
 #
 # **Promise.** After this you can open a `.p4dgs` file with nothing but `struct`, and say of each
 # byte what it is for. **Before it:** `07_noise_and_rounding`, `10_prior_and_likelihood`. **Takes**
-# four seconds on two cores, 25 minutes of reading and 35 of exercises.
+# four seconds on two cores, 25 minutes of reading and 40 of exercises.
 #
 # **Files:** [container.py](../p4dgs_ref/codec/container.py),
 # [header.py](../p4dgs_ref/codec/header.py), [file.py](../p4dgs_ref/codec/file.py),
@@ -365,12 +365,12 @@ for row in inspect.ledger(golden):
 
 # %% [markdown]
 # ## Exercises
-# **19.1** How many bytes do the positions of $400$ anchors take?
+# **19.1** ● How many bytes do the positions of $400$ anchors take?
 #
-# **19.2** Where is anchor $17$ of `golden`? Use `struct`.
+# **19.2** ●● Where is anchor $17$ of `golden`? Use `struct`.
 #
-# **19.3** Write `my_container(data)`, which returns `{name: bytes}` or raises `ValueError`. It is
-# tried on all published streams of version 1, both valid and damaged: 24 must be read, and among
+# **19.3** ●●● Write `my_container(data)`, which returns `{name: bytes}` or raises `ValueError`. It
+# is tried on all published streams of version 1, both valid and damaged: 24 must be read, and among
 # the damaged ones 14 have a bad frame and must be refused.
 #
 # **Predict, then run.** One bit of a file flips on the disk. Can a flipped bit stay unnoticed by
@@ -425,3 +425,22 @@ lessons.number("19.3", answer_3, [24, 14])
 # Typical mistakes of ports at this level are native instead of little-endian numbers, lengths that
 # are used before they are checked, a section that may be absent and is expected nevertheless, and
 # positions divided by `65536` instead of `65535`.
+
+# %% [markdown]
+# ## An open project
+# **Code the positions better.** Version 1 takes 6 bytes for a position. Version 2 rounds
+# coordinates to fewer bits and sorts the anchors along a curve, so that only gaps are coded
+# ([version_2.py](../p4dgs_ref/codec/version_2.py)). `p4dgs-ref inspect tutorials/demo.p4dgs` prints
+# the baseline: 615 bytes for 199 anchors with 10 bits a coordinate. Of these, 25 are the box and
+# one parameter, and 590 are the gaps, 23.7 bits for each anchor.
+#
+# Write an encoder and a decoder, and count all bytes, those of tables too. The decoder must return
+# exactly the same points; their order is free, because the other sections can follow it. Fewer than
+# 590 bytes are a success, and 560 a great one. Then measure the file of another scene, for example
+# that of `p4dgs-ref demo figure -o figure`, because a coder may be tuned to a single file.
+#
+# Sorting has nothing left to give: to name 199 of $2^{30}$ places takes
+# $\log_2\binom{2^{30}}{199} = 4732$ bits, or 592 bytes, if every choice is equally likely. But
+# anchors stand in groups and on surfaces. You could halve the box along each axis, again and again,
+# code which of the eight parts are empty, and predict this from the parts around them. In
+# `p4dgs_ref.codec`, `file.quantised_of` returns the points and `version_2.codes_of` their codes.

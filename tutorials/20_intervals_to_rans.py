@@ -412,12 +412,12 @@ for row in inspect.ledger(data):
 
 # %% [markdown]
 # ## Exercises
-# **20.1** How many bits does $b\,c\,c\,a$ take with the parts of "By hand"?
+# **20.1** ● How many bits does $b\,c\,c\,a$ take with the parts of "By hand"?
 #
-# **20.2** Write `my_encode(entries, keys)`, which returns the bytes of one lane for symbols that
+# **20.2** ●● Write `my_encode(entries, keys)`, which returns the bytes of one lane for symbols that
 # share one table. It must reproduce the masks of the file.
 #
-# **20.3** Write `my_decode(message, count, keys)`. It must decode the signs of the hash grid.
+# **20.3** ●● Write `my_decode(message, count, keys)`. It must decode the signs of the hash grid.
 #
 # **Predict, then run.** One sign in a hundred is negative, but the encoder's table says one in
 # two. How many bits a sign does `my_encode` write with this table, and how many with the right

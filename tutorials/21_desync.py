@@ -367,13 +367,13 @@ assert by_tables / by_floats - 1 < 0.001
 
 # %% [markdown]
 # ## Exercises
-# **21.1** Pop the state $1001$ from the table of "By hand". Which two states follow, with $9$ and
+# **21.1** ● Pop the state $1001$ from the table of "By hand". Which two states follow, with $9$ and
 # with $10$ slots for $A$?
 #
-# **21.2** Write `my_network`. A layer has `W`, `b` and `s` and computes $y = xW + b$. A hidden
+# **21.2** ●● Write `my_network`. A layer has `W`, `b` and `s` and computes $y = xW + b$. A hidden
 # layer then returns $\max(0, \lfloor(y + \lfloor 2^s/2\rfloor)/2^s\rfloor)$.
 #
-# **21.3** Write the computation of $\sigma$ in units. With
+# **21.3** ●● Write the computation of $\sigma$ in units. With
 # $l = \lfloor(94548\,raw + 2^{15})/2^{16}\rfloor$, where $94548$ stands for $2^{16}\log_2 e$, it
 # is $\lfloor(l - \log_2 D - (p - 39)\,2^{16} + 2^{11})/2^{12}\rfloor$, clipped to the range from
 # $-128$ to $319$. The stream `full` is the test.

@@ -431,12 +431,13 @@ lessons.show(figure, "22_adaptive_steps")
 
 # %% [markdown]
 # ## Exercises
-# **22.1** With $\sigma = 0.02$ and $q = 0.001$, what are the density and the likelihood of a
+# **22.1** ● With $\sigma = 0.02$ and $q = 0.001$, what are the density and the likelihood of a
 # value at the mean?
 #
-# **22.2** Write the whole rate, Eqs. (11), (13), (14) and (17), with `likelihood.forward`.
+# **22.2** ●● Write the whole rate, Eqs. (11), (13), (14) and (17), with `likelihood.forward`.
 #
-# **22.3** Write its gradients of `mu` and `q (A, 4)`. Each step serves a whole group of numbers.
+# **22.3** ●●● Write its gradients of `mu` and `q (A, 4)`. Each step serves a whole group of
+# numbers.
 #
 # **Predict, then run.** A port adds up the bits in float16, one number after another. Ten thousand
 # signs cost one bit each. What is its sum?

@@ -385,14 +385,14 @@ except BitstreamError as error:
 
 # %% [markdown]
 # ## Exercises
-# **23.1** Simpson's rule has an error of $10^{-4}$ with $8$ steps. How many steps does it need
+# **23.1** ● Simpson's rule has an error of $10^{-4}$ with $8$ steps. How many steps does it need
 # for an error of $10^{-12}$, which is far above the floor?
 #
-# **23.2** Among the rows of `choices` (time, error), which is the cheapest one with an error of
+# **23.2** ● Among the rows of `choices` (time, error), which is the cheapest one with an error of
 # at most `need`? Give the number of the row.
 #
-# **23.3** Compute $\log p$ of a bin and its two derivatives by quadrature, accurately enough for
-# the golden vectors and with as few nodes as you can:
+# **23.3** ●●● Compute $\log p$ of a bin and its two derivatives by quadrature, accurately enough
+# for the golden vectors and with as few nodes as you can:
 # $$p = \int_{z-w/2}^{z+w/2}\!\!\phi, \quad
 #   \tfrac{\partial\log p}{\partial z} = \tfrac{\phi(z+w/2) - \phi(z-w/2)}{p}, \quad
 #   \tfrac{\partial\log p}{\partial w} = \tfrac{\phi(z+w/2) + \phi(z-w/2)}{2p}.$$

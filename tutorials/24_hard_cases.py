@@ -381,16 +381,16 @@ assert moved > 0
 
 # %% [markdown]
 # ## Exercises
-# **24.1** What is the true value of $1 + \tanh(-19)$, to six digits? (See the step that vanishes,
+# **24.1** ● What is the true value of $1 + \tanh(-19)$, to six digits? (See the step that vanishes,
 # above.)
 #
-# **24.2** Write Eq. (14). A grid whose signs are all equal costs nothing, and neither does an
+# **24.2** ●● Write Eq. (14). A grid whose signs are all equal costs nothing, and neither does an
 # empty one. For example, three $+1$ and one $-1$ cost $3\log_2\frac43 + \log_2 4 = 3.245$ bits.
 # What must $0\log_2 0$ count as?
 #
-# **24.3** Write the backward of $r = y/\sqrt{\|y\|^2 + 10^{-24}}$ for quaternions of any length,
-# including $0$ and $10^{25}$. Differentiate the quotient as in `04_color_rotation_scale`; for
-# $y = (3, 0, 0, 4)$ and $\bar r = (1, 0, 0, 0)$ the result is $\bar y = (0.128, 0, 0, -0.096)$.
+# **24.3** ●●● Write the backward of $r = y/\sqrt{\|y\|^2 + 10^{-24}}$ for quaternions of any
+# length, including $0$ and $10^{25}$. Differentiate the quotient as in `04_color_rotation_scale`;
+# for $y = (3, 0, 0, 4)$ and $\bar r = (1, 0, 0, 0)$ the result is $\bar y = (0.128, 0, 0, -0.096)$.
 # Divide by the largest entry before you square.
 #
 # **Predict, then run.** What does a float16 port return for 24.1, with the best formula that

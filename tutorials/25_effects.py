@@ -333,16 +333,16 @@ assert evidence["bouncing"] == "yes"
 
 # %% [markdown]
 # ## Exercises
-# **25.1** Nothing in a scene rotates. How many parameters fewer does the paper's $\psi_d$ have?
+# **25.1** ● Nothing in a scene rotates. How many parameters fewer does the paper's $\psi_d$ have?
 #
-# **25.2** Write Eqs. (5) and (6) together, for heads that may have the width zero. Here
+# **25.2** ●● Write Eqs. (5) and (6) together, for heads that may have the width zero. Here
 # $E(p) = (p, \sin 2^0p, \cos 2^0p, \sin 2^1p, \dots)$ with $L$ pairs, each of the whole vector,
 # and there is a ReLU between the layers. If there is a $\Delta r$, then
 # $r' = (r + \Delta r)/\sqrt{\|r + \Delta r\|^2 + 10^{-24}}$; otherwise $r' = r$. For example, if
 # all weights are $0$ and the bias of $\Delta x$ is $(1, 0, 0)$, then $x = (0, 2, 0)$ gives
 # $x' = (1, 2, 0)$.
 #
-# **25.3** Write the backward of Eq. (3') for colours, with or without a view. With
+# **25.3** ●● Write the backward of Eq. (3') for colours, with or without a view. With
 # $y = \psi_c(f_a, \delta_{vc}, d_{vc})$ of the shape $(A, 3k)$, the colour is
 # $c = \mathrm{sigmoid}(y)$, as in `04_color_rotation_scale`. You may use `equations.mlp`;
 # `mlp.backward(saved, y_bar)` returns the gradients of `x`, `weights` and `biases`. Where

@@ -410,16 +410,16 @@ assert 0.3 < motion / inter_bytes < 0.7
 
 # %% [markdown]
 # ## Exercises
-# **26.1** At $30$ frames a second, an intra frame takes $5000$ bytes. One inter file for two
+# **26.1** ● At $30$ frames a second, an intra frame takes $5000$ bytes. One inter file for two
 # seconds takes $10000$ bytes. What are the two rates `[intra, inter]` in kbit/s (of $1000$ bits)?
 # For comparison, $25$ frames of $1000$ bytes a second are $200$ kbit/s.
 #
-# **26.2** Find the motion vector of each block of $8$ pixels from `reference` to `frame`, as $8$
+# **26.2** ●● Find the motion vector of each block of $8$ pixels from `reference` to `frame`, as $8$
 # integers: the shift $v$ from $-8$ to $8$ for which `np.roll(reference, v)` has the smallest sum
 # of absolute errors in the block. The first block has $v = 0$. (`frame` is brighter by $1$
 # everywhere, so no error is $0$.)
 #
-# **26.3** Write the backward of the motion model, Eq. (5), with `mlp` and `positional_encoding`
+# **26.3** ●●● Write the backward of the motion model, Eq. (5), with `mlp` and `positional_encoding`
 # of `p4dgs_ref.equations`. The last three weights are the heads. They have the same input, so
 # side by side they form one last layer. For a head $W$ with a single row, $y = 2$ and
 # $\overline{\Delta x} = (1, 0, -1)$ give $\bar W = (2, 0, -2)$.

@@ -304,11 +304,11 @@ assert (np.abs(overhead) < 0.25).all()
 
 # %% [markdown]
 # ## Exercises
-# **27.1** At which price are the ways A and B of "By hand" equally good?
+# **27.1** ● At which price are the ways A and B of "By hand" equally good?
 #
-# **27.2** A feature has the sensitivity $w = 2$. Which step is best at $\lambda = 0.001$?
+# **27.2** ● A feature has the sensitivity $w = 2$. Which step is best at $\lambda = 0.001$?
 #
-# **27.3** Write the backward of Eq. (17). Its output `bits` is the sum of the two rates, and
+# **27.3** ●● Write the backward of Eq. (17). Its output `bits` is the sum of the two rates, and
 # `L_rate` is `bits` divided by `n_parameters`, or zero if there are none.
 #
 # **Predict, then run.** The price $\lambda$ is multiplied by $4$. What happens to the best step,
