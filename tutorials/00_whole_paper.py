@@ -10,7 +10,7 @@
 #    Gaussians around it, its children.
 # 2. **Move.** Store the scene once. One more network says where every Gaussian is at time t.
 # 3. **Code.** Round the anchors' numbers as coarsely as the pictures allow, and write likely values
-#    with few bits. Two last networks say how coarsely, and what is likely.
+#    with few bits. Two more networks predict how coarsely to round and which values are likely.
 #
 # This file does it for two moving balls: it trains, writes bytes, forgets all but these bytes and
 # its constants, decodes, and draws.
@@ -74,7 +74,7 @@ def view(x_a, x_c):
 
 
 # %% [markdown]
-# All else comes from networks. They see the anchor's features f, and from where the camera looks. A
+# All else comes from networks. They see the anchor's features f and where the camera is. A
 # network is a list `[W0, b0, W1, b1, W2, b2]`: two hidden layers with ReLU, then a linear one. Its
 # outputs can be any numbers, so each attribute has a function that brings them into its range. For
 # opacity the paper's predecessors take tanh (Q4): a child whose tanh is negative is not drawn, and
@@ -239,7 +239,7 @@ def deformed(x, s, r, dx, ds, dr):
 
 
 # %%
-BOX = 1.3  # anchors stay in [-BOX, BOX]^3
+BOX = 1.3  # the file and the grid see positions in [-BOX, BOX]^3
 RESOLUTION, F = 8, 4  # the grid of Eq. (9) has 8 x 8 x 8 nodes with F bits each
 
 
@@ -308,9 +308,10 @@ if SHOW:
 # ## Splatting
 # The paper takes this part from 3DGS (Kerbl et al. 2023). An ellipsoid has the covariance
 # $R\,\mathrm{diag}(s)^2R^T$. A camera sees it as an ellipse of pixels, a *splat*. Splats are
-# painted from front to back. The rotation matrix of a quaternion r is the product of two matrices
-# that are linear in r, $R = E(r)\,G(r)^T$. The product rule gives the gradients of E and G. As E is
-# linear, $\bar r_a = \sum_{ij} \bar E_{ij} E(e_a)_{ij}$ with unit vectors $e_a$; so with G.
+# painted from front to back. The rotation matrix of a quaternion r = (w, v) is the product of two
+# matrices that are linear in r, $R = L(r)\,P(r)^T$, with $L = [-v, wI + [v]_\times]$ and
+# $P = [-v, wI - [v]_\times]$. The product rule gives the gradients of L and P. As L is linear,
+# $\bar r_a = \sum_{ij} \bar L_{ij} L(e_a)_{ij}$ with unit vectors $e_a$; so with P.
 
 
 # %%
@@ -334,23 +335,23 @@ def pixel_grid(finer=1):
 
 
 def factor(r, side):
-    """E(r) (side = 1) or G(r) (side = -1), [N, 3, 4]: the factors of the rotation matrix."""
+    """L(r) (side = 1) or P(r) (side = -1), [N, 3, 4]: the factors of the rotation matrix."""
     w, (x, y, z), (X, Y, Z) = r[:, 0], r.T[1:], side * r.T[1:]
     return np.array([[-x, w, -Z, Y], [-y, Z, w, -X], [-z, -Y, X, w]]).transpose(2, 0, 1)
 
 
 def covariance(s, r):
     """Sigma = R(r) diag(s)^2 R(r)^T [N, 3, 3] of scales s [N, 3] and unit quaternions r [N, 4]."""
-    E, G = factor(r, 1), factor(r, -1)
-    R = E @ G.transpose(0, 2, 1)
+    L, P = factor(r, 1), factor(r, -1)
+    R = L @ P.transpose(0, 2, 1)
     M = R * s[:, None]
 
     def back(Sigma_bar):
         M_bar = (Sigma_bar + Sigma_bar.transpose(0, 2, 1)) @ M
         R_bar = M_bar * s[:, None]
-        E_bar, G_bar = R_bar @ G, R_bar.transpose(0, 2, 1) @ E
-        r_bar = np.einsum("nij,aij->na", E_bar, factor(np.eye(4), 1))
-        r_bar += np.einsum("nij,aij->na", G_bar, factor(np.eye(4), -1))
+        L_bar, P_bar = R_bar @ P, R_bar.transpose(0, 2, 1) @ L
+        r_bar = np.einsum("nij,aij->na", L_bar, factor(np.eye(4), 1))
+        r_bar += np.einsum("nij,aij->na", P_bar, factor(np.eye(4), -1))
         return (M_bar * R).sum(axis=1), r_bar
 
     return M @ M.transpose(0, 2, 1), back
@@ -359,10 +360,10 @@ def covariance(s, r):
 def projection(x, Sigma, R, T):
     """Centres [N, 2] from the middle of the image, conics [N, 3] and depths [N] of the splats.
 
-    Near a Gaussian a camera is almost linear, J R with J = FOCAL/z [[1, 0, -x/z], [0, 1, -y/z]],
-    so the covariance of its splat is J R Sigma R^T J^T, in pixels. 3DGS adds 0.3 I: otherwise a
-    splat smaller than a pixel could lie between pixel centres and vanish. The conic (a, b, c) is
-    the inverse [[a, b], [b, c]].
+    Near a Gaussian, at (x, y, z) as the camera sees it, a camera is almost linear: m = J R with
+    J = FOCAL/z [[1, 0, -x/z], [0, 1, -y/z]]. So the covariance of its splat is m Sigma m^T. 3DGS
+    adds 0.3 I: otherwise a splat smaller than a pixel could lie between pixel centres and vanish.
+    The conic (a, b, c) is the inverse K = [[a, b], [b, c]].
     """
     x_cam = x @ R.T + T
     z = x_cam[:, 2:]
@@ -388,7 +389,7 @@ def projection(x, Sigma, R, T):
 def compositing(mean, conic, alpha, c):
     """Paint N splats from front to back: image = sum of T_i alpha_i(p) c_i + T_N background [P, 3].
 
-        alpha_i(p) = min(0.99, alpha_i exp(-(p - mean_i) K_i (p - mean_i) / 2))    at pixel p
+        alpha_i(p) = min(0.99, alpha_i exp(-(p - mean_i)^T K_i (p - mean_i) / 2))  at pixel p
         T_i = product of 1 - alpha_j(p) over j < i    transmittance: the light that is left for i
 
     A splat that covers more shows more of its colour, and less of all that is behind it:
@@ -565,8 +566,8 @@ def render_loss(image, y):
 #
 # Two networks predict the steps q, the means mu and the standard deviations sigma. Their input is
 # read from a grid of bits at the anchor's position, which the decoder knows before everything else.
-# Where they start, q is Q_0. The paper gives no values for it; these were found by trying, coarse
-# where the picture hardly notices: features, and offsets in units of l (Q6: a step for each group).
+# q starts at Q_0 (nearly, as psi_q starts near 0). The paper gives no values for Q_0. Ours, one for
+# each group (Q6), were found by trying: coarse where the picture hardly notices.
 
 
 # %%
@@ -641,7 +642,7 @@ def hash_rate(b):
     """Eq. (14): N+ (-log2 p+) + N- (-log2 p-) for the signs of the grid, p+ = N+ / (N+ + N-)."""
     plus = (1 + b).sum() / 2
     p = np.clip(plus / b.size, 1e-6, 1 - 1e-6)
-    slope = np.log2((1 - p) / p) / 2  # a sign moves N+ by one half; at p = N+ / N, dR / dp = 0
+    slope = np.log2((1 - p) / p) / 2  # N+ = (N + sum of b) / 2; at p = N+ / N, dR / dp = 0
     hash_bits = -plus * np.log2(p) - (b.size - plus) * np.log2(1 - p)
     return hash_bits, lambda bits_bar: np.full_like(b, slope * bits_bar)
 
@@ -655,7 +656,7 @@ if SHOW:
 # %% [markdown]
 # ## Everything in a row: Eqs. (13), (15) and (17)
 # `loss` runs all equations and returns the whole backward. The paper's four stages switch parts on:
-# first the anchors alone, then the noise, then the motion, at last the grid and the rate.
+# first the anchors alone, then the noise, then the motion, finally the grid and the rate.
 
 
 # %%
@@ -705,7 +706,7 @@ def loss(p, shot, u, stage, weights=None, sign=signs, centers=None):
         bits = number_bits.sum() + hash_bits  # Eq. (13) is the sum, Eq. (17) adds the grid
         # Only the networks' bits are not counted. A few lines change that, beyond the paper (B1):
         # give every array of WEIGHTS a step, learned as its logarithm; add noise of this step
-        # before `network` reads the array, and at last round; divide by the step, and add the bits
+        # before `network` reads the array, and round at the end; divide by the step, and add bits
         # of the result under a density around 0 to `bits` (beyond_networks.py).
     L_rate = bits / values.size  # per number, so that LAMBDA_RATE fits any number of anchors (Q12)
 
@@ -783,13 +784,13 @@ if __name__ == "__main__" and "--check" in sys.argv:
 # %% [markdown]
 # ## Training
 # Adam (Kingma and Ba 2015), one view an iteration. A child with alpha < 0 is not drawn, gets no
-# gradient and has no way back: here a bias and a slow start of psi_alpha keep the children alive,
-# the paper grows new anchors (Q16).
+# gradient of its own and seldom comes back: here a bias and a slow start of psi_alpha keep the
+# children alive, the paper grows new anchors (Q16).
 
 
 # %%
 STAGE_ENDS = (20, 40, 800, 1300)  # iterations; the paper's stages 1 and 2 take 5,000 of 40,000
-# Learning rates at the start; until the end they fall to 0.07 times as much.
+# Learning rates at the start; they decay to 0.07 of that by the end.
 RATES = {"x_a": 0.002, "f": 0.015, "log_s": 0.014, "log_l": 0.014, "O": 0.02, "grid": 0.01}
 RATES |= {"psi_alpha": 0.001, "psi_c": 0.008, "psi_r": 0.008, "psi_s": 0.008}
 RATES |= {"psi_d": 0.003, "psi_p": 0.005, "psi_q": 0.005}
@@ -862,11 +863,12 @@ if SHOW:
 # %% [markdown]
 # ## Bytes
 # The entropy coder counts probabilities in units of 2^-24, at least one for each symbol: `cdf` is
-# the cumulative distribution of Eq. (11) in these units, and symbol s owns the integers from cdf[s]
-# to cdf[s + 1]. rANS (Duda 2013) turns all symbols into a single large integer, since Python's
-# integers have no limit. A symbol of probability p multiplies this integer by about 1/p and so adds
-# -log2 p bits. The decoder takes the symbols off in the opposite order. It needs the same
-# probabilities, and computes them as the encoder did, in the same floats on the same machine.
+# the cumulative distribution of Eq. (11) in these units, and symbol i owns the integers from cdf[i]
+# up to cdf[i + 1], excluded. rANS (Duda 2013) turns all symbols into one large integer, `state`. It
+# makes the state congruent modulo 2^24 to an integer that the symbol owns, and `state % width` says
+# to which: so a decoder finds the symbol that was coded last, and the state before it. A symbol of
+# probability p multiplies the state by about 1/p and so adds -log2 p bits. Both sides compute the
+# same probabilities, in the same floats on the same machine.
 
 
 # %%
@@ -1040,11 +1042,9 @@ if SHOW:
 # its 26 numbers, and 6 for its position. Most of the grid's signs are equal, so h varies little.
 # With seeds 0 to 4 the context saves 4, 6, 0, 2 and 5 % of the anchors' bits against one mean and
 # deviation for each of the 26 numbers: less than 70 bytes, and its two networks take 3,312.
-# `p4dgs-ref accuracy --only context` measures from how many anchors on it pays.
 #
 # The package has what this file leaves out: masks and growing (`training/density.py`); tiles and
 # clamps (`splatting/`); levels, planes and hashing of the grid (`equations/grid_nodes.py`); an
-# entropy coder in integers, so that every machine decodes the same numbers (`codec/`); formulas
-# that keep their digits, a floor under q and a clamp of sigma (Q7, Q8; `equations/numerics.py`);
-# scenes in which nothing moves or nothing depends on the view (`effects.py`). Spherical harmonics
-# are missing because the paper has none: a network predicts the colour from the view.
+# entropy coder in integers, the same on every machine (`codec/`); formulas that keep their digits,
+# a floor under q and a clamp of sigma (Q7, Q8); scenes in which nothing moves (`effects.py`).
+# Spherical harmonics are missing, as in the paper: a network predicts the colour from the view.

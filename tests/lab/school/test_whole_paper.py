@@ -202,7 +202,7 @@ PLANTED = {
     "clamp at 0.99": ("alpha_p_bar *= alpha * falloff <= 0.99", "pass"),
     "light behind a splat": ("- behind / (1 - alpha_p)", "- behind"),
     "ellipse's centre": ("[K_a * x_sum + K_b * y_sum,", "[K_a * x_sum - K_b * y_sum,"),
-    "factors of a rotation": ("R_bar.transpose(0, 2, 1) @ E", "R_bar @ E"),
+    "factors of a rotation": ("R_bar.transpose(0, 2, 1) @ L", "R_bar @ L"),
     "depth of the projection": ("z_bar -= (m_bar * m)", "z_bar -= 0 * (m_bar * m)"),
     "children of an anchor": ("x_bar * l[:, None], (x_bar * O)", "x_bar, (x_bar * O)"),
     "length of a quaternion": ("(bar - r * (r * bar)", "(bar - 0 * (r * bar)"),
