@@ -335,6 +335,7 @@ def test_printed_commands_run(tmp_path, monkeypatch, capsys):
         {s["key"] for s in read_manifest(version="1.0")["subjects"] if s["level"] == "L2"},
         set(BASELINE_EQUATIONS),
         {"weight_bits"},
+        {"trace_steps", "training_steps", "kernel_pixels"},
         {"offsets"},
     ]
 
