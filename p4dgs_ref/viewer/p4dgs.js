@@ -440,11 +440,11 @@
   class Bits {
     /** Bits from byte `at` of a section to its end, every byte from its lowest bit on. */
     constructor(section, bytes, at) {
-      Object.assign(this, { section, bytes, place: 8 * at });
+      Object.assign(this, { section, bytes, start: at, place: 8 * at });
     }
 
     need(condition, said) {
-      need(condition, this.section, this.place >> 3, "stream", said);
+      need(condition, this.section, this.start, "stream", said);
     }
 
     bit() {
@@ -632,9 +632,9 @@
 
   // --- networks in the file ---------------------------------------------------------------------
   const NETWORKS = {
-    deformation_mlp: ["psi_d", "psi_t"],
     anchor_mlps: ["psi_alpha", "psi_c", "psi_r", "psi_s"],
     context_mlps: ["psi_p", "psi_q"],
+    deformation_mlp: ["psi_d", "psi_t"],
   };
 
   function float16(bits) {
