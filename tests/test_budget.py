@@ -252,19 +252,19 @@ def test_imports_are_seen_wherever_they_stand(tmp_path):
     assert "torch.nn" in set(imported(file, package))
 
 
+SETUP = configparser.ConfigParser()
+SETUP.read(ROOT / "setup.cfg")
+
+
 def test_every_package_is_installed():
-    setup = configparser.ConfigParser()
-    setup.read(ROOT / "setup.cfg")
     made = {".".join(f.parent.relative_to(ROOT).parts) for f in PACKAGE.rglob("__init__.py")}
     used = {".".join(file.parent.relative_to(ROOT).parts) for file in PACKAGE_FILES}
     used -= {"p4dgs_ref.oracle.v1"}  # data, with a program among them
     assert made == used
-    assert set(setup["options"]["packages"].split()) == made | {"p4dgs_ref.tiny_scenes"}
+    assert set(SETUP["options"]["packages"].split()) == made | {"p4dgs_ref.tiny_scenes"}
 
 
 def test_requirements_are_the_named_packages():
-    setup = configparser.ConfigParser()
-    setup.read(ROOT / "setup.cfg")
-    required = setup["options"]["install_requires"].split()
+    required = SETUP["options"]["install_requires"].split()
     assert {re.split(r"\W", requirement)[0] for requirement in required} == PACKAGES
-    assert setup["options.extras_require"]["test"].split() == ["pytest>=7.0.0"]
+    assert SETUP["options.extras_require"]["test"].split() == ["pytest>=7.0.0"]

@@ -123,8 +123,7 @@ def test_rounding_is_that_of_the_paper(made):
     assert np.array_equal(symbols * q, join(decoded.anchors))
     node = (model.box[1].astype(float) - model.box[0]) / 65535
     assert np.all(np.abs(decoded.anchors.x_a - model.anchors.x_a[alive]) <= node * 0.5001)
-    assert positions.min() >= 0
-    assert (positions.max(axis=0) <= np.where(node > 0, 65535, 0)).all()
+    assert np.all((positions >= 0) & (positions <= np.where(node > 0, 65535, 0)))
     for name, pair in model.networks.items():
         for a, b in zip(sum(pair, []), sum(decoded.networks[name], [])):
             assert np.array_equal(a.astype(np.float16), b)
@@ -208,7 +207,6 @@ def test_masked_children_and_dead_anchors_leave_no_trace(model):
     assert encode(changed(model, **poison)) == data
     decoded = decode(data)
     assert np.array_equal(decoded.anchors.mask, mask[mask.any(axis=1)])
-    assert len(decoded.anchors.mask) < len(mask) - 1
     kept = dict(anchors=Anchors(*(a[mask.any(axis=1)] for a in before.anchors)))
     assert encode(dataclasses.replace(before, **kept)) == data
 
@@ -216,8 +214,7 @@ def test_masked_children_and_dead_anchors_leave_no_trace(model):
 def test_everything_masked_leaves_one_anchor_and_the_background(model):
     data = encode(changed(model, mask=np.zeros_like(model.anchors.mask)))
     decoded = decode(data)
-    assert decoded.anchors.mask.shape == (1, 2)
-    assert not decoded.anchors.mask.any()
+    assert decoded.anchors.mask.tolist() == [[False, False]]
     assert len(read_container(data)["offsets"]) == 0
     assert encode(decoded) == data
     picture = decoded.render(CAMERAS[0], 0.5)

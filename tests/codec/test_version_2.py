@@ -61,19 +61,16 @@ def test_anchors_of_one_code_keep_their_order():
 
 @pytest.mark.parametrize("bits", range(1, 17))
 def test_the_lattice_is_part_of_that_of_16_bits(bits):
-    m = np.arange(2**bits)
+    m, last = np.arange(2**bits), 2**bits - 1
     n = on_lattice(m, bits)
-    assert n.tolist() == [round_half_up(65535 * i, 2**bits - 1) for i in m.tolist()]
+    # 65535 i / last, rounded half up
+    assert n.tolist() == [(2 * 65535 * i + last) // (2 * last) for i in m.tolist()]
     assert n[0] == 0 and n[-1] == 65535 and (np.diff(n) > 0).all()
     assert np.array_equal((n * (2**bits - 1) + 32767) // 65535, m)
     lo, hi = np.zeros(3, np.float32), np.array([1, 2, 4], np.float32)
     symbols, x = snap(np.outer(m / (2**bits - 1), hi.astype(float)), lo, hi, bits)
     assert np.array_equal(symbols, np.repeat(n[:, None], 3, axis=1))
     assert np.array_equal(snap(x, lo, hi, bits)[0], symbols)
-
-
-def round_half_up(a, b):
-    return (2 * a + b) // (2 * b)
 
 
 # --- positions ---

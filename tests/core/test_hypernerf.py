@@ -181,17 +181,16 @@ def test_pictures_of_a_distorting_lens_are_straightened(folder, name, ratio):
     v = (1.25 * f * y_d + c_y) / ratio - 0.5
     wanted = np.stack([np.clip(u, 0, width - 1), np.clip(v, 0, height - 1)], axis=-1)
     np.testing.assert_allclose(view.image[..., :2], 10 * wanted / 255, atol=1e-6)
-    camera = view.camera
     straight = f / ratio, c_x / ratio - 0.5
-    np.testing.assert_allclose((camera.f_x, camera.c_x), straight, rtol=1e-12)
+    np.testing.assert_allclose((view.camera.f_x, view.camera.c_x), straight, rtol=1e-12)
 
 
 def test_a_lens_without_distortion_keeps_every_bit(folder):
     before = load_scene(folder).train[0].image
     edit(folder / f"camera/{LEFT[0]}.json", radial_distortion=[0, 0, 1e-300])
     np.testing.assert_allclose(load_scene(folder).train[0].image, before, atol=1e-6)
-    for field in ("radial_distortion", "tangential_distortion", "skew"):
-        edit(folder / f"camera/{LEFT[0]}.json", **{field: None})
+    fields = ("radial_distortion", "tangential_distortion", "skew")
+    edit(folder / f"camera/{LEFT[0]}.json", **dict.fromkeys(fields))
     np.testing.assert_array_equal(load_scene(folder).train[0].image, before)
 
 
@@ -284,20 +283,24 @@ def test_mistakes_in_a_file(folder, file, fields, words):
     refuse(words, load_scene, folder)
 
 
-def test_mistakes_in_the_folder(folder):
-    def without(name, words):
-        kept = folder.parent / "kept"
-        shutil.move(folder / name, kept)
-        refuse(words, load_scene, folder)
-        shutil.move(kept, folder / name)
+MISSING = [
+    ("dataset.json", ("transforms_train.json", "missing", "D-NeRF", "dataset.json")),
+    ("metadata.json", ("metadata.json", "missing", "NeRF-DS")),
+    ("scene.json", ("scene.json", "missing", "NeRF-DS")),
+    ("points.npy", ("points.npy", "missing")),
+    (VIEW, (VIEW, "missing", LEFT[1])),
+    ("rgb", ("rgb", "no pictures", "1x")),
+    (f"rgb/1x/{LEFT[1]}.png", (f"rgb/1x/{LEFT[1]}.png", "no picture")),
+]
 
-    without("dataset.json", ("transforms_train.json", "missing", "D-NeRF", "dataset.json"))
-    without("metadata.json", ("metadata.json", "missing", "NeRF-DS"))
-    without("scene.json", ("scene.json", "missing", "NeRF-DS"))
-    without("points.npy", ("points.npy", "missing"))
-    without(VIEW, (VIEW, "missing", LEFT[1]))
-    without("rgb", ("rgb", "no pictures", "1x"))
-    without(f"rgb/1x/{LEFT[1]}.png", (f"rgb/1x/{LEFT[1]}.png", "no picture"))
+
+@pytest.mark.parametrize("name, words", MISSING)
+def test_files_that_are_missing(folder, name, words):
+    shutil.move(folder / name, folder.parent)
+    refuse(words, load_scene, folder)
+
+
+def test_mistakes_in_the_folder(folder):
     refuse((f"rgb/1x/{LEFT[0]}.png", "16x12", "downscale 5"), load_scene, folder, downscale=5)
     np.save(folder / "points.npy", POINTS[:, :2])
     refuse(("points.npy", "[A, 3]"), load_scene, folder)

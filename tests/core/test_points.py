@@ -53,10 +53,9 @@ def test_every_form_of_file_gives_the_same_points(tmp_path):
     lines = [f"7 {x!r} {y!r} {z!r} 9 9 9 0.5" for x, y, z in POINTS.tolist()]
     text = "# COLMAP\n" + "".join(line + track + "\n" for line, track in zip(lines, tracks))
     (tmp_path / "points3D.txt").write_text(text)
-    for name in ("n.npy", "points3D.txt", "points3D.bin"):
-        assert np.array_equal(read_points(tmp_path / name), POINTS)
-    for name in ("l.ply", "b.ply", "f.npy"):
-        assert np.array_equal(read_points(tmp_path / name), POINTS.astype(np.float32))
+    whole = dict.fromkeys(("n.npy", "points3D.txt", "points3D.bin"), np.float64)
+    for name, dtype in (whole | dict.fromkeys(("l.ply", "b.ply", "f.npy"), np.float32)).items():
+        assert np.array_equal(read_points(tmp_path / name), POINTS.astype(dtype)), name
 
 
 def header(old="", new=""):

@@ -304,19 +304,24 @@ def test_pictures_inside_the_folder_by_any_way(folder):
     assert len(load_scene(folder.parent / "another name").train) == 3
 
 
+def make_large(path):
+    """3 GB that take no place on the disk."""
+    os.truncate(os.open(path, os.O_CREAT | os.O_RDWR), 3 << 30)
+
+
 @pytest.mark.parametrize("name", ["transforms_train.json", "transforms_val.json", "scene.json"])
-def test_a_json_that_is_no_file(folder, name):
+@pytest.mark.parametrize(
+    "make, words",
+    [
+        (os.mkfifo, "directory, a device"),
+        (os.mkdir, "directory, a device"),
+        (make_large, "larger than"),
+    ],
+)
+def test_a_json_that_is_no_file(folder, name, make, words):
     (folder / name).unlink(missing_ok=True)
-    os.mkfifo(folder / name)
-    refuse((name, "directory, a device"), load_scene, folder)
-    (folder / name).unlink()
-    (folder / name).mkdir()
-    refuse((name, "directory, a device"), load_scene, folder)
-    (folder / name).rmdir()
-    os.truncate(
-        os.open(folder / name, os.O_CREAT | os.O_RDWR), 3 << 30
-    )  # 3 GB that take no place on the disk
-    refuse((name, "larger than"), load_scene, folder)
+    make(folder / name)
+    refuse((name, words), load_scene, folder)
 
 
 def chunk(kind, data):

@@ -45,13 +45,9 @@ def changed(**changes):
     return describe({**copy.deepcopy(FULL), **changes})
 
 
-def camera(position=(3.0, 1.0, 1.5), f_x=30, f_y=26, width=40, height=32, c_x=None, c_y=None):
-    return look_at(position, (0, 0, 0), f_x, f_y, width, height, c_x, c_y)
-
-
 def test_silhouette_of_a_sphere_is_its_cone():
     """A ray meets a sphere if its angle to the centre is below asin(r / distance)."""
-    eye = camera(f_x=60, f_y=52, c_x=17.3, c_y=18.9)
+    eye = look_at((3.0, 1.0, 1.5), (0, 0, 0), 60, 52, 40, 32, 17.3, 18.9)
     picture = trace.trace(changed(bodies=[SPHERE], effects=["background"]), eye, 0.0)
     v, u, dv, du = np.meshgrid(*map(np.arange, (32, 40)), *2 * [[-1 / 3, 0, 1 / 3]], indexing="ij")
     ray = np.stack([(u + du - 17.3) / 60, (v + dv - 18.9) / 52, np.ones(u.shape)], axis=-1)
@@ -134,10 +130,13 @@ def test_rays_parallel_to_faces_and_axes():
         )
     )
     down = np.array([[0.0, 0, -2]])
-    assert box_hit(box, np.array([0.3, -0.2, 5.0]), down)[0] == 2.0
-    assert box_hit(box, np.array([1.3, -0.2, 5.0]), down)[0] == np.inf
-    assert capsule_hit(capsule, np.array([0.0, 0, 5.0]), down)[0] == 1.75
-    assert capsule_hit(capsule, np.array([0.6, 0, 5.0]), down)[0] == np.inf
+    for hit, shape, eye, distance in (
+        (box_hit, box, (0.3, -0.2, 5.0), 2.0),
+        (box_hit, box, (1.3, -0.2, 5.0), np.inf),
+        (capsule_hit, capsule, (0.0, 0.0, 5.0), 1.75),
+        (capsule_hit, capsule, (0.6, 0.0, 5.0), np.inf),
+    ):
+        assert hit(shape, np.array(eye), down)[0] == distance
 
 
 def one_ball(effects, light=None, t=0.0, position=(0.0, 0.0, 4.0), **body):
@@ -147,28 +146,24 @@ def one_ball(effects, light=None, t=0.0, position=(0.0, 0.0, 4.0), **body):
     return trace.trace(changed(bodies=[{**SPHERE, **body}], effects=effects, light=light), eye, t)
 
 
-def test_lambert_and_phong_at_the_pole():
-    color = np.array(SPHERE["color"])
-    # 60 degrees off the pole
-    sideways = {"kind": "sun", "direction": [-math.sqrt(3), 0, -1], "ambient": 0.3}
-    lit = one_ball(["diffuse", "background"], sideways)[10, 10]
-    np.testing.assert_allclose(lit, [*(color * (0.3 + 0.7 * 0.5)), 1], rtol=2e-3)
-    below = one_ball(
-        ["diffuse", "specular", "background"],
-        {"kind": "point", "position": [0, 0, -9], "ambient": 0.3},
-        specular={"strength": 0.5, "exponent": 1},
-    )[10, 10]
-    np.testing.assert_allclose(below, [*(color * 0.3), 1])
-    gloss = {"specular": {"strength": 0.2, "exponent": 3}}
-    shiny = one_ball(["specular", "view_color", "background"], sideways, **gloss)[10, 10]
-    # The mirrored light is 60 degrees off.
-    np.testing.assert_allclose(shiny[:3], color + 0.2 * 0.5**3, rtol=1e-2)
-    near = one_ball(
-        ["diffuse", "background"],
-        {"kind": "point", "position": [0, math.sqrt(3), 1.5], "ambient": 0},
-    )
-    # Seen from the pole the lamp is 60 degrees off.
-    np.testing.assert_allclose(near[10, 10, :3], color * 0.5, rtol=1e-2)
+COLOR = np.array(SPHERE["color"])
+# 60 degrees off the pole, as is the light that the pole mirrors.
+SIDEWAYS = {"kind": "sun", "direction": [-math.sqrt(3), 0, -1], "ambient": 0.3}
+BELOW = {"kind": "point", "position": [0, 0, -9], "ambient": 0.3}
+LAMP = {"kind": "point", "position": [0, math.sqrt(3), 1.5], "ambient": 0}  # 60 degrees off, too
+POLE = [  # effects, light, strength and exponent of the highlight, color, relative error
+    (["diffuse"], SIDEWAYS, (0, 1), COLOR * (0.3 + 0.7 * 0.5), 2e-3),
+    (["diffuse", "specular"], BELOW, (0.5, 1), COLOR * 0.3, 1e-7),
+    (["specular", "view_color"], SIDEWAYS, (0.2, 3), COLOR + 0.2 * 0.5**3, 1e-2),
+    (["diffuse"], LAMP, (0, 1), COLOR * 0.5, 1e-2),
+]
+
+
+@pytest.mark.parametrize("effects, light, gloss, want, rtol", POLE)
+def test_lambert_and_phong_at_the_pole(effects, light, gloss, want, rtol):
+    specular = {"strength": gloss[0], "exponent": gloss[1]}
+    lit = one_ball([*effects, "background"], light, specular=specular)[10, 10]
+    np.testing.assert_allclose(lit, [*want, 1], rtol=rtol)
 
 
 @pytest.mark.parametrize(

@@ -45,6 +45,12 @@ def call_at(monkeypatch, owner, name, number, action):
     monkeypatch.setattr(owner, name, counted)
 
 
+def press(function, *args):
+    """A call during which Ctrl-C is pressed."""
+    signal.raise_signal(signal.SIGINT)
+    return function(*args)
+
+
 def half_step(step, adam, parameters, *rest):
     """A step of Adam that is stopped after it has moved the first half of the parameters."""
     before = parameters.vector.copy()
@@ -132,14 +138,14 @@ def of_another_release(path):
         write(path, *content)
 
 
-def as_pipe(path):
-    path.unlink()
-    os.mkfifo(path)
+def replaced(make):
+    """An edit that puts something else in place of the file."""
 
+    def edit(path):
+        path.unlink()
+        make(path)
 
-def as_folder(path):
-    path.unlink()
-    path.mkdir()
+    return edit
 
 
 def other_number(arrays, values):
@@ -157,8 +163,8 @@ EDITS = {
     "empty": (changed_bytes(lambda data: b""), ("damaged",)),
     **{f"one bit at {share}": (one_bit(share), ("damaged",)) for share in (0, 0.01, 0.3, 0.99, 1)},
     "one array": (lambda path: np.save(open(path, "wb"), np.zeros(3)), ("expected a checkpoint",)),
-    "a pipe": (as_pipe, ("regular file",)),
-    "a folder": (as_folder, ("regular file",)),
+    "a pipe": (replaced(os.mkfifo), ("regular file",)),
+    "a folder": (replaced(os.mkdir), ("regular file",)),
 }
 
 
@@ -189,19 +195,17 @@ def test_a_state_stays_as_it_is_when_a_training_goes_on_from_it(run):
 def test_the_folder_of_another_training_is_refused(copied, run):
     first, *others = run[1].train
     negative = replace(first, image=1 - first.image)
-    for scene, preset, seed, field in (
-        (p4.load_scene("static", downscale=8), "smoke", 0, "effects"),
-        (replace(run[1], train=others), "smoke", 0, "scene"),
-        (replace(run[1], train=[negative, *others]), "smoke", 0, "scene"),
-        (run[1], "tiny", 0, "preset.name"),
-        (run[1], "smoke", 1, "seed"),
+    for given, changes, field in (
+        ((p4.load_scene("static", downscale=8), "smoke", 0), {}, "effects"),
+        ((replace(run[1], train=others), "smoke", 0), {}, "scene"),
+        ((replace(run[1], train=[negative, *others]), "smoke", 0), {}, "scene"),
+        ((run[1], "tiny", 0), {}, "preset.name"),
+        ((run[1], "smoke", 1), {}, "seed"),
+        ((run[1], "smoke", 0), {"lr_f": (0.1, 0.1)}, "preset.lr_f"),
+        ((run[1], "smoke", 0, EXACT), {}, "settings.name"),
     ):
         with pytest.raises(RunError, match=f"field '{field}'"):
-            fit(scene, preset, seed, folder=copied, resume=True, **run[2])
-    with pytest.raises(RunError, match="field 'preset.lr_f'"):
-        fit(run[1], "smoke", 0, folder=copied, resume=True, **run[2], lr_f=(0.1, 0.1))
-    with pytest.raises(RunError, match="field 'settings.name'"):
-        fit(run[1], "smoke", 0, EXACT, folder=copied, resume=True, **run[2])
+            fit(*given, folder=copied, resume=True, **run[2], **changes)
 
 
 ROOT = Path(p4.__file__).resolve().parents[1]
@@ -260,15 +264,22 @@ def go_on(scene, settings, folder):
     return p4.encode(trainer.model()), trainer.history
 
 
+def stopped(monkeypatch, call, scene, settings, folder, save_every):
+    """The iteration of the checkpoint that a training leaves if it is stopped within one call."""
+    call_at(monkeypatch, *call)
+    with pytest.raises(KeyboardInterrupt):
+        fit(scene, **settings, folder=folder, save_every=save_every)
+    monkeypatch.undo()
+    return load_checkpoint(folder)[1]["iteration"]
+
+
 @pytest.mark.parametrize("at", few([30, 7, 0, 15, 45], 1))
 @pytest.mark.parametrize("save_every", few([0, 1000], 1))
 def test_stopped_inside_a_step(scene, whole, tmp_path, monkeypatch, at, save_every):
     settings, *want = whole
-    call_at(monkeypatch, Adam, "step", at, half_step)
-    with pytest.raises(KeyboardInterrupt):
-        fit(scene, **settings, folder=tmp_path, save_every=save_every)
-    monkeypatch.undo()
-    assert load_checkpoint(tmp_path)[1]["iteration"] == (at if save_every == 0 else 0)
+    call = Adam, "step", at, half_step
+    found = stopped(monkeypatch, call, scene, settings, tmp_path, save_every)
+    assert found == (at if save_every == 0 else 0)
     assert [*go_on(scene, settings, tmp_path)] == want
 
 
@@ -278,28 +289,14 @@ def test_ctrl_c_waits_for_the_end_of_the_step(
 ):
     settings, *want = whole
     at %= settings["stage_ends"][-1]
-
-    def press(function, *args):
-        signal.raise_signal(signal.SIGINT)
-        return function(*args)
-
-    call_at(monkeypatch, objective, "loss", at, press)
-    with pytest.raises(KeyboardInterrupt):
-        fit(scene, **settings, folder=tmp_path, save_every=1000)
-    monkeypatch.undo()
-    assert load_checkpoint(tmp_path)[1]["iteration"] == at + 1
+    call = objective, "loss", at, press
+    assert stopped(monkeypatch, call, scene, settings, tmp_path, 1000) == at + 1
     assert [*go_on(scene, settings, tmp_path)] == want
 
 
 def test_ctrl_c_after_the_last_step_stops_too(scene, tmp_path, monkeypatch, interruptible):
-    def press(replace, *args):
-        signal.raise_signal(signal.SIGINT)
-        replace(*args)
-
-    call_at(monkeypatch, os, "replace", 1, press)  # 0 is the first checkpoint, 1 the last
-    with pytest.raises(KeyboardInterrupt):
-        fit(scene, **LIVELY, folder=tmp_path, save_every=1000)
-    assert load_checkpoint(tmp_path)[1]["iteration"] == 60
+    call = os, "replace", 1, press  # 0 is the first checkpoint, 1 the last
+    assert stopped(monkeypatch, call, scene, LIVELY, tmp_path, 1000) == 60
 
 
 def test_a_second_ctrl_c_does_not_wait(scene, tmp_path, monkeypatch, interruptible):
@@ -308,10 +305,8 @@ def test_a_second_ctrl_c_does_not_wait(scene, tmp_path, monkeypatch, interruptib
         signal.raise_signal(signal.SIGINT)
         raise AssertionError("the second one must stop at once")
 
-    call_at(monkeypatch, objective, "loss", 30, press_twice)
-    with pytest.raises(KeyboardInterrupt):
-        fit(scene, **LIVELY, folder=tmp_path, save_every=0)
-    assert load_checkpoint(tmp_path)[1]["iteration"] == 30
+    call = objective, "loss", 30, press_twice
+    assert stopped(monkeypatch, call, scene, LIVELY, tmp_path, 0) == 30
 
 
 def test_killed_in_the_middle_of_a_checkpoint(scene, whole, tmp_path, monkeypatch):
@@ -320,12 +315,9 @@ def test_killed_in_the_middle_of_a_checkpoint(scene, whole, tmp_path, monkeypatc
     def killed(*args):
         raise KeyboardInterrupt
 
-    call_at(monkeypatch, os, "replace", 20, killed)
-    with pytest.raises(KeyboardInterrupt):
-        fit(scene, **settings, folder=tmp_path, save_every=0)
-    monkeypatch.undo()
+    call = os, "replace", 20, killed
+    assert stopped(monkeypatch, call, scene, settings, tmp_path, 0) == 19
     assert [path.name for path in tmp_path.iterdir()] == [CHECKPOINT]
-    assert load_checkpoint(tmp_path)[1]["iteration"] == 19
     assert [*go_on(scene, settings, tmp_path)] == want
 
 

@@ -100,9 +100,7 @@ def test_a_hard_start_ends_finite_with_a_file(name):
         model = trainer.model()
         assert np.isfinite(trainer.parameters.vector).all() and trainer.iteration == 45
         decoded = decode(encode(model))
-        wanted = quantise(model).model
-        for got, want in zip(decoded.anchors, wanted.anchors):
-            assert np.array_equal(got, want)
+        assert all(map(np.array_equal, decoded.anchors, quantise(model).model.anchors))
         view = data.train[0]
         image = decoded.render(view.camera, view.time)
     assert image.shape == view.image.shape and np.isfinite(image).all()

@@ -7,6 +7,8 @@ the baselines are in `tests/lab/baselines/cases`.
 from importlib import import_module
 from typing import NamedTuple
 
+import numpy as np
+
 from p4dgs_ref.lab.baselines import BASELINE_EQUATIONS
 
 # The bug that each flag hunts. A case names only words of this table. Its texts are published with
@@ -53,6 +55,11 @@ class Case(NamedTuple):
     expected: dict = {}
     # How closely they are met, relative to the largest expected magnitude.
     tolerance: float = 1e-12
+
+
+def one(x):
+    """x as an array without axes."""
+    return np.asarray(x, float)
 
 
 def without_view(inputs):

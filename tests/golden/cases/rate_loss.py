@@ -1,13 +1,6 @@
 """Cases of Eq. (17)."""
 
-import numpy as np
-
-from . import Case
-
-
-def one(x):
-    """x as an array without axes."""
-    return np.asarray(x, float)
+from . import Case, one
 
 
 def cases():

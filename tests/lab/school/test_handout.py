@@ -185,8 +185,8 @@ PRINTED = (
     *(hash_grid, rounding, likelihood, prior, anchor_rate, hash_rate, total_loss, render_loss),
     *(rate_loss, covariance, projection, compositing),
 )
-CASES = [(printed, "ordinary") for printed in PRINTED if printed not in (hash_grid, compositing)]
-CASES += [
+CASES = [
+    *((printed, "ordinary") for printed in PRINTED if printed not in (hash_grid, compositing)),
     (step, "saturated"),
     (hash_rate, "by_hand"),
     (prior, "clamped"),
