@@ -13,18 +13,9 @@ import math
 
 import numpy as np
 
-from p4dgs_ref import SETTINGS, Camera, Model, View, decode, encode, oracle
-from p4dgs_ref.codec.quantise import quantise
-from p4dgs_ref.equations import deformation, hash_grid
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.model import Anchors, Design, context, predict
-from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.splatting import covariance, projection, render
-from p4dgs_ref.training import objective
-from p4dgs_ref.training.parameters import Parameters
 
 plt = lessons.begin("16_pipeline_by_hand")
-EXACT = SETTINGS["exact"]
 
 
 def say(name, values):
@@ -33,14 +24,34 @@ def say(name, values):
 
 # %% [markdown]
 # ## Claim
-# Two chains of computation start at an anchor. One ends in $C(p)$, the colour of a pixel $p$. The
-# other ends in a number of bits. Eq. (15) adds the two together.
+# Fifteen tutorials made one part each. Here the parts become one machine. Two chains of computation
+# start at an anchor. The first asks what we *see*: anchor, Gaussians, Gaussians at time $t$,
+# $C(p)$, the colour of a pixel $p$, and its error. The second asks what we *pay*: position, hash
+# feature, steps and probabilities, bits. Eq. (15) adds the two together.
 # $$\begin{gathered}
 #   \text{anchor} \xrightarrow{(1)-(4)} \text{Gaussians} \xrightarrow{(5), (6)}
 #   \text{Gaussians at } t \to C(p) \xrightarrow{(16)} \mathcal{L}_{render}\\
 #   x_a \xrightarrow{(9)} h \xrightarrow{(8), (12)} q, \mu, \sigma
 #   \xrightarrow{(7), (11)} \text{bits} \xrightarrow{(13), (14), (17)} \mathcal{L}_{rate}
 #   \end{gathered}$$
+#
+# Training asks the question the other way round: if the loss should fall, how should each number of
+# the anchor change? The backward therefore follows the same arrows from right to left. No other
+# order is possible. What an opacity should do depends on what the pixel should do, so compositing
+# has to answer before projection, projection before the deformation, and the deformation before
+# the networks that read the feature.
+#
+# | read down ↓ | forward: from this | to this | backward: gradients of this | to those of |
+# |---|---|---|---|---|
+# | (1) to (4) | anchor, camera | Gaussians | Gaussians | anchor, its networks |
+# | (5), (6) | Gaussians, $t$ | Gaussians at $t$ | Gaussians at $t$ | Gaussians, $\psi_d$ |
+# | projection | Gaussians at $t$, camera | splats | splats | Gaussians at $t$ |
+# | compositing | splats | picture | picture | splats |
+# | **then up ↑** | picture, truth | $\mathcal{L}_{render}$ | $\mathcal{L}_{render}$ | picture |
+#
+# Where one number feeds several arrows, their gradients add up. The feature $f_a$ feeds four
+# networks of the first chain and is itself priced in the second, so it hears five opinions: four
+# say what would make the picture better, and one what would make the file smaller.
 
 # %% [markdown]
 # ## By hand
@@ -50,6 +61,9 @@ def say(name, values):
 # distance and the direction, and one hidden layer of 3 units.
 
 # %%
+from p4dgs_ref.model import Anchors, Design, context, predict
+from p4dgs_ref.scenes.scene import MODEL_EFFECTS
+
 design = Design(
     d=2,
     k=2,
@@ -233,8 +247,8 @@ for name in splat(moved[0]):
     say(f"{name} of both children", [splat(child)[name] for child in moved])
 
 # %% [markdown]
-# **Compositing** at pixel $(18, 12)$, front to back. For each splat we need its opacity at this
-# pixel and the light that it leaves for the splats behind it.
+# **Compositing** at pixel $(18, 12)$, from front to back. Each splat takes a share of the light,
+# its opacity at this pixel, and leaves the rest to the splats behind it.
 
 
 # %%
@@ -329,11 +343,17 @@ print(f"L_render {L_render:.6f}, L_total {L_total:.6f}")
 # ## In code
 # The package does the same in four calls. `predict` is Fig. 1 up to the Gaussians at time $t$,
 # `render.forward` is the last box of Fig. 1, `context` is the first half of Fig. 2, and
-# `objective.loss` is everything together, the loss included. They must return our numbers. The
+# `objective.loss` runs both chains and adds them up. All four must return our numbers. The
 # pixel $(u, v)$ of a picture is `image[v, u]`.
 
-
 # %%
+from p4dgs_ref import SETTINGS, Camera, Model, View, decode, encode, oracle
+from p4dgs_ref.equations import deformation, hash_grid
+from p4dgs_ref.splatting import covariance, projection, render
+
+EXACT = SETTINGS["exact"]
+
+
 def close(a, b):
     return np.allclose(a, b, rtol=1e-12)
 
@@ -386,6 +406,9 @@ assert close(ctx.q[0], q) and close(ctx.mu[0], mu) and close(ctx.sigma[0], sigma
 # (choice Q5).
 
 # %%
+from p4dgs_ref.training import objective
+from p4dgs_ref.training.parameters import Parameters
+
 flat = dict(
     x_a=arrays[0],
     f_a=arrays[1],
@@ -514,11 +537,12 @@ assert math.isclose(feature_0_bar(color_bar=color_bar), path, rel_tol=1e-10)
 say("weight, slope, product", [weight, blue * (1 - blue), path])
 
 # %% [markdown]
-# For all paths together, `render.backward` turns a cotangent of one at a single number of the
-# picture into cotangents of all Gaussians, and each of the four networks contributes its share to
-# the gradient of $f_0$. The positions contribute nothing, because Eq. (1) does not contain a
-# feature. The sum is compared with a finite difference that is computed with our
-# pocket-calculator code, so fifteen tutorials of derivations are tested by one number.
+# Now all paths together. We put a 1 at the blue value of our pixel and 0 everywhere else, and walk
+# the map from right to left: `render.backward` returns the gradients of all Gaussians at $t$, and
+# `back_g` takes them back through Eqs. (6) to (1), where each of the four networks adds its share
+# to the gradient of $f_0$. The positions add nothing, because Eq. (1) contains no feature. We
+# check the sum with a finite difference, computed with our pocket-calculator code.
+# So this one number tests fifteen tutorials of derivations.
 
 
 # %%
@@ -544,11 +568,11 @@ print(f"together {together:+.6f}, by differences {by_difference:+.6f}")
 
 # %% [markdown]
 # ## Break it
-# Forget to normalise the quaternion after $\Delta r$ has been added. Eq. (6) does not print this
-# normalisation (choice Q9), so the mistake is easily made. The picture looks right, and no pixel
-# changes by more than 0.1, because a quaternion of another length only rotates and stretches the
-# splat slightly differently. The golden vectors of this stage compare $r'$ itself and blame Eq.
-# (6).
+# Suppose we forget to normalise the quaternion after adding $\Delta r$. This mistake is easy to
+# make, because Eq. (6) does not print the normalisation (choice Q9). The picture still looks right:
+# a quaternion of another length rotates and stretches the splat only a little differently, and no
+# pixel changes by more than 0.1. The golden vectors of this stage compare $r'$ itself, so they find
+# the mistake and name Eq. (6).
 
 
 # %%
@@ -578,6 +602,8 @@ assert 0 < change < 0.1
 # position change the pixel, here by less than 0.1.
 
 # %%
+from p4dgs_ref.codec.quantise import quantise
+
 corners = (-np.ones(3, np.float32), np.ones(3, np.float32))
 model = Model(design, anchors, networks, levels, corners, background)
 data = encode(model)
