@@ -122,10 +122,10 @@ assert np.array_equal(mu[:, 2:5], psi_p[:, 4:7])
 # $$p(\tilde{f}_a)=\int_{\tilde{f}_a-\frac{1}{2}q}^{\tilde{f}_a+\frac{1}{2}q}\phi_{\mu,\sigma}(x)dx
 # = \Phi_{\mu,\sigma}\left(\tilde{f_a}+\frac{1}{2}q\right)
 # - \Phi_{\mu,\sigma}\left(\tilde{f_a}-\frac{1}{2}q\right) \tag{11}$$
-# (In training $\tilde f_a$ is the value with noise, in the file a multiple of $q$.)
-# The bits depend on only two numbers: $z = (\tilde f - \mu)/\sigma$, the distance of the value from
-# the mean, and $w = q/\sigma$, the width of the bin. In these units the bin reaches from $z - w/2$
-# to $z + w/2$, and the Gaussian is the standard one.
+# (In training $\tilde f_a$ is the value with noise, in the file a multiple of $q$.) The bits depend
+# on only two numbers: $z = (\tilde f - \mu)/\sigma$, the distance of the value from the mean, and
+# $w = q/\sigma$, the width of the bin. In these units the bin reaches from $z - w/2$ to $z + w/2$,
+# and the Gaussian is the standard one.
 
 # %%
 f = mu + sigma * rng.normal(size=(A, n))

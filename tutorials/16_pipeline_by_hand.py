@@ -540,9 +540,9 @@ say("weight, slope, product", [weight, blue * (1 - blue), path])
 # Now all paths together. We put a 1 at the blue value of our pixel and 0 everywhere else, and walk
 # the map from right to left: `render.backward` returns the gradients of all Gaussians at $t$, and
 # `back_g` takes them back through Eqs. (6) to (1), where each of the four networks adds its share
-# to the gradient of $f_0$. The positions add nothing, because Eq. (1) contains no feature. We
-# check the sum with a finite difference, computed with our pocket-calculator code.
-# So this one number tests fifteen tutorials of derivations.
+# to the gradient of $f_0$. The positions add nothing, because Eq. (1) contains no feature. We check
+# the sum with a finite difference, computed with our pocket-calculator code. So this one number
+# tests fifteen tutorials of derivations.
 
 
 # %%
