@@ -37,20 +37,21 @@ def say(name, values):
 #
 # Training asks the question the other way round: if the loss should fall, how should each number of
 # the anchor change? The backward therefore follows the same arrows from right to left. No other
-# order is possible. What an opacity should do depends on what the pixel should do, so compositing
-# has to answer before projection, projection before the deformation, and the deformation before
-# the networks that read the feature.
+# order is possible. How a child should move depends on how its splat should move, and this depends
+# on how the pixel should change. So compositing answers before projection, projection before the
+# deformation, and the deformation before Eqs. (4) to (1). Read the map down for the forward and up
+# for the backward:
 #
-# | read down ↓ | forward: from this | to this | backward: gradients of this | to those of |
+# | stage | reads | makes | backward: from gradients of | to gradients of |
 # |---|---|---|---|---|
 # | (1) to (4) | anchor, camera | Gaussians | Gaussians | anchor, its networks |
 # | (5), (6) | Gaussians, $t$ | Gaussians at $t$ | Gaussians at $t$ | Gaussians, $\psi_d$ |
 # | projection | Gaussians at $t$, camera | splats | splats | Gaussians at $t$ |
 # | compositing | splats | picture | picture | splats |
-# | **then up ↑** | picture, truth | $\mathcal{L}_{render}$ | $\mathcal{L}_{render}$ | picture |
+# | (16) | picture, truth | $\mathcal{L}_{render}$ | $\mathcal{L}_{render}$ | picture |
 #
 # Where one number feeds several arrows, their gradients add up. The feature $f_a$ feeds four
-# networks of the first chain and is itself priced in the second, so it hears five opinions: four
+# networks of the first chain and is itself priced in the second. So it hears five opinions: four
 # say what would make the picture better, and one what would make the file smaller.
 
 # %% [markdown]
@@ -281,8 +282,8 @@ say("red, green, blue of p", pixel)
 # level and 4 in each 2D level. These four means are the hash feature $h$. From $h$, two networks
 # compute steps, means and standard deviations, Eqs. (8) and (12). The 2 + 3 + 3 + 6 = 14
 # attributes of the anchor are priced by Eq. (11), and the 20 signs of the grid by Eq. (14). The
-# noise of Eq. (7) is a random draw; ours is 0. Eqs. (13) and (17) add everything up, and the sum
-# is divided by 14 (choice Q12; `reference.md` lists all choices).
+# noise of Eq. (7) is random; ours happens to be 0. Eqs. (13) and (17) add everything up, and the
+# sum is divided by 14 (choice Q12; `reference.md` lists all choices).
 
 # %%
 levels = [draw(T, F) for T, F in design.levels()]
@@ -402,8 +403,7 @@ ctx, _ = context(design, networks, levels, located)
 assert close(ctx.q[0], q) and close(ctx.mu[0], mu) and close(ctx.sigma[0], sigma)
 
 # %% [markdown]
-# For the loss, all parameters are put into one object. Scales are stored as logarithms there
-# (choice Q5).
+# The loss expects all parameters in one object, which stores scales as logarithms (choice Q5).
 
 # %%
 from p4dgs_ref.training import objective
@@ -505,9 +505,8 @@ lessons.show(figure, "16_pipeline_by_hand")
 # %% [markdown]
 # ## Backward by hand
 # How does the blue value of the pixel depend on feature 0? There are many paths. One of them goes
-# through child 0's blue, $c$. Following it backwards from the pixel, and summing over the hidden
-# units $m$ of $\psi_c$ that are active (whose input is positive, so that the ReLU passes the
-# gradient), gives
+# through child 0's blue, $c$. Follow it backwards from the pixel, and sum over the hidden units $m$
+# of $\psi_c$ that are active (their input is positive, so the ReLU passes the gradient):
 # $$\frac{\partial C_{blue}}{\partial f_0} = \underbrace{\alpha_0 T_0}_{weight}\cdot
 #   \underbrace{c(1-c)}_{sigmoid'}\cdot
 #   \sum_{m:\,\text{active}} W^0_{0,m}\,W^1_{m,2} + \text{other paths}.$$
@@ -598,8 +597,8 @@ assert 0 < change < 0.1
 # ## What a codec does with it
 # The file holds the seven networks in `float16`, one sign for each entry of the grid, sixteen
 # bits per axis for the anchor's position, and the 14 attributes rounded to multiples of their
-# steps, Eq. (10). Our weights can be represented exactly in `float16`. Only the rounding and the
-# position change the pixel, here by less than 0.1.
+# steps, Eq. (10). `float16` holds our weights exactly. So only the rounding and the position change
+# the pixel, here by less than 0.1.
 
 # %%
 from p4dgs_ref.codec.quantise import quantise
