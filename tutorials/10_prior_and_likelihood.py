@@ -15,33 +15,34 @@ import math
 import numpy as np
 from scipy.special import erfcx, ndtr
 
-from p4dgs_ref import oracle
-from p4dgs_ref.codec.gaussian_table import gaussian_model
-from p4dgs_ref.equations import likelihood, mlp, prior
-from p4dgs_ref.lab.random_inputs import random_network
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, inner, moved
 
 plt = lessons.begin("10_prior_and_likelihood")
 rng = np.random.default_rng(10)
 
 # %% [markdown]
 # ## Claim
-# A number that the decoder expects costs few bits, and a surprising one costs many. A network
-# predicts a Gaussian for each number, from the context $h$ of Eq. (9):
-# $$(\mu, \sigma) = \psi_p(h) \tag{12}$$
-# A symbol stands for all values within half a step of it. Its probability is therefore the integral
-# of the Gaussian density over this interval, the *bin*:
-# $$p(\tilde{f}_a)=\int_{\tilde{f}_a-\frac{1}{2}q}^{\tilde{f}_a+\frac{1}{2}q}\phi_{\mu,\sigma}(x)dx
-# = \Phi_{\mu,\sigma}\left(\tilde{f_a}+\frac{1}{2}q\right)
-# - \Phi_{\mu,\sigma}\left(\tilde{f_a}-\frac{1}{2}q\right) \tag{11}$$
-# The cost is $b = -\log_2 p$ bits, which is what an ideal entropy coder needs.
+# Play a guessing game: you ask questions, and every answer is yes or no. If 8 numbers are equally
+# likely, 3 questions find the right one, because each answer halves what is left. So a number of
+# probability $\frac18$ costs 3 bits. If one number has the probability $\frac12$, ask for it
+# first: it costs 1 bit, and the others cost more. In general, a number of probability $p$ costs
+# $b = -\log_2 p$ bits. An ideal entropy coder needs just that many, also where $b$ is a fraction.
+#
+# So a number is cheap if the decoder expects it. What should it expect? For every number, a network
+# makes a guess, $\mu$, and says how far off this guess may be, $\sigma$. Together they are a normal
+# distribution. The file does not need the exact number, only its *symbol*: the nearest multiple of
+# the step $q$. This symbol stands for all values within half a step of it, an interval of the width
+# $q$ that we call its *bin*. The symbol's probability is the chance that the value falls into the
+# bin, which is the area under the bell curve over the bin.
 
 # %% [markdown]
 # ## By hand
-# Let the mean be 0, the standard deviation 1 and the step 1. The bin of the symbol 0 reaches from
-# $-0.5$ to $0.5$. Its probability is 0.3829, so the symbol costs 1.385 bits. The symbol 1 has the
-# probability 0.2417 and costs 2.049 bits, and the symbol 3 costs 7.386 bits.
+# Let the guess be $\mu = 0$, the deviation $\sigma = 1$ and the step $q = 1$. The bin of the symbol
+# 0 reaches from $-0.5$ to $0.5$. A table of the normal distribution says that a share of 0.69146
+# of all values lies below $0.5$, and 0.30854 below $-0.5$. The difference, 0.3829, is the
+# probability of the symbol, and its price is $-\log_2 0.3829 = 1.385$ bits. The symbol 1 has the
+# probability 0.2417 and costs 2.049 bits, and the symbol 3 costs 7.386 bits. With the guess
+# $\mu = 3$, the symbol 3 would cost only 1.385 bits: the better guess saves 6 bits.
 
 
 # %%
@@ -49,18 +50,61 @@ def Phi(x):
     return 0.5 * (1 + math.erf(x / math.sqrt(2)))
 
 
+def density_at(x):
+    return np.exp(-0.5 * x**2) / math.sqrt(2 * math.pi)
+
+
 probabilities = [Phi(k + 0.5) - Phi(k - 0.5) for k in range(4)]
 for k, p in enumerate(probabilities):
     print(f"symbol {k}: probability {p:.4f}, {-math.log2(p):.3f} bits")
 
 # %% [markdown]
+# The areas of three symbols, and what each of them costs:
+
+# %%
+blue, red, _, violet, orange = lessons.COLORS[:5]
+figure, areas = plt.subplots(figsize=(8, 4.5), layout="constrained")
+x = np.linspace(-3.5, 3.5, 701)
+areas.plot(
+    x,
+    density_at(x),
+    color="k",
+    label=r"density $\phi_{\mu,\sigma}$",
+)
+for k, color in ((0, blue), (1, orange), (3, red)):
+    inside = np.abs(x - k) <= 0.5
+    areas.fill_between(
+        x[inside],
+        density_at(x[inside]),
+        color=color,
+        alpha=0.7,
+        label=f"symbol {k}: {-math.log2(probabilities[k]):.2f} bits",
+    )
+lessons.finish(
+    areas,
+    xlabel=r"value (in $\sigma$, from $\mu$)",
+    ylabel=r"density (per $\sigma$)",
+    ylim=(0, 0.58),
+    title="The probability of a symbol is an area",
+    legend={"loc": "upper left", "fontsize": 11, "ncols": 2},
+)
+lessons.show(figure, "10_areas")
+
+# %% [markdown]
 # ## In code
+# **The guess**, Eq. (12). The network $\psi_p$ reads the context $h$ of Eq. (9), which the decoder
+# knows as well:
+# $$(\mu, \sigma) = \psi_p(h) \tag{12}$$
 # For the $n$ numbers of an anchor, $\psi_p$ has $2n$ outputs. They are ordered by the groups f, s,
 # l, O; within a group, all means come first, then all logarithms of the standard deviations. Each
 # logarithm is clamped to $[-14, 6]$ (choice `Q8`), so that $\sigma$ is positive, and neither 0 nor
 # infinite.
 
 # %%
+from p4dgs_ref.equations import likelihood, mlp, prior
+from p4dgs_ref.lab.random_inputs import random_network
+from p4dgs_ref.lab.school.lessons import close, inner, moved
+
 A, width, widths = 6, 5, (2, 3, 3, 3)
 n = sum(widths)
 weights, biases = random_network(rng, width, 7, 2 * n)
@@ -73,9 +117,15 @@ assert np.array_equal(sigma[:, :2], np.exp(psi_p[:, 2:4]))
 assert np.array_equal(mu[:, 2:5], psi_p[:, 4:7])
 
 # %% [markdown]
-# The bits depend on only two numbers: $z = (\tilde f - \mu)/\sigma$, the distance of the value from
-# the mean, and $w = q/\sigma$, the width of the bin. In these units the bin reaches from $z - w/2$
-# to $z + w/2$, and the Gaussian is the standard one.
+# **The price**, Eq. (11). The area over the bin of $\tilde f_a$ is an integral of the density
+# $\phi$. The function $\Phi(x)$, the share of all values below $x$, turns it into a difference:
+# $$p(\tilde{f}_a)=\int_{\tilde{f}_a-\frac{1}{2}q}^{\tilde{f}_a+\frac{1}{2}q}\phi_{\mu,\sigma}(x)dx
+# = \Phi_{\mu,\sigma}\left(\tilde{f_a}+\frac{1}{2}q\right)
+# - \Phi_{\mu,\sigma}\left(\tilde{f_a}-\frac{1}{2}q\right) \tag{11}$$
+# (In training $\tilde f_a$ is the value with noise, in the file a multiple of $q$.) The bits depend
+# on only two numbers: $z = (\tilde f - \mu)/\sigma$, the distance of the value from the mean, and
+# $w = q/\sigma$, the width of the bin. In these units the bin reaches from $z - w/2$ to $z + w/2$,
+# and the Gaussian is the standard one.
 
 # %%
 f = mu + sigma * rng.normal(size=(A, n))
@@ -86,6 +136,98 @@ assert bits.shape == (A, n)
 assert close(bits, -np.log2(ndtr(z + w / 2) - ndtr(z - w / 2)), 1e-9)
 
 # %% [markdown]
+# ## Backward by hand
+# We begin with the two numbers $z$ and $w$. Since $\Phi' = \phi$, and the edges of the bin move by
+# $dz \pm \frac{1}{2}dw$,
+# $$dp = (\phi_{high} - \phi_{low})\,dz + \tfrac{1}{2}(\phi_{high} + \phi_{low})\,dw,$$
+# where $\phi_{high}$ and $\phi_{low}$ are the densities at the upper and the lower edge. Dividing
+# the two factors by $p$ gives the slopes of $\log p$ in $z$ and in $w$. The function below obtains
+# them from `likelihood`: for a standard Gaussian, $\tilde f = z$ and $q = w$.
+
+
+# %%
+def slopes_of_log_p(z, w):
+    """Return the slopes of log p in z and in w, accurate for all z and w."""
+    _, saved = likelihood.forward(z, np.zeros_like(z), np.ones_like(z), w)
+    gradients = likelihood.backward(saved, np.full_like(z, -math.log(2)))  # from bits to log p
+    return gradients["f_noisy"], gradients["q"]
+
+
+slope_z, slope_w = slopes_of_log_p(z, w)
+p = ndtr(z + w / 2) - ndtr(z - w / 2)
+upper, lower = density_at(z + w / 2), density_at(z - w / 2)
+assert close(slope_z, (upper - lower) / p, 1e-8)
+assert close(slope_w, (upper + lower) / (2 * p), 1e-8)
+
+# %% [markdown]
+# Next come the four inputs. From $z = (\tilde f - \mu)/\sigma$ and $w = q/\sigma$, by the quotient
+# rule,
+# $$dz = \frac{d\tilde f - d\mu - z\,d\sigma}{\sigma}, \qquad dw = \frac{dq - w\,d\sigma}{\sigma}.$$
+# $\sigma$ divides both numbers, so it receives two terms. The bits are $-\log p/\ln 2$, so every
+# line has the factor $\bar b/(\sigma\ln 2)$:
+# $$\bar f = -\frac{\bar b}{\sigma\ln 2}\,slope_z, \quad \bar\mu = -\bar f,
+# \quad \bar q = -\frac{\bar b}{\sigma\ln 2}\,slope_w,$$
+# $$\bar\sigma = \frac{\bar b}{\sigma\ln 2}\,(z\,slope_z + w\,slope_w)$$
+# All of this holds entry by entry, for arrays `[A, n]`.
+
+# %%
+bits_bar = rng.normal(size=(A, n))
+ours = likelihood.backward(saved, bits_bar)
+factor = bits_bar / (sigma * math.log(2))
+assert close(ours["f_noisy"], -factor * slope_z, 1e-11)
+assert np.array_equal(ours["mu"], -ours["f_noisy"])
+assert close(ours["q"], -factor * slope_w, 1e-11)
+assert close(ours["sigma"], factor * (z * slope_z + w * slope_w), 1e-11)
+
+inputs = {"f_noisy": f, "mu": mu, "sigma": sigma, "q": q}
+d = {name: 0.1 * sigma * rng.normal(size=(A, n)) for name in inputs}
+up, _ = likelihood.forward(**moved(inputs, d, 1e-5))
+down, _ = likelihood.forward(**moved(inputs, d, -1e-5))
+difference = inner(bits_bar, up - down) / 2e-5
+gradient = inner(ours, d)
+assert close(difference, gradient, 1e-7)
+print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
+
+# %% [markdown]
+# In narrow bins the gradients have a simple meaning, because there $slope_z \to -z$ and
+# $slope_w \to 1/w$. The value is pulled towards the mean like by a spring,
+# $\bar f = z/(\sigma\ln 2)$. The step should always grow, because $\bar q = -1/(q\ln 2)$ means that
+# doubling it saves one bit. The standard deviation is at rest where $z^2 = 1$, because
+# $\bar\sigma = (1 - z^2)/(\sigma\ln 2)$.
+
+# %%
+narrow_q = 1e-4 * sigma
+_, narrow_saved = likelihood.forward(f, mu, sigma, narrow_q)
+narrow = likelihood.backward(narrow_saved, np.ones((A, n)))
+per_bit = 1 / math.log(2)
+assert close(narrow["f_noisy"], z / sigma * per_bit, 1e-6)
+assert close(narrow["q"], -per_bit / narrow_q, 1e-6)
+assert close(narrow["sigma"], (1 - z**2) / sigma * per_bit, 0.0001)
+
+# %% [markdown]
+# In the backward of Eq. (12), $\sigma = e^{raw}$ gives $\overline{raw} = \sigma\,\bar\sigma$, and 0
+# where the logarithm was clamped. The gradients of the means and of the logarithms go back to their
+# columns, which `prior.layout` lists, and then through the network.
+
+# %%
+mu_bar = rng.normal(size=(A, n))
+sigma_bar = rng.normal(size=(A, n))
+ours = prior.backward(prior_saved, mu_bar, sigma_bar)
+mu_columns, raw_columns = prior.layout(widths)
+psi_p_bar = np.zeros((A, 2 * n))
+psi_p_bar[:, mu_columns] = mu_bar
+psi_p_bar[:, raw_columns] = sigma_bar * sigma
+assert close(ours["biases"][1], psi_p_bar.sum(axis=0))
+
+clamped = np.array([0.0, 7.0])  # mu is 0, and log sigma is above the clamp
+_, clamped_saved = prior.forward(np.zeros((1, 1)), [np.zeros((1, 2))], [clamped], (1,))
+gradients = prior.backward(clamped_saved, np.zeros((1, 1)), np.ones((1, 1)))
+assert not gradients["biases"][0].any()
+
+# %% [markdown]
+# ## Break it
+# Eq. (11) is right, but a computer cannot always evaluate it as printed.
+#
 # **The printed formula fails in the tails.** Far to the right of the mean, both values of $\Phi$
 # round to 1 and their difference is 0. In `float64` this happens at $z = 9$ with $w = 1$, and in
 # `float32` already at $z = 6$. The bits are then infinite and their gradient is NaN.
@@ -99,8 +241,7 @@ def one(value, dtype=np.float64):
 
 with np.errstate(divide="ignore"):
     printed_9 = likelihood.literal(one(9), one(0), one(1), one(1))
-    single = [one(value, np.float32) for value in (6, 0, 1, 1)]
-    printed_6 = likelihood.literal(*single)
+    printed_6 = likelihood.literal(*(one(value, np.float32) for value in (6, 0, 1, 1)))
 assert printed_9 == np.inf
 assert printed_6 == np.inf
 
@@ -143,17 +284,14 @@ print(f"z = 40 costs {by_erfcx:.6f} bits")
 # $$p = \phi(z)\,w\,\Bigl(1 + \frac{w^2}{24}(z^2 - 1) + \dots\Bigr)$$
 #
 # The module `likelihood.py` therefore computes $\log p$ with different functions in different
-# regimes: around the mean, beside it, far from it, and in narrow bins. The figure shows the
-# probability of a symbol as an area, the cost of a symbol far from the mean, and the digits in
-# narrow bins.
+# regimes: around the mean, beside it, far from it, and in narrow bins.
 
 # %%
 z_narrow = 0.7
 w_narrow = np.geomspace(1e-14, 1e-2, 49)
-density = math.exp(-(z_narrow**2) / 2) / math.sqrt(2 * math.pi)
 second = w_narrow**2 / 24 * (z_narrow**2 - 1)
 fourth = w_narrow**4 / 1920 * (z_narrow**4 - 6 * z_narrow**2 + 3)
-series = density * w_narrow * (1 + second + fourth)
+series = density_at(z_narrow) * w_narrow * (1 + second + fourth)
 row = w_narrow[None]
 narrow_bits, _ = likelihood.forward(0 * row + z_narrow, 0 * row, 0 * row + 1, row)
 error = np.abs(np.exp2(-narrow_bits[0]) / series - 1)
@@ -164,47 +302,46 @@ assert printed_error[w_narrow < 1e-13].max() > 1e-3
 
 distance = np.linspace(0, 14, 141)[None]
 standard = 0 * distance, 0 * distance + 1, 0 * distance + 1  # mu, sigma, q
-single = [a.astype(np.float32) for a in (distance, *standard)]
 stable, _ = likelihood.forward(distance, *standard)
 with np.errstate(divide="ignore"):
     printed_64 = likelihood.literal(distance, *standard)
-    printed_32 = likelihood.literal(*single)
+    printed_32 = likelihood.literal(*(a.astype(np.float32) for a in (distance, *standard)))
 floored = np.minimum(stable, -math.log2(1e-6))
 
-# %%
-blue, red, _, violet, orange = lessons.COLORS[:5]
-figure, (areas, tails, digits) = plt.subplots(
-    1,
-    3,
-    figsize=(16, 4.8),
-    layout="constrained",
-)
-x = np.linspace(-3.5, 3.5, 701)
-phi = np.exp(-(x**2) / 2) / math.sqrt(2 * math.pi)
-areas.plot(
-    x,
-    phi,
-    color="k",
-    label=r"density $\phi_{\mu,\sigma}$",
-)
-for k, color in ((0, blue), (1, orange), (3, red)):
-    inside = np.abs(x - k) <= 0.5
-    areas.fill_between(
-        x[inside],
-        phi[inside],
-        color=color,
-        alpha=0.7,
-        label=f"symbol {k}: {-math.log2(probabilities[k]):.2f} bits",
-    )
-lessons.finish(
-    areas,
-    xlabel=r"value (in $\sigma$, from $\mu$)",
-    ylabel=r"density (per $\sigma$)",
-    ylim=(0, 0.58),
-    title="The probability of a symbol is an area",
-    legend={"loc": "upper left", "fontsize": 10, "ncols": 2},
-)
+# %% [markdown]
+# **A floor is no remedy.** HAC, the codec of static scenes whose entropy model the paper follows,
+# never lets the probability fall below $10^{-6}$. No number then costs more than 19.93 bits, and
+# nothing is ever infinite. Training runs, and it reports a lower rate than the file will need. But
+# below this floor the gradient is 0. A number 6 standard deviations from the mean is never pulled
+# towards it, although by Eq. (11) it costs 25.7 bits.
 
+
+# %%
+def floored_bits(f_noisy, mu, sigma, q):
+    bits, _ = likelihood.forward(f_noisy, mu, sigma, q)
+    return np.minimum(bits, -math.log2(1e-6))
+
+
+def floored_gradients(inputs, cotangents):
+    bits, saved = likelihood.forward(**inputs)
+    free = bits < -math.log2(1e-6)
+    return likelihood.backward(saved, cotangents["bits_bar"] * free)
+
+
+bits_6, saved_6 = likelihood.forward(one(6), one(0), one(1), one(1))
+pull = likelihood.backward(saved_6, one(1))["f_noisy"]
+six = {"f_noisy": one(6), "mu": one(0), "sigma": one(1), "q": one(1)}
+no_pull = floored_gradients(six, {"bits_bar": one(1)})["f_noisy"]
+print(f"z = 6 costs {bits_6[0, 0]:.1f} bits, with the floor {floored_bits(**six)[0, 0]:.2f}")
+assert pull > 8
+assert no_pull == 0
+
+# %% [markdown]
+# Left: the cost of a symbol far from the mean, as printed, with the floor, and in regimes. Right:
+# the error of the probability in narrow bins.
+
+# %%
+figure, (tails, digits) = plt.subplots(1, 2, figsize=(12, 4.8), layout="constrained")
 tails.plot(
     distance[0],
     stable[0],
@@ -266,133 +403,12 @@ lessons.finish(
 lessons.show(figure, "10_prior_and_likelihood")
 
 # %% [markdown]
-# ## Backward by hand
-# We begin with the two numbers $z$ and $w$. Since $\Phi' = \phi$, and the edges of the bin move by
-# $dz \pm \frac{1}{2}dw$,
-# $$dp = (\phi_{high} - \phi_{low})\,dz + \tfrac{1}{2}(\phi_{high} + \phi_{low})\,dw,$$
-# where $\phi_{high}$ and $\phi_{low}$ are the densities at the upper and the lower edge. Dividing
-# the two factors by $p$ gives the slopes of $\log p$ in $z$ and in $w$. The function below obtains
-# them from `likelihood`: for a standard Gaussian, $\tilde f = z$ and $q = w$.
-
-
-# %%
-def slopes_of_log_p(z, w):
-    """Return the slopes of log p in z and in w, accurate in all regimes."""
-    _, saved = likelihood.forward(z, np.zeros_like(z), np.ones_like(z), w)
-    gradients = likelihood.backward(saved, np.full_like(z, -math.log(2)))  # from bits to log p
-    return gradients["f_noisy"], gradients["q"]
-
-
-def density_at(x):
-    return np.exp(-0.5 * x**2) / math.sqrt(2 * math.pi)
-
-
-slope_z, slope_w = slopes_of_log_p(z, w)
-p = ndtr(z + w / 2) - ndtr(z - w / 2)
-upper, lower = density_at(z + w / 2), density_at(z - w / 2)
-assert close(slope_z, (upper - lower) / p, 1e-8)
-assert close(slope_w, (upper + lower) / (2 * p), 1e-8)
-
-# %% [markdown]
-# Next come the four inputs. From $z = (\tilde f - \mu)/\sigma$ and $w = q/\sigma$, by the quotient
-# rule,
-# $$dz = \frac{d\tilde f - d\mu - z\,d\sigma}{\sigma}, \qquad dw = \frac{dq - w\,d\sigma}{\sigma}.$$
-# $\sigma$ divides both numbers, so it receives two terms. The bits are $-\log p/\ln 2$, so every
-# line has the factor $\bar b/(\sigma\ln 2)$:
-# $$\bar f = -\frac{\bar b}{\sigma\ln 2}\,slope_z, \quad \bar\mu = -\bar f,
-# \quad \bar q = -\frac{\bar b}{\sigma\ln 2}\,slope_w,$$
-# $$\bar\sigma = \frac{\bar b}{\sigma\ln 2}\,(z\,slope_z + w\,slope_w)$$
-# All of this holds entry by entry, for arrays `[A, n]`.
-
-# %%
-bits_bar = rng.normal(size=(A, n))
-ours = likelihood.backward(saved, bits_bar)
-factor = bits_bar / (sigma * math.log(2))
-assert close(ours["f_noisy"], -factor * slope_z, 1e-11)
-assert np.array_equal(ours["mu"], -ours["f_noisy"])
-assert close(ours["q"], -factor * slope_w, 1e-11)
-both_terms = z * slope_z + w * slope_w
-assert close(ours["sigma"], factor * both_terms, 1e-11)
-
-inputs = {"f_noisy": f, "mu": mu, "sigma": sigma, "q": q}
-d = {name: 0.1 * sigma * rng.normal(size=(A, n)) for name in inputs}
-up, _ = likelihood.forward(**moved(inputs, d, 1e-5))
-down, _ = likelihood.forward(**moved(inputs, d, -1e-5))
-difference = inner(bits_bar, up - down) / 2e-5
-gradient = inner(ours, d)
-assert close(difference, gradient, 1e-7)
-print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
-
-# %% [markdown]
-# In narrow bins the gradients have a simple meaning, because there $slope_z \to -z$ and
-# $slope_w \to 1/w$. The value is pulled towards the mean like by a spring,
-# $\bar f = z/(\sigma\ln 2)$. The step should always grow, because $\bar q = -1/(q\ln 2)$ means that
-# doubling it saves one bit. The standard deviation is at rest where $z^2 = 1$, because
-# $\bar\sigma = (1 - z^2)/(\sigma\ln 2)$.
-
-# %%
-narrow_q = 1e-4 * sigma
-_, narrow_saved = likelihood.forward(f, mu, sigma, narrow_q)
-narrow = likelihood.backward(narrow_saved, np.ones((A, n)))
-per_bit = 1 / math.log(2)
-assert close(narrow["f_noisy"], z / sigma * per_bit, 1e-6)
-assert close(narrow["q"], -per_bit / narrow_q, 1e-6)
-assert close(narrow["sigma"], (1 - z**2) / sigma * per_bit, 0.0001)
-
-# %% [markdown]
-# In the backward of Eq. (12), $\sigma = e^{raw}$ gives $\overline{raw} = \sigma\,\bar\sigma$, and 0
-# where the logarithm was clamped. The gradients of the means and of the logarithms go back to their
-# columns, which `prior.layout` lists, and then through the network.
-
-# %%
-mu_bar = rng.normal(size=(A, n))
-sigma_bar = rng.normal(size=(A, n))
-ours = prior.backward(prior_saved, mu_bar, sigma_bar)
-mu_columns, raw_columns = prior.layout(widths)
-psi_p_bar = np.zeros((A, 2 * n))
-psi_p_bar[:, mu_columns] = mu_bar
-psi_p_bar[:, raw_columns] = sigma_bar * sigma
-assert close(ours["biases"][1], psi_p_bar.sum(axis=0))
-
-clamped = np.array([0.0, 7.0])  # mu is 0, and log sigma is above the clamp
-_, clamped_saved = prior.forward(np.zeros((1, 1)), [np.zeros((1, 2))], [clamped], (1,))
-gradients = prior.backward(clamped_saved, np.zeros((1, 1)), np.ones((1, 1)))
-assert not gradients["biases"][0].any()
-
-# %% [markdown]
-# ## Break it
-# HAC, the codec of static scenes whose entropy model the paper follows, never lets the probability
-# fall below $10^{-6}$. No number then costs more than 19.93 bits, and nothing is ever infinite.
-# Training runs, and it reports a lower rate than the file will need. But below this floor the
-# gradient is 0. A number 6 standard deviations from the mean is never pulled towards it, although
-# by Eq. (11) it costs 25.7 bits.
-
-
-# %%
-def floored_bits(f_noisy, mu, sigma, q):
-    bits, _ = likelihood.forward(f_noisy, mu, sigma, q)
-    return np.minimum(bits, -math.log2(1e-6))
-
-
-def floored_gradients(inputs, cotangents):
-    bits, saved = likelihood.forward(**inputs)
-    free = bits < -math.log2(1e-6)
-    return likelihood.backward(saved, cotangents["bits_bar"] * free)
-
-
-bits_6, saved_6 = likelihood.forward(one(6), one(0), one(1), one(1))
-pull = likelihood.backward(saved_6, one(1))["f_noisy"]
-six = {"f_noisy": one(6), "mu": one(0), "sigma": one(1), "q": one(1)}
-no_pull = floored_gradients(six, {"bits_bar": one(1)})["f_noisy"]
-print(f"z = 6 costs {bits_6[0, 0]:.1f} bits, with the floor {floored_bits(**six)[0, 0]:.2f}")
-assert pull > 8
-assert no_pull == 0
-
-# %% [markdown]
 # The golden vectors find both mistakes, the floor and the printed formula. They fail in the tails
 # and pass on ordinary inputs.
 
 # %%
+from p4dgs_ref import oracle
+
 with np.errstate(all="ignore"):
     of_floor = oracle.check(floored_bits, "likelihood", floored_gradients)
     of_printed = oracle.check(likelihood.literal, "likelihood")
@@ -411,6 +427,8 @@ for name, report in (("floor", of_floor), ("printed formula", of_printed)):
 # parameters: with $0.3125$ and $2^{9/16}$, to which they are rounded, Eq. (11) gives 1.947 as well.
 
 # %%
+from p4dgs_ref.codec.gaussian_table import gaussian_model
+
 mu_in_file = round(0.3 * 1024)
 log_sigma_in_file = 9  # log2(1.5) is about 9/16
 table = gaussian_model(np.array([mu_in_file]), np.array([log_sigma_in_file]))

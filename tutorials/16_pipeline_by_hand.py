@@ -13,18 +13,9 @@ import math
 
 import numpy as np
 
-from p4dgs_ref import SETTINGS, Camera, Model, View, decode, encode, oracle
-from p4dgs_ref.codec.quantise import quantise
-from p4dgs_ref.equations import deformation, hash_grid
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.model import Anchors, Design, context, predict
-from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.splatting import covariance, projection, render
-from p4dgs_ref.training import objective
-from p4dgs_ref.training.parameters import Parameters
 
 plt = lessons.begin("16_pipeline_by_hand")
-EXACT = SETTINGS["exact"]
 
 
 def say(name, values):
@@ -33,14 +24,35 @@ def say(name, values):
 
 # %% [markdown]
 # ## Claim
-# Two chains of computation start at an anchor. One ends in $C(p)$, the colour of a pixel $p$. The
-# other ends in a number of bits. Eq. (15) adds the two together.
+# Fifteen tutorials made one part each. Here the parts become one machine. Two chains of computation
+# start at an anchor. The first asks what we *see*: anchor, Gaussians, Gaussians at time $t$,
+# $C(p)$, the colour of a pixel $p$, and its error. The second asks what we *pay*: position, hash
+# feature, steps and probabilities, bits. Eq. (15) adds the two together.
 # $$\begin{gathered}
 #   \text{anchor} \xrightarrow{(1)-(4)} \text{Gaussians} \xrightarrow{(5), (6)}
 #   \text{Gaussians at } t \to C(p) \xrightarrow{(16)} \mathcal{L}_{render}\\
 #   x_a \xrightarrow{(9)} h \xrightarrow{(8), (12)} q, \mu, \sigma
 #   \xrightarrow{(7), (11)} \text{bits} \xrightarrow{(13), (14), (17)} \mathcal{L}_{rate}
 #   \end{gathered}$$
+#
+# Training asks the question the other way round: if the loss should fall, how should each number of
+# the anchor change? The backward therefore follows the same arrows from right to left. No other
+# order is possible. How a child should move depends on how its splat should move, and this depends
+# on how the pixel should change. So compositing answers before projection, projection before the
+# deformation, and the deformation before Eqs. (4) to (1). Read the map down for the forward and up
+# for the backward:
+#
+# | stage | reads | makes | backward: from gradients of | to gradients of |
+# |---|---|---|---|---|
+# | (1) to (4) | anchor, camera | Gaussians | Gaussians | anchor, its networks |
+# | (5), (6) | Gaussians, $t$ | Gaussians at $t$ | Gaussians at $t$ | Gaussians, $\psi_d$ |
+# | projection | Gaussians at $t$, camera | splats | splats | Gaussians at $t$ |
+# | compositing | splats | picture | picture | splats |
+# | (16) | picture, truth | $\mathcal{L}_{render}$ | $\mathcal{L}_{render}$ | picture |
+#
+# Where one number feeds several arrows, their gradients add up. The feature $f_a$ feeds four
+# networks of the first chain and is itself priced in the second. So it hears five opinions: four
+# say what would make the picture better, and one what would make the file smaller.
 
 # %% [markdown]
 # ## By hand
@@ -50,6 +62,9 @@ def say(name, values):
 # distance and the direction, and one hidden layer of 3 units.
 
 # %%
+from p4dgs_ref.model import Anchors, Design, context, predict
+from p4dgs_ref.scenes.scene import MODEL_EFFECTS
+
 design = Design(
     d=2,
     k=2,
@@ -233,8 +248,8 @@ for name in splat(moved[0]):
     say(f"{name} of both children", [splat(child)[name] for child in moved])
 
 # %% [markdown]
-# **Compositing** at pixel $(18, 12)$, front to back. For each splat we need its opacity at this
-# pixel and the light that it leaves for the splats behind it.
+# **Compositing** at pixel $(18, 12)$, from front to back. Each splat takes a share of the light,
+# its opacity at this pixel, and leaves the rest to the splats behind it.
 
 
 # %%
@@ -267,8 +282,8 @@ say("red, green, blue of p", pixel)
 # level and 4 in each 2D level. These four means are the hash feature $h$. From $h$, two networks
 # compute steps, means and standard deviations, Eqs. (8) and (12). The 2 + 3 + 3 + 6 = 14
 # attributes of the anchor are priced by Eq. (11), and the 20 signs of the grid by Eq. (14). The
-# noise of Eq. (7) is a random draw; ours is 0. Eqs. (13) and (17) add everything up, and the sum
-# is divided by 14 (choice Q12; `reference.md` lists all choices).
+# noise of Eq. (7) is random; ours happens to be 0. Eqs. (13) and (17) add everything up, and the
+# sum is divided by 14 (choice Q12; `reference.md` lists all choices).
 
 # %%
 levels = [draw(T, F) for T, F in design.levels()]
@@ -329,11 +344,17 @@ print(f"L_render {L_render:.6f}, L_total {L_total:.6f}")
 # ## In code
 # The package does the same in four calls. `predict` is Fig. 1 up to the Gaussians at time $t$,
 # `render.forward` is the last box of Fig. 1, `context` is the first half of Fig. 2, and
-# `objective.loss` is everything together, the loss included. They must return our numbers. The
+# `objective.loss` runs both chains and adds them up. All four must return our numbers. The
 # pixel $(u, v)$ of a picture is `image[v, u]`.
 
-
 # %%
+from p4dgs_ref import SETTINGS, Camera, Model, View, decode, encode, oracle
+from p4dgs_ref.equations import deformation, hash_grid
+from p4dgs_ref.splatting import covariance, projection, render
+
+EXACT = SETTINGS["exact"]
+
+
 def close(a, b):
     return np.allclose(a, b, rtol=1e-12)
 
@@ -382,10 +403,12 @@ ctx, _ = context(design, networks, levels, located)
 assert close(ctx.q[0], q) and close(ctx.mu[0], mu) and close(ctx.sigma[0], sigma)
 
 # %% [markdown]
-# For the loss, all parameters are put into one object. Scales are stored as logarithms there
-# (choice Q5).
+# The loss expects all parameters in one object, which stores scales as logarithms (choice Q5).
 
 # %%
+from p4dgs_ref.training import objective
+from p4dgs_ref.training.parameters import Parameters
+
 flat = dict(
     x_a=arrays[0],
     f_a=arrays[1],
@@ -482,9 +505,8 @@ lessons.show(figure, "16_pipeline_by_hand")
 # %% [markdown]
 # ## Backward by hand
 # How does the blue value of the pixel depend on feature 0? There are many paths. One of them goes
-# through child 0's blue, $c$. Following it backwards from the pixel, and summing over the hidden
-# units $m$ of $\psi_c$ that are active (whose input is positive, so that the ReLU passes the
-# gradient), gives
+# through child 0's blue, $c$. Follow it backwards from the pixel, and sum over the hidden units $m$
+# of $\psi_c$ that are active (their input is positive, so the ReLU passes the gradient):
 # $$\frac{\partial C_{blue}}{\partial f_0} = \underbrace{\alpha_0 T_0}_{weight}\cdot
 #   \underbrace{c(1-c)}_{sigmoid'}\cdot
 #   \sum_{m:\,\text{active}} W^0_{0,m}\,W^1_{m,2} + \text{other paths}.$$
@@ -514,11 +536,12 @@ assert math.isclose(feature_0_bar(color_bar=color_bar), path, rel_tol=1e-10)
 say("weight, slope, product", [weight, blue * (1 - blue), path])
 
 # %% [markdown]
-# For all paths together, `render.backward` turns a cotangent of one at a single number of the
-# picture into cotangents of all Gaussians, and each of the four networks contributes its share to
-# the gradient of $f_0$. The positions contribute nothing, because Eq. (1) does not contain a
-# feature. The sum is compared with a finite difference that is computed with our
-# pocket-calculator code, so fifteen tutorials of derivations are tested by one number.
+# Now all paths together. We put a 1 at the blue value of our pixel and 0 everywhere else, and walk
+# the map from right to left: `render.backward` returns the gradients of all Gaussians at $t$, and
+# `back_g` takes them back through Eqs. (6) to (1), where each of the four networks adds its share
+# to the gradient of $f_0$. The positions add nothing, because Eq. (1) contains no feature. We check
+# the sum with a finite difference, computed with our pocket-calculator code. So this one number
+# tests fifteen tutorials of derivations.
 
 
 # %%
@@ -544,11 +567,11 @@ print(f"together {together:+.6f}, by differences {by_difference:+.6f}")
 
 # %% [markdown]
 # ## Break it
-# Forget to normalise the quaternion after $\Delta r$ has been added. Eq. (6) does not print this
-# normalisation (choice Q9), so the mistake is easily made. The picture looks right, and no pixel
-# changes by more than 0.1, because a quaternion of another length only rotates and stretches the
-# splat slightly differently. The golden vectors of this stage compare $r'$ itself and blame Eq.
-# (6).
+# Suppose we forget to normalise the quaternion after adding $\Delta r$. This mistake is easy to
+# make, because Eq. (6) does not print the normalisation (choice Q9). The picture still looks right:
+# a quaternion of another length rotates and stretches the splat only a little differently, and no
+# pixel changes by more than 0.1. The golden vectors of this stage compare $r'$ itself, so they find
+# the mistake and name Eq. (6).
 
 
 # %%
@@ -574,10 +597,12 @@ assert 0 < change < 0.1
 # ## What a codec does with it
 # The file holds the seven networks in `float16`, one sign for each entry of the grid, sixteen
 # bits per axis for the anchor's position, and the 14 attributes rounded to multiples of their
-# steps, Eq. (10). Our weights can be represented exactly in `float16`. Only the rounding and the
-# position change the pixel, here by less than 0.1.
+# steps, Eq. (10). `float16` holds our weights exactly. So only the rounding and the position change
+# the pixel, here by less than 0.1.
 
 # %%
+from p4dgs_ref.codec.quantise import quantise
+
 corners = (-np.ones(3, np.float32), np.ones(3, np.float32))
 model = Model(design, anchors, networks, levels, corners, background)
 data = encode(model)

@@ -34,18 +34,18 @@ model = quantised_of(container.open_container(data))
 
 # %% [markdown]
 # ## Claim
-# Eq. (11) gives a symbol the price $b = -\log_2 p$, which may be a fraction of a bit, and Eq.
-# (13) adds the prices up. An entropy coder makes these prices real: a message of total
-# probability $P = p_1 p_2 \cdots p_n$ becomes about $-\log_2 P$ bits, even if each symbol has a
-# probability table of its own. The coder requires only that the decoder has exactly the same
+# By Eq. (11) a symbol costs $b = -\log_2 p$ bits, for example 0.4, and Eq. (13) adds the costs up.
+# But how do you write 0.4 bits to a file? You do not: you write the whole message. If its
+# probability is $P = p_1 p_2 \cdots p_n$, an entropy coder needs about $-\log_2 P$ bits for it,
+# even if every symbol has its own table of probabilities. The decoder must have exactly the same
 # tables.
 
 # %% [markdown]
 # ## By hand
 # Take three symbols with $p(a) = \frac{1}{2}$ and $p(b) = p(c) = \frac{1}{4}$, and the message
-# $a\,c\,a\,b$. We begin with the interval from 0 to 1. Each symbol owns a part of whatever
-# interval is left: $a$ the lower half, $b$ the third quarter and $c$ the last quarter. Coding a
-# symbol means keeping its part:
+# $a\,c\,a\,b$. We start with the interval from 0 to 1. Each symbol owns a part of the current
+# interval: $a$ the lower half, $b$ the third quarter and $c$ the last quarter. To code a symbol,
+# keep its part and throw the rest away:
 # $$[0, 1) \to [0, \tfrac12) \to [\tfrac38, \tfrac12) \to [\tfrac38, \tfrac7{16})
 #   \to [\tfrac{26}{64}, \tfrac{27}{64})$$
 
@@ -78,10 +78,10 @@ assert way[-1][1] == Fraction(1, 64)
 
 # %% [markdown]
 # The final width is $\frac12\cdot\frac14\cdot\frac12\cdot\frac14 = \frac1{64}$, the probability
-# of the message. Any number inside the final interval identifies the message, so 6 bits suffice,
-# and 26 is `011010`. With two bits for every symbol we would need 8. The decoder looks up in
-# whose part the number lies, which gives the symbol, and stretches this part to the whole
-# interval by $(v - start)/p$.
+# of the message. Any number inside the final interval identifies the message, so 6 bits are enough:
+# $\frac{26}{64}$ is `011010`. With two bits for every symbol we would need 8. To decode, look in
+# whose part the number $v$ lies. This is the first symbol. Then stretch this part to the whole
+# interval, $v \to (v - start)/p$, and look again.
 
 
 # %%
@@ -101,10 +101,10 @@ assert found == "acab"
 
 # %% [markdown]
 # ## In code
-# Now we code six features of one anchor of a trained model. Each feature has a Gaussian of its
-# own and therefore parts of its own. The project's tables hold their widths as multiples of
-# $2^{-24}$. Every interval that is at least $2^{-b}$ wide contains a multiple of $2^{-b}$, so the
-# number of bits is rounded up only once, at the end of the message.
+# Now we code six features of one anchor of a trained model. Each feature has its own Gaussian, so
+# the parts are different for each. Their widths are multiples of $2^{-24}$, as in the file. An
+# interval that is at least $2^{-b}$ wide contains a multiple of $2^{-b}$, so we round up to whole
+# bits only once, at the end of the message.
 
 # %%
 symbols = model.symbols[7, :6]
@@ -133,7 +133,7 @@ print(f"symbols {symbols.tolist()} have the probability {float(width):.3g}")
 print(f"they cost {ideal:.2f} bits and are sent as {number:0{bits}b}")
 
 # %% [markdown]
-# The next cell draws this as an animation, which zooms into the chosen part after each symbol.
+# The next cell draws this as an animation. After each symbol it zooms into the chosen part.
 #
 # ![Every symbol narrows the interval](pictures/intervals.gif)
 
@@ -184,16 +184,17 @@ target = lessons.out() / "20_intervals_to_rans.gif"
 imageio.imwrite(target, frames, duration=milliseconds, loop=0)
 
 # %% [markdown]
-# **The disadvantage of intervals.** The fractions grow without limit. Practical coders therefore
-# send leading digits as soon as these are certain, and must handle carries that run back into
-# digits already sent. rANS (Duda) keeps *a single integer* $x$ instead. Colour all integers:
-# among every $M$ consecutive ones, $f_s$ have the colour of symbol $s$, beginning at position
-# $c_s$. In our example $M = 4$.
+# **What is wrong with intervals.** The fractions get longer and longer. Practical coders therefore
+# send leading digits as soon as they are certain, and must handle carries into digits that they
+# have already sent. rANS (Duda) keeps *a single integer* $x$ instead. Give every integer a colour:
+# in each block of $M$ integers, $f_s$ have the colour of symbol $s$, starting at position $c_s$.
+# In our example $M = 4$, and the colours repeat as $a\,a\,b\,c$.
 #
-# **Push** a symbol $s$: go to the integer of colour $s$ that has exactly $x$ integers of this
-# colour before it. Since one in $M/f_s$ integers has this colour, the new $x$ is about $x M/f_s$,
-# so it grows by $-\log_2 p_s$ bits. **Pop**: the colour of $x$ is the symbol, and the number of
-# integers of this colour below it is the old $x$. The last symbol pushed is the first one popped.
+# To **push** a symbol $s$, go to the integer of colour $s$ that has exactly $x$ integers of this
+# colour below it. Since one in $M/f_s$ integers has this colour, the new $x$ is about $x M/f_s$:
+# it grows by $-\log_2 p_s$ bits. To **pop**, read the colour of $x$, which is the symbol, and count
+# the integers of this colour below it, which gives the old $x$. The last symbol in is the first one
+# out.
 # $$x' = \lfloor x / f_s\rfloor M + (x \bmod f_s) + c_s$$
 
 # %%
@@ -223,8 +224,9 @@ print("states:", path)
 print(f"x grows by {growth:.2f} bits instead of 6, because rounding matters while x is small")
 
 # %% [markdown]
-# The right panel of the next figure pushes six features of all anchors. Python's integers have no
-# size limit, so the state may simply grow, and it grows by as many bits as the prior promised.
+# Now we push six features of every anchor. Python's integers have no size limit, so we simply let
+# the state grow. The right panel of the next figure shows that it grows by as many bits as the
+# prior promised.
 
 # %%
 coded = model.symbols[:, :6].ravel()
@@ -310,12 +312,12 @@ lessons.finish(
 lessons.show(figure, "20_intervals_to_rans")
 
 # %% [markdown]
-# **A state of limited size.** The file uses $M = 2^{24}$ and keeps $x$ between $2^{31}$ and
-# $2^{63}$. Before a push that would exceed this range, which is the case if $x \ge f\,2^{39}$,
-# the 32 lowest bits of $x$ are moved to a stack. After a pop that falls below the range, 32 bits
-# return from the stack. A message consists of one byte for the number of lanes and the size of
-# $x$, then $x$, then the stack. The example in the docstring of `rans.py`, the message $0\,1\,0$
-# with the probabilities $\frac34$ and $\frac14$, takes 9 bytes.
+# **A state that fits into 64 bits.** The file uses $M = 2^{24}$ and keeps $x$ between $2^{31}$ and
+# $2^{63}$. If a push would make $x$ too large, which happens if $x \ge f\,2^{39}$, we first move
+# the 32 lowest bits of $x$ to a stack. If a pop makes $x$ too small, we take 32 bits back from the
+# stack. A message consists of one byte for the number of lanes and the size of $x$, then $x$, then
+# the stack. The example in the docstring of `rans.py`, the message $0\,1\,0$ with the probabilities
+# $\frac34$ and $\frac14$, takes 9 bytes.
 
 
 # %%
@@ -343,15 +345,15 @@ assert encode(starts, freqs) == container.read_container(data)["features"]
 
 # %% [markdown]
 # ## Backward by hand
-# A coder has no gradient; training uses $-\log_2 p$ in its place. Instead, a coder has an exact
-# inverse. Write $r = x \bmod f$, so that $x' = \lfloor x/f\rfloor M + r + c$. Since
-# $0 \le r + c < M$, we have $\lfloor x'/M\rfloor = \lfloor x/f\rfloor$ and $x' \bmod M = r + c$.
-# The condition $c \le r + c < c + f$ determines the symbol, and then
-# $x = \lfloor x/f\rfloor f + r$ is known:
+# A coder has no gradient, so training uses $-\log_2 p$ in its place. The way back through a coder
+# is its exact inverse, the decoder. Write $r = x \bmod f$, so that $x' = \lfloor x/f\rfloor M + r +
+# c$. Since $0 \le r + c < M$, we have $\lfloor x'/M\rfloor = \lfloor x/f\rfloor$ and $x' \bmod M =
+# r + c$. The condition $c \le r + c < c + f$ determines the symbol, and then $x = \lfloor
+# x/f\rfloor f + r$ is known:
 # $$x = \lfloor x'/M\rfloor\, f + (x' \bmod M) - c$$
-# All of this is exact integer arithmetic, so pushing and popping lose nothing. The moves of words
-# are inverse to each other as well: a push leaves $x' < 2^{63}$, and the pop falls below $2^{31}$
-# exactly if the push had moved a word to the stack.
+# All of this is exact integer arithmetic, so pushing and popping lose nothing. The stack is undone
+# just as exactly: a push leaves $x' < 2^{63}$, and the pop falls below $2^{31}$ if and only if the
+# push had moved 32 bits to the stack.
 
 # %%
 rng = np.random.default_rng(20)
@@ -372,11 +374,11 @@ for _ in range(2000):
 
 # %% [markdown]
 # ## Break it
-# Push from the first symbol to the last, in the order in which one writes. If all symbols share
-# one table, as in the masks, everything seems to work: the length is right, the counts are right,
-# and even the final state is right. Only the order is wrong, because the message is decoded
-# backwards. If each symbol has its own table, the decoder uses the wrong one at once. Two checks
-# detect this: the words run out, or the last state is not the one with which the encoder began.
+# Push the symbols in the order in which you would write them, the first one first. If all symbols
+# share one table, as in the masks, everything seems to work: the length is right, the counts are
+# right, and even the final state is right. But the symbols come out in the opposite order. If each
+# symbol has its own table, the decoder uses a wrong table from the start. Two checks notice this:
+# the stack runs out, or the last state is not the one with which the encoder began.
 
 # %%
 bits = model.model.anchors.mask.ravel()
@@ -398,10 +400,10 @@ except container.BitstreamError as error:
 # %% [markdown]
 # ## What a codec does with it
 # CABAC, the coder of video standards that the introduction of the paper mentions, narrows an
-# interval by one binary decision after another and adapts its probabilities on the way. Here the
-# probabilities come from the positions by Eq. (12), so no symbol depends on another, and the
-# lanes of `rans.py` can decode many symbols in parallel. The coder adds less than 8 bytes per
-# section to the ideal length:
+# interval bit by bit and adapts its probabilities on the way, so each bit has to wait for the one
+# before. Here the probabilities come from the positions, by Eq. (12). No symbol has to wait for
+# another, and `rans.py` can decode many symbols side by side, in *lanes*. The coder adds less than
+# 8 bytes to the ideal length of a section:
 
 # %%
 for row in inspect.ledger(data):
@@ -459,9 +461,9 @@ lessons.number("20.3", answer_3, signs)
 # %% [markdown]
 # ## Check your port
 # Run `p4dgs-ref oracle check DIR --only codec`. The stream `lanes` has several lanes, and
-# `raw_bits` and `escapes` contain symbols outside all tables. Typical mistakes of ports are a
-# state in a double, which is exact only up to 53 bits (JavaScript needs BigInt), words that
-# return from the stack in the wrong order, and tables whose frequencies do not add up to
+# `raw_bits` and `escapes` contain symbols outside all tables. Ports typically make three mistakes:
+# they keep the state in a double, which is exact only up to 53 bits (JavaScript needs BigInt), they
+# take words from the stack in the wrong order, or the frequencies of a table do not add up to
 # $2^{24}$.
 
 # %%

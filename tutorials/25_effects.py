@@ -14,35 +14,28 @@ from dataclasses import replace
 
 import numpy as np
 
-import p4dgs_ref as p4
-from p4dgs_ref import effects as fx
-from p4dgs_ref.codec import published
-from p4dgs_ref.equations import deformation, deformed, positional_encoding
-from p4dgs_ref.lab.effect_ledger import counted, describe, ledger
-from p4dgs_ref.lab.random_inputs import random_field
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.suggest import paired, verdict
-from p4dgs_ref.report.inspect import components
-from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.splatting import compositing
-from p4dgs_ref.training.initial import design_of
-from p4dgs_ref.training.presets import PAPER_SYNTHETIC, choose
-from p4dgs_ref.training.trainer import Trainer
 
 plt = lessons.begin("25_effects")
 
 # %% [markdown]
 # ## Claim
-# If every scene were treated alike, each would pay for what the most complicated one needs. In
-# this project a scene therefore lists its effects, and an effect that is not listed is not
-# simulated. Take Eq. (6) as an example:
+# A ball bounces without turning. Why should a network predict its rotation, a file hold the
+# weights for it, and every frame wait for their multiplications? But Eq. (6) moves, scales and
+# rotates every Gaussian of every scene:
 # $$(x', s', r') = (x + \Delta x,\; s + \Delta s,\; r + \Delta r) \tag{6}$$
-# If nothing changes its size, there is no $\Delta s$: no head of $\psi_d$, no bytes and no
-# addition. *Absent* is stronger than zero, but it must give the same result: **an effect that is
-# switched off equals an effect with its neutral input**, here $\Delta = 0$. The model knows seven
-# effects.
+# If nothing rotates, leave the rotation head out. The opposite mistake is worse: leave $\Delta x$
+# out although something moves, and the model shows, at best, the average of all moments. An
+# *effect* too many costs parameters, time and bytes. One too few spoils the picture.
+#
+# To switch an effect off is more than to set it to zero: its network head does not exist, and
+# nothing computes it. Still the result must be the same: **an effect that is switched off equals
+# an effect with its neutral input**, here $\Delta = 0$. The model has seven effects, each with its
+# own part:
 
 # %%
+from p4dgs_ref.scenes.scene import MODEL_EFFECTS
+
 needs = {
     "translation": "Δx of ψ_d",
     "rotation": "Δr of ψ_d",
@@ -56,13 +49,17 @@ assert set(needs) == set(MODEL_EFFECTS)
 
 # %% [markdown]
 # ## By hand
-# How many parameters does $\psi_d$ have with the paper's two layers of 192 units? Its inputs are
-# $E(x)$ with $3\,(1 + 2\cdot 10)$ numbers and $E(t)$ with $1 + 2\cdot 6$ numbers, together 76.
-# (The paper does not state the numbers of frequencies, $10$ and $6$; the preset of this project
-# sets them.) The two layers and the three heads together have 14784, 37056 and 1930 weights and
-# biases. Only 579 of these are needed by translation and by nothing else.
+# What does a missing head save? We count the parameters of $\psi_d$, the network of Eq. (5), with
+# the paper's two layers of 192 units. Its inputs are $E(x)$ with $3\,(1 + 2\cdot 10)$ numbers and
+# $E(t)$ with $1 + 2\cdot 6$ numbers, together 76. (These frequencies, $10$ and $6$, are those of
+# our preset; the paper does not state them.) The two layers and the three heads together have
+# 14784, 37056 and 1930 weights and biases. Only 579 of these are needed by translation and by
+# nothing else.
 
 # %%
+from p4dgs_ref.training.initial import design_of
+from p4dgs_ref.training.presets import PAPER_SYNTHETIC, choose
+
 inputs = 3 * (1 + 2 * 10) + 1 + 2 * 6
 layer_1 = inputs * 192 + 192
 layer_2 = 192 * 192 + 192
@@ -82,9 +79,9 @@ assert parameters_of_psi_d(MODEL_EFFECTS) == layer_1 + layer_2 + heads
 assert spared == head_of_translation == 579
 
 # %% [markdown]
-# In `float16` this is 107540 bytes. A scene whose objects only translate keeps 104838 of them,
-# and a scene without motion keeps none. So each of the three motions is cheap by itself, because
-# they share the first two layers, which disappear only with the last of them.
+# In `float16` this is 107540 bytes. If objects only translate, 104838 of them stay; if nothing
+# moves, none do. So one motion more or less hardly matters: all three share the first two layers,
+# which disappear only with the last motion.
 
 # %%
 still = ("view_color", "occlusion", "background")
@@ -94,11 +91,15 @@ assert parameters_of_psi_d(still) == 0
 
 # %% [markdown]
 # ## In code
-# Which equations does a training step call? We count the calls for two scenes: `static`, with two
-# effects, and `bouncing`, with four. Four equations occur in one scene and not in the other,
-# simply because `predict` does not call them.
+# In this project a scene lists its effects, and `predict` does not call the equations of others.
+# We count the calls of one training step for two scenes, `static` with two effects and `bouncing`
+# with four. Four equations run only for `bouncing`.
 
 # %%
+import p4dgs_ref as p4
+from p4dgs_ref.lab.effect_ledger import counted, describe, ledger
+from p4dgs_ref.training.trainer import Trainer
+
 scenes = {name: p4.load_scene(name) for name in ("static", "bouncing")}
 work, called = {}, {}
 for name, scene in scenes.items():
@@ -120,12 +121,15 @@ assert work["static"].multiply_adds["translation"] == 0
 assert work["bouncing"].multiply_adds["translation"] > 0
 
 # %% [markdown]
-# **Off is neutral.** We take a published file of a model with all effects, set its three heads to
-# zero, and compare it with the same model without any motion. Positions and scales agree to the
-# last bit. Quaternions agree up to the last digits, because one of the two was divided by its
-# length, 1, once more.
+# **Off is neutral.** We take the file of a model with all effects, set the three heads of $\psi_d$
+# to zero, and compare it with the same model without motion. Positions and scales agree to the last
+# bit. Quaternions agree except for their last digits, because one of the two models divides them by
+# their length, 1, once more.
 
 # %%
+from p4dgs_ref import effects as fx
+from p4dgs_ref.codec import published
+
 full = p4.decode((published.FOLDER / "full.p4dgs").read_bytes())
 assert set(fx.MOTION) <= set(full.design.effects)
 weights, biases = full.networks["psi_d"]
@@ -152,12 +156,14 @@ for name in ("x", "s", "alpha", "color"):
 assert np.abs(one.r - other.r).max() < 4 * np.finfo(float).eps
 
 # %% [markdown]
-# **Occlusion** has no input that could be neutral. Without it the transmittance $T_i$ is 1
-# everywhere, so splats and background add up like lamps, $C = \sum_i \alpha_i c_i + c_{bg}$. Over
-# black, and where no splat is in front of another, the picture is the same. Where two white
+# **Occlusion** has no neutral input. Without it nothing hides anything: the transmittance $T_i$ is
+# 1 everywhere, and splats and background add up like lamps, $C = \sum_i \alpha_i c_i + c_{bg}$.
+# Over black, and where no splat is in front of another, the picture is the same. Where two white
 # splats of opacity 0.5 overlap, it is 1.0 instead of 0.75.
 
 # %%
+from p4dgs_ref.splatting import compositing
+
 pair = dict(
     mean2d=np.zeros((2, 2)),
     conic=np.zeros((2, 3)),
@@ -183,14 +189,17 @@ assert seen(alone, True)[0] == seen(alone, False)[0]
 
 # %% [markdown]
 # ## Backward by hand
-# Is a head of zeros as good as no head? In the forward pass it is; in the backward pass it is
-# not. For $\Delta x = yW + b$ with $W = 0$, $b = 0$ and $y$ from the layers before it,
+# Is a head of zeros as good as no head? In the forward pass, yes. In the backward pass, no. For
+# $\Delta x = yW + b$ with $W = 0$, $b = 0$ and $y$ from the layers before it,
 # $$\bar W = y^T\,\overline{\Delta x} \ne 0, \quad \bar b = \textstyle\sum\overline{\Delta x} \ne 0,
 #   \quad \bar y = \overline{\Delta x}\,W^T = 0.$$
-# The head begins to learn in the first step, and the layers before it in the second. A zero is
-# only a *starting point*, whereas leaving the head out is a decision.
+# The head begins to learn in the first step, and the layers before it in the second. Zeros are only
+# a *starting point*; a head that does not exist stays away.
 
 # %%
+from p4dgs_ref.equations import deformation, deformed, positional_encoding
+from p4dgs_ref.lab.random_inputs import random_field
+
 rng = np.random.default_rng(25)
 field = random_field(rng, 2, 1, 6, 5)
 field["weights"][-3] = np.zeros((5, 3))
@@ -212,8 +221,8 @@ assert np.allclose(bars["biases"][-3], bar.sum(axis=0), rtol=1e-12)
 assert not any(layer.any() for layer in bars["weights"][:-3])
 
 # %% [markdown]
-# A head that is left out has the *width* zero. Its array has the shape `(h, 0)` and so has its
-# gradient, and every product above is empty, so that no code has to treat this as a special case.
+# A missing head has the *width* zero. Its weights and their gradient have the shape `(h, 0)`, so
+# every product above is empty, and no line of code treats this as a special case.
 
 # %%
 none = random_field(rng, 2, 1, 6, 5, heads=(3, 0, 4))
@@ -226,12 +235,13 @@ assert np.array_equal(s_t, x)
 
 # %% [markdown]
 # ## Break it
-# Switch motion off by setting weights to zero, and leave the network in place. The pictures are
-# right to the last digit, so tests that compare pictures pass. But all the work is still done,
-# and the file contains the zeros. This is revealed by counting calls and by reading the list of
-# the file's components.
+# Switch motion off the lazy way: set the weights to zero and leave the network in place. All
+# pictures are right, so tests that compare pictures pass. But all the work is still done, and the
+# file contains the zeros. We notice it by counting calls and listing the parts of the file.
 
 # %%
+from p4dgs_ref.report.inspect import components
+
 with counted() as wasted:
     neutral.gaussians(0.3, camera)
 with counted() as spared:
@@ -250,10 +260,10 @@ assert components(p4.encode(absent)).get("deformation_mlp", 0) == 0
 
 # %% [markdown]
 # ## What a codec does with it
-# A video codec has *profiles* and *tools*. The header of a stream switches off the tools that the
-# stream does not use, and the decoder neither reads nor computes them. Here the header lists the
-# effects. The **ledger** measures what each effect costs: it trains a model of the scene as
-# listed and, for each effect, a second one in which only this effect is switched the other way.
+# A video codec has *tools*. The header of a stream says which of them the stream does not use, and
+# the decoder neither reads nor computes those. Here the header lists the effects. A **ledger**
+# measures what each one costs and what it is worth: it trains a model of the scene as listed and,
+# for each effect, a second one with only this effect switched.
 
 # %%
 rows = ledger(scenes["static"], "smoke", seed=0, share=1, stage_ends=(15, 25, 100, 150))
@@ -266,10 +276,10 @@ for row in rows:
     assert (row["bytes_on"] > 0) == has_weights
 
 # %% [markdown]
-# There are two kinds of cost. Motion and view effects have *weights*, which are bytes. Occlusion
-# and background have none, but occlusion is more *work* than all other effects together, because
-# it computes the transmittance at every pair of a Gaussian and a pixel. After such a short
-# training, differences in decibels mean little unless they are large.
+# Motion and view effects have *weights*, which take bytes. Occlusion and background have none. But
+# occlusion is more *work* than all other effects together, because it needs a transmittance for
+# every Gaussian at every pixel. And a missing effect is expensive: without occlusion this scene
+# loses more than four decibels. (After such a short training, small differences mean little.)
 
 # %%
 work_of_others = sum(row["work_on"] for row in rows if row["effect"] != "occlusion")
@@ -314,15 +324,15 @@ lessons.show(
 )
 
 # %% [markdown]
-# Who writes the list? Either a person, or a program that looks at the pictures
-# (`p4dgs-ref effects SCENE --suggest`). Does anything move? The program trains twice for a short
-# while, once with the true times of the views and once with the same times shuffled among the
-# views. If nothing moves, a time says nothing about its picture, and both trainings predict
-# views that they have not seen equally well. If something moves, the true times win. What the
-# pictures do not decide is listed: an unnecessary effect costs bytes, but a missing one makes the
-# pictures wrong.
+# Who writes the list? A person does, or a program that looks at the pictures (`p4dgs-ref effects
+# SCENE --suggest`). Does anything move? The program trains twice, briefly: once with the true times
+# of the views, and once with the same times shuffled among the views. If nothing moves, both models
+# predict new views equally well. If something moves, the true times win. Where the pictures cannot
+# decide, the program lists the effect, because one too few is worse than one too many.
 
 # %%
+from p4dgs_ref.lab.suggest import paired, verdict
+
 evidence = {}
 for name, scene in scenes.items():
     gains = paired((scene, fx.MOTION, "translation", 0, 300))  # dB by true times, each view
