@@ -90,6 +90,11 @@ def here():
     return script if script.name in ("tutorials", "solutions") else Path.cwd()
 
 
+def demo():
+    """Return the file of the demo's trained model, which belongs to the checkout as well."""
+    return (import_module("tutorials.tools.shared").FOLDER / "demo.p4dgs").read_bytes()
+
+
 def out():
     """Return the folder for figures, which is `out` beside the tutorial that runs.
 
