@@ -27,6 +27,7 @@ from p4dgs_ref.oracle import streams
 from p4dgs_ref.report import evaluate, inspect
 
 plt = lessons.begin("21_desync")
+plt.rcParams["image.interpolation"] = "nearest"
 data = lessons.demo()  # a trained model of 199 anchors
 quantised = quantised_of(container.read_container(data), data[8])
 model = quantised.model
@@ -171,10 +172,10 @@ def price(symbols):
 camera = look_at(
     position=(1.9, -2.6, 1.3),
     target=(0, 0, -0.36),
-    f_x=104.0,
-    f_y=104.0,
-    width=84,
-    height=70,
+    f_x=121.0,
+    f_y=121.0,
+    width=98,
+    height=80,
 )
 
 
@@ -183,7 +184,8 @@ def picture(symbols):
     all_symbols[kept] = symbols
     f, s, l, O = dequantise(all_symbols, quantised.context, design)
     anchors = model.anchors._replace(f_a=f, s_a=s, l_a=l, O_a=O)
-    return show.frame(replace(model, anchors=anchors), camera, 0.3, zoom=6)
+    image = show.frame(replace(model, anchors=anchors), camera, 0.3, zoom=2)
+    return np.rint(32 * image) / 32  # few colours, so that the figure's file is small
 
 
 true = price(sent[victim + 1 :]) / following
