@@ -17,18 +17,19 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from p4dgs_ref import look_at, oracle
+from p4dgs_ref import look_at
 from p4dgs_ref.codec import container, context, published
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
 from p4dgs_ref.codec.quantise import dequantise
 from p4dgs_ref.equations import hash_grid, prior
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.lab.school import lessons, show
 from p4dgs_ref.oracle import streams
-from p4dgs_ref.report import inspect
+from p4dgs_ref.report import evaluate, inspect
 
 plt = lessons.begin("21_desync")
-data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
-quantised = quantised_of(container.open_container(data))
+plt.rcParams["image.interpolation"] = "nearest"
+data = lessons.demo()  # a trained model of 199 anchors
+quantised = quantised_of(container.read_container(data), data[8])
 model = quantised.model
 design = model.design
 
@@ -63,7 +64,7 @@ assert not wrong % 16 < 10
 # We write a codec as one would write it at first. It computes $\mu$ and $\sigma$ in `float32`. Of
 # the $2^{16}$ counts of a table with $n$ symbols, it distributes $2^{16} - n$ by placing a
 # boundary at $\lfloor(2^{16} - n)\,\Phi\rfloor$, and then gives every symbol one count more. All
-# 1416 attributes of a trained model go into one message, anchor by anchor.
+# 6622 attributes of a trained model go into one message, anchor by anchor.
 
 # %%
 BITS = 16
@@ -128,18 +129,18 @@ def build(mu, sigma):
 tables = build(mu, sigma)
 message = encode(sent, tables)
 received, last = decode(*message, tables)
-assert len(sent) == 1416
+assert len(sent) == 6622
 assert np.array_equal(received, sent)
 assert last == 2**31  # the state with which the encoder began
 
 # %% [markdown]
-# **One ulp.** Now one deviation of the decoder, that of symbol 665, is too large by one unit in
+# **One ulp.** Now one deviation of the decoder, that of symbol 2145, is too large by one unit in
 # the last place. This is less than one part in eight million. Most errors of this size change no
 # count of a table, but this one does. The symbol itself is decoded correctly. The next one is
-# wrong, and so are 643 of the 750 symbols that follow.
+# wrong, and so are 3957 of the 4476 symbols that follow.
 
 # %%
-victim = 665
+victim = 2145
 nudged = sigma.copy()
 nudged[victim] = np.nextafter(nudged[victim], np.float32(np.inf))
 received, last = decode(*message, build(mu, nudged))
@@ -147,7 +148,7 @@ wrong = np.flatnonzero(received != sent)
 following = len(sent) - victim - 1
 assert 0 < nudged[victim] / sigma[victim] - 1 < 1 / 8e6
 assert wrong[0] == victim + 1
-assert (len(wrong), following) == (643, 750)
+assert (len(wrong), following) == (3957, 4476)
 assert last != 2**31
 
 # %% [markdown]
@@ -169,12 +170,12 @@ def price(symbols):
 
 
 camera = look_at(
-    position=(1.1, -1.9, 0.9),
-    target=(0.05, 0, -0.45),
-    f_x=84.0,
-    f_y=84.0,
-    width=96,
-    height=72,
+    position=(1.9, -2.6, 1.3),
+    target=(0, 0, -0.36),
+    f_x=121.0,
+    f_y=121.0,
+    width=98,
+    height=80,
 )
 
 
@@ -183,8 +184,8 @@ def picture(symbols):
     all_symbols[kept] = symbols
     f, s, l, O = dequantise(all_symbols, quantised.context, design)
     anchors = model.anchors._replace(f_a=f, s_a=s, l_a=l, O_a=O)
-    image = replace(model, anchors=anchors).render(camera, 0.35)
-    return np.clip(image, 0, 1)
+    image = show.frame(replace(model, anchors=anchors), camera, 0.3, zoom=2)
+    return np.rint(32 * image) / 32  # few colours, so that the figure's file is small
 
 
 true = price(sent[victim + 1 :]) / following
@@ -193,7 +194,7 @@ print(f"bits a symbol after the error: sent {true:.2f}, received {broken:.2f}")
 assert abs(broken / true - 1) < 0.1
 before = picture(sent)
 after = picture(received)
-print(f"PSNR {-10 * math.log10(((before - after) ** 2).mean()):.1f} dB")
+print(f"PSNR {evaluate.decibel(evaluate.squared_error(after, before)):.1f} dB")
 
 # %%
 figure, (left, middle, errors) = plt.subplots(
@@ -203,18 +204,9 @@ figure, (left, middle, errors) = plt.subplots(
     layout="constrained",
     width_ratios=(1, 1, 1.1),
 )
-left.imshow(before)
-left.set_title("What was sent")
-middle.imshow(after)
-middle.set_title("One ulp later")
-for ax in (left, middle):
-    lessons.finish(
-        ax,
-        xticks=[],
-        yticks=[],
-        grid=False,
-    )
-errors.plot(np.abs(received - sent), ".", ms=5, color=lessons.COLORS[1])
+show.picture(left, before, camera, title="What was sent")
+show.picture(middle, after, camera, title="One ulp later")
+errors.plot(np.abs(received - sent), ".", ms=3, color=lessons.COLORS[1])
 errors.axvline(victim, color=lessons.COLORS[0], label=f"one ulp in σ of symbol {victim}")
 lessons.finish(
     errors,
@@ -229,9 +221,9 @@ lessons.show(figure, "21_desync")
 
 # %% [markdown]
 # **Such differences occur by themselves.** Take the same `float32` network and add its products
-# from first to last, or from last to first, as another library, GPU or batch size may do. Nearly
-# half of the deviations then differ by a few ulps. Symbol 8 is the first one that is decoded
-# wrongly, so decoding fails within the first anchor.
+# from first to last, or from last to first, as another library, GPU or batch size may do. Nearly a
+# fifth of the deviations then differ by a few ulps. Symbol 708 is the first one that is decoded
+# wrongly, so decoding fails after a tenth of the message.
 
 
 # %%
@@ -267,8 +259,8 @@ largest = np.abs(forwards[1] / backwards[1] - 1).max()
 received, _ = decode(*encode(sent, build(*forwards)), build(*backwards))
 first_wrong = np.flatnonzero(received != sent)[0]
 print(f"{differ:.0%} of the deviations differ, at most by {largest:.1e} of their value")
-assert 0.4 < differ < 0.5
-assert first_wrong == 8 < kept[0].sum()
+assert 0.15 < differ < 0.2
+assert first_wrong == 708
 
 # %% [markdown]
 # ## Backward by hand
@@ -309,10 +301,10 @@ assert abs(changed - expected) < 4 * math.sqrt(expected)
 # %% [markdown]
 # ## Break it
 # A plausible remedy is to round $\log_2\sigma$ to multiples of $\frac1{16}$ before the table is
-# made, so that ulps disappear. Indeed the two orders above now agree in all 1416 deviations. But
+# made, so that ulps disappear. Indeed the two orders above now agree in all 6622 deviations. But
 # the problem has only moved to the boundaries between the multiples. A value next to such a
 # boundary is rounded up by one machine and down by another, and the deviations then differ by
-# four percent instead of one ulp. In a file of a million symbols, 1.6 such cases are to be
+# four percent instead of one ulp. In a file of two million symbols, one such case is to be
 # expected.
 
 
@@ -332,8 +324,8 @@ while snap(edge) == snap(above):
 assert snap(above) - snap(edge) == 1  # neighbouring floats, rounded to different multiples
 ratio = forwards[1].astype(float) / backwards[1]
 distance = 16 * np.abs(np.log2(ratio))
-crossings = 1e6 * distance.mean()
-assert round(crossings, 1) == 1.6
+crossings = 2e6 * distance.mean()
+assert round(crossings, 1) == 1.0
 
 # %% [markdown]
 # ## What a codec does with it
@@ -362,8 +354,8 @@ for _ in range(20):
 rows = [row for row in inspect.ledger(data) if row["name"] in ATTRIBUTE_SECTIONS]
 by_tables = sum(row["integer_bytes"] for row in rows)
 by_floats = sum(row["estimate_bytes"] for row in rows)
-print(f"the price of integer tables: {by_tables / by_floats - 1:.3%} more bits")
-assert by_tables / by_floats - 1 < 0.001
+print(f"integer tables change the bits by {by_tables / by_floats - 1:+.3%}")
+assert abs(by_tables / by_floats - 1) < 0.001
 
 # %% [markdown]
 # ## Exercises

@@ -259,12 +259,12 @@ assert abs(price(P).sum() * dx - wide_bins[0]) < 1e-4
 
 # %%
 figure, (ladder, phases) = plt.subplots(1, 2, figsize=(12, 4.8), layout="constrained")
-bars = ladder.bar(list(total), sizes)
-ladder.bar_label(bars, fmt="{:.1f}")
+bars = ladder.bar(list(total)[1:], np.diff(sizes))
+ladder.bar_label(bars, fmt="{:+.1f}", padding=3)
 ladder.set(
-    ylim=(0, 850),  # from zero, because the steps are small: the labels have the digits
-    ylabel="bytes of f, s, l, O",
-    title=f"The estimate covers {sizes[4]:.0f} of {len(data)} bytes",
+    ylim=(-8, 27),
+    ylabel="bytes that each stage adds",
+    title=f"From {sizes[0]:.1f} bytes with noise to {sizes[4]:.0f} in the file",
 )
 ladder.grid(False, axis="x")
 sigmas = np.geomspace(0.03, 3, 60)

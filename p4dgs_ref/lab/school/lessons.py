@@ -90,6 +90,28 @@ def here():
     return script if script.name in ("tutorials", "solutions") else Path.cwd()
 
 
+def demo():
+    """Return the file of the demo's trained model, which belongs to the checkout as well."""
+    return (import_module("tutorials.tools.shared").FOLDER / "demo.p4dgs").read_bytes()
+
+
+def at_stage_4(trainer, model):
+    """Return the state of a trainer that begins stage 4 with what a model has of stages 1 to 3.
+
+    These are its anchors and the networks that draw. The trainer has as many anchors as the model.
+    """
+    (arrays, values), anchors = trainer.state(), model.anchors
+    new = {name: getattr(anchors, name) for name in ("x_a", "f_a", "O_a")}
+    for name in ("s_a", "l_a"):
+        new[f"log_{name[0]}"] = np.log(np.maximum(getattr(anchors, name), 1e-4))
+    for name in model.networks.keys() - {"psi_p", "psi_q"}:
+        for kind, layers in zip("Wb", model.networks[name]):
+            new |= {f"{name}.{kind}{i}": array for i, array in enumerate(layers)}
+    arrays |= {f"p/{name}": array.astype(np.float32) for name, array in new.items()}
+    arrays["mask"] = anchors.mask
+    return arrays, {**values, "iteration": trainer.preset.stage_ends[2]}
+
+
 def out():
     """Return the folder for figures, which is `out` beside the tutorial that runs.
 
