@@ -114,9 +114,13 @@ def loss(p, design, networks, grids, fixed, view, u, truth_moments=None):
     if stage > 1:
         noisy, back_noise = add_noise(values, u, q, design)
     anchors = Anchors(p["x_a"], *split(noisy, design), fixed.mask)
-    x_c = view.camera.center.astype(values.dtype)
-    t = view.time if stage > 2 else None
-    g, alpha, back_predict = predict(design, networks, anchors, x_c, t)
+    g, alpha, back_predict = predict(
+        design,
+        networks,
+        anchors,
+        view.camera.center.astype(values.dtype),
+        view.time if stage > 2 else None,
+    )
     (image, _, visible), back_render = pull(
         render,
         *g[:5],

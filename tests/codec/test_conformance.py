@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from p4dgs_ref.codec import context, file
+from p4dgs_ref.codec import context, file, header, published, version_2
 from p4dgs_ref.codec.container import SECTIONS, layout, read_container
 from p4dgs_ref.codec.file import NETWORK_SECTIONS, decode, encode, quantised_of
 from p4dgs_ref.codec.published import FOLDER
@@ -253,7 +253,16 @@ def test_worked_numbers_of_the_format_page():
     of_context = ("h = 375", "q_units = 45913", "q = 0.1401153564453125", "mu_units = 3106")
     pages = {
         context: (*of_network, *of_context, "sigma_units = -35"),
-        file: ("-0.5844586861982147",),
+        file: ("-0.5844586861982147", "absent where nothing moves, also with `time_net`"),
+        # What authors of decoders had to guess.
+        header: ("BOTH VERSIONS. Time is bounded by n,",),
+        version_2: ("every W, tensor by tensor.",),
+        published: (
+            "`state_too_small`: byte 1; `idle_high_word`: byte 5,",
+            "(`coded_overrun`: byte 24)",
+            "table (section ids and their order; the w of version 2)",
+            "stream (an entropy-coded message; the r of the positions)",
+        ),
     }
     for module, texts in pages.items():
         page = " ".join(module.__doc__.split())
