@@ -209,7 +209,7 @@ def draw_ledger(path, rows):
     save_figure(figure, path)
 
 
-def heat_image(model, colors, camera, t):
+def heat_image(model, colors, camera, t, settings=FAST):
     """The model at time t over white, (H, W, 3), in the colours (A, 3) of its anchors."""
     g = model.gaussians(t, camera)
     (image, *_), _ = render.forward(
@@ -220,7 +220,7 @@ def heat_image(model, colors, camera, t):
         colors[g.index // model.design.k],
         camera,
         np.ones(3),
-        FAST,
+        settings,
         "occlusion" in model.design.effects,
     )
     return image

@@ -113,12 +113,12 @@ def main_job(
 
     A preset with coded networks is trained as it is and as the paper's design. Stages 1 to 3 are
     the same and done once. Stage 4 is done in two processes at once if `jobs` is at least 2; then
-    its times are those of two processes that share the machine. Pictures
-    and metrics are those of the preset's own decoded model; `paper_design` has bytes, PSNR and SSIM
-    of the other, or of the same model where the preset is the paper's design. The folder gets all
-    files at the end, or none. `start` is the `time.perf_counter()` from which the seconds of the
-    whole job count; the other arguments are those of `train`. Raises the errors of `train` and
-    `evaluate`, and OutputError for a folder that cannot be written.
+    its times are those of two processes that share the machine. Pictures and metrics are those of
+    the preset's own decoded model; `paper_design` has bytes, PSNR and SSIM of the other, or of the
+    same model where the preset is the paper's design. The folder gets all files at the end, or
+    none. `start` is the `time.perf_counter()` from which the seconds of the whole job count; the
+    other arguments are those of `train`. Raises the errors of `train` and `evaluate`, and
+    OutputError for a folder that cannot be written.
     """
     start = time.perf_counter() if start is None else start
     chosen, name = choose(preset, changes), scene.name.replace("/", "_")

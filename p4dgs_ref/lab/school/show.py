@@ -18,6 +18,7 @@ from ...codec.file import encode, quantised_of
 from ...equations import hash_grid
 from ...model import context
 from ...report.evaluate import decibel, squared_error
+from ...report.figures import heat_image
 from ...report.inspect import anchor_bits, symbol_bits
 from ...splatting import compositing, covariance, render
 from ...splatting.settings import EXACT, FAST
@@ -51,18 +52,11 @@ def frame(model, camera, t, zoom=8, colors=None):
     The blur grows with the picture, which therefore shows what training saw, only finer. With
     `colors` [A, 3] every anchor has one colour, over white.
     """
-    g, background = model.gaussians(t, camera), model.background
-    if colors is not None:
-        g, background = g._replace(color=colors[g.index // model.design.k]), np.ones(3)
-    settings = FAST._replace(blur=FAST.blur * zoom**2)
-    (image, *_), _ = render.forward(
-        *g[:5],
-        enlarged(camera, zoom),
-        background,
-        settings,
-        "occlusion" in model.design.effects,
-        keep=False,
-    )
+    near, settings = enlarged(camera, zoom), FAST._replace(blur=FAST.blur * zoom**2)
+    if colors is None:
+        image = model.render(near, t, settings)
+    else:
+        image = heat_image(model, colors, near, t, settings)
     return np.clip(image, 0, 1)
 
 
