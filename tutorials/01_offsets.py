@@ -10,9 +10,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.equations import offsets
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
 
 plt = lessons.begin("01_offsets")
 rng = np.random.default_rng(1)
@@ -49,6 +47,8 @@ print(by_hand)
 # input.
 
 # %%
+from p4dgs_ref.equations import offsets
+
 x, saved = offsets.forward(x_a[None], O_a[None, None], l_a[None])
 assert x.shape == (1, 1, 3)
 assert np.array_equal(x[0, 0], by_hand)
@@ -125,6 +125,8 @@ assert gradients["l_a"][0, 0] == 6
 # The next cell writes these sums as loops and compares them with `offsets.backward`.
 
 # %%
+from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
+
 A, k = 5, 4
 inputs = {
     "x_a": rng.normal(size=(A, 3)),

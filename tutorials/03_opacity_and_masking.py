@@ -12,11 +12,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.equations import masking, mlp, opacity, view
-from p4dgs_ref.equations.numerics import tanh_slope
-from p4dgs_ref.lab.random_inputs import random_anchor_network, random_network
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, inner, random_like
 
 plt = lessons.begin("03_opacity_and_masking")
 rng = np.random.default_rng(1103)
@@ -63,6 +59,9 @@ print("hidden units", hidden, "| psi", psi, "| alpha", np.tanh(psi).round(4))
 # applies this network with `mlp.forward`, and takes the $\tanh$.
 
 # %%
+from p4dgs_ref.equations import masking, mlp, opacity, view
+from p4dgs_ref.lab.school.lessons import close, inner, random_like
+
 alpha, saved = opacity.forward(f_a, delta_vc, d_vc, [W_0, W_1], [b_0, b_1])
 assert close(alpha, [np.tanh(psi)])
 
@@ -90,6 +89,8 @@ assert np.array_equal(kept_x, three["x"][0, [0, 2]])
 # drawn only where its curve is above the threshold.
 
 # %%
+from p4dgs_ref.lab.random_inputs import random_anchor_network, random_network
+
 weights, biases = random_network(rng, 4 + 4, 16, 16, 4)
 weights[0][4:] *= np.array([[0.3], [2], [2], [2]])  # less distance, more direction
 degrees = np.arange(0, 361)
@@ -102,6 +103,7 @@ drawn = around >= 0
 assert 0 < drawn.mean() < 1
 assert len(np.unique(drawn, axis=0)) > 1
 
+# %%
 figure, ax = plt.subplots(figsize=(10, 5.2))
 for j in range(4):
     visible = np.where(drawn[:, j], around[:, j], np.nan)
@@ -175,6 +177,8 @@ assert not alpha_bar[(opacities < 0) | ~mask].any()
 # \qquad\text{with } e = e^{-2|\psi|}.$$
 
 # %%
+from p4dgs_ref.equations.numerics import tanh_slope
+
 slopes = [1 - np.tanh(0.5) ** 2, 1 - np.tanh(-1) ** 2]
 assert close(tanh_slope(np.array(psi)), slopes)
 last_bias_bar = opacity.backward(saved, np.ones((1, 2)))["biases"][-1]
@@ -196,6 +200,7 @@ assert 8.8 < stuck < 9.2
 assert stable.dtype == np.float32
 assert abs(stable[-1] / exact[-1] - 1) < 1e-5
 
+# %%
 figure, ax = plt.subplots(figsize=(9, 5))
 red = lessons.COLORS[1]
 ax.semilogy(

@@ -12,10 +12,7 @@
 import numpy as np
 from scipy.special import ndtr
 
-from p4dgs_ref import EQUATIONS
-from p4dgs_ref.equations import noise, rounding
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, inner
 
 plt = lessons.begin("07_noise_and_rounding")
 rng = np.random.default_rng(7)
@@ -44,6 +41,9 @@ rng = np.random.default_rng(7)
 # numbers alike, and over many ties its errors cancel on average.
 
 # %%
+from p4dgs_ref.equations import noise, rounding
+from p4dgs_ref.lab.school.lessons import close, inner
+
 draws = np.array([[-0.5, 0.25]])
 noisy, noise_saved = noise.forward(np.array([[1.0, 2.0]]), draws, np.array([[0.2]]))
 assert close(noisy, [[0.9, 2.05]])
@@ -151,6 +151,7 @@ assert abs(at_a_tie[-1] - 1 / np.sqrt(12)) < 1e-6
 assert abs(at_a_multiple[0] - widths[0]) < 1e-6
 assert 0.45 < at_a_tie[0] < 0.5
 
+# %%
 blue, red, green = lessons.COLORS[:3]
 figure, (left, right) = plt.subplots(
     1,
@@ -279,6 +280,8 @@ assert abs(mean_slope - slope_of_smoothed) < 1e-6
 # lists no gradients for it.
 
 # %%
+from p4dgs_ref import EQUATIONS
+
 _, rounding_saved = rounding.forward(f, q)
 assert rounding.backward(rounding_saved, f_noisy_bar) == {}
 assert EQUATIONS["rounding"].gradients == ()

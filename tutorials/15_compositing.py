@@ -11,10 +11,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import SETTINGS
-from p4dgs_ref.lab.random_inputs import random_splats
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.splatting import compositing, loop
 
 plt = lessons.begin("15_compositing")
 rng = np.random.default_rng(15)
@@ -69,6 +66,7 @@ for a, c in zip(alpha[::-1], gray[::-1]):
     behind.append(a * c + (1 - a) * behind[-1])
 assert np.isclose(behind[-1], pixel)
 
+# %%
 figure, (light, over) = plt.subplots(1, 2, figsize=(12, 4.8), layout="constrained")
 light.bar(range(4), T, color="0.85", label="light that arrives, $T_i$")
 light.bar(
@@ -128,6 +126,9 @@ lessons.show(
 # in front of it. Splats are sorted by depth; splats of equal depth keep the order of their index.
 
 # %%
+from p4dgs_ref.lab.random_inputs import random_splats
+from p4dgs_ref.splatting import compositing, loop
+
 height, width = 24, 32
 splats = random_splats(rng, 6, height, width, sigma=(2.5, 6.0))
 inputs = dict(
@@ -166,6 +167,8 @@ assert np.allclose(transmittance.ravel(), T_N, rtol=1e-12)
 # agrees with our array code.
 
 # %%
+from p4dgs_ref import SETTINGS
+
 a_all, b_all, c_all = splats["conic"].T
 det = a_all * c_all - b_all**2
 cov2d = np.stack([c_all, -b_all, a_all], axis=1) / det[:, None]
@@ -356,17 +359,29 @@ pulls = [
 for pull, fall, gradient in zip(pulls, falls, bars["alpha"]):
     assert np.isclose(-inner(pull, fall), gradient, rtol=1e-10)
 
-figure, panels = plt.subplots(1, 4, figsize=(12, 3.7), layout="constrained", sharey=True)
+# %%
+figure, panels = plt.subplots(
+    2,
+    2,
+    figsize=(9, 7),
+    layout="constrained",
+    sharex=True,
+    sharey=True,
+)
 names = ("as it is", "as it should be", "pull at the front splat", "pull at the back splat")
-for ax, picture, name in zip(panels, (seen, target, *pulls), names):
+for ax, picture, name in zip(panels.flat, (seen, target, *pulls), names):
     shown = ax.imshow(picture, cmap="PuOr", vmin=-0.6, vmax=0.6)
-    lessons.finish(
-        ax,
-        title=name,
-        xlabel="u (pixels)",
-        grid=False,
+    lessons.finish(ax, title=name, grid=False)
+for ax, mean, mean_bar, k in zip(panels[1], pair["mean2d"], bars["mean2d"], sharpness):
+    ax.add_patch(
+        plt.Circle(
+            mean,
+            k**-0.5,
+            fill=False,
+            ls="--",
+            lw=2,
+        )
     )
-for ax, mean, mean_bar in zip(panels[2:], pair["mean2d"], bars["mean2d"]):
     ax.quiver(
         *mean,
         *(-5 * mean_bar),
@@ -375,12 +390,16 @@ for ax, mean, mean_bar in zip(panels[2:], pair["mean2d"], bars["mean2d"]):
         scale=1,
         width=0.02,
     )
-panels[0].set_ylabel("v (pixels)")
-figure.colorbar(shown, ax=panels, label=r"$-\bar\alpha_i(p)$: more (+) or less", shrink=0.7)
+figure.supxlabel("u (pixels)")
+figure.supylabel("v (pixels)")
+figure.colorbar(
+    shown, ax=panels[1], label=r"$-\bar\alpha_i(p)$: more (+) or less", location="right"
+)
 lessons.show(
     figure,
     "15_compositing",
-    title=r"Every pixel pulls at every splat that covers it; the arrows are $-5\,\bar\mu$",
+    title="Every pixel pulls at every splat that covers it\n"
+    r"(dashed: one sigma of the splat; arrows: $-5\,\bar\mu$)",
 )
 
 # %% [markdown]
@@ -445,6 +464,7 @@ opaque = np.array([0.5, 1.0]), np.array([0.3, 0.6])
 assert np.isfinite(slopes_of(by_sweep, *opaque, np.float64)).all()
 assert np.isnan(slopes_of(by_division, *opaque, np.float64)[1])
 
+# %%
 figure, ax = plt.subplots(figsize=(9, 4.8))
 ax.semilogy(errors["by_sweep"], "o-", ms=4, label="sweep from the back")
 ax.semilogy(errors["by_division"], "D:", ms=4, label="division, $S_i$ summed from the back")

@@ -20,17 +20,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from p4dgs_ref import oracle
-from p4dgs_ref.codec import container, rans
-from p4dgs_ref.codec import streams as sections
-from p4dgs_ref.codec.file import quantised_of
-from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.report import inspect
 
 plt = lessons.begin("20_intervals_to_rans")
-data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
-model = quantised_of(container.open_container(data))
 
 # %% [markdown]
 # ## Claim
@@ -107,6 +99,14 @@ assert found == "acab"
 # bits only once, at the end of the message.
 
 # %%
+from p4dgs_ref import oracle
+from p4dgs_ref.codec import container, rans
+from p4dgs_ref.codec.file import quantised_of
+from p4dgs_ref.codec.gaussian_table import gaussian_model
+
+data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
+model = quantised_of(container.open_container(data))
+
 symbols = model.symbols[7, :6]
 tables = gaussian_model(model.context.mu_units[7, :6], model.context.sigma_units[7, :6])
 
@@ -229,6 +229,8 @@ print(f"x grows by {growth:.2f} bits instead of 6, because rounding matters whil
 # prior promised.
 
 # %%
+from p4dgs_ref.codec import streams as sections
+
 coded = model.symbols[:, :6].ravel()
 mu_units = model.context.mu_units[:, :6].ravel()
 sigma_units = model.context.sigma_units[:, :6].ravel()
@@ -406,6 +408,8 @@ except container.BitstreamError as error:
 # 8 bytes to the ideal length of a section:
 
 # %%
+from p4dgs_ref.report import inspect
+
 for row in inspect.ledger(data):
     if row["name"] in ("features", "scales", "offset_scales", "offsets", "masks", "hash_grid"):
         ideal, coded_bytes = row["integer_bytes"], row["payload_bytes"]

@@ -20,28 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref import load_scene
-from p4dgs_ref.codec import published
-from p4dgs_ref.equations import deformation, mlp, positional_encoding
-from p4dgs_ref.lab.baselines import (
-    conditional,
-    d3dgs,
-    gaussian4d,
-    hexplane,
-    marginal,
-    plane_decoder,
-    plane_features,
-    rotation_4d,
-)
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.writer import bd_rate, bytes_at
-from p4dgs_ref.model import declared_numbers, deformation_layers
-from p4dgs_ref.report.evaluate import decibel, score
-from p4dgs_ref.report.inspect import ledger
-from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.training.initial import design_of
-from p4dgs_ref.training.parameters import Adam, Parameters, exponential, random_layers
-from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
 
 plt = lessons.begin("28_four_ways_to_move")
 
@@ -79,6 +58,17 @@ plt = lessons.begin("28_four_ways_to_move")
 # between two nodes is not stored.
 
 # %%
+from p4dgs_ref.lab.baselines import (
+    conditional,
+    d3dgs,
+    gaussian4d,
+    hexplane,
+    marginal,
+    plane_decoder,
+    plane_features,
+    rotation_4d,
+)
+
 A, b, v = 0.05, 0.02, 0.01
 since = 0.6 - 0.5
 assert np.isclose(b / v * since, 0.2) and np.isclose(A - b**2 / v, 0.01)
@@ -113,6 +103,11 @@ assert int(position) == 2 and np.isclose(position - 2, 0.4)
 # middle of the path.
 
 # %%
+from p4dgs_ref.equations import deformation, mlp, positional_encoding
+from p4dgs_ref.model import declared_numbers, deformation_layers
+from p4dgs_ref.training.parameters import Adam, Parameters, exponential, random_layers
+from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
+
 MANY, DENSE = np.linspace(0, 1, 33), np.linspace(0, 1, 193)
 
 
@@ -339,6 +334,10 @@ lessons.show(figure, "28_four_ways_to_move")
 
 
 # %%
+from p4dgs_ref.scenes.scene import MODEL_EFFECTS
+from p4dgs_ref.training.initial import design_of
+
+
 def stored(method, preset, count):
     """The numbers of one Gaussian, and those that all of them share, of a baseline."""
     few = replace(preset, gaussians=2)
@@ -492,6 +491,7 @@ far = np.abs(DENSE - 0.3) > 0.2
 mean_move = {name: np.abs(move[far]).mean() for name, move in moves.items()}
 assert min(mean_move["network"], mean_move["planes"]) > 2 * mean_move["4D Gaussians"]
 
+# %%
 figure, axes = plt.subplots(figsize=(9, 4.6), layout="constrained")
 for name, moved in moves.items():
     axes.plot(DENSE, moved, color=HUES[name], label=name)
@@ -581,6 +581,7 @@ assert max(passing["4D Gaussians"]) < 0.03
 for values in few.values():
     assert values[0] > 0.3 and values[0] > values[2]
 
+# %%
 figure, axes = plt.subplots(2, 2, figsize=(11, 8), layout="constrained")
 panels = (
     (axes[0, 0], SWINGS, fast, "swings in the recording", "Fast or periodic motion"),
@@ -656,6 +657,8 @@ assert way.parameters.vector.size == 2 * before
 # The points here are made up.
 
 # %%
+from p4dgs_ref.lab.writer import bd_rate, bytes_at
+
 ours = [(8_000, 30.0), (12_000, 31.6), (20_000, 33.0), (38_000, 34.0)]
 theirs = [(30_000, 31.0), (70_000, 33.3), (152_000, 35.0)]
 ratio_of_largest = theirs[-1][0] / ours[-1][0]
@@ -725,6 +728,9 @@ assert abs(gain[1]) < 0.01 and gain[30] > 0.35
 # our function says why instead of extrapolating.
 
 # %%
+from p4dgs_ref.codec import published
+from p4dgs_ref.report.inspect import ledger
+
 sections = ledger((published.FOLDER / "full.p4dgs").read_bytes())
 coded = ("features", "scales", "offset_scales", "offsets", "hash_grid")
 for part in sections:
@@ -751,6 +757,9 @@ assert rate is None
 # view that has failed if another one is nearly perfect.
 
 # %%
+from p4dgs_ref import load_scene
+from p4dgs_ref.report.evaluate import decibel, score
+
 view = load_scene("figure").test[0]
 on_object = view.alpha > 0.5
 without = np.where(on_object[..., None], view.image[~on_object].mean(axis=0), view.image)

@@ -31,7 +31,7 @@ DPI = 100  # of the figures: most are 800 pixels wide
 COLOR_STEP = 5  # of 255; rounding the colours saves a third of the bytes, and nobody sees it
 PROSE, CODE = "# %% [markdown]", "# %%"
 NAME = re.compile(r"(?<!\[)`(\d\d_\w+)`")  # of a tutorial in the prose, unless it is linked already
-ONLY_DRAWS = re.compile(r"(?!.*(\n *def |\bassert\b|\bprint\()).*lessons\.show\(", re.S)  # a cell
+ONLY_DRAWS = re.compile(r"(?!.*(\bassert\b|\bprint\()).*lessons\.show\(", re.S)  # a cell
 LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)[^)\s]+")  # a target without https: and the like
 START = "import sys; from tutorials.tools.notebooks import record; record(*sys.argv[1:])"
 INSTALL = "To run it, install the package: `pip install .` in the folder above `tutorials/`."
