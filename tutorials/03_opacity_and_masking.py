@@ -147,7 +147,7 @@ lessons.show(figure, "03_opacity_and_masking")
 
 # %% [markdown]
 # ## Backward by hand
-# We go backwards through the computation: first masking, then $\tanh$, then the network.
+# We go backwards: first masking, then $\tanh$, then the network.
 #
 # **Masking** copies numbers, $y_n = \alpha_{i(n)}$, where $i(n)$ is `index`. The cotangent of each
 # kept number therefore goes back to the place where the number came from, and a dropped number
@@ -289,8 +289,8 @@ assert mlp.backward(at_the_kink, np.ones((1, 1)))["x"] == 0
 
 # %% [markdown]
 # Finally, the backward of concatenating columns is splitting them: the columns of $\bar x$ go to
-# the feature, the distance and the direction. The next cell compares the backward of Eq. (3) with
-# finite differences, in which all inputs and weights move at once:
+# the feature, the distance and the direction. The next cell checks Eq. (3) by finite differences,
+# with all inputs and weights moving at once:
 
 # %%
 inputs = random_anchor_network(rng, A=A, d=d, k=k)

@@ -29,13 +29,12 @@ rng = np.random.default_rng(10)
 # probability $p$ costs $b = -\log_2 p$ bits. An ideal entropy coder needs exactly that many bits,
 # even if $b$ is not an integer.
 #
-# A number is therefore cheap if the decoder expects it. Which numbers should the decoder expect?
-# For every number, a network makes a guess, $\mu$, and says how far off this guess may be,
-# $\sigma$. Together, $\mu$ and $\sigma$ describe a normal distribution. The file does not store the
-# exact number, only its *symbol*: the nearest multiple of the step $q$. The symbol stands for all
-# values within half a step of it, an interval of width $q$ that we call its *bin*. The probability
-# of the symbol is the probability that the value falls into the bin, which is the area under the
-# bell curve over the bin.
+# A number is therefore cheap if the decoder expects it. For every number, a network makes a guess,
+# $\mu$, and says how far off this guess may be, $\sigma$. Together they describe a normal
+# distribution. The file does not store the exact number, only its *symbol*: the nearest multiple of
+# the step $q$. The symbol stands for all values within half a step of it, an interval of width $q$
+# that we call its *bin*. The probability of the symbol is the probability that the value falls into
+# the bin, which is the area under the bell curve over the bin.
 
 # %% [markdown]
 # ## By hand

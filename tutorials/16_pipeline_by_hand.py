@@ -25,11 +25,10 @@ def say(name, values):
 
 # %% [markdown]
 # ## Claim
-# Each of the first fifteen tutorials explained one part. This one connects the parts. Two chains of
-# computation start at an anchor. The first computes what we *see*: the Gaussians, the Gaussians at
-# time $t$, the colour $C(p)$ of a pixel $p$, and its error. The second computes what we *pay*: the
-# hash feature at the anchor's position, steps and probabilities, and bits. Eq. (15) adds the two
-# results.
+# Fifteen tutorials explained one part each. This one connects them. Two chains of computation start
+# at an anchor. The first computes what we *see*: the Gaussians, the Gaussians at time $t$, the
+# colour $C(p)$ of a pixel $p$, and its error. The second computes what we *pay*: the hash feature
+# at the anchor's position, steps and probabilities, and bits. Eq. (15) adds the two results.
 # $$\begin{gathered}
 #   \text{anchor} \xrightarrow{(1)-(4)} \text{Gaussians} \xrightarrow{(5), (6)}
 #   \text{Gaussians at } t \to C(p) \xrightarrow{(16)} \mathcal{L}_{render}\\
@@ -40,9 +39,8 @@ def say(name, values):
 # Training asks the opposite question: how should each number of the anchor change to reduce the
 # loss? The backward therefore follows the same arrows from right to left. No other order is
 # possible, because the gradient of a child depends on the gradient of its splat, which depends on
-# the gradient of the pixel. The backward of compositing therefore comes before that of projection,
-# then follows the deformation, and then Eqs. (4) to (1). Read the table from top to bottom for the
-# forward, and from bottom to top for the backward:
+# the gradient of the pixel. So the backward goes through compositing, projection and deformation to
+# Eqs. (4) to (1). Read the table downwards for the forward and upwards for the backward:
 #
 # | stage | reads | makes | backward: from gradients of | to gradients of |
 # |---|---|---|---|---|
@@ -53,8 +51,8 @@ def say(name, values):
 # | (16) | picture, truth | $\mathcal{L}_{render}$ | $\mathcal{L}_{render}$ | picture |
 #
 # Where one number is used several times, its gradients add up. The feature $f_a$ is an input of
-# four networks in the first chain, and its own bits are counted in the second. It therefore
-# receives five gradients: four would improve the picture, and one would make the file smaller.
+# four networks in the first chain, and the second counts its bits. It therefore receives five
+# gradients: four to improve the picture, and one to make the file smaller.
 
 # %% [markdown]
 # ## By hand
@@ -345,7 +343,7 @@ print(f"L_render {L_render:.6f}, L_total {L_total:.6f}")
 
 # %% [markdown]
 # ## In code
-# The package does the same in four calls. `predict` is Fig. 1 up to the Gaussians at time $t$,
+# The package does this in four calls. `predict` is Fig. 1 up to the Gaussians at time $t$,
 # `render.forward` is the last box of Fig. 1, `context` is the first half of Fig. 2, and
 # `objective.loss` runs both chains and adds their results. All four must return our numbers. The
 # pixel $(u, v)$ of a picture is `image[v, u]`.
@@ -508,9 +506,8 @@ lessons.show(figure, "16_pipeline_by_hand")
 # %% [markdown]
 # ## Backward by hand
 # How does the blue value of the pixel depend on feature 0? There are many paths. One of them goes
-# through the blue value $c$ of child 0. Follow this path backwards from the pixel, and sum over the
-# hidden units $m$ of $\psi_c$ that are active (their input is positive, so the ReLU passes the
-# gradient):
+# through the blue value $c$ of child 0. Follow it backwards from the pixel, and sum over the active
+# hidden units $m$ of $\psi_c$ (their input is positive, so the ReLU passes the gradient):
 # $$\frac{\partial C_{blue}}{\partial f_0} = \underbrace{\alpha_0 T_0}_{weight}\cdot
 #   \underbrace{c(1-c)}_{sigmoid'}\cdot
 #   \sum_{m:\,\text{active}} W^0_{0,m}\,W^1_{m,2} + \text{other paths}.$$
@@ -540,12 +537,12 @@ assert math.isclose(feature_0_bar(color_bar=color_bar), path, rel_tol=1e-10)
 say("weight, slope, product", [weight, blue * (1 - blue), path])
 
 # %% [markdown]
-# Now take all paths together. We set the cotangent of the blue value of our pixel to 1 and all
-# others to 0, and follow the arrows from right to left: `render.backward` returns the gradients of
-# all Gaussians at $t$, and `back_g` takes them back through Eqs. (6) to (1), where each of the four
-# networks adds its share to the gradient of $f_0$. The positions add nothing, because Eq. (1)
-# contains no feature. We compare the sum with a finite difference, computed with our
-# pocket-calculator code. This single number tests the derivations of all fifteen tutorials.
+# Now take all paths together. We set the cotangent of our pixel's blue value to one and all others
+# to zero. `render.backward` returns the gradients of all Gaussians at $t$, and `back_g` takes them
+# back through Eqs. (6) to (1), where each of the four networks adds its share to the gradient of
+# $f_0$. The positions add nothing, because Eq. (1) contains no feature. We compare the sum with a
+# finite difference of our pocket-calculator code. This single number tests the derivations of
+# fifteen tutorials.
 
 
 # %%
@@ -662,8 +659,7 @@ lessons.backward("16.3", my_backward, "spatial_prediction", "x_a", "f_a", "s_a",
 # `p4dgs-ref oracle check DIR --only frames` compares whole pictures of a trained model, so run it
 # last. The port below decodes the model from its file and renders it with the cameras of the
 # vectors. If frames differ although all single equations agree, a connection between them is wrong:
-# for example the order of features, distance and direction, the camera's centre, or the depth
-# order.
+# the order of features, distance and direction, the camera's centre, or the depth order.
 
 # %%
 trained = decode((oracle.path() / "model.p4dgs").read_bytes())
