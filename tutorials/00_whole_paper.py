@@ -199,8 +199,8 @@ def predict(x_a, values, p, x_c):
 
 # %% [markdown]
 # ## In time: Eqs. (5) and (6)
-# One network moves all Gaussians. Its inputs are the position of a Gaussian and the time, each with
-# sines and cosines of it, because a network learns rapid changes slowly from the numbers alone (Q2:
+# One network moves all Gaussians. Its inputs are the position of a Gaussian and the time, and sines
+# and cosines of both, because a network learns rapid changes too slowly from the raw numbers (Q2:
 # how many). The gradient reaches the network's weights and stops there: E(x) passes none to x, as
 # in D3DGS, the method on which this one builds (Q10).
 
@@ -686,8 +686,8 @@ def context(p, weights, sign=signs):
 def loss(p, shot, u, stage, weights=None, sign=signs, centers=None):
     """Eq. (15): L_render + LAMBDA_RATE L_rate for one view, its parts, and the whole backward.
 
-    `back` returns {name: gradient}. In two places this is deliberately not the slope of the loss:
-    signs of the grid, and E(x). `check` passes its own `sign`, and the `centers` [N, 3] for E(x).
+    `back` returns {name: gradient}. At the signs of the grid and at E(x), it deliberately differs
+    from the slope of the loss. `check` passes its own `sign`, and the `centers` [N, 3] for E(x).
     """
     R, T, t, image = shot
     values = attributes(p)

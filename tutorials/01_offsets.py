@@ -1,5 +1,5 @@
 # %% [markdown]
-# # Eq. (1): where an anchor's Gaussians stand
+# # Eq. (1): where an anchor's Gaussians are
 #
 # **Promise.** After this tutorial you can compute the positions of an anchor's Gaussians by hand,
 # and send a gradient back from the Gaussians to the anchor. **Before it:** nothing but NumPy.
@@ -213,7 +213,7 @@ assert close(large, 100 * small)
 # **01.3** ●● Write its backward. The dictionary `cotangents` holds the cotangents of the outputs,
 # here `x_bar` for the output `x`.
 #
-# **Predict, then run.** A port keeps all numbers in float16. An anchor stands at $x = 1000$, with
+# **Predict, then run.** A port keeps all numbers in float16. An anchor is at $x = 1000$, with
 # $l_a = 0.1$. Which of the offsets $1, 2, 3, \dots$ is the first that moves its child?
 
 # %%

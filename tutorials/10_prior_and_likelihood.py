@@ -285,7 +285,7 @@ print(f"z = 40 costs {by_erfcx:.6f} bits")
 # $$p = \phi(z)\,w\,\Bigl(1 + \frac{w^2}{24}(z^2 - 1) + \dots\Bigr)$$
 #
 # The module `likelihood.py` therefore computes $\log p$ with different functions in different
-# regimes: around the mean, beside it, far from it, and in narrow bins.
+# regimes: around the mean, next to it, far from it, and in narrow bins.
 
 # %%
 z_narrow = 0.7
