@@ -345,8 +345,8 @@ assert encode(starts, freqs) == container.read_container(data)["features"]
 
 # %% [markdown]
 # ## Backward by hand
-# A coder has no gradient, so training uses $-\log_2 p$ in its place. What corresponds to a backward
-# is the exact inverse of the coder, the decoder. Write $r = x \bmod f$, so that
+# A coder has no gradient, so training uses $-\log_2 p$ in its place. Instead of a backward, a coder
+# has an exact inverse, the decoder. Write $r = x \bmod f$, so that
 # $x' = \lfloor x/f\rfloor M + r + c$. Since $0 \le r + c < M$, we have
 # $\lfloor x'/M\rfloor = \lfloor x/f\rfloor$ and $x' \bmod M = r + c$. The condition
 # $c \le r + c < c + f$ determines the symbol, and then $x = \lfloor x/f\rfloor f + r$ is known:
