@@ -290,7 +290,7 @@ seen, red_error, pull, made_of = axes.ravel()
 seen.imshow(image.clip(0, 1))
 seen.set_title("The noisy picture and a pixel")
 red_error.set_title("Its red error")
-pull.set_title("Whose red pulls at anchor 12's feature 3?")
+pull.set_title("Whose red pulls on anchor 12's feature 3?")
 maps = (
     (red_error, image[..., 0] - truth[..., 0], "picture - truth"),
     (pull, share[..., 0] * 1e6, "share of the gradient, $10^{-6}$"),

@@ -89,12 +89,15 @@ def unrun(source):
             parts.append(notebook_cell(id, "markdown", LINK.sub(moved, text)))
         else:
             count += 1
+            # Jupyter reads the first mark, converters to HTML and books the second one.
+            hidden = bool(ONLY_DRAWS.match(cell.text))
+            tags = ["hide-input"] if hidden else []
             parts.append(
                 notebook_cell(
                     id,
                     "code",
                     cell.text,
-                    metadata={"jupyter": {"source_hidden": bool(ONLY_DRAWS.match(cell.text))}},
+                    metadata={"jupyter": {"source_hidden": hidden}, "tags": tags},
                     execution_count=count,
                     outputs=[],
                 )
