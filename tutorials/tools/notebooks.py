@@ -32,6 +32,8 @@ COLOR_STEP = 5  # of 255; rounding the colours saves a third of the bytes, and n
 PROSE, CODE = "# %% [markdown]", "# %%"
 NAME = re.compile(r"(?<!\[)`(\d\d_\w+)`")  # of a tutorial in the prose, unless it is linked already
 ONLY_DRAWS = re.compile(r"(?!.*(\bassert\b|\bprint\()).*lessons\.show\(", re.S)  # a cell
+# Jupyter reads the first mark; converters to HTML and books read the second one.
+COLLAPSED = {"jupyter": {"source_hidden": True}, "tags": ["hide-input"]}
 LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)[^)\s]+")  # a target without https: and the like
 START = "import sys; from tutorials.tools.notebooks import record; record(*sys.argv[1:])"
 INSTALL = "To run it, install the package: `pip install .` in the folder above `tutorials/`."
@@ -89,23 +91,20 @@ def unrun(source):
             parts.append(notebook_cell(id, "markdown", LINK.sub(moved, text)))
         else:
             count += 1
-            # Jupyter reads the first mark, converters to HTML and books the second one.
-            hidden = bool(ONLY_DRAWS.match(cell.text))
-            tags = ["hide-input"] if hidden else []
             parts.append(
                 notebook_cell(
                     id,
                     "code",
                     cell.text,
-                    metadata={"jupyter": {"source_hidden": hidden}, "tags": tags},
+                    metadata=COLLAPSED if ONLY_DRAWS.match(cell.text) else {},
                     execution_count=count,
                     outputs=[],
                 )
             )
-    own = {"source_sha256": hashlib.sha256(source.read_bytes()).hexdigest()}
+    own = hashlib.sha256(source.read_bytes()).hexdigest()
     return {
         "cells": parts,
-        "metadata": {**METADATA, "p4dgs_ref": own},
+        "metadata": {**METADATA, "p4dgs_ref": {"source_sha256": own}},
         "nbformat": 4,
         "nbformat_minor": 5,
     }
@@ -148,8 +147,9 @@ def make(source):
         for cell, outputs in zip(code, outputs_of, strict=True):
             cell["outputs"] = outputs
         target = folder / f"{source.stem}.ipynb"
-        text = json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True)
-        write_text(target, text + "\n")
+        write_text(
+            target, json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+        )
     return target
 
 
