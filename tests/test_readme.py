@@ -436,8 +436,8 @@ def test_readme_quotes_the_figures_of_the_reference():
         f"{paper['psnr_db']:.2f} dB from {paper['bytes']:,.0f} bytes | {spent} |",
         f"the demo's file of {m['bytes']:,.0f} bytes",
         f"The demo's file is {m['ratio']} times smaller",
-        f"that of the paper's design only {paper['ratio']} times",
-        f"they are {share} of the file",
+        f"the paper's design only {paper['ratio']} times",
+        f"{share} of the file",
     )
     text = " ".join(README.split())
     assert [words for words in quoted if words not in text] == []

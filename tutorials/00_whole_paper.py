@@ -27,8 +27,8 @@
 # **How to read it.** Each equation with a gradient is a function that returns its result and its
 # own backward, `back`. This backward takes the gradients of the results and returns those of the
 # trained inputs, in their order. `x_bar` is the gradient of the loss with respect to x, and `p`
-# holds the parameters. N = A k Gaussians are drawn in P pixels. Lengths are in scene units, times
-# run from 0 to 1. (Q4) is one of the [choices](reference.md#choices) that the paper leaves open.
+# holds the parameters. A anchors with k children are N = A k Gaussians, drawn in P pixels. Lengths
+# are in scene units, t is in [0, 1]. (Q1), (Q2), ... are [choices](reference.md#choices) left open.
 
 # %%
 import struct
@@ -74,7 +74,7 @@ def view(x_a, x_c):
 
 
 # %% [markdown]
-# Networks predict everything else, from the anchor's features f and its distance and direction. A
+# Networks predict everything else from `seen`: the anchor's features, distance and direction. A
 # network is a list `[W0, b0, W1, b1, W2, b2]`: two hidden layers with ReLU, then a linear one. Its
 # outputs can be any numbers, so each attribute has a function that maps them to its range. For
 # opacity, the paper's predecessors use tanh (Q4). A child with a negative opacity is not drawn, so
@@ -142,7 +142,7 @@ def scale(s_a, seen, psi):
 
 # %% [markdown]
 # An anchor is a position x_a and n = 26 numbers that will be coded: features f, scale s, scaling l
-# of its offsets, and offsets O. Training stores s and l as logarithms, so they stay positive (Q5).
+# of its offsets, and offsets O. Training keeps log s and log l, so s and l stay positive (Q5).
 
 
 # %%
@@ -309,9 +309,9 @@ if SHOW:
 # The paper takes this part from 3DGS (Kerbl et al. 2023). An ellipsoid has the covariance
 # $R\,\mathrm{diag}(s)^2R^T$ with its own rotation $R$, not the camera's. A camera sees it as an
 # ellipse of pixels, a *splat*. Splats are painted from front to back. The rotation matrix of a
-# quaternion r = (w, v) is the product of two matrices that are linear in r, $R = G_+\,G_-^T$ with
-# $G_\pm = [-v, wI \pm [v]_\times]$. The product rule gives $\bar G_\pm$. As both are linear in r,
-# $\bar r_a = \sum_\pm\sum_{ij} (\bar G_\pm)_{ij}\,G_\pm(e_a)_{ij}$ with unit vectors $e_a$.
+# quaternion r = (w, v) is $R=G_+G_-^T$, $G_\pm = [-v, wI\pm[v]_\times]$, $[v]_\times u=v\times u$.
+# Backward, $\bar G_+ = \bar R\,G_-$ and $\bar G_- = \bar R^T G_+$. Both $G_\pm$ are linear in r, so
+# $\bar r_i = \sum_\pm\sum_{mn} (\bar G_\pm)_{mn}\,G_\pm(e_i)_{mn}$ with unit vectors $e_i$.
 
 
 # %%
@@ -408,8 +408,8 @@ def compositing(mean, conic, alpha, c):
 
     def back(image_bar):
         weight_bar = image_bar @ c.T  # [P, N]
-        seen = np.hstack([weight * weight_bar, T_i[:, -1:] * (image_bar @ BACKGROUND)[:, None]])
-        behind = np.cumsum(seen[:, :0:-1], axis=1)[:, ::-1]  # sums from the back
+        given = np.hstack([weight * weight_bar, T_i[:, -1:] * (image_bar @ BACKGROUND)[:, None]])
+        behind = np.cumsum(given[:, :0:-1], axis=1)[:, ::-1]  # sums from the back
         alpha_p_bar = T_i[:, :-1] * weight_bar - behind / (1 - alpha_p)
         alpha_p_bar *= alpha * falloff <= 0.99  # the clamp passes no gradient
         exponent_bar = alpha_p_bar * alpha_p
@@ -567,9 +567,9 @@ def render_loss(image, y):
 # that kind instead: it degrades the picture as rounding will, and gradients pass.
 #
 # Two networks predict the steps q, the means mu and the standard deviations sigma. They read a grid
-# of bits at the anchor's position; the decoder reads both before everything else. q starts near
-# Q_0, as psi_q starts near 0. The paper gives no values for Q_0. We found ours, one for each group
-# (Q6), by trial: they are coarse where that hardly changes the picture.
+# of bits at the anchor's position; networks, positions and grid come first in the file. As psi_q
+# starts near 0, q starts near the base step Q_0. The paper gives no values for Q_0. We found ours,
+# one for each group (Q6), by trial: they are coarse where that hardly changes the picture.
 
 
 # %%
@@ -600,7 +600,7 @@ def signs(grid):
 
 
 def hash_grid(weights, b):
-    """Eq. (9): h = weights b [A, F], the bits around every anchor; every node has its own entry."""
+    """Eq. (9): h = weights b [A, F], the signs b around every anchor. So few nodes need no hash."""
     return weights @ b, lambda h_bar: weights.T @ h_bar
 
 
@@ -698,18 +698,18 @@ def loss(p, shot, u, stage, weights=None, sign=signs, centers=None):
     (x, s, r, alpha, c), back_predict = predict(p["x_a"], noisy, p, -R.T @ T)
     parts = {"centers": x}
     if stage > 2:
-        seen = x if centers is None else centers
-        deltas, back_deformation = deformation(seen, t, network(p, "psi_d"))
+        at = x if centers is None else centers
+        deltas, back_deformation = deformation(at, t, network(p, "psi_d"))
         (x, s, r), back_deformed = deformed(x, s, r, *deltas)
     drawn, back_render = render(x, s, r, alpha, c, R, T)
     L_render, back_loss = render_loss(drawn, image)
     if stage == 4:
         number_bits, back_bits = likelihood(noisy, mu, sigma, q[:, GROUP])
         bits = number_bits.sum() + hash_bits  # Eq. (13) is the sum, Eq. (17) adds the grid
-        # Only the networks' bits are not counted. A few more lines would count them, which goes
-        # beyond the paper (B1): give every array of WEIGHTS a step, learned as its logarithm; add
-        # noise of this step before `network` reads the array, and round at the end; divide by the
-        # step, and add the result's bits under a density around 0 to `bits` (beyond_networks.py).
+        # Not counted: the positions, whose bits are fixed, and the networks. To count these as well
+        # (beyond the paper: beyond_networks.py), give every array of WEIGHTS a learned step, add
+        # noise of this step before `network` reads the array, and round it at the end. Its bits are
+        # those of array / step under a density around 0; add them to `bits`.
     L_rate = bits / values.size  # per number, so that LAMBDA_RATE fits any number of anchors (Q12)
 
     def back():
@@ -865,12 +865,12 @@ if SHOW:
 # %% [markdown]
 # ## Bytes
 # The entropy coder counts probabilities in units of 2^-24, at least one for each symbol: `cdf` is
-# the cumulative distribution of Eq. (11) in these units, and symbol i owns the integers from cdf[i]
-# to cdf[i + 1] - 1. rANS (Duda 2013) turns all symbols into one large integer, `state`. To add a
-# symbol, it makes the state congruent modulo 2^24 to one of the symbol's integers; `state % width`
-# selects which. A decoder can therefore recover the last symbol, and the state before it. A symbol
-# of probability 1/8 multiplies the state by about 8, which adds 3 bits. Both sides compute the same
-# probabilities, in the same floats on the same machine.
+# the cumulative distribution of Eq. (11) in these units. Symbol i is the integer lowest + i, and
+# owns the slots from cdf[i] to cdf[i + 1] - 1. rANS (Duda 2013) turns all symbols into one large
+# integer, `state`. To add a symbol, it makes the state congruent modulo 2^24 to one of the symbol's
+# `width` slots; `state % width` selects which. So a decoder can recover the last symbol, and the
+# state before it. A symbol of probability 1/8 multiplies the state by about 8, which adds 3 bits.
+# Both sides compute the same probabilities, in the same floats on the same machine.
 
 
 # %%
@@ -1045,6 +1045,6 @@ if SHOW:
 #
 # The package has what this file leaves out: masks and growing (`training/density.py`); tiles and
 # clamps (`splatting/`); levels, planes and hashing of the grid (`equations/grid_nodes.py`); an
-# entropy coder in integers, the same on every machine (`codec/`); formulas that keep their digits,
+# entropy coder in integers, the same on every machine (`codec/`); formulas without cancellation,
 # a floor under q and a clamp of sigma (Q7, Q8); scenes in which nothing moves (`effects.py`).
-# Spherical harmonics are missing, as in the paper: a network predicts the colour from the view.
+# As in the paper, a network gives the colour from each side, where 3DGS stores 48 numbers.

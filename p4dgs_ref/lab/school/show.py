@@ -187,7 +187,7 @@ def anchors(figure, model, camera, chosen, view):
     picture(left, np.ones_like(image), camera, **view)
     left.set_title(f"{model.primitives} anchors (black), {len(g.x)} children (blue)")
     families(left, model, camera, chosen)
-    picture(right, image, camera, **view, title="the children are Gaussians, and paint")
+    picture(right, image, camera, **view, title="the children, drawn as Gaussians")
     own = g.index // model.design.k == chosen
     for which, colors, width in ((~own, 0.7 * g.color[~own], 1), (own, STEP, 4)):
         ellipses(right, *splats(g, camera, which)[:2], fc="none", ec=colors, lw=width)
@@ -201,7 +201,7 @@ def prediction(figure, file, camera, t, chosen, walk):
     feature, family, colors = figure.subplots(1, 3, width_ratios=(1, 1.3, 1.5))
     symbols = file.symbols[chosen, : file.model.design.d]
     feature.barh(-np.arange(len(symbols)), symbols, color=SPACE)
-    feature.set(title=f"one feature:\n{len(symbols)} integers", xlabel="steps", yticks=())
+    feature.set(title=f"one feature:\n{len(symbols)} integers", xlabel="integer", yticks=())
     g = file.model.gaussians(t, camera)
     own = g.index // file.model.design.k == chosen
     mean2d, cov2d, *_ = splats(g, camera, own)
@@ -255,7 +255,7 @@ def pixel(figure, model, camera, t, at):
     left.set_title(f"one pixel sees {len(first)} of {len(g.x)} Gaussians")
     layers(right, 100 * shares, g.color[first])
     right.set(
-        title="bars: what each one gives; line: the light left",
+        title="bars: share of each Gaussian\nline: light that is left",
         xlabel="Gaussians, from front to back",
         ylabel="% of the pixel",
     )
@@ -306,8 +306,8 @@ def knowledge(figure, file, level, side=160):
     for ax, word, i in zip(both, ("sure", "unsure"), (cheapest, sigma.argmax())):
         bits = distribution(ax, mu.flat[i], sigma.flat[i], file.symbols[:, :d].flat[i])
         ax.set(
-            title=f"{word}: σ = {sigma.flat[i]:.1f} steps\nthis symbol costs {bits:.1f} bits",
-            xlabel="symbol",
+            title=f"{word}: σ = {sigma.flat[i]:.1f} steps\nthe integer costs {bits:.1f} bits",
+            xlabel="integer",
             ylabel="probability",
         )
 
@@ -318,7 +318,7 @@ def bits(figure, data, camera, t, view):
     model, whole = anchor_bits(data)
     scale = left.scatter([], [], c=[], cmap=AMOUNT, vmin=whole.min(), vmax=whole.max())
     image = frame(model, camera, t, colors=scale.to_rgba(whole)[:, :3])
-    picture(left, image, camera, **view, title="anchors in the colour of their price")
+    picture(left, image, camera, **view, title="anchors coloured by their bits")
     figure.colorbar(scale, ax=left, location="bottom", label="bits")
     coded = symbol_bits(quantised_of(read_container(data), data[8]))
     groups = np.add.reduceat(coded, np.cumsum((0, *model.design.widths[:3])), axis=1)
@@ -326,7 +326,9 @@ def bits(figure, data, camera, t, view):
     rows = table[whole.argmin()], table.mean(axis=0), table[whole.argmax()]
     for i, row in enumerate(rows):
         strip(right, dict(zip(PARTS, row)), i, PARTS)
-    costs = [f"{w}:\n{sum(row):.0f} bits" for w, row in zip(("cheapest", "mean", "dearest"), rows)]
+    costs = [
+        f"{w}:\n{sum(row):.0f} bits" for w, row in zip(("cheapest", "mean", "costliest"), rows)
+    ]
     right.set(yticks=range(3), yticklabels=costs, xlabel="bits of an anchor", ylim=(-0.5, 4.4))
     means = [f"{name}: {mean:.0f}" for name, mean in zip(PARTS, rows[1])]
     right.legend(right.patches[: len(PARTS)], means, ncols=2, frameon=False, title="mean bits")
