@@ -40,15 +40,13 @@
   function crc32(...parts) {
     let crc = ~0;
     for (const part of parts) {
-      for (const byte of part) crc = (crc >>> 8) ^ CRC_TABLE[(crc ^ byte) & 255];
+      for (const byte of part) {
+        crc ^= byte;
+        for (let bit = 0; bit < 8; bit++) crc = (crc >>> 1) ^ (crc & 1 && 0xedb88320);
+      }
     }
     return ~crc >>> 0;
   }
-
-  const CRC_TABLE = Uint32Array.from({ length: 256 }, (_, crc) => {
-    for (let bit = 0; bit < 8; bit++) crc = (crc >>> 1) ^ (crc & 1 && 0xedb88320);
-    return crc;
-  });
 
   // --- the tables of integers, from their formulas ----------------------------------------------
   /** The normal distribution function: 1/2 + phi(z) (z + z^3 / 3 + z^5 / (3 5) + ...). */
@@ -192,12 +190,12 @@
   const whole = (low, high) => (v) => Number.isInteger(v) && low <= v && v <= high;
   const real = (low, high) => (v) => typeof v === "number" && low <= v && v <= high;
   const oneOf = (names) => (v) => names.includes(v);
-  const pair = (is, isToo) => (v) => Array.isArray(v) && v.length === 2 && is(v[0]) && isToo(v[1]);
   const list = (low, high, is) => (v) =>
     Array.isArray(v) && low <= v.length && v.length <= high && v.every((entry) => is(entry));
-  const distinct = (is) => (v) => is(v) && new Set(v).size === v.length;
   const widths = (low) => list(low, 8, whole(1, 2 ** 14));
-  const level = pair(oneOf(["xyz", "xy", "xz", "yz"]), whole(1, 2 ** 16));
+  const isLevel = (v) => oneOf(["xyz", "xy", "xz", "yz"])(v[0]) && whole(1, 2 ** 16)(v[1]);
+  const level = (v) => Array.isArray(v) && v.length === 2 && isLevel(v);
+  const distinct = (is) => (v) => is(v) && new Set(v).size === v.length;
   const planes = (R) => ["xy", "xz", "yz"].flatMap((axes) => R.map((r) => [axes, r]));
   const HAC_3D = [18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514].map((R) => ["xyz", R]);
   const HAC_2D = planes([130, 258, 514, 1026]);
@@ -231,12 +229,11 @@
   const BASES = new Map(Object.entries({ tiny: base(1), paper: base(2) }));
   const JSON_TOKEN = /"(?:[^"\\]|\\.)*"(\s*:)?|-?\d[\d.eE+-]*/g;
 
-  /** The JSON object as it stands in the file. A number such as 4.0 is not taken for an integer. */
+  /** The JSON object in a section. JSON.parse keeps the last of two equal keys and does not tell
+   *  4.0 from 4. So the keys are counted, and {"real": 4.0} is read in the place of 4.0. */
   function parseHeader(section) {
     section.need(section.bytes.length <= 2 ** 14, "expected at most 2^14 bytes");
     section.need(section.bytes.every((byte) => byte < 128), "expected ASCII");
-    // JSON.parse keeps the last of two equal keys, and does not tell 4.0 from 4. So count the keys,
-    // and read {"real": 4.0} in the place of 4.0.
     let [keys, fields] = [0, null];
     const marked = String.fromCharCode(...section.bytes).replace(JSON_TOKEN, (token, colon) => {
       keys += colon ? 1 : 0;
@@ -249,17 +246,17 @@
     }
     section.need(fields instanceof Object && !Array.isArray(fields), "expected a JSON object");
     section.need(keys === Object.keys(fields).length, "a field occurs twice, or within another");
-    const plain = (v) => (Array.isArray(v) ? v.map(plain) : (v?.real ?? v));
-    for (const name of REAL) if (Object.hasOwn(fields, name)) fields[name] = plain(fields[name]);
     return fields;
   }
 
-  /** The checked header, completed by its base design; `own` is what stands in the file. */
+  /** The checked header, completed by its base design. */
   function readHeader(section, version) {
-    const own = parseHeader(section);
-    const { as, ...others } = own;
-    section.need(version === 1 || BASES.has(as), "field as: expected the name of a base design");
-    const header = version === 1 ? { ...own } : { ...BASES.get(as), ...others };
+    const { as, ...own } = parseHeader(section);
+    const base = version === 1 && as === undefined ? {} : BASES.get(version === 2 && as);
+    section.need(base, "field as: expected the name of a base design, in version 2 alone");
+    const plain = (v) => (Array.isArray(v) ? v.map(plain) : (v?.real ?? v));
+    for (const name of REAL) if (Object.hasOwn(own, name)) own[name] = plain(own[name]);
+    const header = { ...base, ...own };
     const known = Object.keys(FIELDS).filter((name) => version === 2 || name !== "position_bits");
     const needed = known.filter((name) => !OPTIONAL.includes(name));
     for (const name of needed) section.need(Object.hasOwn(header, name), `no field ${name}`);
@@ -269,11 +266,13 @@
     }
     const deep = !header.skip || header.deformation.length >= 3;
     section.need(deep, "field skip: expected at least 3 widths of deformation");
-    return Object.assign(header, { own });
+    return header;
   }
 
-  // The nodes of a level that are stored.
+  // The nodes of a level that are stored, and the entries of all levels.
   const nodesOf = ({ table }, [{ length: D }, R]) => Math.min(R ** D, table[D === 3 ? 0 : 1]);
+  const entriesOf = (header) =>
+    header.F * total(header.grid.map((level) => nodesOf(header, level)));
   // With a skip, the layer of psi_d that reads the inputs again.
   const skipOf = (trunk) => Math.floor(trunk.length / 2) + 1;
 
@@ -305,7 +304,7 @@
   /** Refuses a header that promises more numbers or work than a file of n bytes may. */
   function checkLimits(section, header, layers, n) {
     const { anchors, d, k, F, grid } = header;
-    const entries = total(grid.map((level) => nodesOf(header, level) * F));
+    const entries = entriesOf(header);
     const weights = total(Object.values(layers).flat().map(([I, J]) => I * J + J));
     const numbers = anchors * (9 + d + 4 * k) + entries + weights;
     const reads = total(grid.map(([axes]) => 2 ** axes.length * 64 * (F + 8)));
@@ -373,7 +372,11 @@
       lanes.push({ hi: Math.floor(high / 2), lo: low });
     }
     for (let i = 0; i < n; i++) {
-      while (i === n - tail && lanes.length > 1) endLane(lanes.pop(), zero, given, section);
+      while (i === n - tail && lanes.length > 1) {
+        const last = lanes.pop();
+        section.need(last.hi === 0 && last.lo >= 2 ** 31, "a lane does not end as it began");
+        endLane(last, zero, given);
+      }
       const x = lanes[i % lanes.length];
       pop(x, take(i, x.lo & 0xffffff), word);
     }
@@ -381,15 +384,12 @@
     section.need(ended, "the message does not end where it began");
   }
 
-  /** Lane x ends: its 31 low bits go back to lane 0. */
-  function endLane(x, zero, given, section) {
-    section.need(x.hi === 0 && x.lo >= 2 ** 31, "a lane does not end where lanes start");
-    if (zero.hi > 0) {
-      given.push(zero.lo);
-      zero.lo = zero.hi;
-    }
-    zero.hi = Math.floor(zero.lo / 2);
-    zero.lo = (zero.lo % 2) * 2 ** 31 + (x.lo - 2 ** 31);
+  /** Lane x ends: its 31 low bits go back to lane 0, of whose words the low one may be too many. */
+  function endLane(x, zero, given) {
+    if (zero.hi > 0) given.push(zero.lo);
+    const rest = zero.hi > 0 ? zero.hi : zero.lo;
+    zero.hi = Math.floor(rest / 2);
+    zero.lo = (rest % 2) * 2 ** 31 + (x.lo - 2 ** 31);
   }
 
   // --- streams ----------------------------------------------------------------------------------
@@ -457,19 +457,18 @@
     const f = n ? section.integer(4) : 0;
     const zeros = 2 ** 24 - f;
     section.need(zeros >= 0, "a probability above 1", 0);
-    if (f === 0 || zeros === 0) bits.fill(zeros ? 0 : 1);
-    else {
-      readMessage(section, n, (i, slot) => {
-        bits[i] = slot >= zeros ? 1 : 0;
-        return bits[i] ? [zeros, f] : [0, zeros];
-      });
-    }
+    const certain = f === 0 || zeros === 0;
+    if (certain) bits.fill(zeros ? 0 : 1);
+    readMessage(section, certain ? 0 : n, (i, slot) => {
+      bits[i] = slot >= zeros ? 1 : 0;
+      return bits[i] ? [zeros, f] : [0, zeros];
+    });
     section.end();
     return bits;
   }
 
   // --- positions --------------------------------------------------------------------------------
-  /** The box {lo, hi} and the positions in it, 16 bits per coordinate, [A, 3]. */
+  /** The box {lo, hi}, the positions in it, 16 bits per coordinate, and x_a, [A, 3] each. */
   function readPositions(section, { anchors, position_bits }, version) {
     const { bytes } = section;
     section.needSize(version === 1 ? 24 + 6 * anchors : Math.max(bytes.length, 24));
@@ -481,7 +480,9 @@
     const axes = [2, 1, 0].filter((i) => lo[i] < hi[i]);
     const read = () => Uint16Array.from({ length: 3 * anchors }, () => section.integer(2));
     const positions = version === 1 ? read() : readSorted(section, anchors, position_bits, axes);
-    return { lo, hi, positions };
+    const step = (i) => (hi[i] - lo[i]) / 65535;
+    const x_a = Float64Array.from(positions, (n, i) => lo[i % 3] + n * step(i % 3));
+    return { lo, hi, positions, x_a };
   }
 
   /** Version 2: gaps between the codes of A positions in ascending order, on a lattice of B bits.
@@ -517,15 +518,19 @@
     deformation_mlp: ["psi_d", "psi_t"],
   };
 
-  /** The networks of a section, {name: [{I, J, W, b}, ...]}. */
-  function readNetworks(section, shapes, version) {
-    const names = NETWORKS[section.name];
-    const layers = names.flatMap((name) => shapes[name]);
-    const numbers = version === 1 ? readFloat16(section, layers) : readCoded(section, layers);
-    let at = 0;
-    const take = (length) => numbers.subarray(at, (at += length));
-    const layer = ([I, J]) => ({ I, J, W: take(I * J), b: take(J) });
-    return Object.fromEntries(names.map((name) => [name, shapes[name].map(layer)]));
+  /** All networks, {name: [{I, J, W, b}, ...]}; those of no layers have no numbers in the file. */
+  function readNetworks(sections, shapes, version) {
+    const networks = {};
+    for (const [section, names] of Object.entries(NETWORKS)) {
+      const layers = names.flatMap((name) => shapes[name]);
+      const read = version === 1 ? readFloat16 : readCoded;
+      const numbers = layers.length ? read(sections[section], layers) : [];
+      let at = 0;
+      const take = (length) => numbers.subarray(at, (at += length));
+      const layer = ([I, J]) => ({ I, J, W: take(I * J), b: take(J) });
+      for (const name of names) networks[name] = shapes[name].map(layer);
+    }
+    return networks;
   }
 
   /** Version 1: numbers of 16 bits, of which 10 are the fraction and 5 the exponent. */
@@ -740,15 +745,10 @@
     const columns = d + 6 + 3 * k;
     const model = { version, header, groups, columns, bytes: Object.fromEntries(sizes) };
     Object.assign(model, readPositions(sections.positions, header, version));
-    const networks = Object.keys(NETWORKS).filter((name) => found[name]);
-    const read = networks.map((name) => readNetworks(sections[name], shapes, version));
-    model.networks = Object.assign({ psi_d: [], psi_t: [] }, ...read);
-    const entries = total(header.grid.map((level) => nodesOf(header, level) * header.F));
-    model.signs = readBits(sections.hash_grid, entries);
+    model.networks = readNetworks(sections, shapes, version);
+    model.signs = readBits(sections.hash_grid, entriesOf(header));
     model.masks = readBits(sections.masks, A * k);
     Object.assign(model, codingContext(model));
-    const step = (i) => (model.hi[i] - model.lo[i]) / 65535;
-    model.x_a = Float64Array.from(model.positions, (n, i) => model.lo[i % 3] + n * step(i % 3));
     model.symbols = new Float64Array(A * columns);
     groups.forEach((group, g) => {
       model[group.name] = readAttributes(model, group, g, sections[group.section]);
@@ -775,13 +775,14 @@
     return (y < 0 ? e : 1) / (1 + e);
   }
 
-  // The length of row n of an array, without squares that overflow.
-  const length = (array, n, width) => Math.hypot(...array.subarray(n * width, (n + 1) * width));
-
-  /** Quaternions, [N, 4]: r / sqrt(|r|^2 + 1e-24). */
+  /** Quaternions, [N, 4]: r / sqrt(|r|^2 + 1e-24), without squares that overflow. */
   function unit(r) {
-    const lengths = Float64Array.from({ length: r.length / 4 }, (_, n) => length(r, n, 4));
-    return r.map((v, i) => v / Math.hypot(lengths[i >> 2], 1e-12));
+    const unit = new Float64Array(r.length);
+    for (let i = 0; i < r.length; i += 4) {
+      const length = Math.hypot(r[i], r[i + 1], r[i + 2], r[i + 3], 1e-12);
+      for (let j = i; j < i + 4; j++) unit[j] = r[j] / length;
+    }
+    return unit;
   }
 
   /** Arrays of `rows` rows side by side; `parts` are pairs [array, width]. One row is repeated. */
@@ -816,23 +817,20 @@
   /** Eq. (2): delta_vc = |x_a - x_c|, d_vc = (x_a - x_c) / delta_vc, zeros at distance 0. */
   function view(x_a, x_c) {
     const away = x_a.map((x, i) => x - x_c[i % 3]);
-    const delta_vc = Float64Array.from({ length: x_a.length / 3 }, (_, a) => length(away, a, 3));
+    const length = (a) => Math.hypot(away[3 * a], away[3 * a + 1], away[3 * a + 2]);
+    const delta_vc = Float64Array.from({ length: x_a.length / 3 }, (_, a) => length(a));
     return { delta_vc, d_vc: away.map((v, i) => v / (delta_vc[Math.floor(i / 3)] || 1)) };
   }
 
   /** Eq. (3): alpha = tanh(psi_alpha(f_a, delta_vc, d_vc)), [A, k]. `inputs` are those three. */
   const opacity = (psi_alpha, inputs, A) => mlp(psi_alpha, inputs, A).map(Math.tanh);
-
   /** Eq. (3'): color = sigmoid(psi_c(f_a, delta_vc, d_vc)), [A, k, 3]. */
   const color = (psi_c, inputs, A) => mlp(psi_c, inputs, A).map(sigmoid);
-
   /** Eq. (3'): r = psi_r(f_a, delta_vc, d_vc) / |psi_r(...)|, [A, k, 4]. */
   const rotation = (psi_r, inputs, A) => unit(mlp(psi_r, inputs, A));
-
   /** Eq. (4): s = s_a * sigmoid(psi_s(f_a, delta_vc, d_vc)), [A, k, 3]. */
   const scale = (psi_s, s_a, inputs, A) =>
     mlp(psi_s, inputs, A).map((y, i, all) => ofAnchor(s_a, i, all) * sigmoid(y));
-
   /** Children that are drawn: those with mask 1 and alpha >= tau_alpha, as a k + child. */
   const masking = (alpha, masks, tau_alpha) =>
     Int32Array.from(alpha.keys()).filter((i) => masks[i] && alpha[i] >= tau_alpha);
@@ -1031,5 +1029,5 @@
   Object.assign(exported, { color, rotation, scale, masking, gather, beside, positionalEncoding });
   Object.assign(exported, { deformation, deformed, rotationMatrix, covariance, projection });
   Object.assign(exported, { compositing, spatialPrediction, temporalPrediction, splatting });
-  Object.assign(exported, { render, centreOf });
+  Object.assign(exported, { render, centreOf, gaussianTable });
 })(typeof module === "object" ? module.exports : (globalThis.p4dgs = {}));
