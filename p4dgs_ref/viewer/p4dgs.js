@@ -151,7 +151,7 @@
     const right = crc === frame.integer(4, end - 4);
     frame.need(right || version === 2, "the checksum of the table is wrong", end - 4, "checksum");
     frame.at = begin;
-    const rows = version === 1 ? rowsOf1(frame, n) : rowsOf2(frame, n);
+    const rows = readRows(frame, end - 4, version === 1 ? [1, 4, 4] : [0, n, 0]);
     const stored = end + total(rows.map((row) => row.length));
     frame.need(stored === size, `the sections end at byte ${stored} of ${size}`, begin, "length");
     frame.need(right, "the checksum of the file is wrong", end - 4, "checksum");
@@ -165,22 +165,20 @@
     return { version, sections };
   }
 
-  /** Version 1: of S sections the id, length and checksum. */
-  function rowsOf1(frame, S) {
-    let last = 0;
-    return Array.from({ length: S }, () => {
-      const id = frame.integer(1);
+  /** The rows of the table: of a section its id, length and checksum, in so many bytes. Without
+   *  ids all sections have a row, with the length plus 1, or 0 where there is no section. */
+  function readRows(frame, end, [ids, lengths, checksums]) {
+    const rows = [];
+    for (let last = 0; frame.at < end; ) {
+      const id = ids ? frame.integer(ids) : last + 1;
       const follows = last < id && id <= SECTIONS.length;
       frame.need(follows, `section ${id} after ${last}`, frame.at - 1, "table");
       last = id;
-      return { name: SECTIONS[id - 1], length: frame.integer(4), crc: frame.integer(4) };
-    });
-  }
-
-  /** Version 2: of every section its length plus 1 in w bytes, or 0 where there is none. */
-  function rowsOf2(frame, w) {
-    const rows = SECTIONS.map((name) => ({ name, length: frame.integer(w) - 1 }));
-    return rows.filter(({ length }) => length >= 0);
+      const length = frame.integer(lengths) - (ids ? 0 : 1);
+      const row = { name: SECTIONS[id - 1], length, crc: frame.integer(checksums) };
+      if (length >= 0) rows.push(row);
+    }
+    return rows;
   }
 
   // --- header: the design, and what it promises -------------------------------------------------
