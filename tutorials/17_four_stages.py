@@ -41,9 +41,8 @@ from p4dgs_ref import PRESETS, SETTINGS, decode, encode, evaluate, load_scene
 paper = PRESETS["paper_synthetic"]
 
 lasts = np.diff(paper.stage_ends, prepend=0)
-assert lasts.tolist() == [3000, 2000, 5000, 30000]
+assert (lasts.tolist(), 100 * lasts[3] / lasts.sum()) == ([3000, 2000, 5000, 30000], 75)
 assert [paper.stage(i) for i in (0, 4999, 5000, 10_000)] == [1, 2, 3, 4]
-assert 100 * lasts[3] / lasts.sum() == 75
 
 # %% [markdown]
 # The effect of noise can be computed for a single scalar. Let a feature $f = 0.7$ have the loss
@@ -127,8 +126,7 @@ for end in ends:
     print(f"stage {stage}: noise {on.stage > 1!s:5}  time {on.stage > 2!s:5}", end="  ")
     print(f"rate {on.located is not None!s:5}  unchanged:", *sorted(set(rates) - moved[-1]))
 assert [len(stems) for stems in moved] == [9, 9, 10, 12]
-assert moved[2] - moved[1] == {"psi_d"}
-assert moved[2] - moved[3] == {"x_a"}
+assert (moved[2] - moved[1], moved[2] - moved[3]) == ({"psi_d"}, {"x_a"})
 
 # %% [markdown]
 # The positions move in stages 1 to 3 and are frozen in stage 4, because the decoder must query
@@ -364,8 +362,7 @@ for name, end_of_stage_1 in (("without noise", 300), ("with noise", 60)):
         table[name].append(evaluate(scored, quiet)[0]["psnr_db"])
     print(f"{name:14s} as trained {table[name][0]:.2f} dB, rounded {table[name][1]:.2f} dB")
 without, noisy = table.values()
-assert without[0] > noisy[0]
-assert without[1] < noisy[1]
+assert without[0] - noisy[0] > 0 > without[1] - noisy[1]
 
 # %% [markdown]
 # Only one habit reveals this mistake: always evaluate the *decoded* model, never the trainer's

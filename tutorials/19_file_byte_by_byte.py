@@ -39,8 +39,7 @@ data = (published.FOLDER / "one_anchor.p4dgs").read_bytes()  # one anchor with o
 parts = container.layout(data)
 sizes = [size for _, size in parts]
 S = len(parts) - 2
-assert sum(sizes) == len(data)
-assert 14 + 9 * S + 4 + sum(sizes[2:]) == len(data)
+assert sum(sizes) == 14 + 9 * S + 4 + sum(sizes[2:]) == len(data)
 print(len(data), "bytes:", ", ".join(f"{name} {size}" for name, size in parts))
 
 # %% [markdown]
@@ -55,8 +54,7 @@ head = b"\x89P4D\r\n\x1a\n"  # the magic number
 head += struct.pack("<BBI", 1, 1, 30)  # version, number of sections, length of the file
 head += struct.pack("<BII", 7, 3, zlib.crc32(body))  # a row of the table: id, length, checksum
 smallest = head + struct.pack("<I", zlib.crc32(head)) + body
-assert len(smallest) == 30
-assert smallest[10:14].hex(" ") == "1e 00 00 00"
+assert (len(smallest), smallest[10:14].hex(" ")) == (30, "1e 00 00 00")
 assert container.read_container(smallest) == {"masks": body}
 
 # %% [markdown]
@@ -119,8 +117,7 @@ for row in range(count):
     assert zlib.crc32(body) == crc
     sections[container.SECTIONS[section - 1]] = body
     start += length
-assert start == total
-assert sections == container.read_container(data)
+assert (start, sections) == (total, container.read_container(data))
 print(sections["header"].decode())
 
 # %% [markdown]
@@ -138,8 +135,7 @@ header = json.loads(sections["header"])
 box = struct.unpack_from("<6f", sections["positions"])
 n = struct.unpack_from("<3H", sections["positions"], 24)
 x_a = [lo + i * ((hi - lo) / 65535) for lo, hi, i in zip(box[:3], box[3:], n)]
-assert x_a == [-1.5, -1.0, 0.25]
-assert len(sections["positions"]) == 24 + 6 * header["anchors"]
+assert (x_a, len(sections["positions"])) == ([-1.5, -1.0, 0.25], 24 + 6 * header["anchors"])
 weights = np.frombuffer(sections["context_mlps"], "<f2")
 assert np.isfinite(weights).all()
 
@@ -167,8 +163,7 @@ for _ in range(4):
     else:
         signs.append(1)
         x = x // 2**24 * p_plus + slot - p_minus
-assert signs == [1, 1, 1, -1]
-assert x == 2**31  # the value with which the encoder began
+assert (signs, x) == ([1, 1, 1, -1], 2**31)  # and the value with which the encoder began
 
 # %% [markdown]
 # **Features, scales and offsets** are the symbols $\lfloor f/q\rceil$. Each symbol has a
@@ -191,8 +186,7 @@ x = int.from_bytes(sections["features"][1:], "little")
 assert x == 0x80C0D682
 block = int(np.searchsorted(table.keys, x % 2**24, "right")) - 1
 symbol = table.lowest[0] + block
-assert symbol == 2
-assert quantised.model.anchors.f_a[0, 0] == 2 * quantised.context.q[0, 0]
+assert (symbol, quantised.model.anchors.f_a[0, 0]) == (2, 2 * quantised.context.q[0, 0])
 widths_of_blocks = np.diff(table.keys)[:5].tolist()
 print("the feature's table:")
 for i, width in enumerate(widths_of_blocks):

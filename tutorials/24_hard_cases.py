@@ -31,8 +31,7 @@ EPS_64 = float(np.finfo(np.float64).eps)
 # $$\frac{|\delta(a-b)|}{|a-b|} \;\lesssim\; \epsilon\;\frac{|a|+|b|}{|a-b|}.$$
 
 # %%
-assert round(-math.log10(EPS_32)) == 7
-assert round(-math.log10(EPS_64)) == 16
+assert [round(-math.log10(eps)) for eps in (EPS_32, EPS_64)] == [7, 16]
 a = 1.0
 for b in (0.999, 1 - 1e-6):
     difference = float(np.float32(a) - np.float32(b))
@@ -73,8 +72,7 @@ assert four_digits(ndtr(5.5)) == four_digits(ndtr(4.5))
 # digits are lost. For the second way it is 1.1.
 
 # %%
-assert round((up + down) / (up - down)) == 332
-assert round((near + far) / (near - far), 1) == 1.1
+assert [round((a + b) / (a - b), 1) for a, b in ((up, down), (near, far))] == [332.3, 1.1]
 
 # %% [markdown]
 # ## In code
@@ -121,11 +119,14 @@ def share(name, dtype, wrong):
     return wrong(found[name, dtype]).mean()
 
 
-assert round(share("literal", "float64", np.isinf), 2) == 0.34
-assert round(share("literal", "float32", np.isinf), 2) == 0.52
-assert round(share("HAC, floor 1e-6", "float64", lambda log: log > -2), 2) == 0.56
-assert share("stable", "float32", lambda log: log > math.log10(2e-6)) == 0
-assert share("stable", "float64", lambda log: log > -12) == 0
+shares = {
+    ("literal", "float64", np.isinf): 0.34,
+    ("literal", "float32", np.isinf): 0.52,
+    ("HAC, floor 1e-6", "float64", lambda log: log > -2): 0.56,
+    ("stable", "float32", lambda log: log > math.log10(2e-6)): 0,
+    ("stable", "float64", lambda log: log > -12): 0,
+}
+assert all(round(share(*case), 2 if want else 99) == want for case, want in shares.items())
 
 # %%
 figure, axes = plt.subplots(2, 3, figsize=(10, 7), sharex=True, sharey=True, layout="constrained")
@@ -217,8 +218,7 @@ def exact_dissimilarity():
 
 exact = exact_dissimilarity()
 single = image.astype(np.float32), truth.astype(np.float32)
-assert round(exact * 1e10, 2) == 1.03
-assert 1 - ssim.forward(*single)[0] == 0
+assert (round(exact * 1e10, 2), 1 - ssim.forward(*single)[0]) == (1.03, 0)
 assert abs(ssim.dissimilarity(*single)[0] / exact - 1) < 1e-9
 by_subtraction = 1 - float(ssim.forward(image, truth)[0])
 assert 1e-8 < abs(by_subtraction / exact - 1) < 1e-5  # even float64 has lost half of its digits
@@ -358,8 +358,7 @@ verdicts = {}
 for result in report.results:
     verdicts.setdefault(result.verdict, set()).add(result.id.split("/")[1])
 print("failed:", verdicts["fail"], "not asked:", verdicts["unasked"])
-assert verdicts["fail"] == {"H-G3.1e4px"}
-assert verdicts["unasked"] == {"behind", "needle"}
+assert (verdicts["fail"], verdicts["unasked"]) == ({"H-G3.1e4px"}, {"behind", "needle"})
 assert "ordinary" in verdicts["pass"]
 
 # %% [markdown]

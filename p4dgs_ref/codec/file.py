@@ -26,6 +26,11 @@ All numbers are little-endian. A decoder needs the sections in another order: it
 positions, hash_grid and context_mlps and computes the coding context (`context.py`). It can then
 read the Gaussian sections in any order, but masks before offsets.
 
+Where a file has several mistakes, decoders may name different ones. This one names the first in
+this order: the container; header and its limits; a section that is missing or unexpected, by id;
+then positions, anchor_mlps, context_mlps, deformation_mlp, hash_grid, masks, features, scales,
+offset_scales and offsets.
+
 Every section is present, also an empty one (offsets where no child is kept), with one exception:
 deformation_mlp is present if and only if the header lists translation, rotation or scaling. A
 section of plain or float16 numbers has exactly their length. The box has lo <= hi and coordinates

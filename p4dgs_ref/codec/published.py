@@ -15,8 +15,9 @@ objects:
            unexpected (a section), header (its content), number (a weight or the box), stream (an
            entropy-coded message; the r of the positions). An impossible state is refused where it
            begins, behind the byte of lanes (`state_too_small`: byte 1; `idle_high_word`: byte 5,
-           as its section begins with a probability), and gaps that add up to too much at r
-           (`coded_overrun`: byte 24).
+           as its section begins with a probability), gaps that add up to too much at r
+           (`coded_overrun`: byte 24), and a gamma code without an end among the gaps where their
+           raw bits begin (`coded_endless_gap`: byte 25).
 
 The streams whose names begin with `coded_` have version 2. Their `header` is the JSON as it stands
 in the file, without what the base design says. A port must read version 1. It may refuse or skip

@@ -14,6 +14,10 @@ nothing else. A port may log to stderr; its end is quoted when something goes wr
     port      {"id": "codec/full", "arrays": {"positions": ARRAY, ...}}
            or {"id": "codec/full", "refused": "why"}, or skip or error as above
 
+A port may say in its first line what it lacks. With "gradients": false its outputs alone are
+judged, and `in_bar` may be missing. With a list "subjects", such as ["offsets", "codec"], it is
+asked for these alone, and no other subject is required of it. The report says both.
+
 ARRAY is {"dtype": "F64", "shape": [5, 3], "data": BASE64}: the numbers row by row, little-endian,
 with safetensors' names of types. Lists are flat: weights.0, weights.1. Floats have the dtype of the
 first line. The time limit of an answer covers compilation; `--timeout` raises it. At the end stdin
@@ -36,7 +40,8 @@ import time
 import numpy as np
 
 from .compare import cast
-from .ports import PortError
+from .ports import ROLES, PortError
+from .published import subjects
 from .safetensors import TensorError, array_of, json_object, record_of
 
 VERSION = 1
@@ -63,14 +68,15 @@ class Adapter(contextlib.AbstractContextManager):
         if not self.command or shutil.which(self.command[0]) is None:
             raise AdapterError(f"adapter {command!r}: expected a command that can be run")
         self.timeout, self.dtype = timeout, np.dtype(dtype)
-        self.child = None
+        # The process, what it said of itself in its first line, and the tensors it is asked for.
+        self.child, self.says, self.asked = None, {}, ROLES
         self.lost = []  # the subject, or the start of the process, of each failure in a row
         self.last = None  # the last failure
 
     def run(self, case):
         """Return the outputs and gradients of one case: {"out.x": array, "in_bar.x_a": array}.
 
-        Raises PortError of the kinds died, hung, nonsense, error, skipped and unasked.
+        Raises PortError of the kinds died, hung, nonsense, error, skipped, absent and unasked.
         """
         if case.tolerance(self.dtype.name) is None:
             raise PortError("unasked", case.record["tolerance"][f"{self.dtype.name}_reason"])
@@ -84,9 +90,9 @@ class Adapter(contextlib.AbstractContextManager):
         }
         answer = self._ask(request, case.subject)
         return {
-            f"{role}.{name}": a
-            for role in ("out", "in_bar")
-            for name, a in unpacked(answer, role).items()
+            f"{role}{name}": a
+            for role in self.asked
+            for name, a in unpacked(answer, role.strip(".")).items()
         }
 
     def decode(self, name, data):
@@ -111,8 +117,8 @@ class Adapter(contextlib.AbstractContextManager):
     @np.errstate(over="ignore")  # beyond float32: infinite, as in every port
     def _packed(self, case, prefix):
         """Return the tensors of a role as ARRAYs in the precision of the check."""
-        tensors = {n: a for n, a in case.tensors.items() if n.startswith(prefix)}
-        return {n.removeprefix(prefix): packed(a) for n, a in cast(tensors, self.dtype).items()}
+        tensors = cast(case.tensors, self.dtype).items()
+        return {n.removeprefix(prefix): packed(a) for n, a in tensors if n.startswith(prefix)}
 
     def _ask(self, request, subject):
         """Return the answer to a request. Raises PortError, also where the port skips or fails.
@@ -126,15 +132,26 @@ class Adapter(contextlib.AbstractContextManager):
         try:
             if self.child is None:
                 self.child = Child(self.command)
-                self._exchange({"p4dgs_oracle": VERSION, "dtype": self.dtype.name}, "p4dgs_oracle")
+                self.says = self._exchange(
+                    {"p4dgs_oracle": VERSION, "dtype": self.dtype.name}, "p4dgs_oracle"
+                )
+                self.asked = ROLES[:1] if self.says.get("gradients") is False else ROLES
+                listed, known = self.says.get("subjects", []), [*subjects(), "codec"]
+                need(
+                    isinstance(listed, list) and all(name in known for name in listed),
+                    f"subjects: expected a list of some of {', '.join(known)}, got {listed}",
+                )
             stage = subject
-            answer = self._exchange(request, "id")
+            named = subject in self.says.get("subjects", [subject])
+            answer = self._exchange(request, "id") if named else {}
         except PortError as error:
             words = self.close(grace=0)
             self.lost.append(stage)
             self.last = PortError(error.kind, f"{error}{f'; stderr: {words}' if words else ''}")
             raise self.last from None
         self.lost.clear()
+        if not named:
+            raise PortError("absent", "the port does not name this subject in its first line")
         for field, kind in ("skip", "skipped"), ("error", "error"):
             if answer.get(field) is not None:
                 raise PortError(kind, _short(answer[field]))

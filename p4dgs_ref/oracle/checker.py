@@ -7,7 +7,7 @@ import numpy as np
 
 from . import doctor, published
 from .compare import RECIPES, Result, as_printed, compare, expected, precision
-from .ports import FunctionPort, PortError
+from .ports import ROLES, FunctionPort, PortError
 from .published import GROUPS, LEVELS
 from .report import text
 
@@ -16,6 +16,7 @@ class Report(NamedTuple):
     """All verdicts, in the order in which data flows."""
 
     results: list
+    says: dict = {}  # the first line of a port that runs as a process
 
     @property
     def ok(self):
@@ -56,8 +57,7 @@ def check(forward, key, vjp=None, strict=False):
     are whatever `np.asarray` reads. `strict` fails what is acceptable because the printed formula
     is no better. Raises KeyError where `key` is no subject.
     """
-    roles = ("out.", "in_bar.") if vjp else ("out.",)
-    return Report(check_subject(published.cases(key), FunctionPort(forward, vjp), roles, strict))
+    return Report(check_subject(published.cases(key), FunctionPort(forward, vjp), strict))
 
 
 def check_port(
@@ -86,16 +86,17 @@ def check_port(
             names = {subject["key"], subject["equation"], subject.get("group")}
             if subject["level"] == level and (not only or names & only):
                 progress(subject["key"])
-                results += check_subject(published.read(subject), port, strict=strict)
-    return Report(_shared(results))
+                results += check_subject(published.read(subject), port, strict)
+    return Report(_shared(results), getattr(port, "says", {}))
 
 
-def check_subject(cases, port, roles=("out.", "in_bar."), strict=False):
+def check_subject(cases, port, strict=False):
     """Return the results of one subject's cases. Wrong answers are explained by the doctor.
 
-    A port may leave out a subject of a group, but not some of its cases.
+    A port may leave out a subject of a group, but not some of its cases. Where it has a field
+    `asked`, only its tensors of these roles are judged.
     """
-    judged = [judge(case, port, roles, strict) for case in cases]
+    judged = [judge(case, port, strict) for case in cases]
     results = [result for result, _ in judged]
     if cases[0].group and all(r.verdict in ("skipped", "missing", "unasked") for r in results):
         return [r._replace(required=False) for r in results]
@@ -110,7 +111,7 @@ def check_subject(cases, port, roles=("out.", "in_bar."), strict=False):
     return [explained(r, diagnoses) for r in results]
 
 
-def judge(case, port, roles=("out.", "in_bar."), strict=False):
+def judge(case, port, strict=False):
     """Return the Result of one case, and what the port answered, or None."""
     try:
         got = {name: np.asarray(a) for name, a in port.run(case).items()}
@@ -120,14 +121,14 @@ def judge(case, port, roles=("out.", "in_bar."), strict=False):
             case.equation,
             case.level,
             verdict=error.kind,
-            required=case.record["result"] == "valid" and error.kind != "unasked",
+            required=case.record["result"] == "valid" and error.kind not in ("unasked", "absent"),
             explanation=str(error),
             group=case.group,
         ), None
-    return judge_answer(case, got, roles, strict), got
+    return judge_answer(case, got, getattr(port, "asked", ROLES), strict), got
 
 
-def judge_answer(case, got, roles=("out.", "in_bar."), strict=False):
+def judge_answer(case, got, roles=ROLES, strict=False):
     """Return the Result of one case for the answer {"out.x": array, "in_bar.x_a": array}."""
     is_valid, unasked = case.record["result"] == "valid", case.unasked(precision(got))
     # Of the group `inside` a port may answer some tensors; of all others every one is expected.

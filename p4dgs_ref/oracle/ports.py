@@ -12,11 +12,14 @@ from .compare import expected, precision
 from .published import FOLDER, flatten, meant, read_manifest, subjects
 from .safetensors import need
 
+ROLES = "out.", "in_bar."  # outputs and gradients: the tensors that a port is asked for
+
 
 class PortError(Exception):
     """A port gave no answer to a case. The message is one line.
 
-    `kind` is missing, damaged, died, hung, nonsense, error, skipped or unasked.
+    `kind` is missing, damaged, died, hung, nonsense, error, skipped, absent (of a subject that the
+    port says it lacks) or unasked.
     """
 
     def __init__(self, kind, message):
@@ -108,7 +111,7 @@ class FunctionPort:
     """A Python function as a port. It may return any arrays that `np.asarray` reads."""
 
     def __init__(self, forward, vjp=None):
-        self.forward, self.vjp = forward, vjp
+        self.forward, self.vjp, self.asked = forward, vjp, ROLES if vjp else ROLES[:1]
 
     def run(self, case):
         """Call the function with the inputs of a case. Raises PortError."""

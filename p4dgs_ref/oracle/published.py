@@ -89,11 +89,6 @@ def subjects():
     return {subject["key"]: subject for subject in read_manifest()["subjects"]}
 
 
-def equations():
-    """Return the keys of the paper's equations, in the order in which data flows."""
-    return [key for key, row in subjects().items() if row["level"] == "L1" and "group" not in row]
-
-
 def names():
     """Return all names that `oracle check --only` accepts: subjects, groups, and the codec."""
     return sorted([*subjects(), *GROUPS, "codec"])

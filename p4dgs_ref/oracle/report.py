@@ -12,15 +12,14 @@ FEWER = "right formula, fewer digits here; the recipe is"
 def name_of(equation):
     """Return `Eq. (11) likelihood`, `D1 activations`, or the key alone where there is no number."""
     number = subjects().get(equation, {"number": ""})["number"]
-    heading = f"Eq. ({number})" if number[:1].isdigit() else number
-    return f"{heading} {equation}".strip()
+    return f"{f'Eq. ({number})' if number[:1].isdigit() else number} {equation}".strip()
 
 
 def text(report):
     """Return the scores, what was not judged, the first divergence, and what else failed."""
     return "\n".join(
         line
-        for section in (scores, left_out, unasked, acceptable, divergence)
+        for section in (scores, lacking, left_out, unasked, acceptable, divergence)
         for line in section(report)
     )
 
@@ -30,6 +29,16 @@ def scores(report):
     for level, row in report.levels().items():
         also = f", {row['acceptable']} acceptable" if row["acceptable"] else ""
         yield f"{f'{level} ' + row['says']:<18} {row['passed']:>4} of {row['of']}{also}"
+
+
+def lacking(report):
+    """Return what the port said in its first line that it lacks."""
+    absent = Counter(r.subject for r in report.results if r.verdict == "absent")
+    return [
+        *["the port answers no gradients: outputs alone were judged"]
+        * (report.says.get("gradients") is False),
+        *[f"the port lacks {', '.join(absent)}: {absent.total()} cases not asked"] * bool(absent),
+    ]
 
 
 def left_out(report):
@@ -77,10 +86,12 @@ def divergence(report):
 
 def _case(result):
     head, said = _reason(result)
-    lines = [f"{head}: {said}"] if said else []
-    lines += [_difference(result, finding) for finding in result.findings[:SHOWN]]
-    lines += [f"and {len(result.findings) - SHOWN} more tensors"] * (len(result.findings) > SHOWN)
-    return [f"  {result.id}: {result.verdict}", *(f"    {line}" for line in lines)]
+    return [
+        f"  {result.id}: {result.verdict}",
+        *[f"    {head}: {said}"] * bool(said),
+        *(f"    {_difference(result, finding)}" for finding in result.findings[:SHOWN]),
+        *[f"    and {len(result.findings) - SHOWN} more tensors"] * (len(result.findings) > SHOWN),
+    ]
 
 
 def _difference(result, finding):
@@ -144,6 +155,8 @@ def as_json(report):
         "levels": report.levels(),
         "cases": cases,
         "first_divergence": report.first.equation if report.first else None,
+        "gradients": report.says.get("gradients") is not False,
+        "lacking": list(dict.fromkeys(r.subject for r in report.results if r.verdict == "absent")),
     }
     return json.loads(json.dumps(value), parse_constant=lambda _: None)
 

@@ -67,8 +67,10 @@ def load(data):
     header.pop("__metadata__", None)
     for name, record in header.items():
         offsets: Any = record.get("data_offsets") if isinstance(record, dict) else None
-        two = naturals(offsets) and len(offsets) == 2
-        need(two, f"{name}.data_offsets: expected two integers, none of them negative")
+        need(
+            naturals(offsets) and len(offsets) == 2,
+            f"{name}.data_offsets: expected two integers, none of them negative",
+        )
         arrays[name] = array_of(name, record, body[slice(*offsets)])
     return arrays
 
@@ -78,13 +80,17 @@ def array_of(name, record, data):
     code, shape = DTYPES.get(str(record.get("dtype"))), record.get("shape")
     known = f"one of {', '.join(DTYPES)}; bfloat16 is not judged, the vectors' page says why"
     need(code, f"{name}.dtype: expected {known}")
-    possible = naturals(shape) and len(shape) <= 32 and max(shape, default=0) < 2**31
-    need(possible, f"{name}.shape: expected a list of integers, none of them negative")
+    need(
+        naturals(shape) and len(shape) <= 32 and max(shape, default=0) < 2**31,
+        f"{name}.shape: expected a list of integers, none of them negative",
+    )
     size = math.prod(shape) * np.dtype(code).itemsize  # Python's integers do not overflow
     said = f"expected {size} bytes for {record['dtype']} {shape}, got {len(data)}"
     need(len(data) == size, f"{name}: {said}")
-    bits = code != "|b1" or not bytes(data).strip(b"\0\1")
-    need(bits, f"{name}: expected bytes 0 and 1 for BOOL")
+    need(
+        code != "|b1" or not bytes(data).strip(b"\0\1"),
+        f"{name}: expected bytes 0 and 1 for BOOL",
+    )
     return np.frombuffer(data, code).reshape(shape)
 
 

@@ -82,8 +82,12 @@ def optional(results, valid):
     answer, or refuses it although it is valid. A port that fails in any other way tried to read it.
     """
     coded = [r for r in results if r.id.startswith(VERSION_2)]
-    left = {r.id for r in coded if r.verdict in ("skipped", "missing")}
-    left |= {r.id for r in coded if r.id in valid and r.verdict == "fail" and not r.findings}
+    left = {
+        r.id
+        for r in coded
+        if r.verdict in ("skipped", "missing")
+        or (r.id in valid and r.verdict == "fail" and not r.findings)
+    }
     if any(r.id in valid - left for r in coded):
         return results
     return [r._replace(verdict="skipped", required=False) if r.id in left else r for r in results]
@@ -95,7 +99,7 @@ def judge(row, good, decode):
     try:
         arrays, refused = decode(row["name"], (published.FOLDER / row["file"]).read_bytes())
     except PortError as error:
-        return Result(id, "codec", "L3", error.kind, True, explanation=str(error))
+        return Result(id, "codec", "L3", error.kind, error.kind != "absent", explanation=str(error))
     if good and refused is None:
         entries = {entry["name"]: entry for entry in row["arrays"]}
         want = {name: stored(row, entries[name]) for name in BLAMED if name in entries}
@@ -115,8 +119,8 @@ def stored(row, entry):
     count = int(np.prod(shape))
     body = (published.FOLDER / row["expected"]).read_bytes()
     if kind == "bit":
-        packed = np.frombuffer(body, np.uint8, -(-count // 8), at)
-        return np.unpackbits(packed, bitorder="little")[:count].reshape(shape)
+        bits = np.unpackbits(np.frombuffer(body, np.uint8, -(-count // 8), at), bitorder="little")
+        return bits[:count].reshape(shape)
     return np.frombuffer(body, published.TYPES[kind], count, at).reshape(shape)
 
 
@@ -138,8 +142,9 @@ def export(folder, version=VERSIONS[-1]):
             if file.is_file() and asked:
                 shutil.copyfile(file, beside / file.name)
         if version != VERSIONS[-1]:
-            text = json.dumps(manifest, separators=(",", ":"))
-            (beside / "manifest.json").write_text(text, encoding="utf-8")
+            (beside / "manifest.json").write_text(
+                json.dumps(manifest, separators=(",", ":")), encoding="utf-8"
+            )
         write_streams(beside)
     return sum(len(row["cases"]) for row in manifest["subjects"]) + len(manifest["streams"])
 

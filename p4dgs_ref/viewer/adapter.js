@@ -2,15 +2,12 @@
 //
 //     p4dgs-ref oracle check --adapter "node p4dgs_ref/viewer/adapter.js"
 //
-// The port has no backward functions and no training, and the page asks for gradients where a
-// subject has them. So it skips these subjects; with the argument --outputs it answers their
-// outputs, with no gradients, for a checker that judges outputs alone.
+// Its first line says what the port lacks: it has no backward functions, and no training.
 "use strict";
 
 const readline = require("readline");
 const p4dgs = require("./p4dgs.js");
 
-const OUTPUTS_ALONE = process.argv.includes("--outputs");
 const TYPES = {
   F64: Float64Array,
   F32: Float32Array,
@@ -275,7 +272,7 @@ function arraysOf(model) {
 function answerTo(request) {
   if ("p4dgs_oracle" in request) {
     floats = request.dtype === "float32" ? "F32" : "F64";
-    return { p4dgs_oracle: 1 };
+    return { p4dgs_oracle: 1, gradients: false, subjects: [...Object.keys(PORT), "codec"] };
   }
   if ("stream" in request) {
     try {
@@ -287,14 +284,9 @@ function answerTo(request) {
       return { refused: error.message, section, offset, kind };
     }
   }
-  const port = PORT[request.subject];
-  if (port === undefined) return { skip: "not part of a decoder that draws" };
-  if (!OUTPUTS_ALONE && Object.keys(request.out_bar).length) {
-    return { skip: "outputs only: this port has no backward functions" };
-  }
   const tensors = Object.entries(request.in).map(([name, array]) => [name, unpacked(array)]);
-  const out = port(Object.fromEntries(tensors), request.settings);
-  return out.skip ? out : { out, in_bar: {} };
+  const out = PORT[request.subject](Object.fromEntries(tensors), request.settings);
+  return out.skip ? out : { out };
 }
 
 readline.createInterface({ input: process.stdin }).on("line", (line) => {

@@ -11,11 +11,62 @@
 // the camera, focal lengths and principal point in pixels, and [width, height].
 //
 // Names are the paper's. Axes: A anchors, k children each, d feature width, N Gaussians, F hash
-// features. Arrays are typed and flat, row by row; `// [A, k, 3]` says how they are meant.
+// features. Arrays are typed and flat, row by row; [A, k, 3] says how they are meant.
 "use strict";
 
 (function (exported) {
-  // --- errors -----------------------------------------------------------------------------------
+  // --- small functions --------------------------------------------------------------------------
+  const clip = (v, low, high) => Math.min(Math.max(v, low), high);
+  const total = (values) => values.reduce((a, b) => a + b, 0);
+  const largest = (values) => values.reduce((most, v) => Math.max(most, Math.abs(v)), 0);
+  // v / 2^s, rounded to the nearest integer and ties up; v itself where s is 0.
+  const shifted = (v, s) => Math.floor((v + Math.floor(2 ** s / 2)) / 2 ** s);
+  // Between entries i and i + 1 of a table, r parts of `unit` behind the first.
+  const between = (T, i, r, unit) => T[i] + Math.floor(((T[i + 1] - T[i]) * r) / unit);
+
+  /** Rounded to the nearest integer, ties to even. Math.round alone rounds them up. */
+  function roundHalfEven(v) {
+    const up = Math.round(v);
+    return Math.abs(v % 1) === 0.5 && up % 2 !== 0 ? up - 1 : up;
+  }
+
+  /** The least integer p with v < 2^p, and 0 for 0: of an integer, the number of its digits. */
+  function exponent(v) {
+    const words = new Uint32Array(Float64Array.of(v).buffer); // the double itself says it
+    return v > 0 ? (words[1] >>> 20) - 1022 : 0;
+  }
+
+  /** CRC-32 of parts of bytes: polynomial 0xEDB88320 (reflected), initial and final value ~0. */
+  function crc32(...parts) {
+    let crc = ~0;
+    for (const part of parts) {
+      for (const byte of part) {
+        crc ^= byte;
+        for (let bit = 0; bit < 8; bit++) crc = (crc >>> 1) ^ (crc & 1 && 0xedb88320);
+      }
+    }
+    return ~crc >>> 0;
+  }
+
+  // --- the tables of integers, from their formulas ----------------------------------------------
+  /** The normal distribution function: 1/2 + phi(z) (z + z^3 / 3 + z^5 / (3 5) + ...). */
+  function normal(z) {
+    let [sum, term] = [0, z];
+    for (let n = 3; Math.abs(term) > 1e-18; n += 2) {
+      sum += term;
+      term *= (z * z) / n;
+    }
+    return 0.5 + (Math.exp((-z * z) / 2) / Math.sqrt(2 * Math.PI)) * sum;
+  }
+
+  // No entry is closer to a tie than 4e-6, so the last digits of Math.exp and log2 do not matter.
+  const table = (length, value) => Float64Array.from({ length }, (_, i) => Math.round(value(i)));
+  const PHI = table(769, (i) => 2 ** 24 * normal(i / 64 - 6));
+  const EXP2 = table(16, (i) => 2 ** (16 - i / 16));
+  const SIGMOID = table(641, (i) => 2 ** 24 / (1 + Math.exp(-2 * (i / 64 - 4))));
+  const LOG2 = table(257, (i) => 2 ** 16 * Math.log2(1 + i / 256));
+
+  // --- sections, and what is refused ------------------------------------------------------------
   /** A file that is refused: its section ("container" for the frame), the byte in it, the kind. */
   class Refused extends Error {
     constructor(section, offset, kind, said) {
@@ -24,899 +75,508 @@
     }
   }
 
-  function need(condition, section, offset, kind, said) {
-    if (!condition) throw new Refused(section, offset, kind, said);
-  }
-
-  // --- small functions on integers --------------------------------------------------------------
-  const clip = (v, low, high) => Math.min(Math.max(v, low), high);
-  const modulo = (v, m) => v - m * Math.floor(v / m);
-
-  /** The least integer p with v < 2^p, for v > 0. For integers: the number of binary digits. */
-  function exponent(v) {
-    let p = Math.ceil(Math.log2(v));
-    while (2 ** p <= v) p += 1;
-    while (2 ** (p - 1) > v) p -= 1;
-    return p;
-  }
-
-  const bitsOf = (v) => (v > 0 ? exponent(v) : 0);
-
-  /** Rounded to the nearest integer, ties to even. */
-  function roundHalfEven(v) {
-    const low = Math.floor(v);
-    const rest = v - low;
-    if (rest !== 0.5) return rest < 0.5 ? low : low + 1;
-    return low % 2 === 0 ? low : low + 1;
-  }
-
-  /** CRC-32 of parts of bytes: polynomial 0xEDB88320 (reflected), initial and final value ~0. */
-  function crc32(...parts) {
-    let crc = 0xffffffff;
-    for (const part of parts) {
-      for (const byte of part) crc = (crc >>> 8) ^ CRC_TABLE[(crc ^ byte) & 255];
-    }
-    return ~crc >>> 0;
-  }
-
-  const CRC_TABLE = Uint32Array.from({ length: 256 }, (_, byte) => {
-    let crc = byte;
-    for (let bit = 0; bit < 8; bit++) crc = crc & 1 ? (crc >>> 1) ^ 0xedb88320 : crc >>> 1;
-    return crc;
-  });
-
-  // --- the tables of integers, from their formulas ----------------------------------------------
-  const table = (length, value) => Float64Array.from({ length }, (_, i) => Math.round(value(i)));
-
-  /** The normal distribution function: 1/2 + phi(z) (z + z^3 / 3 + z^5 / (3 5) + ...). */
-  function normal(z) {
-    let sum = 0;
-    let term = z;
-    for (let n = 3; Math.abs(term) > 1e-18; n += 2) {
-      sum += term;
-      term *= (z * z) / n;
-    }
-    return 0.5 + (Math.exp((-z * z) / 2) / Math.sqrt(2 * Math.PI)) * sum;
-  }
-
-  const PHI = table(769, (i) => 2 ** 24 * normal(i / 64 - 6));
-  const EXP2 = table(16, (i) => 2 ** (16 - i / 16));
-  const SIGMOID = table(641, (i) => 2 ** 24 / (1 + Math.exp(-2 * (i / 64 - 4))));
-  const LOG2 = table(257, (i) => 2 ** 16 * Math.log2(1 + i / 256));
-  // Math.exp and Math.log2 may differ in their last digit; no entry is that close to a tie. The
-  // checksum of the page's tables, as integers of 4 bytes, says so for the engine at hand.
-  const TABLES = [...PHI, ...EXP2, ...SIGMOID, ...LOG2];
-  const TABLES_CRC = 0x338ce774;
-  if (crc32(new Uint8Array(Uint32Array.from(TABLES).buffer)) !== TABLES_CRC) {
-    throw new Error("this engine's Math.exp or Math.log2 is not precise enough");
-  }
-
-  // --- container: the frame of the file ---------------------------------------------------------
-  const MAGIC = [0x89, 0x50, 0x34, 0x44, 0x0d, 0x0a, 0x1a, 0x0a];
-  const SECTIONS = ["header", "positions", "features", "scales", "offset_scales", "offsets"];
-  SECTIONS.push("masks", "hash_grid", "deformation_mlp", "anchor_mlps", "context_mlps");
-  const MOST_BYTES = 2 ** 29;
-
-  const viewOf = (bytes) => new DataView(bytes.buffer, bytes.byteOffset, bytes.length);
-
-  /** The version of a file and its sections, {name: bytes}; all checksums are right. */
-  function openContainer(bytes) {
-    const frame = (condition, at, kind, said) => need(condition, "container", at, kind, said);
-    const size = bytes.length;
-    frame(size >= 18, Math.min(size, 10), "length", "expected at least 18 bytes");
-    frame(size <= MOST_BYTES, 10, "length", "expected at most 2^29 bytes");
-    frame(MAGIC.every((byte, i) => bytes[i] === byte), 0, "magic", "not a .p4dgs file");
-    const version = bytes[8];
-    frame(version === 1 || version === 2, 8, "version", `version ${version}, expected 1 or 2`);
-    const sections = version === 1 ? readVersion1(bytes, frame) : readVersion2(bytes, frame);
-    return { version, sections };
-  }
-
-  function readVersion1(bytes, frame) {
-    const view = viewOf(bytes);
-    const size = bytes.length;
-    const S = bytes[9];
-    const end = 18 + 9 * S;
-    frame(S <= SECTIONS.length, 9, "table", `${S} sections, expected at most 11`);
-    frame(view.getUint32(10, true) === size, 10, "length", `not the total length: ${size} bytes`);
-    frame(end <= size, 10, "length", "the section table reaches beyond the file");
-    const right = crc32(bytes.subarray(0, end - 4)) === view.getUint32(end - 4, true);
-    frame(right, end - 4, "checksum", "the checksum of the section table is wrong");
-    const sections = {};
-    let [last, at] = [0, end];
-    for (let row = 14; row < end - 4; row += 9) {
-      const id = bytes[row];
-      frame(id > last && id <= SECTIONS.length, row, "table", `section ${id} after ${last}`);
-      const length = view.getUint32(row + 1, true);
-      sections[SECTIONS[id - 1]] = { at, length, crc: view.getUint32(row + 5, true) };
-      [last, at] = [id, at + length];
-    }
-    frame(at === size, 14, "length", `the sections end at byte ${at} of ${size}`);
-    for (const [name, { at, length, crc }] of Object.entries(sections)) {
-      sections[name] = bytes.subarray(at, at + length);
-      need(crc32(sections[name]) === crc, name, 0, "checksum", "the checksum is wrong");
-    }
-    return sections;
-  }
-
-  function readVersion2(bytes, frame) {
-    const w = bytes[9];
-    frame(w >= 1 && w <= 4, 9, "table", `lengths of ${w} bytes, expected 1 to 4`);
-    const end = 14 + 11 * w;
-    frame(end <= bytes.length, 10, "length", "the lengths reach beyond the file");
-    const sections = {};
-    let at = end;
-    SECTIONS.forEach((name, i) => {
-      let stored = 0;
-      for (let byte = w - 1; byte >= 0; byte--) stored = 256 * stored + bytes[10 + i * w + byte];
-      if (stored === 0) return;
-      sections[name] = bytes.subarray(at, Math.min(at + stored - 1, bytes.length));
-      at += stored - 1;
-    });
-    frame(at === bytes.length, 10, "length", `the sections end at byte ${at} of ${bytes.length}`);
-    const crc = crc32(bytes.subarray(0, end - 4), bytes.subarray(end));
-    const right = crc === viewOf(bytes).getUint32(end - 4, true);
-    frame(right, end - 4, "checksum", "the checksum of the file is wrong");
-    return sections;
-  }
-
-  // --- header: the design, and what it promises -------------------------------------------------
-  const MOTION = ["translation", "scaling", "rotation"]; // in the order of the heads of psi_d
-  const EFFECTS = [...MOTION, "view_color", "view_geometry", "occlusion", "background"];
-
-  const isWhole = (low, high) => (v) => Number.isInteger(v) && low <= v && v <= high;
-  const isReal = (low, high) => (v) => typeof v === "number" && low <= v && v <= high;
-  const isList = (low, high, is) => (v) =>
-    Array.isArray(v) && low <= v.length && v.length <= high && v.every(is);
-  const isWidths = (low) => isList(low, 8, isWhole(1, 2 ** 14));
-  const isLevel = (v) =>
-    isList(2, 2, () => true)(v) &&
-    ["xyz", "xy", "xz", "yz"].includes(v[0]) &&
-    isWhole(1, 2 ** 16)(v[1]);
-  const isEffects = (v) =>
-    isList(0, 7, (name) => EFFECTS.includes(name))(v) && new Set(v).size === v.length;
-
-  const FIELDS = {
-    anchors: isWhole(1, 2 ** 22),
-    background: isList(3, 3, isReal(-(2 ** 20), 2 ** 20)),
-    d: isWhole(1, 4096),
-    k: isWhole(1, 256),
-    hidden: isWidths(0),
-    deformation: isWidths(0),
-    L_x: isWhole(1, 64),
-    L_t: isWhole(1, 64),
-    context: isWidths(0),
-    grid: isList(1, 64, isLevel),
-    table: isList(2, 2, isWhole(1, 2 ** 24)),
-    F: isWhole(1, 64),
-    Q_0: isList(4, 4, isReal(2 ** -100, 2 ** 100)),
-    tau_alpha: isReal(-1, 1),
-    effects: isEffects,
-  };
-  const REAL = ["background", "Q_0", "tau_alpha"];
-  const OPTIONAL = { time_net: isWidths(1), skip: (v) => v === true };
-  const ONLY_2 = { position_bits: isWhole(1, 16) };
-
-  const PLANES = (R) => ["xy", "xz", "yz"].flatMap((axes) => R.map((r) => [axes, r]));
-  const HAC_3D = [18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514];
-  const BASES = {
-    tiny: {
-      background: [1, 1, 1],
-      d: 16,
-      k: 4,
-      hidden: [32, 32],
-      deformation: [64, 64],
-      L_x: 4,
-      L_t: 4,
-      context: [16, 16],
-      grid: [["xyz", 8], ...PLANES([16])],
-      table: [8192, 32768],
-      F: 2,
-      Q_0: [0.25, 0.01, 0.01, 0.1],
-      tau_alpha: 0,
-      effects: ["translation", "view_color", "occlusion", "background"],
-      position_bits: 10,
-    },
-    paper: {
-      background: [1, 1, 1],
-      d: 16,
-      k: 10,
-      hidden: [32, 32],
-      deformation: [192, 192],
-      L_x: 10,
-      L_t: 6,
-      context: [32, 32],
-      grid: [...HAC_3D.map((R) => ["xyz", R]), ...PLANES([130, 258, 514, 1026])],
-      table: [8192, 32768],
-      F: 4,
-      Q_0: [1, 0.001, 0.001, 0.2],
-      tau_alpha: 0,
-      effects: [...MOTION, "view_color", "view_geometry", "occlusion", "background"],
-      position_bits: 16,
-    },
-  };
-
-  const JSON_TOKEN = /"(?:[^"\\]|\\.)*"(\s*:)?|-?\d[\d.eE+-]*/g;
-
-  /** The JSON object as it stands in the file. A number such as 4.0 is not taken for an integer. */
-  function parseHeader(body) {
-    const bad = (said) => new Refused("header", 0, "header", said);
-    if (body.length > 2 ** 14) throw bad("expected at most 2^14 bytes");
-    if (body.some((byte) => byte > 127)) throw bad("expected ASCII");
-    const text = String.fromCharCode(...body);
-    let [keys, fields] = [0, null];
-    // JSON.parse keeps the last of two equal keys, and does not tell 4.0 from 4. So count the keys,
-    // and parse again with {"real": 4.0} in the place of 4.0.
-    const marked = text.replace(JSON_TOKEN, (token, colon) => {
-      keys += colon ? 1 : 0;
-      return token[0] !== '"' && /[.eE]/.test(token) ? `{"real": ${token}}` : token;
-    });
-    try {
-      JSON.parse(text);
-      fields = JSON.parse(marked);
-    } catch {
-      throw bad("expected a JSON object");
-    }
-    if (fields === null || typeof fields !== "object" || Array.isArray(fields)) {
-      throw bad("expected a JSON object");
-    }
-    if (keys !== Object.keys(fields).length) throw bad("a field occurs twice, or within another");
-    const plain = (v) => (Array.isArray(v) ? v.map(plain) : (v?.real ?? v));
-    for (const name of REAL) if (Object.hasOwn(fields, name)) fields[name] = plain(fields[name]);
-    return fields;
-  }
-
-  /** The checked header, completed by its base design. */
-  function readHeader(body, version) {
-    const good = (condition, said) => need(condition, "header", 0, "header", said);
-    const own = parseHeader(body);
-    let header = own;
-    if (version === 2) {
-      const { as, ...rest } = own;
-      good(Object.hasOwn(BASES, as ?? ""), "field as: expected the name of a base design");
-      header = { ...BASES[as], ...rest };
-    }
-    const needed = version === 2 ? { ...FIELDS, ...ONLY_2 } : FIELDS;
-    const known = { ...needed, ...OPTIONAL };
-    for (const name of Object.keys(needed)) good(Object.hasOwn(header, name), `no field ${name}`);
-    for (const [name, value] of Object.entries(header)) {
-      good(Object.hasOwn(known, name) && known[name](value), `field ${name} is unknown or wrong`);
-    }
-    const deep = !header.skip || header.deformation.length >= 3;
-    good(deep, "field skip: expected at least 3 widths of deformation");
-    return Object.assign(header, { own });
-  }
-
-  const nodesOf = (header, [axes, R]) =>
-    Math.min(R ** axes.length, header.table[axes.length === 3 ? 0 : 1]);
-
-  /** Every network as a list of its layers [I, J], {psi_alpha: [[20, 32], ...], ...}. */
-  function layersOf(header) {
-    const { d, k, F, hidden, effects, deformation } = header;
-    const chain = (widths) => widths.slice(1).map((J, i) => [widths[i], J]);
-    const view = (effect) => d + (effects.includes(effect) ? 4 : 0);
-    const h = F * header.grid.length;
-    const E_t = 1 + 2 * header.L_t;
-    const heads = MOTION.filter((effect) => effects.includes(effect));
-    const time = header.time_net ? chain([E_t, ...header.time_net]) : [];
-    const inputs = 3 * (1 + 2 * header.L_x) + (time.length ? time.at(-1)[1] : E_t);
-    const trunk = chain([inputs, ...deformation]);
-    if (header.skip) trunk[skipOf(trunk)][0] += inputs;
-    const width = deformation.length ? deformation.at(-1) : inputs;
-    const ends = heads.map((effect) => [width, effect === "rotation" ? 4 : 3]);
-    return {
-      psi_alpha: chain([view("view_geometry"), ...hidden, k]),
-      psi_c: chain([view("view_color"), ...hidden, 3 * k]),
-      psi_r: chain([view("view_geometry"), ...hidden, 4 * k]),
-      psi_s: chain([view("view_geometry"), ...hidden, 3 * k]),
-      psi_p: chain([h, ...header.context, 2 * (d + 6 + 3 * k)]),
-      psi_q: chain([h, ...header.context, 4]),
-      psi_d: heads.length ? [...trunk, ...ends] : [],
-      psi_t: heads.length ? time : [],
-    };
-  }
-
-  /** With a skip, the layer of psi_d that reads the inputs again. */
-  const skipOf = (trunk) => Math.floor(trunk.length / 2) + 1;
-
-  /** Refuses a header that promises more numbers or work than a file of n bytes may. */
-  function checkLimits(header, layers, n) {
-    const good = (condition, said) => need(condition, "header", 0, "header", said);
-    const { anchors, d, k, F, grid } = header;
-    const sum = (values) => values.reduce((a, b) => a + b, 0);
-    const entries = sum(grid.map((level) => nodesOf(header, level) * F));
-    const weights = sum(Object.values(layers).flat().map(([I, J]) => I * J + J));
-    const numbers = anchors * (9 + d + 4 * k) + entries + weights;
-    const reads = sum(grid.map(([axes]) => 2 ** axes.length * 64 * (F + 8)));
-    const context = sum([...layers.psi_p, ...layers.psi_q].map(([I, J]) => I * J));
-    good(entries <= 2 ** 24, `${entries} entries of the grid, expected at most 2^24`);
-    good(numbers <= 2 ** 25, `${numbers} numbers, expected at most 2^25`);
-    good(numbers <= 2 ** 22 + 16 * n, `${numbers} numbers are too many for a file of this size`);
-    const work = anchors * (context + reads);
-    good(work <= 2 ** 34 + 2 ** 15 * n, "too much work for a file of this size");
-  }
-
-  // --- rANS: messages of entries from frequency tables ------------------------------------------
-  // The state x < 2^63 is a pair of 32-bit numbers: x = hi 2^32 + lo.
-  const TWO_32 = 2 ** 32;
-
-  class Message {
-    /** Reads a message of n symbols from byte `at` of a section. */
-    constructor(section, bytes, at, n) {
-      Object.assign(this, { section, bytes, at, n, given: [], next: 0, lanes: [], tail: n });
-      if (n === 0) return;
-      this.need(at < bytes.length, "the message is missing");
-      const first = bytes[at];
-      const [start, L] = [at, 2 ** (first & 15)];
-      this.need(L <= 1024 && (first & 0x70) === 0, "expected at most 2^10 lanes, and zero bits");
-      this.at += 1;
-      if (L > 1) this.tail = this.word();
-      const whole = this.tail <= n && (n - this.tail) % L === 0 && (L === 1 || this.tail > 0);
-      this.need(whole, `a tail of ${this.tail} of ${n} symbols in ${L} lanes`, start + 1);
-      const state = this.at;
-      const lo = this.word();
-      const hi = first & 128 ? this.word() : 0;
-      this.need(hi > 0 || !(first & 128), "a high word that is zero", state);
-      this.need(hi < 2 ** 31 && (hi > 0 || lo >= 2 ** 31), "an impossible state", state);
-      this.lanes = [{ hi, lo }];
-      for (let lane = 1; lane < L; lane++) this.lanes.push(this.opened(this.lanes[0]));
+  /** The bytes of a section, read in order from `at` on. Raw bits are the last that is read; `at`
+   *  then stays where they begin, and that is where they are refused. */
+  class Section {
+    constructor(name, bytes = []) {
+      Object.assign(this, { name, bytes, at: 0, bitsRead: 0 });
     }
 
-    need(condition, said, at = this.at) {
-      need(condition, this.section, at, "stream", said);
+    need(condition, said, at = this.at, kind = this.name === "header" ? "header" : "stream") {
+      if (!condition) throw new Refused(this.name, at, kind, said);
     }
 
-    /** The next word: of those that ended lanes gave back, else of the file. */
-    word() {
-      if (this.given.length) return this.given.pop();
-      this.need(this.at + 4 <= this.bytes.length, "the message ends early");
-      this.at += 4;
-      return viewOf(this.bytes).getUint32(this.at - 4, true);
+    needSize(size) {
+      const at = Math.min(this.bytes.length, size);
+      this.need(this.bytes.length === size, `expected ${size} bytes`, at, "length");
     }
 
-    refill(x) {
-      if (x.hi > 0 || x.lo >= 2 ** 31) return;
-      x.hi = x.lo;
-      x.lo = this.word();
-    }
-
-    popBits(x, b) {
-      const v = x.lo % 2 ** b;
-      x.lo = (x.hi % 2 ** b) * 2 ** (32 - b) + Math.floor(x.lo / 2 ** b);
-      x.hi = Math.floor(x.hi / 2 ** b);
-      this.refill(x);
+    /** The next unsigned integer of `size` bytes, its lowest byte first. */
+    integer(size, at = this.at) {
+      this.need(at + size <= this.bytes.length, "the section ends early");
+      this.at = at + size;
+      let v = 0;
+      for (let i = at + size - 1; i >= at; i--) v = 256 * v + this.bytes[i];
       return v;
     }
 
-    opened(x) {
-      const n = this.popBits(x, 5);
-      const high = 2 ** n + this.popBits(x, n);
-      const low = this.popBits(x, 31);
-      return { hi: Math.floor(high / 2), lo: (high % 2) * 2 ** 31 + low };
-    }
-
-    /** Lane x ends; its 31 low bits go back to lane 0. */
-    ended(x, zero) {
-      this.need(x.hi === 0 && x.lo >= 2 ** 31, "a lane does not end where lanes start");
-      if (zero.hi > 0) {
-        this.given.push(zero.lo);
-        zero.lo = zero.hi;
-      }
-      zero.hi = Math.floor(zero.lo / 2);
-      zero.lo = (zero.lo % 2) * 2 ** 31 + (x.lo - 2 ** 31);
-    }
-
-    /** The lane that holds the next symbol. */
-    turn() {
-      const { lanes, n, tail } = this;
-      const i = this.next;
-      this.next += 1;
-      if (i === n - tail) while (lanes.length > 1) this.ended(lanes.pop(), lanes[0]);
-      return lanes[i < n - tail ? i % lanes.length : 0];
-    }
-
-    /** Takes the entry [start, start + freq) off a lane: x = floor(x / 2^24) freq + slot - start.
-     *  x is below 2^63, so its quotient is taken in two parts, of which each product fits. */
-    pop(x, start, freq) {
-      const slot = x.lo & 0xffffff;
-      const quotient = x.hi * 256 + (x.lo >>> 24);
-      const high = Math.floor(quotient / 2 ** 24) * freq;
-      const low = (quotient % 2 ** 24) * freq + slot - start + (high % 256) * 2 ** 24;
-      x.hi = Math.floor(high / 256) + Math.floor(low / TWO_32);
-      x.lo = low % TWO_32;
-      this.refill(x);
-    }
-
-    /** After the last symbol: the byte behind the message. */
-    end() {
-      const whole = this.n === 0 || (this.lanes[0].hi === 0 && this.lanes[0].lo === 2 ** 31);
-      this.need(whole && this.lanes.length < 2, "the message does not end at its first state");
-      this.need(this.given.length === 0, "the message ends before its last word");
-      return this.at;
-    }
-  }
-
-  // --- raw bits ---------------------------------------------------------------------------------
-  class Bits {
-    /** Bits from byte `at` of a section to its end, every byte from its lowest bit on. */
-    constructor(section, bytes, at) {
-      Object.assign(this, { section, bytes, start: at, place: 8 * at });
-    }
-
-    need(condition, said) {
-      need(condition, this.section, this.start, "stream", said);
-    }
-
-    bit() {
-      const byte = Math.floor(this.place / 8);
-      this.need(byte < this.bytes.length, "the raw bits end early");
-      const bit = (this.bytes[byte] >> this.place % 8) & 1;
-      this.place += 1;
-      return bit;
-    }
-
-    number(count) {
+    /** The next raw bits as a number; every byte and number from its lowest bit on. */
+    bits(count) {
       let v = 0;
-      for (let i = 0; i < count; i++) v += this.bit() * 2 ** i;
+      for (let i = 0; i < count; i++, this.bitsRead++) {
+        const byte = this.at + (this.bitsRead >>> 3);
+        this.need(byte < this.bytes.length, "the raw bits end early");
+        v += ((this.bytes[byte] >> (this.bitsRead & 7)) & 1) * 2 ** i;
+      }
       return v;
     }
 
     /** Elias's gamma code: b zeros, a one, the b low bits of the number. */
     gamma() {
       let b = 0;
-      while (!this.bit()) {
-        b += 1;
-        this.need(b <= 33, "a number of more than 34 bits");
-      }
-      return 2 ** b + this.number(b);
+      for (; this.bits(1) === 0; b++) this.need(b < 33, "a number of more than 34 bits");
+      return 2 ** b + this.bits(b);
     }
 
     end() {
-      this.need(this.bytes.length === Math.ceil(this.place / 8), "bytes are left over");
-      while (this.place % 8) this.need(!this.bit(), "a bit that is not in use");
+      const bytes = Math.ceil(this.bitsRead / 8);
+      this.need(this.at + bytes === this.bytes.length, "bytes are left over");
+      this.need(this.bits(8 * bytes - this.bitsRead) === 0, "a bit that is not in use");
     }
   }
 
-  // --- the frequency table of a symbol ----------------------------------------------------------
-  /** A Gaussian with its own mean and deviation: the blocks c-W ... c+W, low bits, and cum(K). */
-  class GaussianTable {
-    set(mu_units, sigma_units) {
-      const e = Math.floor(sigma_units / 16);
-      const step = 2 ** Math.max(e + 6, 0);
-      this.mean = Math.floor((mu_units + Math.floor(step / 2)) / step) * step;
-      this.low = Math.max(e - 4, 0);
-      this.unit = 2 ** (10 + this.low);
-      this.W = 1 + Math.ceil(12 * 2 ** Math.min(e, 4));
-      this.c = Math.floor((this.mean + 512) / this.unit);
-      this.n = 2 * this.W + 1;
-      this.exp2 = EXP2[modulo(sigma_units, 16)];
-      this.divisor = 2 ** (12 + e);
-      return this;
-    }
+  // --- container: the frame of the file ---------------------------------------------------------
+  const MAGIC = [0x89, 0x50, 0x34, 0x44, 0x0d, 0x0a, 0x1a, 0x0a];
+  const SECTIONS = ["header", "positions", "features", "scales", "offset_scales", "offsets"];
+  SECTIONS.push("masks", "hash_grid", "deformation_mlp", "anchor_mlps", "context_mlps");
+  // Of each version: byte 9 is from ... to, where the table begins, its bytes per unit of byte 9.
+  const FRAMES = { 1: [0, 11, 14, 9], 2: [1, 4, 10, 11] };
 
-    /** The distribution function at the lower boundary of block c - W + j, plus j. */
-    cum(j) {
-      const boundary = (this.c - this.W + j) * this.unit - 512 - this.mean;
-      const z = clip(Math.floor((boundary * this.exp2) / this.divisor), -98304, 98303);
-      const i = Math.floor(z / 256);
-      const r = z - 256 * i;
-      const below = PHI[i + 384];
-      const C = below + Math.floor(((PHI[i + 385] - below) * r) / 256);
-      return Math.floor((C * (2 ** 24 - this.n - 1)) / 2 ** 24) + j;
+  /** The version of a file and its sections, {name: bytes}; all checksums are right. */
+  function openContainer(bytes) {
+    const frame = new Section("container", bytes);
+    const size = bytes.length;
+    frame.need(size >= 18, "expected at least 18 bytes", Math.min(size, 10), "length");
+    frame.need(size <= 2 ** 29, "expected at most 2^29 bytes", 10, "length");
+    frame.need(MAGIC.every((byte, i) => bytes[i] === byte), "not a .p4dgs file", 0, "magic");
+    const [version, n] = bytes.subarray(8, 10);
+    frame.need(version in FRAMES, `version ${version}, expected 1 or 2`, 8, "version");
+    const [least, most, begin, width] = FRAMES[version];
+    frame.need(least <= n && n <= most, `${n}, expected ${least} to ${most}`, 9, "table");
+    const end = begin + width * n + 4;
+    const length = version === 1 ? frame.integer(4, 10) : size;
+    frame.need(length === size && end <= size, "not the length of this file", 10, "length");
+    // The checksum of version 1 is that of the table alone, and the table is read behind it.
+    const crc = crc32(bytes.subarray(0, end - 4), version === 1 ? [] : bytes.subarray(end));
+    const right = crc === frame.integer(4, end - 4);
+    frame.need(right || version === 2, "the checksum of the table is wrong", end - 4, "checksum");
+    frame.at = begin;
+    const rows = readRows(frame, end - 4, version === 1 ? [1, 4, 4] : [0, n, 0]);
+    const stored = end + total(rows.map((row) => row.length));
+    frame.need(stored === size, `the sections end at byte ${stored} of ${size}`, begin, "length");
+    frame.need(right, "the checksum of the file is wrong", end - 4, "checksum");
+    const sections = {};
+    let at = end;
+    for (const { name, length, crc } of rows) {
+      sections[name] = bytes.subarray(at, (at += length));
+      const same = version === 2 || crc32(sections[name]) === crc;
+      new Section(name).need(same, "the checksum is wrong", 0, "checksum");
     }
-
-    /** Takes the next symbol's block off a message: its number from c - W on, n for the escape. */
-    read(message) {
-      const x = message.turn();
-      const slot = x.lo & 0xffffff;
-      if (slot === 2 ** 24 - 1) {
-        message.pop(x, slot, 1);
-        return this.n;
-      }
-      let [low, high, start, end] = [0, this.n, 0, 2 ** 24 - 1];
-      while (high - low > 1) {
-        const middle = (low + high) >> 1;
-        const at = this.cum(middle);
-        if (at <= slot) [low, start] = [middle, at];
-        else [high, end] = [middle, at];
-      }
-      message.pop(x, start, end - start);
-      return low;
-    }
+    return { version, sections };
   }
 
-  /** The n symbols of a Gaussian stream that fills a section from byte `at` on.
-   *  `units(i)` is [mu_units, sigma_units] of symbol i, `put(i, symbol)` receives it. */
-  function readGaussians(section, bytes, at, n, units, put) {
-    if (n === 0) {
-      need(bytes.length === at, section, at, "stream", "bytes are left over");
-      return;
+  /** The rows of the table: of a section its id, length and checksum, in so many bytes. Without
+   *  ids all sections have a row, with the length plus 1, or 0 where there is no section. */
+  function readRows(frame, end, [ids, lengths, checksums]) {
+    const rows = [];
+    for (let last = 0; frame.at < end; ) {
+      const id = ids ? frame.integer(ids) : last + 1;
+      const follows = last < id && id <= SECTIONS.length;
+      frame.need(follows, `section ${id} after ${last}`, frame.at - 1, "table");
+      last = id;
+      const length = frame.integer(lengths) - (ids ? 0 : 1);
+      const row = { name: SECTIONS[id - 1], length, crc: frame.integer(checksums) };
+      if (length >= 0) rows.push(row);
     }
-    const table = new GaussianTable();
-    const message = new Message(section, bytes, at, n);
-    const blocks = new Int16Array(n); // from c - W on; n of the table for an escape
-    for (let i = 0; i < n; i++) blocks[i] = table.set(...units(i)).read(message);
-    const bits = new Bits(section, bytes, message.end());
-    const lows = new Uint16Array(n);
-    for (let i = 0; i < n; i++) lows[i] = bits.number(table.set(...units(i)).low);
+    return rows;
+  }
+
+  // --- header: the design, and what it promises -------------------------------------------------
+  const MOTION = ["translation", "scaling", "rotation"]; // in the order of the heads of psi_d
+  const EFFECTS = [...MOTION, "view_color", "view_geometry", "occlusion", "background"];
+
+  const whole = (low, high) => (v) => Number.isInteger(v) && low <= v && v <= high;
+  const real = (low, high) => (v) => typeof v === "number" && low <= v && v <= high;
+  const oneOf = (names) => (v) => names.includes(v);
+  const list = (low, high, is) => (v) =>
+    Array.isArray(v) && low <= v.length && v.length <= high && v.every((entry) => is(entry));
+  const widths = (low) => list(low, 8, whole(1, 2 ** 14));
+  const isLevel = (v) => oneOf(["xyz", "xy", "xz", "yz"])(v[0]) && whole(1, 2 ** 16)(v[1]);
+  const level = (v) => Array.isArray(v) && v.length === 2 && isLevel(v);
+  const distinct = (is) => (v) => is(v) && new Set(v).size === v.length;
+  const planes = (R) => ["xy", "xz", "yz"].flatMap((axes) => R.map((r) => [axes, r]));
+  const HAC_3D = [18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514].map((R) => ["xyz", R]);
+  const HAC_2D = planes([130, 258, 514, 1026]);
+  const MOVING = ["translation", "view_color", "occlusion", "background"];
+
+  // Every field: its values, then those that it has in the base designs "tiny" and "paper".
+  const FIELDS = {
+    anchors: [whole(1, 2 ** 22)],
+    background: [list(3, 3, real(-(2 ** 20), 2 ** 20)), [1, 1, 1], [1, 1, 1]],
+    d: [whole(1, 4096), 16, 16],
+    k: [whole(1, 256), 4, 10],
+    hidden: [widths(0), [32, 32], [32, 32]],
+    deformation: [widths(0), [64, 64], [192, 192]],
+    L_x: [whole(1, 64), 4, 10],
+    L_t: [whole(1, 64), 4, 6],
+    context: [widths(0), [16, 16], [32, 32]],
+    grid: [list(1, 64, level), [["xyz", 8], ...planes([16])], [...HAC_3D, ...HAC_2D]],
+    table: [list(2, 2, whole(1, 2 ** 24)), [8192, 32768], [8192, 32768]],
+    F: [whole(1, 64), 2, 4],
+    Q_0: [list(4, 4, real(2 ** -100, 2 ** 100)), [0.25, 0.01, 0.01, 0.1], [1, 0.001, 0.001, 0.2]],
+    tau_alpha: [real(-1, 1), 0, 0],
+    effects: [distinct(list(0, 7, oneOf(EFFECTS))), MOVING, EFFECTS],
+    position_bits: [whole(1, 16), 10, 16],
+    time_net: [widths(1)],
+    skip: [oneOf([true])],
+  };
+  const REAL = ["background", "Q_0", "tau_alpha"];
+  const OPTIONAL = ["time_net", "skip"];
+  const inBases = Object.keys(FIELDS).filter((name) => FIELDS[name].length > 1);
+  const base = (i) => Object.fromEntries(inBases.map((name) => [name, FIELDS[name][i]]));
+  const BASES = new Map(Object.entries({ tiny: base(1), paper: base(2) }));
+  const JSON_TOKEN = /"(?:[^"\\]|\\.)*"(\s*:)?|-?\d[\d.eE+-]*/g;
+
+  /** The JSON object in a section. JSON.parse keeps the last of two equal keys and does not tell
+   *  4.0 from 4. So the keys are counted, and {"real": 4.0} is read in the place of 4.0. */
+  function parseHeader(section) {
+    section.need(section.bytes.length <= 2 ** 14, "expected at most 2^14 bytes");
+    section.need(section.bytes.every((byte) => byte < 128), "expected ASCII");
+    let [keys, fields] = [0, null];
+    const marked = String.fromCharCode(...section.bytes).replace(JSON_TOKEN, (token, colon) => {
+      keys += colon ? 1 : 0;
+      return token[0] !== '"' && /[.eE]/.test(token) ? `{"real": ${token}}` : token;
+    });
+    try {
+      fields = JSON.parse(marked);
+    } catch {
+      // what is no JSON is no object either
+    }
+    section.need(fields instanceof Object && !Array.isArray(fields), "expected a JSON object");
+    section.need(keys === Object.keys(fields).length, "a field occurs twice, or within another");
+    return fields;
+  }
+
+  /** The checked header, completed by its base design. */
+  function readHeader(section, version) {
+    const { as, ...own } = parseHeader(section);
+    const base = version === 1 && as === undefined ? {} : BASES.get(version === 2 && as);
+    section.need(base, "field as: expected the name of a base design, in version 2 alone");
+    const plain = (v) => (Array.isArray(v) ? v.map(plain) : (v?.real ?? v));
+    for (const name of REAL) if (Object.hasOwn(own, name)) own[name] = plain(own[name]);
+    const header = { ...base, ...own };
+    const known = Object.keys(FIELDS).filter((name) => version === 2 || name !== "position_bits");
+    const needed = known.filter((name) => !OPTIONAL.includes(name));
+    for (const name of needed) section.need(Object.hasOwn(header, name), `no field ${name}`);
+    for (const [name, value] of Object.entries(header)) {
+      const right = known.includes(name) && FIELDS[name][0](value);
+      section.need(right, `field ${name} is unknown or wrong`);
+    }
+    const deep = !header.skip || header.deformation.length >= 3;
+    section.need(deep, "field skip: expected at least 3 widths of deformation");
+    return header;
+  }
+
+  // The nodes of a level that are stored, and the entries of all levels.
+  const nodesOf = ({ table }, [{ length: D }, R]) => Math.min(R ** D, table[D === 3 ? 0 : 1]);
+  const entriesOf = (header) =>
+    header.F * total(header.grid.map((level) => nodesOf(header, level)));
+  // With a skip, the layer of psi_d that reads the inputs again.
+  const skipOf = (trunk) => Math.floor(trunk.length / 2) + 1;
+
+  /** Every network as a list of its layers [I, J], {psi_alpha: [[20, 32], ...], ...}. */
+  function layersOf(header) {
+    const { d, k, F, hidden, context, effects, deformation, time_net, L_x, L_t } = header;
+    const chain = (...widths) => widths.slice(1).map((J, i) => [widths[i], J]);
+    const view = (effect) => d + (effects.includes(effect) ? 4 : 0);
+    const h = F * header.grid.length;
+    const E_t = 1 + 2 * L_t;
+    const inputs = 3 * (1 + 2 * L_x) + (time_net ?? [E_t]).at(-1);
+    const trunk = chain(inputs, ...deformation);
+    if (header.skip) trunk[skipOf(trunk)][0] += inputs;
+    const width = deformation.at(-1) ?? inputs;
+    const heads = MOTION.filter((effect) => effects.includes(effect));
+    const ends = heads.map((effect) => [width, effect === "rotation" ? 4 : 3]);
+    return {
+      psi_alpha: chain(view("view_geometry"), ...hidden, k),
+      psi_c: chain(view("view_color"), ...hidden, 3 * k),
+      psi_r: chain(view("view_geometry"), ...hidden, 4 * k),
+      psi_s: chain(view("view_geometry"), ...hidden, 3 * k),
+      psi_p: chain(h, ...context, 2 * (d + 6 + 3 * k)),
+      psi_q: chain(h, ...context, 4),
+      psi_d: heads.length ? [...trunk, ...ends] : [],
+      psi_t: heads.length && time_net ? chain(E_t, ...time_net) : [],
+    };
+  }
+
+  /** Refuses a header that promises more numbers or work than a file of n bytes may. */
+  function checkLimits(section, header, layers, n) {
+    const { anchors, d, k, F, grid } = header;
+    const entries = entriesOf(header);
+    const weights = total(Object.values(layers).flat().map(([I, J]) => I * J + J));
+    const numbers = anchors * (9 + d + 4 * k) + entries + weights;
+    const reads = total(grid.map(([axes]) => 2 ** axes.length * 64 * (F + 8)));
+    const context = total([...layers.psi_p, ...layers.psi_q].map(([I, J]) => I * J));
+    section.need(entries <= 2 ** 24, `${entries} entries of the grid, expected at most 2^24`);
+    section.need(numbers <= 2 ** 25, `${numbers} numbers, expected at most 2^25`);
+    section.need(numbers <= 2 ** 22 + 16 * n, `${numbers} numbers in a file of ${n} bytes`);
+    const work = anchors * (context + reads);
+    section.need(work <= 2 ** 34 + 2 ** 15 * n, `${work} multiplications for ${n} bytes`);
+  }
+
+  // --- rANS: messages of entries from frequency tables ------------------------------------------
+  // The state x < 2^63 of a lane is a pair of 32-bit numbers: x = hi 2^32 + lo.
+
+  /** Takes a word from the stack where x < 2^31. */
+  function refill(x, word) {
+    if (x.hi > 0 || x.lo >= 2 ** 31) return;
+    x.hi = x.lo;
+    x.lo = word();
+  }
+
+  /** Takes b bits off a lane. */
+  function popBits(x, b, word) {
+    const v = x.lo % 2 ** b;
+    x.lo = (x.hi % 2 ** b) * 2 ** (32 - b) + Math.floor(x.lo / 2 ** b);
+    x.hi = Math.floor(x.hi / 2 ** b);
+    refill(x, word);
+    return v;
+  }
+
+  /** Takes the entry [start, start + freq) off a lane: x = floor(x / 2^24) freq + slot - start.
+   *  x is below 2^63, so its quotient is taken in two parts, of which each product fits. */
+  function pop(x, [start, freq], word) {
+    const slot = x.lo & 0xffffff;
+    const quotient = x.hi * 256 + (x.lo >>> 24);
+    const high = Math.floor(quotient / 2 ** 24) * freq;
+    const low = (quotient % 2 ** 24) * freq + slot - start + (high % 256) * 2 ** 24;
+    x.hi = Math.floor(high / 256) + Math.floor(low / 2 ** 32);
+    x.lo = low % 2 ** 32;
+    refill(x, word);
+  }
+
+  /** Reads a message of n symbols: `take(i, slot)` is given the slot of symbol i and returns the
+   *  entry that it lies in, [start, freq]. */
+  function readMessage(section, n, take) {
+    if (n === 0) return;
+    const begin = section.at;
+    const first = section.integer(1);
+    const L = 2 ** (first & 15);
+    section.need(L <= 1024 && (first & 0x70) === 0, "expected at most 2^10 lanes", begin);
+    const tail = L > 1 ? section.integer(4) : n;
+    const fits = tail <= n && (n - tail) % L === 0 && tail > 0;
+    section.need(fits, `a tail of ${tail} of ${n} symbols in ${L} lanes`, begin + 1);
+    const state = section.at;
+    const zero = { lo: section.integer(4), hi: first & 128 ? section.integer(4) : 0 };
+    const possible = first & 128 ? 0 < zero.hi && zero.hi < 2 ** 31 : zero.lo >= 2 ** 31;
+    section.need(possible, "an impossible state", state);
+    const given = []; // what ended lanes put on the stack
+    const word = () => given.pop() ?? section.integer(4);
+    const lanes = [zero];
+    while (lanes.length < L) {
+      const digits = popBits(zero, 5, word);
+      const high = 2 ** digits + popBits(zero, digits, word);
+      const low = (high % 2) * 2 ** 31 + popBits(zero, 31, word);
+      lanes.push({ hi: Math.floor(high / 2), lo: low });
+    }
     for (let i = 0; i < n; i++) {
-      const { c, W, low, n: escape } = table.set(...units(i));
-      let K = c - W + blocks[i];
-      if (blocks[i] === escape) {
-        const v = bits.gamma();
-        K = v % 2 ? c + W + 1 + (v - 1) / 2 : c - W - v / 2;
+      while (i === n - tail && lanes.length > 1) {
+        const last = lanes.pop();
+        section.need(last.hi === 0 && last.lo >= 2 ** 31, "a lane does not end as it began");
+        endLane(last, zero, given);
       }
-      const symbol = K * 2 ** low + lows[i];
-      bits.need(Math.abs(symbol) <= 2 ** 31, `a symbol of ${symbol}, beyond 2^31`);
-      put(i, symbol);
+      const x = lanes[i % lanes.length];
+      pop(x, take(i, x.lo & 0xffffff), word);
     }
-    bits.end();
+    const ended = zero.hi === 0 && zero.lo === 2 ** 31 && given.length === 0;
+    section.need(ended, "the message does not end where it began");
   }
 
-  /** A bit stream: n bits that share the probability f / 2^24 of a one. */
-  function readBits(section, bytes, n) {
-    const found = new Uint8Array(n);
-    const short = n === 0 ? bytes.length === 0 : bytes.length >= 4;
-    need(short, section, 0, "stream", "the stream has not its length");
-    if (n === 0) return found;
-    const f = viewOf(bytes).getUint32(0, true);
-    need(f <= 2 ** 24, section, 0, "stream", "a probability above 1");
-    let end = 4;
-    if (f === 0 || f === 2 ** 24) found.fill(f ? 1 : 0);
-    else {
-      const message = new Message(section, bytes, 4, n);
-      const zeros = 2 ** 24 - f;
-      for (let i = 0; i < n; i++) {
-        const x = message.turn();
-        found[i] = (x.lo & 0xffffff) >= zeros ? 1 : 0;
-        if (found[i]) message.pop(x, zeros, f);
-        else message.pop(x, 0, zeros);
-      }
-      end = message.end();
+  /** Lane x ends: its 31 low bits go back to lane 0, of whose words the low one may be too many. */
+  function endLane(x, zero, given) {
+    if (zero.hi > 0) given.push(zero.lo);
+    const rest = zero.hi > 0 ? zero.hi : zero.lo;
+    zero.hi = Math.floor(rest / 2);
+    zero.lo = (rest % 2) * 2 ** 31 + (x.lo - 2 ** 31);
+  }
+
+  // --- streams ----------------------------------------------------------------------------------
+  /** The frequency table of a Gaussian: n blocks from `first` = c - W on, each with `low` bits, and
+   *  cum(j), its distribution function at the lower boundary of block first + j, plus j. */
+  function gaussianTable(mu_units, sigma_units) {
+    const e = Math.floor(sigma_units / 16);
+    const step = Math.max(e + 6, 0);
+    const mean = shifted(mu_units, step) * 2 ** step;
+    const low = Math.max(e - 4, 0);
+    const unit = 2 ** (10 + low);
+    const W = 1 + Math.ceil(12 * 2 ** Math.min(e, 4));
+    const first = Math.floor((mean + 512) / unit) - W;
+    const n = 2 * W + 1;
+    const slope = EXP2[sigma_units - 16 * e] / 2 ** (12 + e);
+    const cum = (j) => {
+      const z = clip(Math.floor(((first + j) * unit - 512 - mean) * slope), -98304, 98303);
+      const C = between(PHI, Math.floor(z / 256) + 384, z & 255, 256);
+      return Math.floor((C * (2 ** 24 - n - 1)) / 2 ** 24) + j;
+    };
+    return { first, n, low, cum };
+  }
+
+  /** The block that a slot lies in, counted from c - W on (n for the escape), and its entry. */
+  function findBlock({ n, cum }, slot) {
+    let [low, high, start, end] = [0, n, 0, 2 ** 24 - 1];
+    if (slot === end) return [n, [end, 1]];
+    while (high - low > 1) {
+      const middle = (low + high) >> 1;
+      const at = cum(middle);
+      if (at <= slot) [low, start] = [middle, at];
+      else [high, end] = [middle, at];
     }
-    need(end === bytes.length, section, end, "stream", "bytes are left over");
-    return found;
+    return [low, [start, end - start]];
+  }
+
+  /** A Gaussian stream, which fills a section to its end: its symbols. */
+  function readGaussians(section, mu_units, sigma_units) {
+    const n = mu_units.length;
+    const symbols = new Float64Array(n); // at first their blocks
+    const low = new Uint8Array(n);
+    const escapes = [];
+    readMessage(section, n, (i, slot) => {
+      const table = gaussianTable(mu_units[i], sigma_units[i]);
+      const [block, entry] = findBlock(table, slot);
+      symbols[i] = table.first + block;
+      low[i] = table.low;
+      if (block === table.n) escapes.push([i, table.first]);
+      return entry;
+    });
+    const rest = Uint16Array.from(low, (count) => section.bits(count));
+    for (const [i, first] of escapes) {
+      const v = section.gamma();
+      symbols[i] = v % 2 ? symbols[i] + (v - 1) / 2 : first - v / 2;
+    }
+    for (let i = 0; i < n; i++) symbols[i] = symbols[i] * 2 ** low[i] + rest[i];
+    section.need(largest(symbols) <= 2 ** 31, "a symbol beyond 2^31");
+    section.end();
+    return symbols;
+  }
+
+  /** A bit stream, which fills a section: n bits that share the probability f / 2^24 of a one. */
+  function readBits(section, n) {
+    const bits = new Uint8Array(n);
+    const f = n ? section.integer(4) : 0;
+    const zeros = 2 ** 24 - f;
+    section.need(zeros >= 0, "a probability above 1", 0);
+    const certain = f === 0 || zeros === 0;
+    if (certain) bits.fill(zeros ? 0 : 1);
+    readMessage(section, certain ? 0 : n, (i, slot) => {
+      bits[i] = slot >= zeros ? 1 : 0;
+      return bits[i] ? [zeros, f] : [0, zeros];
+    });
+    section.end();
+    return bits;
   }
 
   // --- positions --------------------------------------------------------------------------------
-  /** The box {lo, hi} and 16 bits per coordinate, [A, 3]. */
-  function readPositions(body, header, version) {
-    const A = header.anchors;
-    const size = version === 1 ? 24 + 6 * A : body.length;
-    const at = Math.min(body.length, Math.max(size, 24));
-    const whole = body.length === size && size >= 24;
-    need(whole, "positions", at, "length", `${body.length} bytes for ${A} anchors`);
-    const view = viewOf(body);
-    const corner = (from) => [0, 1, 2].map((i) => view.getFloat32(from + 4 * i, true));
-    const [lo, hi] = [corner(0), corner(12)];
-    for (let i = 0; i < 3; i++) {
-      const right = -1e30 <= lo[i] && lo[i] <= hi[i] && hi[i] <= 1e30;
-      need(right, "positions", 0, "number", `the box from ${lo[i]} to ${hi[i]}`);
-    }
-    if (version === 2) return { lo, hi, positions: readSorted(body, header, lo, hi) };
-    const read = (_, i) => view.getUint16(24 + 2 * i, true);
-    return { lo, hi, positions: Uint16Array.from({ length: 3 * A }, read) };
+  /** The box {lo, hi}, the positions in it, 16 bits per coordinate, and x_a, [A, 3] each. */
+  function readPositions(section, { anchors, position_bits }, version) {
+    const { bytes } = section;
+    section.needSize(version === 1 ? 24 + 6 * anchors : Math.max(bytes.length, 24));
+    const view = new DataView(bytes.buffer, bytes.byteOffset, 24);
+    const [lo, hi] = [0, 12].map((at) => [0, 4, 8].map((i) => view.getFloat32(at + i, true)));
+    const right = lo.every((v, i) => -1e30 <= v && v <= hi[i] && hi[i] <= 1e30);
+    section.need(right, `the box from ${lo} to ${hi}`, 0, "number");
+    section.at = 24;
+    const axes = [2, 1, 0].filter((i) => lo[i] < hi[i]);
+    const read = () => Uint16Array.from({ length: 3 * anchors }, () => section.integer(2));
+    const positions = version === 1 ? read() : readSorted(section, anchors, position_bits, axes);
+    const step = (i) => (hi[i] - lo[i]) / 65535;
+    const x_a = Float64Array.from(positions, (n, i) => lo[i % 3] + n * step(i % 3));
+    return { lo, hi, positions, x_a };
   }
 
-  /** Positions of version 2: gaps between codes in ascending order, on a lattice of B bits. */
-  function readSorted(body, header, lo, hi) {
-    const [A, B] = [header.anchors, header.position_bits];
-    const axes = [0, 1, 2].filter((i) => lo[i] < hi[i]);
-    const digits = axes.length * B;
-    need(body.length > 24, "positions", 24, "stream", "the gaps are missing");
-    const r = body[24];
-    need(r <= digits, "positions", 24, "stream", `${r} raw bits in gaps of ${digits}`);
-    const bits = new Bits("positions", body, 25);
-    const gaps = Float64Array.from({ length: A }, () => bits.number(r));
+  /** Version 2: gaps between the codes of A positions in ascending order, on a lattice of B bits.
+   *  A code has one bit of each axis in turn, the lowest bit of the first one lowest. */
+  function readSorted(section, A, B, axes) {
+    const [begin, digits, L] = [section.at, axes.length * B, 2 ** B - 1];
+    const r = section.integer(1);
+    section.need(r <= digits, `${r} raw bits in gaps of ${digits}`, begin);
+    const gaps = Float64Array.from({ length: A }, () => section.bits(r));
     const positions = new Uint16Array(3 * A);
-    const L = 2 ** B - 1;
     let code = 0;
     for (let a = 0; a < A; a++) {
-      code += gaps[a] + (bits.gamma() - 1) * 2 ** r;
-      need(code < 2 ** digits, "positions", 24, "stream", "the gaps add up to too much");
+      code += gaps[a] + (section.gamma() - 1) * 2 ** r;
+      section.need(code < 2 ** digits, "the gaps add up to too much", begin);
       const m = [0, 0, 0];
       let rest = code;
       for (let bit = 0; bit < B; bit++) {
-        for (let axis = axes.length - 1; axis >= 0; axis--) {
-          m[axes[axis]] += (rest % 2) * 2 ** bit;
+        for (const axis of axes) {
+          m[axis] += (rest % 2) * 2 ** bit;
           rest = Math.floor(rest / 2);
         }
       }
-      for (let i = 0; i < 3; i++) {
-        positions[3 * a + i] = Math.floor((65535 * m[i] + Math.floor(L / 2)) / L);
-      }
+      m.forEach((v, i) => (positions[3 * a + i] = (65535 * v + Math.floor(L / 2)) / L));
     }
-    bits.end();
+    section.end();
     return positions;
   }
 
-  // --- networks in the file ---------------------------------------------------------------------
+  // --- networks ---------------------------------------------------------------------------------
   const NETWORKS = {
     anchor_mlps: ["psi_alpha", "psi_c", "psi_r", "psi_s"],
     context_mlps: ["psi_p", "psi_q"],
     deformation_mlp: ["psi_d", "psi_t"],
   };
 
-  function float16(bits) {
-    const [sign, e, m] = [bits & 0x8000 ? -1 : 1, (bits >> 10) & 31, bits & 1023];
-    if (e === 31) return m ? NaN : sign * Infinity;
-    return sign * (e ? (1024 + m) * 2 ** (e - 25) : m * 2 ** -24);
+  /** All networks, {name: [{I, J, W, b}, ...]}; those of no layers have no numbers in the file. */
+  function readNetworks(sections, shapes, version) {
+    const networks = {};
+    for (const [section, names] of Object.entries(NETWORKS)) {
+      const layers = names.flatMap((name) => shapes[name]);
+      const read = version === 1 ? readFloat16 : readCoded;
+      const numbers = layers.length ? read(sections[section], layers) : [];
+      let at = 0;
+      const take = (length) => numbers.subarray(at, (at += length));
+      const layer = ([I, J]) => ({ I, J, W: take(I * J), b: take(J) });
+      for (const name of names) networks[name] = shapes[name].map(layer);
+    }
+    return networks;
   }
 
-  /** The networks of a section, {name: [{I, J, W, b}, ...]}. */
-  function readNetworks(section, body, shapes, version) {
-    const layers = NETWORKS[section].flatMap((name) => shapes[name]);
-    const count = layers.reduce((sum, [I, J]) => sum + I * J + J, 0);
-    const read = version === 1 ? readFloat16 : readCoded;
-    const numbers = read(section, body, layers, count);
+  /** Version 1: numbers of 16 bits, of which 10 are the fraction and 5 the exponent. */
+  function readFloat16(section, layers) {
+    const count = total(layers.map(([I, J]) => I * J + J));
+    section.needSize(2 * count);
+    return Float64Array.from({ length: count }, () => {
+      const bits = section.integer(2);
+      const [e, m] = [(bits >> 10) & 31, bits & 1023];
+      section.need(e < 31, "a weight that is not finite", section.at - 2, "number");
+      const size = e ? (1024 + m) * 2 ** (e - 25) : m * 2 ** -24;
+      return bits & 0x8000 ? -size : size;
+    });
+  }
+
+  /** Version 2, B1: integers times a step for each tensor, coded with scales of rows, columns. */
+  function readCoded(section, layers) {
+    const tensors = layers.flatMap(([I, J]) => [{ I, J, codes: I + J }, { I: J, J: 1, codes: 0 }]);
+    const size = section.bytes.length;
+    section.need(size >= 2 * tensors.length, "levels are missing", size, "length");
+    for (const tensor of tensors) {
+      const [s, t] = [section.integer(1), section.integer(1) - 8];
+      section.need(t <= 19, `a level of ${t}`, section.at - 1, "number");
+      Object.assign(tensor, { t, step: (16 + (s % 16)) * 2 ** (Math.floor(s / 16) - 19) });
+    }
+    const codes = new Int8Array(total(tensors.map((tensor) => tensor.codes)));
+    const table = gaussianTable(0, 0);
+    readMessage(section, codes.length, (i, slot) => {
+      const [block, entry] = findBlock(table, slot);
+      section.need(block < table.n, "a code beyond 13");
+      codes[i] = table.first + block;
+      return entry;
+    });
+    const [steps, sigma_units] = [[], []];
     let at = 0;
-    const take = (length) => numbers.subarray(at, (at += length));
-    const layer = ([I, J]) => ({ I, J, W: take(I * J), b: take(J) });
-    return Object.fromEntries(NETWORKS[section].map((name) => [name, shapes[name].map(layer)]));
-  }
-
-  function readFloat16(section, body, _, count) {
-    const at = Math.min(body.length, 2 * count);
-    need(body.length === 2 * count, section, at, "length", `expected ${count} numbers`);
-    const view = viewOf(body);
-    return Float64Array.from({ length: count }, (_, i) => {
-      const number = float16(view.getUint16(2 * i, true));
-      need(Number.isFinite(number), section, 2 * i, "number", `the weight ${number}`);
-      return number;
-    });
-  }
-
-  /** B1: integers times a step for each tensor, coded with scales of rows and columns. */
-  function readCoded(section, body, layers, count) {
-    const tensors = layers.flatMap(([I, J]) => [{ I, J, coded: true }, { I: J, J: 1 }]);
-    const end = 2 * tensors.length;
-    need(body.length >= end, section, body.length, "length", "levels are missing");
-    tensors.forEach((tensor, i) => {
-      const t = body[2 * i + 1];
-      need(t <= 27, section, 2 * i + 1, "number", `a level of ${t}, expected at most 27`);
-      Object.assign(tensor, { s: body[2 * i], t: t - 8 });
-    });
-    const lengths = tensors.map(({ I, J, coded }) => (coded ? I + J : 0));
-    const total = lengths.reduce((a, b) => a + b, 0);
-    const message = new Message(section, body, end, total);
-    const table = new GaussianTable().set(0, 0);
-    const codes = Int8Array.from({ length: total }, () => {
-      const block = table.read(message);
-      message.need(block < table.n, "a code beyond 13");
-      return block - table.W;
-    });
-    const steps = new Float64Array(count);
-    const sigma = new Int16Array(count);
-    let [n, at] = [0, 0];
-    tensors.forEach(({ I, J, s, t, coded }, tensor) => {
-      const step = (16 + (s % 16)) * 2 ** (Math.floor(s / 16) - 19);
-      for (let i = 0; i < I; i++) {
-        for (let j = 0; j < J; j++, n++) {
-          const scale = coded ? codes[at + i] + codes[at + I + j] : 0;
-          sigma[n] = 16 * clip(t + scale, -8, 19);
-          steps[n] = step;
-        }
+    for (const { I, J, t, step, codes: own } of tensors) {
+      for (let i = 0; i < I * J; i++) {
+        const scale = own ? codes[at + Math.floor(i / J)] + codes[at + I + (i % J)] : 0;
+        sigma_units.push(16 * clip(t + scale, -8, 19));
+        steps.push(step);
       }
-      at += lengths[tensor];
-    });
-    const units = (i) => [0, sigma[i]];
-    readGaussians(section, body, message.end(), count, units, (i, symbol) => {
-      need(Math.abs(symbol) <= 32767, section, 0, "number", `a weight of ${symbol} steps`);
-      steps[i] *= symbol;
-    });
-    return steps;
-  }
-
-  // --- the coding context, in integers ----------------------------------------------------------
-  /** A network in integers: weights W' = W 2^n, biases b' = b 2^(a + n), and its bounds. */
-  function integerNetwork(layers) {
-    let [a, X] = [15, 2 ** 15];
-    const whole = layers.map(({ I, J, W, b }, index) => {
-      const largest = (v) => v.reduce((most, w) => Math.max(most, Math.abs(w)), 0);
-      const digits = (v) => (v > 0 ? exponent(v) : 0);
-      const n = Math.min(15 - digits(largest(W)), 50 - digits(largest(b)) - a, 24);
-      const W_n = W.map((w) => roundHalfEven(w * 2 ** n));
-      const b_n = b.map((w) => roundHalfEven(w * 2 ** (a + n)));
-      const sums = new Float64Array(J);
-      for (let i = 0; i < I * J; i++) sums[i % J] += Math.abs(W_n[i]);
-      const B = X * largest(sums) + largest(b_n);
-      const hidden = index < layers.length - 1;
-      const s = hidden ? Math.max(0, bitsOf(B) - 22) : 0;
-      X = Math.floor((B + Math.floor(2 ** s / 2)) / 2 ** s);
-      a += n - s;
-      return { I, J, W: W_n, b: b_n, s, hidden, y: new Float64Array(J) };
-    });
-    return { layers: whole, a, B: X };
-  }
-
-  /** The outputs of an integer network; the next call overwrites them. */
-  function runInteger(network, x) {
-    for (const { I, J, W, b, s, hidden, y } of network.layers) {
-      y.set(b);
-      for (let i = 0; i < I; i++) {
-        if (x[i] === 0) continue;
-        for (let j = 0; j < J; j++) y[j] += x[i] * W[i * J + j];
-      }
-      const half = Math.floor(2 ** s / 2);
-      for (let j = 0; hidden && j < J; j++) y[j] = Math.max(0, Math.floor((y[j] + half) / 2 ** s));
-      x = y;
+      at += own;
     }
-    return x;
+    const symbols = readGaussians(section, new Float64Array(steps.length), sigma_units);
+    section.need(largest(symbols) <= 32767, "a weight of more than 32767 steps", 0, "number");
+    return symbols.map((n, i) => n * steps[i]);
   }
 
-  /** An output y in units of 2^-a, in units of 2^-c. */
-  function inUnits(y, a, c) {
-    if (a <= c) return y * 2 ** (c - a);
-    return Math.floor((y + 2 ** (a - c - 1)) / 2 ** (a - c));
-  }
-
-  /** The row of a node: i + j R + k R^2, or where the table is too small, the hash of Q11. */
-  function hashRow(corner, R, T) {
-    const [i, j, k = 0] = corner;
-    if (R ** corner.length <= T) return i + j * R + k * R * R;
-    return ((i ^ Math.imul(j, 2654435761) ^ Math.imul(k, 805459861)) >>> 0) % T;
-  }
-
-  /** Eq. (9): h = H(x_a), in units of 2^-15. `signs` holds 1 for +1 and 0 for -1. */
-  function hashFeature(model, anchor, h) {
-    const { header, positions, signs } = model;
-    const F = header.F;
-    let [first, out] = [0, 0];
-    for (const [axes, R] of header.grid) {
-      const D = axes.length;
-      const T = nodesOf(header, [axes, R]);
-      const cell = [...axes].map((axis) => {
-        const n = positions[3 * anchor + "xyz".indexOf(axis)];
-        const base = Math.floor((n * (R - 1)) / 65535);
-        return { base, t: n * (R - 1) - 65535 * base };
-      });
-      const sums = new Float64Array(F);
-      for (let corner = 0; corner < 2 ** D; corner++) {
-        const upper = cell.map((_, i) => (corner >> i) & 1);
-        const weight = cell.reduce((w, { t }, i) => w * (upper[i] ? t : 65535 - t), 1);
-        const node = cell.map(({ base }, i) => Math.min(base + upper[i], R - 1));
-        const at = first + hashRow(node, R, T) * F;
-        for (let f = 0; f < F; f++) sums[f] += signs[at + f] ? weight : -weight;
-      }
-      const Q = Math.floor(65535 ** D / 2 ** 15);
-      for (const v of sums) h[out++] = Math.floor((v + Math.floor(Q / 2)) / Q);
-      first += T * F;
-    }
-    return h;
-  }
-
-  /** Eq. (8): q = Q_0 (1 + tanh(psi_q(h))), as q_units of Q_0 2^-15. */
-  function stepUnits(y, a) {
-    const u = clip(inUnits(y, a, 12), -(2 ** 15), 2 ** 15);
-    const v = clip(u + 4 * 2 ** 12, 0, 10 * 2 ** 12 - 1);
-    const [i, r] = [Math.floor(v / 64), v % 64];
-    const share = SIGMOID[i] + Math.floor(((SIGMOID[i + 1] - SIGMOID[i]) * r) / 64);
-    return clip(Math.floor((share + 128) / 256), 32, 65536);
-  }
-
-  /** What means and deviations need of a step: Q_0 = f 2^p, D and n, and R, about 1 / q. */
-  function reciprocal(Q_0, q_units) {
-    const p = exponent(Q_0);
-    const D = Math.floor(2 ** 24 * (Q_0 / 2 ** p)) * q_units;
-    const n = bitsOf(D) - 24;
-    const top = Math.floor(D / 2 ** n);
-    return { p, n, top, R: Math.floor(2 ** 47 / top) };
-  }
-
-  /** Eq. (12), the mean: mu / q in units of 1/1024. */
-  function meanUnits(y, a, B, { p, n, R }) {
-    const t = Math.max(0, bitsOf(B) - 28);
-    const m = Math.floor((y + Math.floor(2 ** t / 2)) / 2 ** t);
-    const S = a - t + p + n - 2;
-    return clip(Math.floor(m * R * 2 ** -S + 0.5), -(2 ** 34), 2 ** 34);
-  }
-
-  /** Eq. (12), the deviation: log2(sigma / q) in units of 1/16. */
-  function deviationUnits(y, a, { p, n, top }) {
-    const raw = clip(inUnits(y, a, 16), -14 * 2 ** 16, 6 * 2 ** 16);
-    const log2_sigma = Math.floor((94548 * raw + 2 ** 15) / 2 ** 16);
-    const i = Math.floor((top - 2 ** 23) / 2 ** 15);
-    const r = top - 2 ** 23 - 2 ** 15 * i;
-    const between = Math.floor(((LOG2[i + 1] - LOG2[i]) * r) / 2 ** 15);
-    const log2_D = (n + 23) * 2 ** 16 + LOG2[i] + between;
-    const units = Math.floor((log2_sigma - log2_D - (p - 39) * 2 ** 16 + 2 ** 11) / 2 ** 12);
-    return clip(units, -128, 319);
-  }
-
-  /** The context of all anchors: q_units and q [A, 4], mu_units and sigma_units [A, columns]. */
-  function codingContext(model) {
-    const { header, networks, groups, columns } = model;
-    const A = header.anchors;
-    const [psi_p, psi_q] = [networks.psi_p, networks.psi_q].map(integerNetwork);
-    const h = new Float64Array(header.F * header.grid.length);
-    const q_units = new Int32Array(4 * A);
-    const mu_units = new Float64Array(A * columns);
-    const sigma_units = new Int16Array(A * columns);
-    for (let a = 0; a < A; a++) {
-      hashFeature(model, a, h);
-      runInteger(psi_q, h).forEach((y, g) => (q_units[4 * a + g] = stepUnits(y, psi_q.a)));
-      const y = runInteger(psi_p, h);
-      let [out, at] = [a * columns, 0];
-      groups.forEach(({ width }, g) => {
-        const step = reciprocal(header.Q_0[g], q_units[4 * a + g]);
-        for (let i = 0; i < width; i++, out++) {
-          mu_units[out] = meanUnits(y[at + i], psi_p.a, psi_p.B, step);
-          sigma_units[out] = deviationUnits(y[at + width + i], psi_p.a, step);
-        }
-        at += 2 * width;
-      });
-    }
-    const q = Float64Array.from(q_units, (units, i) => units * (header.Q_0[i % 4] * 2 ** -15));
-    return { q_units, q, mu_units, sigma_units };
-  }
-
-  // --- a file -----------------------------------------------------------------------------------
-  /** The model in a file of version 1 or 2. Throws Refused. */
-  function decode(bytes) {
-    const { version, sections } = openContainer(bytes);
-    need(sections.header, "header", 0, "missing", "the section is missing");
-    const header = readHeader(sections.header, version);
-    const shapes = layersOf(header);
-    const total = Object.values(sections).reduce((sum, body) => sum + body.length, 0);
-    checkLimits(header, shapes, total);
-    for (const name of SECTIONS) {
-      const asked = name !== "deformation_mlp" || shapes.psi_d.length > 0;
-      need(sections[name] || !asked, name, 0, "missing", "the section is missing");
-      need(!sections[name] || asked, name, 0, "unexpected", "no effect that needs this section");
-    }
-    const { anchors: A, d, k } = header;
-    const groups = [
-      { name: "f_a", section: "features", width: d, first: 0 },
-      { name: "s_a", section: "scales", width: 3, first: d },
-      { name: "l_a", section: "offset_scales", width: 3, first: d + 3 },
-      { name: "O_a", section: "offsets", width: 3 * k, first: d + 6 },
-    ];
-    const columns = d + 6 + 3 * k;
-    const model = { version, header, groups, columns, bytes: {} };
-    for (const name of Object.keys(sections)) model.bytes[name] = sections[name].length;
-    Object.assign(model, readPositions(sections.positions, header, version));
-    const networks = Object.keys(NETWORKS)
-      .filter((name) => sections[name])
-      .map((name) => readNetworks(name, sections[name], shapes, version));
-    model.networks = Object.assign({ psi_d: [], psi_t: [] }, ...networks);
-    const entries = header.grid.reduce((sum, level) => sum + nodesOf(header, level) * header.F, 0);
-    model.signs = readBits("hash_grid", sections.hash_grid, entries);
-    model.masks = readBits("masks", sections.masks, A * k);
-    Object.assign(model, codingContext(model));
-    model.x_a = Float64Array.from(model.positions, (n, i) => {
-      const [lo, hi] = [model.lo[i % 3], model.hi[i % 3]];
-      return lo + n * ((hi - lo) / 65535);
-    });
-    model.symbols = new Float64Array(A * columns);
-    for (const group of groups) readAttributes(model, group, sections[group.section]);
-    return model;
-  }
-
-  /** Eq. (10) backwards: f = symbol q, for one group of attributes. */
-  function readAttributes(model, { name, section, width, first }, body) {
-    const { header, masks, mu_units, sigma_units, symbols, columns } = model;
-    const g = model.groups.findIndex((group) => group.name === name);
-    const isOffsets = name === "O_a";
-    const coded = isOffsets ? 3 * masks.reduce((a, b) => a + b, 0) : header.anchors * width;
-    const where = new Int32Array(coded);
-    let n = 0;
-    for (let a = 0; a < header.anchors; a++) {
-      for (let i = 0; i < width; i++) {
-        const kept = !isOffsets || masks[a * header.k + Math.floor(i / 3)];
-        if (kept) where[n++] = a * columns + first + i;
-      }
-    }
-    const units = (i) => [mu_units[where[i]], sigma_units[where[i]]];
-    readGaussians(section, body, 0, n, units, (i, symbol) => (symbols[where[i]] = symbol));
-    model[name] = new Float64Array(header.anchors * width);
-    for (let a = 0; a < header.anchors; a++) {
-      for (let i = 0; i < width; i++) {
-        model[name][a * width + i] = symbols[a * columns + first + i] * model.q[4 * a + g];
-      }
-    }
-  }
-
-  // --- networks in floats -----------------------------------------------------------------------
   /** y = x W + b for `rows` rows, and ReLU(y) where the layer is hidden. */
   function linear({ I, J, W, b }, x, rows, hidden) {
     const y = new Float64Array(rows * J);
@@ -933,24 +593,177 @@
     return y;
   }
 
-  /** y = W_n relu(... relu(x W_0 + b_0) ...) + b_n */
+  /** y = W_n relu(... relu(x W_0 + b_0) ...) + b_n; in integers a hidden layer drops s bits. */
   function mlp(layers, x, rows) {
-    layers.forEach((layer, i) => (x = linear(layer, x, rows, i < layers.length - 1)));
+    layers.forEach((layer, i) => {
+      x = linear(layer, x, rows, i < layers.length - 1);
+      if (layer.s) x = x.map((y) => shifted(y, layer.s));
+    });
     return x;
   }
 
-  /** Arrays of `rows` rows side by side; `parts` are pairs [array, width]. */
-  function beside(rows, ...parts) {
-    const width = parts.reduce((sum, part) => sum + part[1], 0);
-    const all = new Float64Array(rows * width);
-    let first = 0;
-    for (const [array, w] of parts) {
-      for (let row = 0; row < rows; row++) {
-        for (let i = 0; i < w; i++) all[row * width + first + i] = array[row * w + i];
+  // --- the coding context, in integers ----------------------------------------------------------
+  /** A network in integers: weights W' = W 2^n, biases b' = b 2^(a + n). Its outputs have a
+   *  fractional bits and are at most B. */
+  function integerNetwork(network) {
+    let [a, X, B] = [15, 2 ** 15, 0];
+    const layers = network.map(({ I, J, W, b }, i) => {
+      const n = Math.min(15 - exponent(largest(W)), 50 - exponent(largest(b)) - a, 24);
+      const W_n = W.map((w) => roundHalfEven(w * 2 ** n));
+      const b_n = b.map((w) => roundHalfEven(w * 2 ** (a + n)));
+      const sums = new Float64Array(J);
+      W_n.forEach((w, at) => (sums[at % J] += Math.abs(w)));
+      B = X * largest(sums) + largest(b_n);
+      const s = i < network.length - 1 ? Math.max(0, exponent(B) - 22) : 0;
+      X = shifted(B, s);
+      a += n - s;
+      return { I, J, W: W_n, b: b_n, s };
+    });
+    return { layers, a, t: Math.max(0, exponent(B) - 28) };
+  }
+
+  // An output y in units of 2^-a, in units of 2^-c.
+  const inUnits = (y, a, c) => (a > c ? shifted(y, a - c) : y * 2 ** (c - a));
+
+  /** The row of a node: i + j R + k R^2, or where the table is too small, the hash of Q11. */
+  function hashRow(node, R, T) {
+    const [i, j, k = 0] = node;
+    if (R ** node.length <= T) return i + j * R + k * R * R;
+    return ((i ^ Math.imul(j, 2654435761) ^ Math.imul(k, 805459861)) >>> 0) % T;
+  }
+
+  /** Eq. (9): h = H(x_a), in units of 2^-15. `signs` holds 1 for +1 and 0 for -1. */
+  function hashFeature({ header, positions, signs }, anchor, h) {
+    const F = header.F;
+    let [first, out] = [0, 0];
+    for (const [axes, R] of header.grid) {
+      const T = nodesOf(header, [axes, R]);
+      const n = [...axes].map((axis) => positions[3 * anchor + "xyz".indexOf(axis)] * (R - 1));
+      const base = n.map((v) => Math.floor(v / 65535));
+      const sums = new Float64Array(F);
+      for (let corner = 0; corner < 2 ** n.length; corner++) {
+        let weight = 1;
+        const node = base.map((b, i) => {
+          const [upper, t] = [(corner >> i) & 1, n[i] - 65535 * b];
+          weight *= upper ? t : 65535 - t;
+          return Math.min(b + upper, R - 1);
+        });
+        const at = first + hashRow(node, R, T) * F;
+        for (let f = 0; f < F; f++) sums[f] += signs[at + f] ? weight : -weight;
       }
-      first += w;
+      const Q = Math.floor(65535 ** n.length / 2 ** 15);
+      for (const v of sums) h[out++] = Math.floor((v + Math.floor(Q / 2)) / Q);
+      first += T * F;
     }
-    return all;
+    return h;
+  }
+
+  /** Eq. (8): q = Q_0 (1 + tanh(psi_q(h))), as q_units of Q_0 2^-15. */
+  function stepUnits(y, a) {
+    const u = clip(inUnits(y, a, 12), -(2 ** 15), 2 ** 15);
+    const v = clip(u + 4 * 2 ** 12, 0, 10 * 2 ** 12 - 1);
+    const share = between(SIGMOID, Math.floor(v / 64), v % 64, 64);
+    return clip(shifted(share, 8), 32, 65536);
+  }
+
+  /** What means and deviations need of a step: Q_0 = f 2^p, and of D = f q_units its digits n, its
+   *  logarithm, and R, about 1 / D. */
+  function reciprocal(Q_0, q_units) {
+    const p = exponent(Q_0);
+    const D = Math.floor(2 ** 24 * (Q_0 / 2 ** p)) * q_units;
+    const n = exponent(D) - 24;
+    const top = Math.floor(D / 2 ** n);
+    const i = Math.floor((top - 2 ** 23) / 2 ** 15);
+    const log2_D = (n + 23) * 2 ** 16 + between(LOG2, i, top % 2 ** 15, 2 ** 15);
+    return { p, n, log2_D, R: Math.floor(2 ** 47 / top) };
+  }
+
+  /** Eq. (12), the mean: mu / q in units of 1/1024. */
+  function meanUnits(y, { a, t }, { p, n, R }) {
+    const S = a - t + p + n - 2;
+    return clip(Math.floor(shifted(y, t) * R * 2 ** -S + 0.5), -(2 ** 34), 2 ** 34);
+  }
+
+  /** Eq. (12), the deviation: log2(sigma / q) in units of 1/16. */
+  function deviationUnits(y, { a }, { p, log2_D }) {
+    const raw = clip(inUnits(y, a, 16), -14 * 2 ** 16, 6 * 2 ** 16);
+    const log2_sigma = shifted(94548 * raw, 16);
+    return clip(shifted(log2_sigma - log2_D - (p - 39) * 2 ** 16, 12), -128, 319);
+  }
+
+  /** The context of all anchors: q_units and q [A, 4], mu_units and sigma_units [A, columns]. */
+  function codingContext(model) {
+    const { header, networks, groups, columns } = model;
+    const A = header.anchors;
+    const [psi_p, psi_q] = [networks.psi_p, networks.psi_q].map(integerNetwork);
+    const h = new Float64Array(header.F * header.grid.length);
+    const q_units = new Int32Array(4 * A);
+    const mu_units = new Float64Array(A * columns);
+    const sigma_units = new Int16Array(A * columns);
+    for (let a = 0; a < A; a++) {
+      hashFeature(model, a, h);
+      const [u, y] = [mlp(psi_q.layers, h, 1), mlp(psi_p.layers, h, 1)];
+      groups.forEach(({ width, first }, g) => {
+        q_units[4 * a + g] = stepUnits(u[g], psi_q.a);
+        const step = reciprocal(header.Q_0[g], q_units[4 * a + g]);
+        for (let i = 0; i < width; i++) {
+          const at = a * columns + first + i;
+          mu_units[at] = meanUnits(y[2 * first + i], psi_p, step);
+          sigma_units[at] = deviationUnits(y[2 * first + width + i], psi_p, step);
+        }
+      });
+    }
+    const q = Float64Array.from(q_units, (units, i) => units * (header.Q_0[i % 4] * 2 ** -15));
+    return { q_units, q, mu_units, sigma_units };
+  }
+
+  // --- a file -----------------------------------------------------------------------------------
+  /** The model in a file of version 1 or 2. Throws Refused. */
+  function decode(bytes) {
+    const { version, sections: found } = openContainer(bytes);
+    const sections = {};
+    for (const name of SECTIONS) sections[name] = new Section(name, found[name]);
+    sections.header.need(found.header, "the section is missing", 0, "missing");
+    const header = readHeader(sections.header, version);
+    const shapes = layersOf(header);
+    const sizes = Object.entries(found).map(([name, body]) => [name, body.length]);
+    checkLimits(sections.header, header, shapes, total(sizes.map(([, size]) => size)));
+    for (const [name, section] of Object.entries(sections)) {
+      const asked = name !== "deformation_mlp" || shapes.psi_d.length > 0;
+      section.need(found[name] || !asked, "the section is missing", 0, "missing");
+      section.need(!found[name] || asked, "no effect needs this section", 0, "unexpected");
+    }
+    const { anchors: A, d, k } = header;
+    const groups = [
+      { name: "f_a", section: "features", width: d, first: 0 },
+      { name: "s_a", section: "scales", width: 3, first: d },
+      { name: "l_a", section: "offset_scales", width: 3, first: d + 3 },
+      { name: "O_a", section: "offsets", width: 3 * k, first: d + 6 },
+    ];
+    const columns = d + 6 + 3 * k;
+    const model = { version, header, groups, columns, bytes: Object.fromEntries(sizes) };
+    Object.assign(model, readPositions(sections.positions, header, version));
+    model.networks = readNetworks(sections, shapes, version);
+    model.signs = readBits(sections.hash_grid, entriesOf(header));
+    model.masks = readBits(sections.masks, A * k);
+    Object.assign(model, codingContext(model));
+    model.symbols = new Float64Array(A * columns);
+    groups.forEach((group, g) => {
+      model[group.name] = readAttributes(model, group, g, sections[group.section]);
+    });
+    return model;
+  }
+
+  /** Eq. (10) backwards: f = symbol q, for group g of the attributes; masked offsets are 0. */
+  function readAttributes(model, { name, width, first }, g, section) {
+    const { masks, mu_units, sigma_units, symbols, columns, q } = model;
+    const all = Int32Array.from({ length: (q.length / 4) * width }, (_, i) => i);
+    const column = (i) => Math.floor(i / width) * columns + first + (i % width);
+    const coded = all.filter((i) => name !== "O_a" || masks[Math.floor(i / 3)]).map(column);
+    const mu = Float64Array.from(coded, (at) => mu_units[at]);
+    const found = readGaussians(section, mu, coded.map((at) => sigma_units[at]));
+    coded.forEach((at, n) => (symbols[at] = found[n]));
+    return Float64Array.from(all, (i) => symbols[column(i)] * q[4 * Math.floor(i / width) + g]);
   }
 
   // --- spatial prediction: from anchors to canonical Gaussians ----------------------------------
@@ -970,47 +783,18 @@
     return unit;
   }
 
-  /** Eq. (1): x = x_a + O_a * l_a, for every child, [A, k, 3]. */
-  function offsets(x_a, O_a, l_a) {
-    const k = x_a.length ? O_a.length / x_a.length : 0;
-    return O_a.map((O, i) => {
-      const at = 3 * Math.floor(i / (3 * k)) + (i % 3);
-      return x_a[at] + O * l_a[at];
-    });
-  }
-
-  /** Eq. (2): delta_vc = |x_a - x_c|, d_vc = (x_a - x_c) / delta_vc, zeros at distance 0. */
-  function view(x_a, x_c) {
-    const delta_vc = new Float64Array(x_a.length / 3);
-    const d_vc = x_a.map((x, i) => x - x_c[i % 3]);
-    for (let a = 0; a < delta_vc.length; a++) {
-      delta_vc[a] = Math.hypot(d_vc[3 * a], d_vc[3 * a + 1], d_vc[3 * a + 2]);
-      for (let i = 3 * a; i < 3 * a + 3; i++) d_vc[i] = delta_vc[a] ? d_vc[i] / delta_vc[a] : 0;
+  /** Arrays of `rows` rows side by side; `parts` are pairs [array, width]. One row is repeated. */
+  function beside(rows, ...parts) {
+    const width = total(parts.map(([, w]) => w));
+    const all = new Float64Array(rows * width);
+    let first = 0;
+    for (const [array, w] of parts) {
+      for (let i = 0; i < rows * w; i++) {
+        all[Math.floor(i / w) * width + first + (i % w)] = array[i % array.length];
+      }
+      first += w;
     }
-    return { delta_vc, d_vc };
-  }
-
-  /** Eq. (3): alpha = tanh(psi_alpha(f_a, delta_vc, d_vc)), [A, k]. `inputs` are those three. */
-  const opacity = (psi_alpha, inputs, A) => mlp(psi_alpha, inputs, A).map(Math.tanh);
-
-  /** Eq. (3'): color = sigmoid(psi_c(f_a, delta_vc, d_vc)), [A, k, 3]. */
-  const color = (psi_c, inputs, A) => mlp(psi_c, inputs, A).map(sigmoid);
-
-  /** Eq. (3'): r = psi_r(f_a, delta_vc, d_vc) / |psi_r(...)|, [A, k, 4]. */
-  const rotation = (psi_r, inputs, A) => unit(mlp(psi_r, inputs, A));
-
-  /** Eq. (4): s = s_a * sigmoid(psi_s(f_a, delta_vc, d_vc)), [A, k, 3]. */
-  function scale(psi_s, s_a, inputs, A) {
-    const y = mlp(psi_s, inputs, A);
-    const width = y.length / A;
-    return y.map((v, i) => s_a[3 * Math.floor(i / width) + (i % 3)] * sigmoid(v));
-  }
-
-  /** Children that are drawn: those with mask 1 and alpha >= tau_alpha, as a k + child. */
-  function masking(alpha, masks, tau_alpha) {
-    const index = [];
-    alpha.forEach((value, i) => masks[i] && value >= tau_alpha && index.push(i));
-    return Int32Array.from(index);
+    return all;
   }
 
   /** Rows of an array [rows, width] by their numbers. */
@@ -1020,13 +804,40 @@
     return rows;
   }
 
+  // Of an array [A, 3], what belongs to number i of an array [A, k, 3].
+  const ofAnchor = (array, i, { length }) =>
+    array[3 * Math.floor((i * array.length) / (3 * length)) + (i % 3)];
+
+  /** Eq. (1): x = x_a + O_a * l_a, for every child, [A, k, 3]. */
+  const offsets = (x_a, O_a, l_a) =>
+    O_a.map((O, i) => ofAnchor(x_a, i, O_a) + O * ofAnchor(l_a, i, O_a));
+
+  /** Eq. (2): delta_vc = |x_a - x_c|, d_vc = (x_a - x_c) / delta_vc, zeros at distance 0. */
+  function view(x_a, x_c) {
+    const away = x_a.map((x, i) => x - x_c[i % 3]);
+    const length = (a) => Math.hypot(away[3 * a], away[3 * a + 1], away[3 * a + 2]);
+    const delta_vc = Float64Array.from({ length: x_a.length / 3 }, (_, a) => length(a));
+    return { delta_vc, d_vc: away.map((v, i) => v / (delta_vc[Math.floor(i / 3)] || 1)) };
+  }
+
+  /** Eq. (3): alpha = tanh(psi_alpha(f_a, delta_vc, d_vc)), [A, k]. `inputs` are those three. */
+  const opacity = (psi_alpha, inputs, A) => mlp(psi_alpha, inputs, A).map(Math.tanh);
+  /** Eq. (3'): color = sigmoid(psi_c(f_a, delta_vc, d_vc)), [A, k, 3]. */
+  const color = (psi_c, inputs, A) => mlp(psi_c, inputs, A).map(sigmoid);
+  /** Eq. (3'): r = psi_r(f_a, delta_vc, d_vc) / |psi_r(...)|, [A, k, 4]. */
+  const rotation = (psi_r, inputs, A) => unit(mlp(psi_r, inputs, A));
+  /** Eq. (4): s = s_a * sigmoid(psi_s(f_a, delta_vc, d_vc)), [A, k, 3]. */
+  const scale = (psi_s, s_a, inputs, A) =>
+    mlp(psi_s, inputs, A).map((y, i, all) => ofAnchor(s_a, i, all) * sigmoid(y));
+  /** Children that are drawn: those with mask 1 and alpha >= tau_alpha, as a k + child. */
+  const masking = (alpha, masks, tau_alpha) =>
+    Int32Array.from(alpha.keys()).filter((i) => masks[i] && alpha[i] >= tau_alpha);
+
   /** The canonical Gaussians that a camera at x_c sees: x, s, r, alpha, color, and their index. */
-  function spatialPrediction(model, x_c) {
-    const { header, networks, x_a, f_a, s_a, l_a, O_a, masks } = model;
+  function spatialPrediction({ header, networks, x_a, f_a, s_a, l_a, O_a, masks }, x_c) {
     const A = x_a.length / 3;
     const { delta_vc, d_vc } = view(x_a, x_c);
-    const d = f_a.length / Math.max(A, 1);
-    const seen = beside(A, [f_a, d], [delta_vc, 1], [d_vc, 3]);
+    const seen = beside(A, [f_a, f_a.length / A], [delta_vc, 1], [d_vc, 3]);
     const inputs = (effect) => (header.effects.includes(effect) ? seen : f_a);
     const geometry = inputs("view_geometry");
     const alpha = opacity(networks.psi_alpha, geometry, A);
@@ -1061,35 +872,29 @@
    *  The last `heads` layers of psi_d stand side by side; psi_t may be empty. */
   function deformation(psi_d, psi_t, heads, x, t, { L_x, L_t, skip }) {
     const N = x.length / 3;
-    let E_t = positionalEncoding([t], 1, L_t);
-    if (psi_t.length) E_t = mlp(psi_t, E_t, 1);
-    const [w_x, w_t] = [3 * (1 + 2 * L_x), E_t.length];
-    const rows = new Float64Array(N * w_t).map((_, i) => E_t[i % w_t]);
-    const inputs = beside(N, [positionalEncoding(x, 3, L_x), w_x], [rows, w_t]);
+    const E_t = mlp(psi_t, positionalEncoding([t], 1, L_t), 1);
+    const widths = [3 * (1 + 2 * L_x), E_t.length];
+    const inputs = beside(N, [positionalEncoding(x, 3, L_x), widths[0]], [E_t, widths[1]]);
     const trunk = psi_d.slice(0, psi_d.length - heads);
     let h = inputs;
     trunk.forEach((layer, i) => {
-      if (skip && i === skipOf(trunk)) h = beside(N, [inputs, w_x + w_t], [h, trunk[i - 1].J]);
+      const again = skip && i === skipOf(trunk);
+      if (again) h = beside(N, [inputs, total(widths)], [h, trunk[i - 1].J]);
       h = linear(layer, h, N, true);
     });
     return psi_d.slice(trunk.length).map((head) => linear(head, h, N, false));
   }
 
-  const sum = (a, b) => a.map((v, i) => v + b[i]);
-
   /** Eq. (6): x_t = x + delta_x, s_t = s + delta_s, r_t = unit(r + delta_r). What has no delta
    *  stays as it is. */
   function deformed({ x, s, r }, { translation, scaling, rotation }) {
-    return {
-      x_t: translation ? sum(x, translation) : x,
-      s_t: scaling ? sum(s, scaling) : s,
-      r_t: rotation ? unit(sum(r, rotation)) : r,
-    };
+    const plus = (a, delta) => (delta ? a.map((v, i) => v + delta[i]) : a);
+    const r_t = rotation ? unit(plus(r, rotation)) : r;
+    return { x_t: plus(x, translation), s_t: plus(s, scaling), r_t };
   }
 
   /** The Gaussians at time t: x_t, s_t, r_t. */
-  function temporalPrediction(model, gaussians, t) {
-    const { header, networks } = model;
+  function temporalPrediction({ header, networks }, gaussians, t) {
     const heads = MOTION.filter((effect) => header.effects.includes(effect));
     if (heads.length === 0) return deformed(gaussians, {});
     const { psi_d, psi_t } = networks;
@@ -1107,18 +912,16 @@
     ];
   }
 
+  /** Products of vectors of three numbers, the second from number `i` of an array on. */
+  const dot = (a, b, i = 0) => a[0] * b[i] + a[1] * b[i + 1] + a[2] * b[i + 2];
+
   /** Sigma = R(r) diag(s)^2 R(r)^T, [N, 3, 3]. */
   function covariance(s, r) {
     const Sigma = new Float64Array(3 * s.length);
     for (let n = 0; n < s.length / 3; n++) {
-      const M = rotationMatrix(r[4 * n], r[4 * n + 1], r[4 * n + 2], r[4 * n + 3]);
-      for (let j = 0; j < 3; j++) for (const row of M) row[j] *= s[3 * n + j];
-      for (let i = 0; i < 3; i++) {
-        for (let j = 0; j < 3; j++) {
-          const product = M[i][0] * M[j][0] + M[i][1] * M[j][1] + M[i][2] * M[j][2];
-          Sigma[9 * n + 3 * i + j] = product;
-        }
-      }
+      const R = rotationMatrix(...r.subarray(4 * n, 4 * n + 4));
+      const M = R.map((row) => row.map((v, j) => v * s[3 * n + j]));
+      for (let i = 0; i < 9; i++) Sigma[9 * n + i] = dot(M[Math.floor(i / 3)], M[i % 3]);
     }
     return Sigma;
   }
@@ -1130,35 +933,23 @@
     const [mean2d, depth] = [new Float64Array(2 * N), new Float64Array(N)];
     const [cov2d, conic] = [new Float64Array(3 * N), new Float64Array(3 * N)];
     const visible = new Uint8Array(N);
-    const [limit_x, limit_y] = [0, 1].map((i) => (1.3 * size[i]) / (2 * focal[i]));
     for (let n = 0; n < N; n++) {
-      const [p, q, o] = [x[3 * n], x[3 * n + 1], x[3 * n + 2]];
-      const X = W[0] * p + W[1] * q + W[2] * o + T[0];
-      const Y = W[3] * p + W[4] * q + W[5] * o + T[1];
-      const z = W[6] * p + W[7] * q + W[8] * o + T[2];
+      const at = x.subarray(3 * n, 3 * n + 3);
+      const [X, Y, z] = [0, 1, 2].map((i) => dot(at, W, 3 * i) + T[i]);
       if (!(z > 0.2) || !Number.isFinite(X + Y + z)) continue;
-      const g = clip(X / z, -limit_x, limit_x);
-      const h = clip(Y / z, -limit_y, limit_y);
-      const [j_x, j_y] = [focal[0] / z, focal[1] / z];
-      const V = new Float64Array(6); // J W, its two rows
-      for (let i = 0; i < 3; i++) {
-        V[i] = j_x * (W[i] - g * W[6 + i]);
-        V[3 + i] = j_y * (W[3 + i] - h * W[6 + i]);
-      }
-      let [a, b, c] = [0.3, 0, 0.3];
-      for (let i = 0; i < 3; i++) {
-        const at = 9 * n + 3 * i;
-        const u = Sigma[at] * V[0] + Sigma[at + 1] * V[1] + Sigma[at + 2] * V[2];
-        const v = Sigma[at] * V[3] + Sigma[at + 1] * V[4] + Sigma[at + 2] * V[5];
-        a += V[i] * u;
-        b += V[i] * v;
-        c += V[3 + i] * v;
-      }
+      // V = J W, whose rows are f / z (W_row - g W_z) with g = X / z, clipped to 1.3 half pictures.
+      const V = [X / z, Y / z].map((slope, row) => {
+        const limit = (1.3 * size[row]) / (2 * focal[row]);
+        const g = clip(slope, -limit, limit);
+        return [0, 1, 2].map((i) => (focal[row] / z) * (W[3 * row + i] - g * W[6 + i]));
+      });
+      const [u, v] = V.map((row) => [0, 3, 6].map((i) => dot(row, Sigma, 9 * n + i)));
+      const [a, b, c] = [dot(V[0], u) + 0.3, dot(V[0], v), dot(V[1], v) + 0.3];
       const determinant = a * c - b * b;
       if (!(determinant > 0) || !Number.isFinite(determinant)) continue;
       visible[n] = 1;
       depth[n] = z;
-      mean2d.set([j_x * X + center[0], j_y * Y + center[1]], 2 * n);
+      mean2d.set([(focal[0] / z) * X + center[0], (focal[1] / z) * Y + center[1]], 2 * n);
       cov2d.set([a, b, c], 3 * n);
       conic.set([c / determinant, -b / determinant, a / determinant], 3 * n);
     }
@@ -1179,16 +970,15 @@
     order.sort((i, j) => depth[i] - depth[j] || i - j); // the nearest first
     for (const n of order) {
       const [A, B, C] = conic.subarray(3 * n, 3 * n + 3);
-      const [u_0, v_0, opaque] = [mean2d[2 * n], mean2d[2 * n + 1], alpha[n]];
       const [red, green, blue] = color.subarray(3 * n, 3 * n + 3);
+      const [u_0, v_0, opaque] = [mean2d[2 * n], mean2d[2 * n + 1], alpha[n]];
       // alpha exp(-E) >= least where 2 E <= reach; the determinant of the conic gives the rows.
       const reach = least > 0 ? 2 * Math.log(Math.abs(opaque) / least) : Infinity;
       if (!(reach > 0)) continue;
       const determinant = A * C - B * B;
       const tall = least > 0 ? Math.sqrt((reach * A) / determinant) : Infinity;
-      const top = Math.max(0, Math.ceil(v_0 - tall));
       const bottom = Math.min(height - 1, Math.floor(v_0 + tall));
-      for (let v = top; v <= bottom; v++) {
+      for (let v = Math.max(0, Math.ceil(v_0 - tall)); v <= bottom; v++) {
         const e_2 = v - v_0;
         const wide = Math.sqrt(Math.max(reach * A - determinant * e_2 * e_2, 0)) / A;
         const middle = u_0 - (B * e_2) / A;
@@ -1215,23 +1005,21 @@
   }
 
   /** The centre of a camera, x_c = -W^T T. */
-  const centreOf = ({ W, T }) =>
-    [0, 1, 2].map((i) => -(W[i] * T[0] + W[3 + i] * T[1] + W[6 + i] * T[2]));
+  const centreOf = ({ W, T }) => [0, 1, 2].map((i) => -dot(T, [W[i], W[3 + i], W[6 + i]]));
 
   /** The splats of Gaussians at time t. */
-  function splatting(gaussians, { x_t, s_t, r_t }, camera) {
-    const { alpha, color } = gaussians;
+  function splatting({ alpha, color }, { x_t, s_t, r_t }, camera) {
     return { ...projection(x_t, covariance(s_t, r_t), camera), alpha, color };
   }
 
   /** The picture of a model, [height, width, 3], red, green and blue from 0 to 1. */
   function render(model, camera, t, { least = 0 } = {}) {
-    const { header } = model;
+    const { background, effects } = model.header;
     const gaussians = spatialPrediction(model, centreOf(camera));
     const splats = splatting(gaussians, temporalPrediction(model, gaussians, t), camera);
-    const occlusion = header.effects.includes("occlusion");
-    const scene = { background: header.background, size: camera.size, occlusion, least };
-    return compositing(splats, scene).image.map((value) => clip(value, 0, 1));
+    const occlusion = effects.includes("occlusion");
+    const { image } = compositing(splats, { background, size: camera.size, occlusion, least });
+    return image.map((value) => clip(value, 0, 1));
   }
 
   Object.assign(exported, { Refused, decode, openContainer, hashFeature, layersOf });
@@ -1239,5 +1027,5 @@
   Object.assign(exported, { color, rotation, scale, masking, gather, beside, positionalEncoding });
   Object.assign(exported, { deformation, deformed, rotationMatrix, covariance, projection });
   Object.assign(exported, { compositing, spatialPrediction, temporalPrediction, splatting });
-  Object.assign(exported, { render, centreOf, TABLES });
+  Object.assign(exported, { render, centreOf, gaussianTable });
 })(typeof module === "object" ? module.exports : (globalThis.p4dgs = {}));

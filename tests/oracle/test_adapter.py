@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.oracle import adapter as adapter_module
+from p4dgs_ref.oracle import checker, report
 from p4dgs_ref.oracle.adapter import Adapter, AdapterError
 from p4dgs_ref.oracle.ports import PortError
 from p4dgs_ref.oracle.published import Golden
@@ -256,6 +257,8 @@ SLEEPER = "open({!r}, 'a').write(str(subprocess.Popen(['sleep', '60']).pid) + '\
     [
         ("if n: print('warming up')", "'warming up"),
         ("if n == 0: answer = {'p4dgs_oracle': 2}", "expected p4dgs_oracle 1, got 2"),
+        ("if n == 0: answer['subjects'] = ['ofsets']", "subjects: expected a list of some of tanh"),
+        ("if n == 0: answer['subjects'] = 'offsets'", "subjects: expected a list"),
     ],
 )
 def test_a_log_or_another_version_is_named(port, twist, words):
@@ -325,6 +328,23 @@ def test_a_port_may_skip_or_fail():
     kind, message = failure(ask)
     assert kind == "error" and len(message) < 400
     assert verdicts(ask, 1) == ["ok"] and ask.child is child
+
+
+def test_a_port_may_say_that_it_lacks_gradients_and_subjects(port):
+    ask = port(
+        "answer.pop('in_bar', None)\n"
+        "if n == 0: answer.update(gradients=False, subjects=['offsets', 'codec'])"
+    )
+    cases = [case(*id, np.ones(3)) for id in (("0", "offsets"), ("1", "offsets"), ("0", "view"))]
+    cases[1].tensors["out.y"] = np.zeros(3)
+    found = checker.Report([checker.judge(asked, ask)[0] for asked in cases], ask.says)
+    assert {r.verdict: r.required for r in found.results} == {
+        "pass": True,
+        "fail": True,
+        "absent": False,
+    }
+    assert "gradients: outputs alone were judged\nthe port lacks view: 1 cases" in str(found)
+    assert {"gradients": False, "lacking": ["view"]}.items() <= report.as_json(found).items()
 
 
 def test_a_port_that_cannot_start_is_given_up(port):

@@ -93,7 +93,6 @@ lessons.backward("25.3", my_color_backward, "color")
 # colour network reads the feature alone; distance and direction, four more inputs, are left out.
 
 # %%
-with_all = design_of(PAPER_SYNTHETIC, MODEL_EFFECTS).layers()
-without = design_of(PAPER_SYNTHETIC, ()).layers()
+with_all, without = (design_of(PAPER_SYNTHETIC, of).layers() for of in (MODEL_EFFECTS, ()))
 assert "psi_d" in with_all and "psi_d" not in without
 assert with_all["psi_c"][0][0] - without["psi_c"][0][0] == 4

@@ -323,8 +323,10 @@ def problem(cases, port, roles):
     The oracle's doctor sees the answers to all cases and names the mistake if it knows it.
     """
     answers = {}  # those that are judged; asked again, a port may answer something else
-    kept = SimpleNamespace(run=lambda case: answers.setdefault(case.id, port.run(case)))
-    first = Report(check_subject(cases, kept, roles)).first
+    kept = SimpleNamespace(
+        run=lambda case: answers.setdefault(case.id, port.run(case)), asked=roles
+    )
+    first = Report(check_subject(cases, kept)).first
     if first is None:
         return ""
     if not first.findings:

@@ -40,6 +40,12 @@ HELPERS = {
 HALF = "grid_nodes"
 
 
+def equations():
+    """Return the keys of the paper's equations, in the order in which data flows."""
+    rows = published.subjects().items()
+    return [key for key, row in rows if row["level"] == "L1" and "group" not in row]
+
+
 class ClassroomError(ValueError):
     """The folder is not a classroom, or the key is not one of an equation."""
 
@@ -53,7 +59,7 @@ def classroom(folder, only=None):
     Returns {"output", "equations": keys written, "functions": how many have to be written, "kept":
     keys left as they were}. Raises ClassroomError or OutputError.
     """
-    folder, every = Path(folder), published.equations()
+    folder, every = Path(folder), equations()
     for key in only or ():
         if key not in every:
             raise ClassroomError(f"{key!r}: expected one of {', '.join(every)}")
@@ -93,7 +99,7 @@ def files_of(folder):
 def keys_of(folder):
     """Return the equations that students find in a classroom. Raises ClassroomError."""
     files = files_of(folder)
-    found = [key for key in published.equations() if (files / f"{key}.py").is_file()]
+    found = [key for key in equations() if (files / f"{key}.py").is_file()]
     if not found:
         raise ClassroomError(
             f"{folder}: expected a classroom, which has files such as student/offsets.py; "

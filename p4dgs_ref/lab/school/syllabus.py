@@ -59,6 +59,10 @@ TUTORIALS = (
     Tutorial("26_video_codec_analogy"),
     Tutorial("27_rate_distortion", lit=("total_loss", "rate_loss", "file")),
     Tutorial("28_four_ways_to_move", lit=("offsets", "deformation", "deformed", "file")),
+    Tutorial(
+        "29_porting_in_an_afternoon",
+        lit=("rounding", "hash_grid", "projection", "compositing", "entropy_coder", "file"),
+    ),
 )
 
 

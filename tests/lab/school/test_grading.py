@@ -15,6 +15,7 @@ from p4dgs_ref.lab import school
 from p4dgs_ref.lab.school import student
 from p4dgs_ref.lab.school.room import (
     TEACHER,
+    equations,
     functions_in,
     functions_of,
     kept,
@@ -27,7 +28,7 @@ from p4dgs_ref.oracle import published
 from p4dgs_ref.splatting import loop
 from tests.sampling import few
 
-KEYS = published.equations()
+KEYS = equations()
 RIGHT = "x = x_a[:, None, :] + O_a * l_a[:, None, :]\n"
 AS_LOGARITHM = "return x_a[:, None, :] + O_a * np.exp(l_a)[:, None, :], (O_a, l_a)"
 WITHOUT_SCALING = "return x_a[:, None, :] + O_a, (O_a, l_a)"

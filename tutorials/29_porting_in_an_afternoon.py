@@ -1,0 +1,214 @@
+# %% [markdown]
+# # Porting in an afternoon, and what the checker says
+#
+# **Promise.** After this you can port the method to another language in six steps, and read from
+# the checker's first line which of your lines is wrong. **Before it:** `07_noise_and_rounding`,
+# `09_hash_grid`, `15_compositing`, `20_intervals_to_rans`. **Takes** ten seconds on two cores,
+# 15 minutes of reading and 15 of exercises.
+#
+# **Files:** [p4dgs.js](../p4dgs_ref/viewer/p4dgs.js),
+# [adapter.js](../p4dgs_ref/viewer/adapter.js), [adapter.py](../p4dgs_ref/oracle/adapter.py).
+
+# %%
+import shutil
+import tempfile
+from pathlib import Path
+
+import p4dgs_ref as p4
+from p4dgs_ref.lab.school import lessons
+from p4dgs_ref.oracle.adapter import Adapter
+from p4dgs_ref.oracle.checker import check_port
+
+plt = lessons.begin("29_porting_in_an_afternoon")
+viewer = Path(p4.__file__).parent / "viewer"
+source = (viewer / "p4dgs.js").read_text(encoding="utf-8")
+node = shutil.which("node") or print("node is not installed: the port is not run here")
+
+# %% [markdown]
+# ## Claim
+# The project has a port of its own, in JavaScript: a file is decoded and drawn in a browser. It
+# was written from two pages, the one of the file format (`python -m p4dgs_ref.codec` prints it)
+# and the one of the [golden vectors](../p4dgs_ref/oracle/v1/README.md). We follow the six steps of
+# the second page, make the mistakes that porters make, and see what the checker says of them. The
+# claim is that a mistake in one line shows as one equation, not as a picture that looks strange.
+# For example, Eq. (10) rounds a feature to a multiple of its step, ties to even:
+# $$\hat f = \lfloor f/q \rceil\, q \tag{10}$$
+# The function of JavaScript that is called `Math.round` rounds ties *up*.
+
+# %% [markdown]
+# ## By hand
+# The symbols of $f/q = 0.5, 1.5, 2.5$ are $0, 2, 2$. `Math.round` computes $\lfloor v +
+# \frac12\rfloor$ and gives $1, 2, 3$. A decoder never divides by $q$, but it rounds the weights of
+# the networks of Eqs. (8) and (12) to integers in the same way. So one tie among these weights is
+# enough to spoil a file.
+
+# %%
+assert [(round(v), (v + 0.5) // 1) for v in (0.5, 1.5, 2.5)] == [(0, 1), (2, 2), (2, 3)]
+
+# %% [markdown]
+# ## In code
+# **Steps 1 and 2: copy the folder, read the manifest.** `p4dgs-ref oracle export vectors` writes
+# it. A port that runs as a process needs neither: the checker sends it every case as one line of
+# JSON, and the port answers with one line. That is what `adapter.js` does, in 300 lines of which
+# most name an equation and the shape of its output.
+#
+# **Step 3: level L0**, scalar functions such as the hash of a grid's node or the rounding of ties.
+# **Step 4: level L1**, one equation after the other, in the order in which data flow. **Step 6:
+# levels L2 to L4**, stages, compressed files and whole pictures. Step 5, the gradients, comes
+# below. The whole check is one command and takes five seconds:
+#
+#     p4dgs-ref oracle check --adapter "node p4dgs_ref/viewer/adapter.js"
+#
+# The function below does the same for a copy of the port in which one piece of code is replaced by
+# another. Without a mistake, all cases pass.
+
+
+# %%
+def checked(right, wrong, only):
+    """The report on the port with one piece of its code replaced by another."""
+    with tempfile.TemporaryDirectory() as folder:
+        shutil.copy(viewer / "adapter.js", folder)
+        Path(folder, "p4dgs.js").write_text(source.replace(right, wrong), encoding="utf-8")
+        with Adapter(f"node {folder}/adapter.js", timeout=60) as port:
+            return check_port(port, only=only.split())
+
+
+assert not node or checked("", "", "rounding hash_grid covariance compositing").ok
+
+# %% [markdown]
+# ## Backward by hand
+# **Step 5: the gradients.** A viewer needs none, and the port has none. It says so in its first
+# line, `"gradients": false`, and lists its 29 subjects there. The checker then judges the outputs
+# of these alone, and its report names what the port lacks, so that nobody takes it for a trainer.
+#
+# Outputs alone say nothing about a backward. Eq. (1), $x = x_a + O_a\,l_a$, has the gradient
+# $\bar x_a = \sum_k \bar x$. A port that forgets that one anchor moves all its $k$ children, and
+# takes their mean instead, has right pictures and trains wrongly. Only `in_bar.x_a` shows it.
+
+# %%
+lessons.caught(
+    lambda x_a, O_a, l_a: x_a[:, None] + O_a * l_a[:, None],
+    "offsets",
+    vjp=lambda inputs, bars: {
+        "x_a": bars["x_bar"].mean(axis=1),
+        "O_a": bars["x_bar"] * inputs["l_a"][:, None],
+        "l_a": (bars["x_bar"] * inputs["O_a"]).sum(axis=1),
+    },
+)
+
+# %% [markdown]
+# ## Break it
+# Here are seven mistakes. Each replaces one expression of the port. The table says which subjects
+# are run, which case must fail first, and how many of their cases fail. The last mistake was really
+# made, when the code was shortened. A splat that nothing cuts has an infinite reach, and where it
+# is also infinitely wide, its conic is 0, and infinity times zero is NaN. No picture of a trained
+# model shows this; the case `equal_depths` and eight others do.
+
+# %%
+MISTAKES = {
+    "ties are rounded up": (
+        "up % 2 !== 0 ? up - 1 : up",
+        "up % 2 !== 0 ? up : up",
+        "rounding",
+        "rounding_ties/ordinary",
+        8,
+    ),
+    "the hash multiplies in doubles": (
+        "Math.imul(j, 2654435761) ^ Math.imul(k, 805459861)",
+        "(j * 2654435761) ^ (k * 805459861)",
+        "hash_grid",
+        "hash_index/products_beyond_doubles",
+        1,
+    ),
+    "weights are read by columns": (
+        "v * W[w]",
+        "v * W[j * I + i]",
+        "mlp opacity color",
+        "mlp/ordinary",
+        7,
+    ),
+    "quaternions are (x, y, z, w)": (
+        "rotationMatrix(w, x, y, z)",
+        "rotationMatrix(x, y, z, w)",
+        "covariance projection_stage",
+        "rotation_matrix/ordinary",
+        11,
+    ),
+    "pixels have their centres at ½": (
+        "const e_2 = v - v_0",
+        "const e_2 = v + 0.5 - v_0",
+        "compositing",
+        "compositing/ordinary",
+        15,
+    ),
+    "numbers are shifted in 32 bits": (
+        "Math.floor((v + Math.floor(2 ** s / 2)) / 2 ** s)",
+        "(v + ((1 << s) >> 1)) >> s",
+        "codec",
+        "codec/smallest_grid",
+        24,
+    ),
+    "infinity times zero": (
+        "least > 0 ? Math.sqrt((reach * A) / determinant) : Infinity",
+        "Math.sqrt((reach * A) / determinant)",
+        "compositing",
+        "compositing/equal_depths",
+        9,
+    ),
+}
+for mistake, (right, wrong, only, first, failing) in (MISTAKES if node else {}).items():
+    report = checked(right, wrong, only)
+    said = str(report).split("first divergence: ")[1].partition("\n\n")[0]
+    print(f"{mistake}: {said}\n")
+    assert (report.first.id, sum(r.wrong for r in report.results)) == (first, failing)
+
+# %% [markdown]
+# Read the first divergence and leave the rest. In the whole check, weights read by columns fail in
+# 55 cases, but the first is `mlp`, the only one to mend. Three mistakes the checker knows by name,
+# and it explains what the port does. The hash is the opposite: a single case fails, one that was
+# made for it, and no picture would ever have told.
+
+# %%
+figure, ax = plt.subplots(figsize=(9, 4))
+ax.barh(list(MISTAKES), [row[-1] for row in MISTAKES.values()], edgecolor="k")
+lessons.finish(ax, xlabel="cases that fail; the first of them names the equation")
+lessons.show(figure, "29_porting", title="Seven mistakes in one line each")
+
+# %% [markdown]
+# ## What a codec does with it
+# The makers of a video codec publish *conformance streams*: files, and what a decoder must find in
+# them. Here they are level L3, 99 small files, of which 69 must be refused. A decoder's numbers
+# must agree bit for bit, so no tolerance hides anything: a shift in 32 bits spoils 24 files.
+#
+# What a decoder *says* of a bad file is not judged, and there the port had its other mistakes. It
+# read the networks in the order of the sections, where the package reads psi_d last; of a file
+# with two damaged sections the two named different ones. And once two arguments of a refusal were
+# exchanged, so that the byte was a text. All streams passed. What found both was a comparison of
+# section, byte and kind, on the streams and on 2,000 damaged files. A promise that is not checked
+# is not kept for long.
+
+# %% [markdown]
+# ## Exercises
+# **29.1** ● How many of the six ties $-2.5, -1.5, \dots, 2.5$ does $\lfloor v + \frac12\rfloor$
+# round otherwise than to even? For example, $0.5$ is one of them and $1.5$ is not.
+#
+# **29.2** ●● A double holds every integer up to $2^{53}$, and beyond it only the even ones. What is
+# the smallest $j$ for which the product $2654435761\, j$ of the hash is not exact in a double?
+#
+# **Predict, then run.** In a file, a level of the hash grid has at most $2^{16}$ nodes along an
+# axis. Which files does a port decode wrongly that multiplies in doubles?
+
+# %%
+answer_1 = answer_2 = ...
+lessons.number("29.1", answer_1)
+lessons.number("29.2", answer_2)
+
+# %% [markdown]
+# ## Check your port
+# `p4dgs-ref oracle check --adapter "CMD"` checks a port that runs as a process, and
+# `p4dgs-ref oracle check DIR` one that writes files. Start with `--level L0`. A port of a part,
+# such as a decoder, names its subjects in its first line and is judged by these. Typical mistakes
+# of ports are to test with pictures instead of numbers, and to begin with the last level.
+
+# %%
+lessons.passes("rounding")
