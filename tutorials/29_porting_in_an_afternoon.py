@@ -14,14 +14,9 @@ import shutil
 import tempfile
 from pathlib import Path
 
-import p4dgs_ref as p4
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.oracle.adapter import Adapter
-from p4dgs_ref.oracle.checker import check_port
 
 plt = lessons.begin("29_porting_in_an_afternoon")
-viewer = Path(p4.__file__).parent / "viewer"
-source = (viewer / "p4dgs.js").read_text(encoding="utf-8")
 node = shutil.which("node") or print("node is not installed: the port is not run here")
 
 # %% [markdown]
@@ -64,6 +59,14 @@ assert [(round(v), (v + 0.5) // 1) for v in (0.5, 1.5, 2.5)] == [(0, 1), (2, 2),
 
 
 # %%
+import p4dgs_ref as p4
+from p4dgs_ref.oracle.adapter import Adapter
+from p4dgs_ref.oracle.checker import check_port
+
+viewer = Path(p4.__file__).parent / "viewer"
+source = (viewer / "p4dgs.js").read_text(encoding="utf-8")
+
+
 def checked(right, wrong, only):
     """The report on the port with one piece of its code replaced by another."""
     with tempfile.TemporaryDirectory() as folder:
