@@ -74,5 +74,6 @@ def perpendicular(unit, v):
     difference of nearly equal numbers. As a sum of 2 x 2 minors, v |unit|**2 - unit (unit . v), it
     keeps its digits.
     """
-    minors = v[..., :, None] * unit[..., None, :] - unit[..., :, None] * v[..., None, :]
+    products = np.einsum("...i,...j->...ij", v, unit)
+    minors = products - products.swapaxes(-1, -2)
     return np.einsum("...ij,...j->...i", minors, unit)
