@@ -10,7 +10,8 @@ therefore one product with a constant matrix and one exp. A loop over depth rank
 every tile, second splat of every tile, ...) then composites these tiles at once. In the backward
 pass the transposed product returns the six moments of the gradient, from which the gradients of
 mean, conic and opacity follow in closed form. The cost follows the listed pairs, not N H W. Tiles
-are taken in groups, and without gradients the memory follows a group, not the image.
+are taken in groups, and without gradients the memory follows a group, not the image. With gradients
+it follows the alphas alone where there are several groups.
 
 The lists by tile are those of Kerbl et al. 2023 (3DGS), the arrangement by ranks is this project's.
 `settings` says which pairs are listed and when a tile stops (Q21).
@@ -51,8 +52,9 @@ def forward(
     With `keep=False` the last is None, and a chunk is forgotten as soon as it is composited.
     """
     dtype, side = np.dtype(settings.dtype), settings.tile
-    looks = mean2d, cov2d, conic, alpha, depth, visible
-    lists = bin_splats(*looks, width, height, settings, occlusion)
+    lists = bin_splats(
+        mean2d, cov2d, conic, alpha, depth, visible, width, height, settings, occlusion
+    )
     count = np.bincount(lists.tile, minlength=lists.columns * lists.rows)
     start, M = np.cumsum(count) - count, len(lists.row)
     splats = columns_of(mean2d, conic, alpha)
@@ -63,8 +65,8 @@ def forward(
     image = np.zeros((len(count), 3, side * side), dtype)
     stopped = np.zeros(T.shape, bool)
     # A chunk: up to RANKS successive splats of those tiles of a group that still let light through.
-    chunks = []
-    for tiles in groups_of_tiles(count, side):
+    chunks, groups = [], groups_of_tiles(count, side)
+    for tiles in groups:
         for rank in range(0, int(count[tiles[0]]), RANKS):
             tiles = tiles[count[tiles] > rank]
             if settings.stop and occlusion and rank:
@@ -74,7 +76,7 @@ def forward(
             ranks = np.arange(rank, min(rank + RANKS, count[tiles].max()))[:, None]
             # [K, G] the row of every pair; M, the padding, where a tile's list has ended
             pairs = np.where(ranks < count[tiles], start[tiles] + ranks, M)
-            light, dark = T[tiles], stopped[tiles]
+            before, light, dark = T[tiles], T[tiles], stopped[tiles]
             A, weights, clamped = composite(
                 coefficients.take(pairs, axis=0), light, dark, settings, occlusion, clamps, keep
             )
@@ -82,7 +84,9 @@ def forward(
             colors = paint.take(pairs, axis=0)
             image[tiles] += colors.transpose(1, 2, 0) @ weights.transpose(1, 0, 2)
             if keep:
-                chunks.append((tiles, pairs, A, weights, clamped))
+                # Weights take half of the memory: in large pictures backward finds them again.
+                kept = weights if len(groups) == 1 or not occlusion else None
+                chunks.append((tiles, pairs, A, kept, before, clamped))
     if background.any():  # black adds nothing
         image += T[:, None] * background.astype(dtype)[:, None]
     saved = (chunks, T, background, occlusion, lists, splats, paint, settings)
@@ -102,7 +106,10 @@ def backward(saved, image_bar):
         behind = background.astype(settings.dtype) @ g
     basis = monomials(settings.tile, settings.dtype).T
     per_pair = np.zeros((len(paint), 9), settings.dtype)  # the last row collects the padding
-    for tiles, pairs, A, weights, clamped in reversed(chunks):
+    for tiles, pairs, A, weights, before, clamped in reversed(chunks):
+        if weights is None:
+            weights = np.empty_like(A)
+            front_to_back(A, weights, before.copy(), np.zeros(before.shape, bool), settings)
         g_tiles, sums = g[tiles], np.empty((*pairs.shape, 9), A.dtype)
         paint_bar = sums[:, :, 6:].transpose(1, 0, 2)
         np.matmul(weights.transpose(1, 0, 2), g_tiles.transpose(0, 2, 1), out=paint_bar)
@@ -126,8 +133,8 @@ def backward(saved, image_bar):
         piece = slice(first, first + PIECE)
         placed = at_pairs(splats, lists, settings.tile, piece)
         columns[:6, piece] = from_moments(columns[:6, piece], placed)
-    N = splats.shape[1]  # the sum over all pairs of a Gaussian
-    total = np.stack([np.bincount(lists.row, column, N) for column in columns], axis=1)
+    # All pairs of a Gaussian.
+    total = np.stack([np.bincount(lists.row, pairs, splats.shape[1]) for pairs in columns], axis=1)
     return {
         "mean2d": total[:, :2],
         "conic": total[:, 2:5],
@@ -158,10 +165,9 @@ def columns_of(mean2d, conic, alpha):
 
 def at_pairs(splats, lists, side, piece=slice(None)):
     """The `columns_of` every pair's splat, with x and y of its tile's middle as seen from it."""
-    row, tile = lists.row[piece], lists.tile[piece]
-    columns = splats.take(row, axis=1)
-    columns[0] = tile % lists.columns * side + (side - 1) / 2 - columns[0]
-    columns[1] = tile // lists.columns * side + (side - 1) / 2 - columns[1]
+    columns, tile = splats.take(lists.row[piece], axis=1), lists.tile[piece]
+    places = np.stack([tile % lists.columns, tile // lists.columns])
+    columns[:2] = places * side + (side - 1) / 2 - columns[:2]
     return columns
 
 
