@@ -75,5 +75,4 @@ def perpendicular(unit, v):
     keeps its digits.
     """
     products = np.einsum("...i,...j->...ij", v, unit)
-    minors = products - products.swapaxes(-1, -2)
-    return np.einsum("...ij,...j->...i", minors, unit)
+    return np.einsum("...ij,...j->...i", products - products.swapaxes(-1, -2), unit)

@@ -81,8 +81,8 @@ def forward(
                 coefficients.take(pairs, axis=0), light, dark, settings, occlusion, clamps, keep
             )
             T[tiles], stopped[tiles] = light, dark
-            colors = paint.take(pairs, axis=0)
-            image[tiles] += colors.transpose(1, 2, 0) @ weights.transpose(1, 0, 2)
+            colors = paint.take(pairs, axis=0).transpose(1, 2, 0)
+            image[tiles] += colors @ weights.transpose(1, 0, 2)
             if keep:
                 # Weights take half of the memory: in large pictures backward finds them again.
                 kept = weights if len(groups) == 1 or not occlusion else None
