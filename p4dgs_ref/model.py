@@ -164,7 +164,8 @@ def join(anchors):
 
 def groups(values, design):
     """The columns of f [A, d], s [A, 3], l [A, 3] and O [A, 3k], as views."""
-    return np.split(values, np.cumsum(design.widths[:3]), axis=1)
+    s, l, O = design.d, design.d + 3, design.d + 6  # where the columns of each group begin
+    return values[:, :s], values[:, s:l], values[:, l:O], values[:, O:]
 
 
 def split(values, design):

@@ -60,8 +60,8 @@ def estimate(arguments, trainers, jobs=1):
         return
     minutes = sum(count * seconds_of(trainer) for trainer, count in trainers) / 60 / jobs
     say(
-        f"about {minutes:.0f} minutes for {iterations} iterations, judging by the first of every "
-        "training (later stages cost more)"
+        f"about {minutes:.0f} minutes for {iterations:.0f} iterations, judging by the first of "
+        "every training (later stages cost more)"
     )
     expect(
         minutes <= 60 or arguments.yes,
@@ -79,8 +79,10 @@ def seconds_of(trainer):
 def demo(arguments):
     """Run the main job and write its report."""
     preset, scene = read_preset(arguments), read_scene(arguments)
+    once = preset.stage_ends[2] / preset.iterations  # stages 1 to 3, in common to both designs
     estimate(
-        arguments, [(Trainer(scene, preset), 2 if preset.coded and arguments.jobs == 1 else 1)]
+        arguments,
+        [(Trainer(scene, preset), 2 - once if preset.coded and arguments.jobs == 1 else 1)],
     )
     metrics = p4.main_job(
         scene,
@@ -281,15 +283,18 @@ def inspect(arguments):
 def presets(arguments):
     """Print the presets beside the paper's values."""
     chosen = [p4.PRESETS[arguments.preset]] if arguments.preset else [*p4.PRESETS.values()]
-    value = {
-        preset.name: {
-            "fields": preset._asdict(),
-            "differs": [
-                {"field": field, "paper": paper, "here": here}
-                for field, paper, here in differences(preset)
-            ],
-            "sources_of_paper_presets": SOURCES,
-        }
-        for preset in chosen
-    }
-    show(arguments, value, text.presets(chosen, bool(arguments.preset)))
+    show(
+        arguments,
+        {
+            preset.name: {
+                "fields": preset._asdict(),
+                "differs": [
+                    {"field": field, "paper": paper, "here": here}
+                    for field, paper, here in differences(preset)
+                ],
+                "sources_of_paper_presets": SOURCES,
+            }
+            for preset in chosen
+        },
+        text.presets(chosen, bool(arguments.preset)),
+    )

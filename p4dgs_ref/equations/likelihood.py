@@ -24,7 +24,7 @@ from scipy.special import erfcx, ndtr
 
 NARROW = 1 / 16  # of max(w, z w): a difference loses 4 bits at most, the series ends at 3e-16
 FAR = 2.0  # of low: from here on, scaled tails have more digits than ndtr
-PIECE = 4096  # values at a time, so that intermediate results stay in the cache (time only)
+PIECE = 2**14  # values at a time, so that intermediate results stay in the cache (time only)
 PHI_0 = 1 / np.sqrt(2 * np.pi)  # density of the standard Gaussian at its mean
 TO_BITS = -1 / np.log(2)  # from log p to bits
 

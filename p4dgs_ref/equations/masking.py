@@ -24,7 +24,7 @@ def forward(
     ascending order, and what `backward` needs.
     """
     index = np.flatnonzero(mask & (alpha >= tau_alpha))
-    kept = [a.reshape(alpha.size, a.shape[2])[index] for a in (x, color, s, r)]
+    kept = [a.reshape(alpha.size, a.shape[2]).take(index, axis=0) for a in (x, color, s, r)]
     return (alpha.reshape(-1)[index], *kept, index), (index, alpha.shape)
 
 

@@ -74,5 +74,5 @@ def perpendicular(unit, v):
     difference of nearly equal numbers. As a sum of 2 x 2 minors, v |unit|**2 - unit (unit . v), it
     keeps its digits.
     """
-    minors = v[..., :, None] * unit[..., None, :] - unit[..., :, None] * v[..., None, :]
-    return np.einsum("...ij,...j->...i", minors, unit)
+    products = np.einsum("...i,...j->...ij", v, unit)
+    return np.einsum("...ij,...j->...i", products - products.swapaxes(-1, -2), unit)

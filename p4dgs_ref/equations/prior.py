@@ -44,6 +44,6 @@ def backward(saved, mu_bar, sigma_bar):
 
 def layout(widths):
     """Columns of mu and of log sigma in the output: for each group all mu, then all log sigma."""
-    starts = np.cumsum((0, *widths[:-1]))
-    mu = np.concatenate([2 * start + np.arange(width) for start, width in zip(starts, widths)])
+    ends = np.cumsum(widths)  # the mu of a group stand behind all mu and log sigma before it
+    mu = np.arange(ends[-1]) + np.repeat(ends - widths, widths)
     return mu, mu + np.repeat(widths, widths)

@@ -122,7 +122,8 @@ def main_job(
     """
     start = time.perf_counter() if start is None else start
     chosen, name = choose(preset, changes), scene.name.replace("/", "_")
-    with filled(folder) as beside:
+    # The report looks the same whatever style a program or a user's settings have chosen.
+    with filled(folder) as beside, report.pyplot().style.context("default"):
         found, paper = designs(scene, chosen, seed, beside / f"{name}.p4dgs", stream, jobs)
         own, rows, images, model, history = found
         metrics = {

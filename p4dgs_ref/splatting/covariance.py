@@ -23,7 +23,7 @@ def backward(saved, Sigma_bar):
     """Gradients of s and r; that of r is the plain derivative, not projected on the unit sphere."""
     M, R, s, r = saved
     M_bar = (Sigma_bar + Sigma_bar.transpose(0, 2, 1)) @ M  # both factors of M M^T
-    s_bar = (M_bar * R).sum(axis=1)
+    s_bar = np.einsum("nij,nij->nj", M_bar, R)
     R_bar = M_bar * s[:, None, :]
     w, x, y, z = r.T
     (a, b, c), (d, e, f), (g, h, i) = R_bar.transpose(1, 2, 0)

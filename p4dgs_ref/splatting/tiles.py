@@ -35,8 +35,8 @@ def bin_splats(
     mean, conic, alpha = mean2d[order], conic[order], alpha[order]
     low, high = pixel_bounds(mean, cov2d[order], alpha, width, height, settings)
     # first tile, and the first one beyond: an empty range where the Gaussian is off the image
-    first = np.clip(low // side, 0, (columns, rows)).astype(np.int64)
-    beyond = np.clip(high // side + 1, 0, (columns, rows)).astype(np.int64)
+    ends = np.floor(np.stack([low, high + side]) / side)
+    first, beyond = np.clip(ends, 0, (columns, rows)).astype(np.int64)
     extent = np.maximum(beyond - first, 0) * (low <= high).all(axis=1, keepdims=True)
     count = extent[:, 0] * extent[:, 1]
     if count.sum() > MOST_PAIRS:

@@ -23,13 +23,15 @@ class Layout:
         arrays = {name: a for name, a in p.arrays.items() if name.startswith("psi_")}
         self.rounded = Parameters(arrays, p.vector.dtype)
         self.networks = {name: self.rounded.network(name) for name in names}
-        self.part = p.per_element(lambda name: name in arrays) > 0  # of the flat vector
+        part = np.flatnonzero(p.per_element(lambda name: name in arrays))
+        self.part = slice(part[0], part[-1] + 1)  # of the flat vector, where networks are together
         # Biases [J] are a matrix of one column.
         shapes = np.array([(*a.shape, 1)[:2] for a in arrays.values()])
         self.tensor = np.repeat(np.arange(len(shapes)), shapes.prod(axis=1))
         first = np.cumsum(shapes, axis=0) - shapes  # rows and columns of all tensors are counted on
         places = [np.indices(s).reshape(2, -1) + f[:, None] for s, f in zip(shapes, first)]
         self.row, self.column = np.concatenate(places, axis=1)
+        self.counts = [np.bincount(index) for index in (self.tensor, self.row, self.column)]
 
 
 def first_log_steps(networks):
@@ -50,10 +52,9 @@ def steps_of(log_step):
     return step_of_code(step_code(np.exp(log_step)))
 
 
-def means(a, index, mean):
+def means(a, index, count, mean):
     """The mean of the magnitudes a [n] that share an index, together with SHARED times `mean`."""
-    count = np.bincount(index) + SHARED
-    return (np.bincount(index, a)[index] + SHARED * mean) / count[index]
+    return (np.bincount(index, a)[index] + SHARED * mean) / (count + SHARED)[index]
 
 
 def scales(k, layout):
@@ -62,9 +63,9 @@ def scales(k, layout):
     It is r c / m with the mean magnitudes m of the tensor, r of the weight's row and c of its
     column. It is an estimate, through which no gradient flows: the best scale has none.
     """
-    a = np.abs(k)
-    m = (np.bincount(layout.tensor, a) / np.maximum(np.bincount(layout.tensor), 1))[layout.tensor]
-    r, c = means(a, layout.row, m), means(a, layout.column, m)
+    a, (numbers, in_row, in_column) = np.abs(k).astype(float), layout.counts
+    m = (np.bincount(layout.tensor, a) / np.maximum(numbers, 1))[layout.tensor]
+    r, c = means(a, layout.row, in_row, m), means(a, layout.column, in_column, m)
     return np.maximum(r * c / np.maximum(m, 1e-9), LEAST_SCALE).astype(k.dtype)
 
 
@@ -74,7 +75,7 @@ def coded(p, layout):
     back(gradients, R_networks_bar) turns the gradients of the rounded networks, in place, into
     those of p, and adds those of the bits.
     """
-    w, step = p.vector[layout.part], steps_of(p["log_step"])[layout.tensor].astype(p.vector.dtype)
+    w, step = p.vector[layout.part], steps_of(p["log_step"]).astype(p.vector.dtype)[layout.tensor]
     error = np.rint(w / step) - w / step
     rounded, back_rounded = pull(noise, w[:, None], error[:, None], step[:, None])
     layout.rounded.vector[:] = w = rounded[:, 0]

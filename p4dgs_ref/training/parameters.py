@@ -15,14 +15,12 @@ class Parameters:
     """
 
     def __init__(self, arrays, dtype: DTypeLike = np.float32):
-        self.vector = np.empty(sum(np.size(a) for a in arrays.values()), dtype)
+        parts = [np.asarray(a) for a in arrays.values()]
+        self.vector = np.concatenate([part.ravel() for part in parts]).astype(dtype)
         self.arrays, start = {}, 0
-        for name, array in arrays.items():
-            array = np.asarray(array)
-            view = self.vector[start : start + array.size].reshape(array.shape)
-            view[...] = array
-            self.arrays[name] = view
-            start += array.size
+        for name, part in zip(arrays, parts):
+            self.arrays[name] = self.vector[start : start + part.size].reshape(part.shape)
+            start += part.size
 
     def __getitem__(self, name):
         return self.arrays[name]

@@ -166,7 +166,7 @@ def test_without_gradients_the_picture_is_the_same(settings, occlusion):
 
 
 def test_without_gradients_memory_does_not_follow_the_alphas():
-    """Bytes alive at the worst moment: with gradients all alphas and weights, without one chunk."""
+    """Bytes alive at the worst moment: with gradients all alphas, without one chunk."""
     inputs, peaks = splats(6000, 256, 256, seed=14), {}
     for keep in (True, False):
         tracemalloc.start()
@@ -176,7 +176,7 @@ def test_without_gradients_memory_does_not_follow_the_alphas():
         if keep:
             sizes = [A.nbytes for _, _, A, *_ in saved[0]]
     assert max(sizes) <= 4 * fast.RANKS * fast.GROUP and len(sizes) >= 8
-    assert peaks[True] > 2 * sum(sizes), peaks
+    assert sum(sizes) < peaks[True] < 2 * sum(sizes), peaks  # without the weights
     assert peaks[False] < sum(sizes), peaks
 
 
@@ -252,7 +252,7 @@ def test_the_number_of_pairs_bounds_the_memory(monkeypatch, n, scale):
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert peak <= 1000 * pairs + 8 * fast.RANKS * fast.GROUP * image.itemsize
+    assert peak <= 500 * pairs + 8 * fast.RANKS * fast.GROUP * image.itemsize
 
 
 @pytest.mark.parametrize("settings", [EXACT, FAST])
