@@ -26,7 +26,7 @@ from tests.budget import subcommands
 
 ROOT = Path(p4.__file__).resolve().parents[1]
 HEADINGS = ["The main job", "Files", "Ports", "Measure", "Teach"]
-DATA = "demo evaluate inspect presets accuracy stability effects compare sweep ablate bench grade"
+DATA = "demo evaluate inspect presets accuracy stability effects compare ablate bench grade"
 
 
 def start(*argv, cwd=None):
@@ -278,10 +278,9 @@ WHOLE = "--seeds 3 --iterations 90000000"
 ESTIMATED = {  # millions of iterations, and what is said when the training is stopped
     f"train bouncing -o run {LONG}": (90, "stopped\n"),
     f"demo bouncing -o run {LONG} --set coded=true --jobs 1": (180, "from which --resume goes on"),
-    f"compare scene -o run {WHOLE} --method hexplane": (6 * 90, "nothing is kept"),
-    f"sweep scene -o run {WHOLE} --lambda-rate 0,1": (6 * 90, "points that are done are kept"),
-    f"sweep scene -o run {WHOLE} --lambda-rate 0,1 --point 2/6": (90, "are kept"),
-    f"ablate scene -o run {WHOLE} --jobs 9": (24 * 90, "nothing is kept"),
+    f"compare scene -o run {WHOLE} --method hexplane": (9 * 90, "that are done are kept"),
+    f"compare scene -o run --curve {WHOLE} --method hexplane": (27 * 90, "are kept"),
+    f"ablate scene -o run {WHOLE} --jobs 9": (24 * 90, "are kept"),
 }
 
 
@@ -326,21 +325,16 @@ def test_compare_quick_has_one_row_a_method(place, run):
     assert (code, err) == (0, "")
     result = json.loads((place / "out/compare.json").read_text())
     assert json.loads(out) == result
-    assert [row["method"] for row in result["methods"]] == ["p4dgs", *METHODS]
+    assert [*dict.fromkeys(row["method"] for row in result["methods"])] == ["p4dgs", *METHODS]
     assert {(row["scene"], row["seed"]) for row in result["methods"]} == {("scene", 0)}
 
 
-def test_sweep_point_by_point(place, run, refused):
-    sweep, folder = "sweep scene --seeds 1 --lambda-rate 0,0.5 --iterations 4", "report/sweep"
-    assert run(f"{sweep} --point 2/2")[0] == 0
-    assert not (place / folder / "sweep.csv").exists()
-    arrived = json.loads(run(f"{sweep} --collect --json")[1])
-    assert (arrived["points"], arrived["missing"], arrived["baselines"]) == (1, 1, {})
-    assert len((place / folder / "sweep.csv").read_text().splitlines()) == 2
-    code, out, err = run(f"{sweep} --json --jobs 1")
-    assert (code, err) == (0, "") and json.loads(out)["missing"] == 0
-    assert len((place / folder / "sweep.csv").read_text().splitlines()) == 3
-    assert len((place / folder / "composition.csv").read_text().splitlines()) == 10
-    (record,) = (place / folder).glob("points_*_4/*_0.5_*.json")
+def test_a_curve_draws_what_is_kept(place, run, refused):
+    curve, folder = "compare scene --curve --quick --method d3dgs_small --iterations 4", "report"
+    result = json.loads(run(f"{curve} -o {folder} --json")[1])
+    assert len((place / folder / "curve.csv").read_text().splitlines()) == 1 + len(result["rows"])
+    assert len((place / folder / "composition.csv").read_text().splitlines()) == 11
+    assert run(f"{curve} -o {folder} --json")[1] == json.dumps(result, indent=1) + "\n"
+    (record,) = (place / folder).glob("points_*_4/*_p4dgs_seed0.json")
     record.write_text("{")
-    refused(f"{sweep} --collect", (record.name, "JSON"))
+    refused(f"{curve} -o {folder}", (record.name, "JSON"))

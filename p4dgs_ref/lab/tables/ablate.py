@@ -18,9 +18,9 @@ from ...training.presets import TINY
 from .. import baselines
 from ..writer import means, seeds_of, table
 from . import methods
-from .methods import OURS, Task
+from .methods import OURS
 
-WHOLE = "+ quantisation and entropy coding"
+WHOLE, STILL = "+ quantisation and entropy coding", "no deformation"
 # Rate in MB, savings in percent and PSNR in dB of the paper's Table 3, on T-Rex.
 PAPER = {
     "D3DGS": "56.7 - 38.04",
@@ -52,7 +52,7 @@ STEPS = {
     },
     "global prior": {"changes": {"grid_3d": (1,), "grid_2d": ()}},  # one node: the same everywhere
     "no masking": {"changes": {"mask_from": ALWAYS}},
-    "no deformation": {},
+    STILL: {},
 }
 LEFT_OUT = tuple(STEPS)[len(PAPER) :]
 COLUMNS = {
@@ -70,11 +70,11 @@ COLUMNS = {
 def plan(scene, folder, seeds=3, iterations=None):
     """The Tasks of all steps and seeds."""
     still = replace(scene, effects=[name for name in scene.effects if name not in MOTION])
-    scenes = {"no deformation": still}
+    whole = methods.plan({OURS: [{}]}, [OURS], [scene], folder, seeds, iterations)
     return [
-        Task(scenes.get(step, scene), OURS, seed, folder, iterations, step=step)._replace(**changes)
+        task._replace(step=step, scene=still if step == STILL else scene)._replace(**changes)
         for step, changes in STEPS.items()
-        for seed in range(seeds)
+        for task in whole
     ]
 
 
@@ -87,12 +87,12 @@ def collect(tasks, folder):
 
 def summaries(rows):
     """Means over the seeds, each step of Table 3 beside the step before, the others beside ours."""
-    steps, before = means(rows, "step"), None
+    steps, before = means(rows, "label"), None
     for step in steps:
         if before:
             step["saved_percent"] = 100 * (step["bytes"] / before["bytes"] - 1)
             step["psnr_gain"] = step["psnr_db"] - before["psnr_db"]
-        before = before if step["step"] in LEFT_OUT else step
+        before = before if step["label"] in LEFT_OUT else step
     return steps
 
 
@@ -100,12 +100,12 @@ def describe(result):
     """Table 3 in form with the paper's numbers beside it, then the parts left out."""
     rows = [
         {
+            **step,
             "label": f"ours, {name}" if name in LEFT_OUT else name,
             "paper": PAPER.get(name, "-"),
-            **step,
         }
         for step in result["steps"]
-        for name in (step["step"],)
+        for name in (step["label"],)
     ]
     return "\n".join(
         [

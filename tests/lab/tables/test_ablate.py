@@ -24,7 +24,7 @@ TABLE_3 = [
 def files(ablated):
     """The file of each step."""
     folder, result = ablated
-    return {row["step"]: folder / row["file"] for row in result["rows"]}
+    return {row["label"]: next(folder.glob(f"points_*/{row['file']}")) for row in result["rows"]}
 
 
 def test_each_step_changes_its_part(files, ablated):
@@ -52,7 +52,7 @@ def test_parts_left_out(files, scene):
     assert "psi_d" in models[TABLE_3[-1]].networks
     assert "psi_d" not in models["no deformation"].networks
     assert models["no masking"].anchors.mask.all()
-    base = methods.preset_of(study.plan(scene, None, 1, 12)[3])
+    base = methods.preset_of(study.plan(scene, "", 1, 12)[3])
     context = quantised_of(read_container(files["fixed step"].read_bytes())).context
     steps = (base.Q_f, base.Q_s, base.Q_l, base.Q_O)
     np.testing.assert_allclose(context.q, np.tile(steps, (len(context.q), 1)), rtol=1e-4)
@@ -63,7 +63,7 @@ def test_parts_left_out(files, scene):
 
 
 def test_no_noise_before_the_last_step(scene):
-    presets = {task.step: methods.preset_of(task) for task in study.plan(scene, None, 1, 400)}
+    presets = {task.step: methods.preset_of(task) for task in study.plan(scene, "", 1, 400)}
     for name in TABLE_3[1:3]:
         preset = presets[name]
         assert preset.stage(preset.iterations - 1) == 3 and preset.mask_from == 400
@@ -74,7 +74,7 @@ def test_no_noise_before_the_last_step(scene):
 
 def test_savings_are_against_the_step_before():
     rows = [
-        {"step": name, "seed": seed, "bytes": size, "psnr_db": psnr + seed, "ssim": 0.9}
+        {"label": name, "seed": seed, "bytes": size, "psnr_db": psnr + seed, "ssim": 0.9}
         for name, size, psnr in (
             ("D3DGS", 1000, 30.0),
             ("+ spatial prediction", 500, 31.0),
