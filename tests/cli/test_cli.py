@@ -280,7 +280,7 @@ ESTIMATED = {  # millions of iterations, and what is said when the training is s
     f"demo bouncing -o run {LONG} --set coded=true --jobs 1": (180, "from which --resume goes on"),
     f"compare scene -o run {WHOLE} --method hexplane": (9 * 90, "that are done are kept"),
     f"compare scene -o run --curve {WHOLE} --method hexplane": (27 * 90, "are kept"),
-    f"ablate scene -o run {WHOLE} --jobs 9": (24 * 90, "are kept"),
+    f"ablate scene -o run {WHOLE} --jobs 9": (30 * 90, "are kept"),
 }
 
 

@@ -183,9 +183,11 @@ def kinds(sizes):
     network = sum(
         n for name, n in sizes.items() if name.endswith(("mlp", "mlps")) or name == "hash_grid"
     )
-    other = sizes["header"]
-    gaussians = sum(sizes.values()) - network - other
-    return {"gaussians": gaussians, "network": network, "other": other}
+    return {
+        "gaussians": sum(sizes.values()) - network - sizes["header"],
+        "network": network,
+        "other": sizes["header"],
+    }
 
 
 def load(path):
@@ -271,8 +273,11 @@ def save_plain(model, path, half=()):
     record = np.array((*values.values(), design), [*types, ("design", f"S{len(design)}")])
     output.write_atomically(path, lambda file: np.save(file, record))
     sizes = [sum(record[name].nbytes for name in part) for part in (gaussians, network)]
-    other = path.stat().st_size - sum(sizes)
-    return {"gaussians": sizes[0], "network": sizes[1], "other": other}
+    return {
+        "gaussians": sizes[0],
+        "network": sizes[1],
+        "other": path.stat().st_size - sum(sizes),
+    }
 
 
 def load_plain(path):

@@ -98,9 +98,12 @@ def test_a_task_travels_to_other_processes_and_names_its_file(scene, tmp_path):
 
 
 def test_bytes_of_our_files_by_kind():
-    sizes = {"header": 1, "positions": 2, "masks": 4, "hash_grid": 8, "anchor_mlps": 16}
-    sizes["deformation_mlp"] = 32
-    assert methods.kinds(sizes) == {"gaussians": 6, "network": 56, "other": 1}
+    names = ("header", "positions", "masks", "hash_grid", "anchor_mlps", "deformation_mlp")
+    assert methods.kinds(dict(zip(names, (1, 2, 4, 8, 16, 32)))) == {
+        "gaussians": 6,
+        "network": 56,
+        "other": 1,
+    }
 
 
 def test_the_coded_design_is_compared_where_it_is_named():
