@@ -20,7 +20,7 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref import cli as base
 from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.lab.baselines import ALL_EQUATIONS, METHODS
+from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.lab.tables import compare
 from tests.budget import subcommands
 
@@ -279,7 +279,7 @@ ESTIMATED = {  # millions of iterations, and what is said when the training is s
     f"train bouncing -o run {LONG}": (90, "stopped\n"),
     f"demo bouncing -o run {LONG} --set coded=true --jobs 1": (180, "from which --resume goes on"),
     f"compare scene -o run {WHOLE} --method hexplane": (9 * 90, "that are done are kept"),
-    f"compare scene -o run --curve {WHOLE} --method hexplane": (27 * 90, "are kept"),
+    f"compare scene -o run --curve {WHOLE} --method hexplane": (24 * 90, "are kept"),
     f"ablate scene -o run {WHOLE} --jobs 9": (30 * 90, "are kept"),
 }
 
@@ -319,22 +319,13 @@ def place(scene, tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.slow
-def test_compare_quick_has_one_row_a_method(place, run):
-    code, out, err = run("compare scene --quick -o out --json --iterations 4")
-    assert (code, err) == (0, "")
-    result = json.loads((place / "out/compare.json").read_text())
-    assert json.loads(out) == result
-    assert [*dict.fromkeys(row["method"] for row in result["methods"])] == ["p4dgs", *METHODS]
-    assert {(row["scene"], row["seed"]) for row in result["methods"]} == {("scene", 0)}
-
-
-def test_a_curve_draws_what_is_kept(place, run, refused):
-    curve, folder = "compare scene --curve --quick --method d3dgs_small --iterations 4", "report"
-    result = json.loads(run(f"{curve} -o {folder} --json")[1])
-    assert len((place / folder / "curve.csv").read_text().splitlines()) == 1 + len(result["rows"])
-    assert len((place / folder / "composition.csv").read_text().splitlines()) == 11
-    assert run(f"{curve} -o {folder} --json")[1] == json.dumps(result, indent=1) + "\n"
-    (record,) = (place / folder).glob("points_*_4/*_p4dgs_seed0.json")
+@pytest.mark.parametrize("name, option", [("compare", ""), ("curve", "--curve")])
+def test_one_scene_and_seed_by_all_sizes_of_a_method(place, run, refused, name, option):
+    line = f"compare scene {option} --quick --method d3dgs_small --iterations 4 -o out --json"
+    result = json.loads(run(line)[1])
+    rows = result.get("methods") or result["rows"]
+    assert {(row["scene"], row["seed"]) for row in rows} == {("scene", 0)}
+    assert len((place / f"out/{name}.csv").read_text().splitlines()) == 1 + len(rows)
+    (record,) = (place / "out").glob("points_*_4/*_p4dgs_seed0.json")
     record.write_text("{")
-    refused(f"{curve} -o {folder}", (record.name, "JSON"))
+    refused(line, (record.name, "JSON"))

@@ -13,12 +13,6 @@ from . import methods
 from .compare import BASELINES
 from .methods import CODED, OURS, OWN
 
-
-def explicit(gaussians, sh_degree):
-    """A size of a baseline, as changes of its preset."""
-    return {"gaussians": gaussians, "sh_degree": sh_degree}
-
-
 # The points of each method; another one is another row, and `preset` takes it from another preset.
 # Table 4 is about the first two.
 SIZES = {
@@ -29,16 +23,16 @@ SIZES = {
         {"anchors": 800, "lambda_rate": 0.001},
         {"anchors": 800, "lambda_rate": 0.00025},
     ),
-    "d3dgs": ({},),
+    "d3dgs": ({"gaussians": 200, "sh_degree": 0}, {}),
     "d3dgs_small": (
-        explicit(100, 0),
-        explicit(400, 0),
-        explicit(800, 0),
-        explicit(800, 1),
+        {"gaussians": 100, "sh_degree": 0},
+        {"gaussians": 400, "sh_degree": 0},
+        {"gaussians": 800, "sh_degree": 0},
+        {"gaussians": 800, "sh_degree": 1},
         {},
     ),
-    "hexplane": (explicit(200, 0), {}),
-    "gaussian4d": (explicit(500, 0), {}),
+    "hexplane": ({},),
+    "gaussian4d": ({"gaussians": 500, "sh_degree": 0}, {}),
 }
 COLORS = dict(zip(SIZES, (LIGHT_BLUE, BLUE, RED, *STACK[1:])))
 DRAWN = {"bytes": "bytes of the file", "anchor_bytes": "bytes of the coded anchors"}
@@ -187,12 +181,19 @@ def composition(files):
 
 def draw(path, points, envelope):
     """PSNR over the bytes of the file, and over those of the coded anchors alone."""
+    from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
+
     figure, axes = pyplot().subplots(
         1, 2, figsize=(11, 5), sharey=True, width_ratios=(2, 1), layout="constrained"
     )
     axes[0].plot(*envelope.T, "--", color="gray", label="envelope of the explicit methods")
     for ax, (size, label) in zip(axes, DRAWN.items()):
         ax.set(xscale="log", xlabel=label)
+        ax.xaxis.set(
+            major_locator=LogLocator(subs=(1, 2, 5)),
+            major_formatter=EngFormatter(sep=""),
+            minor_formatter=NullFormatter(),
+        )
         for method in dict.fromkeys(row["method"] for row in points if size in row):
             own = [row for row in points if row["method"] == method]
             x, y, spread = ([r[name] for r in own] for name in (size, "psnr_db", "psnr_db_spread"))
