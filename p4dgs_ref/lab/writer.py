@@ -70,6 +70,18 @@ def front(points):
     return points[np.diff(best, prepend=-np.inf) > 0]
 
 
+def envelope(curves):
+    """The front of several curves: the points whose PSNR none of the curves has in fewer bytes."""
+    return front(
+        [
+            (size, psnr)
+            for curve in curves
+            for size, psnr in curve
+            if not any(bytes_at(other, psnr) < (1 - 1e-9) * size for other in curves)
+        ]
+    )
+
+
 def bd_rate(points, others):
     """How many percent more bytes `points` need than `others` at equal PSNR, and None.
 

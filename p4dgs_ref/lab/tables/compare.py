@@ -38,7 +38,7 @@ KINDS = ("network", "gaussians")  # of bytes
 SIZES = {**dict.fromkeys(OWN, [{}]), **dict.fromkeys(baselines.METHODS, [{}, {"sh_degree": 0}])}
 BASELINES = (
     "The baselines ignore a scene's list of effects, but for occlusion, and have spherical "
-    "harmonics of degree 3, or of degree 0 in the rows that say so."
+    "harmonics of degree 3 where the row does not say another one (sh_degree)."
 )
 COLUMNS = {
     "PSNR dB": "{psnr_db:.2f} ±{psnr_db_spread:.2f}",

@@ -1,14 +1,14 @@
 """PSNR against bytes: every method over its own size, and the paper's Table 4.
 
 A point is a method with changes of its preset; it is drawn at its mean over scenes and seeds. The
-envelope is the front of all explicit methods, that is, of all baselines: what the best of them
-needs for a quality.
+envelope of the explicit methods, that is, of all baselines, is what the best of them needs for a
+quality.
 """
 
 from ...report.figures import BLUE, LIGHT_BLUE, RED, STACK, pyplot, save_figure, write_csv
 from ...report.inspect import components
 from .. import baselines
-from ..writer import bd_rate, factors, front, means, seeds_of, table
+from ..writer import bd_rate, envelope, factors, front, means, seeds_of, table
 from . import methods
 from .compare import BASELINES
 from .methods import CODED, OURS, OWN
@@ -104,28 +104,28 @@ def collect(tasks, folder, progress=lambda line: None):
     rows = methods.made(tasks)
     write_csv(folder / "curve.csv", rows)
     points = means(rows, "label", "method")
-    curves = {name: [point_of(row) for row in points if row["method"] == name] for name in SIZES}
-    envelope = front([point_of(row) for row in points if row["method"] not in OWN])
-    draw(folder / "curve.png", points, envelope)
+    curves = {
+        name: [(row["bytes"], row["psnr_db"]) for row in points if row["method"] == name]
+        for name in dict.fromkeys(row["method"] for row in points)
+    }
+    edge = envelope([curve for name, curve in curves.items() if name not in OWN])
+    draw(folder / "curve.png", points, edge)
     parts = composition([task.path for task in tasks[:2]])
     write_csv(folder / "composition.csv", parts)
     return {
         "rows": rows,
         "points": points,
-        "envelope": [row["label"] for row in points if [*point_of(row)] in envelope.tolist()],
+        "envelope": [
+            row["label"] for row in points if [row["bytes"], row["psnr_db"]] in edge.tolist()
+        ],
         "against": [
             against(name, curves[CODED], curve)
-            for name, curve in {"the envelope": envelope, **curves}.items()
+            for name, curve in {"the envelope": edge, **curves}.items()
             if len(curve) and name != CODED
         ],
         "best": best(rows, points),
         "composition": {"lambda_rate": [row["lambda_rate"] for row in rows[:2]], "rows": parts},
     }
-
-
-def point_of(row):
-    """Bytes and PSNR of a row."""
-    return row["bytes"], row["psnr_db"]
 
 
 def against(name, ours, others):
@@ -179,14 +179,14 @@ def composition(files):
     ]
 
 
-def draw(path, points, envelope):
+def draw(path, points, edge):
     """PSNR over the bytes of the file, and over those of the coded anchors alone."""
     from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
     figure, axes = pyplot().subplots(
         1, 2, figsize=(11, 5), sharey=True, width_ratios=(2, 1), layout="constrained"
     )
-    axes[0].plot(*envelope.T, "--", color="gray", label="envelope of the explicit methods")
+    axes[0].plot(*edge.T, "--", color="gray", label="envelope of the explicit methods")
     for ax, (size, label) in zip(axes, DRAWN.items()):
         ax.set(xscale="log", xlabel=label)
         ax.xaxis.set(
