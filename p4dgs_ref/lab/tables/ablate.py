@@ -120,8 +120,8 @@ def summaries(rows):
 def unlike(steps):
     """A sentence for each change of a step whose sign is not that of the paper."""
     return [
-        f"{step['label']}: {step[name]:+.2f} {unit} here, {step['paper'][name]:+.2f} in the paper. "
-        f"The seeds' PSNRs differ by ±{step['psnr_db_spread']:.2f} dB."
+        f"{step['label']}: {step[name]:+.2f} {unit} here, {step['paper'][name]:+.2f} in the paper "
+        f"(seeds: {step['seeds']}, ±{step['psnr_db_spread']:.2f} dB)."
         for step in steps
         for name, unit in UNITS.items()
         if step.get(name, 0) * step["paper"].get(name, 0) < 0
