@@ -232,9 +232,8 @@ print(f"{'mean':36}" + FORM.format(**means))
 
 # %% [markdown]
 # Other prices give other files. Each is compared with the file of `tiny` of the same scene and
-# seed, at the usual $\lambda_{\text{rate}}$. One scene was trained with more prices:
-#
-#     p4dgs-ref sweep bouncing --seeds 1 --method p4dgs_coded
+# seed, at the usual $\lambda_{\text{rate}}$. One scene was trained with more prices;
+# `p4dgs-ref compare bouncing --curve` trains both designs with some of them.
 
 # %%
 counts = Counter(rate for *_, rate in coded)
@@ -294,7 +293,7 @@ print("BD-rate of coded networks, {}, seed {}:".format(*swept), found)
 #   now has both.
 # - **Price.** With half the $\lambda_{\text{rate}}$ the files have 0.264 of the bytes at -0.24 dB
 #   (-0.44 at worst), with 2.4 times 0.181 at -1.49 dB.
-# - **Rate.** From the lowest to the highest $\lambda_{\text{rate}}$ of the sweep, $\psi_d$ of
+# - **Rate.** From the lowest to the highest $\lambda_{\text{rate}}$ of these, $\psi_d$ of
 #   `bouncing` goes from 3,262 to 426 bytes and the file from 12,951 to 3,514. In the paper's design
 #   $\psi_d$ stays at 13,446, and the file goes from 39,787 to 36,062. At equal PSNR the coded files
 #   need 84 % fewer bytes (BD-rate, one seed).

@@ -7,7 +7,7 @@ from ..lab import bench, effect_ledger, school
 from ..lab.accuracy import report as accuracies
 from ..lab.stability import describe, draw_map, rows
 from ..lab.suggest import foretold, suggest
-from ..lab.tables import ablate, compare, methods, sweep
+from ..lab.tables import ablate, compare, curve, methods
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
 from ..scenes.output import filled
 from . import expect, progress, say, show, tell
@@ -79,49 +79,24 @@ def show_table(arguments, study, result):
 
 
 def compare_methods(arguments):
-    """Train all methods on scenes and print the paper's Tables 1 and 2 in form."""
+    """Train all methods on scenes; print the paper's Tables 1 and 2 in form, or their curves."""
     names, seeds = arguments.scenes or compare.dynamic_scenes(), arguments.seeds
+    study = curve if arguments.curve else compare
     if arguments.quick:
         names, seeds = names[:1], 1
     scenes, options = [load_scene(name) for name in names], (arguments.methods, seeds)
     with filled(arguments.output) as beside:
-        tasks = compare.plan(scenes, beside, *options, arguments.iterations)
+        tasks = study.plan(scenes, arguments.output, *options, arguments.iterations)
         make(arguments, tasks)
-        result = compare.collect(tasks, beside, progress)
-    show_table(arguments, compare, result)
-
-
-def sweep_rates(arguments):
-    """Make the points of a rate-distortion curve, or one of them, and draw what is there."""
-    scene, point = load_scene(arguments.scene), arguments.point
-    options = arguments.lambda_rate, arguments.seeds, arguments.iterations, arguments.methods
-    with filled(arguments.output) as beside:
-        tasks = sweep.plan(scene, arguments.output, *options)
-        if point:
-            return make_point(arguments, tasks, *point)
-        if not arguments.collect:
-            make(arguments, tasks)
-        result = sweep.collect(tasks, beside)
-    show_table(arguments, sweep, result)
-
-
-def make_point(arguments, tasks, i, count):
-    """Make one point of a sweep, counted from 1."""
-    expect(
-        count == len(tasks) and 1 <= i <= count,
-        f"--point {i}/{count}: expected I/{len(tasks)} with I from 1 to {len(tasks)}, the "
-        "number of points of this sweep",
-    )
-    make(arguments, [tasks[i - 1]])
-    path = str(tasks[i - 1].record)
-    show(arguments, {"point": i, "of": count, "output": path}, f"point {i} of {count}: {path}")
+        result = study.collect(tasks, beside, progress)
+    show_table(arguments, study, result)
 
 
 def ablate_parts(arguments):
     """Print the paper's Table 3 in form, and the method with one part left out at a time."""
     scene, options = load_scene(arguments.scene), (arguments.seeds, arguments.iterations)
     with filled(arguments.output) as beside:
-        tasks = ablate.plan(scene, beside, *options)
+        tasks = ablate.plan(scene, arguments.output, *options)
         make(arguments, tasks)
         result = ablate.collect(tasks, beside)
     show_table(arguments, ablate, result)

@@ -44,17 +44,6 @@ def color(text):
     return tuple(map(float, text.split(","))) if "," in text else text
 
 
-def rates(text):
-    """Numbers with commas between them."""
-    return tuple(map(number(float, 0), text.split(",")))
-
-
-def fraction(text):
-    """The two numbers of I/N."""
-    i, count = text.split("/")
-    return int(i), int(count)
-
-
 # --- parts of the table ---
 def option(*names, **settings):
     """An argument of a command, in the words of argparse's `add_argument`."""
@@ -389,44 +378,16 @@ GROUPS = {
         ),
         "compare": (
             "lab.compare_methods",
-            "the paper's tables 1 and 2 on tiny scenes, with the methods compared there",
+            "the paper's tables 1 and 2 on tiny scenes, or PSNR against bytes, of all its methods",
             (
                 option("scenes", nargs="*", help=f"{SCENE_HELP} (default: all that move)"),
                 several("--method", "NAME", "ours and this one; may be repeated", dest="methods"),
+                switch("--curve", "every method over its own size: PSNR against bytes, table 4"),
                 switch("--quick", "one scene, one seed"),
                 *EXPERIMENT,
-                output("folder to write to (report/compare)", default="report/compare"),
-            ),
-        ),
-        "sweep": (
-            "lab.sweep_rates",
-            "rate-distortion: PSNR against bytes over lambda_rate",
-            (
-                SCENE,
-                option(
-                    "--lambda-rate",
-                    type=rates,
-                    default=(1e-4, 1e-3, 3e-3, 1e-2, 3e-2),
-                    metavar="X,X",
-                    help="values of the preset's field (1e-4,1e-3,3e-3,1e-2,3e-2)",
-                ),
-                several(
-                    "--method",
-                    "NAME",
-                    "also this baseline, or p4dgs_coded; may be repeated",
-                    dest="methods",
-                ),
-                option(
-                    "--point",
-                    type=fraction,
-                    metavar="I/N",
-                    help="make only point I of all N, as one job of an array does",
-                ),
-                switch("--collect", "make nothing, draw the points that are there"),
-                *EXPERIMENT,
                 output(
-                    "folder of the sweep; its points are kept (report/sweep)",
-                    default="report/sweep",
+                    "folder to write to; its trainings are kept (report/compare)",
+                    default="report/compare",
                 ),
             ),
         ),
@@ -436,7 +397,10 @@ GROUPS = {
             (
                 SCENE,
                 *EXPERIMENT,
-                output("folder to write to (report/ablate)", default="report/ablate"),
+                output(
+                    "folder to write to; its trainings are kept (report/ablate)",
+                    default="report/ablate",
+                ),
             ),
         ),
         "bench": (
@@ -537,13 +501,14 @@ def parser():
 
 
 # The end of the message of a stopped command: what is kept, and how to go on.
-NOTHING_KEPT = "; nothing is kept, because all files are written at the end"
 STOPPED = {
     "train": "; the last checkpoint is kept, the same command with --resume goes on from it",
-    "sweep": "; the points that are done are kept, the same command makes the others",
-    "compare": NOTHING_KEPT,
-    "ablate": NOTHING_KEPT,
-    "demo": f"{NOTHING_KEPT}; `p4dgs-ref train` keeps checkpoints, from which --resume goes on",
+    **dict.fromkeys(
+        ("compare", "ablate"),
+        "; the trainings that are done are kept, the same command makes the others",
+    ),
+    "demo": "; nothing is kept, because all files are written at the end; `p4dgs-ref train` keeps "
+    "checkpoints, from which --resume goes on",
 }
 
 

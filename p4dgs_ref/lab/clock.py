@@ -5,10 +5,13 @@ and frequency with it, so a time is given with its quartiles, and where the wall
 ahead of the processor's, the measurement was disturbed.
 """
 
+import os
+import platform
 import time
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 ROUND = 0.3  # seconds; shorter rounds are repeated more often: other programs disturb them more
 DISTURBED = 1.1  # the wall clock's seconds over the processor's
@@ -45,6 +48,14 @@ def times_of(turns):
     processor, wall = 1e3 * np.array(turns).T
     low, median, high = np.percentile(processor, (25, 50, 75))
     return Times(float(median), float(low), float(high), float(wall.sum() / processor.sum()))
+
+
+def machine():
+    """The parts of the machine that times and last digits depend on, as text."""
+    python = (
+        f"Python {platform.python_version()}, NumPy {np.__version__}, SciPy {scipy.__version__}"
+    )
+    return f"{os.cpu_count()} cores, {platform.platform()}, {python}"
 
 
 def alternate(functions, repeats):

@@ -65,9 +65,21 @@ def seeds_of(rows):
 # --- curves ---------------------------------------------------------------------------------------
 def front(points):
     """The points [n, 2] with a higher PSNR than all smaller files, by size."""
-    points = np.array(sorted(points))
+    points = np.array(sorted(map(tuple, points))).reshape(-1, 2)
     best = np.maximum.accumulate(points[:, 1])
     return points[np.diff(best, prepend=-np.inf) > 0]
+
+
+def envelope(curves):
+    """The front of several curves: the points whose PSNR none of the curves has in fewer bytes."""
+    return front(
+        [
+            (size, psnr)
+            for curve in curves
+            for size, psnr in curve
+            if not any(bytes_at(other, psnr) < (1 - 1e-9) * size for other in curves)
+        ]
+    )
 
 
 def bd_rate(points, others):
@@ -90,6 +102,22 @@ def bd_rate(points, others):
         for curve in fronts
     ]
     return float(100 * np.expm1(logs[0] - logs[1])), None
+
+
+def factors(points, others):
+    """The least and the median factor from the bytes of `points` to those of `others`.
+
+    They are taken at equal PSNR, at every point of the two fronts that lies in the PSNRs from `low`
+    to `high`, which both reach. Without any, the result is empty.
+    """
+    measured = [psnr for curve in (points, others) for _, psnr in front(curve)]
+    found = {psnr: bytes_at(others, psnr) / bytes_at(points, psnr) for psnr in measured}
+    found = {float(psnr): ratio for psnr, ratio in found.items() if not np.isnan(ratio)}
+    if not found:
+        return {}
+    ratios = [*found.values()]
+    median = float(np.median(ratios))
+    return {"low": min(found), "high": max(found), "least": min(ratios), "median": median}
 
 
 def bytes_at(points, psnr):

@@ -338,15 +338,8 @@ LINES = [
     ("ablate nowhere -o out", ("nowhere", "packaged")),
     ("ablate bouncing --iterations 3 -o out", ("--iterations", "'3'")),
     ("ablate bouncing -o text/out", ("text/out", "folder that can be written")),
-    ("sweep bouncing --lambda-rate , -o out", ("--lambda-rate", "''")),
-    ("sweep bouncing --collect -o out", ("out", "empty sweep")),
-    ("sweep bouncing --point 4/3 -o out", ("--point 4/3", "1 to 15")),
-    ("sweep bouncing --point 0/15 -o out", ("--point 0/15", "1 to 15")),
-    ("sweep bouncing --lambda-rate 1,-2 -o out", ("--lambda-rate", "'-2'")),
-    ("sweep bouncing --lambda-rate 1,x -o out", ("--lambda-rate", "'x'")),
-    ("sweep bouncing --point 1 -o out", ("--point", "fraction", "'1'")),
-    ("sweep bouncing --method nerf -o out", ("method 'nerf'",)),
     ("compare --method nerf -o out", ("method 'nerf'", "p4dgs, p4dgs_coded, d3dgs")),
+    ("compare --curve --method nerf -o out", ("method 'nerf'",)),
     ("compare nowhere -o out", ("nowhere", "packaged")),
     ("compare --iterations 0 -o out", ("--iterations", "'0'")),
     ("compare --seeds 0 -o out", ("--seeds", "'0'")),
@@ -468,7 +461,7 @@ FULL = {
     f"simulate {ROOT}/tiny_scenes/static/scene.json -o out": "out/scene.json",
     "inspect good.p4dgs -o out": "out/size.png",
     "export-ply good.p4dgs -o out/x.ply": "out/x.ply",
-    "compare scene --quick --iterations 4 --jobs 1 -o out": "out/scene_p4dgs_seed0.p4dgs",
+    "compare scene --quick --iterations 4 --jobs 1 -o out": "_4/scene_p4dgs_seed0.p4dgs",
 }
 
 

@@ -20,13 +20,13 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref import cli as base
 from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.lab.baselines import ALL_EQUATIONS, METHODS
+from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.lab.tables import compare
 from tests.budget import subcommands
 
 ROOT = Path(p4.__file__).resolve().parents[1]
 HEADINGS = ["The main job", "Files", "Ports", "Measure", "Teach"]
-DATA = "demo evaluate inspect presets accuracy stability effects compare sweep ablate bench grade"
+DATA = "demo evaluate inspect presets accuracy stability effects compare ablate bench grade"
 
 
 def start(*argv, cwd=None):
@@ -279,13 +279,9 @@ ESTIMATED = {  # iterations, and what is said when the training is stopped
     f"train bouncing -o run {LONG}": (90_000_000, "stopped\n"),
     # stages 1 to 3, which take 9 iterations, are done once for both designs
     f"demo bouncing -o run {LONG} --set coded=true --jobs 1": (179_999_991, "--resume goes on"),
-    f"compare scene -o run {WHOLE} --method hexplane": (6 * 90_000_000, "nothing is kept"),
-    f"sweep scene -o run {WHOLE} --lambda-rate 0,1": (
-        6 * 90_000_000,
-        "points that are done are kept",
-    ),
-    f"sweep scene -o run {WHOLE} --lambda-rate 0,1 --point 2/6": (90_000_000, "are kept"),
-    f"ablate scene -o run {WHOLE} --jobs 9": (24 * 90_000_000, "nothing is kept"),
+    f"compare scene -o run {WHOLE} --method hexplane": (9 * 90_000_000, "that are done are kept"),
+    f"compare scene -o run --curve {WHOLE} --method hexplane": (24 * 90_000_000, "are kept"),
+    f"ablate scene -o run {WHOLE} --jobs 9": (30 * 90_000_000, "are kept"),
 }
 
 
@@ -324,27 +320,13 @@ def place(scene, tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.slow
-def test_compare_quick_has_one_row_a_method(place, run):
-    code, out, err = run("compare scene --quick -o out --json --iterations 4")
-    assert (code, err) == (0, "")
-    result = json.loads((place / "out/compare.json").read_text())
-    assert json.loads(out) == result
-    assert [row["method"] for row in result["methods"]] == ["p4dgs", *METHODS]
-    assert {(row["scene"], row["seed"]) for row in result["methods"]} == {("scene", 0)}
-
-
-def test_sweep_point_by_point(place, run, refused):
-    sweep, folder = "sweep scene --seeds 1 --lambda-rate 0,0.5 --iterations 4", "report/sweep"
-    assert run(f"{sweep} --point 2/2")[0] == 0
-    assert not (place / folder / "sweep.csv").exists()
-    arrived = json.loads(run(f"{sweep} --collect --json")[1])
-    assert (arrived["points"], arrived["missing"], arrived["baselines"]) == (1, 1, {})
-    assert len((place / folder / "sweep.csv").read_text().splitlines()) == 2
-    code, out, err = run(f"{sweep} --json --jobs 1")
-    assert (code, err) == (0, "") and json.loads(out)["missing"] == 0
-    assert len((place / folder / "sweep.csv").read_text().splitlines()) == 3
-    assert len((place / folder / "composition.csv").read_text().splitlines()) == 10
-    (record,) = (place / folder).glob("points_*_4/*_0.5_*.json")
+@pytest.mark.parametrize("name, option", [("compare", ""), ("curve", "--curve")])
+def test_one_scene_and_seed_by_all_sizes_of_a_method(place, run, refused, name, option):
+    line = f"compare scene {option} --quick --method d3dgs_small --iterations 4 -o out --json"
+    result = json.loads(run(line)[1])
+    rows = result.get("methods") or result["rows"]
+    assert {(row["scene"], row["seed"]) for row in rows} == {("scene", 0)}
+    assert len((place / f"out/{name}.csv").read_text().splitlines()) == 1 + len(rows)
+    (record,) = (place / "out").glob("points_*_4/*_p4dgs_seed0.json")
     record.write_text("{")
-    refused(f"{sweep} --collect", (record.name, "JSON"))
+    refused(line, (record.name, "JSON"))

@@ -7,13 +7,17 @@ gallery.json, so that a test notices pictures that are out of date.
 import hashlib
 import inspect
 import json
+import shutil
 from collections import namedtuple
 from pathlib import Path
+
+import imageio.v3 as iio
 
 from p4dgs_ref.codec.file import decode
 from p4dgs_ref.lab import stability
 from p4dgs_ref.lab.accuracy import diagram, forms, report
 from p4dgs_ref.lab.school import show
+from p4dgs_ref.lab.tables import curve
 from p4dgs_ref.report import figures, jobs
 from p4dgs_ref.scenes import load_scene, output
 from tutorials.tools import animation, architecture, handout, tour
@@ -22,11 +26,16 @@ from tutorials.tools.shared import FOLDER, write_text
 DRAWN = Path(__file__).with_name("gallery.json")  # {picture: hash of the code that drew it}
 
 
-# One picture of the gallery: what draws it ("demo" and "accuracy" are commands of p4dgs-ref), the
-# file that this command or tutorial writes, and the caption.
+# One picture of the gallery: what draws it ("demo", "accuracy" and "compare" are commands of
+# p4dgs-ref), the file that this command or tutorial writes, and the caption.
 Picture = namedtuple("Picture", "drawn_by figure caption")
 
 PICTURES = {
+    "curve.png": Picture(
+        "compare",
+        "curve.png",
+        "PSNR against bytes: ours, and every other method over its own size",
+    ),
     "demo.png": Picture(
         "demo",
         "comparison.png",
@@ -106,6 +115,7 @@ PICTURES = {
 
 DRAWING, HANDOUT, TOUR = "architecture.png", "handout.pdf", "tour.pdf"
 DRAW = {  # what draws the pictures that come from no tutorial
+    "curve.png": (curve.draw,),
     "demo.png": (figures.write_comparison,),
     "demo_size.png": (figures.write_size,),
     "demo.gif": (animation,),
@@ -130,11 +140,14 @@ def take(out, pictures):
 
     Returns the names of those that were renewed.
     """
-    figures = {name: Path(out) / picture.figure for name, picture in PICTURES.items()}
-    renewed = [name for name, figure in figures.items() if figure.is_file()]
+    renewed = [name for name, row in PICTURES.items() if (Path(out) / row.figure).is_file()]
     with output.filled(pictures) as beside:
         for name in renewed:
-            (beside / name).write_bytes(figures[name].read_bytes())
+            data = (Path(out) / PICTURES[name].figure).read_bytes()
+            if name.endswith(".png"):  # without its alpha, which is 255 everywhere
+                pixels = iio.imread(data)[..., :3]
+                data = iio.imwrite("<bytes>", pixels, extension=".png", optimize=True)
+            (beside / name).write_bytes(data)
     return renewed
 
 
@@ -150,7 +163,7 @@ def code_hash(name):
         own = FOLDER / f"{figure.stem}.py"
         (file,) = [own] if own.is_file() else FOLDER.glob(f"{figure.stem[:2]}_*.py")
         text = file.read_text(encoding="utf-8").split("# ## Exercises")[0]
-    code = [line.rstrip() for line in text.splitlines() if line.strip() and line[0] != "#"]
+    code = (line.rstrip() for line in text.splitlines() if line.strip() and line[0] != "#")
     return hashlib.sha256("\n".join(code).encode()).hexdigest()[:16]
 
 
@@ -169,8 +182,19 @@ def stale():
 def draw_demo(out):
     """Run the demo, and leave its pictures and the animation of its file in the folder `out`."""
     jobs.main_job(load_scene("bouncing"), folder=out)
-    data = (Path(out) / "bouncing.p4dgs").read_bytes()
-    animation.draw(Path(out) / PICTURES["demo.gif"].figure, decode(data))
+    animation.draw(
+        Path(out) / PICTURES["demo.gif"].figure,
+        decode((Path(out) / "bouncing.p4dgs").read_bytes()),
+    )
+
+
+def take_curve(out):
+    """Take the record that `p4dgs-ref compare --curve` has left in report/compare, if there is one.
+
+    Its rows say when and where each was made; training them here would take hours.
+    """
+    for file in Path("report/compare").glob("curve.*"):
+        shutil.copy(file, out if file.suffix == ".png" else FOLDER)
 
 
 def draw_tour(_):

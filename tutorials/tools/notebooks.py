@@ -143,8 +143,7 @@ def make(source):
         out, result = Path(beside) / "out", Path(beside) / "outputs.json"
         out.mkdir()
         run(source.name, ["-c", START, source.resolve(), result], out)
-        outputs_of = json.loads(result.read_text(encoding="utf-8"))
-        for cell, outputs in zip(code, outputs_of, strict=True):
+        for cell, outputs in zip(code, json.loads(result.read_text("utf-8")), strict=True):
             cell["outputs"] = outputs
         target = folder / f"{source.stem}.ipynb"
         write_text(
@@ -199,8 +198,13 @@ def figures(plt):
         plt.close(figure)
         pixels = np.rint(iio.imread(file.getvalue())[..., :3] / COLOR_STEP) * COLOR_STEP
         png = iio.imwrite("<bytes>", pixels.astype(np.uint8), extension=".png", optimize=True)
-        data = {"image/png": base64.b64encode(png).decode(), "text/plain": str(figure)}
-        shown.append({"output_type": "display_data", "data": data, "metadata": {}})
+        shown.append(
+            {
+                "output_type": "display_data",
+                "data": {"image/png": base64.b64encode(png).decode(), "text/plain": str(figure)},
+                "metadata": {},
+            }
+        )
     return shown
 
 

@@ -4,6 +4,7 @@ python -m tutorials.tools.syllabus               run all tutorials, draw all, wr
 python -m tutorials.tools.syllabus 00 06 demo    only these tutorials and the pictures of the demo
 python -m tutorials.tools.syllabus accuracy      only the pictures of the two studies of accuracy
 python -m tutorials.tools.syllabus tour          only the ten pictures of the tour
+python -m tutorials.tools.syllabus curve         only take what compare --curve has drawn
 python -m tutorials.tools.syllabus index         only the index, with the times it already holds
 
 Each of these also draws the architecture anew and writes the glossary and the handout.
@@ -43,8 +44,9 @@ def facts(tutorial, folder=FOLDER):
     """The Facts of a tutorial. Raises ValueError naming the file if its first cell lacks one."""
     source = (Path(folder) / f"{tutorial.name}.py").read_text(encoding="utf-8")
     title = re.match(r"# %% \[markdown\]\n# # (.*)\n", source)
-    first_cell = source.split("\n# %%", 1)[0].splitlines()
-    head = " ".join(line.lstrip("# ").strip() for line in first_cell[2:])
+    head = " ".join(
+        line.lstrip("# ").strip() for line in source.split("\n# %%", 1)[0].splitlines()[2:]
+    )
     said = re.search(
         r"\*\*Before it:\*\*(.*?)\*\*Takes\*\*.*? two cores, "
         r"(\d+) minutes of reading and (\d+) of exercises\.",
@@ -134,12 +136,14 @@ def equations_table(folder=FOLDER):
 
 def path_table(folder=FOLDER):
     """A Markdown table of the path of four hours."""
-    rows = [
-        (both_forms(t.name), facts(t, folder).title, str(minutes(t.name)[0]))
-        for t in TUTORIALS
-        if t.name[:2] in PATH
-    ]
-    return shared.table(("tutorial", "what it is about", "minutes"), rows)
+    return shared.table(
+        ("tutorial", "what it is about", "minutes"),
+        [
+            (both_forms(t.name), facts(t, folder).title, str(minutes(t.name)[0]))
+            for t in TUTORIALS
+            if t.name[:2] in PATH
+        ],
+    )
 
 
 def both_forms(name):
@@ -149,27 +153,32 @@ def both_forms(name):
 
 def order_table(seconds, folder=FOLDER):
     """A Markdown table of the tutorials in order; `seconds` is {number: measured}."""
-    heads = ("tutorial", "what it is about", "after", "exercises", "seconds", "minutes")
     rows = []
     for tutorial in TUTORIALS:
         title, after, reading, doing, asked = facts(tutorial, folder)
-        row = (
-            both_forms(tutorial.name),
-            title,
-            ", ".join(after),
-            str(len(asked)),
-            f"{seconds[tutorial.name[:2]]:.1f}" if tutorial.name[:2] in seconds else "",
-            f"{reading} + {doing}",
+        rows.append(
+            (
+                both_forms(tutorial.name),
+                title,
+                ", ".join(after),
+                str(len(asked)),
+                f"{seconds[tutorial.name[:2]]:.1f}" if tutorial.name[:2] in seconds else "",
+                f"{reading} + {doing}",
+            )
         )
-        rows.append(row)
-    return shared.table(heads, rows)
+    return shared.table(
+        ("tutorial", "what it is about", "after", "exercises", "seconds", "minutes"), rows
+    )
 
 
 def measured_before(folder=FOLDER):
     """{number: seconds} as README.md states them."""
-    text = (Path(folder) / "README.md").read_text(encoding="utf-8")
-    rows = r"^\| \[(\d\d)_.*\| (\d+\.\d) \| [^|]* \|$"
-    return {number: float(seconds) for number, seconds in re.findall(rows, text, re.M)}
+    rows = re.findall(
+        r"^\| \[(\d\d)_.*\| (\d+\.\d) \| [^|]* \|$",
+        (Path(folder) / "README.md").read_text(encoding="utf-8"),
+        re.M,
+    )
+    return {number: float(seconds) for number, seconds in rows}
 
 
 def index(seconds, folder=FOLDER):
@@ -206,6 +215,7 @@ MADE = {  # what draws pictures and is no numbered tutorial with a solution
     "demo": gallery.draw_demo,
     "accuracy": gallery.draw_accuracy,
     "tour": gallery.draw_tour,
+    "curve": gallery.take_curve,
 }
 
 

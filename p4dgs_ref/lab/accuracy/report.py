@@ -1,15 +1,10 @@
 """The page `accuracy.md`: one table of all knobs, one picture, then a figure for each knob."""
 
-import os
-import platform
 import time
 from pathlib import Path
 
-import numpy as np
-import scipy
-
 from ...report.figures import write_csv
-from ..clock import disturbance, stretch_of
+from ..clock import disturbance, machine, stretch_of
 from .diagram import draw, lines_of
 from .harness import (
     ITERATIONS,
@@ -126,11 +121,10 @@ def draw_all(path, knobs, rows):
             unit = knob.enough if harness == "formula" else 1.0  # errors have different units
             dear, *_ = own = next(iter(lines_of(rows[knob.name]).values()))
             for row in own:
-                place = {"times": dear[knob.spent] / row[knob.spent]}
-                place["loss"] = max(loss(row, dear) / unit, least)
-                shown.append({"line": knob.name, **place})
-        properties = dict(xscale="log", yscale="log", ylabel=label)
-        properties["xlabel"] = "times as cheap, in bytes or time"
+                times, lost = dear[knob.spent] / row[knob.spent], max(loss(row, dear) / unit, least)
+                shown.append({"line": knob.name, "times": times, "loss": lost})
+        labels = {"xlabel": "times as cheap, in bytes or time", "ylabel": label}
+        properties = {"xscale": "log", "yscale": "log", **labels}
         panels.append((HARNESSES[harness], shown, "times", "loss", enough, properties))
     if panels:
         size = 9, 4.4 * len(panels)
@@ -197,11 +191,3 @@ def describe(result, folder):
     end = f"{Path(folder) / PAGE}: {result['seconds']:.0f} s in all."
     lines = *table(result["knobs"]), "", *notes(result), end, disturbance(result["stretch"])
     return "\n".join(lines).rstrip()
-
-
-def machine():
-    """The parts of the machine that times depend on, as text."""
-    python = (
-        f"Python {platform.python_version()}, NumPy {np.__version__}, SciPy {scipy.__version__}"
-    )
-    return f"{os.cpu_count()} cores, {platform.platform()}, {python}"

@@ -127,8 +127,9 @@ def judged(literal, ours, true, error, grad_error, bound, grad_bound):
 
 def worst(found, true, each):
     """The largest error of all arrays with true values; None without any."""
-    errors = [relative(a, true[name], each) for name, a in found.items() if name in true]
-    return max(errors, default=None)
+    return max(
+        (relative(a, true[name], each) for name, a in found.items() if name in true), default=None
+    )
 
 
 def pick(values, index):

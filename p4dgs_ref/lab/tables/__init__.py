@@ -1,1 +1,1 @@
-"""Tables and curves of methods: compare, sweep, ablate, composition."""
+"""Tables and curves of methods: compare, curve, ablate, composition."""

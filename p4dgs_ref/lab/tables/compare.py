@@ -1,6 +1,7 @@
 """The paper's Tables 1 and 2 on tiny scenes: all methods by the same loop, renderer and measures.
 
-Rendering is timed in one process, all methods in turn; training seconds are processor time.
+Every baseline has a second row, without spherical harmonics. Rendering is timed in one process, all
+methods in turn.
 """
 
 import json
@@ -10,10 +11,11 @@ import numpy as np
 from ...effects import moves
 from ...report.figures import draw_pictures, error_of, write_csv
 from ...scenes import load_scene, packaged_scenes
+from .. import baselines
 from ..clock import alternate, disturbance, stretch_of
 from ..writer import means, seeds_of, table
 from . import methods
-from .methods import OURS, Task
+from .methods import OURS, OWN
 
 TURNS = 5  # of the pictures that are timed
 # PSNR in dB, SSIM, MB and frames/s of the paper's Tables 1 and 2.
@@ -32,6 +34,12 @@ PAPER = {
     },
 }
 KINDS = ("network", "gaussians")  # of bytes
+# Changes of the presets: every baseline also with colors that are the same from all sides.
+SIZES = {**dict.fromkeys(OWN, [{}]), **dict.fromkeys(baselines.METHODS, [{}, {"sh_degree": 0}])}
+BASELINES = (
+    "The baselines ignore a scene's list of effects, but for occlusion, and have spherical "
+    "harmonics of degree 3 where the row does not say another one (sh_degree)."
+)
 COLUMNS = {
     "PSNR dB": "{psnr_db:.2f} ±{psnr_db_spread:.2f}",
     "SSIM": "{ssim:.4f} ±{ssim_spread:.4f}",
@@ -39,7 +47,6 @@ COLUMNS = {
     "network": "{network_bytes:,.0f}",
     "Gaussians": "{gaussians_bytes:,.0f}",
     "frames/s": "{render_fps:.0f}",
-    "train s": "{train_seconds:.0f}",
 }
 OF_THE_PAPER = {f"the paper's {name}": f"{{paper[{name}]}}" for name in PAPER}
 
@@ -55,12 +62,8 @@ def plan(scenes, folder, names=(), seeds=3, iterations=None):
     `names` are those of methods, nothing means all; ours is always one of them. Seeds are 0 to
     seeds - 1, and all methods take the same iterations. Raises StudyError for an unknown method.
     """
-    return [
-        Task(scene, name, seed, folder, iterations)
-        for scene in scenes
-        for seed in range(seeds)
-        for name in methods.known([OURS, *names] if names else [])
-    ]
+    chosen = methods.known([OURS, *names] if names else [])
+    return methods.plan(SIZES, chosen, scenes, folder, seeds, iterations)
 
 
 def collect(tasks, folder, progress=lambda line: None):
@@ -68,20 +71,20 @@ def collect(tasks, folder, progress=lambda line: None):
 
     Returns what compare.json holds.
     """
-    rows, shown, chosen = [], {}, [*dict.fromkeys(task.method for task in tasks)]
+    rows, shown, chosen = [], {}, [*dict.fromkeys(task.label for task in tasks)]
     for start in range(0, len(tasks), len(chosen)):
         own = tasks[start : start + len(chosen)]  # of one scene and seed
         scene = own[0].scene
         progress(f"{scene.name}: times of rendering")
-        models = {task.method: methods.load(task.path) for task in own}
+        models = {task.label: methods.load(task.path) for task in own}
         speeds = rendering(scene.test, models)
-        rows += [{**row, **speeds[row["method"]]} for row in methods.made(own)]
+        rows += [{**row, **speeds[row["label"]]} for row in methods.made(own)]
         shown.setdefault(scene.name, (scene.test, models))
     result = {
         "methods": rows,
         "summary": [
-            {**row, "paper": {name: own.get(row["method"], "-") for name, own in PAPER.items()}}
-            for row in means(rows, "method")
+            {**row, "paper": {name: own.get(row["label"], "-") for name, own in PAPER.items()}}
+            for row in means(rows, "label")
         ],
         "against": [against(rows, name) for name in chosen[1:]],
         "stretch": stretch_of(rows),
@@ -104,17 +107,17 @@ def rendering(views, models):
     }
 
 
-def against(rows, method):
+def against(rows, label):
     """A baseline against ours: ratios of the bytes and of frames/s, and our PSNR minus its.
 
     The ratio of the bytes is the sum of the shares of its network, Gaussians and text.
     """
-    mean = {row["method"]: row for row in means(rows, "method")}
-    ours, theirs = mean[OURS], mean[method]
-    psnr = {(row["method"], row["seed"]): row["psnr_db"] for row in means(rows, "method", "seed")}
-    gains = [psnr[OURS, seed] - value for (name, seed), value in psnr.items() if name == method]
+    mean = {row["label"]: row for row in means(rows, "label")}
+    ours, theirs = mean[OURS], mean[label]
+    psnr = {(row["label"], row["seed"]): row["psnr_db"] for row in means(rows, "label", "seed")}
+    gains = [psnr[OURS, seed] - value for (name, seed), value in psnr.items() if name == label]
     return {
-        "method": method,
+        "label": label,
         "ratio": theirs["bytes"] / ours["bytes"],
         **{f"{kind}_share": theirs[f"{kind}_bytes"] / ours["bytes"] for kind in KINDS},
         **{f"{kind}_ratio": theirs[f"{kind}_bytes"] / ours[f"{kind}_bytes"] for kind in KINDS},
@@ -127,17 +130,17 @@ def against(rows, method):
 def describe(result):
     """Tables 1 and 2 in form, a table for each scene, and what the ratios mean."""
     rows = result["methods"]
-    by_scene = means(rows, "scene", "method")
     scenes = dict.fromkeys(row["scene"] for row in rows)
     lines = [
         f"Mean over {', '.join(scenes)}; {seeds_of(rows)}; bytes of the file, of which network "
-        "(also planes and hash grid) and Gaussians; training in processor seconds. The paper's "
-        "columns: dB, SSIM, MB, frames/s, on its scenes and graphics card.",
-        *table({"method": "{method}", **COLUMNS, **OF_THE_PAPER}, result["summary"]),
+        "(also planes and hash grid) and Gaussians. The paper's columns: dB, SSIM, MB, frames/s, "
+        "on its scenes and graphics card.",
+        BASELINES,
+        *table({"method": "{label}", **COLUMNS, **OF_THE_PAPER}, result["summary"]),
     ]
     for scene in scenes if len(scenes) > 1 else ():
-        own = [row for row in by_scene if row["scene"] == scene]
-        lines += ["", *table({scene: "{method}", **COLUMNS}, own)]
+        own = [row for row in means(rows, "scene", "label") if row["scene"] == scene]
+        lines += ["", *table({scene: "{label}", **COLUMNS}, own)]
     lines += ["", *map(sentence, result["against"]), disturbance(result["stretch"])]
     return "\n".join(lines).rstrip()
 
@@ -147,7 +150,7 @@ def sentence(other):
     low, high = other["psnr_gain_range"]
     unfair = " Note: ours is below it in PSNR, so the ratio is not one at equal quality."
     return (
-        f"{other['method']}: its file is {other['ratio']:.1f} times ours: "
+        f"{other['label']}: its file is {other['ratio']:.1f} times ours: "
         f"{other['network_share']:.1f} are its network and {other['gaussians_share']:.1f} its "
         f"Gaussians. Its network is {other['network_ratio']:.1f} times our networks, its Gaussians "
         f"{other['gaussians_ratio']:.1f} times ours. Our PSNR minus its: "

@@ -1,13 +1,15 @@
 """The maker of rows: any method on one scene is trained, written to a file, read and measured.
 
 A study is a list of Tasks and what it says about their rows. A row begins with the fields method,
-scene, seed, psnr_db and bytes, and lies as JSON beside its file. A row that is there is not made
-again, so a killed sweep goes on, and the jobs of a cluster can fill one folder.
+scene, seed, psnr_db and bytes, and lies as JSON beside its file, in a folder that is named after
+the checksum of the scene and the length of the trainings. A row that is there is not made again, so
+a killed study goes on, takes what another one has made, and can grow by scenes, seeds and methods.
 """
 
 import json
 from ast import literal_eval
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,17 +23,19 @@ from ...report.jobs import in_processes
 from ...scenes import Scene, output
 from ...scenes.files import read_json
 from ...scenes.scene import require
+from ...training.fit import fingerprint
 from ...training.initial import design_of
 from ...training.parameters import Parameters
 from ...training.presets import TINY_REAL, choose
 from ...training.trainer import Trainer
 from .. import StudyError, baselines
 from ..accuracy.harness import shortened
-from ..clock import clocked
+from ..clock import clocked, machine
 
 OURS = "p4dgs"
 CODED = "p4dgs_coded"  # with coded networks and positions, beyond the paper
 OWN = {OURS: "tiny", CODED: "tiny_coded"}  # their presets
+KNOBS = ("lambda_rate", "sh_degree")  # fields of presets that stand in the rows
 # The fields of the baselines' presets that are counted in iterations.
 DATES = (
     "iterations",
@@ -54,7 +58,7 @@ class Task(NamedTuple):
     seed: int
     folder: Path  # of the file
     iterations: int | None = None  # None: those of the preset
-    changes: dict = {}  # of the preset
+    changes: dict = {}  # of the preset; `preset` is another one than that of the method
     # Of the ablation's steps, which train our method in another form:
     step: str | None = None  # the name of the step
     design: dict = {}  # changes of the Design
@@ -67,10 +71,15 @@ class Task(NamedTuple):
         return self.method in OWN
 
     @property
+    def label(self):
+        """The name of its rows: the step, or the method and its changes as `--set` takes them."""
+        changed = (f" {field}={value}" for field, value in self.changes.items())
+        return self.step or self.method + "".join(changed)
+
+    @property
     def path(self):
         """The file."""
-        parts = [self.step] if self.step else [self.method, *self.changes.values()]
-        name = "_".join([self.scene.name, *map(str, dict.fromkeys(parts)), f"seed{self.seed}"])
+        name = f"{self.scene.name} {self.label} seed{self.seed}"
         name = name.replace("+ ", "").replace(" ", "_").replace("/", "_")
         ending = ("p4dgs" if self.plain is None else "npy") if self.own else "ply"
         return Path(self.folder) / f"{name}.{ending}"
@@ -96,17 +105,37 @@ def known(names):
 def preset_of(task):
     """The preset for tiny scenes with the task's changes and iterations.
 
-    All dates of its schedule are shortened or stretched alike.
+    All dates of its schedule are shortened or stretched alike. A baseline grows to the number of
+    Gaussians with which it starts.
     """
+    changes = dict(task.changes)
+    preset = changes.pop("preset", OWN.get(task.method))
     if task.own:
         # As in `tiny_real`: points know their depth, and anchors keep it.
         real = {} if task.scene.points is None else {"lr_x": TINY_REAL.lr_x}
-        ours = choose(OWN[task.method], {**real, **task.changes})
+        ours = choose(preset, {**real, **changes})
         return shortened(ours, (task.iterations or ours.iterations) / ours.iterations)
-    theirs = baselines.choose(task.method, None, task.changes)
+    most = {"most": number for field, number in changes.items() if field == "gaussians"}
+    theirs = baselines.choose(task.method, preset, {**most, **changes})
     share = (task.iterations or theirs.iterations) / theirs.iterations
     dates = {name: getattr(theirs, name) for name in DATES if hasattr(theirs, name)}
     return replace(theirs, **{name: max(round(share * n), n > 0) for name, n in dates.items()})
+
+
+def plan(sizes, names, scenes, folder, seeds=3, iterations=None):
+    """The Tasks of some methods, for each of its `sizes` {method: [changes of the preset]}.
+
+    All scenes with one seed come before the next seed.
+    """
+    length = "" if iterations is None else f"_{iterations}"
+    places = [(scene, f"points_{fingerprint(scene):08x}{length}") for scene in scenes]
+    return [
+        Task(scene, method, seed, Path(folder) / place, iterations, changes)
+        for seed in range(seeds)
+        for scene, place in places
+        for method in names
+        for changes in sizes[method]
+    ]
 
 
 def trainer_of(task):
@@ -154,9 +183,11 @@ def kinds(sizes):
     network = sum(
         n for name, n in sizes.items() if name.endswith(("mlp", "mlps")) or name == "hash_grid"
     )
-    other = sizes["header"]
-    gaussians = sum(sizes.values()) - network - other
-    return {"gaussians": gaussians, "network": network, "other": other}
+    return {
+        "gaussians": sum(sizes.values()) - network - sizes["header"],
+        "network": network,
+        "other": sizes["header"],
+    }
 
 
 def load(path):
@@ -175,18 +206,22 @@ def make(task):
     with output.made(task.folder):
         sizes = write(task, model)
     metrics, _, _ = evaluate(load(task.path), task.scene)
+    preset = preset_of(task)
     row = {
         "method": task.method,
         "scene": task.scene.name,
         "seed": task.seed,
         "psnr_db": metrics["psnr_db"],
         "bytes": sum(sizes.values()),
-        **({"step": task.step} if task.step else task.changes),
+        "label": task.label,
+        **{name: getattr(preset, name) for name in KNOBS if hasattr(preset, name)},
         **{name: metrics[name] for name in ("ssim", "psnr_fg_db", "anchors", "gaussians")},
         **{f"{kind}_bytes": size for kind, size in sizes.items()},
         "file": task.path.name,
-        "iterations": preset_of(task).iterations,
+        "iterations": preset.iterations,
         "train_seconds": float(seconds),
+        "made": f"{date.today()}",
+        "machine": machine(),
     }
     if task.path.suffix == ".p4dgs":
         sections = {part["name"]: part for part in ledger(task.path.read_bytes())}
@@ -238,8 +273,11 @@ def save_plain(model, path, half=()):
     record = np.array((*values.values(), design), [*types, ("design", f"S{len(design)}")])
     output.write_atomically(path, lambda file: np.save(file, record))
     sizes = [sum(record[name].nbytes for name in part) for part in (gaussians, network)]
-    other = path.stat().st_size - sum(sizes)
-    return {"gaussians": sizes[0], "network": sizes[1], "other": other}
+    return {
+        "gaussians": sizes[0],
+        "network": sizes[1],
+        "other": path.stat().st_size - sum(sizes),
+    }
 
 
 def load_plain(path):

@@ -68,7 +68,7 @@ COVARIANCE = [
         "the scales are not squared: R S R^T",
         {
             "return M @ M.transpose(0, 2, 1)": "return M @ R.transpose(0, 2, 1)",
-            "(M_bar * R).sum(axis=1)": "(Sigma_bar @ R * R).sum(axis=1)",
+            'np.einsum("nij,nij->nj", M_bar, R)': "(Sigma_bar @ R * R).sum(axis=1)",
             "R_bar = M_bar * s[:, None, :]": "R_bar = M_bar",
         },
     ),

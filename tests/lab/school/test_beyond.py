@@ -14,14 +14,6 @@ FOLDER = Path(__file__).resolve().parents[3] / "tutorials"
 RECORDS = sorted(FOLDER.glob("beyond_*.py"), key=lambda path: path.name)
 
 
-def run(path, folder):
-    """The text that a record prints; its figures go into the folder."""
-    settings = {**os.environ, "P4DGS_TUTORIALS_OUT": str(folder)}
-    done = subprocess.run([sys.executable, path], capture_output=True, text=True, env=settings)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 def test_records_have_the_form_of_tutorials():
     assert {path.stem: flaws(path.read_text(encoding="utf-8")) for path in RECORDS} == {
         path.stem: [] for path in RECORDS
@@ -30,10 +22,12 @@ def test_records_have_the_form_of_tutorials():
 
 @pytest.mark.slow
 def test_the_record_of_networks_runs_and_its_decision_quotes_the_table(tmp_path):
-    path = FOLDER / "beyond_networks.py"
+    path, settings = FOLDER / "beyond_networks.py", {**os.environ, "P4DGS_TUTORIALS_OUT": tmp_path}
+    done = subprocess.run([sys.executable, path], capture_output=True, text=True, env=settings)
+    assert done.returncode == 0, done.stderr
     decision = path.read_text(encoding="utf-8").split("# ## Decision")[1]
     reference = (FOLDER / "reference.md").read_text(encoding="utf-8")
-    prices = re.findall(r"^ +0\.\d{5} +9 +(\S+) +(\S+) +(\S+)$", run(path, tmp_path), re.M)
+    prices = re.findall(r"^ +0\.\d{5} +9 +(\S+) +(\S+) +(\S+)$", done.stdout, re.M)
     assert len(prices) == 3  # with nine pairs each
     assert (tmp_path / "beyond_networks.png").stat().st_size > 10_000
     for share, gain, worst in prices:

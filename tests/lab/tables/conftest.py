@@ -5,9 +5,9 @@ import dataclasses
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.lab.tables import ablate, compare, methods, sweep
+from p4dgs_ref.lab.tables import ablate, compare, curve, methods
 
-from .shared import OTHERS, SWEEP
+from .shared import CURVE, OTHERS
 
 
 @pytest.fixture(scope="session")
@@ -37,14 +37,14 @@ def ablated(scene, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def swept(scene, tmp_path_factory):
-    """The folder, tasks and result of a small sweep; its third point was killed half-way."""
-    folder = tmp_path_factory.mktemp("sweep")
-    tasks = sweep.plan(scene, folder, *SWEEP.values())
+def drawn(scene, tmp_path_factory):
+    """The folder, tasks and result of a small curve; its third point was killed half-way."""
+    folder = tmp_path_factory.mktemp("curve")
+    tasks = curve.plan([scene], folder, *CURVE.values())
     methods.make_missing(tasks[:3])
     tasks[2].record.unlink()
     kept = {task.path: task.path.stat().st_mtime_ns for task in tasks[:3]}
-    methods.make_missing(sweep.plan(scene, folder, *SWEEP.values()))
+    methods.make_missing(curve.plan([scene], folder, *CURVE.values()))
     changed = [path for path, time in kept.items() if path.stat().st_mtime_ns != time]
     assert changed == [tasks[2].path]
-    return folder, tasks, sweep.collect(tasks, folder)
+    return folder, tasks, curve.collect(tasks, folder)

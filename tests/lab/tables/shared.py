@@ -8,12 +8,8 @@ from p4dgs_ref.lab import baselines
 OTHERS = [name for name in baselines.METHODS if name != "d3dgs"]
 
 
-SWEEP = {
-    "lambdas": (0.0, 300.0),
-    "seeds": 2,
-    "iterations": 12,
-    "names": ["d3dgs_small", "p4dgs_coded"],
-}
+CURVE = {"names": ["d3dgs_small"], "seeds": 2, "iterations": 4}
+FIRST = ["method", "scene", "seed", "psnr_db", "bytes"]
 
 
 def table(path):

@@ -18,17 +18,18 @@ TABLE_3 = [
     "+ compact deformation MLP",
     "+ quantisation and entropy coding",
 ]
+BEYOND = ["+ coded networks and positions", "+ more anchors"]
 
 
 @pytest.fixture(scope="module")
 def files(ablated):
     """The file of each step."""
     folder, result = ablated
-    return {row["step"]: folder / row["file"] for row in result["rows"]}
+    return {row["label"]: next(folder.glob(f"points_*/{row['file']}")) for row in result["rows"]}
 
 
 def test_each_step_changes_its_part(files, ablated):
-    assert [*files] == [*TABLE_3, *study.LEFT_OUT]
+    assert [*files] == [*TABLE_3, *BEYOND, *study.LEFT_OUT]
     explicit, anchors, compact, whole = (methods.load(files[name]) for name in TABLE_3)
     theirs = baselines.choose("d3dgs")
     assert anchors.design.deformation == theirs.deformation == (256,) * 8
@@ -43,8 +44,11 @@ def test_each_step_changes_its_part(files, ablated):
         assert (W == W.astype(np.float32)).all()
         W = model.networks["psi_c"][0][0]
         assert (W != W.astype(np.float16)).any()
-    sizes = [files[name].stat().st_size for name in TABLE_3]
+    sizes = [files[name].stat().st_size for name in (*TABLE_3, BEYOND[0])]
     assert sizes == sorted(sizes, reverse=True)
+    coded, more = (methods.load(files[name]) for name in BEYOND)
+    assert coded.design.coded and more.design == coded.design
+    assert len(more.anchors.x_a) > 2 * len(coded.anchors.x_a)
 
 
 def test_parts_left_out(files, scene):
@@ -52,7 +56,7 @@ def test_parts_left_out(files, scene):
     assert "psi_d" in models[TABLE_3[-1]].networks
     assert "psi_d" not in models["no deformation"].networks
     assert models["no masking"].anchors.mask.all()
-    base = methods.preset_of(study.plan(scene, None, 1, 12)[3])
+    base = methods.preset_of(study.plan(scene, "", 1, 12)[3])
     context = quantised_of(read_container(files["fixed step"].read_bytes())).context
     steps = (base.Q_f, base.Q_s, base.Q_l, base.Q_O)
     np.testing.assert_allclose(context.q, np.tile(steps, (len(context.q), 1)), rtol=1e-4)
@@ -63,7 +67,7 @@ def test_parts_left_out(files, scene):
 
 
 def test_no_noise_before_the_last_step(scene):
-    presets = {task.step: methods.preset_of(task) for task in study.plan(scene, None, 1, 400)}
+    presets = {task.step: methods.preset_of(task) for task in study.plan(scene, "", 1, 400)}
     for name in TABLE_3[1:3]:
         preset = presets[name]
         assert preset.stage(preset.iterations - 1) == 3 and preset.mask_from == 400
@@ -74,28 +78,34 @@ def test_no_noise_before_the_last_step(scene):
 
 def test_savings_are_against_the_step_before():
     rows = [
-        {"step": name, "seed": seed, "bytes": size, "psnr_db": psnr + seed, "ssim": 0.9}
+        {"label": name, "seed": seed, "bytes": size, "psnr_db": psnr + seed, "ssim": 0.9}
         for name, size, psnr in (
             ("D3DGS", 1000, 30.0),
             ("+ spatial prediction", 500, 31.0),
-            ("no masking", 600, 31.5),
-            ("no deformation", 250, 29.0),
+            ("+ compact deformation MLP", 400, 30.5),
+            (TABLE_3[-1], 440, 29.0),
+            (BEYOND[0], 110, 28.0),
+            ("no masking", 528, 29.5),
         )
         for seed in (0, 1)
     ]
-    first, second, third, last = study.summaries(rows)
+    first, *others = study.summaries(rows)
     assert "saved_percent" not in first and first["psnr_db"] == 30.5
-    assert (second["saved_percent"], second["psnr_gain"]) == (-50, 1)
-    assert third["saved_percent"] == pytest.approx(20) and third["psnr_gain"] == 0.5
-    assert (last["saved_percent"], last["psnr_gain"], last["psnr_db_spread"]) == (-50, -2, 0.5)
+    changes = [(step["saved_percent"], step["psnr_gain"]) for step in others]
+    expected = [(-50, 1), (-20, -0.5), (10, -1.5), (-75, -1), (20, 0.5)]
+    np.testing.assert_allclose(changes, expected)
+    assert others[-1]["psnr_db_spread"] == 0.5
+    assert study.unlike([first, *others]) == [
+        f"{TABLE_3[-1]}: +10.00 % of bytes here, -84.10 in the paper (seeds: 2, ±0.50 dB)."
+    ]
 
 
 def test_table_3_shows_the_papers_numbers_apart(ablated):
     lines = study.describe(ablated[1]).splitlines()
-    assert lines[1].endswith("the paper's MB, %, dB (T-Rex)")
-    assert lines[2].startswith("D3DGS") and lines[2].endswith("56.7 - 38.04")
-    assert lines[5].endswith("0.85 -84.1 38.24")
-    assert lines[6].startswith("ours, fixed step") and lines[6].endswith(" -")
+    ends = [line.split()[-4:] for line in lines[2:9]]
+    assert lines[2].startswith("D3DGS") and ends[0] == ["56.70", "-", "38.04", "-"]
+    assert ends[3] == ["0.85", "-84.1", "38.24", "-0.10"] and ends[4] == 4 * ["-"]
+    assert lines[8].startswith("ours, fixed step") and ends[6] == 4 * ["-"]
 
 
 def test_a_plain_file_renders_like_its_model(scene, tmp_path):

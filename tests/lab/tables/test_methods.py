@@ -12,21 +12,16 @@ from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.report.inspect import ledger
 from p4dgs_ref.scenes import SceneError
 
-from .shared import table
-
-FIRST = ["method", "scene", "seed", "psnr_db", "bytes"]
+from .shared import FIRST
 
 
 @pytest.mark.parametrize(
-    "study", ["compared", "ablated", pytest.param("swept", marks=pytest.mark.slow)]
+    "study", ["compared", "ablated", pytest.param("drawn", marks=pytest.mark.slow)]
 )
 def test_every_row_is_that_of_its_file(study, scene, request):
     folder, *_, result = request.getfixturevalue(study)
-    rows, place = result.get("methods") or result.get("rows"), folder
-    if study == "swept":
-        (place,) = folder.glob("points_*_12")
-        rows = table(folder / "sweep.csv")
-    for row in rows:
+    (place,) = folder.glob("points_*")
+    for row in result.get("methods") or result["rows"]:
         path = place / row["file"]
         assert list(row)[:5] == FIRST and row["scene"] == "bouncing"
         assert path.stat().st_size == int(row["bytes"])
@@ -92,9 +87,9 @@ def test_dates_of_all_presets_shorten_alike(scene):
 
 
 def test_a_task_travels_to_other_processes_and_names_its_file(scene, tmp_path):
-    changes = {"gaussians": 20, "most": 20}
+    changes = {"gaussians": 20}
     task = pickle.loads(pickle.dumps(Task(scene, "d3dgs_small", 0, tmp_path, 3, changes)))
-    assert task.path == tmp_path / "bouncing_d3dgs_small_20_seed0.ply"
+    assert task.path == tmp_path / "bouncing_d3dgs_small_gaussians=20_seed0.ply"
     row = methods.make(task)
     assert list(row)[:5] == FIRST and row["iterations"] == 3
     assert baselines.load(task.path).primitives <= 20 and methods.made([task]) == [row]
@@ -103,14 +98,16 @@ def test_a_task_travels_to_other_processes_and_names_its_file(scene, tmp_path):
 
 
 def test_bytes_of_our_files_by_kind():
-    sizes = {"header": 1, "positions": 2, "masks": 4, "hash_grid": 8, "anchor_mlps": 16}
-    sizes["deformation_mlp"] = 32
-    assert methods.kinds(sizes) == {"gaussians": 6, "network": 56, "other": 1}
+    names = ("header", "positions", "masks", "hash_grid", "anchor_mlps", "deformation_mlp")
+    assert methods.kinds(dict(zip(names, (1, 2, 4, 8, 16, 32)))) == {
+        "gaussians": 6,
+        "network": 56,
+        "other": 1,
+    }
 
 
 def test_the_coded_design_is_compared_where_it_is_named():
-    five = [OURS, "d3dgs", "d3dgs_small", "hexplane", "gaussian4d"]
-    assert methods.known([]) == five
+    assert methods.known([]) == [OURS, "d3dgs", "d3dgs_small", "hexplane", "gaussian4d"]
     assert methods.known(["hexplane", methods.CODED, OURS]) == [OURS, methods.CODED, "hexplane"]
 
 
