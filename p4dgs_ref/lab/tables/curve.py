@@ -109,10 +109,12 @@ def collect(tasks, folder, progress=lambda line: None):
         for name in dict.fromkeys(row["method"] for row in points)
     }
     edge = envelope([curve for name, curve in curves.items() if name not in OWN])
-    draw(folder / "curve.png", points, edge)
+    title = f"{', '.join(dict.fromkeys(row['scene'] for row in rows))}; {seeds_of(rows)}"
+    draw(folder / "curve.png", points, edge, title)
     parts = composition([task.path for task in tasks[:2]])
     write_csv(folder / "composition.csv", parts)
     return {
+        "title": title,
         "rows": rows,
         "points": points,
         "envelope": [
@@ -159,27 +161,29 @@ def best(rows, points):
 
 def composition(files):
     """The PARTS of two files, of a low and of a high rate, and the whole: bytes and percent."""
-    low, high = (components(file.read_bytes()) for file in files)
-    whole = {"file": (tuple(low), None, None)}
+    sizes = [components(file.read_bytes()) for file in files]
+    low, high = (sum(size.values()) for size in sizes)
     return [
         {
             "component": name,
-            "bytes_low": sum(low.get(section, 0) for section in sections),
-            "bytes_high": sum(high.get(section, 0) for section in sections),
-            "percent_low": 100
-            * sum(low.get(section, 0) for section in sections)
-            / sum(low.values()),
-            "percent_high": 100
-            * sum(high.get(section, 0) for section in sections)
-            / sum(high.values()),
+            "bytes_low": bytes_low,
+            "bytes_high": bytes_high,
+            "percent_low": 100 * bytes_low / low,
+            "percent_high": 100 * bytes_high / high,
             "paper_low": paper_low,
             "paper_high": paper_high,
         }
-        for name, (sections, paper_low, paper_high) in {**PARTS, **whole}.items()
+        for name, (sections, paper_low, paper_high) in {
+            **PARTS,
+            "file": (tuple(sizes[0]), None, None),
+        }.items()
+        for bytes_low, bytes_high in [
+            [sum(size.get(section, 0) for section in sections) for size in sizes]
+        ]
     ]
 
 
-def draw(path, points, edge):
+def draw(path, points, edge, title):
     """PSNR over the bytes of the file, and over those of the coded anchors alone."""
     from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
@@ -199,17 +203,18 @@ def draw(path, points, edge):
             x, y, spread = ([r[name] for r in own] for name in (size, "psnr_db", "psnr_db_spread"))
             ax.errorbar(x, y, spread, fmt="o", color=COLORS[method], label=method)
             ax.plot(*front(zip(x, y)).T, color=COLORS[method], alpha=0.5)
-    axes[0].set(ylabel="PSNR of the test views (dB)")
-    axes[0].legend(frameon=False, fontsize=10)
+    axes[0].set(ylabel="PSNR of the test views (dB)", title=title)
+    axes[1].legend(
+        *axes[0].get_legend_handles_labels(), loc="lower right", frameon=False, fontsize=10
+    )
     save_figure(figure, path)
 
 
 def describe(result):
     """The points, ours against the others, the best small point by scene, and Table 4 in form."""
-    rows = result["rows"]
-    scenes, days = (sorted({row[name] for row in rows}) for name in ("scene", "made"))
+    days = sorted(row["made"] for row in result["rows"])
     lines = [
-        f"Mean over {', '.join(scenes)}; {seeds_of(rows)}; made {days[0]} to {days[-1]}.",
+        f"{result['title']}; made {days[0]} to {days[-1]}. Every point is a mean.",
         BASELINES,
         *table(COLUMNS, result["points"]),
         f"The envelope of the explicit methods: {', '.join(result['envelope'])}.",
