@@ -1239,5 +1239,5 @@
   Object.assign(exported, { color, rotation, scale, masking, gather, beside, positionalEncoding });
   Object.assign(exported, { deformation, deformed, rotationMatrix, covariance, projection });
   Object.assign(exported, { compositing, spatialPrediction, temporalPrediction, splatting });
-  Object.assign(exported, { render, centreOf, TABLES });
+  Object.assign(exported, { render, centreOf, GaussianTable, TABLES });
 })(typeof module === "object" ? module.exports : (globalThis.p4dgs = {}));
