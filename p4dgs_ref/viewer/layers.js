@@ -1,6 +1,7 @@
 // What can be drawn above a picture: anchors, ellipses, motion, paths, hidden children, the grid.
 //
 // A frame is what was drawn: {model, camera, t, gaussians, moved, splats, bits, selected, level}.
+// A layer returns what is to be said of it, if anything.
 // Every line has a light edge, so that it is seen on any background.
 "use strict";
 
@@ -134,7 +135,7 @@
 
   /** Lines from time 0 (thin, dark) to time 1 (thick, light); a dot ends each. */
   function paths(context, frame) {
-    const { count, steps } = pathsOf(frame.model, frame.gaussians);
+    const { count, all, steps } = pathsOf(frame.model, frame.gaussians);
     for (let i = 1; i < TIMES; i++) {
       const path = new Path2D();
       for (let n = 0; n < count; n++) {
@@ -151,6 +152,7 @@
       if (moves) circle(ends, end, 2);
     }
     fill(context, ends, INK.dark);
+    return count < all ? `Paths of ${count} of ${all} children.` : null;
   }
 
   const far = (at, from) => at && Math.hypot(at[0] - from[0], at[1] - from[1]) > 3;
@@ -168,16 +170,20 @@
       line(path, [at[0] - 3, at[1] + 3], [at[0] + 3, at[1] - 3]);
     });
     stroke(context, path, INK.hidden);
+    const count = all.alpha.filter((alpha) => alpha < model.header.tau_alpha).length;
+    return count ? `${count} children are below τ_α.` : "No child is below τ_α in this view.";
   }
 
   // --- the hash grid ----------------------------------------------------------------------------
   const corner = ({ lo, hi }, shares) => shares.map((share, i) => lo[i] + share * (hi[i] - lo[i]));
 
+  /** Of how many nodes one is drawn. */
+  const every = (R) => Math.ceil((R - 1) / (MOST_LINES - 1)) || 1;
+
   /** Adds lines of R nodes an axis in the plane of two axes, where the third one is `at`. */
   function mesh(path, frame, axes, R, at) {
-    const every = Math.ceil((R - 1) / (MOST_LINES - 1)) || 1;
     const third = 3 - axes[0] - axes[1];
-    for (let node = 0; node < R; node += every) {
+    for (let node = 0; node < R; node += every(R)) {
       for (const [fixed, free] of [axes, [...axes].reverse()]) {
         const ends = [0, 1].map((end) => {
           const shares = [0, 0, 0];
@@ -200,10 +206,12 @@
     if (axes.length === 2) mesh(path, frame, axes, R, 0);
     else for (const pair of [[0, 1], [0, 2], [1, 2]]) mesh(path, frame, pair, R, 0);
     stroke(context, path, INK.cell, 0.7);
-    if (selected === null) return;
+    const left = every(R) > 1 ? `Every ${every(R)}th line of the grid is drawn.` : null;
+    if (selected === null) return left;
     const cells = new Path2D();
     cellOf(cells, frame, axes, R, selected);
     stroke(context, cells, INK.cell, 2.2);
+    return left;
   }
 
   /** Adds the cell of a level in which an anchor is: a box, or a rectangle in the plane. */

@@ -147,6 +147,11 @@
     $("time-now").value = time().toFixed(2);
   }
 
+  /** Writes a text where it is another one, so that it is not read aloud with every picture. */
+  function tell(id, text) {
+    if ($(id).textContent !== text) $(id).textContent = text;
+  }
+
   /** Draws splats by WebGL2 or on the canvas; returns what the corner says. */
   function show(splats, scene) {
     const flat = state.canvas || !glass;
@@ -211,9 +216,10 @@
     frame.scale = side / frame.camera.size[0];
     frame.level = Number($("level").value);
     frame.bits = state.shown.has("anchors") ? bits() : null;
-    for (const [name, layer] of Object.entries(layers.LAYERS)) {
-      if (state.shown.has(name)) layer(context, frame);
-    }
+    const notes = Object.entries(layers.LAYERS)
+      .filter(([name]) => state.shown.has(name))
+      .map(([, layer]) => layer(context, frame));
+    tell("layers-say", notes.filter(Boolean).join(" "));
     layers.selection(context, frame);
   }
 
@@ -259,13 +265,15 @@
       `${state.name}: ${whole(state.data.length)} bytes, version ${state.model.version} of the ` +
       `format, ${whole(state.model.header.anchors)} anchors of ${state.model.header.k} children.`;
     $("strip").replaceChildren(...names.map((name, i) => partOf(name, i, names.length, now)));
-    const head = ["section", "bytes", "share", ...(state.changed ? ["estimated bytes"] : [])];
-    const rows = names.map((name, i) => {
-      const cells = [`${i + 1} ${name}`, whole(own[name]), percent(own[name], state.data.length)];
-      return state.changed ? [...cells, whole(now[name])] : cells;
-    });
-    const sums = ["all", whole(state.data.length), "100 %"];
-    rows.push(state.changed ? [...sums, whole(total(now))] : sums);
+    const estimate = (size) => (state.changed ? [whole(size)] : []);
+    const row = (name, size, changed, says) => {
+      const share = percent(size, state.data.length);
+      return [name, whole(size), share, ...estimate(changed), says];
+    };
+    const rows = names.map((name, i) => row(`${i + 1} ${name}`, own[name], now[name], PARTS[name]));
+    rows.push(row("all", state.data.length, total(now), ""));
+    const estimated = state.changed ? ["estimated bytes"] : [];
+    const head = ["section", "bytes", "share", ...estimated, "what it holds"];
     $("sections").replaceChildren(explain.table("Sections of the file", head, rows));
   }
 
@@ -326,12 +334,20 @@
   /** Tells bytes and PSNR of the changed file. */
   function compare() {
     $("unchanged").disabled = $("reset").disabled = !state.changed;
+    $("trio").hidden = !state.changed;
     if (!state.changed) {
       $("result").textContent = "Nothing is changed.";
       return;
     }
     const estimate = total(withContainer(state.changed.bytes));
-    const found = requantise.psnr(small(state.changed.model), small(state.model));
+    const [own, now] = [small(state.model), small(state.changed.model)];
+    const gap = own.map((v, i) => (i % 4 === 3 ? 255 : 4 * Math.abs(v - now[i])));
+    for (const [name, pixels] of Object.entries({ own, now, gap })) {
+      const canvas = $(`trio-${name}`);
+      canvas.width = canvas.height = COMPARED; // which also clears it
+      canvas.getContext("2d").putImageData(new ImageData(pixels, COMPARED, COMPARED), 0, 0);
+    }
+    const found = requantise.psnr(own, now);
     const quality = Number.isFinite(found) ? `${found.toFixed(1)} dB` : "no difference";
     $("result").textContent =
       `About ${whole(estimate)} bytes, ${percent(estimate, state.data.length)} of the file. ` +
