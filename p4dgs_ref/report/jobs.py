@@ -43,12 +43,11 @@ def processes(jobs):
 
 
 def in_processes(function, tasks, jobs):
-    """Yield function(task) for every task, in their order, computed in `jobs` processes.
+    """Yield function(task) for every task of a list, in their order, from `jobs` processes.
 
     With one job everything runs in this process. A task and its result must be picklable. The
     processes end with this generator, also where it is stopped early.
     """
-    tasks = list(tasks)
     if min(jobs, len(tasks)) <= 1:
         yield from map(function, tasks)
     else:
@@ -123,8 +122,9 @@ def main_job(
     start = time.perf_counter() if start is None else start
     chosen, name = choose(preset, changes), scene.name.replace("/", "_")
     with filled(folder) as beside:
-        found, paper = designs(scene, chosen, seed, beside / f"{name}.p4dgs", stream, jobs)
-        own, rows, images, model, history = found
+        (own, rows, images, model, history), paper = designs(
+            scene, chosen, seed, beside / f"{name}.p4dgs", stream, jobs
+        )
         metrics = {
             "scene": scene.name,
             "preset": chosen.name,

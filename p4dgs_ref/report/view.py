@@ -1,4 +1,4 @@
-"""One HTML page that shows .p4dgs files: the scripts of `viewer/` and the files are inside of it."""
+"""One HTML page that shows .p4dgs files: it holds the scripts of `viewer/` and the files."""
 
 import base64
 import json
@@ -8,11 +8,10 @@ from pathlib import Path
 from ..scenes.output import new_file, write_atomically
 
 VIEWER = Path(__file__).parents[1] / "viewer"
-FILES = '<script type="application/json" id="files">'  # stands before the page's empty list
 
 
 def page(files):
-    """The page as bytes, for files {path: bytes}, of which it shows the first one at first."""
+    """The page as bytes, for files {path: bytes}; it shows the first one when it is opened."""
     embedded = [
         {"name": Path(path).name, "base64": base64.b64encode(data).decode()}
         for path, data in files.items()
@@ -22,8 +21,8 @@ def page(files):
         lambda found: "<script>\n" + (VIEWER / found[1]).read_text(encoding="utf-8"),
         (VIEWER / "page.html").read_text(encoding="utf-8"),
     )
-    inside = json.dumps(embedded).replace("<", "\\u003c")  # no name of a file ends the script
-    return text.replace(f"{FILES}[]", FILES + inside).encode()
+    # The page has an empty list of files. No "<" in a name may end the script that holds it.
+    return text.replace('">[]', '">' + json.dumps(embedded).replace("<", r"\u003c")).encode()
 
 
 def view(files, path):
@@ -31,8 +30,7 @@ def view(files, path):
 
     Raises OutputError where `path` cannot be written or is one of the files.
     """
-    for name in files:
-        with new_file(path, name):
-            data = page(files)
-    write_atomically(path, lambda file: file.write(data))
+    data = page(files)
+    with new_file(path, *files):
+        write_atomically(path, lambda file: file.write(data))
     return len(data)

@@ -132,6 +132,7 @@ WRITTEN = {
         "test/r_000  t 0.050  PSNR ",
         "comparison.csv comparison.png",
     ),
+    "view out/x.p4dgs -o pages/x.html": ("pages/x.html: ", "x.html"),
     "inspect out/x.p4dgs -o sizes --heat": ("section ", "heat.csv heat.png size.csv size.png"),
 }
 

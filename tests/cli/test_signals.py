@@ -91,8 +91,8 @@ LINES = {
 }
 
 
-def at_work(line, cwd, pattern):
-    """Start a command and wait until it has begun to write."""
+def at_work(line, cwd, pattern=""):
+    """Start a command and wait until it has begun to write a file of that pattern, if any."""
     process = start(f"import sys; {CONSOLE_SCRIPT.format(argv=line.split())}", cwd)
     while pattern and not any(cwd.glob(pattern)):
         assert process.poll() is None

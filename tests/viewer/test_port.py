@@ -13,18 +13,26 @@ import p4dgs_ref as p4
 from p4dgs_ref.codec.published import FOLDER
 from p4dgs_ref.oracle import checker, published, streams
 from p4dgs_ref.oracle.adapter import Adapter
+from p4dgs_ref.report.inspect import anchor_bits
 from tests.golden.damage import mutation
 
 pytestmark = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
 VIEWER = Path(p4.__file__).parent / "viewer"
 DEMO = Path(__file__).parents[2] / "tutorials" / "demo.p4dgs"
-# Arguments: the module and a file. Input: views. Output: each picture, exact and as it is shown.
+# Arguments: the folder and a file. Input: views. Output: each picture, exact, nearly so, and as
+# bytes of the page's canvas; and the bits of each anchor.
 DRAW = """
 const { readFileSync } = require("fs");
-const [p4dgs, views] = [require(process.argv[1]), JSON.parse(readFileSync(0))];
+const [p4dgs, draw, { anchorBits }] = ["p4dgs", "draw", "requantise"].map(
+  (name) => require(`${process.argv[1]}/${name}.js`),
+);
 const model = p4dgs.decode(new Uint8Array(readFileSync(process.argv[2])));
-const draw = (view) => [0, 1e-13].map((least) => [...p4dgs.render(model, view, view.t, { least })]);
-console.log(JSON.stringify(views.map(draw)));
+const pictures = (view) => [
+  ...[0, 1e-13].map((least) => [...p4dgs.render(model, view, view.t, { least })]),
+  [...draw.onProcessor(draw.see(model, view, view.t).splats, draw.settings(model, view))],
+];
+const drawn = JSON.parse(readFileSync(0)).map(pictures);
+console.log(JSON.stringify({ drawn, bits: [...anchorBits(model)] }));
 """
 
 
@@ -69,7 +77,7 @@ def test_damaged_files_get_the_verdict_of_the_package(port, n):
             assert "arrays" in answer(port, data), i
 
 
-def test_pictures_are_those_of_the_package():
+def test_pictures_and_bits_are_those_of_the_package():
     model, views, want = p4.decode(DEMO.read_bytes()), [], []
     for view in p4.load_scene("orbit").test:
         c = view.camera
@@ -83,8 +91,13 @@ def test_pictures_are_those_of_the_package():
                 "size": [c.width, c.height],
             }
         )
-        want.append(2 * [np.clip(model.render(c, view.time, p4.SETTINGS["exact"]), 0, 1).ravel()])
+        want.append(np.clip(model.render(c, view.time, p4.SETTINGS["exact"]), 0, 1))
     said = subprocess.check_output(
-        ["node", "-e", DRAW, VIEWER / "p4dgs.js", DEMO], input=json.dumps(views), text=True
+        ["node", "-e", DRAW, VIEWER, DEMO], input=json.dumps(views), text=True
     )
-    np.testing.assert_allclose(json.loads(said), want, rtol=0, atol=1e-9)
+    said = json.loads(said)
+    for (exact, nearly, canvas), image in zip(said["drawn"], want, strict=True):
+        np.testing.assert_allclose([exact, nearly], 2 * [image.ravel()], rtol=0, atol=1e-9)
+        shown = np.reshape(canvas, (*image.shape[:2], 4))[..., :3]
+        np.testing.assert_allclose(shown, 255 * image, rtol=0, atol=1)
+    np.testing.assert_allclose(said["bits"], anchor_bits(DEMO.read_bytes())[1], rtol=1e-12)
