@@ -22,7 +22,7 @@ from p4dgs_ref.training import fit as training
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.fit import CHECKPOINT, RunError, fit, load_checkpoint, load_model
 from p4dgs_ref.training.parameters import Adam
-from tests.cli.test_signals import at_work
+from tests.processes import start
 from tests.sampling import few
 
 pytestmark = pytest.mark.filterwarnings("ignore:scene bouncing")  # nine steps learn nothing
@@ -325,19 +325,24 @@ def stop_at(iteration, process, run, how):
 @pytest.mark.slow
 def test_interrupted_then_killed_then_resumed(tmp_path):
     """In other processes, with the option that the interrupted one names."""
-    uninterrupted = at_work(f"train bouncing -o a_run {OPTIONS} --quiet", tmp_path)
-    run = tmp_path / "b_run"
-    first = at_work(f"train bouncing -o b_run {OPTIONS}", tmp_path)
+    train, run = (
+        ("-m", "p4dgs_ref", "train", "bouncing", *OPTIONS.split(), "-o"),
+        tmp_path / "b run",
+    )
+    uninterrupted = start(*train, "a run", "--quiet", cwd=tmp_path)
+    first = start(*train, "b run", cwd=tmp_path)
     err, code = stop_at(50, first, run, signal.SIGINT)
     assert code == 130 and "Traceback" not in err
     assert err.endswith("the same command with --resume goes on from it\n")
-    resume = f"train bouncing -o b_run {OPTIONS} --resume"
     for at in (90, 130, 180):  # in other stages
-        assert stop_at(at, at_work(resume, tmp_path), run, signal.SIGKILL)[1] == -signal.SIGKILL
+        assert (
+            stop_at(at, start(*train, "b run", "--resume", cwd=tmp_path), run, signal.SIGKILL)[1]
+            == -signal.SIGKILL
+        )
         assert at <= load_checkpoint(run)[1]["iteration"] < 240
-    for process in (uninterrupted, at_work(resume, tmp_path)):
+    for process in (uninterrupted, start(*train, "b run", "--resume", cwd=tmp_path)):
         assert process.communicate(timeout=120) and process.returncode == 0
-    files = [p4.encode(load_model(tmp_path / name)[0]) for name in ("a_run", "b_run")]
+    files = [p4.encode(load_model(tmp_path / name)[0]) for name in ("a run", "b run")]
     assert files[0] == files[1]
     for name in ("training.csv", "training.png"):
-        assert (tmp_path / "a_run" / name).read_bytes() == (run / name).read_bytes()
+        assert (tmp_path / "a run" / name).read_bytes() == (run / name).read_bytes()

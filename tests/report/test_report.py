@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.cli import text
 from p4dgs_ref.lab.tables import methods
 from p4dgs_ref.report import figures as report
@@ -277,10 +276,6 @@ def test_two_processes_train_what_one_trains(tmp_path):
             row.pop("train_seconds")
             found.append((row, (tmp_path / str(jobs) / row["file"]).read_bytes()))
     assert found[:2] == found[2:] and found[0][0]["psnr_db"] != found[1][0]["psnr_db"]
-
-
-def test_the_command_takes_all_cores():
-    assert cli.parser().parse_args(["accuracy"]).jobs == os.cpu_count()
 
 
 @pytest.mark.slow
