@@ -398,21 +398,68 @@
   }
 
   // --- files ------------------------------------------------------------------------------------
-  /** Shows a file, or says in one line why not; the scene before then stays. */
-  function load(name, data) {
+  const PATIENCE = 60; // seconds in which a file must be decoded
+  const DECODE = `onmessage = ({ data }) => {
     try {
-      const model = p4dgs.decode(data);
-      const large = draw.tooLarge(model);
-      if (large) throw new p4dgs.Refused("header", 0, "large", large);
-      const { sections } = p4dgs.openContainer(data);
-      Object.assign(state, { name, data, model, sections, bits: null, changed: null });
+      postMessage({ model: p4dgs.decode(data) });
     } catch (error) {
-      const known = error instanceof p4dgs.Refused || error instanceof RangeError;
-      if (!known) throw error;
-      const stays = state.model ? ` The scene before, ${state.name}, stays.` : "";
-      $("message").textContent = `${name}: ${error.message}.${stays}`;
+      postMessage({ said: error.message });
+    }
+  };`;
+
+  let end = () => {}; // of the decoding that is under way
+
+  /** The model in a file. It is decoded beside the page, which goes on meanwhile, until it takes
+   *  too long or another file is opened; then the promise is never kept. */
+  function decoded(data) {
+    end();
+    const port = $("files").nextElementSibling.text; // p4dgs.js, where it is inside of the page
+    const url = URL.createObjectURL(new Blob([port, DECODE], { type: "text/javascript" }));
+    const worker = port && workerOf(url);
+    if (!worker) return Promise.resolve(p4dgs.decode(data));
+    return new Promise((resolve, reject) => {
+      const late = `header, byte 0: decoding takes more than ${PATIENCE} seconds`;
+      const timer = setTimeout(() => settle(reject, new Error(late)), 1000 * PATIENCE);
+      end = () => {
+        clearTimeout(timer);
+        worker.terminate();
+        URL.revokeObjectURL(url);
+      };
+      const settle = (call, value) => {
+        end();
+        call(value);
+      };
+      worker.onmessage = ({ data: { model, said } }) =>
+        model ? settle(resolve, model) : settle(reject, new Error(said));
+      worker.onerror = () => settle(reject, new Error("the browser cannot decode it"));
+      worker.postMessage(data);
+    });
+  }
+
+  /** A worker, or null where the browser allows none to a page from disk. */
+  function workerOf(url) {
+    try {
+      return new Worker(url);
+    } catch {
+      return null;
+    }
+  }
+
+  /** Says in one line why a file is not shown. The scene before it stays. */
+  function refuse(name, said) {
+    const stays = state.model ? ` The scene before, ${state.name}, stays.` : "";
+    $("message").textContent = `${name}: ${said}.${stays}`;
+  }
+
+  /** Shows a model and the bytes that it comes from, if it is small enough for this page. */
+  function load(name, data, model) {
+    const large = draw.tooLarge(model);
+    if (large) {
+      refuse(name, `header, byte 0: ${large}`);
       return;
     }
+    const { sections } = p4dgs.openContainer(data);
+    Object.assign(state, { name, data, model, sections, bits: null, changed: null });
     $("message").textContent = "";
     opened();
   }
@@ -434,11 +481,14 @@
 
   async function open(file) {
     if (!file) return;
-    if (file.size > MOST_BYTES) {
-      $("message").textContent = `${file.name}: container, byte 10: expected at most 2^29 bytes.`;
-      return;
+    $("message").textContent = "";
+    try {
+      if (file.size > MOST_BYTES) throw new Error("container, byte 10: expected at most 2^29 bytes");
+      const data = new Uint8Array(await file.arrayBuffer());
+      load(file.name, data, await decoded(data));
+    } catch (error) {
+      refuse(file.name, error.message);
     }
-    load(file.name, new Uint8Array(await file.arrayBuffer()));
   }
 
   const decodeBase64 = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
@@ -451,7 +501,10 @@
     });
     $("scene").replaceChildren(...options);
     $("embedded").hidden = files.length < 2;
-    const choose = (i) => load(files[i].name, decodeBase64(files[i].base64));
+    const choose = (i) => {
+      const data = decodeBase64(files[i].base64);
+      load(files[i].name, data, p4dgs.decode(data));
+    };
     $("scene").addEventListener("change", () => choose(Number($("scene").value)));
     if (files.length) choose(0);
     else $("message").textContent = "Open a .p4dgs file, or drop one on this page.";
@@ -612,5 +665,5 @@
   layerControls();
   controls();
   embedded();
-  Object.assign(exported, { state, load, paint, cameraOf, bits, explainAnchor, compare });
+  Object.assign(exported, { state, paint });
 })((globalThis.page = {}));

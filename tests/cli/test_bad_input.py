@@ -333,7 +333,6 @@ LINES = [
     ("effects scene --suggest --quick", ("--suggest", "--quick")),
     ("inspect good.p4dgs --heat", ("--heat", "-o FOLDER")),
     ("export-ply good.p4dgs -o good.p4dgs", ("good.p4dgs", "the input")),
-    ("view good.p4dgs cut.p4dgs -o ./cut.p4dgs", ("cut.p4dgs",)),
     ("view good.p4dgs -o ./good.p4dgs", ("good.p4dgs", "the input")),
     ("export-ply good.p4dgs -o ./good.p4dgs", ("good.p4dgs", "the input")),
     ("accuracy --only speed", ("--only speed", "renderer")),

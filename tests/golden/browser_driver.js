@@ -170,6 +170,13 @@
     send("pointermove", { clientX: clientX + 60 });
     send("pointerup", { clientX: clientX + 60 });
     check("dragging does not turn", state.azimuth !== turned);
+    const far = state.distance;
+    for (const [id, by] of [[1, -40], [2, 40]]) {
+      send("pointerdown", { pointerId: id, clientX: clientX + by });
+    }
+    send("pointermove", { pointerId: 2, clientX: clientX + 120 });
+    for (const id of [1, 2]) send("pointerup", { pointerId: id });
+    check("two fingers do not zoom", state.distance < far);
     const near = state.distance;
     $("stage").dispatchEvent(new WheelEvent("wheel", { deltaY: -300 }));
     check("the wheel does not zoom", state.distance < near);
@@ -249,6 +256,7 @@
       check(`${file}: ${said}`, /: .*, byte \d+: .*stays\.$/.test(said) && !said.includes("\n"));
       check(`${file} replaces the scene`, page.state.model === model && page.state.name === name);
     }
+    check("the port's script is not where workers look", $("files").nextElementSibling.text);
     const start = performance.now();
     await drop("large.p4dgs", bytesOf(checks.large));
     found.large_opened = Math.round(performance.now() - start);

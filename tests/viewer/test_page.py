@@ -39,5 +39,5 @@ def test_the_pages_hold_the_demo_and_six_files():
 def test_a_page_is_whole_whatever_a_file_is_called():
     files = {"<!--<script>.p4dgs": b"1", "é\u2028.p4dgs": b"2"}
     page = view.page(files).decode()
-    assert held(page) == files and page.count("</script>") == view.page({}).count(b"</script>")
+    assert held(page) == files and "<!--" not in page  # after which no script would end
     assert not re.search(r"""\bsrc=|@import|\burl\(|fetch\(|https?:""", page)  # all is inside
