@@ -1239,5 +1239,11 @@
   Object.assign(exported, { color, rotation, scale, masking, gather, beside, positionalEncoding });
   Object.assign(exported, { deformation, deformed, rotationMatrix, covariance, projection });
   Object.assign(exported, { compositing, spatialPrediction, temporalPrediction, splatting });
-  Object.assign(exported, { render, centreOf, GaussianTable, TABLES });
+  /** The frequency table of a Gaussian, for the price of a symbol. */
+  function gaussianTable(mu_units, sigma_units) {
+    const table = new GaussianTable().set(mu_units, sigma_units);
+    return { first: table.c - table.W, n: table.n, low: table.low, cum: (j) => table.cum(j) };
+  }
+
+  Object.assign(exported, { render, centreOf, gaussianTable, TABLES });
 })(typeof module === "object" ? module.exports : (globalThis.p4dgs = {}));

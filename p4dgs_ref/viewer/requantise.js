@@ -13,19 +13,16 @@
   const SECTION_OF = { psi_d: "deformation_mlp", psi_t: "deformation_mlp" };
 
   // --- prices -----------------------------------------------------------------------------------
-  const price = new p4dgs.GaussianTable();
-
   /** The bits of a symbol: -log2 of its frequency, its low bits, and Elias's code of an escape. */
   function symbolBits(symbol, mu_units, sigma_units) {
-    price.set(mu_units, sigma_units);
-    const { n, low, c, W } = price;
-    const block = Math.floor(symbol / 2 ** low) - (c - W);
+    const { first, n, low, cum } = p4dgs.gaussianTable(mu_units, sigma_units);
+    const block = Math.floor(symbol / 2 ** low) - first;
     if (block < 0 || block >= n) {
       const beyond = block < 0 ? -2 * block : 2 * (block - n) + 1;
       return 24 + low + 2 * Math.floor(Math.log2(beyond)) + 1;
     }
-    const end = block === n - 1 ? 2 ** 24 - 1 : price.cum(block + 1);
-    const start = block === 0 ? 0 : price.cum(block);
+    const end = block === n - 1 ? 2 ** 24 - 1 : cum(block + 1);
+    const start = block === 0 ? 0 : cum(block);
     return 24 - Math.log2(end - start) + low;
   }
 
