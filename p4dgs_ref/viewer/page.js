@@ -459,9 +459,11 @@
       return;
     }
     const { sections } = p4dgs.openContainer(data);
+    const size = state.model ? homeDistance(state.model) : Infinity;
     Object.assign(state, { name, data, model, sections, bits: null, changed: null });
     $("message").textContent = "";
-    opened();
+    if (Math.abs(homeDistance(model) - size) > 0.2 * size || size === Infinity) goHome();
+    opened(); // from where the camera stands, if the scenes are as large as each other
   }
 
   /** After a file was opened: everything that belongs to it. */
@@ -472,7 +474,6 @@
     );
     $("level").replaceChildren(...options);
     $("anchor").max = String(state.model.header.anchors - 1);
-    goHome();
     select(null);
     $("section-says").textContent = "";
     undo();
