@@ -15,8 +15,10 @@ PAGES = sorted((TUTORIALS / "viewer").glob("*.html"))
 
 def held(page):
     """The files in a page, {name: bytes}."""
-    files = json.loads(re.search(r'id="files">(.*)</script>', page)[1])
-    return {one["name"]: base64.b64decode(one["base64"]) for one in files}
+    return {
+        one["name"]: base64.b64decode(one["base64"])
+        for one in json.loads(re.search(r'id="files">(.*)</script>', page)[1])
+    }
 
 
 def rebuilt(file):

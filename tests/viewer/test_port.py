@@ -4,6 +4,7 @@ import base64
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,26 +14,28 @@ import p4dgs_ref as p4
 from p4dgs_ref.codec.published import FOLDER
 from p4dgs_ref.oracle import checker, published, streams
 from p4dgs_ref.oracle.adapter import Adapter
-from p4dgs_ref.report.inspect import anchor_bits
+from p4dgs_ref.report.inspect import anchor_bits, components
 from tests.golden.damage import mutation
 
 pytestmark = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
 VIEWER = Path(p4.__file__).parent / "viewer"
 DEMO = Path(__file__).parents[2] / "tutorials" / "demo.p4dgs"
 # Arguments: the folder and a file. Input: views. Output: each picture, exact, nearly so, and as
-# bytes of the page's canvas; and the bits of each anchor.
+# bytes of the page's canvas; the bits of each anchor; bytes of sections if steps were doubled.
 DRAW = """
 const { readFileSync } = require("fs");
-const [p4dgs, draw, { anchorBits }] = ["p4dgs", "draw", "requantise"].map(
+const [p4dgs, draw, { anchorBits, requantise }] = ["p4dgs", "draw", "requantise"].map(
   (name) => require(`${process.argv[1]}/${name}.js`),
 );
-const model = p4dgs.decode(new Uint8Array(readFileSync(process.argv[2])));
+const data = new Uint8Array(readFileSync(process.argv[2]));
+const model = p4dgs.decode(data);
 const pictures = (view) => [
   ...[0, 1e-13].map((least) => [...p4dgs.render(model, view, view.t, { least })]),
   [...draw.onProcessor(draw.see(model, view, view.t).splats, draw.settings(model, view))],
 ];
 const drawn = JSON.parse(readFileSync(0)).map(pictures);
-console.log(JSON.stringify({ drawn, bits: [...anchorBits(model)] }));
+const coarse = requantise(model, p4dgs.openContainer(data).sections, { coarser: 2 }).bytes;
+console.log(JSON.stringify({ drawn, coarse, bits: [...anchorBits(model)] }));
 """
 
 
@@ -78,26 +81,30 @@ def test_damaged_files_get_the_verdict_of_the_package(port, n):
 
 
 def test_pictures_and_bits_are_those_of_the_package():
-    model, views, want = p4.decode(DEMO.read_bytes()), [], []
-    for view in p4.load_scene("orbit").test:
-        c = view.camera
-        views.append(
-            {
-                "W": c.R.ravel().tolist(),
-                "T": c.T.tolist(),
-                "t": view.time,
-                "focal": [c.f_x, c.f_y],
-                "center": [c.c_x, c.c_y],
-                "size": [c.width, c.height],
-            }
+    model, views = p4.decode(DEMO.read_bytes()), p4.load_scene("orbit").test
+    asked = [
+        {
+            "W": view.camera.R.ravel().tolist(),
+            "T": view.camera.T.tolist(),
+            "t": view.time,
+            "focal": [view.camera.f_x, view.camera.f_y],
+            "center": [view.camera.c_x, view.camera.c_y],
+            "size": [view.camera.width, view.camera.height],
+        }
+        for view in views
+    ]
+    said = json.loads(
+        subprocess.check_output(
+            ["node", "-e", DRAW, VIEWER, DEMO], input=json.dumps(asked), text=True
         )
-        want.append(np.clip(model.render(c, view.time, p4.SETTINGS["exact"]), 0, 1))
-    said = subprocess.check_output(
-        ["node", "-e", DRAW, VIEWER, DEMO], input=json.dumps(views), text=True
     )
-    said = json.loads(said)
-    for (exact, nearly, canvas), image in zip(said["drawn"], want, strict=True):
+    for (exact, nearly, canvas), view in zip(said["drawn"], views, strict=True):
+        image = np.clip(model.render(view.camera, view.time, p4.SETTINGS["exact"]), 0, 1)
         np.testing.assert_allclose([exact, nearly], 2 * [image.ravel()], rtol=0, atol=1e-9)
         shown = np.reshape(canvas, (*image.shape[:2], 4))[..., :3]
         np.testing.assert_allclose(shown, 255 * image, rtol=0, atol=1)
     np.testing.assert_allclose(said["bits"], anchor_bits(DEMO.read_bytes())[1], rtol=1e-12)
+    coarse = model.design._replace(Q_0=tuple(2 * q for q in model.design.Q_0))
+    sizes = components(p4.encode(replace(model, design=coarse)))
+    for name in ("features", "scales", "offset_scales", "offsets"):
+        assert abs(said["coarse"][name] - sizes[name]) <= 3, name
