@@ -462,6 +462,7 @@
     const size = state.model ? homeDistance(state.model) : Infinity;
     Object.assign(state, { name, data, model, sections, bits: null, changed: null });
     $("message").textContent = "";
+    $("all").hidden = false; // the controls need a scene
     if (Math.abs(homeDistance(model) - size) > 0.2 * size || size === Infinity) goHome();
     opened(); // from where the camera stands, if the scenes are as large as each other
   }
