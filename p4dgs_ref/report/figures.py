@@ -177,7 +177,8 @@ def write_size(folder, preset, own, paper=None):
     ax.set(xlabel="bytes in the file", xmargin=0.35)  # room for the numbers
     ax.xaxis.set_major_formatter("{x:,.0f}")
     ax.locator_params(axis="x", nbins=5)
-    ax.legend(loc="lower right", frameon=False)
+    if len(designs) > 1:
+        ax.legend(loc="lower right", frameon=False)
     figure.suptitle(
         "; ".join(f"{label}: {size:,} bytes" for label, size in sizes.items())
         + f"\nthe Gaussians of {preset} as float32: {explicit:,} bytes, "
