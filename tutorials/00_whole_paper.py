@@ -1,19 +1,19 @@
 # %% [markdown]
 # # The whole paper in one file
 #
-# Cut a moving scene into thousands of soft coloured ellipsoids, *Gaussians*, and a graphics card
-# draws it from any side in a few milliseconds. The price is the file. Every Gaussian takes 59
-# numbers, and the methods that P-4DGS (arXiv 2510.10030) compares itself with need 11 to 752 MB for
-# a few seconds of one object or room. P-4DGS needs 0.6 to 2 MB, by three ideas:
+# A moving scene can be described by thousands of soft coloured ellipsoids, *Gaussians*, which a
+# graphics card draws from any side in a few milliseconds. The problem is the size of the file.
+# Every Gaussian takes 59 numbers, and the methods that P-4DGS (arXiv 2510.10030) is compared with
+# need 11 to 752 MB for a few seconds of one object or room. P-4DGS needs 0.6 to 2 MB. Three ideas:
 #
-# 1. **Predict.** Neighbours look alike. Store one *anchor*, and let small networks predict the k
-#    Gaussians around it, its children.
-# 2. **Move.** Store the scene once. One more network says where every Gaussian is at time t.
+# 1. **Predict.** Neighbouring Gaussians look alike. Store one *anchor*, and let small networks
+#    predict the k Gaussians around it, its children.
+# 2. **Move.** Store the scene once, and let one more network say where every Gaussian is at time t.
 # 3. **Code.** Round the anchors' numbers as coarsely as the pictures allow, and write likely values
 #    with few bits. Two more networks predict how coarsely to round and which values are likely.
 #
-# This file does it for two moving balls: it trains, writes bytes, forgets all but these bytes and
-# its constants, decodes, and draws.
+# This program does all of that for two moving balls: it trains, writes bytes, forgets everything
+# except these bytes and its own constants, decodes, and draws.
 #
 # ![Truth, decoded pictures, their error, and the bytes of the file](pictures/whole_paper.png)
 #
@@ -21,14 +21,14 @@
 #     positions -> grid -> steps and probabilities -> bits -> L_rate        Eqs. (7) to (14), (17)
 #     L_total = L_render + lambda_rate L_rate                               Eq. (15)
 #
-# `python tutorials/00_whole_paper.py` takes 10 to 20 seconds and collects what its sections show on
-# one page of pictures; with `--check` it compares gradients with finite differences.
+# `python tutorials/00_whole_paper.py` takes 10 to 20 seconds and puts the pictures of its sections
+# on one page; with `--check` it compares gradients with finite differences.
 #
-# **How to read it.** An equation with a gradient is a function that returns its result and its own
-# backward, `back`, which takes the gradients of the results and returns those of the inputs that
-# are trained, in their order. `x_bar` is the gradient of the loss with respect to x. N = A k
-# Gaussians are drawn in P pixels. Lengths are in scene units, times run from 0 to 1. (Q4) is one of
-# the [choices](reference.md#choices) that the paper leaves open.
+# **How to read it.** Each equation with a gradient is a function that returns its result and its
+# own backward, `back`. This backward takes the gradients of the results and returns those of the
+# trained inputs, in their order. `x_bar` is the gradient of the loss with respect to x, and `p`
+# holds the parameters. N = A k Gaussians are drawn in P pixels. Lengths are in scene units, times
+# run from 0 to 1. (Q4) is one of the [choices](reference.md#choices) that the paper leaves open.
 
 # %%
 import struct
@@ -61,24 +61,24 @@ def offsets(x_a, O, l):
 
 
 def view(x_a, x_c):
-    """Eq. (2): distance and direction from the camera, delta = |x_a - x_c|, (x_a - x_c) / delta."""
-    v = x_a - x_c
-    delta = np.sqrt((v**2).sum(axis=1, keepdims=True))
-    direction = v / delta
+    """Eq. (2): distance and direction, delta_vc = |x_a - x_c|, d_vc = (x_a - x_c) / delta_vc."""
+    away = x_a - x_c
+    delta_vc = np.sqrt((away**2).sum(axis=1, keepdims=True))
+    d_vc = away / delta_vc
 
-    def back(delta_bar, direction_bar):
-        along = (direction * direction_bar).sum(axis=1, keepdims=True)
-        return direction * delta_bar + (direction_bar - direction * along) / delta
+    def back(delta_vc_bar, d_vc_bar):
+        along = (d_vc * d_vc_bar).sum(axis=1, keepdims=True)
+        return d_vc * delta_vc_bar + (d_vc_bar - d_vc * along) / delta_vc
 
-    return (delta, direction), back
+    return (delta_vc, d_vc), back
 
 
 # %% [markdown]
-# All else comes from networks. They see the anchor's features f and where the camera is. A
+# Networks predict everything else, from the anchor's features f and its distance and direction. A
 # network is a list `[W0, b0, W1, b1, W2, b2]`: two hidden layers with ReLU, then a linear one. Its
-# outputs can be any numbers, so each attribute has a function that brings them into its range. For
-# opacity the paper's predecessors take tanh (Q4): a child whose tanh is negative is not drawn, and
-# so the network can switch children on and off.
+# outputs can be any numbers, so each attribute has a function that maps them to its range. For
+# opacity, the paper's predecessors use tanh (Q4). A child with a negative opacity is not drawn, so
+# the network can switch children on and off.
 
 
 # %%
@@ -100,14 +100,14 @@ def mlp(x, psi):
 
 
 def opacity(seen, psi):
-    """Eq. (3): alpha = tanh(psi_alpha(f, delta, direction)) of every child."""
+    """Eq. (3): alpha = tanh(psi_alpha(f, delta_vc, d_vc)) of every child."""
     y, back_mlp = mlp(seen, psi)
     alpha = np.tanh(y)
     return alpha, lambda alpha_bar: back_mlp(alpha_bar * (1 - alpha**2))
 
 
 def color(seen, psi):
-    """Eq. (3) for colour: c = sigmoid(psi_c(f, delta, direction)), red, green and blue."""
+    """Eq. (3) for colour: c = sigmoid(psi_c(f, delta_vc, d_vc)), red, green and blue."""
     y, back_mlp = mlp(seen, psi)
     c = sigmoid(y).reshape(len(y), -1, 3)
     return c, lambda c_bar: back_mlp((c_bar * c * (1 - c)).reshape(y.shape))
@@ -128,7 +128,7 @@ def rotation(seen, psi):
 
 
 def scale(s_a, seen, psi):
-    """Eq. (4): s = s_a sigmoid(psi_s(f, delta, direction)) for every child."""
+    """Eq. (4): s = s_a sigmoid(psi_s(f, delta_vc, d_vc)) for every child."""
     y, back_mlp = mlp(seen, psi)
     share = sigmoid(y).reshape(len(y), -1, 3)
     s = s_a[:, None] * share
@@ -141,8 +141,8 @@ def scale(s_a, seen, psi):
 
 
 # %% [markdown]
-# An anchor is a position x_a and n = 26 numbers that will be coded: features f, scale s, the reach
-# l of its offsets, and offsets O. Training sees s and l as logarithms, so they stay positive (Q5).
+# An anchor is a position x_a and n = 26 numbers that will be coded: features f, scale s, scaling l
+# of its offsets, and offsets O. Training stores s and l as logarithms, so they stay positive (Q5).
 
 
 # %%
@@ -172,8 +172,8 @@ def network(p, name):
 def predict(x_a, values, p, x_c):
     """Eqs. (1) to (4): the Gaussians (x, s, r, alpha, c) of all anchors, N = A k of each."""
     f, s_a, l, O = groups(values)
-    (delta, direction), back_view = view(x_a, x_c)
-    seen = np.concatenate([f, delta, direction], axis=1)
+    (delta_vc, d_vc), back_view = view(x_a, x_c)
+    seen = np.concatenate([f, delta_vc, d_vc], axis=1)
     x, back_x = offsets(x_a, O, l)
     s, back_s = scale(s_a, seen, network(p, "psi_s"))
     r, back_r = rotation(seen, network(p, "psi_r"))
@@ -199,20 +199,20 @@ def predict(x_a, values, p, x_c):
 
 # %% [markdown]
 # ## In time: Eqs. (5) and (6)
-# One network moves all Gaussians. It sees where a Gaussian is and what time it is, both also as
-# sines and cosines: a network alone bends too slowly, the sines add fast bends (Q2: how many). The
-# gradient reaches the network's weights and stops there. E(x) passes none to x, as in D3DGS, the
-# method that this one builds on (Q10).
+# One network moves all Gaussians. Its inputs are the position of a Gaussian and the time, and sines
+# and cosines of both, because a network learns rapid changes too slowly from the raw numbers (Q2:
+# how many). The gradient reaches the network's weights and stops there: E(x) passes none to x, as
+# in D3DGS, the method on which this one builds (Q10).
 
 
 # %%
 L_x, L_t = 4, 4  # frequencies of the positional encoding
 
 
-def encoding(v, L):
-    """E(v) = (v, sin v, cos v, sin 2v, cos 2v, ..., sin 2^(L-1) v, cos 2^(L-1) v), row by row."""
-    waves = [wave(2**j * v) for j in range(L) for wave in (np.sin, np.cos)]
-    return np.concatenate([v, *waves], axis=1)
+def encoding(x, L):
+    """E(x) = (x, sin x, cos x, sin 2x, cos 2x, ..., sin 2^(L-1) x, cos 2^(L-1) x), row by row."""
+    waves = [wave(2**j * x) for j in range(L) for wave in (np.sin, np.cos)]
+    return np.concatenate([x, *waves], axis=1)
 
 
 def deformation(x, t, psi):
@@ -222,24 +222,24 @@ def deformation(x, t, psi):
     return (y[:, :3], y[:, 3:6], y[:, 6:]), lambda *bars: back_mlp(np.hstack(bars))[1]
 
 
-def deformed(x, s, r, dx, ds, dr):
-    """Eq. (6): x + dx, s + ds, and r + dr, which is brought back to length 1 (Q9)."""
-    r_t, back_normalise = normalise(r + dr)
+def deformed(x, s, r, delta_x, delta_s, delta_r):
+    """Eq. (6): x + delta_x, s + delta_s, and r + delta_r, normalised again (Q9)."""
+    r_t, back_normalise = normalise(r + delta_r)
 
     def back(x_bar, s_bar, r_bar):
         r_bar = back_normalise(r_bar)
         return x_bar, s_bar, r_bar, x_bar, s_bar, r_bar
 
-    return (x + dx, s + ds, r_t), back
+    return (x + delta_x, s + delta_s, r_t), back
 
 
 # %% [markdown]
 # ## What is trained
-# Five arrays of the anchors, the five networks above, and a grid with two networks for the bits.
+# Five arrays of the anchors, the five networks above, and, for the bits, a grid and two networks.
 
 
 # %%
-BOX = 1.3  # the file and the grid see positions in [-BOX, BOX]^3
+BOX = 1.3  # the file and the grid cover positions in [-BOX, BOX]^3
 RESOLUTION, F = 8, 4  # the grid of Eq. (9) has 8 x 8 x 8 nodes with F bits each
 
 
@@ -263,16 +263,16 @@ SHAPES = {**ANCHORS, "grid": (RESOLUTION**3, F), **WEIGHTS}  # of all parameters
 
 
 def start(rng):
-    """The first parameters: random anchors, networks as in PyTorch, children that are visible."""
+    """Initial parameters: random anchors, networks as in PyTorch, and visible children."""
     p = {name: np.zeros(shape) for name, shape in SHAPES.items()}
     p["x_a"] += rng.uniform(-1, 1, (A, 3))
     p["f"] += 0.1 * rng.normal(size=(A, d))
-    p["log_s"] += np.log(2 / A ** (1 / 3))  # about the distance of neighbours
+    p["log_s"] += np.log(2 / A ** (1 / 3))  # about the distance between neighbours
     p["log_l"] += p["log_s"]
     p["grid"] += rng.uniform(-1e-4, 1e-4, p["grid"].shape)
     for name in WEIGHTS:
         stem, i = name.split(".")
-        bound = 1 / np.sqrt(NETWORKS[stem][int(i) // 2 * 2][0])  # the layer's inputs
+        bound = 1 / np.sqrt(NETWORKS[stem][int(i) // 2 * 2][0])  # by the number of inputs
         p[name] += rng.uniform(-bound, bound, p[name].shape)
     p["psi_alpha.5"] += 0.3  # most children start visible
     p["psi_r.5"] += np.tile([1, 0, 0, 0], k)  # near the identity
@@ -307,11 +307,11 @@ if SHOW:
 # %% [markdown]
 # ## Splatting
 # The paper takes this part from 3DGS (Kerbl et al. 2023). An ellipsoid has the covariance
-# $R\,\mathrm{diag}(s)^2R^T$. A camera sees it as an ellipse of pixels, a *splat*. Splats are
-# painted from front to back. The rotation matrix of a quaternion r = (w, v) is the product of two
-# matrices that are linear in r, $R = L(r)\,P(r)^T$, with $L = [-v, wI + [v]_\times]$ and
-# $P = [-v, wI - [v]_\times]$. The product rule gives the gradients of L and P. As L is linear,
-# $\bar r_a = \sum_{ij} \bar L_{ij} L(e_a)_{ij}$ with unit vectors $e_a$; so with P.
+# $R\,\mathrm{diag}(s)^2R^T$ with its own rotation $R$, not the camera's. A camera sees it as an
+# ellipse of pixels, a *splat*. Splats are painted from front to back. The rotation matrix of a
+# quaternion r = (w, v) is the product of two matrices that are linear in r, $R = G_+\,G_-^T$ with
+# $G_\pm = [-v, wI \pm [v]_\times]$. The product rule gives $\bar G_\pm$. As both are linear in r,
+# $\bar r_a = \sum_\pm\sum_{ij} (\bar G_\pm)_{ij}\,G_\pm(e_a)_{ij}$ with unit vectors $e_a$.
 
 
 # %%
@@ -335,23 +335,23 @@ def pixel_grid(finer=1):
 
 
 def factor(r, side):
-    """L(r) (side = 1) or P(r) (side = -1), [N, 3, 4]: the factors of the rotation matrix."""
+    """G_+(r) (side = 1) or G_-(r) (side = -1), [N, 3, 4]: the factors of the rotation matrix."""
     w, (x, y, z), (X, Y, Z) = r[:, 0], r.T[1:], side * r.T[1:]
     return np.array([[-x, w, -Z, Y], [-y, Z, w, -X], [-z, -Y, X, w]]).transpose(2, 0, 1)
 
 
 def covariance(s, r):
     """Sigma = R(r) diag(s)^2 R(r)^T [N, 3, 3] of scales s [N, 3] and unit quaternions r [N, 4]."""
-    L, P = factor(r, 1), factor(r, -1)
-    R = L @ P.transpose(0, 2, 1)
+    G_plus, G_minus = factor(r, 1), factor(r, -1)
+    R = G_plus @ G_minus.transpose(0, 2, 1)
     M = R * s[:, None]
 
     def back(Sigma_bar):
         M_bar = (Sigma_bar + Sigma_bar.transpose(0, 2, 1)) @ M
         R_bar = M_bar * s[:, None]
-        L_bar, P_bar = R_bar @ P, R_bar.transpose(0, 2, 1) @ L
-        r_bar = np.einsum("nij,aij->na", L_bar, factor(np.eye(4), 1))
-        r_bar += np.einsum("nij,aij->na", P_bar, factor(np.eye(4), -1))
+        G_plus_bar, G_minus_bar = R_bar @ G_minus, R_bar.transpose(0, 2, 1) @ G_plus
+        r_bar = np.einsum("nij,aij->na", G_plus_bar, factor(np.eye(4), 1))
+        r_bar += np.einsum("nij,aij->na", G_minus_bar, factor(np.eye(4), -1))
         return (M_bar * R).sum(axis=1), r_bar
 
     return M @ M.transpose(0, 2, 1), back
@@ -360,28 +360,28 @@ def covariance(s, r):
 def projection(x, Sigma, R, T):
     """Centres [N, 2] from the middle of the image, conics [N, 3] and depths [N] of the splats.
 
-    Near a Gaussian, at (x, y, z) as the camera sees it, a camera is almost linear: m = J R with
-    J = FOCAL/z [[1, 0, -x/z], [0, 1, -y/z]]. So the covariance of its splat is m Sigma m^T. 3DGS
-    adds 0.3 I: otherwise a splat smaller than a pixel could lie between pixel centres and vanish.
-    The conic (a, b, c) is the inverse K = [[a, b], [b, c]].
+    Near a Gaussian at (x, y, z) in camera coordinates, the projection is almost linear: it is JR,
+    with J = FOCAL/z [[1, 0, -x/z], [0, 1, -y/z]]. The splat's covariance is JR Sigma JR^T. 3DGS
+    adds 0.3 I, because a splat smaller than a pixel could lie between pixel centres and vanish.
+    The conic (K_a, K_b, K_c) is the inverse of that sum, K = [[K_a, K_b], [K_b, K_c]].
     """
     x_cam = x @ R.T + T
     z = x_cam[:, 2:]
     uv = x_cam[:, :2] / z
-    m = (R[:2] - uv[:, :, None] * R[2]) * (FOCAL / z)[:, :, None]  # J R [N, 2, 3]
-    cov = m @ Sigma @ m.transpose(0, 2, 1) + 0.3 * np.eye(2)
+    JR = (R[:2] - uv[:, :, None] * R[2]) * (FOCAL / z)[:, :, None]  # [N, 2, 3]
+    cov = JR @ Sigma @ JR.transpose(0, 2, 1) + 0.3 * np.eye(2)
     K = np.linalg.inv(cov)
 
     def back(mean_bar, conic_bar):
-        a_bar, b_bar, c_bar = conic_bar.T
-        K_bar = np.array([[a_bar, b_bar / 2], [b_bar / 2, c_bar]]).transpose(2, 0, 1)
+        K_a_bar, K_b_bar, K_c_bar = conic_bar.T
+        K_bar = np.array([[K_a_bar, K_b_bar / 2], [K_b_bar / 2, K_c_bar]]).transpose(2, 0, 1)
         cov_bar = -K @ K_bar @ K  # d(K) = -K d(cov) K
-        m_bar = 2 * cov_bar @ m @ Sigma
-        uv_bar = FOCAL * mean_bar - (m_bar @ R[2]) * FOCAL / z  # uv is in the mean and in m
+        JR_bar = 2 * cov_bar @ JR @ Sigma
+        uv_bar = FOCAL * mean_bar - (JR_bar @ R[2]) * FOCAL / z  # uv is in the mean and in JR
         z_bar = -(uv_bar * uv).sum(axis=1) / z[:, 0]  # uv = (x, y) / z, so d(uv) / dz = -uv / z
-        z_bar -= (m_bar * m).sum(axis=(1, 2)) / z[:, 0]  # m has the factor 1 / z: dm / dz = -m / z
+        z_bar -= (JR_bar * JR).sum(axis=(1, 2)) / z[:, 0]  # JR ~ 1 / z, so d(JR) / dz = -JR / z
         x_bar = np.concatenate([uv_bar / z, z_bar[:, None]], axis=1) @ R
-        return x_bar, m.transpose(0, 2, 1) @ cov_bar @ m
+        return x_bar, JR.transpose(0, 2, 1) @ cov_bar @ JR
 
     return (FOCAL * uv, np.stack([K[:, 0, 0], K[:, 0, 1], K[:, 1, 1]], axis=1), z[:, 0]), back
 
@@ -392,34 +392,35 @@ def compositing(mean, conic, alpha, c):
         alpha_i(p) = min(0.99, alpha_i exp(-(p - mean_i)^T K_i (p - mean_i) / 2))  at pixel p
         T_i = product of 1 - alpha_j(p) over j < i    transmittance: the light that is left for i
 
-    A splat that covers more shows more of its colour, and less of all that is behind it:
+    A more opaque splat shows more of its own colour and less of everything behind it. (The letters
+    are those of 3DGS: T_i has nothing to do with the camera's T, nor p with the parameters.)
 
         alpha_i(p)_bar = image_bar (T_i c_i - (sum of T_j alpha_j(p) c_j over j > i, and background)
                                               / (1 - alpha_i(p)))
     """
     X, Y = (grid.reshape(-1, 1) for grid in pixel_grid())
-    (u, v), (K_a, K_b, K_c) = mean.T, conic.T
-    dx, dy = X - u, Y - v  # [P, N]
-    falloff = np.exp(-(K_a * dx**2 + K_c * dy**2) / 2 - K_b * dx * dy)
+    K_a, K_b, K_c = conic.T
+    e_x, e_y = X - mean[:, 0], Y - mean[:, 1]  # from the means to the pixels [P, N]
+    falloff = np.exp(-(K_a * e_x**2 + K_c * e_y**2) / 2 - K_b * e_x * e_y)
     alpha_p = np.minimum(0.99, alpha * falloff)
-    T = np.cumprod(np.hstack([np.ones((len(X), 1)), 1 - alpha_p]), axis=1)  # [P, N + 1]
-    weight = T[:, :-1] * alpha_p
+    T_i = np.cumprod(np.hstack([np.ones((len(X), 1)), 1 - alpha_p]), axis=1)  # [P, N + 1]
+    weight = T_i[:, :-1] * alpha_p
 
     def back(image_bar):
         weight_bar = image_bar @ c.T  # [P, N]
-        seen = np.hstack([weight * weight_bar, T[:, -1:] * (image_bar @ BACKGROUND)[:, None]])
+        seen = np.hstack([weight * weight_bar, T_i[:, -1:] * (image_bar @ BACKGROUND)[:, None]])
         behind = np.cumsum(seen[:, :0:-1], axis=1)[:, ::-1]  # sums from the back
-        alpha_p_bar = T[:, :-1] * weight_bar - behind / (1 - alpha_p)
+        alpha_p_bar = T_i[:, :-1] * weight_bar - behind / (1 - alpha_p)
         alpha_p_bar *= alpha * falloff <= 0.99  # the clamp passes no gradient
         exponent_bar = alpha_p_bar * alpha_p
-        x, y = exponent_bar * dx, exponent_bar * dy
-        x_sum, y_sum = x.sum(axis=0), y.sum(axis=0)
+        pull_x, pull_y = exponent_bar * e_x, exponent_bar * e_y
+        x_sum, y_sum = pull_x.sum(axis=0), pull_y.sum(axis=0)
         mean_bar = np.stack([K_a * x_sum + K_b * y_sum, K_b * x_sum + K_c * y_sum], axis=1)
-        xx, xy, yy = ((a * b).sum(axis=0) for a, b in ((x, dx), (x, dy), (y, dy)))
+        xx, xy, yy = ((a * b).sum(axis=0) for a, b in ((pull_x, e_x), (pull_x, e_y), (pull_y, e_y)))
         conic_bar = -np.stack([xx / 2, xy, yy / 2], axis=1)
         return mean_bar, conic_bar, (alpha_p_bar * falloff).sum(axis=0), weight.T @ image_bar
 
-    return weight @ c + T[:, -1:] * BACKGROUND, back
+    return weight @ c + T_i[:, -1:] * BACKGROUND, back
 
 
 def render(x, s, r, alpha, c, R, T):
@@ -460,15 +461,15 @@ if SHOW:
 
 # %% [markdown]
 # ## The scene
-# One ball bounces, another walks half a circle around it. There is one picture for each moment,
-# taken by a camera that looks at the origin from another direction.
+# One ball bounces, and another one circles halfway around it. Each moment has one picture, taken by
+# a camera that looks at the origin from a different direction.
 
 
 # %%
 def truth(R, T, t):
-    """Draw the balls at time t by tracing rays: the mean of 4 x 4 rays a pixel, [P, 3]."""
+    """Draw the balls at time t by tracing rays: the mean of 4 x 4 rays per pixel, [P, 3]."""
     X, Y = pixel_grid(finer=4)
-    rays = np.stack([X / FOCAL, Y / FOCAL, np.ones_like(X)], axis=-1) @ R  # in the world
+    rays = np.stack([X / FOCAL, Y / FOCAL, np.ones_like(X)], axis=-1) @ R  # in world coordinates
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     eye, light = -R.T @ T, np.array([0.3, 0.5, 0.81])
     angle = np.pi * t
@@ -507,9 +508,9 @@ if SHOW:
 
 # %% [markdown]
 # ## The loss of a picture: Eq. (16)
-# SSIM, the structural similarity, compares local means, variances and covariances of two pictures,
-# averaged over a Gaussian window of 11 x 11 pixels, with zeros outside the image. The window is
-# separable: a blur is one symmetric matrix from both sides, and its backward is the same blur.
+# SSIM, the structural similarity, compares local means, variances and covariances of two pictures x
+# and y, averaged over a Gaussian window of 11 x 11 pixels, with zeros outside the image. The window
+# is separable: a blur is a product with one symmetric matrix from both sides, as is its backward.
 
 
 # %%
@@ -560,14 +561,15 @@ def render_loss(image, y):
 
 # %% [markdown]
 # ## The bits: Eqs. (7) to (12) and (14)
-# A number f is stored as the integer round(f / q). Rounding is a staircase, whose slope trains
-# nothing. But its error lies about evenly between -q/2 and q/2, so training adds noise of that
-# kind instead: the picture suffers as it will from rounding, and gradients pass.
+# A number f (the paper's letter for a feature, and here for any number of an anchor) is stored as
+# the integer round(f / q). Nothing can be learned through this staircase, whose slope is 0. But the
+# error of rounding is spread about evenly between -q/2 and q/2. Training therefore adds noise of
+# that kind instead: it degrades the picture as rounding will, and gradients pass.
 #
-# Two networks predict the steps q, the means mu and the standard deviations sigma. Their input is
-# read from a grid of bits at the anchor's position, which the decoder knows before everything else.
-# q starts at Q_0 (nearly, as psi_q starts near 0). The paper gives no values for Q_0. Ours, one for
-# each group (Q6), were found by trying: coarse where the picture hardly notices.
+# Two networks predict the steps q, the means mu and the standard deviations sigma. They read a grid
+# of bits at the anchor's position; the decoder reads both before everything else. q starts near
+# Q_0, as psi_q starts near 0. The paper gives no values for Q_0. We found ours, one for each group
+# (Q6), by trial: they are coarse where that hardly changes the picture.
 
 
 # %%
@@ -619,31 +621,31 @@ def prior(h, psi):
 def likelihood(f, mu, sigma, q):
     """Eq. (11): bits = -log2(Phi((f + q/2 - mu) / sigma) - Phi((f - q/2 - mu) / sigma)).
 
-    Above the mean both terms are close to 1 and lose digits, so the number is mirrored to the other
-    side. p is at least 1e-30, which is 100 bits; beyond, the gradient falls to 0 with the density.
+    Above the mean both terms are close to 1 and lose digits, so f is mirrored to below the mean.
+    The mass is at least 1e-30, or 100 bits; farther out, the gradient falls to 0 with the density.
     """
     side = np.sign(f - mu)
     upper = (q / 2 - np.abs(f - mu)) / sigma
     lower = upper - q / sigma
-    p = np.maximum(Phi(upper) - Phi(lower), 1e-30)
+    mass = np.maximum(Phi(upper) - Phi(lower), 1e-30)
 
     def back(bits_bar):
-        p_bar = -bits_bar / (p * np.log(2))
-        upper_bar = p_bar * np.exp(-(upper**2) / 2) / np.sqrt(2 * np.pi)
-        lower_bar = -p_bar * np.exp(-(lower**2) / 2) / np.sqrt(2 * np.pi)
+        mass_bar = -bits_bar / (mass * np.log(2))
+        upper_bar = mass_bar * np.exp(-(upper**2) / 2) / np.sqrt(2 * np.pi)
+        lower_bar = -mass_bar * np.exp(-(lower**2) / 2) / np.sqrt(2 * np.pi)
         f_bar = -side * (upper_bar + lower_bar) / sigma
         sigma_bar = -(upper_bar * upper + lower_bar * lower) / sigma
         return f_bar, -f_bar, sigma_bar, (upper_bar - lower_bar) / (2 * sigma)
 
-    return -np.log2(p), back
+    return -np.log2(mass), back
 
 
 def hash_rate(b):
     """Eq. (14): N+ (-log2 p+) + N- (-log2 p-) for the signs of the grid, p+ = N+ / (N+ + N-)."""
-    plus = (1 + b).sum() / 2
-    p = np.clip(plus / b.size, 1e-6, 1 - 1e-6)
-    slope = np.log2((1 - p) / p) / 2  # N+ = (N + sum of b) / 2; at p = N+ / N, dR / dp = 0
-    hash_bits = -plus * np.log2(p) - (b.size - plus) * np.log2(1 - p)
+    N_plus = (1 + b).sum() / 2
+    p_plus = np.clip(N_plus / b.size, 1e-6, 1 - 1e-6)
+    slope = np.log2((1 - p_plus) / p_plus) / 2  # through N+; the slope through p+ is 0
+    hash_bits = -N_plus * np.log2(p_plus) - (b.size - N_plus) * np.log2(1 - p_plus)
     return hash_bits, lambda bits_bar: np.full_like(b, slope * bits_bar)
 
 
@@ -655,8 +657,8 @@ if SHOW:
 
 # %% [markdown]
 # ## Everything in a row: Eqs. (13), (15) and (17)
-# `loss` runs all equations and returns the whole backward. The paper's four stages switch parts on:
-# first the anchors alone, then the noise, then the motion, finally the grid and the rate.
+# `loss` runs all equations and returns the whole backward. Each of the paper's four stages switches
+# on more parts: first the anchors alone, then the noise, the motion, and the grid with the rate.
 
 
 # %%
@@ -684,8 +686,8 @@ def context(p, weights, sign=signs):
 def loss(p, shot, u, stage, weights=None, sign=signs, centers=None):
     """Eq. (15): L_render + LAMBDA_RATE L_rate for one view, its parts, and the whole backward.
 
-    `back` returns {name: gradient}. In two places it is not the slope of the loss, on purpose: the
-    signs of the grid, and E(x). `check` gives its own `sign`, and the `centers` [N, 3] for E(x).
+    `back` returns {name: gradient}. At the signs of the grid and at E(x), it deliberately differs
+    from the slope of the loss. `check` passes its own `sign`, and the `centers` [N, 3] for E(x).
     """
     R, T, t, image = shot
     values = attributes(p)
@@ -704,10 +706,10 @@ def loss(p, shot, u, stage, weights=None, sign=signs, centers=None):
     if stage == 4:
         number_bits, back_bits = likelihood(noisy, mu, sigma, q[:, GROUP])
         bits = number_bits.sum() + hash_bits  # Eq. (13) is the sum, Eq. (17) adds the grid
-        # Only the networks' bits are not counted. A few lines change that, beyond the paper (B1):
-        # give every array of WEIGHTS a step, learned as its logarithm; add noise of this step
-        # before `network` reads the array, and round at the end; divide by the step, and add bits
-        # of the result under a density around 0 to `bits` (beyond_networks.py).
+        # Only the networks' bits are not counted. A few more lines would count them, which goes
+        # beyond the paper (B1): give every array of WEIGHTS a step, learned as its logarithm; add
+        # noise of this step before `network` reads the array, and round at the end; divide by the
+        # step, and add the result's bits under a density around 0 to `bits` (beyond_networks.py).
     L_rate = bits / values.size  # per number, so that LAMBDA_RATE fits any number of anchors (Q12)
 
     def back():
@@ -740,10 +742,10 @@ def loss(p, shot, u, stage, weights=None, sign=signs, centers=None):
 
 # %% [markdown]
 # ## Checking the gradients
-# Along a random direction the gradient must give the slope of the loss, and finite differences
-# measure that slope. The two places where the gradient is not the slope are taken out: the grid's
-# parameters stand for their signs, and E(x) sees x before the nudge. A nudge can swap two splats in
-# depth, which makes the loss jump. So there are two nudges, and one of them has to agree.
+# Along any direction, the gradient must give the slope of the loss, which finite differences
+# measure. The check removes the two places where the gradient is not the slope: the grid's
+# parameters replace their signs, and E(x) reads x as it was before the nudge. A nudge can swap two
+# splats in depth, which makes the loss jump. So two nudges are tried, and one of them has to agree.
 
 
 # %%
@@ -783,14 +785,14 @@ if __name__ == "__main__" and "--check" in sys.argv:
 
 # %% [markdown]
 # ## Training
-# Adam (Kingma and Ba 2015), one view an iteration. A child with alpha < 0 is not drawn, gets no
-# gradient of its own and seldom comes back: here a bias and a slow start of psi_alpha keep the
-# children alive, the paper grows new anchors (Q16).
+# Training uses Adam (Kingma and Ba 2015), one view per iteration. A child with alpha < 0 is not
+# drawn, gets no gradient of its own and seldom comes back. Here, a bias and a slow start of
+# psi_alpha keep the children alive; the paper grows new anchors instead (Q16).
 
 
 # %%
 STAGE_ENDS = (20, 40, 800, 1300)  # iterations; the paper's stages 1 and 2 take 5,000 of 40,000
-# Learning rates at the start; they decay to 0.07 of that by the end.
+# Initial learning rates; by the end they have decayed to 0.07 of these values.
 RATES = {"x_a": 0.002, "f": 0.015, "log_s": 0.014, "log_l": 0.014, "O": 0.02, "grid": 0.01}
 RATES |= {"psi_alpha": 0.001, "psi_c": 0.008, "psi_r": 0.008, "psi_s": 0.008}
 RATES |= {"psi_d": 0.003, "psi_p": 0.005, "psi_q": 0.005}
@@ -803,20 +805,20 @@ class Adam:
         self.steps = dict.fromkeys(SHAPES, 0)  # counted from the stage in which an array joins
 
     def step(self, p, g, decay):
-        """Move the parameters against their gradients g, where they have any."""
+        """Move every parameter that has a gradient in g; m and v are Adam's moments."""
         for name, gradient in g.items():
             self.steps[name] += 1
-            t, m, v = self.steps[name], self.m[name], self.v[name]
+            count, m, v = self.steps[name], self.m[name], self.v[name]
             m += 0.1 * (gradient - m)
             v += 0.001 * (gradient**2 - v)
             rate = decay * RATES[name.split(".")[0]]
             if name.startswith("psi_alpha"):
-                rate *= min(1, t / 50)
-            p[name] -= rate * m / (1 - 0.9**t) / (np.sqrt(v / (1 - 0.999**t)) + 1e-15)
+                rate *= min(1, count / 50)
+            p[name] -= rate * m / (1 - 0.9**count) / (np.sqrt(v / (1 - 0.999**count)) + 1e-15)
 
 
 def lattice(x_a):
-    """Positions as 16-bit integers over the box, as the file has them (Q14: frozen in stage 4)."""
+    """Positions as 16-bit integers over the box, as in the file (Q14: frozen in stage 4)."""
     return np.rint((np.clip(x_a / BOX, -1, 1) + 1) / 2 * 65535).astype("<u2")
 
 
@@ -864,11 +866,11 @@ if SHOW:
 # ## Bytes
 # The entropy coder counts probabilities in units of 2^-24, at least one for each symbol: `cdf` is
 # the cumulative distribution of Eq. (11) in these units, and symbol i owns the integers from cdf[i]
-# up to cdf[i + 1], excluded. rANS (Duda 2013) turns all symbols into one large integer, `state`. It
-# makes the state congruent modulo 2^24 to an integer that the symbol owns, and `state % width` says
-# to which: so a decoder finds the symbol that was coded last, and the state before it. A symbol of
-# probability p multiplies the state by about 1/p and so adds -log2 p bits. Both sides compute the
-# same probabilities, in the same floats on the same machine.
+# to cdf[i + 1] - 1. rANS (Duda 2013) turns all symbols into one large integer, `state`. To add a
+# symbol, it makes the state congruent modulo 2^24 to one of the symbol's integers; `state % width`
+# selects which. A decoder can therefore recover the last symbol, and the state before it. A symbol
+# of probability 1/8 multiplies the state by about 8, which adds 3 bits. Both sides compute the same
+# probabilities, in the same floats on the same machine.
 
 
 # %%
@@ -916,11 +918,11 @@ def sign_cdfs(ones):
     return np.repeat(in_units(np.array([[0, 1 - ones / count, 1]])), count, axis=0)
 
 
-HEAD = "<2hH4I"  # lowest and highest integer, how many signs are 1, the bytes of all parts
+HEAD = "<2hH4I"  # lowest and highest integer, count of positive signs, bytes of each part
 
 
 def encode(p):
-    """The file: {part: bytes}. All else that a decoder needs stands at the top of this program."""
+    """The file: {part: bytes}. A decoder also needs the constants of this program."""
     positive = (p["grid"] >= 0).ravel().astype(int)
     networks = np.concatenate([p[name].ravel() for name in WEIGHTS])
     parts = {
@@ -947,7 +949,7 @@ def read_base(networks, positions, grid, ones):
 
 
 def decode(data):
-    """All that is needed to draw: the parameters of a file, and the rounded attributes [A, n]."""
+    """Everything needed to draw: the parameters of a file, and the rounded attributes [A, n]."""
     lowest, highest, ones, *lengths = struct.unpack_from(HEAD, data)
     ends = np.cumsum((struct.calcsize(HEAD), *lengths))
     networks, positions, grid, anchors = (data[a:b] for a, b in zip(ends, ends[1:]))
@@ -982,7 +984,7 @@ def psnr(p, values, views):
 
 
 def report(p, file, views, unseen):
-    """Print what the file is worth, with a remark where something is odd. Returns the numbers."""
+    """Print and return the quality and size of the file; remark on what is odd."""
     before = psnr(p, attributes(p), unseen)
     decoded, values = decode(b"".join(file.values()))
     after = psnr(decoded, values, unseen)
@@ -999,9 +1001,7 @@ def report(p, file, views, unseen):
         print(
             "They differ: an unlikely number costs up to 100 bits in Eq. (11), but 24 in the coder;"
         )
-        print(
-            "and many possible integers, each with its unit of 2^-24, make the likely ones dearer."
-        )
+        print("and every possible integer takes a unit of 2^-24 from the likely ones.")
     return {"before": before, "after": after, "coded": coded, "bits": bits}
 
 
@@ -1037,11 +1037,11 @@ if SHOW:
 
 # %% [markdown]
 # ## What the numbers say, and what is left out
-# Nine tenths of the bytes are networks, as float16 and not entropy coded. The paper names this
-# limit in its last section; with only 80 anchors it is extreme. An anchor costs about 14 bytes for
-# its 26 numbers, and 6 for its position. Most of the grid's signs are equal, so h varies little.
-# With seeds 0 to 4 the context saves 4, 6, 0, 2 and 5 % of the anchors' bits against one mean and
-# deviation for each of the 26 numbers: less than 70 bytes, and its two networks take 3,312.
+# Nine tenths of the bytes are networks, stored as float16 and not entropy coded. The paper names
+# this limit in its last section; with only 80 anchors it is extreme. An anchor costs about 14 bytes
+# for its 26 numbers, and 6 for its position. Most signs of the grid are equal, so h varies little.
+# Compared with one mean and deviation for each of the 26 numbers, the context saves 4, 6, 0, 2 and
+# 5 % of the anchors' bits with seeds 0 to 4: less than 70 bytes, but its two networks take 3,312.
 #
 # The package has what this file leaves out: masks and growing (`training/density.py`); tiles and
 # clamps (`splatting/`); levels, planes and hashing of the grid (`equations/grid_nodes.py`); an

@@ -1,5 +1,5 @@
 # %% [markdown]
-# # Eq. (1): where an anchor's Gaussians stand
+# # Eq. (1): where an anchor's Gaussians are
 #
 # **Promise.** After this tutorial you can compute the positions of an anchor's Gaussians by hand,
 # and send a gradient back from the Gaussians to the anchor. **Before it:** nothing but NumPy.
@@ -10,9 +10,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.equations import offsets
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
 
 plt = lessons.begin("01_offsets")
 rng = np.random.default_rng(1)
@@ -27,7 +25,7 @@ rng = np.random.default_rng(1)
 # %% [markdown]
 # ## By hand
 # Take an anchor at $(1, 2, 0)$ with the scaling $(0.5, 0.5, 2)$, and one child with the offset
-# $(2, -1, 0.25)$. The offset times the scaling is $(1, -0.5, 0.5)$, so the child stands at
+# $(2, -1, 0.25)$. The offset times the scaling is $(1, -0.5, 0.5)$, so the child is at
 # $(2, 1.5, 0.5)$.
 
 # %%
@@ -40,15 +38,16 @@ print(by_hand)
 # %% [markdown]
 # ## In code
 # For $A$ anchors with $k$ children each, the arrays have the shapes `x_a [A, 3]`, `O_a [A, k, 3]`
-# and `l_a [A, 3]`. One new axis makes them fit together, so all of Eq. (1) is one line of
+# and `l_a [A, 3]`. With one new axis they broadcast, so all of Eq. (1) is one line of
 # `p4dgs_ref/equations/offsets.py`: `x_a[:, None, :] + O_a * l_a[:, None, :]`.
 #
 # Every equation of the project has a file like this one, with two functions. `forward` returns a
-# pair: the output, and a tuple `saved` that holds what the gradient will need later. `backward`
-# takes `saved` and the gradient of the output, and returns a dictionary with the gradient of each
-# input.
+# pair: the output, and a tuple `saved` with everything that `backward` will need. `backward` takes
+# `saved` and the gradient of the output, and returns a dictionary with the gradient of each input.
 
 # %%
+from p4dgs_ref.equations import offsets
+
 x, saved = offsets.forward(x_a[None], O_a[None, None], l_a[None])
 assert x.shape == (1, 1, 3)
 assert np.array_equal(x[0, 0], by_hand)
@@ -104,8 +103,8 @@ lessons.show(figure, "01_offsets")
 # $\partial L/\partial y$ and call it the *cotangent* of $y$. A backward function receives the
 # cotangents of the outputs and returns those of the inputs.
 #
-# Look at one child and one axis first, where $x = x_a + O\,l$ is an equation between numbers. Small
-# changes of the inputs change $x$ by
+# First consider one child and one axis, where $x = x_a + O\,l$ is an equation between numbers.
+# Small changes of the inputs change $x$ by
 # $$dx = dx_a + l\,dO + O\,dl \quad\Longrightarrow\quad
 # \bar x_a = \bar x,\qquad \bar O = l\,\bar x,\qquad \bar l = O\,\bar x.$$
 # On the first axis of our child, $l = 0.5$ and $O = 2$. A cotangent $\bar x = 3$ therefore becomes
@@ -120,11 +119,13 @@ assert gradients["l_a"][0, 0] == 6
 # %% [markdown]
 # Now the arrays. Each child has its own offset, so $\bar O_{aj} = \bar x_{aj}\,l_a$ keeps all three
 # axes of the array. The position and the scaling are different, because all children of the anchor
-# use them. A number that is used $k$ times receives $k$ gradients, and these add up:
+# share them. A number that is used $k$ times receives $k$ gradients, which add up:
 # $$\bar x_a = \sum_j \bar x_{aj},\qquad \bar l_a = \sum_j O_{aj}\,\bar x_{aj}.$$
 # The next cell writes these sums as loops and compares them with `offsets.backward`.
 
 # %%
+from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
+
 A, k = 5, 4
 inputs = {
     "x_a": rng.normal(size=(A, 3)),
@@ -147,9 +148,9 @@ assert close(ours["l_a"], l_a_bar)
 
 # %% [markdown]
 # How can we check a gradient without deriving it twice? Write $\langle a, b\rangle$ for the sum of
-# all products of entries, and take the loss $L = \langle\bar x, x\rangle$, whose gradient at $x$ is
-# $\bar x$. If all inputs move by $h$ times random directions $d$, then the loss must change, per
-# unit of $h$, by
+# all products of entries, and take the loss $L = \langle\bar x, x\rangle$, whose gradient with
+# respect to $x$ is $\bar x$. If all inputs move by $h$ times random directions $d$, then the loss
+# must change, per unit of $h$, by
 # $$\langle\bar x_a, d_{x_a}\rangle + \langle\bar O, d_O\rangle + \langle\bar l, d_l\rangle.$$
 # This is the *adjoint identity*. It tests all gradients of an equation with two evaluations of its
 # forward, and most tutorials use it. The module `lessons` therefore has short functions for its
@@ -184,9 +185,9 @@ print(f"without the sum, the identity is off by {100 * off:.0f} %")
 # ## What a codec does with it
 # The children of an anchor share a position and a scaling, as the pixels of a block of video share
 # one motion vector. The offsets are not shared: they are $3k$ of the $3k + 6$ numbers in Eq. (1),
-# so most of the bits go there and their range matters. Eq. (1) counts offsets in multiples of
+# so they take most of the bits, and their range matters. Eq. (1) measures offsets in multiples of
 # $l_a$. A small anchor and a large one of the same shape therefore have the *same* offsets, and one
-# quantisation step serves both.
+# quantisation step is right for both.
 
 # %%
 for k in (4, 10):
@@ -203,18 +204,18 @@ assert close(large, 100 * small)
 # Replace each `...` and the `raise` lines below, then run the cell. It compares your functions with
 # *golden vectors*, which are inputs and outputs that come with the project. `lessons.hint("01.2")`
 # prints a hint, and a second call prints another one. The last question of a tutorial has no blank:
-# write down what you expect, and why, then test it with a few lines of code. The solutions have the
-# answer to it too.
+# write down what you expect and why, then test it with a few lines of code. The solutions also
+# answer this question.
 #
-# **01.1** ● A second child of the anchor in "By hand" has the offset $(0, 4, -0.5)$. Where does it
-# stand? Give a list of three numbers.
+# **01.1** ● A second child of the anchor in "By hand" has the offset $(0, 4, -0.5)$. Where is it?
+# Give a list of three numbers.
 #
 # **01.2** ● Write Eq. (1) for arrays.
 #
 # **01.3** ●● Write its backward. The dictionary `cotangents` holds the cotangents of the outputs,
 # here `x_bar` for the output `x`.
 #
-# **Predict, then run.** A port keeps all numbers in float16. An anchor stands at $x = 1000$, with
+# **Predict, then run.** A port keeps all numbers in float16. An anchor is at $x = 1000$, with
 # $l_a = 0.1$. Which of the offsets $1, 2, 3, \dots$ is the first that moves its child?
 
 # %%
@@ -237,14 +238,15 @@ lessons.backward("01.3", my_backward, "offsets")
 
 # %% [markdown]
 # ## Check your port
-# A *port* is the method written again, in another language or framework. It reads the inputs of the
-# golden vectors, writes its outputs to a folder, and `p4dgs-ref oracle check DIR --only offsets`
-# compares them. From Python, any function can be checked directly, as below.
+# A *port* is a new implementation of the method, in another language or framework. It reads the
+# inputs of the golden vectors, writes its outputs to a folder, and
+# `p4dgs-ref oracle check DIR --only offsets` compares them. From Python, any function can be
+# checked directly, as below.
 #
-# The usual mistake comes from Scaffold-GS, where this equation was taken from. It stores the
+# A common mistake comes from Scaffold-GS, from which this equation is taken. Scaffold-GS stores the
 # logarithm of $l_a$, whereas $l_a$ here is the scaling itself. The checker recognises the wrong
-# results and names the mistake. Later tutorials call `lessons.passes` for the first kind of check
-# and `lessons.caught` for the second.
+# results and names the mistake. Later tutorials call `lessons.passes` to check a port that is
+# right, and `lessons.caught` for one with a known mistake.
 
 # %%
 from p4dgs_ref import oracle

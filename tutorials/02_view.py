@@ -12,13 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from p4dgs_ref import EQUATIONS, effects
-from p4dgs_ref.equations import mlp, view
-from p4dgs_ref.equations.numerics import perpendicular
-from p4dgs_ref.lab.random_inputs import random_network
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, inner
-from p4dgs_ref.model import bounding_box, snap
 
 plt = lessons.begin("02_view")
 rng = np.random.default_rng(2)
@@ -49,6 +43,9 @@ print("distance", distance, "direction", direction.round(4))
 # feature. Since `forward` has two outputs here, it returns them as a tuple.
 
 # %%
+from p4dgs_ref.equations import mlp, view
+from p4dgs_ref.lab.school.lessons import close, inner
+
 (delta_vc, d_vc), saved = view.forward(x_a[None], x_c)
 assert delta_vc.shape == (1, 1)
 assert delta_vc[0, 0] == 7
@@ -90,6 +87,9 @@ assert not no_direction.any()
 
 
 # %%
+from p4dgs_ref import EQUATIONS, effects
+
+
 def gradient(x_a, x_c, **cotangents):
     """Return the gradient of x_a."""
     _, pullback = EQUATIONS["view"].vjp(x_a=x_a, x_c=x_c)
@@ -183,6 +183,7 @@ radial_part = (of_direction * ring).sum(axis=1)
 assert np.abs(radial_part).max() < 1e-15
 
 
+# %%
 def draw_arrows(ax, arrows, color, title):
     """Draw the gradients of all anchors on the ring as arrows."""
     ax.plot(
@@ -255,6 +256,8 @@ lessons.show(
 # precision.
 
 # %%
+from p4dgs_ref.equations.numerics import perpendicular
+
 nearly_x = np.array([[1000.0, 0.125, 0]], dtype=np.float32)
 (length, unit), _ = view.forward(nearly_x, np.zeros(3))
 bar = np.array([[1, 0, 0]], dtype=np.float32)
@@ -296,6 +299,8 @@ print("change of the loss per unit along the ray, which is 0; broken:", claimed.
 # weight that reads a direction is NaN.
 
 # %%
+from p4dgs_ref.lab.random_inputs import random_network
+
 with np.errstate(invalid="ignore"):
     v = np.array([[0.0, 0, 0], x_a, x_c])
     unguarded = v / np.linalg.norm(v, axis=1, keepdims=True)
@@ -329,6 +334,8 @@ assert effects.view_width((), "view_geometry") == 0
 # divided by the distance.
 
 # %%
+from p4dgs_ref.model import bounding_box, snap
+
 cloud = rng.uniform(-1.3, 1.3, (2000, 3))
 symbols, snapped = snap(cloud, *bounding_box(cloud))
 camera = np.array([0.0, 0, 4])

@@ -12,11 +12,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.equations import masking, mlp, opacity, view
-from p4dgs_ref.equations.numerics import tanh_slope
-from p4dgs_ref.lab.random_inputs import random_anchor_network, random_network
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, inner, random_like
 
 plt = lessons.begin("03_opacity_and_masking")
 rng = np.random.default_rng(1103)
@@ -29,17 +25,17 @@ rng = np.random.default_rng(1103)
 # "Gaussian primitives with opacity values below a threshold ($\alpha < \tau_\alpha$) are excluded
 # from rendering."
 #
-# The paper does not say what bounds the opacity. Scaffold-GS, on which the paper builds, uses
-# $\tanh$, and so does this project (choice `Q4` in `reference.md`). Opacities therefore lie between
-# $-1$ and $1$. With the threshold $\tau_\alpha = 0$, the sign of $\alpha$ decides whether a
+# The paper does not say which function bounds the opacity. Scaffold-GS, on which the paper builds,
+# uses $\tanh$, and so does this project (choice `Q4` in `reference.md`). Opacities therefore lie
+# between $-1$ and $1$. With the threshold $\tau_\alpha = 0$, the sign of $\alpha$ decides whether a
 # Gaussian is drawn.
 
 # %% [markdown]
 # ## By hand
 # Take one anchor with a feature of one number, a network with two hidden units, and two children.
-# The input is the row of feature, distance and direction, here $(1, 2, 0, 0.6, 0.8)$. With the
-# weights of the next cell, the hidden units get the values 1.5 and $-1.4$. A *ReLU*, which is
-# $\max(0, \cdot)$, replaces the second one by 0. The last layer then gives
+# The input is a row with the feature, the distance and the direction, here $(1, 2, 0, 0.6, 0.8)$.
+# With the weights of the next cell, the hidden units have the values 1.5 and $-1.4$. A *ReLU*,
+# which is $\max(0, \cdot)$, replaces the second one by 0. The last layer then gives
 # $\psi_\alpha = (0.5, -1)$. Since $\tanh$ keeps the sign, only the first child is drawn.
 
 # %%
@@ -63,15 +59,18 @@ print("hidden units", hidden, "| psi", psi, "| alpha", np.tanh(psi).round(4))
 # applies this network with `mlp.forward`, and takes the $\tanh$.
 
 # %%
+from p4dgs_ref.equations import masking, mlp, opacity, view
+from p4dgs_ref.lab.school.lessons import close, inner, random_like
+
 alpha, saved = opacity.forward(f_a, delta_vc, d_vc, [W_0, W_1], [b_0, b_1])
 assert close(alpha, [np.tanh(psi)])
 
 # %% [markdown]
 # `masking.forward` then turns the children of all anchors, `[A, k]`, into one list of the $N$
-# Gaussians that are drawn. It keeps a child if its opacity is at least the threshold, and if its
-# entry in `mask` is true. Training sets this entry to false for children that it has removed for
-# good (choice `Q15`). The output `index` records where each Gaussian came from, as $a\,k + j$. Of
-# the three children below, the second one is dropped, and the third one is kept because its opacity
+# Gaussians that are drawn. It keeps a child if its opacity is at least the threshold and its entry
+# in `mask` is true. Training sets this entry to false for children that it has removed for good
+# (choice `Q15`). The output `index` records where each Gaussian came from, as $a\,k + j$. Of the
+# three children below, the second one is dropped, and the third one is kept because its opacity
 # equals the threshold.
 
 # %%
@@ -85,11 +84,13 @@ assert kept_alpha.tolist() == [0.4, 0]
 assert np.array_equal(kept_x, three["x"][0, [0, 2]])
 
 # %% [markdown]
-# The same anchor shows different Gaussians to different cameras. In the next cell, a camera walks
-# around one anchor with a random network. The curves bend where a ReLU switches, and a child is
-# drawn only where its curve is above the threshold.
+# The same anchor shows different Gaussians to different cameras. In the next cell, a camera moves
+# around one anchor with a random network. The curves have a kink wherever a ReLU switches, and a
+# child is drawn only where its curve is above the threshold.
 
 # %%
+from p4dgs_ref.lab.random_inputs import random_anchor_network, random_network
+
 weights, biases = random_network(rng, 4 + 4, 16, 16, 4)
 weights[0][4:] *= np.array([[0.3], [2], [2], [2]])  # less distance, more direction
 degrees = np.arange(0, 361)
@@ -102,6 +103,7 @@ drawn = around >= 0
 assert 0 < drawn.mean() < 1
 assert len(np.unique(drawn, axis=0)) > 1
 
+# %%
 figure, ax = plt.subplots(figsize=(10, 5.2))
 for j in range(4):
     visible = np.where(drawn[:, j], around[:, j], np.nan)
@@ -147,11 +149,11 @@ lessons.show(figure, "03_opacity_and_masking")
 
 # %% [markdown]
 # ## Backward by hand
-# We go from the back to the front: masking, $\tanh$, network.
+# We go backwards: first masking, then $\tanh$, then the network.
 #
-# **Masking** copies numbers, $y_n = \alpha_{i(n)}$, where $i(n)$ is `index`. Each kept number
-# therefore sends its cotangent back to the place it came from, and a dropped one receives zero. In
-# other words, the backward of gathering is scattering.
+# **Masking** copies numbers, $y_n = \alpha_{i(n)}$, where $i(n)$ is `index`. The cotangent of each
+# kept number therefore goes back to the place where the number came from, and a dropped number
+# receives zero. In other words, the backward of gathering is scattering.
 
 # %%
 A, k, d = 6, 4, 3
@@ -175,6 +177,8 @@ assert not alpha_bar[(opacities < 0) | ~mask].any()
 # \qquad\text{with } e = e^{-2|\psi|}.$$
 
 # %%
+from p4dgs_ref.equations.numerics import tanh_slope
+
 slopes = [1 - np.tanh(0.5) ** 2, 1 - np.tanh(-1) ** 2]
 assert close(tanh_slope(np.array(psi)), slopes)
 last_bias_bar = opacity.backward(saved, np.ones((1, 2)))["biases"][-1]
@@ -196,6 +200,7 @@ assert 8.8 < stuck < 9.2
 assert stable.dtype == np.float32
 assert abs(stable[-1] / exact[-1] - 1) < 1e-5
 
+# %%
 figure, ax = plt.subplots(figsize=(9, 5))
 red = lessons.COLORS[1]
 ax.semilogy(
@@ -232,7 +237,7 @@ lessons.finish(
 lessons.show(figure, "03_opacity_and_masking_slope")
 
 # %% [markdown]
-# **The network**, with numbers first: one input, one hidden unit and one output, $z = x w_0 + b_0$,
+# **The network**, first with numbers: one input, one hidden unit and one output, $z = x w_0 + b_0$,
 # $h = \max(0, z)$ and $y = h w_1 + b_1$. The ReLU has the slope 1 where $h > 0$ and 0 elsewhere,
 # which we write as $[h > 0]$. Going backward,
 # $$\bar w_1 = h\,\bar y,\quad \bar b_1 = \bar y,\quad \bar h = w_1\bar y,\quad
@@ -254,11 +259,11 @@ assert gradients["x"] == 18
 # differential is $dy = dx\,W + x\,dW + db$. To find the gradients, write the sum of
 # $\bar y_{nj}\,dy_{nj}$ and read off the factor of each differential:
 # $$\bar x = \bar y\,W^T, \qquad \bar W = x^T\bar y, \qquad \bar b_j = \sum_n \bar y_{nj}.$$
-# The shapes help to remember these formulas: from $x$ `[N, I]` and $\bar y$ `[N, J]`, only
-# $x^T\bar y$ has the shape of $W$. As in `01_offsets`, whatever all $N$ rows use receives $N$
-# gradients, so $W$ and $b$ sum over the rows. For several layers, the cotangent of one layer's
-# input becomes that of the output of the layer before it, after passing the ReLU. The loop below is
-# all of `mlp.backward`.
+# The shapes help to remember these formulas: of all products of $x$ `[N, I]` and $\bar y$ `[N, J]`,
+# only $x^T\bar y$ has the shape of $W$. As in `01_offsets`, a parameter that all $N$ rows use
+# receives $N$ gradients, so the gradients of $W$ and $b$ are sums over the rows. For several
+# layers, the cotangent of one layer's input becomes that of the output of the layer before it,
+# after passing the ReLU. The loop below is all of `mlp.backward`.
 
 # %%
 weights, biases = random_network(rng, d + 4, 6, 5, k)
@@ -280,16 +285,16 @@ for i in (2, 1, 0):
 assert close(ours["x"], bar)
 
 # %% [markdown]
-# The ReLU needs no memory of its own, because $h > 0$ exactly where its input was positive. At its
-# kink we choose the gradient zero.
+# The ReLU does not need to save its input, because $h > 0$ exactly where its input was positive. At
+# its kink we choose the gradient zero.
 
 # %%
 _, at_the_kink = mlp.forward(np.zeros((1, 1)), [np.ones((1, 1))] * 2, [np.zeros(1)] * 2)
 assert mlp.backward(at_the_kink, np.ones((1, 1)))["x"] == 0
 
 # %% [markdown]
-# Finally, the backward of putting columns side by side is cutting them apart: the columns of
-# $\bar x$ go to the feature, the distance and the direction. This is Eq. (3) against differences,
+# Finally, the backward of concatenating columns is splitting them: the columns of $\bar x$ go to
+# the feature, the distance and the direction. The next cell checks Eq. (3) by finite differences,
 # with all inputs and weights moving at once:
 
 # %%
@@ -300,12 +305,12 @@ ours = opacity.backward(saved, cotangent)
 _ = lessons.adjoint(rng, opacity.forward, inputs, cotangent, ours)
 
 # %% [markdown]
-# No gradient describes the threshold itself. Moving $\tau_\alpha$ adds or removes whole Gaussians,
-# and a Gaussian that is not drawn receives the gradient zero. It can come back only because the
-# network is shared: what the network learns from other children, other anchors and other views also
-# changes the opacity of this one. In the next cell only child 1 of each anchor was drawn. Its
-# gradient reaches the first layer and the feature, which all children share, but no column of the
-# last layer that belongs to another child.
+# The threshold itself has no gradient. Moving $\tau_\alpha$ adds or removes whole Gaussians, and a
+# Gaussian that is not drawn receives the gradient zero. It can come back only because the network
+# is shared: what the network learns from other children, other anchors and other views also changes
+# the opacity of this Gaussian. In the next cell only child 1 of each anchor is drawn. Its gradient
+# reaches the first layer and the feature, which all children share, but not the columns of the last
+# layer that belong to other children.
 
 # %%
 only_child_1 = np.where(np.arange(k) == 1, cotangent, 0)
@@ -319,9 +324,9 @@ assert alone["f_a"].any()
 # %% [markdown]
 # ## Break it
 # Suppose the backward of masking writes the gradients of the kept Gaussians into the *first* rows
-# instead of the rows they came from. The shape is right, and so are the number of entries, their
-# sum and their norm. Only a comparison entry by entry shows the mistake, and the adjoint identity
-# is such a comparison.
+# instead of the rows they came from. The shape is right, and so are the number of nonzero entries,
+# their sum and their norm. Only a comparison of single entries shows the mistake, and the adjoint
+# identity makes such a comparison.
 
 # %%
 right = alpha_bar
@@ -341,8 +346,8 @@ print(f"the loss changes by {change:.2e}; packed into the first rows, it would b
 # %% [markdown]
 # ## What a codec does with it
 # The file does not contain the opacities. It contains the network, once, in half precision. The
-# next cell counts its weights in the paper's sizes, and after how many anchors the network is
-# cheaper than one number in half precision for each of their Gaussians.
+# next cell counts the network's weights for the paper's sizes. It also computes from how many
+# anchors on the network is cheaper than storing one number in half precision for each Gaussian.
 
 # %%
 d, k, width = 16, 10, 32
@@ -359,14 +364,14 @@ print(f"the network is cheaper from {count / k:.0f} anchors on")
 #
 # **03.2** ●● Write Eq. (3), including the network and the $\tanh$.
 #
-# **03.3** ●●● Write the backward of the network for any number of layers. Run its forward again to
+# **03.3** ●●● Write the backward of the network for any number of layers. Repeat its forward to
 # find the input of each layer.
 #
 # **03.4** ●● Write the backward of masking. A Boolean array as an index, `zeros[keep] = ...`, does
 # the scattering.
 #
 # **Predict, then run.** The opacities of all children of an anchor fall just below $\tau_\alpha$.
-# Which gradient does its feature get from the next picture?
+# Which gradient does the anchor's feature get from the next picture?
 
 # %%
 answer_1 = ...
@@ -402,8 +407,8 @@ lessons.backward("03.4", my_masking_backward, "masking")
 
 # %% [markdown]
 # ## Check your port
-# `p4dgs-ref oracle check DIR --only opacity` compares what a port wrote, and the same works with
-# `masking` and `mlp`. Scaffold-GS keeps a Gaussian if $\alpha > \tau_\alpha$, the paper if
+# `p4dgs-ref oracle check DIR --only opacity` checks what a port wrote; `masking` and `mlp` are
+# checked in the same way. Scaffold-GS keeps a Gaussian if $\alpha > \tau_\alpha$, but the paper if
 # $\alpha \ge \tau_\alpha$. On random inputs both give the same result, so one of the golden cases
 # has an opacity exactly at the threshold.
 

@@ -14,12 +14,7 @@
 import numpy as np
 from matplotlib.patches import Ellipse
 
-from p4dgs_ref.equations import anchor_network, color, rotation, scale
-from p4dgs_ref.equations.numerics import normalise, normalise_backward, sigmoid_slope
-from p4dgs_ref.lab.random_inputs import random_anchor_network
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, inner
-from p4dgs_ref.splatting import covariance
 
 plt = lessons.begin("04_color_rotation_scale")
 rng = np.random.default_rng(4)
@@ -59,6 +54,9 @@ print("sigmoid", share, "| scale", s_a * share, "| rotation", raw / 5)
 # the first in reverse order.
 
 # %%
+from p4dgs_ref.equations import anchor_network, color, rotation, scale
+from p4dgs_ref.lab.school.lessons import close, inner
+
 no_view = [np.zeros((1, 0)), np.zeros((1, 0))]  # the feature is the whole input
 two_children = np.concatenate([psi, psi[::-1]])[None]
 identity = [np.eye(6)], [np.zeros(6)]
@@ -76,6 +74,8 @@ assert close(turns, [[[0.2, 0.4, 0.4, 0.8]]])
 # its axes a child is smaller than the anchor, because a sigmoid is less than one.
 
 # %%
+from p4dgs_ref.lab.random_inputs import random_anchor_network
+
 A, k = 3, 5
 networks = {
     width: random_anchor_network(
@@ -102,6 +102,10 @@ turns, _ = rotation.forward(*seen, *stronger(networks[4], 1))
 scales, _ = scale.forward(own, *seen, *stronger(networks[3], 1.2))
 assert (scales < own[:, None]).all()
 assert (scales > 0).all()
+
+
+# %%
+from p4dgs_ref.splatting import covariance
 
 
 def outline(ax, place, s, r, **style):
@@ -171,6 +175,8 @@ lessons.show(
 # to 1 and the textbook slope $c\,(1 - c)$ is 0, although the true slope is $e^{-40}$.
 
 # %%
+from p4dgs_ref.equations.numerics import normalise, normalise_backward, sigmoid_slope
+
 assert close(sigmoid_slope(psi), share * (1 - share))
 c = 1 / (1 + np.exp(-40.0))
 assert c * (1 - c) == 0
@@ -278,6 +284,7 @@ unit, norm = normalise(four_numbers)
 arrows = normalise_backward(unit, norm, np.tile([0.0, 0.45, 0, 0], (36, 1)))[:, :2]
 assert np.abs((arrows * circles).sum(axis=1)).max() < 1e-15
 
+# %%
 figure, ax = plt.subplots(figsize=(7.5, 6.8))
 blue, red = lessons.COLORS[:2]
 ax.add_patch(

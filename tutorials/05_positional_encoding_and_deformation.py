@@ -12,12 +12,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import PRESETS
-from p4dgs_ref.equations import deformation, deformed, mlp, positional_encoding
-from p4dgs_ref.lab.random_inputs import random_field
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, inner, random_like
-from p4dgs_ref.training.initial import design_of
 
 plt = lessons.begin("05_positional_encoding_and_deformation")
 rng = np.random.default_rng(5)
@@ -40,6 +35,9 @@ rng = np.random.default_rng(5)
 # the sine and cosine of $\pi$. The four waves are $1, 0, 0, -1$.
 
 # %%
+from p4dgs_ref.equations import deformation, deformed, mlp, positional_encoding
+from p4dgs_ref.lab.school.lessons import close, inner, random_like
+
 quarter = np.array([[np.pi / 2]])
 E, _ = positional_encoding.forward(quarter, 2)
 assert close(E, [[np.pi / 2, 1, 0, 0, -1]])
@@ -78,6 +76,9 @@ assert not delta_r.any()
 # 3 and 4 outputs.
 
 # %%
+from p4dgs_ref import PRESETS
+from p4dgs_ref.training.initial import design_of
+
 x = rng.uniform(-1.3, 1.3, (4, 3))
 E, _ = positional_encoding.forward(x, 2)
 slow = [np.sin(x), np.cos(x)]
@@ -98,6 +99,8 @@ assert [outputs for _, outputs in layers[-3:]] == [3, 3, 4]
 # copy of $\mathcal{E}(t)$. The three heads become one last layer there.
 
 # %%
+from p4dgs_ref.lab.random_inputs import random_field
+
 t = 0.3
 field = random_field(rng, 2, 1, 6, 5)
 
@@ -150,6 +153,11 @@ def fit(L):
     return curve, rms(curve - height)
 
 
+fits = {L: fit(L) for L in (0, 2, 4, 6)}
+errors = [error for _, error in fits.values()]
+assert errors == sorted(errors, reverse=True)
+
+# %%
 figure, (left, right) = plt.subplots(
     1, 2, figsize=(12.5, 5), layout="constrained", width_ratios=(1, 1.35)
 )
@@ -176,10 +184,7 @@ right.plot(
     lw=9,
     label="a bouncing motion",
 )
-errors = []
-for L in (0, 2, 4, 6):
-    curve, error = fit(L)
-    errors.append(error)
+for L, (curve, error) in fits.items():
     right.plot(time, curve, label=f"$L_t = {L}$, rms error {error:.3f}")
 lessons.finish(
     right,
@@ -190,7 +195,6 @@ lessons.finish(
     legend={"loc": "upper center", "fontsize": 11},
 )
 lessons.show(figure, "05_positional_encoding_and_deformation")
-assert errors == sorted(errors, reverse=True)
 
 # %% [markdown]
 # ## Backward by hand
@@ -350,6 +354,7 @@ assert strength.argmax() == L_x - 1
 assert strength[-1] > direct
 print(f"rms through all waves {rms(through_field):.1f}, direct {direct:.2f}")
 
+# %%
 figure, ax = plt.subplots(figsize=(9, 5))
 ax.bar(
     range(L_x),

@@ -12,12 +12,7 @@
 import numpy as np
 from matplotlib.patches import Ellipse
 
-from p4dgs_ref import PRESETS, effects
-from p4dgs_ref.equations import deformed, numerics
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, random_like
-from p4dgs_ref.splatting import covariance
-from p4dgs_ref.training.initial import design_of
 
 plt = lessons.begin("06_deformed")
 rng = np.random.default_rng(6)
@@ -54,6 +49,10 @@ print("x'", x + delta_x, "| s'", s + delta_s, "| r'", (r + delta_r) / 5)
 # The attribute is then passed on as it is, and it is not normalised again.
 
 # %%
+from p4dgs_ref.equations import deformed, numerics
+from p4dgs_ref.lab.school.lessons import close, random_like
+from p4dgs_ref.splatting import covariance
+
 (x_t, s_t, r_t), saved = deformed.forward(x, s, r, delta_x, delta_s, delta_r)
 assert close(x_t, [[1.5, 2, 2]])
 assert close(s_t, [[0.5, 0.3, -0.2]])
@@ -86,6 +85,7 @@ Sigma, _ = covariance.forward(sizes, turns)
 angles = np.degrees(2 * np.arctan2(turns[:, 3], turns[:, 0]))
 assert close(angles, 150 * times)
 
+# %%
 figure, ax = plt.subplots(figsize=(10.5, 5))
 fine = np.linspace(0, 1, 101)
 ax.plot(
@@ -244,6 +244,7 @@ inflated = longest_axis(unturned + delta_r)
 assert close(right, 2)
 assert close(inflated, 2 * np.sqrt(1 + 4 * z**4))
 
+# %%
 figure, ax = plt.subplots(figsize=(9, 5))
 ax.plot(
     z,
@@ -276,6 +277,9 @@ lessons.show(figure, "06_deformed_inflated")
 # is not shown. One more frame costs no byte. What costs bytes is each head of $\psi_d$.
 
 # %%
+from p4dgs_ref import PRESETS, effects
+from p4dgs_ref.training.initial import design_of
+
 paper = PRESETS["paper_synthetic"]
 sizes = []
 for listed in (("translation",), ("translation", "rotation"), effects.MOTION):

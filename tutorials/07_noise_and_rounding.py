@@ -12,10 +12,7 @@
 import numpy as np
 from scipy.special import ndtr
 
-from p4dgs_ref import EQUATIONS
-from p4dgs_ref.equations import noise, rounding
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, inner
 
 plt = lessons.begin("07_noise_and_rounding")
 rng = np.random.default_rng(7)
@@ -27,23 +24,26 @@ rng = np.random.default_rng(7)
 # entropy coder sees. The decoder multiplies it by $q$ again, so it recovers the attribute only up
 # to half a step:
 # $$\hat{f_a} = \lfloor\frac{f_a}{q}\rceil \cdot q \tag{10}$$
-# Rounding has no slope to learn from. During training, the paper therefore adds noise of the same
-# width instead:
+# Rounding has no useful gradient. During training, the paper therefore adds noise of the same width
+# instead:
 # $$\tilde{f_a}=f_a + \mathcal{U}\left(-\frac{1}{2},\frac{1}{2}\right) \cdot q \tag{7}$$
-# A new $\mathcal{U}$ is drawn for every number in every iteration. In this project the drawn
-# numbers $u$ are an input of the equation, because no equation draws random numbers itself.
+# A new $\mathcal{U}$ is drawn for every number in every iteration. In this project the draws $u$
+# are an input of the equation, because no equation draws random numbers itself.
 
 # %% [markdown]
 # ## By hand
 # With the step 0.2, the values 1.0 and 2.0 and the draws $-0.5$ and $0.25$, the noisy values are
-# 0.9 and 2.05. With the step 0.25 and the value 0.37, the quotient is 1.48. Its nearest integer is
-# 1, so the file contains the symbol 1 and the decoder obtains 0.25.
+# 0.9 and 2.05. For rounding, take the step 0.25 and the value 0.37, whose quotient is 1.48. The
+# nearest integer is 1, so the file contains the symbol 1 and the decoder obtains 0.25.
 #
 # Halfway between two integers the rule is *ties to even*: the quotients 0.5, 1.5 and 2.5 are
-# rounded to 0, 2 and 2. The function `np.rint` follows this rule. It treats positive and negative
-# numbers alike, and over many ties its errors cancel on average.
+# rounded to 0, 2 and 2. The function `np.rint` follows this rule, which treats positive and
+# negative numbers alike. Over many ties, its errors cancel on average.
 
 # %%
+from p4dgs_ref.equations import noise, rounding
+from p4dgs_ref.lab.school.lessons import close, inner
+
 draws = np.array([[-0.5, 0.25]])
 noisy, noise_saved = noise.forward(np.array([[1.0, 2.0]]), draws, np.array([[0.2]]))
 assert close(noisy, [[0.9, 2.05]])
@@ -73,9 +73,9 @@ assert np.array_equal(f_hat, symbols * q)
 
 # %% [markdown]
 # The symbols are the primary output. A decoder multiplies and never rounds, so it cannot disagree
-# with the encoder. The code divides in `float64` regardless of the precision of the inputs, because
-# in `float32` the quotient itself is rounded, and it can land on a tie although the exact quotient
-# is not one. The next cell finds such values.
+# with the encoder. The code divides in `float64` regardless of the precision of the inputs. In
+# `float32` the quotient itself is rounded, and the result can be a tie although the exact quotient
+# is not. The next cell finds such values.
 
 # %%
 values = rng.uniform(0.5, 40, 200_000).astype(np.float32)
@@ -127,9 +127,9 @@ assert np.abs(step * density_of_noisy - mass(multiples)).max() < 0.01
 
 # %% [markdown]
 # The two errors also have the same size, $q/\sqrt{12}$, because the mean of $u^2$ is
-# $\int_{-1/2}^{1/2} u^2 du = 1/12$. This holds as long as $\phi$ is wider than the step. If it is
-# narrower, the two differ: values that are concentrated around a multiple of $q$ lose less by
-# rounding, and values that are concentrated around a tie lose more, up to $q/2$.
+# $\int_{-1/2}^{1/2} u^2 du = 1/12$. This holds as long as $\phi$ is wider than the step. If $\phi$
+# is narrower, the two errors differ: values that are concentrated around a multiple of $q$ lose
+# less by rounding, and values that are concentrated around a tie lose more, up to $q/2$.
 
 
 # %%
@@ -151,6 +151,7 @@ assert abs(at_a_tie[-1] - 1 / np.sqrt(12)) < 1e-6
 assert abs(at_a_multiple[0] - widths[0]) < 1e-6
 assert 0.45 < at_a_tie[0] < 0.5
 
+# %%
 blue, red, green = lessons.COLORS[:3]
 figure, (left, right) = plt.subplots(
     1,
@@ -231,11 +232,11 @@ lessons.show(figure, "07_noise_and_rounding")
 
 # %% [markdown]
 # ## Backward by hand
-# For one number, $\tilde f = f + u\,q$, where $u$ is data. A small change is
+# For one number, $\tilde f = f + u\,q$, where $u$ is a constant. A small change is
 # $d\tilde f = df + u\,dq$, hence
 # $$\bar f = \bar{\tilde f}, \qquad \bar q = u\,\bar{\tilde f}.$$
-# In the arrays, `f` has an entry for each number, so its gradient is the cotangent itself. The step
-# serves all $n$ numbers of its anchor, so its gradient is a sum,
+# In the arrays, `f` has an entry for each number, so its gradient is the cotangent itself. All $n$
+# numbers of an anchor share one step, so the gradient of the step is a sum,
 # $\bar q_a = \sum_i u_{ai}\,\bar{\tilde f}_{ai}$. For the draws of "By hand" and
 # $\bar{\tilde f} = (3, -8)$ it is $-1.5 - 2 = -3.5$.
 
@@ -274,11 +275,13 @@ slope_of_smoothed = (L(0.8 + step / 2) - L(0.8 - step / 2)) / step
 assert abs(mean_slope - slope_of_smoothed) < 1e-6
 
 # %% [markdown]
-# Rounding, on the other hand, is a staircase. Its slope is 0 on every step of the stairs and does
-# not exist at their edges. Its backward returns an empty dictionary, and the table of equations
-# lists no gradients for it.
+# Rounding, on the other hand, is a staircase. Its slope is 0 on every tread and does not exist at
+# the edges. The backward of rounding returns an empty dictionary, and the table of equations lists
+# no gradients for it.
 
 # %%
+from p4dgs_ref import EQUATIONS
+
 _, rounding_saved = rounding.forward(f, q)
 assert rounding.backward(rounding_saved, f_noisy_bar) == {}
 assert EQUATIONS["rounding"].gradients == ()
@@ -291,10 +294,10 @@ assert np.array_equal(after_a_small_step, f_hat)
 # not random, $u = (\hat f - f)/q$. The cell below minimises $(x - 0.3)^2$ with $q = 1$ in both
 # ways, starting at $f = 0$.
 #
-# With straight-through, the parameter ends at 0.5, the edge between two steps of the stairs, and
-# its symbol keeps changing between 0 and 1. With noise, it ends near 0.3, and its symbol stays 0.
-# The paper uses noise here. Straight-through returns in `09_hash_grid`, where a noisy value would
-# no longer be binary.
+# With straight-through, the parameter ends at 0.5, the edge between two treads of the staircase,
+# and its symbol keeps changing between 0 and 1. With noise, the parameter ends near 0.3, and its
+# symbol stays 0. The paper uses noise here. Straight-through returns in `09_hash_grid`, where a
+# noisy value would no longer be binary.
 
 
 # %%
@@ -319,8 +322,8 @@ assert set(np.rint(with_noise)) == {0}
 
 # %% [markdown]
 # ## Break it
-# `floor(x + 0.5)` looks like rounding, and on random values it gives the same result. On ties it
-# always rounds up. And for the largest float below 0.5 it gives 1, because the sum itself is
+# `floor(x + 0.5)` looks like rounding, and on random values it gives the same result. But it always
+# rounds ties up. Moreover, for the largest float below 0.5 it gives 1, because the sum itself is
 # rounded to 1. Two encoders, one with each rule, write different files for the same model.
 
 # %%
@@ -332,8 +335,8 @@ assert np.floor(below_half + 0.5) != np.rint(below_half)
 assert np.floor(2.5 + 0.5) != np.rint(2.5)
 
 # %% [markdown]
-# Some of the golden cases stand on ties. They find the mistake, and the checker names it, although
-# most cases pass.
+# Some of the golden cases are ties. They find the mistake, and the checker names it, although most
+# cases pass.
 
 # %%
 from p4dgs_ref import oracle
@@ -353,8 +356,8 @@ assert report.first.id == "rounding/ties"
 # ## What a codec does with it
 # Every lossy codec has this step size; in video coding it follows from the quantisation parameter.
 # If the values spread over several steps, halving the step costs about 1 bit more per number and
-# makes the squared error 4 times smaller, which is 6.02 dB. Eq. (8) learns this trade-off for each
-# anchor.
+# reduces the squared error by a factor of 4, which is 6.02 dB. Eq. (8) learns this trade-off for
+# each anchor.
 
 
 # %%
@@ -410,7 +413,7 @@ lessons.backward("07.3", my_backward, "noise")
 
 # %% [markdown]
 # ## Check your port
-# `p4dgs-ref oracle check DIR --only rounding` and `p4dgs-ref oracle check DIR --only noise` compare
+# `p4dgs-ref oracle check DIR --only rounding` and `p4dgs-ref oracle check DIR --only noise` check
 # what a port wrote. Ports differ at ties: `round` in C rounds them away from zero, and `Math.round`
 # in JavaScript rounds them up. Use `rint` or an equivalent function, and compare the integers.
 

@@ -15,12 +15,7 @@ from functools import partial
 import numpy as np
 from scipy.special import expit as sigmoid
 
-from p4dgs_ref import decode, oracle
-from p4dgs_ref.equations import mlp, rounding, step
-from p4dgs_ref.lab.random_inputs import random_network
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close
-from p4dgs_ref.report.inspect import float_context
 
 plt = lessons.begin("08_step")
 rng = np.random.default_rng(8)
@@ -44,6 +39,8 @@ rng = np.random.default_rng(8)
 # $$1+\tanh u = \frac{2e^u}{e^u+e^{-u}} = \frac{2}{1+e^{-2u}} = 2\,\mathrm{sigmoid}(2u)$$
 
 # %%
+from p4dgs_ref.lab.school.lessons import close
+
 for u in (0, 0.5, -2):
     print(f"u = {u}: printed form {1 + np.tanh(u):.4f}, sigmoid form {2 * sigmoid(2 * u):.4f}")
 u = np.linspace(-3, 3, 61)
@@ -56,6 +53,9 @@ assert close(2 * sigmoid(2 * u), 1 + np.tanh(u))
 # result is `q [A, 4]`. Each column serves all numbers of its group, as in `07_noise_and_rounding`.
 
 # %%
+from p4dgs_ref.equations import mlp, rounding, step
+from p4dgs_ref.lab.random_inputs import random_network
+
 A, width = 6, 5
 h = rng.normal(size=(A, width))
 Q_0 = np.array([1, 0.001, 0.002, 0.2])
@@ -147,6 +147,7 @@ below_the_floor = np.array([-4.0, -1e4])
 q_low, _ = step.forward(np.zeros((1, 1)), [np.zeros((1, 2))], [below_the_floor], np.ones(2))
 assert (q_low == 2.0**-10).all()
 
+# %%
 blue, red = lessons.COLORS[:2]
 figure, (left, right) = plt.subplots(
     1,
@@ -292,6 +293,9 @@ lessons.caught(half_argument, "step", "2 psi_q")
 
 
 # %%
+from p4dgs_ref import decode, oracle
+
+
 def printed_with_floor(u, Q_0):
     return Q_0 * np.maximum(printed_form(u), step.SMALLEST)
 
@@ -310,6 +314,8 @@ assert report.first.id == "step_floor/beside_the_floor"
 # trained.
 
 # %%
+from p4dgs_ref.report.inspect import float_context
+
 model = decode((oracle.path() / "model.p4dgs").read_bytes())
 share = float_context(model).q / np.array(model.design.Q_0)
 assert (share >= step.SMALLEST).all()

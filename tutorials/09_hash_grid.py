@@ -12,12 +12,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import EQUATIONS, oracle
-from p4dgs_ref.equations import grid_nodes, hash_grid
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, moved
-from p4dgs_ref.model import LATTICE, bounding_box, snap
-from p4dgs_ref.training.presets import PAPER_SYNTHETIC
 
 plt = lessons.begin("09_hash_grid")
 rng = np.random.default_rng(9)
@@ -56,6 +51,8 @@ rng = np.random.default_rng(9)
 # 3668339987, the XOR with $2$ is 3668339985, and the row is 2.
 
 # %%
+from p4dgs_ref.equations import grid_nodes, hash_grid
+
 theta = np.array([[0.3], [-1], [2], [1.5]])
 unit_square = {"lo": np.zeros(3), "hi": np.ones(3), "resolutions": (("xy", 2),)}
 h, _ = hash_grid.forward(np.array([[0.25, 0.5, 0.9]]), grids=[theta], **unit_square)
@@ -80,6 +77,8 @@ assert grid_nodes.entries(corner, cell, 20, 11)[0, 0] == 2  # 20^2 nodes, 11 ent
 # then the product of this matrix and the signs. Each row adds up to 1, so $|h| \le 1$.
 
 # %%
+from p4dgs_ref.lab.school.lessons import close, moved
+
 A, F = 40, 2
 x_a = rng.uniform(-1, 1, (A, 3))
 lo, hi = np.full(3, -1.0), np.full(3, 1.0)
@@ -110,6 +109,7 @@ corner = np.stack(np.meshgrid(np.arange(5), np.arange(5)), axis=-1).reshape(25, 
 row = grid_nodes.entries(corner, np.zeros((1, 2), int), 5, 11)[:, 0]
 assert 1 < len(set(row)) <= 11
 
+# %%
 figure, (left, right) = plt.subplots(
     1,
     2,
@@ -279,6 +279,9 @@ assert losses[-1] < losses[0] / 10
 # because the decoder must look up exactly the same places.
 
 # %%
+from p4dgs_ref import EQUATIONS, oracle
+from p4dgs_ref.model import LATTICE, bounding_box, snap
+
 assert EQUATIONS["hash_grid"].gradients == ("grids",)
 symbols, _ = snap(x_a, *bounding_box(x_a))
 assert symbols.min() == 0
@@ -324,6 +327,8 @@ assert "hash_index/paper_3d" not in [r.id for r in report.results if r.verdict =
 # take 32 times as much.
 
 # %%
+from p4dgs_ref.training.presets import PAPER_SYNTHETIC
+
 entries_3d = sum(min(n**3, 2**13) for n in PAPER_SYNTHETIC.grid_3d)
 entries_2d = 3 * sum(min(n**2, 2**15) for n in PAPER_SYNTHETIC.grid_2d)
 signs_of_hac = (entries_3d + entries_2d) * PAPER_SYNTHETIC.F

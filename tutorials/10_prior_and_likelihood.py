@@ -23,26 +23,27 @@ rng = np.random.default_rng(10)
 # %% [markdown]
 # ## Claim
 # Play a guessing game: you ask questions, and every answer is yes or no. If 8 numbers are equally
-# likely, 3 questions find the right one, because each answer halves what is left. So a number of
-# probability $\frac18$ costs 3 bits. If one number has the probability $\frac12$, ask for it
-# first: it costs 1 bit, and the others cost more. In general, a number of probability $p$ costs
-# $b = -\log_2 p$ bits. An ideal entropy coder needs just that many, also where $b$ is a fraction.
+# likely, 3 questions find the right one, because each answer halves the number of candidates. A
+# number of probability $\frac18$ therefore costs 3 bits. If one number has the probability
+# $\frac12$, ask for it first: it costs 1 bit, and the others cost more. In general, a number of
+# probability $p$ costs $b = -\log_2 p$ bits. An ideal entropy coder needs exactly that many bits,
+# even if $b$ is not an integer.
 #
-# So a number is cheap if the decoder expects it. What should it expect? For every number, a network
-# makes a guess, $\mu$, and says how far off this guess may be, $\sigma$. Together they are a normal
-# distribution. The file does not need the exact number, only its *symbol*: the nearest multiple of
-# the step $q$. This symbol stands for all values within half a step of it, an interval of the width
-# $q$ that we call its *bin*. The symbol's probability is the chance that the value falls into the
-# bin, which is the area under the bell curve over the bin.
+# A number is therefore cheap if the decoder expects it. For every number, a network makes a guess,
+# $\mu$, and says how far off this guess may be, $\sigma$. Together they describe a normal
+# distribution. The file does not store the exact number, only its *symbol*: the nearest multiple of
+# the step $q$. The symbol stands for all values within half a step of it, an interval of width $q$
+# that we call its *bin*. The probability of the symbol is the probability that the value falls into
+# the bin, which is the area under the bell curve over the bin.
 
 # %% [markdown]
 # ## By hand
-# Let the guess be $\mu = 0$, the deviation $\sigma = 1$ and the step $q = 1$. The bin of the symbol
-# 0 reaches from $-0.5$ to $0.5$. A table of the normal distribution says that a share of 0.69146
-# of all values lies below $0.5$, and 0.30854 below $-0.5$. The difference, 0.3829, is the
-# probability of the symbol, and its price is $-\log_2 0.3829 = 1.385$ bits. The symbol 1 has the
-# probability 0.2417 and costs 2.049 bits, and the symbol 3 costs 7.386 bits. With the guess
-# $\mu = 3$, the symbol 3 would cost only 1.385 bits: the better guess saves 6 bits.
+# Let the guess be $\mu = 0$, the standard deviation $\sigma = 1$ and the step $q = 1$. The bin of
+# the symbol 0 extends from $-0.5$ to $0.5$. According to a table of the normal distribution, a
+# share of 0.69146 of all values lies below $0.5$, and 0.30854 below $-0.5$. The difference, 0.3829,
+# is the probability of the symbol, which therefore costs $-\log_2 0.3829 = 1.385$ bits. The symbol
+# 1 has the probability 0.2417 and costs 2.049 bits, and the symbol 3 costs 7.386 bits. With the
+# guess $\mu = 3$, the symbol 3 would cost only 1.385 bits: the better guess saves 6 bits.
 
 
 # %%
@@ -97,7 +98,7 @@ lessons.show(figure, "10_areas")
 # $$(\mu, \sigma) = \psi_p(h) \tag{12}$$
 # For the $n$ numbers of an anchor, $\psi_p$ has $2n$ outputs. They are ordered by the groups f, s,
 # l, O; within a group, all means come first, then all logarithms of the standard deviations. Each
-# logarithm is clamped to $[-14, 6]$ (choice `Q8`), so that $\sigma$ is positive, and neither 0 nor
+# logarithm is clamped to $[-14, 6]$ (choice `Q8`), so that $\sigma$ is neither too close to 0 nor
 # infinite.
 
 # %%
@@ -118,14 +119,15 @@ assert np.array_equal(mu[:, 2:5], psi_p[:, 4:7])
 
 # %% [markdown]
 # **The price**, Eq. (11). The area over the bin of $\tilde f_a$ is an integral of the density
-# $\phi$. The function $\Phi(x)$, the share of all values below $x$, turns it into a difference:
+# $\phi$. With the function $\Phi(x)$, the share of all values below $x$, the integral becomes a
+# difference:
 # $$p(\tilde{f}_a)=\int_{\tilde{f}_a-\frac{1}{2}q}^{\tilde{f}_a+\frac{1}{2}q}\phi_{\mu,\sigma}(x)dx
 # = \Phi_{\mu,\sigma}\left(\tilde{f_a}+\frac{1}{2}q\right)
 # - \Phi_{\mu,\sigma}\left(\tilde{f_a}-\frac{1}{2}q\right) \tag{11}$$
-# (In training $\tilde f_a$ is the value with noise, in the file a multiple of $q$.) The bits depend
-# on only two numbers: $z = (\tilde f - \mu)/\sigma$, the distance of the value from the mean, and
-# $w = q/\sigma$, the width of the bin. In these units the bin reaches from $z - w/2$ to $z + w/2$,
-# and the Gaussian is the standard one.
+# (In training, $\tilde f_a$ is the value with noise; in the file, it is a multiple of $q$.) The
+# bits depend on only two numbers: $z = (\tilde f - \mu)/\sigma$, the distance of the value from the
+# mean, and $w = q/\sigma$, the width of the bin. In these units the bin extends from $z - w/2$ to
+# $z + w/2$, and the distribution is the standard normal one.
 
 # %%
 f = mu + sigma * rng.normal(size=(A, n))
@@ -160,11 +162,10 @@ assert close(slope_z, (upper - lower) / p, 1e-8)
 assert close(slope_w, (upper + lower) / (2 * p), 1e-8)
 
 # %% [markdown]
-# Next come the four inputs. From $z = (\tilde f - \mu)/\sigma$ and $w = q/\sigma$, by the quotient
-# rule,
+# Now the four inputs. From $z = (\tilde f - \mu)/\sigma$ and $w = q/\sigma$, by the quotient rule,
 # $$dz = \frac{d\tilde f - d\mu - z\,d\sigma}{\sigma}, \qquad dw = \frac{dq - w\,d\sigma}{\sigma}.$$
-# $\sigma$ divides both numbers, so it receives two terms. The bits are $-\log p/\ln 2$, so every
-# line has the factor $\bar b/(\sigma\ln 2)$:
+# Both numbers are divided by $\sigma$, so its gradient has two terms. The bits are $-\log p/\ln 2$,
+# so every gradient has the factor $\bar b/(\sigma\ln 2)$:
 # $$\bar f = -\frac{\bar b}{\sigma\ln 2}\,slope_z, \quad \bar\mu = -\bar f,
 # \quad \bar q = -\frac{\bar b}{\sigma\ln 2}\,slope_w,$$
 # $$\bar\sigma = \frac{\bar b}{\sigma\ln 2}\,(z\,slope_z + w\,slope_w)$$
@@ -190,10 +191,10 @@ print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
 
 # %% [markdown]
 # In narrow bins the gradients have a simple meaning, because there $slope_z \to -z$ and
-# $slope_w \to 1/w$. The value is pulled towards the mean like by a spring,
-# $\bar f = z/(\sigma\ln 2)$. The step should always grow, because $\bar q = -1/(q\ln 2)$ means that
-# doubling it saves one bit. The standard deviation is at rest where $z^2 = 1$, because
-# $\bar\sigma = (1 - z^2)/(\sigma\ln 2)$.
+# $slope_w \to 1/w$. The value is pulled towards the mean as by a spring,
+# $\bar f = z/(\sigma\ln 2)$. The rate always pushes the step to grow: $\bar q = -1/(q\ln 2)$ means
+# that doubling the step saves one bit. The gradient of the standard deviation,
+# $\bar\sigma = (1 - z^2)/(\sigma\ln 2)$, vanishes at $z^2 = 1$.
 
 # %%
 narrow_q = 1e-4 * sigma
@@ -205,9 +206,9 @@ assert close(narrow["q"], -per_bit / narrow_q, 1e-6)
 assert close(narrow["sigma"], (1 - z**2) / sigma * per_bit, 0.0001)
 
 # %% [markdown]
-# In the backward of Eq. (12), $\sigma = e^{raw}$ gives $\overline{raw} = \sigma\,\bar\sigma$, and 0
-# where the logarithm was clamped. The gradients of the means and of the logarithms go back to their
-# columns, which `prior.layout` lists, and then through the network.
+# In the backward of Eq. (12), $\sigma = e^{raw}$ gives $\overline{raw} = \sigma\,\bar\sigma$, or 0
+# where the logarithm was clamped. The gradients of the means and of the logarithms are written to
+# their columns, which `prior.layout` lists, and then go back through the network.
 
 # %%
 mu_bar = rng.normal(size=(A, n))
@@ -226,7 +227,7 @@ assert not gradients["biases"][0].any()
 
 # %% [markdown]
 # ## Break it
-# Eq. (11) is right, but a computer cannot always evaluate it as printed.
+# Eq. (11) is correct, but a computer cannot always evaluate it as printed.
 #
 # **The printed formula fails in the tails.** Far to the right of the mean, both values of $\Phi$
 # round to 1 and their difference is 0. In `float64` this happens at $z = 9$ with $w = 1$, and in
@@ -246,8 +247,8 @@ assert printed_9 == np.inf
 assert printed_6 == np.inf
 
 # %% [markdown]
-# The Gaussian is symmetric, so we can look at the mirrored bin on the left, where $\Phi$ is small
-# and has all its digits:
+# The Gaussian is symmetric, so we can use the mirrored bin on the left, where $\Phi$ is small and
+# keeps all its digits:
 # $$p = \Phi(-low) - \Phi(-high), \qquad
 # low = |z| - \tfrac{1}{2}w, \quad high = |z| + \tfrac{1}{2}w$$
 # Now the bin at $z = 9$ costs 56.6 bits. If a bin contains the mean, its probability is one minus
@@ -261,8 +262,8 @@ print(f"z = 9 costs {mirrored_9:.1f} bits")
 
 # %% [markdown]
 # At $z = 39$, even $\Phi(-low)$ is too small for a float, but its logarithm is not. SciPy has the
-# function $\mathrm{erfcx}(v) = e^{v^2}\mathrm{erfc}(v)$, which leaves out the factor that becomes
-# so small. With $\Phi(-v) = \frac12\mathrm{erfc}(v/\sqrt2)$, we get
+# function $\mathrm{erfcx}(v) = e^{v^2}\mathrm{erfc}(v)$, which omits the factor that becomes so
+# small. With $\Phi(-v) = \frac12\mathrm{erfc}(v/\sqrt2)$, we get
 # $\log p = \log g - \frac{1}{2}low^2$, where
 # $$g = \tfrac12\bigl(\mathrm{erfcx}(low/\sqrt2)
 # - e^{(low^2 - high^2)/2}\,\mathrm{erfcx}(high/\sqrt2)\bigr).$$
@@ -279,12 +280,12 @@ print(f"z = 40 costs {by_erfcx:.6f} bits")
 
 # %% [markdown]
 # **Narrow bins** have the same problem at any $z$, because both edges have nearly the same $\Phi$.
-# There the density is almost constant over the bin. Its Taylor series about the middle of the bin,
-# integrated term by term, needs no difference of two edges:
+# The density is then almost constant over the bin. If its Taylor series about the middle of the bin
+# is integrated term by term, no difference between two edges is needed:
 # $$p = \phi(z)\,w\,\Bigl(1 + \frac{w^2}{24}(z^2 - 1) + \dots\Bigr)$$
 #
 # The module `likelihood.py` therefore computes $\log p$ with different functions in different
-# regimes: around the mean, beside it, far from it, and in narrow bins.
+# regimes: around the mean, next to it, far from it, and in narrow bins.
 
 # %%
 z_narrow = 0.7
@@ -309,11 +310,11 @@ with np.errstate(divide="ignore"):
 floored = np.minimum(stable, -math.log2(1e-6))
 
 # %% [markdown]
-# **A floor is no remedy.** HAC, the codec of static scenes whose entropy model the paper follows,
-# never lets the probability fall below $10^{-6}$. No number then costs more than 19.93 bits, and
-# nothing is ever infinite. Training runs, and it reports a lower rate than the file will need. But
-# below this floor the gradient is 0. A number 6 standard deviations from the mean is never pulled
-# towards it, although by Eq. (11) it costs 25.7 bits.
+# **A floor does not solve the problem.** HAC, a codec for static scenes whose entropy model the
+# paper follows, never lets the probability fall below $10^{-6}$. No number then costs more than
+# 19.93 bits, and nothing is ever infinite. Training runs, but it reports a lower rate than the file
+# will need, and below the floor the gradient is 0. A number 6 standard deviations from the mean is
+# never pulled towards the mean, although it costs 25.7 bits by Eq. (11).
 
 
 # %%
@@ -337,8 +338,8 @@ assert pull > 8
 assert no_pull == 0
 
 # %% [markdown]
-# Left: the cost of a symbol far from the mean, as printed, with the floor, and in regimes. Right:
-# the error of the probability in narrow bins.
+# Left: the cost of a symbol far from the mean, with the printed formula, with the floor, and in
+# regimes. Right: the error of the probability in narrow bins.
 
 # %%
 figure, (tails, digits) = plt.subplots(1, 2, figsize=(12, 4.8), layout="constrained")
@@ -403,7 +404,7 @@ lessons.finish(
 lessons.show(figure, "10_prior_and_likelihood")
 
 # %% [markdown]
-# The golden vectors find both mistakes, the floor and the printed formula. They fail in the tails
+# The golden vectors find both mistakes, the floor and the printed formula. Both fail in the tails
 # and pass on ordinary inputs.
 
 # %%
@@ -420,11 +421,11 @@ for name, report in (("floor", of_floor), ("printed formula", of_printed)):
 
 # %% [markdown]
 # ## What a codec does with it
-# The entropy coder uses integers only, because a last digit that differs on another machine would
+# The entropy coder uses only integers, because a different last digit on another machine would
 # corrupt everything that follows. $\mu/q$ and $\log_2(\sigma/q)$ are rounded to small fractions,
 # and $p$ becomes a count out of $2^{24}$. For $\mu = 0.3q$ and $\sigma = 1.5q$, the symbol $0$
 # costs 1.947 bits in the file. Eq. (11) gives 1.965. The difference comes from rounding the two
-# parameters: with $0.3125$ and $2^{9/16}$, to which they are rounded, Eq. (11) gives 1.947 as well.
+# parameters: with their rounded values, $0.3125$ and $2^{9/16}$, Eq. (11) gives 1.947 as well.
 
 # %%
 from p4dgs_ref.codec.gaussian_table import gaussian_model
@@ -445,7 +446,7 @@ assert abs(bits_in_file - bits_exact[0, 0]) > 1e-2
 # ## Exercises
 # **10.1** ●● Compute $\log p$ (natural logarithm) of the golden bins `z_golden` and `w_golden`
 # below, as an array of the same length. Here $|z|$ lies between $1$ and $40$, and $w = 1$. The
-# formula with `erfcx` works for all of them if you use $|z|$, and so does `scipy.special.log_ndtr`,
+# formula with `erfcx` works for all of them if you use $|z|$. So does `scipy.special.log_ndtr`,
 # which is $\log\Phi$ with all its digits.
 #
 # **10.2** ●● Write the backward of Eq. (12), with `mlp.forward`, `mlp.backward`, `prior.layout`,
@@ -453,9 +454,9 @@ assert abs(bits_in_file - bits_exact[0, 0]) > 1e-2
 #
 # **10.3** ●●● Write the backward of Eq. (11), with the function `slopes_of_log_p` of this tutorial.
 #
-# **Predict, then run.** A scene changes its unit from metres to millimetres, so that $f$, $\mu$,
-# $\sigma$ and $q$ are all multiplied by $1000$. What happens to the bits, and what to the gradient
-# of $\mu$?
+# **Predict, then run.** The unit of a scene changes from metres to millimetres, so that $f$, $\mu$,
+# $\sigma$ and $q$ are all multiplied by $1000$. What happens to the bits, and what happens to the
+# gradient of $\mu$?
 
 # %%
 case = lessons.golden("gaussian_bin/tails")
@@ -484,10 +485,10 @@ lessons.backward("10.3", my_likelihood_backward, "likelihood")
 
 # %% [markdown]
 # ## Check your port
-# `p4dgs-ref oracle check DIR --only likelihood` and `--only prior` compare what a port wrote; start
+# `p4dgs-ref oracle check DIR --only likelihood` and `--only prior` check what a port wrote; start
 # with the scalar formula, `--only gaussian_bin`. Besides the tails, the usual mistakes are natural
-# logarithms in place of bits, a variance in place of a standard deviation, and a network whose
-# outputs are all means first instead of group by group.
+# logarithms in place of bits, a variance in place of a standard deviation, and a network that
+# returns all means first instead of group by group.
 
 
 # %%
@@ -501,12 +502,14 @@ lessons.passes("likelihood", "prior")
 # features, scales, offset scales and offsets take $1145 + 377 + 484 + 1557 = 3563$ bytes, and the
 # context takes $109$ (`hash_grid`) and $434$ (`context_mlps`). The sum is $4106$ bytes.
 #
-# Measure the same sum for your table, with the same symbols. It consists of their bits by Eq. (11)
-# ($3532$ bytes with the context), $31$ bytes for the coder, the table, and what you keep of the
-# context. If the steps still come from $\psi_q$, this is the grid and $484$ of the $2056$ numbers
-# in `context_mlps`, about $102$ bytes. Fewer than $4106$ bytes is a success.
+# Measure the same sum for your table, with the same symbols. The sum consists of the symbols' bits
+# by Eq. (11) ($3532$ bytes with the context), $31$ bytes for the coder, the table, and what you
+# keep of the context. If the steps still come from $\psi_q$, you keep the grid and $484$ of the
+# $2056$ numbers in `context_mlps`, about $102$ bytes. You have succeeded if you need fewer than
+# $4106$ bytes.
 #
-# To begin, `codec.file.quantised_of(codec.container.open_container(data), 2)` of the package
-# returns the `symbols [199, 34]`, and in `kept` which of them the file holds. In units of its step,
-# every bin has the width $1$. First try a Gaussian for each column, then ask which columns are not
-# Gaussian and which predict each other. What happens to both sums with ten times as many anchors?
+# To begin, call `codec.file.quantised_of(codec.container.open_container(data), 2)` of the package.
+# It returns the `symbols [199, 34]`, and `kept` says which of them the file contains. In units of
+# its step, every bin has the width $1$. First try a Gaussian for each column. Then find out which
+# columns are not Gaussian and which ones predict each other. What happens to both sums with ten
+# times as many anchors?

@@ -13,11 +13,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import oracle
-from p4dgs_ref.equations import anchor_rate, hash_rate, rate_loss
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
-from p4dgs_ref.report.inspect import ledger
 
 plt = lessons.begin("11_rate")
 rng = np.random.default_rng(11)
@@ -49,6 +45,9 @@ print(f"{by_hand:.3f} bits")
 # the file, so they cost nothing.
 
 # %%
+from p4dgs_ref.equations import anchor_rate, hash_rate, rate_loss
+from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
+
 A, k, d = 5, 4, 7
 bits = {
     "bits_f": rng.gamma(2, size=(A, d)),
@@ -196,6 +195,9 @@ assert not hash_gradients([theta], 1.0)[0].any()
 # whose parameters were drawn at random, not trained.
 
 # %%
+from p4dgs_ref import oracle
+from p4dgs_ref.report.inspect import ledger
+
 sections = ledger((oracle.path() / "model.p4dgs").read_bytes())
 IN_13 = ("features", "scales", "offset_scales", "offsets")
 IN_14 = ("hash_grid",)

@@ -15,15 +15,10 @@ from functools import partial
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from p4dgs_ref import load_scene
-from p4dgs_ref.equations import render_loss, ssim, total_loss, window
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close, inner
 
 plt = lessons.begin("12_losses")
 rng = np.random.default_rng(12)
-photo = load_scene("bouncing").test[0].image[12:62, 4:58]
-truth = photo.astype(float) * 0.8 + 0.1  # [50, 54, 3], away from 0 and 1
 
 # %% [markdown]
 # ## Claim
@@ -61,6 +56,14 @@ print(f"SSIM {second_factor:.4f}, rendering loss {0.8 * 0.1 + 0.2 * (1 - second_
 
 
 # %%
+from p4dgs_ref import load_scene
+from p4dgs_ref.equations import render_loss, ssim, total_loss, window
+from p4dgs_ref.lab.school.lessons import close, inner
+
+photo = load_scene("bouncing").test[0].image[12:62, 4:58]
+truth = photo.astype(float) * 0.8 + 0.1  # [50, 54, 3], away from 0 and 1
+
+
 def scipy_window(a):
     return gaussian_filter(
         a,
@@ -313,6 +316,11 @@ for q in np.geomspace(0.01, 0.6, 40):
     distortion.append(L_render)
 rate, distortion = np.array(rate), np.array(distortion)
 
+best = {price: np.argmin(price * rate + distortion) for price in (0.003, 0.01, 0.03, 0.1)}
+chosen = [rate[i] for i in best.values()]
+assert chosen == sorted(chosen, reverse=True)
+
+# %%
 figure, ax = plt.subplots(figsize=(9, 5))
 ax.plot(
     rate,
@@ -322,12 +330,9 @@ ax.plot(
     color="0.6",
     label="one step q each",
 )
-chosen = []
-for price, color in zip((0.003, 0.01, 0.03, 0.1), lessons.COLORS):
-    best = np.argmin(price * rate + distortion)
-    chosen.append(rate[best])
-    reach = rate[best] + np.array([-0.8, 0.8])
-    line = distortion[best] - price * (reach - rate[best])
+for (price, i), color in zip(best.items(), lessons.COLORS):
+    reach = rate[i] + np.array([-0.8, 0.8])
+    line = distortion[i] - price * (reach - rate[i])
     ax.plot(
         reach,
         line,
@@ -335,8 +340,8 @@ for price, color in zip((0.003, 0.01, 0.03, 0.1), lessons.COLORS):
         label=rf"slope $-\lambda$, $\lambda$ = {price}",
     )
     ax.plot(
-        rate[best],
-        distortion[best],
+        rate[i],
+        distortion[i],
         "o",
         ms=11,
         color=color,
@@ -350,7 +355,6 @@ lessons.finish(
     legend={},
 )
 lessons.show(figure, "12_losses_rate")
-assert chosen == sorted(chosen, reverse=True)
 
 # %% [markdown]
 # In this project $\mathcal{L}_{rate}$ is in bits per parameter (`Q12`), so that a value of

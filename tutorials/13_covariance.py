@@ -10,10 +10,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.equations.numerics import normalise, normalise_backward
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close
-from p4dgs_ref.splatting import covariance
 
 plt = lessons.begin("13_covariance")
 rng = np.random.default_rng(13)
@@ -47,6 +44,9 @@ circle = np.stack([np.cos(turn), np.sin(turn)])  # the figures bend it into elli
 
 
 # %%
+from p4dgs_ref.lab.school.lessons import close
+
+
 def flat_rotation(w, z):
     """Return the upper left part of R for x = y = 0."""
     return np.array([[1 - 2 * z * z, -2 * w * z], [2 * w * z, 1 - 2 * z * z]])
@@ -114,6 +114,10 @@ lessons.show(
 
 
 # %%
+from p4dgs_ref.equations.numerics import normalise, normalise_backward
+from p4dgs_ref.splatting import covariance
+
+
 def transposed(matrices):
     """Return the transposes of matrices [N, 3, 3]."""
     return matrices.transpose(0, 2, 1)
@@ -312,6 +316,7 @@ assert losses[-1] < 1e-5 * losses[0]
 assert close(scale, [[1.6, 0.5, 0.4]], 0.01)
 
 
+# %%
 def outline(Sigma):
     """Return the one-sigma ellipse of a covariance [2, 2]."""
     return np.linalg.cholesky(Sigma) @ circle

@@ -12,10 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from p4dgs_ref.equations.numerics import normalise
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close
-from p4dgs_ref.splatting import covariance, projection
 
 plt = lessons.begin("14_projection")
 rng = np.random.default_rng(14)
@@ -50,6 +47,8 @@ h = 1e-6
 # pixels. The conic is the inverse, 0.049 per square pixel.
 
 # %%
+from p4dgs_ref.lab.school.lessons import close
+
 f, c = 80, 31.5
 
 
@@ -161,6 +160,9 @@ lessons.show(
 # clamp applies to it.
 
 # %%
+from p4dgs_ref.equations.numerics import normalise
+from p4dgs_ref.splatting import covariance, projection
+
 N = 5
 r, _ = normalise(rng.normal(size=(N, 4)))
 Sigma, _ = covariance.forward(rng.uniform(0.1, 0.5, (N, 3)), r)
@@ -372,6 +374,7 @@ assert np.abs((of_mean * grid).sum(axis=1)).max() < 1e-13
 assert (of_size[:, 2] < 0).all()
 
 
+# %%
 def draw_arrows(ax, arrows, color, title):
     """Draw the gradients of the Gaussians on the grid, seen from above."""
     x, _, z = grid.T

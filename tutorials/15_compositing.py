@@ -1,9 +1,9 @@
 # %% [markdown]
 # # Support: from splats to a pixel's colour, and back in one sweep
 #
-# **Promise.** After this you can composite splats by hand, and derive the gradient of every opacity
-# in one sweep from back to front. **Before it:** `14_projection`. **Takes** three seconds of
-# machine time on two cores, 35 minutes of reading and 50 of exercises.
+# **Promise.** After this tutorial you can composite splats by hand, and derive the gradient of
+# every opacity in one sweep from back to front. **Before it:** `14_projection`. **Takes** three
+# seconds of machine time on two cores, 35 minutes of reading and 50 of exercises.
 #
 # **Files:** [compositing.py](../p4dgs_ref/splatting/compositing.py),
 # [loop.py](../p4dgs_ref/splatting/loop.py), [fast.py](../p4dgs_ref/splatting/fast.py).
@@ -11,10 +11,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import SETTINGS
-from p4dgs_ref.lab.random_inputs import random_splats
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.splatting import compositing, loop
 
 plt = lessons.begin("15_compositing")
 rng = np.random.default_rng(15)
@@ -27,15 +24,15 @@ def inner(a, b):
 
 # %% [markdown]
 # ## Claim
-# A pixel $p$ looks through all splats, the nearest first. Each splat contributes its colour,
-# dimmed by the splats in front of it:
+# A pixel $p$ sees all splats, the nearest one first. Each splat contributes its colour, dimmed by
+# the splats in front of it:
 # $$C(p) = \sum_i c_i\,\alpha_i(p)\,T_i(p) + T_N(p)\,c_{bg},\qquad T_i = \prod_{j<i}(1-\alpha_j),$$
 # $$\alpha_i(p) = \min\bigl(0.99,\ \alpha_i\,e^{-\frac12 (p-\mu_i)^T K_i (p-\mu_i)}\bigr).$$
-# $T_i$ is the *transmittance* in front of splat $i$, the share of light that the splats before it
-# let through. The product $\alpha_i T_i$ is the splat's *weight*. $K_i$ is the conic of
+# $T_i$ is the *transmittance* in front of splat $i$, the share of light that the splats in front of
+# it let through. The product $\alpha_i T_i$ is the splat's *weight*. $K_i$ is the conic of
 # `14_projection`, $\alpha_i$ the opacity of Eq. (3), and $N$ the number of splats. The limit of
 # $0.99$ guarantees that every splat lets some light through. The paper does not print this sum,
-# because it takes it unchanged from 3D Gaussian splatting.
+# because the sum comes unchanged from 3D Gaussian splatting.
 
 # %% [markdown]
 # ## By hand
@@ -57,11 +54,11 @@ assert np.isclose(pixel, 0.65)
 assert np.isclose(weight.sum() + T[3], 1)
 
 # %% [markdown]
-# The weights and the share that is left for the background add up to one, so no light is lost.
-# The same value can be computed from the *back*, by placing one layer after another in front of
-# what has been composited so far. Let $B_i$ be the colour that is seen behind layer $i$:
+# The weights and the share that is left for the background add up to one, so no light is lost. The
+# same value can be computed from the *back*, by adding one layer after another in front of the
+# result so far. Let $B_i$ be the colour that is seen behind layer $i$:
 # $$B_{N-1} = c_{bg},\qquad B_{i-1} = \alpha_i c_i + (1-\alpha_i)\,B_i,\qquad C = B_{-1}.$$
-# This second way is introduced here because the whole backward pass is built on it.
+# We introduce this second way because the whole backward pass is built on it.
 
 # %%
 behind = [background]  # B_2, B_1, B_0, B_-1
@@ -69,6 +66,7 @@ for a, c in zip(alpha[::-1], gray[::-1]):
     behind.append(a * c + (1 - a) * behind[-1])
 assert np.isclose(behind[-1], pixel)
 
+# %%
 figure, (light, over) = plt.subplots(1, 2, figsize=(12, 4.8), layout="constrained")
 light.bar(range(4), T, color="0.85", label="light that arrives, $T_i$")
 light.bar(
@@ -128,6 +126,9 @@ lessons.show(
 # in front of it. Splats are sorted by depth; splats of equal depth keep the order of their index.
 
 # %%
+from p4dgs_ref.lab.random_inputs import random_splats
+from p4dgs_ref.splatting import compositing, loop
+
 height, width = 24, 32
 splats = random_splats(rng, 6, height, width, sigma=(2.5, 6.0))
 inputs = dict(
@@ -158,14 +159,16 @@ assert np.allclose(image, by_hand.reshape(height, width, 3), rtol=1e-12)
 assert np.allclose(transmittance.ravel(), T_N, rtol=1e-12)
 
 # %% [markdown]
-# The package contains this computation three times. `splatting/loop.py` is the one to read first:
-# it draws one Gaussian after another, front to back, each on its own rectangle of pixels, and
-# keeps one transmittance per pixel. `splatting/compositing.py` is the exact version that
-# evaluates every Gaussian at every pixel, as we just did. `splatting/fast.py` is the version that
-# training uses; it sorts Gaussians into tiles. A test compares the three, and here the loop
-# agrees with our array code.
+# The package contains this computation three times. Read `splatting/loop.py` first: it draws one
+# Gaussian after another, front to back, each on its own rectangle of pixels, and keeps one
+# transmittance per pixel. `splatting/compositing.py` is the exact version that evaluates every
+# Gaussian at every pixel, as we just did. `splatting/fast.py` is the version that training uses; it
+# sorts Gaussians into tiles. A test compares the three, and here the loop agrees with our array
+# code.
 
 # %%
+from p4dgs_ref import SETTINGS
+
 a_all, b_all, c_all = splats["conic"].T
 det = a_all * c_all - b_all**2
 cov2d = np.stack([c_all, -b_all, a_all], axis=1) / det[:, None]
@@ -181,8 +184,8 @@ assert np.allclose(looped, image, rtol=1e-12)
 # **One layer**, with a gray value: $C = \alpha c + (1-\alpha)B$. Let $g = \bar C$ be the
 # cotangent of the pixel. Then $\bar c = \alpha g$, $\bar B = (1-\alpha)g$, and
 # $$\bar\alpha = (c - B)\,g.$$
-# In words, a higher opacity helps only if the layer's colour is better than the colour it hides.
-# With $c = 0.5$, $B = 1$ and $g = 2$ the gradient is -1.
+# In words, a higher opacity helps only if the layer's colour is better than the colour that it
+# hides. With $c = 0.5$, $B = 1$ and $g = 2$ the gradient is -1.
 
 # %%
 value, hidden, g = 0.5, 1, 2
@@ -196,9 +199,8 @@ by_difference = g * (one_layer(0.8 + h) - one_layer(0.8 - h)) / (2 * h)
 assert np.isclose(by_difference, (value - hidden) * g)
 
 # %% [markdown]
-# **Many layers.** Layer $i$ and everything behind it is seen through the transmittance $T_i$,
-# which does not depend on $\alpha_i$. The colour of the pixel can therefore be split at layer
-# $i$:
+# **Many layers.** Layer $i$ and everything behind it are seen through the transmittance $T_i$,
+# which does not depend on $\alpha_i$. The colour of the pixel can therefore be split at layer $i$:
 # $$C = \sum_{j<i} c_j\alpha_jT_j \;+\; T_i\,\bigl(\alpha_i c_i + (1-\alpha_i)\,B_i\bigr)
 #   \;\Longrightarrow\; \bar\alpha_i = T_i\,(c_i - B_i)\,g.$$
 
@@ -217,11 +219,11 @@ for i in range(3):
 print("gradient of the three opacities:", alpha_bar.round(4))
 
 # %% [markdown]
-# This needs no division and only one sweep from the back, in which `behind` is updated by
+# This formula needs no division and only one sweep from the back, in which `behind` is updated by
 # $B_{i-1} = B_i + \alpha_i(c_i - B_i)$. With colours, $g$ has three entries. Everything is linear
-# in the colours, so the sweep can carry the numbers $v_i = c_i\cdot g$ in their place. If the
-# transmittance is an output too, its cotangent $\bar T_N$ is added to the value of the
-# background: the sweep then starts with `background @ g + T_bar`.
+# in the colours, so the sweep can use the numbers $v_i = c_i\cdot g$ instead of colours. If the
+# transmittance is also an output, its cotangent $\bar T_N$ is added to the value of the background:
+# the sweep then starts with `background @ g + T_bar`.
 
 # %%
 image_bar = rng.normal(size=(height, width, 3))
@@ -243,7 +245,7 @@ assert np.allclose(ours["background"], T_N @ G, rtol=1e-10)
 # $\alpha(p) = \alpha\,e^{-\frac12 k e^2}$ with $e = p - \mu$. The differential of its logarithm
 # is
 # $$d\log\alpha(p) = \frac{d\alpha}{\alpha} - \tfrac12 e^2\,dk + k\,e\,d\mu.$$
-# The last sign is a plus because $e$ decreases when $\mu$ increases. Where the limit of $0.99$ is
+# The last sign is positive because $e$ decreases when $\mu$ increases. Where the limit of $0.99$ is
 # active, the gradient is zero.
 
 # %%
@@ -312,12 +314,12 @@ by_gradient = sum(inner(ours[name], d[name]) for name in moved)
 assert abs(by_difference - by_gradient) < 1e-6 * abs(by_difference)
 
 # %% [markdown]
-# How does each pixel pull on a splat? The next picture shows two round splats, of which the
-# front one is in the wrong place, and the loss $\frac12\|C - C^*\|^2$ against the correct picture
-# $C^*$. A pixel pulls an opacity up where more of the splat is missing, and down where the splat
-# hides something that should be seen. The strength of this pull is $-T_i\,(c_i - B_i)\cdot g$. If
-# each pull is multiplied by $\alpha_i(p)\,K_i(p - \mu_i)$, as derived above, the sum over all
-# pixels is the arrow that moves the splat.
+# How does each pixel pull on a splat? The next picture shows two round splats. The front one is in
+# the wrong place, and the loss $\frac12\|C - C^*\|^2$ compares the result with the correct picture
+# $C^*$. A pixel pulls an opacity up where the pixel needs more of the splat, and down where the
+# splat hides something that should be visible. The strength of this pull is
+# $-T_i\,(c_i - B_i)\cdot g$. If each pull is multiplied by $\alpha_i(p)\,K_i(p - \mu_i)$, as
+# derived above, the sum over all pixels is the arrow that moves the splat.
 
 # %%
 front = np.array([0.9, 0.6, 0])
@@ -356,17 +358,29 @@ pulls = [
 for pull, fall, gradient in zip(pulls, falls, bars["alpha"]):
     assert np.isclose(-inner(pull, fall), gradient, rtol=1e-10)
 
-figure, panels = plt.subplots(1, 4, figsize=(12, 3.7), layout="constrained", sharey=True)
+# %%
+figure, panels = plt.subplots(
+    2,
+    2,
+    figsize=(9, 7),
+    layout="constrained",
+    sharex=True,
+    sharey=True,
+)
 names = ("as it is", "as it should be", "pull at the front splat", "pull at the back splat")
-for ax, picture, name in zip(panels, (seen, target, *pulls), names):
+for ax, picture, name in zip(panels.flat, (seen, target, *pulls), names):
     shown = ax.imshow(picture, cmap="PuOr", vmin=-0.6, vmax=0.6)
-    lessons.finish(
-        ax,
-        title=name,
-        xlabel="u (pixels)",
-        grid=False,
+    lessons.finish(ax, title=name, grid=False)
+for ax, mean, mean_bar, k in zip(panels[1], pair["mean2d"], bars["mean2d"], sharpness):
+    ax.add_patch(
+        plt.Circle(
+            mean,
+            k**-0.5,
+            fill=False,
+            ls="--",
+            lw=2,
+        )
     )
-for ax, mean, mean_bar in zip(panels[2:], pair["mean2d"], bars["mean2d"]):
     ax.quiver(
         *mean,
         *(-5 * mean_bar),
@@ -375,12 +389,16 @@ for ax, mean, mean_bar in zip(panels[2:], pair["mean2d"], bars["mean2d"]):
         scale=1,
         width=0.02,
     )
-panels[0].set_ylabel("v (pixels)")
-figure.colorbar(shown, ax=panels, label=r"$-\bar\alpha_i(p)$: more (+) or less", shrink=0.7)
+figure.supxlabel("u (pixels)")
+figure.supylabel("v (pixels)")
+figure.colorbar(
+    shown, ax=panels[1], label=r"$-\bar\alpha_i(p)$: more (+) or less", location="right"
+)
 lessons.show(
     figure,
     "15_compositing",
-    title=r"Every pixel pulls at every splat that covers it; the arrows are $-5\,\bar\mu$",
+    title="Every pixel pulls on every splat that covers it\n"
+    r"(dashed: one sigma of the splat; arrows: $-5\,\bar\mu$)",
 )
 
 # %% [markdown]
@@ -389,12 +407,13 @@ lessons.show(
 # behind layer $i$ to the pixel:
 # $$S_i = T_i\,(1-\alpha_i)\,B_i = \sum_{j>i} c_j\alpha_jT_j + T_N c_{bg} \quad\Longrightarrow\quad
 #   \bar\alpha_i = T_ic_i - \frac{S_i}{1-\alpha_i}.$$
-# Published kernels and `00_whole_paper` use it. It divides, so that an opaque layer gives $0/0$,
-# but below the limit of $0.99$ it is as good as the sweep, *if $S_i$ is a sum from the back*. It is
-# tempting to save this sum: a kernel that keeps the pixel $C$ of the forward pass can walk from the
-# front and subtract what it has passed, $S_i = C - \sum_{j\le i} c_j\alpha_jT_j$. Shapes and signs
-# are right, and on ordinary pixels the result is right too. But behind opaque layers $S_i$ is much
-# smaller than $C$, and a small difference of two large numbers keeps none of their digits.
+# Published kernels and `00_whole_paper` use this formula. Because of its division, an opaque layer
+# would give $0/0$, but below the limit of $0.99$ the formula is as good as the sweep, *if $S_i$ is
+# a sum from the back*. It is tempting to avoid this sum: a kernel that keeps the pixel $C$ of the
+# forward pass can go from front to back and subtract the contributions that it has passed,
+# $S_i = C - \sum_{j\le i} c_j\alpha_jT_j$. Shapes and signs are right, and on ordinary pixels the
+# result is right too. But behind opaque layers $S_i$ is much smaller than $C$, and a small
+# difference between two large numbers has no correct digits.
 
 
 # %%
@@ -445,6 +464,7 @@ opaque = np.array([0.5, 1.0]), np.array([0.3, 0.6])
 assert np.isfinite(slopes_of(by_sweep, *opaque, np.float64)).all()
 assert np.isnan(slopes_of(by_division, *opaque, np.float64)[1])
 
+# %%
 figure, ax = plt.subplots(figsize=(9, 4.8))
 ax.semilogy(errors["by_sweep"], "o-", ms=4, label="sweep from the back")
 ax.semilogy(errors["by_division"], "D:", ms=4, label="division, $S_i$ summed from the back")
@@ -485,11 +505,12 @@ print(f"without hiding {inner(wrong, d['alpha']):.4f}")
 
 # %% [markdown]
 # ## What a codec does with it
-# A splat that contributes nothing to any picture costs as many bits as any other. How much it
-# contributes, $\sum_p \alpha_i(p)\,T_i(p)$, is what the backward pass returns as $\bar c_i$ for a
-# cotangent of one. Of 400 random splats, the half that contributes most reproduces the image at
-# about 30 dB on its own. For this reason training masks children for good whose opacity stays
-# small (choice Q15; `reference.md` lists all choices), and their offsets cost no bits in the file.
+# A splat that contributes nothing to any picture costs as many bits as any other. The contribution
+# of a splat, $\sum_p \alpha_i(p)\,T_i(p)$, is the value that the backward pass returns as
+# $\bar c_i$ for a cotangent of one. Of 400 random splats, the half that contributes most reproduces
+# the image at about 30 dB on its own. For this reason training permanently masks children whose
+# opacity stays small (choice Q15; `reference.md` lists all choices), and their offsets cost no bits
+# in the file.
 
 # %%
 many = dict(
@@ -523,8 +544,9 @@ assert psnr_of(~most) < 15
 #
 # **15.3** ●●● Write its backward pass. Rows that are not visible get the gradient zero.
 #
-# **Predict, then run.** A port multiplies up transmittances in float16, through layers of opacity
-# $0.9$. After how many layers is the transmittance exactly zero? Is it visible in the picture?
+# **Predict, then run.** A port computes transmittances as products in float16, through layers of
+# opacity $0.9$. After how many layers is the transmittance exactly zero? Is the error visible in
+# the picture?
 
 # %%
 answer_1 = ...
@@ -568,8 +590,8 @@ lessons.backward("15.3", my_backward, "compositing")
 # ## Check your port
 # `p4dgs-ref oracle check DIR --only compositing` reads the arrays that a port wrote and compares
 # them with the golden vectors. Ports go wrong at equal depths, where the index decides the order,
-# and at the limit of $0.99$: this project's gradient is zero there, whereas the published kernel
-# lets it pass.
+# and at the limit of $0.99$: above it, this project's gradient is zero, whereas the published
+# kernel lets the gradient pass.
 
 # %%
 lessons.passes("compositing")

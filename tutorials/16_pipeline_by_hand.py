@@ -1,9 +1,10 @@
 # %% [markdown]
 # # Eq. (1) to Eq. (17): the whole pipeline by hand, one anchor and one pixel
 #
-# **Promise.** After this you have followed one anchor through every equation, to a colour and to a
-# number of bits, with code as simple as a pocket calculator. **Before it:** `01_offsets` to
-# `15_compositing`. **Takes** two seconds on two cores, 40 minutes of reading and 50 of exercises.
+# **Promise.** After this tutorial you have followed one anchor through every equation, to a colour
+# and to a number of bits, with code as simple as a pocket calculator. **Before it:** `01_offsets`
+# to `15_compositing`. **Takes** two seconds on two cores, 40 minutes of reading and 50 of
+# exercises.
 #
 # **Files:** [model.py](../p4dgs_ref/model.py), [render.py](../p4dgs_ref/splatting/render.py),
 # [objective.py](../p4dgs_ref/training/objective.py).
@@ -24,10 +25,10 @@ def say(name, values):
 
 # %% [markdown]
 # ## Claim
-# Fifteen tutorials made one part each. Here the parts become one machine. Two chains of computation
-# start at an anchor. The first asks what we *see*: anchor, Gaussians, Gaussians at time $t$,
-# $C(p)$, the colour of a pixel $p$, and its error. The second asks what we *pay*: position, hash
-# feature, steps and probabilities, bits. Eq. (15) adds the two together.
+# Fifteen tutorials explained one part each. This one connects them. Two chains of computation start
+# at an anchor. The first computes what we *see*: the Gaussians, the Gaussians at time $t$, the
+# colour $C(p)$ of a pixel $p$, and its error. The second computes what we *pay*: the hash feature
+# at the anchor's position, steps and probabilities, and bits. Eq. (15) adds the two results.
 # $$\begin{gathered}
 #   \text{anchor} \xrightarrow{(1)-(4)} \text{Gaussians} \xrightarrow{(5), (6)}
 #   \text{Gaussians at } t \to C(p) \xrightarrow{(16)} \mathcal{L}_{render}\\
@@ -35,12 +36,11 @@ def say(name, values):
 #   \xrightarrow{(7), (11)} \text{bits} \xrightarrow{(13), (14), (17)} \mathcal{L}_{rate}
 #   \end{gathered}$$
 #
-# Training asks the question the other way round: if the loss should fall, how should each number of
-# the anchor change? The backward therefore follows the same arrows from right to left. No other
-# order is possible. How a child should move depends on how its splat should move, and this depends
-# on how the pixel should change. So compositing answers before projection, projection before the
-# deformation, and the deformation before Eqs. (4) to (1). Read the map down for the forward and up
-# for the backward:
+# Training asks the opposite question: how should each number of the anchor change to reduce the
+# loss? The backward therefore follows the same arrows from right to left. No other order is
+# possible, because the gradient of a child depends on the gradient of its splat, which depends on
+# the gradient of the pixel. So the backward goes through compositing, projection and deformation to
+# Eqs. (4) to (1). Read the table downwards for the forward and upwards for the backward:
 #
 # | stage | reads | makes | backward: from gradients of | to gradients of |
 # |---|---|---|---|---|
@@ -50,14 +50,14 @@ def say(name, values):
 # | compositing | splats | picture | picture | splats |
 # | (16) | picture, truth | $\mathcal{L}_{render}$ | $\mathcal{L}_{render}$ | picture |
 #
-# Where one number feeds several arrows, their gradients add up. The feature $f_a$ feeds four
-# networks of the first chain and is itself priced in the second. So it hears five opinions: four
-# say what would make the picture better, and one what would make the file smaller.
+# Where one number is used several times, its gradients add up. The feature $f_a$ is an input of
+# four networks in the first chain, and the second counts its bits. It therefore receives five
+# gradients: four to improve the picture, and one to make the file smaller.
 
 # %% [markdown]
 # ## By hand
 # Our model has one anchor, at the origin, with the features $(0.5, -1)$ and $k = 2$ children. The
-# camera stands at $(0, 0, -4)$ and looks along the z axis. The weights of the networks are random
+# camera is at $(0, 0, -4)$ and looks along the z axis. The weights of the networks are random
 # multiples of one sixteenth. An anchor network has 2 + 1 + 3 = 6 inputs, namely the features, the
 # distance and the direction, and one hidden layer of 3 units.
 
@@ -111,8 +111,8 @@ assert design.layers()["psi_alpha"] == [(6, 3), (3, 2)]
 
 # %% [markdown]
 # **View**, Eq. (2): the distance is 4 and the direction $(0, 0, 1)$. **Offsets**, Eq. (1): the
-# children stand at $(0.25, 0, 0)$ and $(-0.25, 0.25, 0.5)$. **Prediction**, Eqs. (3) and (4):
-# four networks read the features, the distance and the direction, and return opacities, colours,
+# children are at $(0.25, 0, 0)$ and $(-0.25, 0.25, 0.5)$. **Prediction**, Eqs. (3) and (4): four
+# networks read the features, the distance and the direction, and return opacities, colours,
 # rotations and scales.
 
 
@@ -205,8 +205,8 @@ say("changes of child 0", np.concatenate(delta))
 
 # %% [markdown]
 # **Projection.** The camera is not rotated, so camera coordinates are $x' - x_c$. With a focal
-# length of 40 pixels and the optical axis at pixel $(16, 12)$ we get a mean, and a covariance
-# $J\Sigma J^T + 0.3\,I$ in square pixels. Its inverse is the conic.
+# length of 40 pixels and the optical axis at pixel $(16, 12)$ we get a mean in pixels and a
+# covariance $J\Sigma J^T + 0.3\,I$ in square pixels. The inverse of this covariance is the conic.
 
 
 # %%
@@ -249,7 +249,7 @@ for name in splat(moved[0]):
 
 # %% [markdown]
 # **Compositing** at pixel $(18, 12)$, from front to back. Each splat takes a share of the light,
-# its opacity at this pixel, and leaves the rest to the splats behind it.
+# which is its opacity at this pixel, and leaves the rest to the splats behind it.
 
 
 # %%
@@ -277,13 +277,13 @@ say("weights, background last", [w for w, _ in parts])
 say("red, green, blue of p", pixel)
 
 # %% [markdown]
-# **The rate.** The anchor stands in the middle of a box that reaches from -1 to 1. At this point
-# every level of the hash grid, Eq. (9), returns the plain mean of its signs, 8 of them in the 3D
-# level and 4 in each 2D level. These four means are the hash feature $h$. From $h$, two networks
-# compute steps, means and standard deviations, Eqs. (8) and (12). The 2 + 3 + 3 + 6 = 14
-# attributes of the anchor are priced by Eq. (11), and the 20 signs of the grid by Eq. (14). The
-# noise of Eq. (7) is random; ours happens to be 0. Eqs. (13) and (17) add everything up, and the
-# sum is divided by 14 (choice Q12; `reference.md` lists all choices).
+# **The rate.** The anchor is in the middle of a box that extends from -1 to 1. At this point every
+# level of the hash grid, Eq. (9), returns the plain mean of its signs: 8 signs in the 3D level and
+# 4 in each 2D level. These four means are the hash feature $h$. From $h$, two networks compute
+# steps, means and standard deviations, Eqs. (8) and (12). The anchor has $2 + 3 + 3 + 6 = 14$
+# attributes, whose bits Eq. (11) gives. Eq. (14) gives those of the 20 signs of the grid. The noise
+# of Eq. (7) is random; here we set it to 0. Eqs. (13) and (17) add everything up, and the sum is
+# divided by 14 (choice Q12; `reference.md` lists all choices).
 
 # %%
 levels = [draw(T, F) for T, F in design.levels()]
@@ -329,9 +329,10 @@ say("bits of f, s, l, O", bits)
 say("R_anchor, R_hash, L_rate", [R_anchor, R_hash, L_rate])
 
 # %% [markdown]
-# **The loss.** Let the true picture be our own picture of 33 x 25 pixels, except that our pixel
-# is gray, 0.5. With $\lambda_{SSIM} = 0$, Eq. (16) is then the error of this one pixel divided by
-# the 2475 numbers of the picture. With $\lambda_{rate} = 0.001$, Eq. (15) completes the pipeline.
+# **The loss.** Let the true picture be our own picture of 33 x 25 pixels, except that our pixel has
+# the gray value 0.5. With $\lambda_{SSIM} = 0$, Eq. (16) is then the error of this one pixel
+# divided by the 2475 numbers of the picture. With $\lambda_{rate} = 0.001$, Eq. (15) completes the
+# pipeline.
 
 # %%
 gray = 0.5
@@ -342,9 +343,9 @@ print(f"L_render {L_render:.6f}, L_total {L_total:.6f}")
 
 # %% [markdown]
 # ## In code
-# The package does the same in four calls. `predict` is Fig. 1 up to the Gaussians at time $t$,
+# The package does this in four calls. `predict` is Fig. 1 up to the Gaussians at time $t$,
 # `render.forward` is the last box of Fig. 1, `context` is the first half of Fig. 2, and
-# `objective.loss` runs both chains and adds them up. All four must return our numbers. The
+# `objective.loss` runs both chains and adds their results. All four must return our numbers. The
 # pixel $(u, v)$ of a picture is `image[v, u]`.
 
 # %%
@@ -505,8 +506,8 @@ lessons.show(figure, "16_pipeline_by_hand")
 # %% [markdown]
 # ## Backward by hand
 # How does the blue value of the pixel depend on feature 0? There are many paths. One of them goes
-# through child 0's blue, $c$. Follow it backwards from the pixel, and sum over the hidden units $m$
-# of $\psi_c$ that are active (their input is positive, so the ReLU passes the gradient):
+# through the blue value $c$ of child 0. Follow it backwards from the pixel, and sum over the active
+# hidden units $m$ of $\psi_c$ (their input is positive, so the ReLU passes the gradient):
 # $$\frac{\partial C_{blue}}{\partial f_0} = \underbrace{\alpha_0 T_0}_{weight}\cdot
 #   \underbrace{c(1-c)}_{sigmoid'}\cdot
 #   \sum_{m:\,\text{active}} W^0_{0,m}\,W^1_{m,2} + \text{other paths}.$$
@@ -536,12 +537,12 @@ assert math.isclose(feature_0_bar(color_bar=color_bar), path, rel_tol=1e-10)
 say("weight, slope, product", [weight, blue * (1 - blue), path])
 
 # %% [markdown]
-# Now all paths together. We put a 1 at the blue value of our pixel and 0 everywhere else, and walk
-# the map from right to left: `render.backward` returns the gradients of all Gaussians at $t$, and
-# `back_g` takes them back through Eqs. (6) to (1), where each of the four networks adds its share
-# to the gradient of $f_0$. The positions add nothing, because Eq. (1) contains no feature. We check
-# the sum with a finite difference, computed with our pocket-calculator code. So this one number
-# tests fifteen tutorials of derivations.
+# Now take all paths together. We set the cotangent of our pixel's blue value to one and all others
+# to zero. `render.backward` returns the gradients of all Gaussians at $t$, and `back_g` takes them
+# back through Eqs. (6) to (1), where each of the four networks adds its share to the gradient of
+# $f_0$. The positions add nothing, because Eq. (1) contains no feature. We compare the sum with a
+# finite difference of our pocket-calculator code. This single number tests the derivations of
+# fifteen tutorials.
 
 
 # %%
@@ -569,9 +570,9 @@ print(f"together {together:+.6f}, by differences {by_difference:+.6f}")
 # ## Break it
 # Suppose we forget to normalise the quaternion after adding $\Delta r$. This mistake is easy to
 # make, because Eq. (6) does not print the normalisation (choice Q9). The picture still looks right:
-# a quaternion of another length rotates and stretches the splat only a little differently, and no
-# pixel changes by more than 0.1. The golden vectors of this stage compare $r'$ itself, so they find
-# the mistake and name Eq. (6).
+# with a quaternion of another length, the splat is rotated and stretched only a little differently,
+# and no pixel changes by more than 0.1. The golden vectors of this stage compare $r'$ itself, so
+# they find the mistake and name Eq. (6).
 
 
 # %%
@@ -597,8 +598,8 @@ assert 0 < change < 0.1
 # ## What a codec does with it
 # The file holds the seven networks in `float16`, one sign for each entry of the grid, sixteen
 # bits per axis for the anchor's position, and the 14 attributes rounded to multiples of their
-# steps, Eq. (10). `float16` holds our weights exactly. So only the rounding and the position change
-# the pixel, here by less than 0.1.
+# steps, Eq. (10). Our weights are exact in `float16`. Therefore only the rounding of the attributes
+# and of the position changes the pixel, here by less than 0.1.
 
 # %%
 from p4dgs_ref.codec.quantise import quantise
@@ -615,14 +616,15 @@ print(f"the pixel before {np.round(pixel, 4)} and after {np.round(again, 4)}")
 
 # %% [markdown]
 # ## Exercises
-# **16.1** ● What is the pixel's colour, three numbers, at $t = 0$? (At $t = 0.5$ it is `pixel`.)
+# **16.1** ● What is the colour of the pixel at $t = 0$, as three numbers? (At $t = 0.5$ it is
+# `pixel`.)
 #
 # **16.2** ●● Write Eqs. (1) to (4) and the masking for arrays. If `effects` lacks `view_geometry`,
 # the networks $\psi_\alpha$, $\psi_r$ and $\psi_s$ read the features only. If it lacks
 # `view_color`, the same holds for $\psi_c$. To leave the view out, give a network two arrays of
-# shape `(A, 0)` in the place of the outputs of Eq. (2).
+# shape `(A, 0)` in place of the outputs of Eq. (2).
 #
-# **16.3** ●●● Write the backward of all of them together. You may use the modules of
+# **16.3** ●●● Write the backward of all these equations together. You may use the modules of
 # `p4dgs_ref.equations`, because the exercise is about how they are connected.
 #
 # **Predict, then run.** The anchor and the camera move together by $(1, 0, 0)$. Which of the
@@ -656,8 +658,8 @@ lessons.backward("16.3", my_backward, "spatial_prediction", "x_a", "f_a", "s_a",
 # ## Check your port
 # `p4dgs-ref oracle check DIR --only frames` compares whole pictures of a trained model, so run it
 # last. The port below decodes the model from its file and renders it with the cameras of the
-# vectors. If frames differ although all single equations agree, the connections between them are
-# wrong: the order of features, distance and direction, the camera's centre, or the depth order.
+# vectors. If frames differ although all single equations agree, a connection between them is wrong:
+# the order of features, distance and direction, the camera's centre, or the depth order.
 
 # %%
 trained = decode((oracle.path() / "model.p4dgs").read_bytes())

@@ -14,18 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref import PRESETS, SETTINGS, decode, encode, evaluate, load_scene
-from p4dgs_ref.equations import rounding
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.model import Context
-from p4dgs_ref.training import objective
-from p4dgs_ref.training.loop import psnr
-from p4dgs_ref.training.parameters import Parameters
-from p4dgs_ref.training.presets import choose
-from p4dgs_ref.training.trainer import LEARNING_RATES, Trainer
 
 plt = lessons.begin("17_four_stages")
-paper = PRESETS["paper_synthetic"]
 
 # %% [markdown]
 # ## Claim
@@ -45,6 +36,10 @@ paper = PRESETS["paper_synthetic"]
 # 4999 still belongs to stage 2. Stage 4 has 75 percent of all iterations.
 
 # %%
+from p4dgs_ref import PRESETS, SETTINGS, decode, encode, evaluate, load_scene
+
+paper = PRESETS["paper_synthetic"]
+
 lasts = np.diff(paper.stage_ends, prepend=0)
 assert lasts.tolist() == [3000, 2000, 5000, 30000]
 assert [paper.stage(i) for i in (0, 4999, 5000, 10_000)] == [1, 2, 3, 4]
@@ -81,6 +76,11 @@ assert np.isclose(slope, 2 * (f - 1))
 # bouncing balls, and record after each stage which arrays have moved.
 
 # %%
+from p4dgs_ref.training.loop import psnr
+from p4dgs_ref.training.parameters import Parameters
+from p4dgs_ref.training.presets import choose
+from p4dgs_ref.training.trainer import LEARNING_RATES, Trainer
+
 scene = load_scene("bouncing")
 ends = (60, 90, 330, 530)
 changes = dict(
@@ -198,6 +198,7 @@ pictures = [model.render(view.camera, time).clip(0, 1) for model, time in zip(sn
 errors = [np.abs(picture - view.image).mean() for picture in pictures]
 assert errors[2] < 0.7 * errors[1]
 
+# %%
 figure, panels = plt.subplots(1, 5, figsize=(14, 4.2), layout="constrained")
 names = ("1 still", "2 noise", "3 time", "4 rate")
 for ax, picture, name in zip(panels, pictures, names):
@@ -228,6 +229,8 @@ lessons.show(
 # influences separately with finite differences.
 
 # %%
+from p4dgs_ref.training import objective
+
 rng = np.random.default_rng(17)
 
 
@@ -319,6 +322,9 @@ for stage, p, on in saved:
 
 
 # %%
+from p4dgs_ref.equations import rounding
+
+
 def rounded_to(values, Q):
     flat = values.reshape(len(values), -1)
     (_, f_hat), _ = rounding.forward(flat, np.full((len(flat), 1), Q))
@@ -427,6 +433,9 @@ lessons.backward("17.3", my_backward, "rate_stage", "noisy", "q")
 
 
 # %%
+from p4dgs_ref.model import Context
+
+
 def port(noisy, mu, sigma, q, mask, grids, d, k):
     widths = trainer.design._replace(d=d, k=k)
     return objective.rate(noisy, Context(q, mu, sigma), grids, mask, widths)[0]

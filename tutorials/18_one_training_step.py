@@ -12,15 +12,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import SETTINGS, load_scene
-from p4dgs_ref.equations import likelihood, noise, render_loss, total_loss
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.model import Anchors, context, groups, predict, split
-from p4dgs_ref.splatting import render
-from p4dgs_ref.training import objective
-from p4dgs_ref.training.parameters import BETA_1, BETA_2, EPSILON, Adam, Parameters
-from p4dgs_ref.training.presets import choose
-from p4dgs_ref.training.trainer import Trainer
 
 plt = lessons.begin("18_one_training_step")
 
@@ -60,6 +52,11 @@ assert np.isclose(shares.sum(), (loss_of(1e-6) - loss_of(-1e-6)) / 2e-6)
 # the exact settings of the renderer are used.
 
 # %%
+from p4dgs_ref import SETTINGS, load_scene
+from p4dgs_ref.training.parameters import BETA_1, BETA_2, EPSILON, Adam, Parameters
+from p4dgs_ref.training.presets import choose
+from p4dgs_ref.training.trainer import Trainer
+
 changes = dict(
     anchors=80,
     d=8,
@@ -92,6 +89,10 @@ u = np.random.default_rng(18).random((A, sum(design.widths))) - 0.5
 # the noisy attributes, whose columns are in the order f, s, l, O.
 
 # %%
+from p4dgs_ref.equations import likelihood, noise, render_loss, total_loss
+from p4dgs_ref.model import Anchors, context, groups, predict, split
+from p4dgs_ref.training import objective
+
 table = []
 
 
@@ -118,6 +119,8 @@ note("noisy", noisy)
 # the losses.
 
 # %%
+from p4dgs_ref.splatting import render
+
 f, s, l, O = split(noisy, design)
 
 
@@ -287,7 +290,7 @@ seen, red_error, pull, made_of = axes.ravel()
 seen.imshow(image.clip(0, 1))
 seen.set_title("The noisy picture and a pixel")
 red_error.set_title("Its red error")
-pull.set_title("Whose red pulls at anchor 12's feature 3?")
+pull.set_title("Whose red pulls on anchor 12's feature 3?")
 maps = (
     (red_error, image[..., 0] - truth[..., 0], "picture - truth"),
     (pull, share[..., 0] * 1e6, "share of the gradient, $10^{-6}$"),

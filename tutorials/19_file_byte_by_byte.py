@@ -18,19 +18,9 @@ from dataclasses import replace
 
 import numpy as np
 
-import p4dgs_ref as p4
-from p4dgs_ref import oracle
-from p4dgs_ref.codec import container, published
-from p4dgs_ref.codec.file import quantised_of
-from p4dgs_ref.codec.gaussian_table import gaussian_model
-from p4dgs_ref.codec.streams import ideal_bits_gaussian
-from p4dgs_ref.equations import likelihood
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.oracle import streams
-from p4dgs_ref.report import inspect
 
 plt = lessons.begin("19_file_byte_by_byte")
-data = (published.FOLDER / "one_anchor.p4dgs").read_bytes()  # one anchor with one child
 
 # %% [markdown]
 # ## Claim
@@ -42,6 +32,10 @@ data = (published.FOLDER / "one_anchor.p4dgs").read_bytes()  # one anchor with o
 #   + \sum_i bytes_i$$
 
 # %%
+from p4dgs_ref.codec import container, published
+
+data = (published.FOLDER / "one_anchor.p4dgs").read_bytes()  # one anchor with one child
+
 parts = container.layout(data)
 sizes = [size for _, size in parts]
 S = len(parts) - 2
@@ -115,7 +109,7 @@ for _ in range(500):
 magic, version, count, total = struct.unpack_from("<8sBBI", data)
 table_end = 14 + 9 * count
 (table_crc,) = struct.unpack_from("<I", data, table_end)
-assert magic == container.MAGIC and version == 1 and total == len(data)
+assert magic == container.MAGIC and version == 1 and total == len(data) == 980
 assert zlib.crc32(data[:table_end]) == table_crc
 sections = {}
 start = table_end + 4
@@ -184,6 +178,9 @@ assert x == 2**31  # the value with which the encoder began
 # `x = 0x80c0d682`. Its slot lies in the block of the symbol 2, so $f = 2q$.
 
 # %%
+from p4dgs_ref.codec.file import quantised_of
+from p4dgs_ref.codec.gaussian_table import gaussian_model
+
 quantised = quantised_of(sections)
 mu_units = quantised.context.mu_units[0, :1]
 sigma_units = quantised.context.sigma_units[0, :1]
@@ -201,49 +198,47 @@ print("the feature's table:")
 for i, width in enumerate(widths_of_blocks):
     print(f"    symbol {table.lowest[0] + i}: {width} of {2**24} slots")
 
-
 # %%
-def shade(i):
-    """The colour of part i of the file."""
-    rgb = plt.matplotlib.colors.to_rgb(lessons.COLORS[i % 6])
-    opacity = (0.28, 0.62, 0.12)[i // 6]
-    return (*rgb, opacity)
-
-
-owners = np.repeat(np.arange(len(parts)), sizes)
-figure, axes = plt.subplots(figsize=(9.5, 5.6), layout="constrained")
-for i, byte in enumerate(data):
-    row, column = divmod(i, 32)
-    axes.add_patch(plt.Rectangle((column, row), 1, 1, color=shade(owners[i]), lw=0))
-    axes.text(
-        column + 0.5,
-        row + 0.54,
-        f"{byte:02x}",
-        ha="center",
-        va="center",
-        family="monospace",
-        fontsize=9,
-    )
-address = 0
-for i, (name, size) in enumerate(parts):
-    label = f"{address:3d}  {name}, {size} bytes"
-    axes.add_patch(plt.Rectangle((32.6, 2.2 * i + 1), 1.2, 1.4, color=shade(i), lw=0))
-    axes.text(34.1, 2.2 * i + 1.75, label, va="center", fontsize=9.5)
-    address += size
-lessons.finish(
-    axes,
-    frame_on=False,
-    xlim=(0, 43.6),
-    ylim=(31, 0),
-    xticks=np.arange(0, 32, 8) + 0.5,
-    xticklabels=range(0, 32, 8),
-    yticks=np.arange(0, 31, 4) + 0.5,
-    yticklabels=range(0, 31 * 32, 4 * 32),
-    ylabel="address (bytes)",
-    title="A model in 980 bytes; entropy coding acts only on the thin stripe in the middle",
-    grid=False,
+shades = np.array([plt.matplotlib.colors.to_rgb(lessons.COLORS[i % 6]) for i in range(len(parts))])
+strength = np.repeat((0.35, 0.75, 0.15), 6)[: len(parts), None]
+shades = 1 - strength * (1 - shades)
+figure, (plan, words) = plt.subplots(
+    1,
+    2,
+    figsize=(10, 6),
+    layout="constrained",
+    width_ratios=(1, 1.35),
 )
-assert len(data) == 980
+plan.imshow(np.repeat(shades, sizes, axis=0).reshape(35, 28, 3), extent=(0, 28, 35, 0))
+plan.set_xticks(np.arange(1, 28), [], minor=True)
+plan.set_yticks(np.arange(1, 35), [], minor=True)
+lessons.finish(
+    plan,
+    xticks=[],
+    yticks=np.arange(0, 35, 5),
+    yticklabels=np.arange(0, 980, 140),
+    ylabel="address (bytes)",
+    aspect="auto",
+    title="Each square is a byte",
+)
+plan.grid(which="both", color="white", alpha=1)
+plan.tick_params(which="minor", length=0)
+starts = np.cumsum([0, *sizes])
+for i, (name, size) in enumerate(parts):
+    first = data[starts[i] : starts[i] + min(size, 6)].hex(" ")
+    words.add_patch(plt.Rectangle((0, i - 0.4), 0.7, 0.8, color=shades[i]))
+    words.text(1, i, f"{name.replace('_', ' ')}, {size}", va="center", fontsize=14)
+    words.text(8.3, i, first + " …" * (size > 6), va="center", family="monospace", fontsize=13)
+lessons.finish(
+    words,
+    frame_on=False,
+    xlim=(0, 14.5),
+    ylim=(len(parts) - 0.5, -0.5),
+    xticks=[],
+    yticks=[],
+    title="Part, its length, and its first bytes",
+)
+figure.suptitle("A model in 980 bytes; entropy coding acts only on the thin stripe in the middle")
 lessons.show(figure, "19_file_byte_by_byte")
 
 # %% [markdown]
@@ -257,6 +252,12 @@ lessons.show(figure, "19_file_byte_by_byte")
 # its $2^{24}$ counts. Such a symbol costs 24 bits, whereas Eq. (11) asks for more.
 
 # %%
+import p4dgs_ref as p4
+from p4dgs_ref import oracle
+from p4dgs_ref.codec.streams import ideal_bits_gaussian
+from p4dgs_ref.equations import likelihood
+from p4dgs_ref.report import inspect
+
 golden = (oracle.path() / "model.p4dgs").read_bytes()
 trained = quantised_of(container.open_container(golden))
 anchors = trained.model.anchors
@@ -293,6 +294,7 @@ assert len(set(lengths)) < len(set(table_bits)) < len(moved)  # the others are s
 assert set(np.diff(lengths)) <= {-4, 0, 4}  # a message consists of words of 32 bits
 assert table_bits[-1] < 24 * d < estimate.sum(axis=1)[-1]
 
+# %%
 figure, axes = plt.subplots(figsize=(9, 5))
 axes.plot(steps_up, estimate.sum(axis=1), label="estimate, Eq. (11)")
 axes.step(steps_up, table_bits, where="mid", label="ideal bits under the integer tables")
@@ -377,6 +379,8 @@ for row in inspect.ledger(golden):
 # `my_container`, for example one in a checksum itself?
 
 # %%
+from p4dgs_ref.oracle import streams
+
 answer_1 = answer_2 = answer_3 = ...
 
 

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Entropy coding, from intervals to rANS
 #
-# **Promise.** After this you can turn symbols with probabilities into bytes and back, first with
-# fractions and then exactly as the file does. **Before it:** `10_prior_and_likelihood`;
+# **Promise.** After this tutorial you can turn symbols with probabilities into bytes and back,
+# first with fractions and then exactly as in the file. **Before it:** `10_prior_and_likelihood`;
 # `19_file_byte_by_byte` helps. **Takes** four seconds on two cores, 30 minutes of reading and 40 of
 # exercises.
 #
@@ -20,32 +20,24 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from p4dgs_ref import oracle
-from p4dgs_ref.codec import container, rans
-from p4dgs_ref.codec import streams as sections
-from p4dgs_ref.codec.file import quantised_of
-from p4dgs_ref.codec.gaussian_table import gaussian_model
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.report import inspect
 
 plt = lessons.begin("20_intervals_to_rans")
-data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
-model = quantised_of(container.open_container(data))
 
 # %% [markdown]
 # ## Claim
-# By Eq. (11) a symbol costs $b = -\log_2 p$ bits, for example 0.4, and Eq. (13) adds the costs up.
-# But how do you write 0.4 bits to a file? You do not: you write the whole message. If its
-# probability is $P = p_1 p_2 \cdots p_n$, an entropy coder needs about $-\log_2 P$ bits for it,
-# even if every symbol has its own table of probabilities. The decoder must have exactly the same
-# tables.
+# By Eq. (11) a symbol costs $b = -\log_2 p$ bits, for example 0.4, and Eq. (13) adds up these
+# costs. But how do you write 0.4 bits to a file? An entropy coder does not write single symbols,
+# but the whole message at once. For a message of probability $P = p_1 p_2 \cdots p_n$ it needs
+# about $-\log_2 P$ bits, even if every symbol has its own table of probabilities. The decoder must
+# have exactly the same tables.
 
 # %% [markdown]
 # ## By hand
 # Take three symbols with $p(a) = \frac{1}{2}$ and $p(b) = p(c) = \frac{1}{4}$, and the message
 # $a\,c\,a\,b$. We start with the interval from 0 to 1. Each symbol owns a part of the current
 # interval: $a$ the lower half, $b$ the third quarter and $c$ the last quarter. To code a symbol,
-# keep its part and throw the rest away:
+# keep its part of the interval and discard the rest:
 # $$[0, 1) \to [0, \tfrac12) \to [\tfrac38, \tfrac12) \to [\tfrac38, \tfrac7{16})
 #   \to [\tfrac{26}{64}, \tfrac{27}{64})$$
 
@@ -79,9 +71,9 @@ assert way[-1][1] == Fraction(1, 64)
 # %% [markdown]
 # The final width is $\frac12\cdot\frac14\cdot\frac12\cdot\frac14 = \frac1{64}$, the probability
 # of the message. Any number inside the final interval identifies the message, so 6 bits are enough:
-# $\frac{26}{64}$ is `011010`. With two bits for every symbol we would need 8. To decode, look in
-# whose part the number $v$ lies. This is the first symbol. Then stretch this part to the whole
-# interval, $v \to (v - start)/p$, and look again.
+# $\frac{26}{64}$ is `011010`. With two bits for every symbol we would need 8. To decode, find the
+# part in which the number $v$ lies; its owner is the first symbol. Then stretch this part to the
+# whole interval, $v \to (v - start)/p$, and repeat.
 
 
 # %%
@@ -103,10 +95,18 @@ assert found == "acab"
 # ## In code
 # Now we code six features of one anchor of a trained model. Each feature has its own Gaussian, so
 # the parts are different for each. Their widths are multiples of $2^{-24}$, as in the file. An
-# interval that is at least $2^{-b}$ wide contains a multiple of $2^{-b}$, so we round up to whole
-# bits only once, at the end of the message.
+# interval that is at least $2^{-b}$ wide contains a multiple of $2^{-b}$. We therefore round up to
+# whole bits only once, at the end of the message.
 
 # %%
+from p4dgs_ref import oracle
+from p4dgs_ref.codec import container, rans
+from p4dgs_ref.codec.file import quantised_of
+from p4dgs_ref.codec.gaussian_table import gaussian_model
+
+data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
+model = quantised_of(container.open_container(data))
+
 symbols = model.symbols[7, :6]
 tables = gaussian_model(model.context.mu_units[7, :6], model.context.sigma_units[7, :6])
 
@@ -184,17 +184,17 @@ target = lessons.out() / "20_intervals_to_rans.gif"
 imageio.imwrite(target, frames, duration=milliseconds, loop=0)
 
 # %% [markdown]
-# **What is wrong with intervals.** The fractions get longer and longer. Practical coders therefore
-# send leading digits as soon as they are certain, and must handle carries into digits that they
-# have already sent. rANS (Duda) keeps *a single integer* $x$ instead. Give every integer a colour:
-# in each block of $M$ integers, $f_s$ have the colour of symbol $s$, starting at position $c_s$.
-# In our example $M = 4$, and the colours repeat as $a\,a\,b\,c$.
+# **The problem with intervals.** The fractions get longer and longer. Practical interval coders
+# therefore output leading digits as soon as they are certain, and must handle carries into digits
+# that they have already written. rANS (Duda) keeps *a single integer* $x$ instead. Every integer
+# gets a colour: in each block of $M$ integers, $f_s$ of them have the colour of symbol $s$,
+# starting at position $c_s$. In our example $M = 4$, and the colours repeat as $a\,a\,b\,c$.
 #
-# To **push** a symbol $s$, go to the integer of colour $s$ that has exactly $x$ integers of this
-# colour below it. Since one in $M/f_s$ integers has this colour, the new $x$ is about $x M/f_s$:
-# it grows by $-\log_2 p_s$ bits. To **pop**, read the colour of $x$, which is the symbol, and count
-# the integers of this colour below it, which gives the old $x$. The last symbol in is the first one
-# out.
+# To **push** a symbol $s$, replace $x$ by the integer of colour $s$ that has exactly $x$ integers
+# of this colour below it. Since one in $M/f_s$ integers has this colour, the new $x$ is about
+# $x M/f_s$, which is $-\log_2 p_s$ bits longer. To **pop**, read the colour of $x$, which is the
+# symbol, and count the integers of this colour below $x$; their number is the old $x$. The last
+# symbol in is the first one out.
 # $$x' = \lfloor x / f_s\rfloor M + (x \bmod f_s) + c_s$$
 
 # %%
@@ -225,10 +225,12 @@ print(f"x grows by {growth:.2f} bits instead of 6, because rounding matters whil
 
 # %% [markdown]
 # Now we push six features of every anchor. Python's integers have no size limit, so we simply let
-# the state grow. The right panel of the next figure shows that it grows by as many bits as the
-# prior promised.
+# the state grow. The right panel of the next figure shows that the state grows by as many bits as
+# the prior predicted.
 
 # %%
+from p4dgs_ref.codec import streams as sections
+
 coded = model.symbols[:, :6].ravel()
 mu_units = model.context.mu_units[:, :6].ravel()
 sigma_units = model.context.sigma_units[:, :6].ravel()
@@ -306,7 +308,7 @@ lessons.finish(
     growing,
     xlabel="features pushed",
     ylabel="bits",
-    title="The state grows by what the prior promised",
+    title="The state grows by the bits that the prior predicted",
     legend={},
 )
 lessons.show(figure, "20_intervals_to_rans")
@@ -345,15 +347,15 @@ assert encode(starts, freqs) == container.read_container(data)["features"]
 
 # %% [markdown]
 # ## Backward by hand
-# A coder has no gradient, so training uses $-\log_2 p$ in its place. The way back through a coder
-# is its exact inverse, the decoder. Write $r = x \bmod f$, so that $x' = \lfloor x/f\rfloor M + r +
-# c$. Since $0 \le r + c < M$, we have $\lfloor x'/M\rfloor = \lfloor x/f\rfloor$ and $x' \bmod M =
-# r + c$. The condition $c \le r + c < c + f$ determines the symbol, and then $x = \lfloor
-# x/f\rfloor f + r$ is known:
+# A coder has no gradient, so training uses $-\log_2 p$ in its place. Instead of a backward, a coder
+# has an exact inverse, the decoder. Write $r = x \bmod f$, so that
+# $x' = \lfloor x/f\rfloor M + r + c$. Since $0 \le r + c < M$, we have
+# $\lfloor x'/M\rfloor = \lfloor x/f\rfloor$ and $x' \bmod M = r + c$. The condition
+# $c \le r + c < c + f$ determines the symbol, and then $x = \lfloor x/f\rfloor f + r$ is known:
 # $$x = \lfloor x'/M\rfloor\, f + (x' \bmod M) - c$$
-# All of this is exact integer arithmetic, so pushing and popping lose nothing. The stack is undone
-# just as exactly: a push leaves $x' < 2^{63}$, and the pop falls below $2^{31}$ if and only if the
-# push had moved 32 bits to the stack.
+# All of this is exact integer arithmetic, so pushing and popping lose nothing. The operations on
+# the stack are also undone exactly: a push leaves $x' < 2^{63}$, and the pop falls below $2^{31}$
+# if and only if the push had moved 32 bits to the stack.
 
 # %%
 rng = np.random.default_rng(20)
@@ -374,11 +376,11 @@ for _ in range(2000):
 
 # %% [markdown]
 # ## Break it
-# Push the symbols in the order in which you would write them, the first one first. If all symbols
-# share one table, as in the masks, everything seems to work: the length is right, the counts are
-# right, and even the final state is right. But the symbols come out in the opposite order. If each
-# symbol has its own table, the decoder uses a wrong table from the start. Two checks notice this:
-# the stack runs out, or the last state is not the one with which the encoder began.
+# Suppose we push the symbols in reading order, the first one first. If all symbols share one table,
+# as in the masks, everything seems to work: the length is right, the counts are right, and even the
+# final state is right. But the decoder returns the symbols in the opposite order. If each symbol
+# has its own table, the decoder uses wrong tables from the start. Two checks detect this: the stack
+# runs out, or the last state is not the one with which the encoder began.
 
 # %%
 bits = model.model.anchors.mask.ravel()
@@ -400,12 +402,14 @@ except container.BitstreamError as error:
 # %% [markdown]
 # ## What a codec does with it
 # CABAC, the coder of video standards that the introduction of the paper mentions, narrows an
-# interval bit by bit and adapts its probabilities on the way, so each bit has to wait for the one
-# before. Here the probabilities come from the positions, by Eq. (12). No symbol has to wait for
-# another, and `rans.py` can decode many symbols side by side, in *lanes*. The coder adds less than
-# 8 bytes to the ideal length of a section:
+# interval bit by bit and adapts its probabilities on the way, so each bit has to wait for the
+# previous one. Here the probabilities depend only on the positions, by Eq. (12). No symbol has to
+# wait for another, and `rans.py` can decode many symbols in parallel, in *lanes*. The coder adds
+# less than 8 bytes to the ideal length of a section:
 
 # %%
+from p4dgs_ref.report import inspect
+
 for row in inspect.ledger(data):
     if row["name"] in ("features", "scales", "offset_scales", "offsets", "masks", "hash_grid"):
         ideal, coded_bytes = row["integer_bytes"], row["payload_bytes"]
@@ -421,9 +425,9 @@ for row in inspect.ledger(data):
 #
 # **20.3** ●● Write `my_decode(message, count, keys)`. It must decode the signs of the hash grid.
 #
-# **Predict, then run.** One sign in a hundred is negative, but the encoder's table says one in
-# two. How many bits a sign does `my_encode` write with this table, and how many with the right
-# one?
+# **Predict, then run.** One sign in a hundred is negative, but according to the encoder's table it
+# is one in two. How many bits per sign does `my_encode` write with this table, and how many with
+# the right one?
 
 # %%
 answer_1 = answer_2 = answer_3 = ...
@@ -461,10 +465,10 @@ lessons.number("20.3", answer_3, signs)
 # %% [markdown]
 # ## Check your port
 # Run `p4dgs-ref oracle check DIR --only codec`. The stream `lanes` has several lanes, and
-# `raw_bits` and `escapes` contain symbols outside all tables. Ports typically make three mistakes:
-# they keep the state in a double, which is exact only up to 53 bits (JavaScript needs BigInt), they
-# take words from the stack in the wrong order, or the frequencies of a table do not add up to
-# $2^{24}$.
+# `raw_bits` and `escapes` contain symbols outside all tables. Ports typically make one of three
+# mistakes: they keep the state in a double, which is exact only up to 53 bits (JavaScript needs
+# BigInt); they take words from the stack in the wrong order; or the frequencies of their tables do
+# not add up to $2^{24}$.
 
 # %%
 assert float(2**53) == float(2**53 + 1)  # a double cannot hold such a state

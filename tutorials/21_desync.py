@@ -17,21 +17,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from p4dgs_ref import look_at
-from p4dgs_ref.codec import container, context, published
-from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
-from p4dgs_ref.codec.quantise import dequantise
-from p4dgs_ref.equations import hash_grid, prior
-from p4dgs_ref.lab.school import lessons, show
-from p4dgs_ref.oracle import streams
-from p4dgs_ref.report import evaluate, inspect
+from p4dgs_ref.lab.school import lessons
 
 plt = lessons.begin("21_desync")
 plt.rcParams["image.interpolation"] = "nearest"
 data = lessons.demo()  # a trained model of 199 anchors
-quantised = quantised_of(container.read_container(data), data[8])
-model = quantised.model
-design = model.design
 
 # %% [markdown]
 # ## Claim
@@ -114,6 +104,14 @@ def decode(x, stack, tables):
 
 
 # %%
+from p4dgs_ref.codec import container, context, published
+from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
+from p4dgs_ref.report import evaluate, inspect
+
+quantised = quantised_of(container.read_container(data), data[8])
+model = quantised.model
+design = model.design
+
 kept = quantised.kept
 sent = quantised.symbols[kept]
 q = np.repeat(quantised.context.q, design.widths, axis=1)[kept]
@@ -160,6 +158,11 @@ assert last != 2**31
 
 
 # %%
+from p4dgs_ref import look_at
+from p4dgs_ref.codec.quantise import dequantise
+from p4dgs_ref.lab.school import show
+
+
 def price(symbols):
     """The bits of the last symbols of the message under the right tables."""
     total = 0
@@ -227,6 +230,9 @@ lessons.show(figure, "21_desync")
 
 
 # %%
+from p4dgs_ref.equations import hash_grid, prior
+
+
 def network(h, weights, biases, order):
     """psi_p in float32, with every sum in a given order."""
     for layer, (W, b) in enumerate(zip(weights, biases)):
@@ -374,6 +380,8 @@ assert abs(by_tables / by_floats - 1) < 0.001
 # on may it be wrong? Are the sums of the stream `full` that large?
 
 # %%
+from p4dgs_ref.oracle import streams
+
 answer_1 = answer_2 = answer_3 = ...
 
 

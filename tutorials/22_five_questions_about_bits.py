@@ -17,29 +17,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from p4dgs_ref import look_at, oracle
-from p4dgs_ref.codec import container
-from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
-from p4dgs_ref.equations import likelihood, noise
-from p4dgs_ref.lab.accuracy import formulas
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.report import inspect
 
 plt = lessons.begin("22_five_questions_about_bits")
 rng = np.random.default_rng(22)
-data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
-quantised = quantised_of(container.open_container(data))
-model = quantised.model
-design = model.design
-kept = quantised.kept
-prior = inspect.float_context(model)
-q = np.repeat(quantised.context.q, design.widths, axis=1)
-
-
-def bits_of(values):
-    """The bits of all coded numbers of the model, if they had these values."""
-    bits, _ = likelihood.forward(values, prior.mu, prior.sigma, q)
-    return bits[kept]
 
 
 # %% [markdown]
@@ -69,6 +50,9 @@ def bits_of(values):
 
 
 # %%
+from p4dgs_ref.equations import likelihood, noise
+
+
 def one(value):
     return np.array([[value]])
 
@@ -96,6 +80,26 @@ assert np.isclose(narrow_mass, density * 1e-4, rtol=1e-6)
 # logarithms.
 
 # %%
+from p4dgs_ref import look_at, oracle
+from p4dgs_ref.codec import container
+from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
+from p4dgs_ref.report import inspect
+
+data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
+quantised = quantised_of(container.open_container(data))
+model = quantised.model
+design = model.design
+kept = quantised.kept
+prior = inspect.float_context(model)
+q = np.repeat(quantised.context.q, design.widths, axis=1)
+
+
+def bits_of(values):
+    """The bits of all coded numbers of the model, if they had these values."""
+    bits, _ = likelihood.forward(values, prior.mu, prior.sigma, q)
+    return bits[kept]
+
+
 bits = bits_of(quantised.symbols * q)
 p = 2.0**-bits
 assert len(p) == 1416
@@ -131,6 +135,8 @@ for a, column in np.argwhere(kept)[::97]:
 # more than Eq. (11) says.
 
 # %%
+from p4dgs_ref.lab.accuracy import formulas
+
 alphabet = np.arange(-(2.0**15), 2.0**15)[None]
 ones = np.ones(alphabet.shape)
 floored_bits, _ = formulas.hac(alphabet, 0 * ones, ones, ones)
@@ -402,6 +408,7 @@ assert (np.diff(finest[:, 1]) > 0).all()  # errors,
 assert (finest[:2, 0] < finest[2, 0] + 0.01).all()  # and bits
 assert (by_w[-1] > same[-1]).all()  # the widest steps: worse in both
 
+# %%
 figure, (steps, error_of) = plt.subplots(
     2, 1, figsize=(9, 8), layout="constrained", height_ratios=(1, 1.3)
 )

@@ -15,14 +15,7 @@ import math
 import numpy as np
 from scipy.special import ndtr, roots_legendre
 
-from p4dgs_ref.codec import streams
-from p4dgs_ref.codec.container import BitstreamError
-from p4dgs_ref.equations import likelihood
-from p4dgs_ref.lab import clock
-from p4dgs_ref.lab.accuracy import diagram, forms, formulas
-from p4dgs_ref.lab.accuracy.harness import measure_forms
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
 
 plt = lessons.begin("23_accuracy_versus_time")
 
@@ -127,6 +120,7 @@ assert min(error["Simpson"]) < 1e-15
 assert min(error["Gauss and Legendre"]) < 1e-15
 assert min(error["trapezoids"]) > 1e-11
 
+# %%
 figure, axes = plt.subplots(figsize=(9, 5.4), layout="constrained")
 for name, marker in zip(work, "osD"):
     axes.loglog(work[name], error[name], marker=marker, label=name)
@@ -156,6 +150,10 @@ lessons.show(figure, "23_accuracy_versus_time_order")
 # deviations, and no opacity below $1/255$ at any pixel.
 
 # %%
+from p4dgs_ref.lab.accuracy import diagram, forms, formulas
+from p4dgs_ref.lab.accuracy.harness import measure_forms
+from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
+
 choices = {}
 for dtype in ("float32", "float64"):
     for name in ("1/255", "5e-5", "1e-6"):
@@ -264,6 +262,9 @@ lessons.show(figure, "23_accuracy_versus_time")
 # it cannot tell which method is faster.
 
 # %%
+from p4dgs_ref.equations import likelihood
+from p4dgs_ref.lab import clock
+
 x = np.linspace(-3, 3, 2000)[None]
 zeros, ones = np.zeros_like(x), np.ones_like(x)
 
@@ -366,6 +367,9 @@ assert largest_loss(fast) < 0.01 < largest_loss(paper)
 # integers (`21_desync`).
 
 # %%
+from p4dgs_ref.codec import streams
+from p4dgs_ref.codec.container import BitstreamError
+
 rng = np.random.default_rng(23)
 symbols = np.rint(rng.normal(scale=1.5, size=400)).astype(np.int64)
 mu = np.zeros(400, np.int64)  # in units of 1/1024 of a step

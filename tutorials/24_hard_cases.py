@@ -16,11 +16,7 @@ from fractions import Fraction
 import numpy as np
 from scipy.special import expit, ndtr
 
-from p4dgs_ref import oracle
-from p4dgs_ref.equations import ssim, step
-from p4dgs_ref.lab import stability
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.splatting import compositing, projection
 
 plt = lessons.begin("24_hard_cases")
 EPS_32 = float(np.finfo(np.float32).eps)
@@ -89,6 +85,8 @@ assert round((near + far) / (near - far), 1) == 1.1
 # of its gradient, and whether they keep within the bound of the row.
 
 # %%
+from p4dgs_ref.lab import stability
+
 shown = (
     "H-R1.9sigma",
     "H-R1.1000sigma",
@@ -129,6 +127,7 @@ assert round(share("HAC, floor 1e-6", "float64", lambda log: log > -2), 2) == 0.
 assert share("stable", "float32", lambda log: log > math.log10(2e-6)) == 0
 assert share("stable", "float64", lambda log: log > -12) == 0
 
+# %%
 figure, axes = plt.subplots(2, 3, figsize=(10, 7), sharex=True, sharey=True, layout="constrained")
 titles = {"literal": "as printed", "HAC, floor 1e-6": "with a floor", "stable": "this project"}
 headings = [f"{titles[name]}, {dtype}" for name, dtype in found]
@@ -143,6 +142,8 @@ lessons.show(figure, "24_hard_cases")
 # symbols stay in a reasonable range.
 
 # %%
+from p4dgs_ref.equations import ssim, step
+
 u = np.array([-19.0])
 assert 1 + np.tanh(u) == 0
 assert expit(2 * u) > 0
@@ -257,6 +258,9 @@ assert not divided.any()  # no layer gets any weight
 
 
 # %%
+from p4dgs_ref.splatting import compositing, projection
+
+
 def sweep(light):
     """The gradients of all opacities, for given transmittances."""
     behind = layers["in.background"].copy()
@@ -287,6 +291,7 @@ print(f"front layer: true {alpha_bar[0]:.6f}, by division {abs(by_division[0]):.
 # %%
 assert T[2] > 1e-4 > T[3]  # the third splat would bring T below the limit
 
+# %%
 figure, (light, pull) = plt.subplots(1, 2, figsize=(14, 5.2), layout="constrained")
 through = (1 - alpha).astype(np.float32)
 T_32 = np.cumprod([np.float32(1), *through])
@@ -326,6 +331,9 @@ lessons.show(figure, "24_hard_cases_layers")
 
 
 # %%
+from p4dgs_ref import oracle
+
+
 def as_single(value):
     if isinstance(value, np.ndarray) and value.dtype.kind == "f":
         return value.astype(np.float32)

@@ -14,18 +14,7 @@ import json
 
 import numpy as np
 
-import p4dgs_ref as p4
-from p4dgs_ref.codec import published
-from p4dgs_ref.lab.accuracy.harness import reduced
 from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.model import predict
-from p4dgs_ref.report.evaluate import decibel, evaluate, squared_error
-from p4dgs_ref.report.inspect import components
-from p4dgs_ref.scenes.load import packaged_folder
-from p4dgs_ref.scenes.simulator import place_cameras
-from p4dgs_ref.scenes.simulator.description import describe
-from p4dgs_ref.scenes.simulator.trace import trace
-from p4dgs_ref.training.trainer import Trainer
 
 plt = lessons.begin("26_video_codec_analogy")
 
@@ -84,6 +73,12 @@ for t, frame in enumerate(video):
 # testing. A *frame* is here the whole 3D scene at one moment.
 
 # %%
+import p4dgs_ref as p4
+from p4dgs_ref.scenes.load import packaged_folder
+from p4dgs_ref.scenes.simulator import place_cameras
+from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.trace import trace
+
 file = packaged_folder() / "bouncing" / "scene.json"
 description = json.loads(file.read_text(encoding="utf-8"))
 description["resolution"] = [32, 32]
@@ -124,6 +119,10 @@ def scene_of(moments, moves):
 # decoded from its file before it is evaluated.
 
 # %%
+from p4dgs_ref.lab.accuracy.harness import reduced
+from p4dgs_ref.report.evaluate import decibel, evaluate, squared_error
+from p4dgs_ref.training.trainer import Trainer
+
 sizes = dict(
     anchors=80,
     d=6,
@@ -184,6 +183,8 @@ assert 1.6 < factor < 2.6
 # frames.
 
 # %%
+from p4dgs_ref.report.inspect import components
+
 kinds = {
     "networks": ("anchor_mlps", "context_mlps"),
     "ψ_d, the motion": ("deformation_mlp",),
@@ -282,6 +283,7 @@ shown = {
     "inter": [render(inter, t) for t in times],
     "repeat frame 0": 4 * [render(intra[0][0], 0.0)],
 }
+# %%
 figure, axes = plt.subplots(4, 4, figsize=(9, 9.6), layout="constrained")
 for line, (name, images) in zip(axes, shown.items()):
     for panel, image, truth, t in zip(line, images, truths, times):
@@ -317,6 +319,9 @@ lessons.show(
 # summed loss.
 
 # %%
+from p4dgs_ref.codec import published
+from p4dgs_ref.model import predict
+
 rng = np.random.default_rng(26)
 small = p4.decode((published.FOLDER / "full.p4dgs").read_bytes())
 x_c = np.array([0.0, -3, 1])

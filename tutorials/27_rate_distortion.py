@@ -13,14 +13,7 @@ import copy
 
 import numpy as np
 
-from p4dgs_ref import decode, encode, evaluate, load_scene
-from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS
-from p4dgs_ref.equations import likelihood
-from p4dgs_ref.lab.school import lessons, show
-from p4dgs_ref.model import context
-from p4dgs_ref.report.inspect import components
-from p4dgs_ref.training.presets import choose
-from p4dgs_ref.training.trainer import Trainer
+from p4dgs_ref.lab.school import lessons
 
 plt = lessons.begin("27_rate_distortion")
 
@@ -57,6 +50,13 @@ assert [best_way(price) for price in (0.005, 0.02, 0.2)] == ["A", "B", "C"]
 # span a factor of 8; ours, for so few iterations, span a factor of 64.
 
 # %%
+from p4dgs_ref import decode, encode, evaluate, load_scene
+from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS
+from p4dgs_ref.model import context
+from p4dgs_ref.report.inspect import components
+from p4dgs_ref.training.presets import choose
+from p4dgs_ref.training.trainer import Trainer
+
 PRICES = (5e-4, 2e-3, 8e-3, 3.2e-2)
 scene = load_scene("bouncing")
 changes = dict(
@@ -133,6 +133,7 @@ fixed = column("bytes") - coded
 assert np.ptp(fixed) < 0.02 * fixed.mean()
 assert (fixed > column("attributes")).all()
 
+# %%
 figure, (curve, bars) = plt.subplots(1, 2, figsize=(11.5, 4.8), layout="constrained")
 curve.plot(coded, column("psnr"), "o-", ms=9)
 for place in zip(coded, column("psnr"), PRICES):
@@ -173,6 +174,9 @@ for view in (scene.test[2], scene.test[5]):
         m["picture"] = m["model"].render(view.camera, view.time).clip(0, 1)
         red, green, blue = m["picture"][ball].mean(axis=0)
         assert blue > 1.2 * max(red, green), (m["price"], red, green, blue)
+
+# %%
+from p4dgs_ref.lab.school import show
 
 figure, (drawn, wrong) = plt.subplots(2, 5, figsize=(12, 5.2), layout="constrained")
 for ax, below, m in zip(drawn, wrong, points):
@@ -222,6 +226,8 @@ for price in (1e-3, 4e-3):
 # numbers must be $-1/(q\ln 2)$.
 
 # %%
+from p4dgs_ref.equations import likelihood
+
 rng = np.random.default_rng(27)
 count, q = 400_000, 0.05
 f = rng.normal(size=(count, 1))  # mean 0, deviation 1

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Four ways to move a Gaussian, and how to compare them honestly
 #
-# **Promise.** After this you can say what P-4DGS, D3DGS, 4DHexPlane and 4DGS store for a motion,
-# what one picture costs, and where each of them fails, and you can read a rate-distortion
+# **Promise.** After this tutorial you can say what P-4DGS, D3DGS, 4DHexPlane and 4DGS store for a
+# motion, what one picture costs, and where each of them fails. You can also read a rate-distortion
 # comparison without being misled. **Before it:** `07_noise_and_rounding`, `08_step`,
 # `10_prior_and_likelihood`, `15_compositing`, `16_pipeline_by_hand`. **Takes** fifteen seconds on
 # two cores, 60 minutes of reading and 35 of exercises.
@@ -20,9 +20,44 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref import load_scene
-from p4dgs_ref.codec import published
-from p4dgs_ref.equations import deformation, mlp, positional_encoding
+from p4dgs_ref.lab.school import lessons
+
+plt = lessons.begin("28_four_ways_to_move")
+
+# %% [markdown]
+# ## Claim
+# Four methods render moving Gaussians. They differ in what they store:
+#
+# | method | each Gaussian stores | all Gaussians share | its motion |
+# |---|---|---|---|
+# | P-4DGS | a share of an anchor | networks, hash grid, $\psi_d$ | a curve that $\psi_d$ gives |
+# | D3DGS | 59 numbers | $\psi_d$, larger than ours | likewise |
+# | 4DHexPlane | 59 numbers | six planes, a small network | a curve from node to node |
+# | 4DGS | 161 numbers | nothing | a straight line, seen for a short time |
+#
+# Each of these choices makes some motions cheap and others expensive or impossible. A comparison of
+# file sizes is honest only if it states the quality, which bytes are counted, and the spread.
+#
+# P-4DGS and D3DGS move a Gaussian in the same way, by Eq. (5) and Eq. (6). There are therefore four
+# ways to *store* a motion and three ways to *compute* it: with a **network**, with **planes**, and
+# as a **4D Gaussian**.
+#
+# ## By hand
+# A 4D Gaussian is an ellipsoid in space and time. Take one space axis, with the covariance $\Sigma
+# = \begin{pmatrix} A & b \\ b & v\end{pmatrix} = \begin{pmatrix} 0.05 & 0.02 \\ 0.02 &
+# 0.01\end{pmatrix}$ and the mean $x = 0$, $\mu_t = 0.5$. A picture at time $t$ shows a slice of
+# this ellipsoid (G2), which fades with the distance from $\mu_t$ (G3):
+# $$x_t = x + \frac{b}{v}(t - \mu_t),\qquad \Sigma_t = A - \frac{b^2}{v},\qquad
+#   w = \exp\Big(-\frac{(t - \mu_t)^2}{2v}\Big).$$
+# The velocity is $0.02/0.01 = 2$ and never changes. At $t = 0.6$ the Gaussian is at $0.2$, with the
+# variance $0.05 - 0.04 = 0.01$ and the weight $e^{-1/2} = 0.607$. An object that changes direction
+# needs another Gaussian.
+#
+# A plane stores numbers at nodes. Five nodes along $t$ are 0.25 apart. At $t = 0.6$, between the
+# nodes at 0.5 and 0.75, a reading is $0.6$ of the first and $0.4$ of the second. Nothing is stored
+# about the motion between two nodes.
+
+# %%
 from p4dgs_ref.lab.baselines import (
     conditional,
     d3dgs,
@@ -33,52 +68,7 @@ from p4dgs_ref.lab.baselines import (
     plane_features,
     rotation_4d,
 )
-from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.writer import bd_rate, bytes_at
-from p4dgs_ref.model import declared_numbers, deformation_layers
-from p4dgs_ref.report.evaluate import decibel, score
-from p4dgs_ref.report.inspect import ledger
-from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.training.initial import design_of
-from p4dgs_ref.training.parameters import Adam, Parameters, exponential, random_layers
-from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
 
-plt = lessons.begin("28_four_ways_to_move")
-
-# %% [markdown]
-# ## Claim
-# Four methods draw the same kind of picture from moving Gaussians. They differ in what they store:
-#
-# | method | each Gaussian stores | all Gaussians share | its motion |
-# |---|---|---|---|
-# | P-4DGS | a share of an anchor | networks, hash grid, $\psi_d$ | a curve that $\psi_d$ gives |
-# | D3DGS | 59 numbers | $\psi_d$, larger than ours | likewise |
-# | 4DHexPlane | 59 numbers | six planes, a small network | a curve from node to node |
-# | 4DGS | 161 numbers | nothing | a straight line, seen for a short time |
-#
-# Each of these choices makes some motions cheap and others expensive or impossible. A comparison of
-# file sizes is honest only if it names the quality, the counted bytes and the spread.
-#
-# P-4DGS and D3DGS move a Gaussian in the same way, by Eq. (5) and Eq. (6). So there are four ways
-# to *store* it and three ways to *move* it: by a **network**, by **planes**, and as a **4D
-# Gaussian**.
-#
-# ## By hand
-# A 4D Gaussian is an ellipsoid in space and time. Take one space axis, with the covariance $\Sigma
-# = \begin{pmatrix} A & b \\ b & v\end{pmatrix} = \begin{pmatrix} 0.05 & 0.02 \\ 0.02 &
-# 0.01\end{pmatrix}$ and the mean $x = 0$, $\mu_t = 0.5$. The picture at time $t$ cuts this
-# ellipsoid (G2), and the cut fades with the distance from $\mu_t$ (G3):
-# $$x_t = x + \frac{b}{v}(t - \mu_t),\qquad \Sigma_t = A - \frac{b^2}{v},\qquad
-#   w = \exp\Big(-\frac{(t - \mu_t)^2}{2v}\Big).$$
-# The velocity is $0.02/0.01 = 2$ and never changes. At $t = 0.6$ the Gaussian is at $0.2$, with the
-# variance $0.05 - 0.04 = 0.01$ and the weight $e^{-1/2} = 0.607$. Whatever turns a corner needs
-# another Gaussian.
-#
-# A plane stores numbers at nodes. With 5 nodes along $t$ they are 0.25 apart. At $t = 0.6$, between
-# the nodes at 0.5 and 0.75, a reading is $0.6$ of the first and $0.4$ of the second. What happens
-# between two nodes is not stored.
-
-# %%
 A, b, v = 0.05, 0.02, 0.01
 since = 0.6 - 0.5
 assert np.isclose(b / v * since, 0.2) and np.isclose(A - b**2 / v, 0.01)
@@ -97,22 +87,28 @@ assert int(position) == 2 and np.isclose(position - 2, 0.4)
 
 # %% [markdown]
 # ## In code
-# One ball bounces three times. Each of the three ways to move is fitted to it by the project's own
-# equations, their backward and its Adam. To see the motion alone, we do without pictures: the loss
-# says how far everything that is visible is from the ball, and whether the total weight is right.
-# At every time $t$, with positions $x_i$, weights $w_i$ and the ball at $x^*$, it is
+# One ball bounces three times. We fit each of the three ways to its path, with the project's own
+# equations, backwards and Adam. To study the motion alone, we use no pictures: the loss measures
+# how far everything that is visible is from the ball, and whether the total weight is right. At
+# every time $t$, with positions $x_i$, weights $w_i$ and the ball at $x^*$, it is
 # $$L_t = \sum_i w_i\,|x_i - x^*|^2 + \Big(\sum_i w_i - w^*\Big)^2,
 #   \qquad w^* = 1 \text{ as long as the ball is there.}$$
-# The weight of a 4D Gaussian is that of G3. A network or planes have no weight, but can shrink a
-# Gaussian to nothing: there $w$ is the area of the moved Gaussian, as a share of the unmoved one.
+# The weight of a 4D Gaussian is that of G3. A network and planes have no weight, but they can
+# shrink a Gaussian to nothing. For them, $w$ is the area of the moved Gaussian, as a share of the
+# area of the unmoved one.
 #
 # The three classes below have the same form. `forward` returns the positions `[N, c, T, 3]` and the
 # weights `[N, c, T]` of N moving points at T times, where c Gaussians share one point. For networks
 # and planes c is 1. `N` points at `T` times are `N T` rows; `plane_features`, `conditional` and
-# `marginal` also accept a time for every row. The canonical x of a network or of planes is the
+# `marginal` also accept a time for every row. For a network and for planes, the canonical x is the
 # middle of the path.
 
 # %%
+from p4dgs_ref.equations import deformation, mlp, positional_encoding
+from p4dgs_ref.model import declared_numbers, deformation_layers
+from p4dgs_ref.training.parameters import Adam, Parameters, exponential, random_layers
+from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
+
 MANY, DENSE = np.linspace(0, 1, 33), np.linspace(0, 1, 193)
 
 
@@ -232,9 +228,9 @@ HUES = dict(zip(WAYS, lessons.COLORS))
 MARKS = dict(zip(WAYS, "os^"))
 
 # %% [markdown]
-# `Network` is a faster way to call `deformation` at many times, which we check. The smoothness
-# losses of 4DHexPlane (H3) are left out. Then come the loss, the fit, and the error: the root mean
-# square distance of what is visible.
+# `Network` is a faster way to call `deformation` at many times, and we check that both agree. The
+# smoothness losses of 4DHexPlane (H3) are left out. The next cell defines the loss, the fit, and
+# the error, which is the root mean square distance of the visible Gaussians from the ball.
 
 
 # %%
@@ -328,17 +324,21 @@ lessons.show(figure, "28_four_ways_to_move")
 
 # %% [markdown]
 # The network and the planes move *one* Gaussian along the whole path. The path of the planes bends
-# where the readings pass a node, such as $t = 2/7$ and $5/7$, and both round the bounces.
-# The eight 4D Gaussians are eight straight lines that fade into each other. About as much is seen
-# of them as of the ball, but the arcs have become polygons.
+# at the nodes, for example at $t = 2/7$ and $5/7$, and both paths are rounded at the bounces. The
+# eight 4D Gaussians are eight straight lines that fade into each other. Their total weight is about
+# that of the ball, but the arcs have become polygons.
 #
-# **What each stores.** The table counts all numbers of the tiny presets and of those that the
-# authors use, by the arrays that each method really begins with, at 4 bytes a number and before any
-# coding. For the baselines, the numbers of Gaussians are those of their presets; during training
-# their number grows.
+# **What each method stores.** The table counts all numbers for the tiny presets and for the
+# authors' presets. It counts the arrays with which training really begins, at 4 bytes per number
+# and before any coding. For the baselines, the numbers of Gaussians are those of their presets;
+# during training their number grows.
 
 
 # %%
+from p4dgs_ref.scenes.scene import MODEL_EFFECTS
+from p4dgs_ref.training.initial import design_of
+
+
 def stored(method, preset, count):
     """The numbers of one Gaussian, and those that all of them share, of a baseline."""
     few = replace(preset, gaussians=2)
@@ -384,15 +384,15 @@ assert holdings["4DGS"][0][:2] == (161, 0)
 assert np.isclose(holdings["P-4DGS"][0][0], (3 + 16 + 6 + 4 * 3 + 4) / 4, rtol=0.1)
 
 # %% [markdown]
-# "D3DGS small" is D3DGS with a network of the size of ours. Of the tiny D3DGS model, nearly all
-# bytes are its network: eight layers of 256 for pictures of 64 by 64 pixels. P-4DGS stores the
-# fewest numbers, because children share the feature of their anchor, and in its file these numbers
-# are rounded and coded besides. The numbers of the others could be coded as well.
+# "D3DGS small" is D3DGS with a network as small as ours. In the tiny D3DGS model, the network takes
+# nearly all bytes: eight layers of 256 for pictures of 64 by 64 pixels. P-4DGS stores the fewest
+# numbers, because children share the feature of their anchor, and its file also rounds and codes
+# these numbers. The numbers of the other methods could be coded as well.
 #
-# **What one picture costs.** We count multiplications that are followed by an addition, for one
-# Gaussian at one time: every weight of a network is one. Our anchors also evaluate four networks,
-# whose cost is divided by $k$. (The part of a first layer that reads $E(t)$ is the same for all
-# Gaussians, and fast code computes it once.)
+# **What one picture costs.** We count multiply-adds for one Gaussian at one time; every weight of a
+# network counts as one. Our anchors also evaluate four networks, whose cost is divided by $k$. (The
+# part of a first layer that reads $E(t)$ is the same for all Gaussians, and fast code computes it
+# once.)
 
 
 # %%
@@ -427,23 +427,24 @@ for name, pair in costs.items():
 assert costs["4DGS"][0] < costs["4DHexPlane"][0] < costs["D3DGS"][0] / 10
 
 # %% [markdown]
-# Networks store a motion once and pay for it in every picture. 4DGS pays nearly nothing in a
-# picture, but stores the motion again and again, in 161 numbers for every piece of every path.
-# Planes are between the two.
+# Networks store a motion once, but must be evaluated for every picture. 4DGS computes almost
+# nothing for a picture, but stores the motion again and again, in 161 numbers for every piece of
+# every path. Planes are in between.
 #
 # ## Backward by hand
-# Which stored numbers does a picture at time $t_0$ correct, and what does this do to other times?
-# For a plane alone, $x_t = \sum_j h_j(t)\,p_j$, where the weights $h_j$ of a reading are hats
-# around the nodes. The gradient is $\bar p_j = h_j(t_0)\,\bar x$, so a step of size $\eta$ changes
+# Which stored numbers does a picture at time $t_0$ correct, and how does this affect other times?
+# For a plane alone, $x_t = \sum_j h_j(t)\,p_j$, where the weights $h_j$ of a reading are hat
+# functions around the nodes. The gradient is $\bar p_j = h_j(t_0)\,\bar x$, so a step of size
+# $\eta$ changes
 # $$x_t \;\text{ by }\; -\eta\,\bar x \sum_j h_j(t)\,h_j(t_0),$$
-# which is zero as soon as $t$ and $t_0$ have no node in common. A plane learns every time by
-# itself.
+# which is zero as soon as $t$ and $t_0$ have no node in common. A plane therefore learns every time
+# separately.
 #
-# A 4D Gaussian is pulled in proportion to its weight $w$. With $x_t = x + v\,(t - \mu_t)$, the
-# gradients are $\bar x = w\,\bar g$ and $\bar v = w\,(t_0 - \mu_t)\,\bar g$. A distant picture has
-# a long lever but hardly sees the Gaussian. The pull on the velocity, $u\,e^{-u^2/2\sigma^2}$ with
-# $u = t_0 - \mu_t$, is largest where its derivative $(1 - u^2/\sigma^2)\,e^{-u^2/2\sigma^2}$ is
-# zero: one standard deviation away, at $u = \sigma$.
+# The gradients of a 4D Gaussian are proportional to its weight $w$. With
+# $x_t = x + v\,(t - \mu_t)$, they are $\bar x = w\,\bar g$ and $\bar v = w\,(t_0 - \mu_t)\,\bar g$.
+# For a picture far from $\mu_t$ the factor $t_0 - \mu_t$ is large, but $w$ is nearly zero. The pull
+# on the velocity, $u\,e^{-u^2/2\sigma^2}$ with $u = t_0 - \mu_t$, is largest where its derivative
+# $(1 - u^2/\sigma^2)\,e^{-u^2/2\sigma^2}$ is zero: one standard deviation away, at $u = \sigma$.
 
 # %%
 hats = np.maximum(0, 1 - np.abs(DENSE[:, None] * 7 - np.arange(8)))  # of 8 nodes
@@ -454,8 +455,9 @@ u, sigma = np.linspace(0, 1, 1001), 0.2
 assert abs(u[(u * np.exp(-(u**2) / (2 * sigma**2))).argmax()] - sigma) < 2e-3
 
 # %% [markdown]
-# The fitted ways show it. Each gets a gradient at $t_0 = 0.3$ alone, in height, and takes one small
-# step against it. Of the planes' numbers in time, only two columns of eight receive a gradient.
+# The fitted motions show this. Each of them gets a gradient of the height at $t_0 = 0.3$ only, and
+# takes one small step against it. Of the planes' numbers in time, only two columns of eight receive
+# a gradient.
 
 
 # %%
@@ -492,6 +494,7 @@ far = np.abs(DENSE - 0.3) > 0.2
 mean_move = {name: np.abs(move[far]).mean() for name, move in moves.items()}
 assert min(mean_move["network"], mean_move["planes"]) > 2 * mean_move["4D Gaussians"]
 
+# %%
 figure, axes = plt.subplots(figsize=(9, 4.6), layout="constrained")
 for name, moved in moves.items():
     axes.plot(DENSE, moved, color=HUES[name], label=name)
@@ -506,27 +509,29 @@ lessons.finish(
 lessons.show(figure, "28_four_ways_to_move_influence")
 
 # %% [markdown]
-# A step of the network moves all times: every picture teaches every time, for better or worse. The
-# planes alone would move the times around two nodes, but the small network that reads them is
-# shared and moves the others, too. 4D Gaussians move only at the times at which they are seen.
+# A step of the network changes the motion at all times: every picture affects every time, for
+# better or worse. The planes alone would change only the times around two nodes, but the small
+# network that reads them is shared and changes the other times, too. 4D Gaussians move only at the
+# times at which they are visible.
 #
 # ## Break it
-# Five situations, each of which breaks at least one of the ways.
+# Each of the following five situations breaks at least one of the three ways.
 #
 # **Fast or periodic motion.** A ball swings $k$ times up and down, $z = \frac12\sin 2\pi k t$. The
-# network sees the time through waves of up to $2^{L_t - 1} = 8$ radians for the whole recording,
-# 1.3 swings. Eight nodes have seven cells, less than two for a swing as soon as $k \ge 4$. Of the
-# eight straight lines, at $k = 4$ there is one segment per half swing.
+# network sees the time through waves of up to $2^{L_t - 1} = 8$ radians over the whole recording,
+# which is 1.3 swings. Eight nodes have seven cells, fewer than two per swing as soon as $k \ge 4$.
+# The eight straight lines give one segment per half swing at $k = 4$.
 #
-# **What appears and vanishes.** A ball at rest is there from $t = 0.4$ to $0.6$ only. A 4D Gaussian
-# does this by itself. In the other methods the opacity knows no time, so that the Gaussian must
-# shrink to nothing.
+# **Appearing and vanishing.** A ball at rest is present only from $t = 0.4$ to $0.6$. A 4D Gaussian
+# appears and vanishes by itself. In the other methods the opacity does not depend on time, so the
+# Gaussian must shrink to nothing.
 #
 # **Topology.** Two points are a small distance apart at $t = \frac12$ and move in opposite
-# directions. For a network and for planes, motion is a smooth function of the place: what is at the
-# same place cannot part. A hand that leaves a table, or a zip, is such a case.
+# directions. For a network and for planes, motion is a smooth function of the position, so two
+# Gaussians at the same position cannot separate. A hand that leaves a table, or a zip, is such a
+# case.
 #
-# **Few views in time.** The ball bounces as above, but is seen at 6, 12 or 24 times only.
+# **Few views in time.** The ball bounces as above, but is seen at only 6, 12 or 24 times.
 
 
 # %%
@@ -581,6 +586,7 @@ assert max(passing["4D Gaussians"]) < 0.03
 for values in few.values():
     assert values[0] > 0.3 and values[0] > values[2]
 
+# %%
 figure, axes = plt.subplots(2, 2, figsize=(11, 8), layout="constrained")
 panels = (
     (axes[0, 0], SWINGS, fast, "swings in the recording", "Fast or periodic motion"),
@@ -613,20 +619,20 @@ lessons.finish(
 lessons.show(figure, "28_four_ways_to_move_limits")
 
 # %% [markdown]
-# What the picture says:
+# The picture shows:
 #
-# - **Fast motion.** All fail at 8 swings, with the storage of their tiny presets. The network comes
-#   further than its waves, because its layers bend them.
-# - **Vanishing.** One 4D Gaussian fades in and out like a bell; a sharp start needs several. The
-#   network and the planes do shrink the ball in time, each as sharply as it can tell times apart.
-# - **Topology.** The network separates the two points down to a gap of 0.05, but no longer at 0.01.
+# - **Fast motion.** With the storage of their tiny presets, all of them fail at 8 swings. The
+#   network follows faster motion than its waves contain, because its layers are nonlinear.
+# - **Vanishing.** One 4D Gaussian fades in and out along a bell curve; a sharp start needs several.
+#   The network and the planes do shrink the ball, each as sharply as it can distinguish times.
+# - **Topology.** The network separates the two points down to a gap of 0.05, but not at 0.01.
 #   Planes average over a cell, which is 0.29 wide. Each 4D Gaussian has a velocity of its own.
-# - **Few views.** None of them knows the path between the times at which it was seen. The network
-#   makes the smoothest guess, which for a bounce is not the right one.
+# - **Few views.** None of them knows the path between the times at which the ball was seen. The
+#   network makes the smoothest guess, which is not the right one for a bounce.
 #
-# **Long recordings.** A recording of twice the length has twice as many swings. What keeps the
-# error? The network gets one more frequency of the time, the planes twice as many nodes in time,
-# and the 4D Gaussians are twice as many.
+# **Long recordings.** A recording of twice the length has twice as many swings. What does each
+# method need to keep its error? The network gets one more frequency in time, the planes get twice
+# as many nodes in time, and there are twice as many 4D Gaussians.
 
 # %%
 longer = {
@@ -642,20 +648,22 @@ for name, way in longer.items():
 assert way.parameters.vector.size == 2 * before
 
 # %% [markdown]
-# So a network grows with the *logarithm* of the length, until its layers are too narrow for what
-# happens. The planes in time grow with the length, but all Gaussians share them. 4D Gaussians grow
-# with the length for *every* moving thing; this is one reason why 4DGS has the largest files of the
-# paper's tables.
+# A network therefore grows with the *logarithm* of the length, until its layers are too narrow for
+# the motion. The planes in time grow with the length, but all Gaussians share them. The number of
+# 4D Gaussians grows with the length for *every* moving object; this is one reason why 4DGS has the
+# largest files in the paper's tables.
 #
 # ## What a codec does with it
-# A codec is judged by its rate-distortion curve: PSNR over the bytes of the file. It is easy to be
-# misled by one, and easiest to mislead oneself. Eight questions help.
+# A codec is judged by its rate-distortion curve: PSNR over the bytes of the file. Such curves can
+# easily mislead their readers, and also their authors. Eight questions help.
 #
-# **1. Is the quality equal?** A ratio of two sizes says nothing where the PSNR differs, because
-# every method can make a smaller file that is worse. Read both sizes at *one* PSNR off the curves.
+# **1. Is the quality equal?** A ratio of two sizes means nothing if the PSNR differs, because every
+# method can make a smaller file that is worse. Read both sizes off the curves at the *same* PSNR.
 # The points here are made up.
 
 # %%
+from p4dgs_ref.lab.writer import bd_rate, bytes_at
+
 ours = [(8_000, 30.0), (12_000, 31.6), (20_000, 33.0), (38_000, 34.0)]
 theirs = [(30_000, 31.0), (70_000, 33.3), (152_000, 35.0)]
 ratio_of_largest = theirs[-1][0] / ours[-1][0]
@@ -665,14 +673,14 @@ print("where a curve was not measured:", bytes_at(ours, 35.0))
 assert ratio_of_largest == 4 and 3 < at_33 < 3.3
 
 # %% [markdown]
-# **2. What is counted?** The same 4DGS model of 161 numbers has 644 bytes a Gaussian, or 322 in
-# float16. Its authors save a checkpoint, with both moments of Adam and four statistics: 1,948
-# bytes. A PLY of D3DGS has 62 numbers a Gaussian, three of them normals that are always zero, and
-# leaves the network out, which is another file.
+# **2. What is counted?** The same 4DGS model of 161 numbers takes 644 bytes per Gaussian, or 322 in
+# float16. Its authors save a checkpoint that also contains both moments of Adam and four
+# statistics: 1,948 bytes. A PLY file of D3DGS has 62 numbers per Gaussian, three of them normals
+# that are always zero. It does not contain the network, which is another file.
 #
-# **3. Is the baseline's network fair?** Against D3DGS with its authors' network, our tiny file wins
-# by a factor that is nearly all network. Beside it belongs D3DGS with a network of our size; the
-# project's `compare` prints both.
+# **3. Is the baseline's network fair?** Our tiny file is much smaller than that of D3DGS with its
+# authors' network, but nearly all of the difference is the network. A fair comparison also shows
+# D3DGS with a network of our size; the project's `compare` prints both.
 
 # %%
 N = d3dgs.TINY.gaussians
@@ -691,13 +699,13 @@ assert counted["4DGS, checkpoint"] == 800 * 1948 and counted["4DGS, float32"] ==
 assert counted["D3DGS, all"] > 8 * counted["D3DGS small, all"]
 
 # %% [markdown]
-# **4. How large is the spread?** Two seeds of one method differ by half a dB on scenes as small as
-# ours, often more. Suppose that two methods are *equally* good and each seed moves the PSNR by 0.35
-# dB (one standard deviation). How often does one of them seem to lead by half a dB?
+# **4. How large is the spread?** Two seeds of one method differ by half a dB or more on scenes as
+# small as ours. Suppose that two methods are *equally* good and that the PSNR varies between seeds
+# by 0.35 dB (one standard deviation). How often does one of them seem to lead by half a dB?
 #
 # **5. Who chose the checkpoint?** If the best of many checkpoints is chosen by the PSNR of the
-# *test* views, as the code of 4DGS does, the result is the largest of many noisy numbers. Suppose
-# that nothing improves any more and the checkpoints of a training differ by 0.2 dB at random.
+# *test* views, as in the code of 4DGS, the result is the largest of many noisy numbers. Suppose
+# that training has converged and its checkpoints differ by 0.2 dB at random.
 
 # %%
 draws = np.random.default_rng(5)
@@ -715,16 +723,20 @@ assert lead[1] > 0.25 and lead[10] < 0.01
 assert abs(gain[1]) < 0.01 and gain[30] > 0.35
 
 # %% [markdown]
-# **6. Estimated or written?** Eqs. (13) and (14) estimate only a part of a file. Below are the
-# sections of a small published file that they estimate. Short streams need more than their
-# estimate, because every stream stores the state of its coder. A value far from its prior needs
-# less, because the coder's escape is cheaper. Either way, the estimate leaves out most of the file.
+# **6. Estimated or written?** Eqs. (13) and (14) estimate only a part of a file. The next cell
+# prints the sections of a small published file that these equations estimate. Short streams need
+# more than their estimate, because every stream stores the state of its coder. A value far from its
+# prior needs less, because the coder's escape is cheaper. In both cases, the estimate does not
+# cover most of the file.
 #
 # **7. Do the curves overlap?** The BD-rate is the mean difference of the sizes at equal PSNR, as a
-# percentage, over the PSNRs that *both* curves reach. Where they hardly overlap, there is none, and
-# our function says why instead of extrapolating.
+# percentage, over the PSNRs that *both* curves reach. Where the curves hardly overlap, there is no
+# BD-rate, and our function says why instead of extrapolating.
 
 # %%
+from p4dgs_ref.codec import published
+from p4dgs_ref.report.inspect import ledger
+
 sections = ledger((published.FOLDER / "full.p4dgs").read_bytes())
 coded = ("features", "scales", "offset_scales", "offsets", "hash_grid")
 for part in sections:
@@ -746,11 +758,14 @@ assert rate is None
 # **8. What is the PSNR averaged over?** If all errors are on an object that covers a share $p$ of
 # the pixels, the mean squared error of the picture is $p$ times that of the object, so
 # $$\mathrm{PSNR} = \mathrm{PSNR}_{object} + 10\log_{10}\frac1p.$$
-# A scene with a large background turns a bad object into a good number. `evaluate` gives both as
-# `psnr_db` and `psnr_fg_db`. And the mean of decibels is not the decibel of the mean: it forgives a
-# view that has failed if another one is nearly perfect.
+# With a large background, the PSNR is high even if the object is bad. `evaluate` returns both
+# numbers as `psnr_db` and `psnr_fg_db`. Also, the mean of the PSNRs is not the PSNR of the mean
+# error: in the mean of the PSNRs, a nearly perfect view can hide one that has failed.
 
 # %%
+from p4dgs_ref import load_scene
+from p4dgs_ref.report.evaluate import decibel, score
+
 view = load_scene("figure").test[0]
 on_object = view.alpha > 0.5
 without = np.where(on_object[..., None], view.image[~on_object].mean(axis=0), view.image)
@@ -814,18 +829,19 @@ lessons.show(figure, "28_four_ways_to_move_reading")
 # %% [markdown]
 # ## Exercises
 # **28.1** ● A D3DGS model has 50,000 Gaussians in a PLY of 62 float32 numbers each, and a network
-# of 522,280 numbers in float32. A 4DGS model of the same quality has 90,000 Gaussians. How many MB
-# of $10^6$ bytes are these files, as `[D3DGS, 4DGS]`, with the network but without Adam's moments?
+# of 522,280 numbers in float32. A 4DGS model of the same quality has 90,000 Gaussians. How large
+# are these files in MB of $10^6$ bytes, as `[D3DGS, 4DGS]`, with the network but without Adam's
+# moments?
 #
 # **28.2** ●● A 4D Gaussian has the covariance $A = 0.05$, $b = 0.03$, $v = 0.04$ of one space axis
-# and the time, $x = 1$ and $\mu_t = 0.5$. What are its place, its variance and its weight at
+# and the time, $x = 1$ and $\mu_t = 0.5$. What are its position, its variance and its weight at
 # $t = 0.7$, as `[x_t, Sigma_t, w]`?
 #
 # **28.3** ●● A plane with 5 nodes in time gives $x_t = \sum_j h_j(t)\,p_j$. Pictures at $t = 0.1$,
 # $0.3$ and $0.6$ have the cotangents $\bar x = 1$, $-2$ and $5$. What is $\bar p$, as 5 numbers?
 #
-# **Predict, then run.** All four methods are asked for a picture at $t = 1.25$, after the end of
-# the recording. What does each of the three ways to move show?
+# **Predict, then run.** All four methods render a picture at $t = 1.25$, after the end of the
+# recording. What does each of the three ways show?
 
 # %%
 answer_1 = answer_2 = answer_3 = ...
@@ -838,17 +854,18 @@ lessons.number("28.3", answer_3)
 # ## Check your port
 # `p4dgs-ref oracle equations` lists the equations of the other methods below the paper's, with the
 # numbers D1 to D3, H1 to H3 and G1 to G4. Eq. (5) is checked with `p4dgs-ref oracle check DIR
-# --only deformation`. Typical mistakes of ports of the others: the time from 0 to 1 is given to
-# planes that expect -1 to 1, so that half of the nodes are never read; the sum $r + \Delta r$ is
-# not normalised, so that a turn also shears; and G3 takes the standard deviation for the variance.
+# --only deformation`. Ports of the other equations have typical mistakes: planes that expect times
+# from -1 to 1 get times from 0 to 1, so that half of the nodes are never read; the sum
+# $r + \Delta r$ is not normalised, so that a rotation also shears; and G3 uses the standard
+# deviation in place of the variance.
 
 # %%
 lessons.passes("deformation")
 
 # %% [markdown]
 # ## An open project
-# **A second ball that the first hides.** What does it cost that a body comes out of another one? In
-# a copy of `tiny_scenes/bouncing/scene.json`, replace the bodies:
+# **A second ball that the first hides.** What does it cost if one body emerges from another? In a
+# copy of `tiny_scenes/bouncing/scene.json`, replace the bodies:
 #
 # ```
 # "bodies": [
@@ -860,13 +877,14 @@ lessons.passes("deformation")
 # Run `p4dgs-ref simulate copy.json -o hidden`, `p4dgs-ref train hidden -o run`,
 # `p4dgs-ref encode run -o hidden.p4dgs` and `p4dgs-ref evaluate hidden.p4dgs hidden`, which take a
 # minute. The baseline of seed 0 is 40.14 dB from 37,326 bytes. With the yellow ball 0.7 higher
-# (`"position": [0, 0, 0.7]`), where nothing hides it, it is 38.76 dB from 37,194 bytes: hiding this
-# motion costs nothing. Find one where it does.
-# `p4dgs-ref compare hidden --method gaussian4d --seeds 1` also trains 4DGS, which has 41.70 dB
+# (`"position": [0, 0, 0.7]`), where nothing hides it, the result is 38.76 dB from 37,194 bytes: for
+# this motion, hiding costs nothing. Find a motion for which it does.
+# `p4dgs-ref compare hidden --method gaussian4d --seeds 1` also trains 4DGS, which reaches 41.70 dB
 # here.
 #
-# A success is a pair of scenes, equal except for the position of the second ball, in which hiding
-# it costs at least 1 dB on each of the seeds 0, 1 and 2, in the mean of the test views that show
-# both balls in full. A greater one is a change of the model that wins half of it back without more
-# bytes. The motions are those of `MOTIONS` in `p4dgs_ref/scenes/simulator/description.py`; think of
-# leaving fast, more than once, or to two sides, and of the topology above.
+# You succeed with a pair of scenes, equal except for the position of the second ball, in which
+# hiding this ball costs at least 1 dB on each of the seeds 0, 1 and 2, on average over the test
+# views that show both balls in full. A greater success is a change of the model that recovers half
+# of this loss without more bytes. The motions are those of `MOTIONS` in
+# `p4dgs_ref/scenes/simulator/description.py`; think of leaving fast, more than once, or to two
+# sides, and of the topology above.

@@ -20,8 +20,8 @@ lessons.number("01.1", [1, 4, -1], x_a + np.array([0, 4, -0.5]) * l_a)
 # **01.2** The indexing with `None` adds an axis of length one, and NumPy repeats the array along
 # it, once for each child.
 #
-# **01.3** The backward of repeating is summing, so `x_a` and `l_a` sum over the axis of the
-# children.
+# **01.3** The backward of repeating is summing, so the gradients of `x_a` and `l_a` are sums over
+# the children's axis.
 
 
 # %%
@@ -43,8 +43,8 @@ lessons.backward("01.3", my_backward, "offsets")
 
 # %% [markdown]
 # **Predict, then run.** Between 512 and 1024, numbers in float16 are 0.5 apart. A child moves if
-# the product is more than half of that, so the first offset is 3. Positions are kept in float32
-# for this reason.
+# the product is more than half of that, so the first offset is 3. This is why positions are stored
+# in float32.
 
 # %%
 offsets = np.arange(1, 6).astype(np.float16)

@@ -38,8 +38,8 @@ lessons.forward("03.2", my_opacity, "opacity")
 
 
 # %% [markdown]
-# **03.3** Go from the last layer to the first. In each layer compute the two gradients, then take
-# the cotangent through the weights and through the ReLU in front of the layer.
+# **03.3** Go from the last layer to the first. In each layer compute the two gradients, then pass
+# the cotangent back through the weights and through the ReLU in front of the layer.
 
 
 # %%
@@ -62,7 +62,7 @@ lessons.backward("03.3", my_mlp_backward, "mlp")
 
 # %% [markdown]
 # **03.4** Start from zeros in the shape of each input, and write the cotangents to the places of
-# the kept Gaussians. A Boolean index goes through these places in the order of the list.
+# the kept Gaussians. A Boolean index visits these places in the order of the list.
 
 
 # %%
@@ -78,8 +78,9 @@ def my_masking_backward(inputs, cotangents):
 lessons.backward("03.4", my_masking_backward, "masking")
 
 # %% [markdown]
-# **Predict, then run.** None: a Gaussian that is left out of the list has no cotangent, and
-# `masking` fills its place with zeros. The picture alone never brings the anchor back.
+# **Predict, then run.** The gradient is zero: a Gaussian that is not in the list has no cotangent,
+# and `masking` fills its place with zeros. The picture alone therefore never brings the anchor
+# back.
 
 # %%
 alpha = np.array([[0.009, 0.0099]])

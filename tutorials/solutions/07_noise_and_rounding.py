@@ -8,9 +8,9 @@ from p4dgs_ref.equations import noise, rounding
 from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
-# **07.1** The quotients are $2.5$, $1.5$, $-3.5$ and $-1.8$. The first three are ties, and they are
-# rounded to the even neighbour. Rounding ties up, down or away from zero, and cutting off the
-# fraction, all give other lists.
+# **07.1** The quotients are $2.5$, $1.5$, $-3.5$ and $-1.8$. The first three are ties and are
+# rounded to the even neighbour. Rounding ties up, down or away from zero, or truncating, gives a
+# different list.
 
 # %%
 four = np.array([[0.625, 0.375, -0.875, -0.45]])
@@ -32,8 +32,8 @@ lessons.forward("07.2", my_rounding, "rounding")
 
 
 # %% [markdown]
-# **07.3** In $\tilde f = f + uq$ the slope in $f$ is one and the slope in $q$ is $u$. One $q$
-# serves a whole row, so its gradient is the sum over the row.
+# **07.3** In $\tilde f = f + uq$, the derivative with respect to $f$ is one, and with respect to
+# $q$ it is $u$. A whole row shares one $q$, so its gradient is the sum over the row.
 
 
 # %%
@@ -46,9 +46,9 @@ def my_backward(inputs, cotangents):
 lessons.backward("07.3", my_backward, "noise")
 
 # %% [markdown]
-# **Predict, then run.** Noise does not know where the multiples are: its mean square is $q^2/12$.
-# Rounding loses nothing. Noise describes rounding well only where the numbers spread over many
-# steps.
+# **Predict, then run.** With noise, the mean squared error is $q^2/12$, wherever the numbers are.
+# In the file it is 0, because rounding does not change these numbers. Noise is a good model of
+# rounding only where the numbers spread over many steps.
 
 # %%
 rng = np.random.default_rng(7)

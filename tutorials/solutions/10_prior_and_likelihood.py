@@ -13,8 +13,8 @@ from p4dgs_ref.lab.school.lessons import close
 
 # %% [markdown]
 # **10.1** The mirrored bin has $p = \Phi(-low) - \Phi(-high) = \Phi(-low)\,(1 - r)$, where $r$ is
-# the ratio of the two tails. With `log_ndtr`, both tails are known by their logarithms, which works
-# for every bin here. Only $\log(1-r)$ needs care, and `log1p` computes it accurately.
+# the ratio of the two tails. `log_ndtr` gives the logarithms of both tails, for every bin here.
+# Only $\log(1-r)$ needs care, and `log1p` computes it accurately.
 
 # %%
 case = lessons.golden("gaussian_bin/tails")
@@ -26,7 +26,7 @@ answer_1 = tail + np.log1p(-np.exp(beyond - tail))
 lessons.number("10.1", answer_1, case["out.log_p"][near], digits=9)
 
 # %% [markdown]
-# With `erfcx`, as the project does it, the factor $e^{-low^2/2}$ goes directly into the logarithm.
+# With `erfcx`, which the project uses, the factor $e^{-low^2/2}$ goes directly into the logarithm.
 
 # %%
 low, high = z - w / 2, z + w / 2
@@ -36,8 +36,8 @@ assert close(np.log(g) - low**2 / 2, answer_1, 1e-11)
 
 
 # %% [markdown]
-# **10.2** The gradients of the means go back unchanged. Those of the logarithms get the factor
-# $\sigma$, and zero where they were clamped.
+# **10.2** The gradients of the means go back unchanged. Those of the logarithms are multiplied by
+# $\sigma$, and they are zero where the logarithms were clamped.
 
 
 # %%
@@ -84,9 +84,9 @@ def my_likelihood_backward(inputs, cotangents):
 lessons.backward("10.3", my_likelihood_backward, "likelihood")
 
 # %% [markdown]
-# **Predict, then run.** Eq. (11) contains quotients only, so the bits stay the same. A change of
-# $\mu$ by one unit now is a thousand times smaller, and so is the gradient. A density would lose
-# $\log_2 1000$, about ten bits a number.
+# **Predict, then run.** Eq. (11) contains only quotients, so the bits stay the same. A change of
+# $\mu$ by one unit is now a thousand times smaller, and so is the gradient. A density instead of a
+# probability would change by $\log_2 1000$, about ten bits per number.
 
 # %%
 given = [np.array([[value]]) for value in (0.3, 0.1, 0.2, 0.05)]  # f, mu, sigma, q

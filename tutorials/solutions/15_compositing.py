@@ -30,9 +30,8 @@ lessons.number("15.1", [0.9, 0.2, 0.2, -0.125], [white[0, 0, 0], *alpha_bar])
 
 
 # %% [markdown]
-# **15.2** A stable sort keeps splats of equal depth in the order of their index. The
-# transmittances have one row more than there are splats: the last row is the light that reaches
-# the background.
+# **15.2** A stable sort keeps splats of equal depth in the order of their index. The transmittances
+# have one more row than there are splats: the last row is the light that reaches the background.
 
 
 # %%
@@ -128,8 +127,8 @@ lessons.backward("15.3", my_backward, "compositing")
 
 # %% [markdown]
 # **Predict, then run.** The smallest positive float16 is $6\cdot 10^{-8}$, so the product is 0
-# after eight layers. It is not visible: what lies behind has a weight of $10^{-8}$. But a backward
-# that divides by transmittances divides by zero.
+# after eight layers. The error is not visible, because everything farther back has a weight of
+# $10^{-8}$. But a backward that divides by transmittances divides by zero.
 
 # %%
 through = np.float16(1)

@@ -13,8 +13,8 @@ from p4dgs_ref.splatting import render
 
 # %% [markdown]
 # **16.1** In the tutorial, evaluate `look([temporal(child, 0.0)[0] for child in canonical])[0]`.
-# At time 0 the children do not stand at their canonical positions, because $\psi_d$ has biases
-# and therefore moves them even then. The renderer returns the same colour for the same anchor.
+# At time 0 the children are not at their canonical positions, because $\psi_d$ has biases and
+# therefore moves them even then. The renderer returns the same colour for the same anchor.
 
 # %%
 rng = np.random.default_rng(3524)
@@ -63,8 +63,8 @@ lessons.number("16.1", [0.6387020, 0.4141825, 0.3525295], image[12, 18])
 
 # %% [markdown]
 # **16.2** and **16.3** The forward pass follows the data, and the backward pass goes the opposite
-# way. Two sums are easily forgotten: four networks read the features, and the position is used
-# twice, in Eq. (1) and, through the view, in Eq. (2).
+# way. Two sums are easy to forget: four networks read the features, and the position is used twice,
+# in Eq. (1) and in Eq. (2).
 
 
 # %%
@@ -123,9 +123,9 @@ lessons.forward("16.2", my_forward, "spatial_prediction")
 lessons.backward("16.3", my_backward, "spatial_prediction", "x_a", "f_a", "s_a", "l_a", "O_a")
 
 # %% [markdown]
-# **Predict, then run.** Eqs. (1) to (4) see the anchor only relative to the camera, so all
-# attributes except $x$ stay, and $x$ moves along. But Eq. (5) reads the position itself. $\psi_d$
-# moves the Gaussians differently there, and the pixel changes.
+# **Predict, then run.** Eqs. (2) to (4) depend on the anchor only relative to the camera, so all
+# attributes except $x$ stay the same, and $x$ moves by $(1, 0, 0)$. But Eq. (5) reads the position
+# itself. At the new position, $\psi_d$ moves the Gaussians differently, and the pixel changes.
 
 # %%
 there = anchor._replace(x_a=anchor.x_a + [1.0, 0, 0])

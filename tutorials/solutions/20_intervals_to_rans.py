@@ -21,8 +21,8 @@ lessons.number("20.1", 2 + 2 + 2 + 1, 7)
 
 
 # %% [markdown]
-# **20.2** Push from the last entry to the first. The test before a push asks whether $x$ would
-# reach $2^{63}$: $\lfloor x/f\rfloor 2^{24} < 2^{63}$ holds exactly if $x < f\,2^{39}$.
+# **20.2** Push from the last entry to the first. The test before a push determines whether $x$
+# would reach $2^{63}$: $\lfloor x/f\rfloor 2^{24} < 2^{63}$ holds exactly if $x < f\,2^{39}$.
 
 
 # %%
@@ -83,9 +83,9 @@ signs = np.concatenate([level.ravel() for level in model.grids]) > 0
 lessons.number("20.3", my_decode(grid[4:], len(signs), sign_keys), signs)
 
 # %% [markdown]
-# **Predict, then run.** A wrong table costs what it says: one bit a sign. The right table costs
-# the entropy, $0.081$ bits. The message is decoded correctly with either, if the decoder has the
-# same table.
+# **Predict, then run.** The wrong table gives both signs the probability one half, so each of them
+# costs one bit. With the right table, a sign costs the entropy, $0.081$ bits. The message is
+# decoded correctly with either table, if the decoder has the same one.
 
 # %%
 entries = (np.random.default_rng(20).random(10_000) < 0.01).astype(int)

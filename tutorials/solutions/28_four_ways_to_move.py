@@ -10,8 +10,8 @@ from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **28.1** A player of D3DGS needs the Gaussians and the network. The normals are counted because
-# they are in the file. 4DGS has no network, and a player needs its 161 parameters, but not the
-# moments of Adam.
+# they are in the file. 4DGS has no network. A player needs the 161 parameters of its Gaussians, but
+# not the moments of Adam.
 
 # %%
 d3dgs = (50_000 * 62 + 522_280) * 4 / 1e6
@@ -20,8 +20,8 @@ lessons.number("28.1", [d3dgs, gaussian4d], [12.4 + 2.08912, 57.96])
 
 # %% [markdown]
 # **28.2** The velocity is $b/v = 0.75$, so the Gaussian moves by $0.15$. Its variance is
-# $0.05 - 0.03^2/0.04$ at all times, and its weight $e^{-0.2^2/0.08}$. The second way is that of G2
-# and G3, whose scales and rotation come from the eigenvalues and eigenvectors of the covariance.
+# $0.05 - 0.03^2/0.04$ at all times, and its weight $e^{-0.2^2/0.08}$. The second computation uses
+# G2 and G3, whose scales and rotation come from the eigenvalues and eigenvectors of the covariance.
 
 # %%
 moved = 1 + 0.75 * 0.2
@@ -43,7 +43,7 @@ lessons.number("28.2", [moved, variance, faded], by_equations)
 # **28.3** The nodes are at 0, 0.25, 0.5, 0.75 and 1. The picture at 0.1 reads the first two nodes
 # with the weights 0.6 and 0.4, the one at 0.3 the second and the third with 0.8 and 0.2, and the
 # one at 0.6 the third and the fourth with 0.6 and 0.4. Each cotangent goes back with the same
-# weights. The second way is H1 with planes of which all but one are 1 everywhere.
+# weights. The second computation is H1 with planes of which all but one are 1 everywhere.
 
 # %%
 by_hand = [0.6, 0.4 - 1.6, -0.4 + 3, 2, 0]
@@ -62,9 +62,9 @@ for t, x_bar in ((0.1, 1), (0.3, -2), (0.6, 5)):
 lessons.number("28.3", by_hand, p_bar)
 
 # %% [markdown]
-# **Predict, then run.** The network draws some curve, because its sines go on; nothing has told it
-# which. The planes move the time to the nearest end, so that the last picture stands still. The 4D
-# Gaussians fly on along their lines and fade: nothing is left.
+# **Predict, then run.** The network continues along some curve, because its sines continue, but no
+# picture has constrained this curve. The planes clamp the time to the nearest end, so the last
+# picture is frozen. The 4D Gaussians continue along their lines and fade until nothing is left.
 
 # %%
 planes = [plane * np.linspace(1, 2, plane.shape[1])[:, None] for plane in planes]

@@ -65,7 +65,7 @@ PICTURES = {
     "compositing.png": Picture(
         "tutorial",
         "15_compositing.png",
-        "The backward of compositing: every pixel pulls at the splats that cover it",
+        "The backward of compositing: every pixel pulls on the splats that cover it",
     ),
     "file.png": Picture(
         "tutorial",

@@ -31,7 +31,9 @@ DPI = 100  # of the figures: most are 800 pixels wide
 COLOR_STEP = 5  # of 255; rounding the colours saves a third of the bytes, and nobody sees it
 PROSE, CODE = "# %% [markdown]", "# %%"
 NAME = re.compile(r"(?<!\[)`(\d\d_\w+)`")  # of a tutorial in the prose, unless it is linked already
-ONLY_DRAWS = re.compile(r"(?!.*(\n *def |\bassert\b|\bprint\()).*lessons\.show\(", re.S)  # a cell
+ONLY_DRAWS = re.compile(r"(?!.*(\bassert\b|\bprint\()).*lessons\.show\(", re.S)  # a cell
+# Jupyter reads the first mark; converters to HTML and books read the second one.
+COLLAPSED = {"jupyter": {"source_hidden": True}, "tags": ["hide-input"]}
 LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)[^)\s]+")  # a target without https: and the like
 START = "import sys; from tutorials.tools.notebooks import record; record(*sys.argv[1:])"
 INSTALL = "To run it, install the package: `pip install .` in the folder above `tutorials/`."
@@ -94,15 +96,15 @@ def unrun(source):
                     id,
                     "code",
                     cell.text,
-                    metadata={"jupyter": {"source_hidden": bool(ONLY_DRAWS.match(cell.text))}},
+                    metadata=COLLAPSED if ONLY_DRAWS.match(cell.text) else {},
                     execution_count=count,
                     outputs=[],
                 )
             )
-    own = {"source_sha256": hashlib.sha256(source.read_bytes()).hexdigest()}
+    own = hashlib.sha256(source.read_bytes()).hexdigest()
     return {
         "cells": parts,
-        "metadata": {**METADATA, "p4dgs_ref": own},
+        "metadata": {**METADATA, "p4dgs_ref": {"source_sha256": own}},
         "nbformat": 4,
         "nbformat_minor": 5,
     }
@@ -145,8 +147,9 @@ def make(source):
         for cell, outputs in zip(code, outputs_of, strict=True):
             cell["outputs"] = outputs
         target = folder / f"{source.stem}.ipynb"
-        text = json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True)
-        write_text(target, text + "\n")
+        write_text(
+            target, json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+        )
     return target
 
 

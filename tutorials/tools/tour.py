@@ -43,16 +43,16 @@ PAPER = {
 }
 SECTIONS = {  # in the order of the strip: label and colour
     "positions": ("positions", show.PARTS["position, masks"]),
+    "masks": ("masks", show.GREY),
     "features": ("features", show.PARTS["feature"]),
     "scales": ("scales", show.PARTS["scales"]),
     "offset_scales": ("offset\nscales", show.PARTS["offset scales"]),
     "offsets": ("offsets", show.PARTS["offsets"]),
-    "masks": ("", show.GREY),
-    "hash_grid": ("", show.CONTEXT),
-    "context_mlps": ("context", show.CONTEXT),
+    "hash_grid": ("hash grid", show.CONTEXT),
+    "context_mlps": ("context\nnetworks", show.CONTEXT),
     "deformation_mlp": ("motion network", show.TIME),
     "anchor_mlps": ("prediction networks", show.SPACE),
-    "header": ("", show.GREY),
+    "header": ("header", show.GREY),
 }
 
 
@@ -121,7 +121,10 @@ def parts(figure):
     plain = replace(MODEL, design=DESIGN._replace(coded=False, position_bits=16), steps=None)
     paper, own = (inspect.components(data) for data in (file.encode(plain), DATA))
     zoom, colors = sum(paper.values()) / len(DATA), {n: color for n, (_, color) in SECTIONS.items()}
-    labels = {name: label and f"{own[name]:,}\n{label}" for name, (label, _) in SECTIONS.items()}
+    labels = {  # of narrow parts above the strip, of the others below it
+        name: (1.45 if own[name] < 400 else -0.2, f"{own[name]:,}\n{label}")
+        for name, (label, _) in SECTIONS.items()
+    }
     for y, sizes, title in ((4, paper, "the paper's design"), (2.4, own, "coded networks")):
         networks = sum(size for name, size in sizes.items() if "mlp" in name)
         said = f"{sum(sizes.values()):,} bytes, {networks:,} of them networks"

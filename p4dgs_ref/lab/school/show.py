@@ -158,11 +158,14 @@ def layers(ax, shares, colors):
 
 
 def strip(ax, sizes, y, colors, height=0.7, labels=None):
-    """Draw {name: size} as one bar from 0 on, in {name: colour}, with {name: label} below it."""
+    """Draw {name: size} as one bar from 0 on, in {name: colour}.
+
+    `labels` is {name: (height of the text's upper end, text)}.
+    """
     for end, (name, size) in zip(np.cumsum([*sizes.values()]), sizes.items()):
         ax.barh(y, size, height, end - size, color=colors[name], edgecolor="white")
         if labels:
-            ax.text(end - size / 2, y - 0.6, labels[name], ha="center", va="top", fontsize=14)
+            ax.text(end - size / 2, *labels[name], ha="center", va="top", fontsize=14)
 
 
 def distribution(ax, mu, sigma, symbol, reach=14):
@@ -269,8 +272,8 @@ def steps(figure, model, camera, t, truth, view, factors=(1, 4, 16)):
         values, counts = np.unique(file.symbols[:, :d], return_counts=True)
         bottom.bar(factor * values, 100 * counts / counts.sum(), 0.85 * factor, color=STEP)
         bottom.set(
-            title=f"{len(values)} values",
-            xlabel="feature (first steps)",
+            title=f"{len(values)} values, {(counts < 0.001 * counts.sum()).sum()} below 0.1 %",
+            xlabel="feature, in multiples of\nthe left column's step",
             ylabel="% of all",
             xlim=(-25, 25),
         )

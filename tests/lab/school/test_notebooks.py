@@ -62,7 +62,6 @@ def test_prose_can_be_shown_by_viewers_of_notebooks(source):
 )
 def test_checker_notices(key, value, said, made):
     notebook = form.load(made)
-    assert form.flaws(notebook) == []
     if key == "text":
         notebook["cells"][2]["outputs"][0][key] = value
     else:

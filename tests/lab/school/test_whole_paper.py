@@ -202,15 +202,18 @@ PLANTED = {
     "clamp at 0.99": ("alpha_p_bar *= alpha * falloff <= 0.99", "pass"),
     "light behind a splat": ("- behind / (1 - alpha_p)", "- behind"),
     "ellipse's centre": ("[K_a * x_sum + K_b * y_sum,", "[K_a * x_sum - K_b * y_sum,"),
-    "factors of a rotation": ("R_bar.transpose(0, 2, 1) @ L", "R_bar @ L"),
-    "depth of the projection": ("z_bar -= (m_bar * m)", "z_bar -= 0 * (m_bar * m)"),
+    "factors of a rotation": ("R_bar.transpose(0, 2, 1) @ G_plus", "R_bar @ G_plus"),
+    "depth of the projection": ("z_bar -= (JR_bar * JR)", "z_bar -= 0 * (JR_bar * JR)"),
     "children of an anchor": ("x_bar * l[:, None], (x_bar * O)", "x_bar, (x_bar * O)"),
     "length of a quaternion": ("(bar - r * (r * bar)", "(bar - 0 * (r * bar)"),
     "first layer": ("(second_bar @ W1.T) * (first > 0)", "second_bar @ W1.T"),
     "window of SSIM": ("+ 2 * x * blur(var_bar)", "+ x * blur(var_bar)"),
     "upper edge of a bin": ("f_bar = -side * (upper_bar + lower_bar)", "f_bar = -side * upper_bar"),
     "step in the noise": ("np.add.reduceat(bar * u, STARTS", "np.add.reduceat(bar, STARTS"),
-    "signs of the grids": ("slope = np.log2((1 - p) / p) / 2", "slope = np.log2((1 - p) / p)"),
+    "signs of the grids": (
+        "slope = np.log2((1 - p_plus) / p_plus) / 2",
+        "slope = np.log2((1 - p_plus) / p_plus)",
+    ),
     "rate of one noisy number": ("noisy_bar = noisy_bar + coded_bar", "noisy_bar = noisy_bar"),
 }
 
