@@ -171,7 +171,7 @@
     });
     stroke(context, path, INK.hidden);
     const count = all.alpha.filter((alpha) => alpha < model.header.tau_alpha).length;
-    return count ? `${count} children are below τ_α.` : "No child is below τ_α in this view.";
+    return `Children below τ_α in this view: ${count}.`;
   }
 
   // --- the hash grid ----------------------------------------------------------------------------
@@ -206,7 +206,7 @@
     if (axes.length === 2) mesh(path, frame, axes, R, 0);
     else for (const pair of [[0, 1], [0, 2], [1, 2]]) mesh(path, frame, pair, R, 0);
     stroke(context, path, INK.cell, 0.7);
-    const left = every(R) > 1 ? `Every ${every(R)}th line of the grid is drawn.` : null;
+    const left = every(R) > 1 ? `One line of ${every(R)} is drawn.` : null;
     if (selected === null) return left;
     const cells = new Path2D();
     cellOf(cells, frame, axes, R, selected);

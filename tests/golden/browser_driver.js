@@ -1,7 +1,7 @@
 // Uses every control of the page and writes what it finds into the document, as JSON in base64.
 //
 // `browser.js` puts this script behind the page's own, and `checks` before it: a scene's test views
-// with the package's pictures of them, a damaged file and a file of 5,000 anchors.
+// with the package's pictures of them, bad files, good ones of all kinds, one of 5,000 anchors.
 "use strict";
 
 (async function () {
@@ -266,6 +266,15 @@
     for (const name of Object.keys(layers.LAYERS)) await use(`layer-${name}`, true);
     await use("shown", "bits");
     found.large_all_layers_ms = await pace(true, 3);
+    for (const [file, data] of checks.good) {
+      await drop(file, bytesOf(data));
+      await use("anchor", "0");
+      await use("level", String(page.state.model.header.grid.length - 1));
+      await use("coarser", "3");
+      await wait(100);
+      check(`${file} does not open`, page.state.name === file && page.state.changed);
+    }
+    found.good = checks.good.length;
     const huge = { ...page.state.model, header: { ...page.state.model.header, anchors: 2 ** 22 } };
     check("four million anchors are taken", draw.tooLarge(huge) !== null);
   }
