@@ -272,7 +272,7 @@
     };
     const rows = names.map((name, i) => row(`${i + 1} ${name}`, own[name], now[name], PARTS[name]));
     rows.push(row("all", state.data.length, total(now), ""));
-    const estimated = state.changed ? ["estimated bytes"] : [];
+    const estimated = state.changed ? ["estimate"] : [];
     const head = ["section", "bytes", "share", ...estimated, "what it holds"];
     $("sections").replaceChildren(explain.table("Sections of the file", head, rows));
   }
@@ -485,7 +485,8 @@
     if (!file) return;
     $("message").textContent = "";
     try {
-      if (file.size > MOST_BYTES) throw new Error("container, byte 10: expected at most 2^29 bytes");
+      const isLarge = file.size > MOST_BYTES;
+      if (isLarge) throw new Error("container, byte 10: expected at most 2^29 bytes");
       const data = new Uint8Array(await file.arrayBuffer());
       load(file.name, data, await decoded(data));
     } catch (error) {

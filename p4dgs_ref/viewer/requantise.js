@@ -69,8 +69,8 @@
    *
    *  `coarser` multiplies every step q. `dropped` is the number of low bits that each weight of the
    *  networks that draw loses. Without `masks` every child is in the file, and the offsets of those
-   *  that were not are the means of Eq. (12). Without `context` there is neither the hash grid nor a
-   *  context network: q = Q_0, and one mean and deviation for every column of attributes. */
+   *  that were not are the means of Eq. (12). Without `context` there is neither the hash grid nor
+   *  a context network: q = Q_0, and one mean and deviation for every column of attributes. */
   function requantise(model, sections, changes) {
     const how = { ...UNCHANGED, ...changes };
     const bytes = { ...model.bytes };

@@ -2,9 +2,9 @@
 //
 // Writes a page with `p4dgs-ref view`, lets `browser_driver.js` use every control of it, with and
 // without WebGL2, and compares pictures with those of `p4dgs-ref render`. Then it photographs the
-// page at three widths, light and dark, and the layers one after another. Prints what was found; the
-// exit code is 1 where something is wrong. It runs `chromium`, and `python` of the environment, or
-// what the variables CHROMIUM and PYTHON name.
+// page at three widths, light and dark, and the layers one after another. Prints what was found;
+// the exit code is 1 where something is wrong. It runs `chromium`, and `python` of the environment,
+// or what the variables CHROMIUM and PYTHON name.
 "use strict";
 
 const { spawnSync } = require("child_process");
@@ -15,7 +15,10 @@ const ROOT = resolve(__dirname, "..", "..");
 const FOLDER = resolve(process.argv[2]);
 const DEMO = join(ROOT, "tutorials", "demo.p4dgs");
 const FLAGS = ["--headless=new", "--no-sandbox", "--enable-logging=stderr"];
-const PATHS = { WebGL2: "--enable-unsafe-swiftshader", "no WebGL: canvas path": "--disable-3d-apis" };
+const PATHS = {
+  WebGL2: "--enable-unsafe-swiftshader",
+  "no WebGL: canvas path": "--disable-3d-apis",
+};
 const WIDTHS = [400, 800, 1600];
 const THEMES = { dark: 0, light: 1 }; // as Chromium numbers what a page is told of the wish
 
