@@ -13,6 +13,7 @@ import p4dgs_ref as p4
 from ..codec import container, splats
 from ..report import figures
 from ..report import inspect as sizes
+from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
 from ..scenes.load import find_scene, read_description, read_points_for
 from ..scenes.output import filled, made, new_file, write_atomically
@@ -242,6 +243,14 @@ def export_ply(arguments):
             ),
         )
     tell(f"{output}: {len(gaussians.alpha)} Gaussians, frozen for {name}")
+
+
+def view(arguments):
+    """Write a page that shows files."""
+    files = {name: read_file(name)[0] for name in arguments.files}
+    output = arguments.output or Path(arguments.files[0]).with_suffix(".html")
+    size = pages.view(files, output)
+    tell(f"{output}: {size:,} bytes, with {', '.join(arguments.files)}; a browser opens it")
 
 
 def evaluate(arguments):

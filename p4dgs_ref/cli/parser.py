@@ -298,6 +298,14 @@ GROUPS = {
                 ),
             ),
         ),
+        "view": (
+            "job.view",
+            "write a page that shows files in a browser, from disk",
+            (
+                option("files", nargs="+", metavar="FILE", help="a .p4dgs file"),
+                output("page to write (default beside the first FILE)"),
+            ),
+        ),
         "export-ply": (
             "job.export_ply",
             "write a file's Gaussians of one time and view as a PLY file for splat viewers",

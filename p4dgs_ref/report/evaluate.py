@@ -60,8 +60,9 @@ def evaluate(
     views = getattr(scene, split)
     if not views:
         raise ValueError(f"scene {scene.name}: split '{split}' has no views to evaluate on")
-    rendered = [timed(model.render, view.camera, view.time, settings) for view in views]
-    images, seconds = map(list, zip(*rendered))
+    images, seconds = map(
+        list, zip(*(timed(model.render, view.camera, view.time, settings) for view in views))
+    )
     rows = [
         {"name": view.name, "time": view.time, **score(image, view)}
         for view, image in zip(views, images)
@@ -82,8 +83,12 @@ def evaluate(
 
 def explicit_bytes(model, gaussians, floats=FLOATS_PER_GAUSSIAN):
     """Bytes of the same Gaussians and of the deformation network as plain float32."""
-    moving = [model.networks.get(name, ()) for name in ("psi_d", "psi_t")]
-    weights = sum(a.size for network in moving for arrays in network for a in arrays)
+    weights = sum(
+        a.size
+        for name in ("psi_d", "psi_t")
+        for arrays in model.networks.get(name, ())
+        for a in arrays
+    )
     return 4 * (gaussians * floats + weights)
 
 

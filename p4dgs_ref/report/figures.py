@@ -8,7 +8,7 @@ from ..splatting import render
 from ..splatting.settings import FAST
 from ..training.loop import COLUMNS
 
-STAGE_NAMES = ("static", "+ noise", "+ motion", "+ rate")
+STAGES = "iteration (stages: 1 static, 2 + noise, 3 + motion, 4 + rate)"
 LABELS = {
     "header": "header",
     "positions": "anchor positions",
@@ -72,11 +72,10 @@ def error_of(image, truth):
 
 def draw_pictures(path, title, rows):
     """Rows (label, [(picture, title), ...]) of pictures; the last row must be one of errors."""
-    columns = len(rows[0][1])
+    shape = len(rows), len(rows[0][1])
     figure, axes = pyplot().subplots(
-        len(rows),
-        columns,
-        figsize=(2.6 * columns + 0.5, 9.2 / 3 * len(rows)),
+        *shape,
+        figsize=(2.6 * shape[1] + 0.5, 9.2 / 3 * shape[0]),
         squeeze=False,
         layout="constrained",
     )
@@ -109,14 +108,14 @@ def write_comparison(folder, scene, rows, images, count=4):
     order = np.argsort([view.time for view in scene.test], kind="stable")
     chosen = order[np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)]
     views, images = [scene.test[i] for i in chosen], [np.clip(images[i], 0, 1) for i in chosen]
-    psnr = [f"PSNR {rows[i]['psnr_db']:.1f} dB" for i in chosen]
-    pictures = [
-        ("truth", [(view.image, f"t = {view.time:.2f}") for view in views]),
-        ("decoded", [*zip(images, psnr)]),
-        ("absolute error", [error_of(image, view.image) for image, view in zip(images, views)]),
-    ]
     draw_pictures(
-        folder / "comparison.png", f"{scene.name}: test views, not used in training", pictures
+        folder / "comparison.png",
+        f"{scene.name}: test views, not used in training",
+        [
+            ("truth", [(view.image, f"t = {view.time:.2f}") for view in views]),
+            ("decoded", [(a, f"PSNR {rows[i]['psnr_db']:.1f} dB") for a, i in zip(images, chosen)]),
+            ("absolute error", [error_of(image, view.image) for image, view in zip(images, views)]),
+        ],
     )
 
 
@@ -124,8 +123,13 @@ def write_gif(path, images):
     """Write images (H, W, 3) in [0, 1] as a GIF that plays forwards and backwards."""
     import imageio.v3 as iio
 
-    pixels = [(image * 255).round().astype(np.uint8) for image in images]
-    iio.imwrite(path, pixels + pixels[-2:0:-1], extension=".gif", duration=60, loop=0)
+    iio.imwrite(
+        path,
+        [(image * 255).round().astype(np.uint8) for image in (*images, *images[-2:0:-1])],
+        extension=".gif",
+        duration=60,
+        loop=0,
+    )
 
 
 def write_motion(path, model, camera, frames=24, zoom=4):
@@ -149,11 +153,13 @@ def write_size(folder, preset, own, paper=None):
         label: m["components"] for label, m in ((preset, own), ("the paper's design", paper)) if m
     }
     columns = dict(zip(("bytes", "paper_design_bytes"), designs.values()))
-    rows = [
-        {"component": name, **{column: of[name] for column, of in columns.items()}}
-        for name in own["components"]
-    ]
-    write_csv(folder / "size.csv", rows)
+    write_csv(
+        folder / "size.csv",
+        [
+            {"component": name, **{column: of[name] for column, of in columns.items()}}
+            for name in own["components"]
+        ],
+    )
     sizes = {label: sum(components.values()) for label, components in designs.items()}
     explicit, last = own["explicit_bytes"], [*designs.values()][-1]
     names = sorted(last, key=last.get)
@@ -161,8 +167,10 @@ def write_size(folder, preset, own, paper=None):
     height = 0.8 / len(designs)
     for i, (color, (label, components)) in enumerate(zip(STACK, designs.items())):
         values = [components[name] for name in names]
-        bars = ax.barh(np.arange(len(names)) - i * height, values, height, color=color, label=label)
-        ax.bar_label(bars, [f" {v:,} ({100 * v / sizes[label]:.1f} %)" for v in values])
+        ax.bar_label(
+            ax.barh(np.arange(len(names)) - i * height, values, height, color=color, label=label),
+            [f" {v:,} ({100 * v / sizes[label]:.1f} %)" for v in values],
+        )
     ax.set_yticks(
         np.arange(len(names)) - (len(designs) - 1) * height / 2, [LABELS[name] for name in names]
     )
@@ -231,18 +239,19 @@ def write_heat(folder, model, bits, camera):
 
     The model is drawn at the middle of its time.
     """
-    rows = [
-        {"anchor": a, **dict(zip("xyz", x)), "bits": b}
-        for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))
-    ]
-    write_csv(folder / "heat.csv", rows)
+    write_csv(
+        folder / "heat.csv",
+        [
+            {"anchor": a, **dict(zip("xyz", x)), "bits": b}
+            for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))
+        ],
+    )
     plt = pyplot()
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(11, 5), layout="constrained", width_ratios=(1.2, 1)
     )
     scale = plt.cm.ScalarMappable(plt.Normalize(bits.min(), bits.max()), "viridis")
-    image = heat_image(model, scale.to_rgba(bits)[:, :3], camera, 0.5)
-    left.imshow(np.clip(image, 0, 1))
+    left.imshow(np.clip(heat_image(model, scale.to_rgba(bits)[:, :3], camera, 0.5), 0, 1))
     left.set(xticks=[], yticks=[], title="bits of the anchors, in place")
     left.spines[:].set_visible(False)
     figure.colorbar(scale, ax=left, label="bits of the Gaussian's anchor", shrink=0.9)
@@ -273,22 +282,20 @@ def write_training(folder, history, stage_ends):
     top.legend(loc="lower right", frameon=False)
     rated = table["stage"] == 4
     bottom.plot(at[rated], table["bits_per_parameter"][rated], color=RED)
-    stages = ", ".join(f"{i} {name}" for i, name in enumerate(STAGE_NAMES, 1))
     bottom.set(
         ylabel="L_rate (bits per coded number)",
         ylim=(0, None),
         xlim=(0, stage_ends[-1]),
-        xlabel=f"iteration (stages: {stages})",
+        xlabel=STAGES,
     )
     for number, (start, end) in enumerate(zip((0, *stage_ends[:3]), stage_ends), 1):
         if end > start:
-            for ax in (top, bottom):
-                ax.axvline(start, color="#bbbbbb", linewidth=0.8)
-            label = f"stage {number}" if end - start > 0.12 * stage_ends[-1] else f"{number}"
+            top.axvline(start, color="#bbbbbb", linewidth=0.8)
+            bottom.axvline(start, color="#bbbbbb", linewidth=0.8)
             top.text(
                 start + 0.005 * stage_ends[-1],
                 1.01,
-                label,
+                f"stage {number}" if end - start > 0.12 * stage_ends[-1] else f"{number}",
                 va="bottom",
                 transform=top.get_xaxis_transform(),
             )

@@ -28,10 +28,12 @@ def entropy_bits(flags):
 def float_context(model):
     """The context as training computes it, in float64; `context.py` computes it in integers."""
     design, (lo, hi) = model.design, (corner.astype(float) for corner in model.box)
-    located = hash_grid.locate(
-        model.anchors.x_a, lo, hi, design.grid, [T for T, _ in design.levels()]
-    )
-    return context(design, model.networks, model.grids, located)[0]
+    return context(
+        design,
+        model.networks,
+        model.grids,
+        hash_grid.locate(model.anchors.x_a, lo, hi, design.grid, [T for T, _ in design.levels()]),
+    )[0]
 
 
 def stream_header(body, before):
@@ -69,8 +71,8 @@ def ledger(data):
         estimate, coded = (bits[:, columns][kept].sum() for bits in (floats, integers))
         found[name] = stream_header(sections[name], 0), int(kept.sum()), estimate, coded
     for name, members in NETWORK_SECTIONS.items():
-        present = [model.networks[member] for member in members if member in model.networks]
-        found[name] = 0, sum(a.size for pair in present for arrays in pair for a in arrays)
+        layers = [model.networks.get(member, ()) for member in members]
+        found[name] = 0, sum(a.size for pair in layers for arrays in pair for a in arrays)
     frame = len(data) - sum(map(len, sections.values()))
     return [
         ledger_row("container", frame, frame),
@@ -97,8 +99,9 @@ def ledger_row(name, size, header, symbols=None, estimate=None, coded=None):
 def symbol_bits(q):
     """The bits [A, n] of every symbol under the integer frequencies, 0 where nothing is coded."""
     bits = np.zeros(q.kept.shape)
-    arrays = (q.symbols, q.context.mu_units, q.context.sigma_units)
-    bits[q.kept] = ideal_bits_gaussian(*(array[q.kept] for array in arrays))
+    bits[q.kept] = ideal_bits_gaussian(
+        q.symbols[q.kept], q.context.mu_units[q.kept], q.context.sigma_units[q.kept]
+    )
     return bits
 
 

@@ -43,12 +43,11 @@ def processes(jobs):
 
 
 def in_processes(function, tasks, jobs):
-    """Yield function(task) for every task, in their order, computed in `jobs` processes.
+    """Yield function(task) for every task of a list, in their order, from `jobs` processes.
 
     With one job everything runs in this process. A task and its result must be picklable. The
     processes end with this generator, also where it is stopped early.
     """
-    tasks = list(tasks)
     if min(jobs, len(tasks)) <= 1:
         yield from map(function, tasks)
     else:

@@ -161,12 +161,12 @@ def filled(path, reads=None):
 
 
 @contextmanager
-def new_file(path, reads=None):
+def new_file(path, *reads):
     """Prove that the file `path` can be written; its folder is made as in `made`.
 
-    It must not be the file `reads`, from which it is made.
+    It must be none of the files `reads`, from which it is made; None stands for no file.
     """
-    if reads is not None and destination(path) == Path(os.path.realpath(reads)):
+    if destination(path) in [Path(os.path.realpath(file)) for file in reads if file is not None]:
         raise OutputError(f"{path}: this is the input; expected another place to write to")
     with made(destination(path).parent):
         yield Path(path)

@@ -294,6 +294,7 @@ LINES = [
             ("render", " -o new"),
             ("evaluate", " scene -o new"),
             ("export-ply", ""),
+            ("view good.p4dgs", " -o new.html"),
         )
         for file, words in (
             ("/dev/zero", ("a folder, pipe or device",)),
@@ -332,6 +333,7 @@ LINES = [
     ("effects scene --suggest --quick", ("--suggest", "--quick")),
     ("inspect good.p4dgs --heat", ("--heat", "-o FOLDER")),
     ("export-ply good.p4dgs -o good.p4dgs", ("good.p4dgs", "the input")),
+    ("view good.p4dgs -o ./good.p4dgs", ("good.p4dgs", "the input")),
     ("export-ply good.p4dgs -o ./good.p4dgs", ("good.p4dgs", "the input")),
     ("accuracy --only speed", ("--only speed", "renderer")),
     ("stability --only H-R", ("--only H-R", "H-R1")),
@@ -461,6 +463,7 @@ FULL = {
     f"simulate {ROOT}/tiny_scenes/static/scene.json -o out": "out/scene.json",
     "inspect good.p4dgs -o out": "out/size.png",
     "export-ply good.p4dgs -o out/x.ply": "out/x.ply",
+    "view good.p4dgs -o out/x.html": "out/x.html",
     "compare scene --quick --iterations 4 --jobs 1 -o out": "_4/scene_p4dgs_seed0.p4dgs",
 }
 

@@ -23,22 +23,11 @@ from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.lab.tables import compare
 from tests.budget import subcommands
+from tests.processes import start
 
 ROOT = Path(p4.__file__).resolve().parents[1]
 HEADINGS = ["The main job", "Files", "Ports", "Measure", "Teach"]
 DATA = "demo evaluate inspect presets accuracy stability effects compare ablate bench grade"
-
-
-def start(*argv, cwd=None):
-    """Start the command in a process of its own."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "p4dgs_ref", *argv],
-        cwd=cwd,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
 
 
 DEMO = "demo --preset smoke --downscale 2 --seed 3 --set Q_f=0.5"
@@ -85,7 +74,7 @@ def test_demo(report):
 
 @pytest.mark.slow
 def test_demo_twice_is_the_same_to_the_byte(report, tmp_path):
-    process = start(*shlex.split(DEMO), "--quiet", cwd=tmp_path)
+    process = start("-m", "p4dgs_ref", *shlex.split(DEMO), "--quiet", cwd=tmp_path)
     out, err = process.communicate(timeout=120)
     assert process.returncode == 0 and "useless" in err and "report in report" in out
     names = "bouncing.p4dgs comparison.csv comparison.png metrics.json motion.gif size.csv size.png"
@@ -132,6 +121,7 @@ WRITTEN = {
         "test/r_000  t 0.050  PSNR ",
         "comparison.csv comparison.png",
     ),
+    "view out/x.p4dgs -o pages/x.html": ("pages/x.html: ", "x.html"),
     "inspect out/x.p4dgs -o sizes --heat": ("section ", "heat.csv heat.png size.csv size.png"),
 }
 
@@ -187,6 +177,7 @@ def test_simulate(ok, refused):
 
 def test_tables(ok):
     assert cli.PRESETS == (*p4.PRESETS,)
+    assert cli.parser().parse_args(["accuracy"]).jobs == os.cpu_count()
     keys = [*ALL_EQUATIONS]
     assert all(f"`{key}`" in ok("oracle equations") for key in (keys[0], keys[-1]))
     differs = ok("presets tiny --json")["tiny"]["differs"]
@@ -248,7 +239,7 @@ def test_every_command_has_its_function():
 
 @pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_error():
-    process = start("oracle", "equations")
+    process = start("-m", "p4dgs_ref", "oracle", "equations")
     process.stdout.close()  # before the first line is written
     assert process.stderr.read() == "" and process.wait(timeout=60) == 0
 
@@ -269,7 +260,7 @@ def test_a_terminal_shows_progress_until_something_else_is_printed(monkeypatch, 
 def test_a_pipe_is_not_waited_for(tmp_path):
     (tmp_path / "answers").mkdir()
     os.mkfifo(tmp_path / "answers/likelihood.safetensors")
-    process = start("oracle", "check", "answers", "--only", "likelihood", cwd=tmp_path)
+    process = start(*"-m p4dgs_ref oracle check answers --only likelihood".split(), cwd=tmp_path)
     assert process.wait(timeout=60) == 1
 
 

@@ -1,10 +1,7 @@
 """Ctrl-C and SIGTERM: one line, exit code 130, no half-written file, whenever they come."""
 
 import itertools
-import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -13,6 +10,7 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.signals import deferred, handled, interrupt
+from tests.processes import start
 from tests.sampling import few
 
 ROOT = Path(p4.__file__).resolve().parents[1]
@@ -34,19 +32,6 @@ MODULE = (
 )
 
 
-def start(code, cwd):
-    """Run a program to which Ctrl-C can be sent, also where the tests themselves ignore it."""
-    return subprocess.Popen(
-        [sys.executable, "-c", code],
-        cwd=cwd,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-
-
 def stop(process, name):
     """Send the signal and return what was printed to stderr; the exit code must be 130."""
     process.send_signal(NUMBERS[name])
@@ -63,7 +48,7 @@ MODULES = ("argparse", "numpy", "scipy", "p4dgs_ref.scenes.load")
 def test_during_an_import(tmp_path, name, way, module):
     argv = ["train", "bouncing", "-o", "run", "--preset", "smoke", "--quiet"]
     code = SLOW.format(module=module, seconds=0.3) + WAYS[way].format(argv=argv)
-    process = start(code, tmp_path)
+    process = start("-c", code, cwd=tmp_path)
     assert process.stdout.readline() == "ready\n"
     assert stop(process, name) == "p4dgs-ref: stopped\n" and not list(tmp_path.iterdir())
 
@@ -93,7 +78,7 @@ LINES = {
 
 def at_work(line, cwd, pattern):
     """Start a command and wait until it has begun to write."""
-    process = start(f"import sys; {CONSOLE_SCRIPT.format(argv=line.split())}", cwd)
+    process = start("-c", f"import sys; {CONSOLE_SCRIPT.format(argv=line.split())}", cwd=cwd)
     while pattern and not any(cwd.glob(pattern)):
         assert process.poll() is None
         time.sleep(0.02)
@@ -121,7 +106,7 @@ def test_at_ten_moments_of_the_start(tmp_path, name):
     first = {"INT": "p4dgs_ref.signals", "TERM": "p4dgs_ref.cli"}[name]
     code = SLOW.format(module=first, seconds=0) + CONSOLE_SCRIPT.format(argv=argv)
     for i in range(10):
-        process = start(code, tmp_path)
+        process = start("-c", code, cwd=tmp_path)
         assert process.stdout.readline() == "ready\n"
         time.sleep(0.002 + 0.032 * i)
         stopped = stop(process, name).removeprefix("p4dgs-ref: stopped")

@@ -6,15 +6,10 @@ Whatever stops a training, resuming it gives the bytes of an uninterrupted one.
 import io
 import json
 import os
-import shlex
 import shutil
 import signal
-import subprocess
-import sys
-import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,6 +22,7 @@ from p4dgs_ref.training import fit as training
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.fit import CHECKPOINT, RunError, fit, load_checkpoint, load_model
 from p4dgs_ref.training.parameters import Adam
+from tests.processes import start
 from tests.sampling import few
 
 pytestmark = pytest.mark.filterwarnings("ignore:scene bouncing")  # nine steps learn nothing
@@ -208,7 +204,6 @@ def test_the_folder_of_another_training_is_refused(copied, run):
             fit(*given, folder=copied, resume=True, **run[2], **changes)
 
 
-ROOT = Path(p4.__file__).resolve().parents[1]
 # Every stage, re-seeding and masking, so that a checkpoint has to carry everything.
 LIVELY = dict(
     preset="smoke",
@@ -299,16 +294,6 @@ def test_ctrl_c_after_the_last_step_stops_too(scene, tmp_path, monkeypatch, inte
     assert stopped(monkeypatch, call, scene, LIVELY, tmp_path, 1000) == 60
 
 
-def test_a_second_ctrl_c_does_not_wait(scene, tmp_path, monkeypatch, interruptible):
-    def press_twice(function, *args):
-        signal.raise_signal(signal.SIGINT)
-        signal.raise_signal(signal.SIGINT)
-        raise AssertionError("the second one must stop at once")
-
-    call = objective, "loss", 30, press_twice
-    assert stopped(monkeypatch, call, scene, LIVELY, tmp_path, 0) == 30
-
-
 def test_killed_in_the_middle_of_a_checkpoint(scene, whole, tmp_path, monkeypatch):
     settings, *want = whole
 
@@ -321,30 +306,10 @@ def test_killed_in_the_middle_of_a_checkpoint(scene, whole, tmp_path, monkeypatc
     assert [*go_on(scene, settings, tmp_path)] == want
 
 
-def test_training_in_a_thread(scene):
-    done = []
-    thread = threading.Thread(target=lambda: done.append(p4.train(scene, "smoke")))
-    thread.start()
-    thread.join(60)
-    assert len(done) == 1
-
-
 OPTIONS = (
     "--preset smoke --seed 2 --downscale 4 --set grow=reseed --set stage_ends=40,60,120,240 "
     "--save-every 0"
 )
-
-
-def start(line, cwd):
-    """Start the command line in a process of its own, to which Ctrl-C can be sent."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "p4dgs_ref", *shlex.split(line)],
-        cwd=cwd,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
 
 
 def stop_at(iteration, process, run, how):
@@ -360,17 +325,22 @@ def stop_at(iteration, process, run, how):
 @pytest.mark.slow
 def test_interrupted_then_killed_then_resumed(tmp_path):
     """In other processes, with the option that the interrupted one names."""
-    uninterrupted = start(f"train bouncing -o 'a run' {OPTIONS} --quiet", tmp_path)
-    run = tmp_path / "b run"
-    first = start(f"train bouncing -o 'b run' {OPTIONS}", tmp_path)
+    train, run = (
+        ("-m", "p4dgs_ref", "train", "bouncing", *OPTIONS.split(), "-o"),
+        tmp_path / "b run",
+    )
+    uninterrupted = start(*train, "a run", "--quiet", cwd=tmp_path)
+    first = start(*train, "b run", cwd=tmp_path)
     err, code = stop_at(50, first, run, signal.SIGINT)
     assert code == 130 and "Traceback" not in err
     assert err.endswith("the same command with --resume goes on from it\n")
-    resume = f"train bouncing -o 'b run' {OPTIONS} --resume"
     for at in (90, 130, 180):  # in other stages
-        assert stop_at(at, start(resume, tmp_path), run, signal.SIGKILL)[1] == -signal.SIGKILL
+        assert (
+            stop_at(at, start(*train, "b run", "--resume", cwd=tmp_path), run, signal.SIGKILL)[1]
+            == -signal.SIGKILL
+        )
         assert at <= load_checkpoint(run)[1]["iteration"] < 240
-    for process in (uninterrupted, start(resume, tmp_path)):
+    for process in (uninterrupted, start(*train, "b run", "--resume", cwd=tmp_path)):
         assert process.communicate(timeout=120) and process.returncode == 0
     files = [p4.encode(load_model(tmp_path / name)[0]) for name in ("a run", "b run")]
     assert files[0] == files[1]

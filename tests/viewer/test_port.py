@@ -4,6 +4,7 @@ import base64
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +14,28 @@ import p4dgs_ref as p4
 from p4dgs_ref.codec.published import FOLDER
 from p4dgs_ref.oracle import checker, streams
 from p4dgs_ref.oracle.adapter import Adapter
+from p4dgs_ref.report.inspect import anchor_bits, components
 from tests.golden.damage import mutation
 
 pytestmark = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
 VIEWER = Path(p4.__file__).parent / "viewer"
 DEMO = Path(__file__).parents[2] / "tutorials" / "demo.p4dgs"
-# Arguments: the module and a file. Input: views. Output: each picture, exact and as it is shown.
+# Arguments: the folder and a file. Input: views. Output: each picture, exact, nearly so, and as
+# bytes of the page's canvas; the bits of each anchor; bytes of sections if steps were doubled.
 DRAW = """
 const { readFileSync } = require("fs");
-const [p4dgs, views] = [require(process.argv[1]), JSON.parse(readFileSync(0))];
-const model = p4dgs.decode(new Uint8Array(readFileSync(process.argv[2])));
-const draw = (view) => [0, 1e-13].map((least) => [...p4dgs.render(model, view, view.t, { least })]);
-console.log(JSON.stringify(views.map(draw)));
+const [p4dgs, draw, { anchorBits, requantise }] = ["p4dgs", "draw", "requantise"].map(
+  (name) => require(`${process.argv[1]}/${name}.js`),
+);
+const data = new Uint8Array(readFileSync(process.argv[2]));
+const model = p4dgs.decode(data);
+const pictures = (view) => [
+  ...[0, 1e-13].map((least) => [...p4dgs.render(model, view, view.t, { least })]),
+  [...draw.onProcessor(draw.see(model, view, view.t).splats, draw.settings(model, view))],
+];
+const drawn = JSON.parse(readFileSync(0)).map(pictures);
+const coarse = requantise(model, p4dgs.openContainer(data).sections, { coarser: 2 }).bytes;
+console.log(JSON.stringify({ drawn, coarse, bits: [...anchorBits(model)] }));
 """
 
 
@@ -68,7 +79,7 @@ def test_damaged_files_get_the_verdict_of_the_package(port, n):
             assert "arrays" in answer(port, data), i
 
 
-def test_pictures_are_those_of_the_package():
+def test_pictures_and_bits_are_those_of_the_package():
     model, views = p4.decode(DEMO.read_bytes()), p4.load_scene("orbit").test
     asked = [
         {
@@ -81,9 +92,18 @@ def test_pictures_are_those_of_the_package():
         }
         for view in views
     ]
-    exact = [model.render(view.camera, view.time, p4.SETTINGS["exact"]) for view in views]
-    said = subprocess.check_output(
-        ["node", "-e", DRAW, VIEWER / "p4dgs.js", DEMO], input=json.dumps(asked), text=True
+    said = json.loads(
+        subprocess.check_output(
+            ["node", "-e", DRAW, VIEWER, DEMO], input=json.dumps(asked), text=True
+        )
     )
-    want = [2 * [np.clip(image, 0, 1).ravel()] for image in exact]
-    np.testing.assert_allclose(json.loads(said), want, rtol=0, atol=1e-9)
+    for (exact, nearly, canvas), view in zip(said["drawn"], views, strict=True):
+        image = np.clip(model.render(view.camera, view.time, p4.SETTINGS["exact"]), 0, 1)
+        np.testing.assert_allclose([exact, nearly], 2 * [image.ravel()], rtol=0, atol=1e-9)
+        shown = np.reshape(canvas, (*image.shape[:2], 4))[..., :3]
+        np.testing.assert_allclose(shown, 255 * image, rtol=0, atol=1)
+    np.testing.assert_allclose(said["bits"], anchor_bits(DEMO.read_bytes())[1], rtol=1e-12)
+    coarse = model.design._replace(Q_0=tuple(2 * q for q in model.design.Q_0))
+    sizes = components(p4.encode(replace(model, design=coarse)))
+    for name in ("features", "scales", "offset_scales", "offsets"):
+        assert abs(said["coarse"][name] - sizes[name]) <= 3, name

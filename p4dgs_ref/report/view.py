@@ -1,0 +1,36 @@
+"""One HTML page that shows .p4dgs files: it holds the scripts of `viewer/` and the files."""
+
+import base64
+import json
+import re
+from pathlib import Path
+
+from ..scenes.output import new_file, write_atomically
+
+VIEWER = Path(__file__).parents[1] / "viewer"
+
+
+def page(files):
+    """The page as bytes, for files {path: bytes}; it shows the first one when it is opened."""
+    embedded = [
+        {"name": Path(path).name, "base64": base64.b64encode(data).decode()}
+        for path, data in files.items()
+    ]
+    text = re.sub(
+        r'<script src="(.*)">',
+        lambda found: "<script>\n" + (VIEWER / found[1]).read_text(encoding="utf-8"),
+        (VIEWER / "page.html").read_text(encoding="utf-8"),
+    )
+    # The page has an empty list of files. No "<" in a name may end the script that holds it.
+    return text.replace('">[]', '">' + json.dumps(embedded).replace("<", r"\u003c")).encode()
+
+
+def view(files, path):
+    """Write the page for files {path: bytes} and return its size in bytes.
+
+    Raises OutputError where `path` cannot be written or is one of the files.
+    """
+    data = page(files)
+    with new_file(path, *files):
+        write_atomically(path, lambda file: file.write(data))
+    return len(data)

@@ -1,0 +1,177 @@
+// One anchor in words and numbers: how it is stored, and how it is drawn, beside the equations.
+"use strict";
+
+(function (exported) {
+  const { p4dgs, requantise } = globalThis;
+
+  const NAMES = { f_a: "feature f", s_a: "scale s", l_a: "offset scale l", O_a: "offset O" };
+  const AXES = "xyz";
+
+  // --- elements of the page ---------------------------------------------------------------------
+  /** A new element with attributes and children, which are elements or texts. */
+  function element(name, attributes = {}, ...children) {
+    const made = document.createElement(name);
+    for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+    made.append(...children);
+    return made;
+  }
+
+  /** A table within a frame that scrolls where the window is narrow. */
+  function table(caption, head, rows) {
+    const row = (kind) => (cells) =>
+      element("tr", {}, ...cells.map((text, i) => cellOf(kind, text, i)));
+    return element(
+      "div",
+      { class: "scroll", tabindex: "0", role: "region", "aria-label": caption },
+      element(
+        "table",
+        {},
+        element("caption", {}, caption),
+        element("thead", {}, row("th")(head)),
+        element("tbody", {}, ...rows.map(row("td"))),
+      ),
+    );
+  }
+
+  /** The first cell of a row is its head. */
+  function cellOf(kind, text, i) {
+    if (kind === "th") return element("th", { scope: "col" }, text);
+    return i === 0 ? element("th", { scope: "row" }, text) : element("td", {}, text);
+  }
+
+  // --- numbers ----------------------------------------------------------------------------------
+  /** A number with four digits that count. */
+  function digits(v) {
+    if (Number.isInteger(v) && Math.abs(v) < 1e6) return String(v);
+    const size = Math.abs(v);
+    return size >= 1e5 || size < 1e-4 ? v.toExponential(2) : String(Number(v.toPrecision(4)));
+  }
+
+  const list = (values, from, count) =>
+    `(${Array.from(values.slice(from, from + count), digits).join(", ")})`;
+
+  // --- how it is stored -------------------------------------------------------------------------
+  /** The columns of the attributes: [name, group, its number, column]. */
+  function columnsOf({ groups }) {
+    return groups.flatMap(({ name, width, first }, g) =>
+      Array.from({ length: width }, (_, i) => {
+        const which = name === "f_a" ? i : AXES[i % 3];
+        const child = name === "O_a" ? ` of child ${Math.floor(i / 3)}` : "";
+        return { label: `${NAMES[name]}, ${which}${child}`, g, column: first + i };
+      }),
+    );
+  }
+
+  const MOST_ROWS = 200;
+
+  function stored(model, a) {
+    const { columns, q, mu_units, sigma_units, symbols } = model;
+    const bits = requantise.bitsOfAnchor(model, a);
+    const rows = columnsOf(model).map(({ label, g, column }) => {
+      const [at, step] = [a * columns + column, q[4 * a + g]];
+      if (!requantise.isCoded(model, a, column)) return [label, "masked", "", "", "", "", "0"];
+      const mu = (mu_units[at] / requantise.UNITS.mu) * step;
+      const sigma = 2 ** (sigma_units[at] / requantise.UNITS.sigma) * step;
+      const numbers = [symbols[at], step, symbols[at] * step, mu, sigma].map(digits);
+      return [label, ...numbers, bits[column].toFixed(2)];
+    });
+    const head = ["number", "symbol", "step q", "value = symbol · q", "μ", "σ", "bits"];
+    const left = rows.length > MOST_ROWS ? ` (the first ${MOST_ROWS} of ${rows.length})` : "";
+    return table(`Its numbers in the file${left}`, head, rows.slice(0, MOST_ROWS));
+  }
+
+  /** Bits of each part of an anchor, as a table with the equation that prices it. */
+  function bill(model, a, total) {
+    const bits = requantise.bitsOfAnchor(model, a);
+    const { position, masks } = requantise.shared(model);
+    const sum = (values) => values.reduce((all, v) => all + v, 0);
+    const parts = model.groups.map(({ name, first, width }) => [
+      NAMES[name],
+      sum(bits.slice(first, first + width)),
+      "Eq. (11): bits = −log₂(Φ((v + q/2 − μ)/σ) − Φ((v − q/2 − μ)/σ))",
+    ]);
+    const gaps = "sorted on a lattice, gaps coded; the mean of all anchors";
+    parts.unshift(["position", position, gaps]);
+    parts.push(["masks", masks, "Eq. (14): −log₂ of how frequent each flag is; the mean"]);
+    const all = sum(parts.map(([, size]) => size));
+    parts.push(["all", all, `of ${total.toLocaleString("en")} bits of the file`]);
+    const share = (size) => `${((100 * size) / total).toFixed(3)} %`;
+    const rows = parts.map(([name, size, why]) => [name, size.toFixed(1), share(size), why]);
+    return table("What it costs", ["part", "bits", "share of the file", "by"], rows);
+  }
+
+  // --- how it is drawn --------------------------------------------------------------------------
+  /** The equations of the context with this anchor's numbers. */
+  function context(model, a) {
+    const { header, q } = model;
+    const h = new Float64Array(header.F * header.grid.length);
+    p4dgs.hashFeature(model, a, h);
+    const units = Array.from(h, (v) => v / 2 ** 15);
+    const steps = model.groups.map(({ name }, g) => `${NAMES[name]} ${digits(q[4 * a + g])}`);
+    return [
+      ["Eq. (9)", "h = H(x_a)", `${list(units, 0, 16)}${units.length > 16 ? " …" : ""}`],
+      ["Eq. (8)", "q = Q₀ (1 + tanh ψ_q(h))", steps.join("; ")],
+      ["Eq. (12)", "μ, σ = ψ_p(h)", "the columns μ and σ of the table below"],
+      ["Eq. (10)", "f̂ = round(f / q) · q", "the columns symbol and value"],
+    ];
+  }
+
+  /** The equations of the picture: of the anchor, then of each of its children. */
+  function drawn(frame, a) {
+    const { model, camera, t } = frame;
+    const { delta_vc, d_vc } = p4dgs.view(
+      model.x_a.slice(3 * a, 3 * a + 3),
+      p4dgs.centreOf(camera),
+    );
+    const seen = `δ = ${digits(delta_vc[0])}, d = ${list(d_vc, 0, 3)}`;
+    const place = list(model.x_a, 3 * a, 3);
+    return [
+      ["Q14", "x_a = lo + n (hi − lo) / 65535", `${place}, n = ${list(model.positions, 3 * a, 3)}`],
+      ["Eq. (2)", "δ = |x_a − x_c|, d = (x_a − x_c) / δ", seen],
+      ["", "time", digits(t)],
+    ];
+  }
+
+  const MOST_CHILDREN = 32;
+
+  function children(frame, a) {
+    const { model, camera, gaussians, moved } = frame;
+    const { k, tau_alpha } = model.header;
+    const header = { ...model.header, tau_alpha: -Infinity };
+    const all = p4dgs.spatialPrediction({ ...model, header }, p4dgs.centreOf(camera));
+    const row = (child) => {
+      const n = all.index.indexOf(child);
+      const name = `child ${child - a * k}`;
+      if (n < 0) return [name, "0", "not in the file", "", "", "", "", ""];
+      const kept = gaussians.index.indexOf(child);
+      const alpha = digits(all.alpha[n]);
+      const said = all.alpha[n] < tau_alpha ? `${alpha}, below τ_α = ${digits(tau_alpha)}` : alpha;
+      const [x, s, color] = [all.x, all.s, all.color].map((array) => list(array, 3 * n, 3));
+      if (kept < 0) return [name, "1", said, x, s, color, "", ""];
+      const delta = [0, 1, 2].map((i) => moved.x_t[3 * kept + i] - all.x[3 * n + i]);
+      return [name, "1", said, x, s, color, list(delta, 0, 3), list(moved.x_t, 3 * kept, 3)];
+    };
+    const head = ["child", "mask", "α = tanh ψ_α, Eq. (3)", "x = x_a + O_a l_a, Eq. (1)"];
+    head.push("s = s_a sigmoid(ψ_s), Eq. (4)", "colour = sigmoid(ψ_c), Eq. (3′)");
+    head.push("δx = ψ_d(E(x), E(t)), Eq. (5)", "x_t = x + δx, Eq. (6)");
+    const count = Math.min(k, MOST_CHILDREN);
+    const rows = Array.from({ length: count }, (_, child) => row(a * k + child));
+    const left = k > count ? ` (the first ${count} of ${k})` : "";
+    return table(`Its children, as this camera sees them now${left}`, head, rows);
+  }
+
+  /** All that the page says of anchor `a`, as elements. `total` is the file's size in bits. */
+  function anchor(frame, a, total) {
+    const { model } = frame;
+    const head = ["equation", "formula", "for this anchor"];
+    const rows = [...drawn(frame, a), ...context(model, a)];
+    return [
+      bill(model, a, total),
+      table("Its place and its context", head, rows),
+      children(frame, a),
+      stored(model, a),
+    ];
+  }
+
+  Object.assign(exported, { anchor, element, table, digits });
+})((globalThis.explain = {}));

@@ -1,0 +1,266 @@
+// What can be drawn above a picture: anchors, ellipses, motion, paths, hidden children, the grid.
+//
+// A frame is what was drawn: {model, camera, t, gaussians, moved, splats, bits, selected, level}.
+// A layer returns what is to be said of it, if anything.
+// Every line has a light edge, so that it is seen on any background.
+"use strict";
+
+(function (exported) {
+  const { p4dgs, draw } = globalThis;
+
+  const TIMES = 25; // of a path
+  const MOST_PATHS = 400;
+  const MOST_PRODUCTS = 2 ** 31; // multiplications for all paths
+  const MOST_LINES = 33; // of a grid, along an axis
+  const INK = { dark: "#14202e", motion: "#b3420a", hidden: "#8a1c5b", cell: "#0b4f8a" };
+
+  // --- drawing ----------------------------------------------------------------------------------
+  /** Strokes a path with a light edge. */
+  function stroke(context, path, color, width = 1.3) {
+    context.lineWidth = width + 1.6;
+    context.strokeStyle = "rgb(255 255 255 / 0.75)";
+    context.stroke(path);
+    context.lineWidth = width;
+    context.strokeStyle = color;
+    context.stroke(path);
+  }
+
+  function fill(context, path, color) {
+    context.lineWidth = 1.6;
+    context.strokeStyle = "rgb(255 255 255 / 0.9)";
+    context.stroke(path);
+    context.fillStyle = color;
+    context.fill(path);
+  }
+
+  function circle(path, [u, v], radius) {
+    path.moveTo(u + radius, v);
+    path.arc(u, v, radius, 0, 2 * Math.PI);
+  }
+
+  function line(path, from, to) {
+    if (!from || !to) return;
+    path.moveTo(...from);
+    path.lineTo(...to);
+  }
+
+  /** Where a point of the world is on the stage, in its pixels; null behind the camera. */
+  function place({ camera, scale }, x, y, z) {
+    const { W, T, focal, center } = camera;
+    const depth = W[6] * x + W[7] * y + W[8] * z + T[2];
+    if (!(depth > 0.01)) return null;
+    const u = (focal[0] * (W[0] * x + W[1] * y + W[2] * z + T[0])) / depth + center[0];
+    const v = (focal[1] * (W[3] * x + W[4] * y + W[5] * z + T[1])) / depth + center[1];
+    const at = [(u + 0.5) * scale, (v + 0.5) * scale];
+    return at.every((value) => Math.abs(value) < 1e5) ? at : null;
+  }
+
+  /** The same for row n of an array [N, 3]. */
+  const placeRow = (frame, x, n) => place(frame, x[3 * n], x[3 * n + 1], x[3 * n + 2]);
+
+  /** Where the centre of splat n is; null where it is not visible. */
+  function centreOfSplat({ splats, scale }, n) {
+    const at = [0, 1].map((i) => (splats.mean2d[2 * n + i] + 0.5) * scale);
+    return splats.visible[n] && at.every((v) => Math.abs(v) < 1e5) ? at : null;
+  }
+
+  /** Adds the ellipse of one standard deviation of splat n. */
+  function ellipse(path, frame, n) {
+    const { splats, scale } = frame;
+    const at = centreOfSplat(frame, n);
+    if (!at) return;
+    const [a, b, c] = splats.cov2d.subarray(3 * n, 3 * n + 3);
+    const [middle, half] = [(a + c) / 2, Math.hypot((a - c) / 2, b)];
+    const axis = (square) => scale * Math.sqrt(Math.max(square, 0));
+    const [long, short] = [axis(middle + half), axis(middle - half)];
+    if (!(long < 4000)) return;
+    const angle = Math.atan2(2 * b, a - c) / 2;
+    path.moveTo(at[0] + long * Math.cos(angle), at[1] + long * Math.sin(angle));
+    path.ellipse(...at, long, short, angle, 0, 2 * Math.PI);
+  }
+
+  // --- the layers -------------------------------------------------------------------------------
+  /** Squares, larger and lighter the more bits an anchor costs. */
+  function anchors(context, frame) {
+    const { model, bits } = frame;
+    for (let a = 0; a < model.header.anchors; a++) {
+      const at = placeRow(frame, model.x_a, a);
+      if (!at) continue;
+      const side = bits ? 4 + 6 * bits.share(a) : 5;
+      const path = new Path2D();
+      path.rect(at[0] - side / 2, at[1] - side / 2, side, side);
+      fill(context, path, bits ? draw.css(bits.share(a)) : INK.dark);
+    }
+  }
+
+  function ellipses(context, frame) {
+    const path = new Path2D();
+    frame.gaussians.index.forEach((_, n) => ellipse(path, frame, n));
+    stroke(context, path, INK.dark, 0.8);
+  }
+
+  /** A ring where a child is canonical, a dot where it is at time t, and a line between. */
+  function motion(context, frame) {
+    const { gaussians } = frame;
+    const [lines, rings, dots] = [new Path2D(), new Path2D(), new Path2D()];
+    for (let n = 0; n < gaussians.index.length; n++) {
+      const [from, to] = [placeRow(frame, gaussians.x, n), placeRow(frame, frame.moved.x_t, n)];
+      if (!from || !to || Math.hypot(from[0] - to[0], from[1] - to[1]) < 2) continue;
+      line(lines, from, to);
+      circle(rings, from, 2.5);
+      circle(dots, to, 2);
+    }
+    stroke(context, lines, INK.motion, 1);
+    stroke(context, rings, INK.motion, 1);
+    fill(context, dots, INK.motion);
+  }
+
+  let known = {};
+
+  /** The paths of some children over all times, {count, all, steps}, each step [count, 3]. */
+  function pathsOf(model, gaussians) {
+    if (known.model === model) return known;
+    const heads = Math.max(1, draw.products(model.networks.psi_d));
+    const N = gaussians.index.length;
+    const most = Math.floor(MOST_PRODUCTS / heads / TIMES);
+    const count = Math.min(N, MOST_PATHS, most);
+    const chosen = Int32Array.from({ length: count }, (_, i) => Math.floor((i * N) / count));
+    const rows = { x: p4dgs.gather(gaussians.x, chosen, 3) };
+    rows.s = p4dgs.gather(gaussians.s, chosen, 3);
+    rows.r = p4dgs.gather(gaussians.r, chosen, 4);
+    const time = (_, i) => draw.deform(model, rows, i / (TIMES - 1)).x_t;
+    known = { model, count, all: N, steps: Array.from({ length: TIMES }, time) };
+    return known;
+  }
+
+  /** Lines from time 0 (thin, dark) to time 1 (thick, light); a dot ends each. */
+  function paths(context, frame) {
+    const { count, all, steps } = pathsOf(frame.model, frame.gaussians);
+    for (let i = 1; i < TIMES; i++) {
+      const path = new Path2D();
+      for (let n = 0; n < count; n++) {
+        line(path, placeRow(frame, steps[i - 1], n), placeRow(frame, steps[i], n));
+      }
+      context.lineWidth = 0.8 + (1.8 * i) / TIMES;
+      context.strokeStyle = draw.css(i / (TIMES - 1));
+      context.stroke(path);
+    }
+    const ends = new Path2D();
+    for (let n = 0; n < count; n++) {
+      const [start, end] = [placeRow(frame, steps[0], n), placeRow(frame, steps[TIMES - 1], n)];
+      const moves = start && end && steps.some((step) => far(placeRow(frame, step, n), start));
+      if (moves) circle(ends, end, 2);
+    }
+    fill(context, ends, INK.dark);
+    return count < all ? `Paths of ${count} of ${all} children.` : null;
+  }
+
+  const far = (at, from) => at && Math.hypot(at[0] - from[0], at[1] - from[1]) > 3;
+
+  /** Crosses on the children that a mask keeps and tau_alpha hides from this camera. */
+  function hidden(context, frame) {
+    const { model, camera } = frame;
+    const header = { ...model.header, tau_alpha: -Infinity };
+    const all = p4dgs.spatialPrediction({ ...model, header }, p4dgs.centreOf(camera));
+    const path = new Path2D();
+    all.alpha.forEach((alpha, n) => {
+      const at = alpha < model.header.tau_alpha && placeRow(frame, all.x, n);
+      if (!at) return;
+      line(path, [at[0] - 3, at[1] - 3], [at[0] + 3, at[1] + 3]);
+      line(path, [at[0] - 3, at[1] + 3], [at[0] + 3, at[1] - 3]);
+    });
+    stroke(context, path, INK.hidden);
+    const count = all.alpha.filter((alpha) => alpha < model.header.tau_alpha).length;
+    return `Children below τ_α in this view: ${count}.`;
+  }
+
+  // --- the hash grid ----------------------------------------------------------------------------
+  const corner = ({ lo, hi }, shares) => shares.map((share, i) => lo[i] + share * (hi[i] - lo[i]));
+
+  /** Of how many nodes one is drawn. */
+  const every = (R) => Math.ceil((R - 1) / (MOST_LINES - 1)) || 1;
+
+  /** Adds lines of R nodes an axis in the plane of two axes, where the third one is `at`. */
+  function mesh(path, frame, axes, R, at) {
+    const third = 3 - axes[0] - axes[1];
+    for (let node = 0; node < R; node += every(R)) {
+      for (const [fixed, free] of [axes, [...axes].reverse()]) {
+        const ends = [0, 1].map((end) => {
+          const shares = [0, 0, 0];
+          [shares[fixed], shares[free], shares[third]] = [R > 1 ? node / (R - 1) : 0, end, at];
+          return place(frame, ...corner(frame.model, shares));
+        });
+        line(path, ...ends);
+      }
+    }
+  }
+
+  const AXES = "xyz";
+
+  /** The nodes of the chosen level, and the cells of all levels around the selected anchor. */
+  function grid(context, frame) {
+    const { model, selected, level } = frame;
+    const [names, R] = model.header.grid[level];
+    const axes = [...names].map((name) => AXES.indexOf(name));
+    const path = new Path2D();
+    if (axes.length === 2) mesh(path, frame, axes, R, 0);
+    else for (const pair of [[0, 1], [0, 2], [1, 2]]) mesh(path, frame, pair, R, 0);
+    stroke(context, path, INK.cell, 0.7);
+    const left = every(R) > 1 ? `One line of ${every(R)} is drawn.` : null;
+    if (selected === null) return left;
+    const cells = new Path2D();
+    cellOf(cells, frame, axes, R, selected);
+    stroke(context, cells, INK.cell, 2.2);
+    return left;
+  }
+
+  /** Adds the cell of a level in which an anchor is: a box, or a rectangle in the plane. */
+  function cellOf(path, frame, axes, R, anchor) {
+    const range = [0, 1, 2].map((axis) => {
+      if (!axes.includes(axis)) return [0, 0];
+      const at = (frame.model.positions[3 * anchor + axis] / 65535) * (R - 1);
+      const base = Math.min(Math.floor(at), Math.max(R - 2, 0));
+      return R > 1 ? [base / (R - 1), (base + 1) / (R - 1)] : [0, 0];
+    });
+    const node = (bits) => range.map((ends, axis) => ends[(bits >> axis) & 1]);
+    for (let from = 0; from < 8; from++) {
+      for (let axis = 0; axis < 3; axis++) {
+        if ((from >> axis) & 1) continue;
+        const ends = [from, from | (1 << axis)].map((bits) => corner(frame.model, node(bits)));
+        line(path, ...ends.map((end) => place(frame, ...end)));
+      }
+    }
+  }
+
+  // --- the selected anchor ----------------------------------------------------------------------
+  /** A ring around the anchor, and lines to its children with their ellipses. */
+  function selection(context, frame) {
+    const { model, gaussians, selected } = frame;
+    const at = selected === null ? null : placeRow(frame, model.x_a, selected);
+    if (!at) return;
+    const path = new Path2D();
+    gaussians.index.forEach((child, n) => {
+      if (Math.floor(child / model.header.k) !== selected) return;
+      ellipse(path, frame, n);
+      line(path, at, centreOfSplat(frame, n));
+    });
+    stroke(context, path, INK.dark, 1.6);
+    const ring = new Path2D();
+    circle(ring, at, 8);
+    stroke(context, ring, INK.motion, 2.4);
+  }
+
+  /** The anchor nearest to a point of the stage, or null where none is within `reach` pixels. */
+  function nearest(frame, u, v, reach = 18) {
+    let [found, least] = [null, reach];
+    for (let a = 0; a < frame.model.header.anchors; a++) {
+      const at = placeRow(frame, frame.model.x_a, a);
+      const distance = at ? Math.hypot(at[0] - u, at[1] - v) : Infinity;
+      if (distance < least) [found, least] = [a, distance];
+    }
+    return found;
+  }
+
+  const LAYERS = { grid, ellipses, paths, motion, hidden, anchors };
+  Object.assign(exported, { LAYERS, selection, nearest, pathsOf, MOST_PATHS });
+})((globalThis.layers = {}));

@@ -1,0 +1,194 @@
+// What every number of a file costs, and the file as it would be with coarser numbers.
+//
+// Prices are those of the coder's integer tables: their sum is a section's entropy, which the bytes
+// in the file exceed by a few bytes of the coder's state. An estimate adds the same few bytes.
+"use strict";
+
+(function (exported) {
+  const p4dgs = typeof module === "object" ? require("./p4dgs.js") : globalThis.p4dgs;
+  const { roundHalfEven } = p4dgs;
+  const UNITS = { mu: 1024, sigma: 16 }; // mu / q in 1/1024, log2(sigma / q) in 1/16
+  const MASKED = 1; // masks of the children, in the order of the sections
+  const GATES = ["psi_alpha", "psi_c", "psi_r", "psi_s", "psi_d", "psi_t"];
+  const SECTION_OF = { psi_d: "deformation_mlp", psi_t: "deformation_mlp" };
+
+  // --- prices -----------------------------------------------------------------------------------
+  /** The bits of a symbol: -log2 of its frequency, its low bits, and Elias's code of an escape. */
+  function symbolBits(symbol, mu_units, sigma_units) {
+    const { first, n, low, cum } = p4dgs.gaussianTable(mu_units, sigma_units);
+    const block = Math.floor(symbol / 2 ** low) - first;
+    if (block < 0 || block >= n) {
+      const beyond = block < 0 ? -2 * block : 2 * (block - n) + 1;
+      return 24 + low + 2 * Math.floor(Math.log2(beyond)) + 1;
+    }
+    const end = block === n - 1 ? 2 ** 24 - 1 : cum(block + 1);
+    const start = block === 0 ? 0 : cum(block);
+    return 24 - Math.log2(end - start) + low;
+  }
+
+  /** The bits of N flags that share one probability: Eq. (14). */
+  function flagBits(flags) {
+    const ones = flags.reduce((sum, flag) => sum + flag, 0);
+    const counts = [ones, flags.length - ones].filter((count) => count > 0);
+    return counts.reduce((sum, count) => sum + count * Math.log2(flags.length / count), 0);
+  }
+
+  /** Whether column `i` of anchor `a` is in the file: offsets of masked children are not. */
+  function isCoded({ header, masks, groups }, a, i) {
+    const child = Math.floor((i - groups[3].first) / 3);
+    return child < 0 || masks[a * header.k + child] === MASKED;
+  }
+
+  /** The bits of every symbol of an anchor, 0 where nothing is coded, [columns]. */
+  function bitsOfAnchor(model, a) {
+    const { columns, symbols, mu_units, sigma_units } = model;
+    return Float64Array.from({ length: columns }, (_, i) => {
+      const at = a * columns + i;
+      return isCoded(model, a, i) ? symbolBits(symbols[at], mu_units[at], sigma_units[at]) : 0;
+    });
+  }
+
+  /** What every anchor pays for its position and its masks, the mean of all. */
+  function shared({ header, bytes, masks }) {
+    const A = header.anchors;
+    return { position: (8 * (bytes.positions - 24)) / A, masks: flagBits(masks) / A };
+  }
+
+  /** The bits of every anchor: position, attributes and masks, [A]. */
+  function anchorBits(model) {
+    const { position, masks } = shared(model);
+    return Float64Array.from({ length: model.header.anchors }, (_, a) =>
+      bitsOfAnchor(model, a).reduce((sum, bits) => sum + bits, position + masks),
+    );
+  }
+
+  // --- a coarser file ---------------------------------------------------------------------------
+  const UNCHANGED = { coarser: 1, dropped: 0, masks: true, context: true };
+
+  /** The model and the estimated bytes of each section, {model, bytes}.
+   *
+   *  `coarser` multiplies every step q. `dropped` is the number of low bits that each weight of the
+   *  networks that draw loses. Without `masks` every child is in the file, and the offsets of those
+   *  that were not are the means of Eq. (12). Without `context` there is neither the hash grid nor
+   *  a context network: q = Q_0, and one mean and deviation for every column of attributes. */
+  function requantise(model, sections, changes) {
+    const how = { ...UNCHANGED, ...changes };
+    const bytes = { ...model.bytes };
+    const masks = how.masks ? model.masks : new Uint8Array(model.masks.length).fill(MASKED);
+    if (!how.masks) bytes.masks = 0;
+    if (!how.context) Object.assign(bytes, { hash_grid: 0, context_mlps: 0 });
+    const coarse = { ...model, masks };
+    for (const group of model.groups) {
+      const { values, before, after } = attributes(model, masks, group, how);
+      coarse[group.name] = values;
+      const table = how.context ? 0 : 4 * group.width; // two numbers of 16 bits a column
+      bytes[group.section] += Math.round((after - before) / 8) + table;
+    }
+    Object.assign(coarse, networks(model, sections, how.dropped, bytes));
+    return { model: coarse, bytes };
+  }
+
+  /** One group of attributes: its values [A, width], and its bits before and after the change. */
+  function attributes(model, masks, { name, width, first }, { coarser, context }) {
+    const { header, columns, q, mu_units, sigma_units, symbols } = model;
+    const g = model.groups.findIndex((group) => group.name === name);
+    const values = new Float64Array(model[name].length);
+    let [before, after] = [0, 0];
+    for (let i = 0; i < width; i++) {
+      const column = []; // [the place of a symbol in the file, the new symbol]
+      for (let a = 0; a < header.anchors; a++) {
+        const at = a * columns + first + i;
+        const known = isCoded(model, a, first + i);
+        if (!known && !isCoded({ ...model, masks }, a, first + i)) continue;
+        const old = known ? symbols[at] : mu_units[at] / UNITS.mu;
+        const step = coarser * (context ? q[4 * a + g] : header.Q_0[g]);
+        const symbol = roundHalfEven((old * q[4 * a + g]) / step);
+        values[a * width + i] = symbol * step;
+        column.push([at, symbol]);
+        before += known ? symbolBits(symbols[at], mu_units[at], sigma_units[at]) : 0;
+      }
+      const common = context ? null : columnUnits(column.map(([, symbol]) => symbol));
+      for (const [at, symbol] of column) {
+        const units = common ?? coarserUnits(mu_units[at], sigma_units[at], coarser);
+        after += symbolBits(symbol, ...units);
+      }
+    }
+    return { values, before, after };
+  }
+
+  const deviationUnits = (log2) =>
+    Math.min(Math.max(Math.round(UNITS.sigma * log2), -128), 319);
+
+  /** mu / q and log2(sigma / q) in their units where q is `coarser` times as large. */
+  function coarserUnits(mu_units, sigma_units, coarser) {
+    const log2 = sigma_units / UNITS.sigma - Math.log2(coarser);
+    return [Math.round(mu_units / coarser), deviationUnits(log2)];
+  }
+
+  /** The mean and the deviation of a column of symbols, in the same units. */
+  function columnUnits(symbols) {
+    const mean = symbols.reduce((sum, v) => sum + v, 0) / Math.max(symbols.length, 1);
+    const square = symbols.reduce((sum, v) => sum + (v - mean) ** 2, 0);
+    const deviation = Math.sqrt(square / Math.max(symbols.length, 1)) + 2 ** -8;
+    const mu_units = Math.min(Math.max(UNITS.mu * mean, -(2 ** 34)), 2 ** 34);
+    return [Math.round(mu_units), deviationUnits(Math.log2(deviation))];
+  }
+
+  /** The networks that draw, whose weights lose their `dropped` low bits. */
+  function networks(model, sections, dropped, bytes) {
+    if (dropped === 0) return {};
+    const changed = { ...model.networks };
+    const entropy = {};
+    const seen = {}; // tensors of a section so far
+    for (const name of GATES) {
+      const section = SECTION_OF[name] ?? "anchor_mlps";
+      const sums = (entropy[section] ??= [0, 0]);
+      changed[name] = model.networks[name].map((layer) => {
+        const coarse = { ...layer };
+        for (const tensor of ["W", "b"]) {
+          const place = (seen[section] = (seen[section] ?? -1) + 1);
+          const step = stepOf(model.version, sections[section], place, layer[tensor]);
+          const wide = step * 2 ** dropped;
+          coarse[tensor] = layer[tensor].map((w) => roundHalfEven(w / wide) * wide);
+          sums[0] += histogramBits(layer[tensor], step);
+          sums[1] += histogramBits(coarse[tensor], wide);
+        }
+        return coarse;
+      });
+    }
+    for (const [section, [before, after]] of Object.entries(entropy)) {
+      const share = before > 0 ? Math.min(after / before, 1) : 1;
+      if (bytes[section]) bytes[section] = Math.round(bytes[section] * share);
+    }
+    return { networks: changed };
+  }
+
+  /** The step of a tensor's weights. Version 2 stores it; version 1 has floats of 11 bits. */
+  function stepOf(version, body, place, weights) {
+    if (version === 2) return (16 + (body[2 * place] % 16)) * 2 ** ((body[2 * place] >> 4) - 19);
+    const largest = weights.reduce((most, w) => Math.max(most, Math.abs(w)), 2 ** -24);
+    return 2 ** (Math.ceil(Math.log2(largest)) - 11);
+  }
+
+  /** The entropy of a tensor's integers, each as often as it occurs. */
+  function histogramBits(weights, step) {
+    const counts = new Map();
+    for (const w of weights) {
+      const v = Math.round(w / step);
+      counts.set(v, (counts.get(v) ?? 0) + 1);
+    }
+    const bits = (sum, count) => sum + count * Math.log2(weights.length / count);
+    return [...counts.values()].reduce(bits, 0);
+  }
+
+  /** PSNR in dB between two pictures of numbers from 0 to 255; infinite where they are equal. */
+  function psnr(picture, other) {
+    let sum = 0;
+    for (let i = 0; i < picture.length; i++) sum += (picture[i] - other[i]) ** 2;
+    // The fourth byte of a pixel, its alpha, is always the same and counts for nothing.
+    return -10 * Math.log10(sum / (0.75 * picture.length) / 255 ** 2);
+  }
+
+  Object.assign(exported, { symbolBits, bitsOfAnchor, anchorBits, shared, isCoded, requantise });
+  Object.assign(exported, { psnr, UNCHANGED, UNITS });
+})(typeof module === "object" ? module.exports : (globalThis.requantise = {}));

@@ -1,0 +1,45 @@
+"""The pages that `p4dgs-ref view` writes: fresh, whole, and safe with any name of a file."""
+
+import base64
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from p4dgs_ref.report import view
+
+TUTORIALS = Path(__file__).parents[2] / "tutorials"
+PAGES = sorted((TUTORIALS / "viewer").glob("*.html"))
+
+
+def held(page):
+    """The files in a page, {name: bytes}."""
+    return {
+        one["name"]: base64.b64decode(one["base64"])
+        for one in json.loads(re.search(r'id="files">(.*)</script>', page)[1])
+    }
+
+
+def rebuilt(file):
+    """The bytes of a page that is made anew, with the files that it holds."""
+    return view.page(held(file.read_text(encoding="utf-8")))
+
+
+@pytest.mark.parametrize("file", PAGES, ids=lambda file: file.name)
+def test_the_pages_are_fresh(file):
+    """CONTRIBUTING.md says how a stale one is made anew."""
+    assert rebuilt(file) == file.read_bytes()
+
+
+def test_the_pages_hold_the_demo_and_six_files():
+    demo, scenes = (held(file.read_text(encoding="utf-8")) for file in PAGES)
+    assert demo == {"demo.p4dgs": (TUTORIALS / "demo.p4dgs").read_bytes()}
+    assert len(scenes) == 6 and demo["demo.p4dgs"] in scenes.values()
+
+
+def test_a_page_is_whole_whatever_a_file_is_called():
+    files = {"<!--<script>.p4dgs": b"1", "é\u2028.p4dgs": b"2"}
+    page = view.page(files).decode()
+    assert held(page) == files and "<!--" not in page  # after which no script would end
+    assert not re.search(r"""\bsrc=|@import|\burl\(|fetch\(|https?:""", page)  # all is inside
