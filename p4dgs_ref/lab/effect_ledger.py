@@ -156,18 +156,19 @@ def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, 
         on, off = built[AS_LISTED], built[effect]
         if effect not in scene.effects:
             on, off = off, on
-        row = {
-            "effect": effect,
-            "called_for": effect in scene.effects,
-            "ms_on": on["ms"],
-            "ms_off": off["ms"],
-            "bytes_on": on["bytes"][effect],
-            "bytes_off": off["bytes"][effect],
-            "work_on": on["work"][effect],
-            "work_off": off["work"][effect],
-            "worth_db": on["psnr_db"] - off["psnr_db"],
-        }
-        rows.append(row)
+        rows.append(
+            {
+                "effect": effect,
+                "called_for": effect in scene.effects,
+                "ms_on": on["ms"],
+                "ms_off": off["ms"],
+                "bytes_on": on["bytes"][effect],
+                "bytes_off": off["bytes"][effect],
+                "work_on": on["work"][effect],
+                "work_off": off["work"][effect],
+                "worth_db": on["psnr_db"] - off["psnr_db"],
+            }
+        )
     return rows
 
 

@@ -123,8 +123,9 @@ def main_job(
     chosen, name = choose(preset, changes), scene.name.replace("/", "_")
     # The report looks the same whatever style a program or a user's settings have chosen.
     with filled(folder) as beside, report.pyplot().style.context("default"):
-        found, paper = designs(scene, chosen, seed, beside / f"{name}.p4dgs", stream, jobs)
-        own, rows, images, model, history = found
+        (own, rows, images, model, history), paper = designs(
+            scene, chosen, seed, beside / f"{name}.p4dgs", stream, jobs
+        )
         metrics = {
             "scene": scene.name,
             "preset": chosen.name,

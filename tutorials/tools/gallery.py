@@ -11,8 +11,6 @@ import shutil
 from collections import namedtuple
 from pathlib import Path
 
-import imageio.v3 as iio
-
 from p4dgs_ref.codec.file import decode
 from p4dgs_ref.lab import stability
 from p4dgs_ref.lab.accuracy import diagram, forms, report
@@ -140,14 +138,11 @@ def take(out, pictures):
 
     Returns the names of those that were renewed.
     """
-    renewed = [name for name, row in PICTURES.items() if (Path(out) / row.figure).is_file()]
+    figures = {name: Path(out) / picture.figure for name, picture in PICTURES.items()}
+    renewed = [name for name, figure in figures.items() if figure.is_file()]
     with output.filled(pictures) as beside:
         for name in renewed:
-            data = (Path(out) / PICTURES[name].figure).read_bytes()
-            if name.endswith(".png"):  # without its alpha, which is 255 everywhere
-                pixels = iio.imread(data)[..., :3]
-                data = iio.imwrite("<bytes>", pixels, extension=".png", optimize=True)
-            (beside / name).write_bytes(data)
+            (beside / name).write_bytes(figures[name].read_bytes())
     return renewed
 
 

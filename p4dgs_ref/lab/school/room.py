@@ -42,8 +42,11 @@ HALF = "grid_nodes"
 
 def equations():
     """Return the keys of the paper's equations, in the order in which data flows."""
-    rows = published.subjects().items()
-    return [key for key, row in rows if row["level"] == "L1" and "group" not in row]
+    return [
+        key
+        for key, row in published.subjects().items()
+        if row["level"] == "L1" and "group" not in row
+    ]
 
 
 class ClassroomError(ValueError):

@@ -225,6 +225,12 @@ def describe(result):
     if result["best"]:
         lines += ["", f"At most {MOST_BYTES:,} bytes: {result['best'][0]['points']}"]
         lines += table(BEST, result["best"])
-    title = "The paper's Table 4: what a file consists of at lambda_rate {:g} and {:g}"
-    lines += ["", title.format(*result["composition"]["lambda_rate"])]
-    return "\n".join([*lines, *table(TABLE_4, result["composition"]["rows"])])
+    low, high = result["composition"]["lambda_rate"]
+    return "\n".join(
+        [
+            *lines,
+            "",
+            f"The paper's Table 4: what a file consists of at lambda_rate {low:g} and {high:g}",
+            *table(TABLE_4, result["composition"]["rows"]),
+        ]
+    )
