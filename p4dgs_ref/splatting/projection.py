@@ -77,7 +77,7 @@ def backward(saved, mean2d_bar=None, cov2d_bar=None, conic_bar=None, depth_bar=N
     cov_bar[:, 1, 0] = cov_bar[:, 0, 1]  # exactly symmetric, also in the last bits
     Sigma_bar = m.transpose(0, 2, 1) @ cov_bar @ m
     m_bar = cov_bar @ m @ (Sigma + Sigma.transpose(0, 2, 1))
-    uv_bar = -(m_bar.reshape(-1, 3) @ W[2]).reshape(-1, 2) * focal / z
+    uv_bar = -(m_bar @ W[2]) * focal / z
     z_bar = -(m_bar * m).sum(axis=(1, 2))[:, None] / z  # m is proportional to 1/z
     ratio_bar = uv_bar * inside
     if mean2d_bar is not None:

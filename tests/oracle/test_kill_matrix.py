@@ -38,11 +38,11 @@ def test_the_pages_say_what_the_file_says():
     reference = (top / "tutorials" / "reference.md").read_text(encoding="utf-8")
     reference = " ".join(reference.split())
     found = committed()["mutations"]
-    assert f"the answers that {len(MISTAKES)} common mistakes lead to" in reference
+    assert f"the answers to which {len(MISTAKES)} common mistakes lead" in reference
     assert f"with some {round(found['total'], -1):,} one-token mutations" in reference
-    assert f"mutations, {100 * found['killed'] / found['total']:.1f} % are noticed" in reference
+    assert f"mutations, {100 * found['killed'] / found['total']:.1f} % are detected" in reference
     readme = (top / "README.md").read_text(encoding="utf-8")
-    assert f"for {len(MISTAKES)} common mistakes" in " ".join(readme.split())
+    assert f"explains {len(MISTAKES)} common mistakes" in " ".join(readme.split())
 
 
 # --- whether it is true -------------------------------------------------------------------------
