@@ -184,8 +184,8 @@ TINY_CODED = TINY._replace(
     network_ramp=1000,
     lr_step=(0.02, 0.002),
 )
-# For quality, in at most three times the time. Four children of an anchor fit the training views
-# of `figure` as well as single ones, but tore holes in a leg where no camera looked for a while.
+# For quality, in at most three times the time. Anchors of four children fitted the training views
+# of `figure` nearly as well as those of one, but new views showed a hole in a leg.
 SMALL_CODED = TINY_CODED._replace(
     name="small_coded",
     anchors=1000,
