@@ -97,7 +97,15 @@ DOWNSCALE = option(
 VIEW = (BACKGROUND, DOWNSCALE)
 SCENE_HELP = "a D-NeRF, HyperNeRF or NeRF-DS folder, or the name of a packaged scene"
 SCENE = option("scene", help=SCENE_HELP)
-PRESETS = ("paper_synthetic", "paper_real", "tiny", "tiny_coded", "tiny_real", "smoke")
+PRESETS = (
+    "paper_synthetic",
+    "paper_real",
+    "tiny",
+    "tiny_coded",
+    "small_coded",
+    "tiny_real",
+    "smoke",
+)
 SETTINGS = (
     SEED,
     several("--set", "KEY=VALUE", "change a field of the preset; may be repeated", dest="changes"),

@@ -22,6 +22,7 @@ SIZES = {
         {},
         {"anchors": 800, "lambda_rate": 0.001},
         {"anchors": 800, "lambda_rate": 0.00025},
+        {"preset": "small_coded"},
     ),
     "d3dgs": ({"gaussians": 200, "sh_degree": 0}, {}),
     "d3dgs_small": (
