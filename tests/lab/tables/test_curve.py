@@ -118,8 +118,9 @@ def test_the_committed_record_has_all_points_of_its_scenes_and_seeds_at_full_len
     rows = table(RECORD)
     places = {(row["scene"], row["seed"]) for row in rows}
     assert [*rows[0]][:5] == FIRST
-    assert [row["label"] for row in rows] == [
-        task.label for task in study.plan([scene], "", (), len(places))
+    assert [(row["label"], int(row["iterations"])) for row in rows] == [
+        (task.label, methods.preset_of(task).iterations)
+        for task in study.plan([scene], "", (), len(places))
     ]
     assert all(20 < float(row["psnr_db"]) < 45 and int(row["bytes"]) > 2000 for row in rows)
-    assert all(row["iterations"] == "3800" and date.fromisoformat(row["made"]) for row in rows)
+    assert all(date.fromisoformat(row["made"]) for row in rows)
