@@ -250,7 +250,7 @@ def view(arguments):
     files = {name: read_file(name)[0] for name in arguments.files}
     output = arguments.output or Path(arguments.files[0]).with_suffix(".html")
     size = pages.view(files, output)
-    tell(f"{output}: {size:,} bytes, with {', '.join(arguments.files)}; a browser opens it")
+    tell(f"{output}: {size:,} bytes, with {', '.join(arguments.files)}; open it in a browser")
 
 
 def evaluate(arguments):

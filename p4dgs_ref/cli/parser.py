@@ -394,7 +394,7 @@ GROUPS = {
         ),
         "compare": (
             "lab.compare_methods",
-            "the paper's tables 1 and 2 on tiny scenes, or PSNR against bytes, of all its methods",
+            "the methods of the paper's tables 1 and 2 on tiny scenes, or PSNR against bytes",
             (
                 option("scenes", nargs="*", help=f"{SCENE_HELP} (default: all that move)"),
                 several("--method", "NAME", "ours and this one; may be repeated", dest="methods"),

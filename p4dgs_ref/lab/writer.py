@@ -116,8 +116,12 @@ def factors(points, others):
     if not found:
         return {}
     ratios = [*found.values()]
-    median = float(np.median(ratios))
-    return {"low": min(found), "high": max(found), "least": min(ratios), "median": median}
+    return {
+        "low": min(found),
+        "high": max(found),
+        "least": min(ratios),
+        "median": float(np.median(ratios)),
+    }
 
 
 def bytes_at(points, psnr):

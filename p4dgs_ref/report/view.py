@@ -16,13 +16,13 @@ def page(files):
         {"name": Path(path).name, "base64": base64.b64encode(data).decode()}
         for path, data in files.items()
     ]
-    text = re.sub(
+    # The page has an empty list of files. No "<" in a name may end the script that holds it.
+    files = 'id="files">' + json.dumps(embedded).replace("<", r"\u003c")
+    return re.sub(
         r'<script src="(.*)">',
         lambda found: "<script>\n" + (VIEWER / found[1]).read_text(encoding="utf-8"),
-        (VIEWER / "page.html").read_text(encoding="utf-8"),
-    )
-    # The page has an empty list of files. No "<" in a name may end the script that holds it.
-    return text.replace('">[]', '">' + json.dumps(embedded).replace("<", r"\u003c")).encode()
+        (VIEWER / "page.html").read_text(encoding="utf-8").replace('id="files">[]', files),
+    ).encode()
 
 
 def view(files, path):

@@ -152,10 +152,10 @@ def warn_of_failure(trainer):
         )
 
 
-def fingerprint(scene):
-    """CRC-32 of all that training reads of a scene's views: pictures, cameras and times."""
-    crc = 0
-    for view in scene.train:
+def fingerprint(views, text=""):
+    """CRC-32 of a text and of all that training reads of views: pictures, cameras and times."""
+    crc = zlib.crc32(text.encode())
+    for view in views:
         numbers = [*map(np.ravel, vars(view.camera).values()), [view.time]]
         crc = zlib.crc32(np.concatenate(numbers).tobytes(), zlib.crc32(view.image.tobytes(), crc))
     return crc
@@ -169,7 +169,7 @@ def identity(trainer):
         "effects": list(trainer.design.effects),
         "background": [float(c) for c in trainer.scene.background],
         **{f"settings.{name}": value for name, value in trainer.settings._asdict().items()},
-        "scene": fingerprint(trainer.scene),
+        "scene": fingerprint(trainer.scene.train),
     }
 
 

@@ -15,7 +15,7 @@
   // --- what a page takes on ---------------------------------------------------------------------
   const MOST = {
     Gaussians: 2 ** 18,
-    "numbers of anchors": 2 ** 22,
+    "numbers in anchors": 2 ** 22,
     "multiplications a picture": 2 ** 33,
   };
 

@@ -2,7 +2,7 @@
 //
 // A frame is what was drawn: {model, camera, t, gaussians, moved, splats, bits, selected, level}.
 // A layer returns what is to be said of it, if anything.
-// Every line has a light edge, so that it is seen on any background.
+// Every line but those of paths has a light edge, so that it is seen on any background.
 "use strict";
 
 (function (exported) {
@@ -117,9 +117,17 @@
 
   let known = {};
 
-  /** The paths of some children over all times, {count, all, steps}, each step [count, 3]. */
-  function pathsOf(model, gaussians) {
+  /** The children of a model that a mask keeps, also those below tau_alpha. */
+  function kept(model, camera) {
+    const header = { ...model.header, tau_alpha: -Infinity };
+    return p4dgs.spatialPrediction({ ...model, header }, p4dgs.centreOf(camera));
+  }
+
+  /** The paths of some children over all times, {count, all, steps}, each step [count, 3]. Their
+   *  canonical positions, and so the paths, do not depend on the camera. */
+  function pathsOf(model, camera) {
     if (known.model === model) return known;
+    const gaussians = kept(model, camera);
     const heads = Math.max(1, draw.products(model.networks.psi_d));
     const N = gaussians.index.length;
     const most = Math.floor(MOST_PRODUCTS / heads / TIMES);
@@ -135,7 +143,7 @@
 
   /** Lines from time 0 (thin, dark) to time 1 (thick, light); a dot ends each. */
   function paths(context, frame) {
-    const { count, all, steps } = pathsOf(frame.model, frame.gaussians);
+    const { count, all, steps } = pathsOf(frame.model, frame.camera);
     for (let i = 1; i < TIMES; i++) {
       const path = new Path2D();
       for (let n = 0; n < count; n++) {
@@ -160,8 +168,7 @@
   /** Crosses on the children that a mask keeps and tau_alpha hides from this camera. */
   function hidden(context, frame) {
     const { model, camera } = frame;
-    const header = { ...model.header, tau_alpha: -Infinity };
-    const all = p4dgs.spatialPrediction({ ...model, header }, p4dgs.centreOf(camera));
+    const all = kept(model, camera);
     const path = new Path2D();
     all.alpha.forEach((alpha, n) => {
       const at = alpha < model.header.tau_alpha && placeRow(frame, all.x, n);
@@ -183,7 +190,8 @@
   /** Adds lines of R nodes an axis in the plane of two axes, where the third one is `at`. */
   function mesh(path, frame, axes, R, at) {
     const third = 3 - axes[0] - axes[1];
-    for (let node = 0; node < R; node += every(R)) {
+    const drawn = Array.from({ length: Math.ceil((R - 1) / every(R)) + 1 }, (_, i) => i * every(R));
+    for (const node of drawn.map((i) => Math.min(i, R - 1))) {
       for (const [fixed, free] of [axes, [...axes].reverse()]) {
         const ends = [0, 1].map((end) => {
           const shares = [0, 0, 0];
@@ -197,7 +205,7 @@
 
   const AXES = "xyz";
 
-  /** The nodes of the chosen level, and the cells of all levels around the selected anchor. */
+  /** The nodes of the chosen level, and its cell around the selected anchor. */
   function grid(context, frame) {
     const { model, selected, level } = frame;
     const [names, R] = model.header.grid[level];
@@ -206,7 +214,7 @@
     if (axes.length === 2) mesh(path, frame, axes, R, 0);
     else for (const pair of [[0, 1], [0, 2], [1, 2]]) mesh(path, frame, pair, R, 0);
     stroke(context, path, INK.cell, 0.7);
-    const left = every(R) > 1 ? `One line of ${every(R)} is drawn.` : null;
+    const left = every(R) > 1 ? `Only one line in ${every(R)} is drawn.` : null;
     if (selected === null) return left;
     const cells = new Path2D();
     cellOf(cells, frame, axes, R, selected);

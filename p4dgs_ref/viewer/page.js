@@ -258,6 +258,7 @@
   const total = (sizes) => Object.values(sizes).reduce((sum, size) => sum + size, 0);
 
   function drawStrip() {
+    $("section-says").textContent = ""; // its bytes may be others now
     const own = withContainer(state.model.bytes);
     const now = withContainer(state.changed ? state.changed.bytes : state.model.bytes);
     const names = Object.keys(own);
@@ -374,6 +375,7 @@
     state.explained = null;
     ask();
     if (anchor === null) $("anchor-tables").replaceChildren();
+    else explainSoon(); // also while time runs
   }
 
   /** The tables of the selected anchor, where the camera or the time are others than before. */
@@ -418,7 +420,7 @@
     const worker = port && workerOf(url);
     if (!worker) return Promise.resolve(p4dgs.decode(data));
     return new Promise((resolve, reject) => {
-      const late = `header, byte 0: decoding takes more than ${PATIENCE} seconds`;
+      const late = `decoding takes more than ${PATIENCE} seconds`;
       const timer = setTimeout(() => settle(reject, new Error(late)), 1000 * PATIENCE);
       end = () => {
         clearTimeout(timer);
@@ -447,7 +449,7 @@
 
   /** Says in one line why a file is not shown. The scene before it stays. */
   function refuse(name, said) {
-    const stays = state.model ? ` The scene before, ${state.name}, stays.` : "";
+    const stays = state.model ? ` The previous scene, ${state.name}, stays.` : "";
     $("message").textContent = `${name}: ${said}.${stays}`;
   }
 
@@ -455,7 +457,7 @@
   function load(name, data, model) {
     const large = draw.tooLarge(model);
     if (large) {
-      refuse(name, `header, byte 0: ${large}`);
+      refuse(name, large);
       return;
     }
     const { sections } = p4dgs.openContainer(data);
@@ -476,21 +478,27 @@
     $("level").replaceChildren(...options);
     $("anchor").max = String(state.model.header.anchors - 1);
     select(null);
-    $("section-says").textContent = "";
     undo();
     drawLegend();
   }
 
+  let asked = 0; // files so far; the last one that is asked for is shown, whichever ends last
+
   async function open(file) {
     if (!file) return;
+    const own = ++asked;
     $("message").textContent = "";
     try {
       const isLarge = file.size > MOST_BYTES;
       if (isLarge) throw new Error("container, byte 10: expected at most 2^29 bytes");
       const data = new Uint8Array(await file.arrayBuffer());
-      load(file.name, data, await decoded(data));
+      const model = own === asked && (await decoded(data));
+      if (own !== asked) return;
+      load(file.name, data, model);
+      $("embedded").hidden = $("scene").options.length === 0;
+      if (state.data === data) $("scene").selectedIndex = -1; // each embedded file can be chosen
     } catch (error) {
-      refuse(file.name, error.message);
+      if (own === asked) refuse(file.name, error.message);
     }
   }
 
@@ -505,8 +513,14 @@
     $("scene").replaceChildren(...options);
     $("embedded").hidden = files.length < 2;
     const choose = (i) => {
+      end();
+      asked += 1;
       const data = decodeBase64(files[i].base64);
-      load(files[i].name, data, p4dgs.decode(data));
+      try {
+        load(files[i].name, data, p4dgs.decode(data));
+      } catch (error) {
+        refuse(files[i].name, error.message);
+      }
     };
     $("scene").addEventListener("change", () => choose(Number($("scene").value)));
     if (files.length) choose(0);

@@ -271,7 +271,7 @@ ESTIMATED = {  # iterations, and what is said when the training is stopped
     # stages 1 to 3, which take 9 iterations, are done once for both designs
     f"demo bouncing -o run {LONG} --set coded=true --jobs 1": (179_999_991, "--resume goes on"),
     f"compare scene -o run {WHOLE} --method hexplane": (9 * 90_000_000, "that are done are kept"),
-    f"compare scene -o run --curve {WHOLE} --method hexplane": (24 * 90_000_000, "are kept"),
+    f"compare scene -o run --curve {WHOLE} --method hexplane": (27 * 90_000_000, "are kept"),
     f"ablate scene -o run {WHOLE} --jobs 9": (30 * 90_000_000, "are kept"),
 }
 

@@ -13,7 +13,7 @@ from . import methods
 from .compare import BASELINES
 from .methods import CODED, OURS, OWN
 
-# The points of each method; another one is another row, and `preset` takes it from another preset.
+# The points of each method. To add one, add a row; `preset` names another preset to start from.
 # Table 4 is about the first two.
 SIZES = {
     OURS: ({"lambda_rate": 0.01}, {}, {"anchors": 400}),
@@ -89,7 +89,7 @@ TABLE_4 = {
 def plan(scenes, folder, names=(), seeds=3, iterations=None):
     """The Tasks of all points.
 
-    `names` are those of baselines, nothing means all; our two designs are always there. Raises
+    `names` are those of methods, nothing means all; our two designs are always there. Raises
     StudyError for an unknown method.
     """
     chosen = methods.known([*OWN, *(names or baselines.METHODS)])
@@ -218,7 +218,7 @@ def describe(result):
         f"{result['title']}; made {days[0]} to {days[-1]}. Every point is a mean.",
         BASELINES,
         *table(COLUMNS, result["points"]),
-        f"The envelope of the explicit methods: {', '.join(result['envelope'])}.",
+        f"The envelope of the explicit methods: {', '.join(result['envelope']) or 'none'}.",
         "",
         f"Others against {CODED}, at every PSNR that both reach:",
         *table(AGAINST, result["against"]),

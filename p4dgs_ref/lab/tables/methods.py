@@ -2,8 +2,9 @@
 
 A study is a list of Tasks and what it says about their rows. A row begins with the fields method,
 scene, seed, psnr_db and bytes, and lies as JSON beside its file, in a folder that is named after
-the checksum of the scene and the length of the trainings. A row that is there is not made again, so
-a killed study goes on, takes what another one has made, and can grow by scenes, seeds and methods.
+a checksum of the scene's views, effects and background, and the length of the trainings. A row that
+is there is not made again, so a killed study goes on, takes what another one has made, and can grow
+by scenes, seeds and methods.
 """
 
 import json
@@ -128,7 +129,11 @@ def plan(sizes, names, scenes, folder, seeds=3, iterations=None):
     All scenes with one seed come before the next seed.
     """
     length = "" if iterations is None else f"_{iterations}"
-    places = [(scene, f"points_{fingerprint(scene):08x}{length}") for scene in scenes]
+    sums = [
+        fingerprint(scene.train + scene.test, f"{scene.effects} {scene.background} {scene.points}")
+        for scene in scenes
+    ]
+    places = [(scene, f"points_{crc:08x}{length}") for scene, crc in zip(scenes, sums)]
     return [
         Task(scene, method, seed, Path(folder) / place, iterations, changes)
         for seed in range(seeds)
