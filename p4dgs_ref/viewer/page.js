@@ -482,23 +482,23 @@
     drawLegend();
   }
 
-  let asked = 0; // files so far; the last one that is asked for is shown, whichever ends last
+  let request = 0; // files so far; the last one that is asked for is shown, whichever ends last
 
   async function open(file) {
     if (!file) return;
-    const own = ++asked;
+    const own = ++request;
     $("message").textContent = "";
     try {
       const isLarge = file.size > MOST_BYTES;
       if (isLarge) throw new Error("container, byte 10: expected at most 2^29 bytes");
       const data = new Uint8Array(await file.arrayBuffer());
-      const model = own === asked && (await decoded(data));
-      if (own !== asked) return;
+      const model = own === request && (await decoded(data));
+      if (own !== request) return;
       load(file.name, data, model);
       $("embedded").hidden = $("scene").options.length === 0;
       if (state.data === data) $("scene").selectedIndex = -1; // each embedded file can be chosen
     } catch (error) {
-      if (own === asked) refuse(file.name, error.message);
+      if (own === request) refuse(file.name, error.message);
     }
   }
 
@@ -514,7 +514,7 @@
     $("embedded").hidden = files.length < 2;
     const choose = (i) => {
       end();
-      asked += 1;
+      request += 1;
       const data = decodeBase64(files[i].base64);
       try {
         load(files[i].name, data, p4dgs.decode(data));
