@@ -190,6 +190,7 @@ SMALL_CODED = TINY_CODED._replace(
     name="small_coded",
     anchors=1000,
     k=1,
+    opacity_bias=0.6,  # single children share one bias: from 0.3, all faded out with one seed of 16
     deformation=(128, 128),
     Q_f=0.125,
     Q_s=0.005,
