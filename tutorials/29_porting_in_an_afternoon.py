@@ -204,7 +204,7 @@ lessons.show(figure, "29_porting", title="Seven mistakes in one line each")
 # %%
 answer_1 = answer_2 = ...
 lessons.number("29.1", answer_1)
-lessons.number("29.2", answer_2, digits=9)
+lessons.number("29.2", answer_2, digits=15)
 
 # %% [markdown]
 # ## Check your port

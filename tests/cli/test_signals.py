@@ -59,7 +59,7 @@ LOST = "; nothing is kept, because all files are written at the end"
 SAID = {  # of a command that was stopped
     "train": KEPT,
     "demo": f"{LOST}; `p4dgs-ref train` keeps checkpoints, from which --resume goes on",
-    "compare": LOST,
+    "compare": "; the trainings that are done are kept, the same command makes the others",
 }
 # Commands, and the file that is there when they are at work.
 LINES = {

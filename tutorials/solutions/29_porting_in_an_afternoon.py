@@ -12,8 +12,8 @@ from p4dgs_ref.lab.school import lessons
 lessons.number("29.1", 3, sum(round(v + 0.5) != (v + 1) // 1 for v in range(-3, 3)))
 
 # %% [markdown]
-# **29.2** $2^{53}/2654435761 = 3393263.2$. The prime is odd, so the product with 3393264 is even and
-# still exact, and that with 3393265 is odd.
+# **29.2** $2^{53}/2654435761 = 3393263.2$. The prime is odd, so the product with 3393264 is even
+# and still exact, and that with 3393265 is odd.
 
 # %%
 inexact = (j for j in range(3_393_000, 3_394_000) if int(2654435761.0 * j) != 2654435761 * j)
