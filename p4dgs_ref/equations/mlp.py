@@ -33,10 +33,10 @@ def backward(saved, y_bar, needs_x=True) -> dict:
     weights_bar, biases_bar = [None] * len(weights), [None] * len(weights)
     for i in reversed(range(len(weights))):
         weights_bar[i] = inputs[i].T @ y_bar
-        biases_bar[i] = y_bar.sum(axis=0)
+        biases_bar[i] = np.einsum("no->o", y_bar)  # faster than .sum(axis=0)
         if i > 0 or needs_x:
             y_bar = y_bar @ weights[i].T
         if i > 0:
-            y_bar *= inputs[i] > 0
+            y_bar *= (inputs[i] > 0).astype(y_bar.dtype)  # faster than times bool
     gradients = {"weights": weights_bar, "biases": biases_bar}
     return {"x": y_bar, **gradients} if needs_x else gradients

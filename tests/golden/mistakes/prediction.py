@@ -408,7 +408,7 @@ MLP = [
         "mlp",
         "mlp-no-relu",
         "no ReLU between the layers",
-        {"np.maximum(hidden, 0, out=hidden)": "hidden", "inputs[i] > 0": "1"},
+        {"np.maximum(hidden, 0, out=hidden)": "hidden", "(inputs[i] > 0)": "np.ones_like(y_bar)"},
     ),
     edited(
         "mlp",
@@ -427,11 +427,11 @@ MLP = [
             "np.maximum(hidden, 0, out=hidden)": (
                 "np.where(hidden > 0, hidden, hidden.dtype.type(0.01) * hidden)"
             ),
-            "inputs[i] > 0": "np.where(inputs[i] > 0, 1, 0.01)",
+            "(inputs[i] > 0)": "np.where(inputs[i] > 0, 1, 0.01)",
         },
     ),
     edited(
-        "mlp", "mlp-relu-gradient", "the ReLU lets every gradient through", {"inputs[i] > 0": "1"}
+        "mlp", "mlp-relu-gradient", "the ReLU lets every gradient through", {"(inputs[i] > 0)": "np.ones_like(y_bar)"}
     ),
     edited(
         "mlp",
