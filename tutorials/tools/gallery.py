@@ -184,12 +184,18 @@ def draw_demo(out):
 
 
 def take_curve(out):
-    """Take the record that `p4dgs-ref compare --curve` has left in report/compare, if there is one.
+    """Take the records that `p4dgs-ref compare --curve` and `ablate` have left in report/, if any.
 
-    Its rows say when and where each was made; training them here would take hours.
+    Their rows say when and where each was made; training them here would take hours.
     """
     for file in Path("report/compare").glob("curve.*"):
         shutil.copy(file, out if file.suffix == ".png" else FOLDER)
+    studies = [
+        file.read_text().partition("\n")
+        for file in sorted(Path("report").glob("ablate*/ablate.csv"))
+    ]
+    if studies:  # one a scene, all with the same columns
+        write_text(FOLDER / "ablate.csv", "".join([studies[0][0], "\n", *(s[2] for s in studies)]))
 
 
 def draw_tour(_):

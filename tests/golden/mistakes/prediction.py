@@ -431,7 +431,10 @@ MLP = [
         },
     ),
     edited(
-        "mlp", "mlp-relu-gradient", "the ReLU lets every gradient through", {"(inputs[i] > 0)": "np.ones_like(y_bar)"}
+        "mlp",
+        "mlp-relu-gradient",
+        "the ReLU lets every gradient through",
+        {"(inputs[i] > 0)": "np.ones_like(y_bar)"},
     ),
     edited(
         "mlp",

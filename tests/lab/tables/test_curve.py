@@ -7,14 +7,17 @@ import imageio.v3 as iio
 import pytest
 
 from p4dgs_ref.lab import writer
+from p4dgs_ref.lab.tables import ablate, methods
 from p4dgs_ref.lab.tables import curve as study
-from p4dgs_ref.lab.tables import methods
 from p4dgs_ref.lab.tables.methods import CODED, OURS, Task
 from tests.budget import ROOT
 
 from .shared import CURVE, FIRST, table
 
-RECORD = ROOT / "tutorials" / "curve.csv"
+RECORDS = {  # in tutorials/: the plan of one scene
+    "curve.csv": lambda scene, seeds: study.plan([scene], "", (), seeds),
+    "ablate.csv": lambda scene, seeds: ablate.plan(scene, "", seeds),
+}
 
 
 def test_the_csv_has_a_row_for_each_point_and_says_when_and_where_it_was_made(drawn):
@@ -114,13 +117,17 @@ def test_a_point_from_another_preset(scene):
     assert methods.preset_of(Task(scene, CODED, 0, None, None, changes))[0] == "smoke"
 
 
-def test_the_committed_record_has_all_points_of_its_scenes_and_seeds_at_full_length(scene):
-    rows = table(RECORD)
-    places = {(row["scene"], row["seed"]) for row in rows}
+@pytest.mark.parametrize("name", RECORDS)
+def test_the_committed_records_have_all_rows_of_their_scenes_and_seeds_at_full_length(scene, name):
+    rows = table(ROOT / "tutorials" / name)
     assert [*rows[0]][:5] == FIRST
-    assert [(row["label"], int(row["iterations"])) for row in rows] == [
+    assert sorted((row["label"], int(row["iterations"])) for row in rows) == sorted(
         (task.label, methods.preset_of(task).iterations)
-        for task in study.plan([scene], "", (), len(places))
-    ]
-    assert all(20 < float(row["psnr_db"]) < 45 and int(row["bytes"]) > 2000 for row in rows)
-    assert all(date.fromisoformat(row["made"]) for row in rows)
+        for task in RECORDS[name](scene, len({(row["scene"], row["seed"]) for row in rows}))
+    )
+    assert all(
+        20 < float(row["psnr_db"]) < 45
+        and int(row["bytes"]) > 2000
+        and date.fromisoformat(row["made"])
+        for row in rows
+    )
