@@ -107,5 +107,4 @@ def test_the_data_of_the_doctor_are_what_the_mistakes_compute():
 
 
 def test_the_data_are_small():
-    size = sum(file.stat().st_size for file in doctor.FOLDER.iterdir())
-    assert size < 1_300_000
+    assert sum(file.stat().st_size for file in doctor.FOLDER.iterdir()) < 1_300_000

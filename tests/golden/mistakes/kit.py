@@ -26,6 +26,7 @@ class Mistake(NamedTuple):
     subject: str  # whose cases show it: an equation or a stage
     description: str  # what the port does instead, said to its author
     run: Callable  # (inputs, {"x_bar": array}) -> ({output: array}, {input: gradient})
+    noisy: tuple = ()  # cases in which the answers are rounding noise: the doctor takes any
 
     @property
     def equation(self):

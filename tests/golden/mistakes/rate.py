@@ -187,6 +187,14 @@ ROUNDING = [
 
 
 # --- Eq. (11) -----------------------------------------------------------------------------------
+# The cases in which `printed` gives other digits with ndtr, with erfc and with erf.
+ROUNDED = (
+    *("tail", "narrow", "tail_of_narrow_bins", "nearly_narrow"),
+    *("H-R1.6sigma", "H-R1.9sigma", "H-R1.20sigma", "H-R2.6sigma", "H-R2.9sigma", "H-R2.20sigma"),
+    *("H-R5.width1e-12", "H-R5.width1e-09", "H-R5.width1e-06", "H-R5.width0.001", "H-R5.width10"),
+)
+
+
 def printed(given, cotangents):
     """The difference of the two values as printed, which cancels in the tails."""
     f, mu, sigma, q = (given[name] for name in ("f_noisy", "mu", "sigma", "q"))
@@ -232,7 +240,7 @@ LIKELIHOOD = [
         "1e-10 is added to the mass before the logarithm",
         outputs={"bits": lambda bits: -np.log2(np.exp2(-bits) + bits.dtype.type(1e-10))},
         outputs_bar={"bits": lambda bar, bits: bar / (1 + 1e-10 * np.exp2(bits))},
-    ),
+    )._replace(noisy=("H-R5.width10",)),
     known(
         "likelihood",
         "likelihood-sigma-plus",
@@ -286,7 +294,7 @@ LIKELIHOOD = [
         "likelihood-literal",
         "the printed difference of two values near one: no digits in the tails",
         printed,
-    ),
+    )._replace(noisy=ROUNDED),
     edited(
         "likelihood",
         "likelihood-density",
