@@ -115,7 +115,13 @@ def explain(mistakes, answers, part=""):
         )
         for mistake in mistakes
     ]
-    return [row for row in found if row.cases and all(_agrees(row.mistake, *r) for r in right)]
+    return [
+        row
+        for row in found
+        # Agreement where any answer agrees is no evidence.
+        if any(id.partition("/")[2] not in row.mistake.noisy for id in row.cases)
+        and all(_agrees(row.mistake, *r) for r in right)
+    ]
 
 
 def _failing(answers):
