@@ -17,6 +17,7 @@ and `grow_every`, and `stage(iteration)`, counted from 1.
 import shutil
 import time
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 
@@ -85,8 +86,8 @@ class Loop:
         """
         view, p = self.next_view(), self.parameters
         losses, seen, gradients, mean2d_bar = self.gradients_of(view)
-        rates = {stem: self.rate_of(stem) for stem in {name.split(".")[0] for name in p.arrays}}
-        self.adam.step(p, gradients, lambda name: rates[name.split(".")[0]])
+        rate_of = cache(self.rate_of)  # all arrays of a network have the same rate
+        self.adam.step(p, gradients, lambda name: rate_of(name.split(".")[0]))
         if not np.isfinite(p.vector).all():
             found = first_bad(p.arrays, "after Adam's step, parameter ")
             raise NotFinite(f"iteration {self.iteration}: {found}")

@@ -14,10 +14,11 @@ class Parameters:
     The arrays of a network are named "psi.W0", "psi.b0", "psi.W1" and so on.
     """
 
-    def __init__(self, arrays, dtype: DTypeLike = np.float32):
+    def __init__(self, arrays, dtype: DTypeLike = np.float32, vector=None):
         parts = [np.asarray(a) for a in arrays.values()]
-        self.vector = np.concatenate([part.ravel() for part in parts]).astype(dtype)
-        self.arrays, start = {}, 0
+        if vector is None:  # otherwise it has the values, and `arrays` the names and shapes
+            vector = np.concatenate([part.ravel() for part in parts]).astype(dtype)
+        self.vector, self.arrays, start = vector, {}, 0
         for name, part in zip(arrays, parts):
             self.arrays[name] = self.vector[start : start + part.size].reshape(part.shape)
             start += part.size
@@ -27,7 +28,7 @@ class Parameters:
 
     def zeros(self):
         """The same names and shapes, filled with zeros."""
-        return Parameters({n: np.zeros(a.shape) for n, a in self.arrays.items()}, self.vector.dtype)
+        return Parameters(self.arrays, vector=np.zeros_like(self.vector))
 
     def numbered(self, prefix):
         """The arrays whose names are the prefix and 0, 1 and so on."""
