@@ -23,7 +23,6 @@ from tests.sampling import SEED, few
 
 MISTAKES = [mistake for key in published.subjects() for mistake in doctor.known(key)]
 BOTH = ("out.", "in_bar.")
-NAMED = {"both": BOTH, "outputs": ("out.",), "gradients": ("in_bar.",)}
 
 
 class Patient:
@@ -55,15 +54,15 @@ def test_a_known_mistake_is_noticed_and_explained(mistake):
         assert not r.explanation.startswith(said + " (")
 
 
-@pytest.mark.parametrize(
-    "mistake, part",
-    few([(m, part) for m in MISTAKES for part in NAMED], 12),
-    ids=lambda value: getattr(value, "id", value),
-)
-def test_it_is_explained_in_one_direction_and_in_float32(mistake, part):
-    """Other mistakes may have the same outputs, or the same gradients; then all are named."""
+@pytest.mark.parametrize("mistake", few(MISTAKES, 12), ids=lambda m: m.id)
+def test_it_is_explained_in_one_direction_and_in_float32(mistake):
+    """Other mistakes may have the same outputs, or the same gradients; then all are named.
+
+    The day's seed draws the direction of each mistake.
+    """
+    roles = random.Random(f"{SEED} {mistake.id}").choice((BOTH, BOTH[:1], BOTH[1:]))
     for dtype in (np.float64, np.float32):
-        for r in diagnosis(Patient(mistake, NAMED[part], dtype)):
+        for r in diagnosis(Patient(mistake, roles, dtype)):
             assert f"[{mistake.id}]" in r.explanation
 
 
