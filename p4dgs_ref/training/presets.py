@@ -185,18 +185,21 @@ TINY_CODED = TINY._replace(
     lr_step=(0.02, 0.002),
 )
 # For quality, in at most three times the time. Anchors of four children fitted the training views
-# of `figure` nearly as well as those of one, but new views showed a hole in a leg.
+# of `figure` nearly as well as those of one, but new views showed a hole in a leg. An only child
+# does with shallower networks and, as it has an offset of its own, with fewer bits of a position.
 SMALL_CODED = TINY_CODED._replace(
     name="small_coded",
     anchors=1000,
     k=1,
+    hidden=(32,),
+    position_bits=8,
     opacity_bias=0.6,  # single children share one bias: from 0.3, all faded out with one seed of 16
     deformation=(128, 128),
     Q_f=0.125,
     Q_s=0.005,
     Q_l=0.005,
     Q_O=0.05,
-    lambda_rate=2.5e-4,
+    lambda_rate=3e-4,
     stage_ends=(200, 300, 3000, 6500),
     decay_from=3000,
     lr_d=(0.0015, 4e-5),

@@ -20,8 +20,8 @@ SIZES = {
     CODED: (
         {"lambda_rate": 0.003},
         {},
-        {"preset": "small_coded", "anchors": 500, "lambda_rate": 0.0005},
-        {"anchors": 800, "lambda_rate": 0.001},
+        {"preset": "small_coded", "d": 8, "anchors": 700, "lambda_rate": 0.0005},
+        {"preset": "small_coded", "d": 8, "lambda_rate": 0.00025},
         {"preset": "small_coded"},
     ),
     "d3dgs": ({"gaussians": 200, "sh_degree": 0}, {}),
