@@ -185,8 +185,8 @@ TINY_CODED = TINY._replace(
     lr_step=(0.02, 0.002),
 )
 # For quality, in at most three times the time. Anchors of four children fitted the training views
-# of `figure` nearly as well as those of one, but new views showed a hole in a leg. An only child
-# does with shallower networks and, as it has an offset of its own, with fewer bits of a position.
+# of `figure` nearly as well as those of one, but new views showed a hole in a leg. A single child
+# needs only shallow networks and, because it has an offset of its own, few bits of a position.
 SMALL_CODED = TINY_CODED._replace(
     name="small_coded",
     anchors=1000,
