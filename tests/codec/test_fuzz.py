@@ -181,7 +181,7 @@ def kept(model):
     return without_silent_units(changed(model, **anchors))
 
 
-@pytest.mark.parametrize("count", [100, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [100, pytest.param(3000, marks=pytest.mark.slow)])
 @pytest.mark.filterwarnings("error")
 def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
     """Where the box has no extent, 0 is stored, and attributes may move by half of another step."""
