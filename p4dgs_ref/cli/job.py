@@ -17,8 +17,8 @@ from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
 from ..scenes.load import find_scene, read_description, read_points_for
 from ..scenes.output import filled, made, new_file, write_atomically
-from ..training.fit import CHECKPOINT, fit, load_model
-from ..training.presets import SOURCES, choose, differences
+from ..training.fit import CHECKPOINT, few_views, fit, load_model, lost, warn
+from ..training.presets import SOURCES, beyond, choose, differences
 from ..training.trainer import Trainer
 from . import UsageError, expect, progress, say, show, tell, text
 
@@ -80,11 +80,8 @@ def seconds_of(trainer):
 def demo(arguments):
     """Run the main job and write its report."""
     preset, scene = read_preset(arguments), read_scene(arguments)
-    once = preset.stage_ends[2] / preset.iterations  # stages 1 to 3, in common to both designs
-    estimate(
-        arguments,
-        [(Trainer(scene, preset), 2 - once if preset.coded and arguments.jobs == 1 else 1)],
-    )
+    designs = 2 if beyond(preset) else 1
+    estimate(arguments, [(Trainer(scene, preset), designs)], min(arguments.jobs, designs))
     metrics = p4.main_job(
         scene,
         preset,
@@ -125,6 +122,7 @@ def train(arguments):
             "warning: no scene.json lists effects, so all are trained; "
             f"`p4dgs-ref effects {arguments.scene} --suggest --apply` finds and lists them"
         )
+    warn(few_views(scene))
     with made(arguments.output) as folder:
         trainer, seconds = timed(
             fit,
@@ -138,6 +136,10 @@ def train(arguments):
         )
         with filled(folder) as beside:
             figures.write_training(beside, trainer.history, preset.stage_ends)
+    if trainer.factors:
+        counted = " and from stage 3 on ".join(f"{times:.1f} times" for times in trainer.factors)
+        say(f"what moves counted {counted} in L1, until stage 4 (B3)")
+    warn(lost(trainer))
     tell(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors, {seconds:.1f} s")
 
 

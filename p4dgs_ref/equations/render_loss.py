@@ -17,21 +17,22 @@ def forward(
     truth,  # [H, W, C]  true image
     lambda_ssim,  # []  weight of D_SSIM
     truth_moments=None,  # `ssim.moments(truth)`, which is constant for each view
+    weight=1.0,  # of a pixel in L1: [H, W, 1], or 1 for all as in the paper
 ):
     """Return L_render, L1 and D_SSIM [] and what `backward` needs."""
     difference = image - truth
     precision = image.dtype.type
-    L1 = precision(np.abs(difference).mean(dtype=np.float64))
+    L1 = precision((weight * np.abs(difference)).mean(dtype=np.float64))
     D_SSIM, saved_ssim = ssim.dissimilarity(image, truth, truth_moments)
     D_SSIM = precision(D_SSIM)
     L_render = precision(1 - lambda_ssim) * L1 + precision(lambda_ssim) * D_SSIM
-    return (L_render, L1, D_SSIM), (np.sign(difference), lambda_ssim, saved_ssim)
+    return (L_render, L1, D_SSIM), (weight * np.sign(difference), lambda_ssim, saved_ssim)
 
 
 def backward(saved, L_render_bar, L1_bar=0.0, D_SSIM_bar=0.0):
     """Gradient of the image; that of L1 is 0 where image and truth are equal."""
-    sign, lambda_ssim, saved_ssim = saved
+    slope, lambda_ssim, saved_ssim = saved
     L1_bar = float(L1_bar + (1 - lambda_ssim) * L_render_bar)
     D_SSIM_bar = float(D_SSIM_bar + lambda_ssim * L_render_bar)
     from_ssim = ssim.backward(saved_ssim, -D_SSIM_bar)["image"]
-    return {"image": L1_bar / sign.size * sign + from_ssim}
+    return {"image": L1_bar / slope.size * slope + from_ssim}

@@ -1,7 +1,7 @@
 """The main job: fit a scene, compress it to a file, decode that file, render, measure, draw.
 
-Its two designs are trained alike until stage 4. From there on they are independent, as are the
-trainings of a study, and can run in several processes. Studies never take times in them.
+Its two designs are independent, as are the trainings of a study, and can run in several processes.
+Studies never take times in them.
 """
 
 import json
@@ -16,8 +16,8 @@ from typing import Any, TextIO
 from ..codec.file import decode, encode
 from ..scenes.output import filled
 from ..scenes.scene import Scene
-from ..training.fit import fit
-from ..training.presets import PRESETS, Preset, choose, differences, paper_design
+from ..training.fit import few_views, fit, lost, warn
+from ..training.presets import PRESETS, Preset, beyond, choose, differences, paper_design
 from . import figures as report
 from .evaluate import compression, evaluate, json_safe, timed
 
@@ -56,13 +56,12 @@ def in_processes(function, tasks, jobs):
 
 
 # --- the main job ---------------------------------------------------------------------------------
-def one_design(scene, preset, seed, path, begun=None, before=0.0, stream=None):
+def one_design(scene, preset, seed, path, stream=None):
     """Train, write the file, decode it and measure the decoded model.
 
-    Training goes on from the state `begun`, which took `before` seconds. Returns metrics, the rows
-    and images of the views, the model, and the history of the training.
+    Returns metrics, the rows and images of the views, the model, and the history of the training.
     """
-    trainer, seconds = timed(fit, scene, preset, seed, begun=begun, stream=stream)
+    trainer, seconds = timed(fit, scene, preset, seed, stream=stream)
     data, encode_seconds = timed(encode, trainer.model())
     path.write_bytes(data)
     model, decode_seconds = timed(decode, path.read_bytes())
@@ -70,10 +69,11 @@ def one_design(scene, preset, seed, path, begun=None, before=0.0, stream=None):
     metrics = {
         **metrics,
         **compression(model, data, metrics["gaussians"]),
-        "train_seconds": before + seconds,
-        "ms_per_step": 1e3 * (before + seconds) / preset.iterations,
+        "train_seconds": seconds,
+        "ms_per_step": 1e3 * seconds / preset.iterations,
         "encode_seconds": encode_seconds,
         "decode_seconds": decode_seconds,
+        "warning": lost(trainer),
     }
     return metrics, rows, images, model, trainer.history
 
@@ -81,21 +81,17 @@ def one_design(scene, preset, seed, path, begun=None, before=0.0, stream=None):
 def designs(scene, preset, seed, path, stream, jobs):
     """What `one_design` returns for the preset, and the metrics of the paper's design beside it.
 
-    Both are trained alike until stage 4, so this part is done once. There are no other metrics
-    where the preset is the paper's design.
+    There are no other metrics where the preset is the paper's design.
     """
-    if not preset.coded:
-        return one_design(scene, preset, seed, path, stream=stream), None
-    paper, file = paper_design(preset), path.with_name(f"{path.stem}_paper_design{path.suffix}")
-    trainer, before = timed(fit, scene, paper, seed, stream=stream, until=preset.stage_ends[2])
-    begun = trainer.state()
-    own, other = (scene, preset, seed, path), (scene, paper, seed, file)
+    own, paper = (scene, preset, seed, path), paper_design(preset)
+    if paper == preset:
+        return one_design(*own, stream), None
+    other = (scene, paper, seed, path.with_name(f"{path.stem}_paper_design{path.suffix}"))
     if jobs == 1:
-        own, other = (one_design(*each, begun, before, stream) for each in (own, other))
-        return own, other[0]
+        return one_design(*own, stream), one_design(*other, stream)[0]
     with processes(1) as pool:
-        waiting = pool.submit(one_design, *other, begun, before)
-        return one_design(*own, begun, before, stream), waiting.result()[0]
+        waiting = pool.submit(one_design, *other)
+        return one_design(*own, stream), waiting.result()[0]
 
 
 def main_job(
@@ -110,17 +106,18 @@ def main_job(
 ) -> dict:
     """Run everything, write the report into `folder` and return the metrics.
 
-    A preset with coded networks is trained as it is and as the paper's design. Stages 1 to 3 are
-    the same and done once. Stage 4 is done in two processes at once if `jobs` is at least 2; then
-    its times are those of two processes that share the machine. Pictures and metrics are those of
-    the preset's own decoded model; `paper_design` has bytes, PSNR and SSIM of the other, or of the
-    same model where the preset is the paper's design. The folder gets all files at the end, or
-    none. `start` is the `time.perf_counter()` from which the seconds of the whole job count; the
-    other arguments are those of `train`. Raises the errors of `train` and `evaluate`, and
-    OutputError for a folder that cannot be written.
+    A preset that goes beyond the paper is trained as it is and as the paper's design, in two
+    processes at once if `jobs` is at least 2; then the times are those of two processes that share
+    the machine. Pictures and metrics are those of the preset's own decoded model;
+    `beyond_the_paper` lists what is ours in it, and `paper_design` has bytes, PSNR and SSIM of the
+    other, or of the same model where the preset is the paper's. The folder gets all files at the
+    end, or none. `start` is the `time.perf_counter()` from which the seconds of the whole job
+    count; the other arguments are those of `train`. Raises the errors of `train` and `evaluate`,
+    and OutputError for a folder that cannot be written.
     """
     start = time.perf_counter() if start is None else start
     chosen, name = choose(preset, changes), scene.name.replace("/", "_")
+    warn(few_views(scene))
     # The report looks the same whatever style a program or a user's settings have chosen.
     with filled(folder) as beside, report.pyplot().style.context("default"):
         (own, rows, images, model, history), paper = designs(
@@ -131,8 +128,9 @@ def main_job(
             "preset": chosen.name,
             "seed": seed,
             **own,
+            "beyond_the_paper": beyond(chosen),
             "paper_design": {key: (paper or own)[key] for key in ("bytes", "psnr_db", "ssim")},
-            "trained_at_once": chosen.coded and jobs > 1,
+            "trained_at_once": paper is not None and jobs > 1,
             "effects": list(scene.effects),
             "changes": {
                 field: here for field, _, here in differences(chosen, PRESETS[chosen.name])
@@ -142,6 +140,8 @@ def main_job(
         report.write_motion(beside / "motion.gif", model, scene.test[0].camera)
         report.write_size(beside, chosen.name, own, paper)
         report.write_training(beside, history, chosen.stage_ends)
+        warn(own["warning"])
+        warn(paper and paper["warning"] and f"the paper's design: {paper['warning']}")
         metrics["seconds"] = time.perf_counter() - start
         (beside / "metrics.json").write_text(json.dumps(json_safe(metrics), indent=1) + "\n")
     return metrics

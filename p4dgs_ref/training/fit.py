@@ -21,6 +21,7 @@ from ..scenes.output import destination, locked, write_atomically
 from ..scenes.scene import Scene
 from ..signals import deferred
 from ..splatting.settings import FAST, Settings
+from .body import unlike
 from .initial import design_of
 from .loop import Progress, psnr
 from .parameters import Parameters
@@ -29,7 +30,8 @@ from .trainer import Trainer, assemble, tagged
 
 SAVE_EVERY = 20.0  # seconds between checkpoints
 FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.2 dB against 48, 16 far more (reference.md, Limits)
-LEAST_GAIN = 1.0  # dB above the mean of the training pictures
+TIMES = 9  # at which a model is drawn to see what of it rests
+LEAST_GAIN = 3.0  # dB above the mean of the training pictures, where something moves
 CHECKPOINT = "checkpoint.npz"
 # Part of what the checksum is taken of, so that the checkpoint of another release does not fit.
 RELEASE = f"checkpoint 3, fields {Preset._fields}".encode()
@@ -64,11 +66,14 @@ def train(
     fit, OutputError for a folder in which another training runs, and NotFinite with the first
     equation, array and index that is NaN or infinite. Ctrl-C or SIGTERM raise KeyboardInterrupt
     after the current iteration, a second one at once. Warns of a scene with few training views, and
-    of a result that is hardly better than the mean of the training pictures.
+    where what moves is hardly better than in the mean of the training pictures.
     """
-    return fit(
+    warn(few_views(scene))
+    trainer = fit(
         scene, preset, seed, settings, points, folder, resume, stream, save_every, **changes
-    ).model()
+    )
+    warn(lost(trainer))
+    return trainer.model()
 
 
 def fit(
@@ -81,21 +86,13 @@ def fit(
     resume: bool = False,
     stream: TextIO | None = None,
     save_every: float = SAVE_EVERY,
-    begun: tuple[dict, dict] | None = None,
-    until: float = np.inf,
     **changes: Any,
 ) -> Trainer:
-    """Do what `train` does, but return the Trainer, which also has the history.
-
-    Training goes on from `begun`, the `state` of another Trainer that has done the same so far, and
-    stops at the iteration `until`, where the preset does not end before.
-    """
+    """Do what `train` does without its warnings, and return the Trainer, which has the history."""
     chosen = choose(preset, changes)
     # Non-finite values are found and named; NumPy's warnings would say the same less clearly.
     with np.errstate(all="ignore"):
         trainer, progress = Trainer(scene, chosen, seed, settings, points), Progress(stream)
-        if begun:
-            trainer.restore(*begun)
         with nullcontext() if folder is None else locked(folder), deferred() as asked:
             common = identity(trainer)
             if resume and folder is not None:
@@ -107,49 +104,61 @@ def fit(
 
             keep()
             saved = time.monotonic()
-            if not begun:
-                warn_of_few_views(scene)
-            while trainer.iteration < min(until, chosen.iterations) and not asked:
+            while trainer.iteration < chosen.iterations and not asked:
                 progress(trainer, *trainer.step())
                 if time.monotonic() - saved > save_every:
                     keep()
                     saved = time.monotonic()
             keep()  # then `deferred` raises KeyboardInterrupt where it was asked for
-        if until >= chosen.iterations:
-            warn_of_failure(trainer)
     return trainer
 
 
-def warn_of_few_views(scene):
-    """Warn where a scene has too few training views to show how it looks from elsewhere."""
-    if len(scene.train) < FEW_VIEWS:
-        warnings.warn(
-            f"scene {scene.name}: {len(scene.train)} training views; views that were not trained "
-            f"on will be poor with fewer than {FEW_VIEWS}; 48 are enough for the packaged scenes",
-            stacklevel=4,
-        )
+def warn(sentence):
+    """Warn the caller of the calling function, if there is something to say."""
+    if sentence:
+        warnings.warn(sentence, stacklevel=3)
 
 
-def warn_of_failure(trainer):
-    """Warn where a trained model is hardly better than one picture that is shown for all views.
+def few_views(scene):
+    """What to say where a scene has too few training views to show how it looks from elsewhere."""
+    if len(scene.train) >= FEW_VIEWS:
+        return ""
+    return (
+        f"scene {scene.name}: {len(scene.train)} training views; views that were not trained "
+        f"on will be poor with fewer than {FEW_VIEWS}; 48 are enough for the packaged scenes"
+    )
+
+
+def lost(trainer):
+    """What to say where what moves is hardly better than in one picture shown for all views.
 
     This picture is the mean of the training views. Both are compared with the test views, which
-    training has not seen, or with the training views where a scene has no others.
+    training has not seen, or with the training views where a scene has no others, in all pixels
+    that are unlike the median of the model's own pictures over nine times.
     """
     model, scene = trainer.model(), trainer.scene
     views, mean = scene.test or scene.train, np.mean([v.image for v in scene.train], axis=0)
-    flat = np.mean([psnr(mean, v.image) for v in views])
-    learnt = np.mean(
-        [psnr(model.render(v.camera, v.time, trainer.settings), v.image) for v in views]
+    times = np.quantile([v.time for v in scene.train], np.linspace(0, 1, TIMES))
+    found = []
+    for v in views:
+        drawn, *others = (model.render(v.camera, t, trainer.settings) for t in (v.time, *times))
+        moves = unlike(v.image, np.median(others, axis=0))
+        found.append([image[moves] for image in (drawn, mean, v.image)])
+    drawn, mean, truth = map(np.concatenate, zip(*found))
+    if not len(truth) or psnr(drawn, truth) >= psnr(mean, truth) + LEAST_GAIN:
+        return ""
+    share = len(truth) / sum(v.image[:, :, 0].size for v in views)
+    remedy = (
+        "another seed, more iterations (stage_ends), more views or larger bodies"
+        if trainer.preset.body
+        else "`--set body=true` or a preset that has it, such as tiny_coded (B3)"
     )
-    if learnt < flat + LEAST_GAIN < np.inf:  # infinite where all views are the same picture
-        kind = "test views, which it has not seen" if scene.test else "training views"
-        warnings.warn(
-            f"scene {scene.name}: the result is useless: it has {learnt:.2f} dB on the {kind}, the "
-            f"mean of the training pictures {flat:.2f} dB; try another seed, more iterations "
-            "(stage_ends), more views, or pictures in which the object is larger",
-            stacklevel=4,
-        )
+    return (
+        f"scene {scene.name}: what moves is lost: where {'test' if scene.test else 'training'} "
+        f"views differ from the model at rest ({share:.1%} of the pixels), it has "
+        f"{psnr(drawn, truth):.2f} dB, the mean of the training pictures "
+        f"{psnr(mean, truth):.2f} dB; try {remedy}"
+    )
 
 
 def fingerprint(views, text=""):

@@ -29,7 +29,6 @@ from ..splatting.settings import Settings
 from . import coded_networks
 
 ATTRIBUTES = ("f_a", "log_s", "log_l", "O_a")  # the parameters of the groups f, s, l, O
-UNLIKE = 0.1  # difference of a channel from which on a pixel is unlike the background
 
 
 class Fixed(NamedTuple):
@@ -42,7 +41,7 @@ class Fixed(NamedTuple):
     lambda_rate: float
     lambda_ssim: float
     settings: Settings  # of the renderer
-    lambda_body: float = 0.0  # weight of the `body`'s part of L1, once more, in sparse scenes (Q13)
+    weight: np.ndarray | float = 1.0  # of a pixel in L1, [H, W, 1] or one for all (B3)
     # Only of the coded design, in stage 4 (B1):
     coded: coded_networks.Layout | None = None
     network_price: float = 1.0  # of a bit of a network, in bits of an anchor
@@ -71,28 +70,6 @@ class Seen(NamedTuple):
 def linear_values(p):
     """The coded attributes side by side [A, n], as in `model.join`: logarithms undone (Q5)."""
     return beside(p["f_a"], np.exp(p["log_s"]), np.exp(p["log_l"]), p["O_a"])
-
-
-def body(image):
-    """The pixels [H, W] of an image [H, W, 3] that are unlike its median colour."""
-    return np.abs(image - np.median(image, axis=(0, 1))).max(axis=2) > UNLIKE
-
-
-def picture_loss(image, truth, fixed, truth_moments=None):
-    """Eq. (16), and lambda_body times the part of L1 that comes from pixels of the `body` (Q13).
-
-    Return (L_render, L1, D_SSIM), and `back`, which gives the gradient of the image.
-    """
-    (L_render, *parts), back = pull(render_loss, image, truth, fixed.lambda_ssim, truth_moments)
-    if not fixed.lambda_body:
-        return (L_render, *parts), lambda L_render_bar: back(L_render_bar)["image"]
-    share = (fixed.lambda_body / image.size * body(truth)[:, :, None]).astype(image.dtype)
-    L_render += np.sum(share * np.abs(image - truth), dtype=np.float64)
-
-    def back_both(L_render_bar):
-        return back(L_render_bar)["image"] + L_render_bar * share * np.sign(image - truth)
-
-    return (L_render, *parts), back_both
 
 
 def loss(p, design, networks, grids, fixed, view, u, truth_moments=None):
@@ -129,8 +106,9 @@ def loss(p, design, networks, grids, fixed, view, u, truth_moments=None):
         fixed.settings,
         "occlusion" in design.effects,
     )
-    (L_render, L1, D_SSIM), back_image = picture_loss(
-        image, view.image.astype(image.dtype), fixed, truth_moments
+    truth = view.image.astype(image.dtype)
+    (L_render, L1, D_SSIM), back_image = pull(
+        render_loss, image, truth, fixed.lambda_ssim, truth_moments, fixed.weight
     )
     if stage == 4:
         (bits, L_rate), back_rate = rate(
@@ -142,7 +120,7 @@ def loss(p, design, networks, grids, fixed, view, u, truth_moments=None):
 
     def back():
         gradients, losses_bar = p.zeros(), back_total(1.0)
-        splats = back_render(back_image(losses_bar["L_render"]))
+        splats = back_render(back_image(losses_bar["L_render"])["image"])
         g_bar = [splats[name].astype(p.vector.dtype) for name in ("x", "s", "r", "alpha", "color")]
         anchors_bar, networks_bar = back_predict(*g_bar)
         noisy_bar = beside(*(anchors_bar[name] for name in ("f_a", "s_a", "l_a", "O_a")))

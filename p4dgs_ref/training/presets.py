@@ -47,7 +47,7 @@ GROWING = ("scaffold, reseed or off", lambda value: value in ("scaffold", "resee
 # Where values of the paper's presets come from, with the number of the choice in
 # tutorials/reference.md. A rate has two values, the first and the last.
 AS_PARENTS = "off, as the parents (Q28)"
-OFF, OFF_Q13 = "off, as the paper", "off, as the paper (Q13)"
+OFF = "off, as the paper"
 SCAFFOLD_Q15, SCAFFOLD_Q16 = "Scaffold-GS (Q15, Q16)", "Scaffold-GS (Q16)"
 LAST_SCAFFOLD, LAST_HAC = "paper; last: Scaffold-GS (Q17)", "paper; last: HAC (Q17)"
 
@@ -106,8 +106,10 @@ class Preset(NamedTuple):
     Q_l: float = row(0.001, 0.01, STEP, "paper", "base step of l")
     Q_O: float = row(0.2, 0.1, STEP, "paper", "base step of O")
     lambda_rate: float = row(1e-3, 5e-4, NOT_NEGATIVE, "HAC (Q12)", "weight of the rate")
-    coded: bool = row(False, False, FLAG, OFF, "the coded design, a file of version 2 (B1)")
-    position_bits: int = row(16, 16, between(1, 16), "ours (Q14)", "per axis; fewer if coded (B2)")
+    coded: bool = row(False, False, FLAG, OFF, "networks pay for their bits (B1)")
+    position_bits: int = row(
+        16, 16, between(1, 16), "ours (Q14)", "of a position per axis; fewer if coded (B2)"
+    )
     network_ramp: int = row(0, 0, NOT_NEGATIVE, OFF, "iterations until coded networks pay fully")
     # stages and loss
     stage_ends: tuple = row(
@@ -118,7 +120,7 @@ class Preset(NamedTuple):
         "iterations at which stages 1 to 4 end",
     )
     lambda_ssim: float = row(0.2, 0.2, between(0, 1), "3DGS (Q13)", "weight of D-SSIM")
-    sparse_share: float = row(0.0, 0.1, NOT_NEGATIVE, OFF_Q13, "below it, foreground weighs more")
+    body: bool = row(False, False, FLAG, OFF, "what moves counts more in L1 (B3)")
     # learning rates: first and last, geometric over all iterations from `decay_from` on
     decay_from: int = row(0, 1800, NOT_NEGATIVE, "ours (Q17)", "first iteration of the decay")
     lr_x: tuple = row((0.0, 0.0), (0.002, 2e-4), RATE, "Scaffold-GS (Q14)", "positions")
@@ -176,12 +178,14 @@ PAPER_REAL = Preset(
     mask_from=4000,
 )
 TINY = Preset("tiny", *(tiny for tiny, *_ in _rows))
-# Its networks pay for their bits (B1), and its positions have fewer of them (B2).
+# Its networks pay for their bits (B1), its positions have fewer of them (B2), and what moves counts
+# more until it has learned to move (B3).
 TINY_CODED = TINY._replace(
     name="tiny_coded",
     coded=True,
     position_bits=10,
     network_ramp=1000,
+    body=True,
     lr_step=(0.02, 0.002),
 )
 # For quality, in at most three times the time. Anchors of four children fitted the training views
@@ -251,8 +255,14 @@ def differences(preset, against=PAPER_SYNTHETIC):
     ]
 
 
+def beyond(preset):
+    """What goes beyond the paper in a preset, a sentence each."""
+    fields = [field for field, _, _ in differences(preset, paper_design(preset))]
+    return [ROWS[field][3] for field in fields if "(B" in ROWS[field][3]]
+
+
 def paper_design(preset):
-    """The preset without what goes beyond the paper (B1, B2), under the same name."""
+    """The preset without what goes beyond the paper (B1 to B3), under the same name."""
     beyond = [field for field, _, _ in differences(TINY_CODED, TINY)]
     return preset._replace(**{field: getattr(PAPER_SYNTHETIC, field) for field in beyond})
 

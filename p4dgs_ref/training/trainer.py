@@ -1,13 +1,12 @@
 """The four stages of training: what is trained when, density control, a state to save."""
 
-from functools import cached_property
-
 import numpy as np
 
 from ..equations import hash_grid
 from ..model import Anchors, Model, bounding_box, snap, split
 from ..splatting.settings import FAST
 from . import coded_networks, density, objective
+from .body import LEAST_SHARE, body, unlike
 from .initial import design_of, initial_parameters
 from .loop import Loop
 from .parameters import Parameters, exponential
@@ -68,6 +67,8 @@ class Trainer(Loop):
         self.design = design or design_of(preset, scene.effects)
         self.box: tuple = ()  # the corners of the bounding box, fixed when stage 4 starts
         self.located = None  # where the positions are in the hash grid, from stage 4 on
+        self.bodies = {}  # the pixels that count more (B3), by view
+        self.factors = []  # how often they count in stages 1 and 2, and at the start of stage 3
         points = scene.points if points is None else points
         self.start(initial_parameters(preset, self.design, self.rng, points))
         self.mask = np.ones((len(self.parameters["x_a"]), self.design.k), bool)
@@ -87,16 +88,25 @@ class Trainer(Loop):
             coded_networks.Layout(parameters, self.networks) if self.design.coded else None
         )
 
-    @cached_property
-    def body_weight(self):
-        """How often a pixel of the body counts in L1 in stages 1 and 2, where nothing moves (Q13).
+    def find_bodies(self):
+        """Note the pixels of every training view that count more from this iteration on (B3)."""
+        for view in self.scene.train:
+            pixels = self.bodies[id(view)] = body(view.image)
+            if self.iteration:
+                drawn = self.model().render(view.camera, view.time, self.settings)
+                pixels &= unlike(view.image, drawn)
+        share = np.mean([pixels.mean() for pixels in self.bodies.values()])
+        self.factors = [*self.factors[: self.iteration > 0], 1 / max(share, LEAST_SHARE)]
 
-        L1 pulls every pixel to its median over time. Where a thin body moves, that is the
-        background: opacities fall, or psi_c saturates, and the body is lost for good. In a sparse
-        scene the body therefore counts as much as the whole picture, until it has learned to move.
-        """
-        cover = np.mean([objective.body(view.image).mean() for view in self.scene.train])
-        return 1 / cover if 0 < cover < self.preset.sparse_share else 1.0
+    def weight_of(self, view):
+        """The weight of each pixel of a view in L1: [H, W, 1], or 1 where all count alike."""
+        _, rested, moved, _ = self.preset.stage_ends
+        if not self.preset.body or self.iteration >= moved:
+            return 1.0
+        if self.iteration in (0, rested):
+            self.find_bodies()
+        more = exponential(self.iteration, self.factors[-1], 1.0, moved, rested) - 1
+        return np.float32(1 + more * self.bodies[id(view)][:, :, None])
 
     @property
     def stage(self):
@@ -115,9 +125,9 @@ class Trainer(Loop):
         )
 
     def fixed(self):
-        """The inputs of the next iteration that are not parameters."""
-        preset, stage, (_, rested, moved, _) = self.preset, self.stage, self.preset.stage_ends
-        coded_for = self.iteration - moved  # iterations of stage 4
+        """The inputs of the next iteration that are neither parameters nor of its view."""
+        preset, stage = self.preset, self.stage
+        coded_for = self.iteration - preset.stage_ends[2]  # iterations of stage 4
         return objective.Fixed(
             mask=self.mask,
             located=self.located,
@@ -126,8 +136,6 @@ class Trainer(Loop):
             lambda_rate=preset.lambda_rate,
             lambda_ssim=preset.lambda_ssim,
             settings=self.settings,
-            lambda_body=(1 - preset.lambda_ssim)
-            * (exponential(self.iteration, self.body_weight, 1.0, moved, rested) - 1),
             coded=self.layout if stage == 4 else None,
             network_price=min(coded_for / max(preset.network_ramp, 1), 1.0),  # rises to 1
         )
@@ -147,7 +155,7 @@ class Trainer(Loop):
             self.design,
             self.networks,
             self.grids,
-            self.fixed(),
+            self.fixed()._replace(weight=self.weight_of(view)),
             view,
             u,
             self.moments_of(view),
@@ -221,6 +229,7 @@ class Trainer(Loop):
             "m": self.adam.first.arrays,
             "v": self.adam.second.arrays,
             "stat": vars(self.statistics),
+            "body": {str(i): pixels for i, pixels in enumerate(self.bodies.values())},
         }
         arrays = {f"{tag}/{name}": a for tag, group in groups.items() for name, a in group.items()}
         arrays.update(mask=self.mask, order=self.order, box=np.array(self.box))
@@ -229,6 +238,7 @@ class Trainer(Loop):
             "steps": self.adam.steps,
             "rng": self.rng.bit_generator.state,
             "history": self.history,
+            "factors": self.factors,
         }
 
     def restore(self, arrays, values):
@@ -244,6 +254,8 @@ class Trainer(Loop):
         self.statistics = density.Statistics(**tagged(arrays, "stat"))
         self.order, self.iteration = arrays["order"], values["iteration"]
         self.rng.bit_generator.state, self.history = values["rng"], [*values["history"]]
+        self.bodies = dict(zip(map(id, self.scene.train), tagged(arrays, "body").values()))
+        self.factors = [*values["factors"]]
         self.mask, self.box = arrays["mask"].copy(), tuple(arrays["box"])
         if self.box:
             self.freeze_positions()

@@ -68,7 +68,7 @@ def test_demo(report):
     assert 0 < min(spent) and sum(spent) < metrics["seconds"]
     assert 5 < metrics["psnr_fg_db"] < metrics["psnr_db"] < 30 and 0 < metrics["ssim"] < 1
     *lines, warning = err.splitlines()  # without a terminal about a dozen lines, not 45
-    assert 10 <= len(lines) <= 16 and "useless" in warning  # after 45 steps
+    assert 10 <= len(lines) <= 16 and "is lost" in warning  # after 45 steps
     assert lines[-1].startswith("45/45  ") and lines[-1].endswith(" ms/step")
 
 
@@ -76,7 +76,7 @@ def test_demo(report):
 def test_demo_twice_is_the_same_to_the_byte(report, tmp_path):
     process = start("-m", "p4dgs_ref", *shlex.split(DEMO), "--quiet", cwd=tmp_path)
     out, err = process.communicate(timeout=120)
-    assert process.returncode == 0 and "useless" in err and "report in report" in out
+    assert process.returncode == 0 and "is lost" in err and "report in report" in out
     names = "bouncing.p4dgs comparison.csv comparison.png metrics.json motion.gif size.csv size.png"
     assert names_in(tmp_path / "report") == [*names.split(), "training.csv", "training.png"]
     for file in report[0].iterdir():
@@ -268,8 +268,7 @@ LONG = "--preset smoke --downscale 8 --set stage_ends=9,9,9,90000000 --set ancho
 WHOLE = "--seeds 3 --iterations 90000000"
 ESTIMATED = {  # iterations, and what is said when the training is stopped
     f"train bouncing -o run {LONG}": (90_000_000, "stopped\n"),
-    # stages 1 to 3, which take 9 iterations, are done once for both designs
-    f"demo bouncing -o run {LONG} --set coded=true --jobs 1": (179_999_991, "--resume goes on"),
+    f"demo bouncing -o run {LONG} --set coded=true --jobs 1": (180_000_000, "--resume goes on"),
     f"compare scene -o run {WHOLE} --method hexplane": (9 * 90_000_000, "that are done are kept"),
     f"compare scene -o run --curve {WHOLE} --method hexplane": (27 * 90_000_000, "are kept"),
     f"ablate scene -o run {WHOLE} --jobs 9": (30 * 90_000_000, "are kept"),
@@ -289,6 +288,14 @@ def test_long_trainings_need_a_yes(place, run, monkeypatch, line):
     assert not Path("run").exists()
     code, _, err = run(f"{line} --yes")
     assert code == 130 and words in err and not Path("run").exists()
+
+
+def test_train_says_how_often_the_body_counts(place, run):
+    line = "train scene --preset smoke --set body=true --quiet -o run"
+    code, _, err = run(line)
+    said = next(row for row in err.splitlines() if "B3" in row)
+    assert code == 0 and re.search(r"counted \d+\.\d times and from stage 3 on \d+\.\d times", said)
+    assert "B3" not in run("train scene --preset smoke --quiet -o other")[2]
 
 
 def test_python_face_has_every_name():

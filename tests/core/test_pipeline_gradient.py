@@ -22,7 +22,7 @@ from tests.sampling import few
 WIDTH, HEIGHT = 16, 12
 
 
-def setting(effects=MODEL_EFFECTS, stage=4, seed=0, changes=(), lambda_body=0.0):
+def setting(effects=MODEL_EFFECTS, stage=4, seed=0, changes=(), body=False):
     """A small model in float64 with every network awake, one view of it, and noise.
 
     `changes` are fields of the design.
@@ -56,7 +56,7 @@ def setting(effects=MODEL_EFFECTS, stage=4, seed=0, changes=(), lambda_body=0.0)
         lambda_rate=0.02,
         lambda_ssim=0.2,
         settings=FAST._replace(dtype="float64", cut=1e-14, stop=0.0),
-        lambda_body=lambda_body,
+        weight=rng.uniform(1, 6, (HEIGHT, WIDTH, 1)) if body else 1.0,
     )
     return p, design, fixed, view, u
 
@@ -171,7 +171,7 @@ SETTINGS = {
     "stage 1": (dict(stage=1), STAGES_1_AND_2),
     "stage 2": (dict(stage=2), STAGES_1_AND_2),
     "stage 3": (dict(stage=3), {"psi_p", "psi_q", "grid"}),
-    "a sparse scene": (dict(stage=3, lambda_body=6.0), {"psi_p", "psi_q", "grid"}),
+    "weights of pixels": (dict(stage=3, body=True), {"psi_p", "psi_q", "grid"}),
     "few effects": (dict(effects=MOVES, seed=1), set()),
     "turning": (dict(effects=TURNS, seed=1), set()),
     "time net and skip of D3DGS": (dict(changes=D3DGS), set()),

@@ -63,7 +63,6 @@ PRESET = Preset(
     lambda_rate=0.01,
     stage_ends=(0, 0, 6, 10),
     lambda_ssim=0.2,
-    sparse_share=0.0,
     decay_from=2,
     lr_x=(0.002, 0.0005),
     lr_f=(0.01, 0.002),
@@ -94,7 +93,7 @@ PRESET = Preset(
 # Fields that only the name of a preset or the start of a training concerns, or that are off.
 UNUSED = (
     *("name", "anchors", "extent", "feature_std", "opacity_bias", "upright"),
-    *("deformation_gain", "sparse_share"),
+    *("deformation_gain", "body"),
     *("coded", "position_bits", "network_ramp", "lr_step"),
 )
 # What the vectors switch off and no preset can switch on, at its place among the settings.

@@ -22,6 +22,8 @@ from p4dgs_ref.training import fit as training
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.fit import CHECKPOINT, RunError, fit, load_checkpoint, load_model
 from p4dgs_ref.training.parameters import Adam
+from p4dgs_ref.training.presets import choose
+from p4dgs_ref.training.trainer import Trainer
 from tests.processes import start
 from tests.sampling import few
 
@@ -181,8 +183,10 @@ def test_a_good_checkpoint_goes_on_to_the_same_bytes(copied, run):
 def test_a_state_stays_as_it_is_when_a_training_goes_on_from_it(run):
     """So that several can go on from one, here one whose children are all masked at once."""
     folder, scene, changes = run
-    arrays, values = begun = load_checkpoint(folder)
-    trainer = fit(scene, "smoke", 0, begun=begun, **changes, mask_from=0, min_opacity=1e9)
+    arrays, values = load_checkpoint(folder)
+    trainer = Trainer(scene, choose("smoke", {**changes, "mask_from": 0, "min_opacity": 1e9}))
+    trainer.restore(arrays, values)
+    trainer.run()
     assert trainer.iteration == 9 and not trainer.mask.any()
     again = load_checkpoint(folder)
     assert values == again[1] and all(np.array_equal(a, again[0][n]) for n, a in arrays.items())

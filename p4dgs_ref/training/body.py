@@ -1,0 +1,22 @@
+"""B3, ours: until stage 3 ends, the pixels of what moves count more in L1 than the others.
+
+L1 pulls every pixel to its median over time. Where a thin body moves, this is what stands behind
+it: opacities fall, or psi_c saturates, and the body is lost for good. The body therefore counts as
+much as the whole picture until it has learned to move. In stages 1 and 2 it is what is unlike the
+picture's median colour. Stage 3 keeps of it what the model, which is still at rest, draws wrong.
+"""
+
+import numpy as np
+
+UNLIKE = 0.1  # difference of a channel from which on a pixel is unlike another
+LEAST_SHARE = 0.01  # of all pixels; a smaller body counts no more than one of this size
+
+
+def unlike(image, other):
+    """The pixels [H, W] of an image [H, W, 3] that differ from another image, or from a colour."""
+    return np.abs(image - other).max(axis=2) > UNLIKE
+
+
+def body(image):
+    """The pixels [H, W] of an image [H, W, 3] that are unlike its median colour."""
+    return unlike(image, np.median(image, axis=(0, 1)))
