@@ -82,7 +82,7 @@ def backward(saved, mean2d_bar=None, cov2d_bar=None, conic_bar=None, depth_bar=N
     """
     x_c, inside, JW, m, Km, R, Sigma, inverse, visible, W, focal, dtype = saved
     z = x_c[:, 2:]
-    Sigma_bar, m_bar = np.zeros_like(Sigma), np.zeros_like(m)  # m_bar: of one of the two factors m
+    Sigma_bar, m_bar = np.zeros_like(Sigma), np.zeros_like(m)
     if conic_bar is not None:
         K, K_bar = symmetric(*inverse.T), halved(conic_bar, visible)
         K_bar_Km = K_bar @ Km  # d(K) = -K d(cov) K
@@ -92,7 +92,7 @@ def backward(saved, mean2d_bar=None, cov2d_bar=None, conic_bar=None, depth_bar=N
         cov_bar_m = halved(cov2d_bar, visible) @ m
         Sigma_bar += m.transpose(0, 2, 1) @ cov_bar_m
         m_bar += cov_bar_m
-    m_bar = m_bar @ (Sigma + Sigma.transpose(0, 2, 1))
+    m_bar = 2 * m_bar @ Sigma  # m is both factors of m Sigma m^T
     bars = {"Sigma": Sigma_bar}
     if R is not None:
         bars["R"] = JW.transpose(0, 2, 1) @ m_bar

@@ -298,7 +298,7 @@ FORMULAS = [
         "projection",
         "projection-detached-determinant",
         "the gradient of the conic takes the determinant for a constant",
-        {**through("K_bar[:, ::-1, ::-1] * [[1, -1], [-1, 1]] * np.linalg.det(K)[:, None, None]")},
+        through("K_bar[:, ::-1, ::-1] * [[1, -1], [-1, 1]] * np.linalg.det(K)[:, None, None]"),
     ),
     edited(
         "projection",
@@ -333,7 +333,7 @@ FORMULAS = [
         "projection",
         "projection-mean-gradient-alone",
         "x receives no gradient through the covariance",
-        {"m_bar = m_bar @ (Sigma + Sigma.transpose(0, 2, 1))": "m_bar = 0 * m"},
+        {"m_bar = 2 * m_bar @ Sigma": "m_bar = 0 * m"},
     ),
     edited(
         "projection",
