@@ -307,10 +307,10 @@ if SHOW:
 # %% [markdown]
 # ## Splatting
 # The paper takes this part from 3DGS (Kerbl et al. 2023). An ellipsoid has the covariance
-# $R\,\mathrm{diag}(s)^2R^T$ with its own rotation $R$, not the camera's. A camera sees it as an
+# $Q\,\mathrm{diag}(s)^2Q^T$ with its own rotation $Q$, not the camera's $R$. A camera sees it as an
 # ellipse of pixels, a *splat*. Splats are painted from front to back. The rotation matrix of a
-# quaternion r = (w, v) is $R=G_+G_-^T$, $G_\pm = [-v, wI\pm[v]_\times]$, $[v]_\times u=v\times u$.
-# Backward, $\bar G_+ = \bar R\,G_-$ and $\bar G_- = \bar R^T G_+$. Both $G_\pm$ are linear in r, so
+# quaternion r = (w, v) is $Q=G_+G_-^T$, $G_\pm = [-v, wI\pm[v]_\times]$, $[v]_\times u=v\times u$.
+# Backward, $\bar G_+ = \bar Q\,G_-$ and $\bar G_- = \bar Q^T G_+$. Both $G_\pm$ are linear in r, so
 # $\bar r_i = \sum_\pm\sum_{mn} (\bar G_\pm)_{mn}\,G_\pm(e_i)_{mn}$ with unit vectors $e_i$.
 
 
@@ -340,50 +340,50 @@ def factor(r, side):
     return np.array([[-x, w, -Z, Y], [-y, Z, w, -X], [-z, -Y, X, w]]).transpose(2, 0, 1)
 
 
-def covariance(s, r):
-    """Sigma = R(r) diag(s)^2 R(r)^T [N, 3, 3] of scales s [N, 3] and unit quaternions r [N, 4]."""
+def rotation_matrix(r):
+    """The rotation matrices Q [N, 3, 3] of unit quaternions r [N, 4]."""
     G_plus, G_minus = factor(r, 1), factor(r, -1)
-    R = G_plus @ G_minus.transpose(0, 2, 1)
-    M = R * s[:, None]
 
-    def back(Sigma_bar):
-        M_bar = (Sigma_bar + Sigma_bar.transpose(0, 2, 1)) @ M
-        R_bar = M_bar * s[:, None]
-        G_plus_bar, G_minus_bar = R_bar @ G_minus, R_bar.transpose(0, 2, 1) @ G_plus
+    def back(Q_bar):
+        G_plus_bar, G_minus_bar = Q_bar @ G_minus, Q_bar.transpose(0, 2, 1) @ G_plus
         r_bar = np.einsum("nij,aij->na", G_plus_bar, factor(np.eye(4), 1))
-        r_bar += np.einsum("nij,aij->na", G_minus_bar, factor(np.eye(4), -1))
-        return (M_bar * R).sum(axis=1), r_bar
+        return r_bar + np.einsum("nij,aij->na", G_minus_bar, factor(np.eye(4), -1))
 
-    return M @ M.transpose(0, 2, 1), back
+    return G_plus @ G_minus.transpose(0, 2, 1), back
 
 
-def projection(x, Sigma, R, T):
+def projection(x, s, Q, R, T):
     """Centres [N, 2] from the middle of the image, conics [N, 3] and depths [N] of the splats.
 
     Near a Gaussian at (x, y, z) in camera coordinates, the projection is almost linear: it is JR,
-    with J = FOCAL/z [[1, 0, -x/z], [0, 1, -y/z]]. The splat's covariance is JR Sigma JR^T. 3DGS
-    adds 0.3 I, because a splat smaller than a pixel could lie between pixel centres and vanish.
-    The conic (K_a, K_b, K_c) is the inverse of that sum, K = [[K_a, K_b], [K_b, K_c]].
+    with J = FOCAL/z [[1, 0, -x/z], [0, 1, -y/z]]. The splat's covariance is m diag(s)^2 m^T with
+    m = JR Q. 3DGS adds 0.3 I, because a splat smaller than a pixel could lie between pixel centres
+    and vanish. The conic is the inverse K of that sum [[a, b], [b, c]]. For long thin splats
+    a c - b b loses all digits; with the cross product n of m's rows nothing cancels.
     """
     x_cam = x @ R.T + T
-    z = x_cam[:, 2:]
-    uv = x_cam[:, :2] / z
+    z, uv = x_cam[:, 2:], x_cam[:, :2] / x_cam[:, 2:]
     JR = (R[:2] - uv[:, :, None] * R[2]) * (FOCAL / z)[:, :, None]  # [N, 2, 3]
-    cov = JR @ Sigma @ JR.transpose(0, 2, 1) + 0.3 * np.eye(2)
-    K = np.linalg.inv(cov)
+    m, squares = JR @ Q, s**2
+    mS = m * squares[:, None]
+    (a, b), (_, c) = (mS @ m.transpose(0, 2, 1) + 0.3 * np.eye(2)).transpose(1, 2, 0)
+    n = np.cross(m[:, 0], m[:, 1])
+    det = (n**2 * squares[:, [1, 2, 0]] * squares[:, [2, 0, 1]]).sum(axis=1) + 0.3 * (a + c - 0.3)
+    conic = np.stack([c, -b, a], axis=1) / det[:, None]
 
     def back(mean_bar, conic_bar):
-        K_a_bar, K_b_bar, K_c_bar = conic_bar.T
-        K_bar = np.array([[K_a_bar, K_b_bar / 2], [K_b_bar / 2, K_c_bar]]).transpose(2, 0, 1)
-        cov_bar = -K @ K_bar @ K  # d(K) = -K d(cov) K
-        JR_bar = 2 * cov_bar @ JR @ Sigma
+        K, K_bar = (a[:, [0, 1, 1, 2]].reshape(-1, 2, 2) for a in (conic, conic_bar * [1, 0.5, 1]))
+        Km_det = np.stack([np.cross(mS[:, 1], n), np.cross(n, mS[:, 0])], axis=1) + 0.3 * m
+        K_bar_Km = K_bar @ Km_det / det[:, None, None]  # d(K) = -K d(m diag(s)^2 m^T) K
+        m_bar = -2 * K @ K_bar_Km * squares[:, None]
+        JR_bar, Q_bar = m_bar @ Q.transpose(0, 2, 1), JR.transpose(0, 2, 1) @ m_bar
         uv_bar = FOCAL * mean_bar - (JR_bar @ R[2]) * FOCAL / z  # uv is in the mean and in JR
         z_bar = -(uv_bar * uv).sum(axis=1) / z[:, 0]  # uv = (x, y) / z, so d(uv) / dz = -uv / z
         z_bar -= (JR_bar * JR).sum(axis=(1, 2)) / z[:, 0]  # JR ~ 1 / z, so d(JR) / dz = -JR / z
         x_bar = np.concatenate([uv_bar / z, z_bar[:, None]], axis=1) @ R
-        return x_bar, JR.transpose(0, 2, 1) @ cov_bar @ JR
+        return x_bar, -2 * s * (Km_det * K_bar_Km).sum(axis=1) / det[:, None], Q_bar
 
-    return (FOCAL * uv, np.stack([K[:, 0, 0], K[:, 0, 1], K[:, 1, 1]], axis=1), z[:, 0]), back
+    return (FOCAL * uv, conic, z[:, 0]), back
 
 
 def compositing(mean, conic, alpha, c):
@@ -425,8 +425,8 @@ def compositing(mean, conic, alpha, c):
 
 def render(x, s, r, alpha, c, R, T):
     """The image [P, 3] of Gaussians; `back` gives the gradients of (x, s, r, alpha, c)."""
-    Sigma, back_covariance = covariance(s, r)
-    (mean, conic, depth), back_projection = projection(x, Sigma, R, T)
+    Q, back_rotation = rotation_matrix(r)
+    (mean, conic, depth), back_projection = projection(x, s, Q, R, T)
     order = np.argsort(depth, kind="stable")
     order = order[(alpha[order] > 0) & (depth[order] > 0.2)]  # visible, in front of the camera
     image, back_compositing = compositing(mean[order], conic[order], alpha[order], c[order])
@@ -436,8 +436,8 @@ def render(x, s, r, alpha, c, R, T):
         for bar, drawn_bar in zip(bars, back_compositing(image_bar)):
             bar[order] = drawn_bar
         mean_bar, conic_bar, alpha_bar, c_bar = bars
-        x_bar, Sigma_bar = back_projection(mean_bar, conic_bar)
-        return (x_bar, *back_covariance(Sigma_bar), alpha_bar, c_bar)
+        x_bar, s_bar, Q_bar = back_projection(mean_bar, conic_bar)
+        return x_bar, s_bar, back_rotation(Q_bar), alpha_bar, c_bar
 
     return image, back
 

@@ -3,7 +3,8 @@
     Sigma = R(r) diag(s)**2 R(r)^T
 
 Kerbl et al. 2023 (3DGS), Eq. (6); P-4DGS uses it without a number. Computed as M M^T with
-M = R diag(s).
+M = R diag(s). The renderer leaves Sigma in the frame R, as `axes`: of a needle's Sigma the thin
+axis is lost where its scale is below 1e-8 of the long one.
 """
 
 import numpy as np
@@ -24,14 +25,18 @@ def backward(saved, Sigma_bar):
     M, R, s, r = saved
     M_bar = (Sigma_bar + Sigma_bar.transpose(0, 2, 1)) @ M  # both factors of M M^T
     s_bar = np.einsum("nij,nij->nj", M_bar, R)
-    R_bar = M_bar * s[:, None, :]
-    w, x, y, z = r.T
-    (a, b, c), (d, e, f), (g, h, i) = R_bar.transpose(1, 2, 0)
-    w_bar = z * (d - b) + y * (c - g) + x * (h - f)
-    x_bar = y * (b + d) + z * (c + g) + w * (h - f) - 2 * x * (e + i)
-    y_bar = x * (b + d) + z * (f + h) + w * (c - g) - 2 * y * (a + i)
-    z_bar = x * (c + g) + y * (f + h) + w * (d - b) - 2 * z * (a + e)
-    return {"s": s_bar, "r": 2 * np.stack([w_bar, x_bar, y_bar, z_bar], axis=1)}
+    return {"s": s_bar, "r": rotation_backward(r, M_bar * s[:, None, :])}
+
+
+def axes(s, r):
+    """Return diag(s)^2 and R(r), [N, 3, 3] each, and what `axes_backward` needs."""
+    return (s[:, :, None] ** 2 * np.eye(3), rotation_matrix(r)), (s, r)
+
+
+def axes_backward(saved, Sigma_bar, R_bar):
+    """Gradients of s and r from those of `axes`."""
+    s, r = saved
+    return {"s": 2 * s * np.einsum("nii->ni", Sigma_bar), "r": rotation_backward(r, R_bar)}
 
 
 def rotation_matrix(r):
@@ -43,3 +48,14 @@ def rotation_matrix(r):
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return np.ascontiguousarray(np.transpose(rows, (2, 0, 1)))
+
+
+def rotation_backward(r, R_bar):
+    """The plain derivative [N, 4], not projected on the unit sphere."""
+    w, x, y, z = r.T
+    (a, b, c), (d, e, f), (g, h, i) = R_bar.transpose(1, 2, 0)
+    w_bar = z * (d - b) + y * (c - g) + x * (h - f)
+    x_bar = y * (b + d) + z * (c + g) + w * (h - f) - 2 * x * (e + i)
+    y_bar = x * (b + d) + z * (f + h) + w * (c - g) - 2 * y * (a + i)
+    z_bar = x * (c + g) + y * (f + h) + w * (d - b) - 2 * z * (a + e)
+    return 2 * np.stack([w_bar, x_bar, y_bar, z_bar], axis=1)

@@ -19,19 +19,21 @@ def forward(
 ):
     """Return the image [H, W, 3], the transmittance [H, W], visible [N] and what `backward` needs.
 
-    Projection is computed in float64, compositing in `settings.dtype`. Raises ValueError for an
-    opacity that is negative or NaN: lists of tiles would leave it out, the exact twin would not.
+    Projection is computed in float64 and in the frame of each Gaussian's axes, where Sigma is
+    diag(s)^2, so that needles of any length keep their digits; compositing in `settings.dtype`.
+    Raises ValueError for an opacity that is negative or NaN: lists of tiles would leave it out, the
+    exact twin would not.
     """
-    Sigma, saved_covariance = covariance.forward(s.astype(float), r.astype(float))
-    out, saved = draw(x, Sigma, alpha, color, camera, background, settings, occlusion, keep)
-    return out, (saved_covariance, *saved)
+    (Sigma, R), saved_axes = covariance.axes(s.astype(float), r.astype(float))
+    out, saved = draw(x, Sigma, alpha, color, camera, background, settings, occlusion, keep, R)
+    return out, (saved_axes, *saved)
 
 
 def backward(saved, image_bar):
     """Gradients of x, s, r, alpha, color and background, and of mean2d for density control."""
-    saved_covariance, *saved = saved
+    saved_axes, *saved = saved
     bars = draw_backward(saved, image_bar)
-    return {**covariance.backward(saved_covariance, bars.pop("Sigma")), **bars}
+    return {**covariance.axes_backward(saved_axes, bars.pop("Sigma"), bars.pop("R")), **bars}
 
 
 def draw(
@@ -44,9 +46,10 @@ def draw(
     settings,
     occlusion=True,
     keep=True,
+    R=None,  # [N, 3, 3]  with a diagonal Sigma: the covariances are R Sigma R^T
 ):
     """What `forward` returns, for Gaussians with any covariances."""
-    splats, saved_projection = project(x, Sigma, camera, settings)
+    splats, saved_projection = project(x, Sigma, camera, settings, R)
     mean2d, cov2d, conic, depth, visible = splats
     alpha, color, background = (np.asarray(a, float) for a in (alpha, color, background))
     bad = np.flatnonzero(~(alpha >= 0))
@@ -63,7 +66,7 @@ def draw(
 
 
 def draw_backward(saved, image_bar):
-    """Gradients of x, Sigma, alpha, color and background, and of mean2d."""
+    """Gradients of x, Sigma, R if there was one, alpha, color, background, and of mean2d."""
     saved_projection, compositor, saved_compositing = saved
     splats = compositor.backward(saved_compositing, image_bar)
     mean2d_bar, conic_bar = splats["mean2d"], splats.pop("conic")
@@ -71,7 +74,7 @@ def draw_backward(saved, image_bar):
     return {**places, **splats}
 
 
-def project(x, Sigma, camera, settings):
+def project(x, Sigma, camera, settings, R=None):
     """Return the output of `projection` for a camera, and what it saved."""
     return projection.forward(
         x.astype(float),
@@ -84,4 +87,5 @@ def project(x, Sigma, camera, settings):
         settings.near,
         settings.blur,
         settings.tan_clamp,
+        R,
     )

@@ -173,12 +173,13 @@ const PORT = {
   }),
   projection: (tensors) =>
     projected(
-      p4dgs.projection(tensors.x.data, tensors.Sigma.data, cameraOf(tensors)),
+      p4dgs.projection(tensors.x.data, { Sigma: tensors.Sigma.data }, cameraOf(tensors)),
       tensors.x.shape[0],
     ),
   pixel(tensors) {
     const N = tensors.x.shape[0];
-    const found = p4dgs.projection(tensors.x.data, new Float64Array(9 * N), cameraOf(tensors));
+    const flat = { Sigma: new Float64Array(9 * N) };
+    const found = p4dgs.projection(tensors.x.data, flat, cameraOf(tensors));
     const { mean2d, depth, visible } = projected(found, N);
     return { mean2d, depth, visible };
   },
@@ -212,7 +213,7 @@ const PORT = {
   },
   projection_stage(tensors) {
     const [x, s, r] = ["x", "s", "r"].map((name) => tensors[name].data);
-    const found = p4dgs.projection(x, p4dgs.covariance(s, r), cameraOf(tensors));
+    const found = p4dgs.projection(x, { M: p4dgs.root(s, r) }, cameraOf(tensors));
     const { mean2d, conic, depth, visible } = projected(found, tensors.x.shape[0]);
     return { mean2d, conic, depth, visible };
   },

@@ -914,21 +914,33 @@
 
   /** Products of vectors of three numbers, the second from number `i` of an array on. */
   const dot = (a, b, i = 0) => a[0] * b[i] + a[1] * b[i + 1] + a[2] * b[i + 2];
+  const square = (a) => dot(a, a);
+  const cross = ([a, b, c], [d, e, f]) => [b * f - c * e, c * d - a * f, a * e - b * d];
+
+  /** M = R(r) diag(s), a root of Sigma = M M^T, [N, 3, 3]. */
+  function root(s, r) {
+    const M = new Float64Array(3 * s.length);
+    for (let n = 0; n < s.length / 3; n++) {
+      const R = rotationMatrix(...r.subarray(4 * n, 4 * n + 4));
+      for (let i = 0; i < 9; i++) M[9 * n + i] = R[Math.floor(i / 3)][i % 3] * s[3 * n + (i % 3)];
+    }
+    return M;
+  }
 
   /** Sigma = R(r) diag(s)^2 R(r)^T, [N, 3, 3]. */
   function covariance(s, r) {
-    const Sigma = new Float64Array(3 * s.length);
-    for (let n = 0; n < s.length / 3; n++) {
-      const R = rotationMatrix(...r.subarray(4 * n, 4 * n + 4));
-      const M = R.map((row) => row.map((v, j) => v * s[3 * n + j]));
-      for (let i = 0; i < 9; i++) Sigma[9 * n + i] = dot(M[Math.floor(i / 3)], M[i % 3]);
-    }
-    return Sigma;
+    const M = root(s, r);
+    return M.map((_, at) => {
+      const [row, column] = [at - (at % 3), at - (at % 9) + 3 * (at % 3)];
+      return dot(M.subarray(row, row + 3), M, column);
+    });
   }
 
   /** Sigma_2D = J W Sigma W^T J^T + 0.3 I, its inverse `conic`, both as (a, b, c); mean2d, depth.
-   *  What is not visible has zeros everywhere. */
-  function projection(x, Sigma, { W, T, focal, center, size }) {
+   *  What is not visible has zeros everywhere.
+   *
+   *  Of `Sigma` or of a root M, Sigma = M M^T, with which the determinant of no needle cancels. */
+  function projection(x, { Sigma, M }, { W, T, focal, center, size }) {
     const N = x.length / 3;
     const [mean2d, depth] = [new Float64Array(2 * N), new Float64Array(N)];
     const [cov2d, conic] = [new Float64Array(3 * N), new Float64Array(3 * N)];
@@ -943,9 +955,14 @@
         const g = clip(slope, -limit, limit);
         return [0, 1, 2].map((i) => (focal[row] / z) * (W[3 * row + i] - g * W[6 + i]));
       });
-      const [u, v] = V.map((row) => [0, 3, 6].map((i) => dot(row, Sigma, 9 * n + i)));
-      const [a, b, c] = [dot(V[0], u) + 0.3, dot(V[0], v), dot(V[1], v) + 0.3];
-      const determinant = a * c - b * b;
+      const right = (M ?? Sigma).subarray(9 * n, 9 * n + 9);
+      const columns = [0, 1, 2].map((j) => [right[j], right[j + 3], right[j + 6]]);
+      const [u, v] = V.map((row) => columns.map((column) => dot(row, column)));
+      const left = M ? [u, v] : V;
+      const [a, b, c] = [dot(left[0], u) + 0.3, dot(left[0], v), dot(left[1], v) + 0.3];
+      const determinant = M
+        ? square(cross(u, v)) + 0.3 * (square(u) + square(v)) + 0.3 * 0.3
+        : a * c - b * b;
       if (!(determinant > 0) || !Number.isFinite(determinant)) continue;
       visible[n] = 1;
       depth[n] = z;
@@ -962,7 +979,7 @@
    *  Nothing is left out where `least` is 0. Otherwise every Gaussian is drawn within the ellipse
    *  in which o >= least: 5e-5 cannot be seen, 1e-13 is as exact as doubles are. */
   function compositing(splats, { background, size, occlusion, alpha_max = 0.99, least = 0 }) {
-    const { mean2d, conic, alpha, color, depth, visible } = splats;
+    const { mean2d, cov2d, conic, alpha, color, depth, visible } = splats;
     const [width, height] = size;
     const image = new Float64Array(3 * width * height);
     const transmittance = new Float64Array(width * height).fill(1);
@@ -970,17 +987,17 @@
     order.sort((i, j) => depth[i] - depth[j] || i - j); // the nearest first
     for (const n of order) {
       const [A, B, C] = conic.subarray(3 * n, 3 * n + 3);
+      const variance = least > 0 ? cov2d[3 * n + 2] : Infinity; // A over the conic's determinant
       const [red, green, blue] = color.subarray(3 * n, 3 * n + 3);
       const [u_0, v_0, opaque] = [mean2d[2 * n], mean2d[2 * n + 1], alpha[n]];
-      // alpha exp(-E) >= least where 2 E <= reach; the determinant of the conic gives the rows.
+      // alpha exp(-E) >= least where 2 E <= reach; the variance along v gives the rows.
       const reach = least > 0 ? 2 * Math.log(Math.abs(opaque) / least) : Infinity;
       if (!(reach > 0)) continue;
-      const determinant = A * C - B * B;
-      const tall = least > 0 ? Math.sqrt((reach * A) / determinant) : Infinity;
+      const tall = Math.sqrt(reach * variance);
       const bottom = Math.min(height - 1, Math.floor(v_0 + tall));
       for (let v = Math.max(0, Math.ceil(v_0 - tall)); v <= bottom; v++) {
         const e_2 = v - v_0;
-        const wide = Math.sqrt(Math.max(reach * A - determinant * e_2 * e_2, 0)) / A;
+        const wide = Math.sqrt(Math.max(reach - (e_2 * e_2) / variance, 0) / A);
         const middle = u_0 - (B * e_2) / A;
         const left = least > 0 ? Math.max(0, Math.ceil(middle - wide)) : 0;
         const right = least > 0 ? Math.min(width - 1, Math.floor(middle + wide)) : width - 1;
@@ -1009,7 +1026,7 @@
 
   /** The splats of Gaussians at time t. */
   function splatting({ alpha, color }, { x_t, s_t, r_t }, camera) {
-    return { ...projection(x_t, covariance(s_t, r_t), camera), alpha, color };
+    return { ...projection(x_t, { M: root(s_t, r_t) }, camera), alpha, color };
   }
 
   /** The picture of a model, [height, width, 3], red, green and blue from 0 to 1. */
@@ -1025,7 +1042,7 @@
   Object.assign(exported, { Refused, decode, openContainer, hashFeature, layersOf });
   Object.assign(exported, { hashRow, roundHalfEven, mlp, sigmoid, unit, offsets, view, opacity });
   Object.assign(exported, { color, rotation, scale, masking, gather, beside, positionalEncoding });
-  Object.assign(exported, { deformation, deformed, rotationMatrix, covariance, projection });
+  Object.assign(exported, { deformation, deformed, rotationMatrix, root, covariance, projection });
   Object.assign(exported, { compositing, spatialPrediction, temporalPrediction, splatting });
   Object.assign(exported, { render, centreOf, gaussianTable });
 })(typeof module === "object" ? module.exports : (globalThis.p4dgs = {}));

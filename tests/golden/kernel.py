@@ -231,17 +231,17 @@ def kernel_surrogate(**base):
 
 def splats_of(x, s, r, camera):
     """Return the splats of some Gaussians as inputs of `composite`, and what backward needs."""
-    Sigma, saved_covariance = covariance.forward(s.astype(float), r.astype(float))
-    splats, saved_projection = render.project(x, Sigma, camera, PAPER)
+    (Sigma, R), saved_axes = covariance.axes(s.astype(float), r.astype(float))
+    splats, saved_projection = render.project(x, Sigma, camera, PAPER, R)
     *floats, visible = splats
     named = dict(zip(("mean2d", "cov2d", "conic", "depth"), (a.astype(x.dtype) for a in floats)))
     splats = dict(named, visible=visible, height=camera.height, width=camera.width)
-    return splats, (saved_covariance, saved_projection)
+    return splats, (saved_axes, saved_projection)
 
 
 def stage_vjp(x, s, r, alpha, color, W, T, focal, center, size, background):
     """Gaussians at t -> image, by the rule of the published kernel."""
-    splats, (saved_covariance, saved_projection) = splats_of(
+    splats, (saved_axes, saved_projection) = splats_of(
         x, s, r, camera_of(W, T, focal, center, size)
     )
     looks = dict(alpha=alpha, color=color, background=background)
@@ -253,7 +253,8 @@ def stage_vjp(x, s, r, alpha, color, W, T, focal, center, size, background):
         places = projection.backward(
             saved_projection, mean2d_bar=bars.pop("mean2d"), conic_bar=bars.pop("conic")
         )
-        bars |= {"x": places["x"], **covariance.backward(saved_covariance, places["Sigma"])}
+        bars |= covariance.axes_backward(saved_axes, places["Sigma"], places["R"])
+        bars["x"] = places["x"]
         return {name: bar.astype(x.dtype, copy=False) for name, bar in bars.items()}
 
     return {"radius": lists(**of_lists).radius, **outputs}, pullback

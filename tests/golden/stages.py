@@ -161,8 +161,9 @@ def projection_vjp(x, s, r, W, T, focal, center, size):
 
     r is taken as it is: its gradient is the plain derivative of the printed matrix.
     """
-    Sigma, saved_covariance = covariance.forward(s.astype(float), r.astype(float))
-    splats, saved_projection = render.project(x, Sigma, camera_of(W, T, focal, center, size), EXACT)
+    (Sigma, R), saved_axes = covariance.axes(s.astype(float), r.astype(float))
+    camera = camera_of(W, T, focal, center, size)
+    splats, saved_projection = render.project(x, Sigma, camera, EXACT, R)
     named = dict(zip(("mean2d", "cov2d", "conic", "depth"), splats))
     floats = {n: named[n].astype(x.dtype, copy=False) for n in ("mean2d", "conic", "depth")}
 
@@ -170,7 +171,10 @@ def projection_vjp(x, s, r, W, T, focal, center, size):
         places = projection.backward(
             saved_projection, mean2d_bar=mean2d_bar, conic_bar=conic_bar, depth_bar=depth_bar
         )
-        bars = {"x": places["x"], **covariance.backward(saved_covariance, places["Sigma"])}
+        bars = {
+            "x": places["x"],
+            **covariance.axes_backward(saved_axes, places["Sigma"], places["R"]),
+        }
         return {name: bar.astype(x.dtype, copy=False) for name, bar in bars.items()}
 
     return {**floats, "visible": splats[-1]}, pullback

@@ -75,7 +75,7 @@ def projection(inputs, cotangents):
 
     outputs, saved = projection_equation.forward(**inputs)
     _, cov2d, _, _, visible = outputs
-    x_c, _, _, Sigma, _, _, W, focal, _ = saved
+    x_c, *_, Sigma, _, _, W, focal, _ = saved
     z = x_c[:, 2:]
     limit = TAN_CLAMP * inputs["size"] / (2 * focal)
     uv = np.clip(x_c[:, :2] / z, -limit, limit)

@@ -255,6 +255,17 @@ def off_diagonal(factor):
     return scale
 
 
+def through(cov_bar):
+    """Edits by which the gradient of the conic reaches the covariance as the matrix `cov_bar`."""
+    return {
+        "K_bar_Km = K_bar @ Km": f"cov_bar_m = ({cov_bar}) @ m",
+        "Sigma_bar -= Km.transpose(0, 2, 1) @ K_bar_Km": (
+            "Sigma_bar += m.transpose(0, 2, 1) @ cov_bar_m"
+        ),
+        "m_bar -= K @ K_bar_Km": "m_bar += cov_bar_m",
+    }
+
+
 FORMULAS = [
     edited(
         "projection",
@@ -287,11 +298,7 @@ FORMULAS = [
         "projection",
         "projection-detached-determinant",
         "the gradient of the conic takes the determinant for a constant",
-        {
-            "cov_bar -= K @ symmetric(a_bar, b_bar / 2, c_bar) @ K": (
-                "cov_bar += symmetric(c_bar, -b_bar / 2, a_bar) * np.linalg.det(K)[:, None, None]"
-            )
-        },
+        through("K_bar[:, ::-1, ::-1] * [[1, -1], [-1, 1]] * np.linalg.det(K)[:, None, None]"),
     ),
     edited(
         "projection",
@@ -315,7 +322,7 @@ FORMULAS = [
         "as the published kernel does",
         {
             "(x_c, np.abs(ratio) <= limit,": "((x_c, uv), np.abs(ratio) <= limit,",
-            "x_c, inside, m,": "(x_c, uv), inside, m,",
+            "x_c, inside, JW,": "(x_c, uv), inside, JW,",
             "ratio_bar = uv_bar * inside": (
                 "ratio_bar, z_bar = uv_bar * inside, z_bar - (uv_bar * uv * "
                 "~inside).sum(axis=1, keepdims=True) / z"
@@ -326,7 +333,7 @@ FORMULAS = [
         "projection",
         "projection-mean-gradient-alone",
         "x receives no gradient through the covariance",
-        {"m_bar = cov_bar @ m @ (Sigma + Sigma.transpose(0, 2, 1))": "m_bar = 0 * m"},
+        {"m_bar = 2 * m_bar @ Sigma": "m_bar = 0 * m"},
     ),
     edited(
         "projection",
@@ -334,9 +341,7 @@ FORMULAS = [
         "the conic is the covariance itself: it is not inverted",
         {
             "np.stack([c, -b, a]) / det": "np.stack([a, b, c])",
-            "cov_bar -= K @ symmetric(a_bar, b_bar / 2, c_bar) @ K": (
-                "cov_bar += symmetric(a_bar, b_bar / 2, c_bar)"
-            ),
+            **through("K_bar"),
         },
     ),
     known(
@@ -358,8 +363,9 @@ FORMULAS = [
         "projection-off-diagonal-gradient",
         "the gradient of the covariance's off-diagonal entry counts one of its two places",
         {
-            "cov_bar[:, 1, 0] = cov_bar[:, 0, 1]": (
-                "cov_bar[:, 1, 0] = cov_bar[:, 0, 1] = cov_bar[:, 0, 1] / 2"
+            **through("K @ K_bar @ K * [[-1, -0.5], [-0.5, -1]]"),
+            "halved(cov2d_bar, visible) @ m": (
+                "(halved(cov2d_bar, visible) * [[1, 0.5], [0.5, 1]]) @ m"
             ),
         },
     ),

@@ -16,7 +16,7 @@ import pytest
 from p4dgs_ref.equations import hash_grid, prior, rounding
 from p4dgs_ref.scenes import MODEL_EFFECTS
 from p4dgs_ref.scenes.scene import View
-from p4dgs_ref.splatting import compositing
+from p4dgs_ref.splatting import compositing, render
 from p4dgs_ref.splatting.camera import Camera
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training import objective
@@ -75,6 +75,30 @@ def test_compositing_clamps_as_the_package_does(whole):
     names = "mean2d", "conic", "alpha", "color"
     for found, name in zip(back(bar.reshape(-1, 3)), names, strict=True):
         close(found, g[name])
+
+
+def test_needles_are_those_of_the_package(whole):
+    """Scales that differ by 1e13: the determinant a c - b b would lose all its digits."""
+    rng = np.random.default_rng(5)
+    R, T = whole.camera(0.4, 0.3)
+    x, s = 0.2 * rng.normal(size=(3, 3)), np.array([[1e6, 1e-7, 2e-7]] * 3)
+    r = rng.normal(size=(3, 4))
+    r /= np.linalg.norm(r, axis=1, keepdims=True)
+    looks = rng.uniform(0.3, 0.9, 3), rng.random((3, 3))
+    middle, size = (whole.SIZE - 1) / 2, whole.SIZE
+    camera = Camera(R, T, whole.FOCAL, whole.FOCAL, middle, middle, size, size)
+    settings = EXACT._replace(tan_clamp=1e9)
+    (theirs, *_), saved = render.forward(x, s, r, *looks, camera, whole.BACKGROUND, settings)
+    mine, back = whole.render(x, s, r, *looks, R, T)
+    bar = rng.normal(size=theirs.shape)
+    assert theirs.min() < 0.7
+    close(mine, theirs.reshape(-1, 3), 1e-11)
+    g = render.backward(saved, bar)
+    g["r"] -= r * (r * g["r"]).sum(axis=1, keepdims=True)  # R = G_+ G_-^T is scaled by |r|^2
+    found = dict(zip(("x", "s", "r", "alpha", "color"), back(bar.reshape(-1, 3)), strict=True))
+    found["r"] -= r * (r * found["r"]).sum(axis=1, keepdims=True)
+    for name, array in found.items():
+        close(array, g[name], 1e-11)
 
 
 def test_hash_grid_is_that_of_the_package_outside_the_box(whole):
@@ -202,7 +226,7 @@ PLANTED = {
     "clamp at 0.99": ("alpha_p_bar *= alpha * falloff <= 0.99", "pass"),
     "light behind a splat": ("- behind / (1 - alpha_p)", "- behind"),
     "ellipse's centre": ("[K_a * x_sum + K_b * y_sum,", "[K_a * x_sum - K_b * y_sum,"),
-    "factors of a rotation": ("R_bar.transpose(0, 2, 1) @ G_plus", "R_bar @ G_plus"),
+    "factors of a rotation": ("Q_bar.transpose(0, 2, 1) @ G_plus", "Q_bar @ G_plus"),
     "depth of the projection": ("z_bar -= (JR_bar * JR)", "z_bar -= 0 * (JR_bar * JR)"),
     "children of an anchor": ("x_bar * l[:, None], (x_bar * O)", "x_bar, (x_bar * O)"),
     "length of a quaternion": ("(bar - r * (r * bar)", "(bar - 0 * (r * bar)"),
