@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from . import oracle
-    from .__main__ import prepare
+    from .arithmetic import prepare
     from .codec.container import BitstreamError
     from .codec.file import decode, encode
     from .model import Model
@@ -73,7 +73,7 @@ _HOME = {
     "load_scene": "scenes.load",
     "look_at": "splatting.camera",
     "main_job": "report.jobs",
-    "prepare": "__main__",
+    "prepare": "arithmetic",
     "simulate": "scenes.simulator",
     "train": "training.fit",
 }

@@ -1,30 +1,10 @@
 """`python -m p4dgs_ref` and `p4dgs-ref`: settings that precede NumPy, then the command line."""
 
 import io
-import os
 import sys
 import time
 
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # the names of glibc in malloc.h
-
-
-def prepare() -> None:
-    """Set the number of BLAS threads and tune the allocator, before NumPy is imported.
-
-    The matrix products here are thin: a second BLAS thread gains nothing and costs waiting. glibc
-    returns every large temporary array to the system and pays its page faults again in the next
-    step, unless it is told to keep them.
-    """
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-    try:
-        import ctypes
-
-        mallopt = ctypes.CDLL(None).mallopt
-        mallopt(M_MMAP_THRESHOLD, 1 << 30)
-        mallopt(M_TRIM_THRESHOLD, 2**31 - 1)
-    except (ImportError, OSError, AttributeError):
-        pass  # another C library: the page faults cost time, nothing else changes
+from .arithmetic import prepare
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -19,7 +19,7 @@ PACKAGE = ROOT / "p4dgs_ref"
 # Rooms that are counted together.
 SHARED = {
     **dict.fromkeys(("splatting", "table", "model", "effects"), "splatting, model"),
-    **dict.fromkeys(("cli", "signals", "__init__", "__main__"), "cli, root"),
+    **dict.fromkeys(("cli", "signals", "arithmetic", "__init__", "__main__"), "cli, root"),
 }
 
 

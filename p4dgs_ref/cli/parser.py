@@ -12,9 +12,9 @@ from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 
-from .. import __version__
+from ..arithmetic import arithmetic
 from ..signals import deferred
-from . import say
+from . import say, tell
 
 
 class Parser(argparse.ArgumentParser):
@@ -23,6 +23,14 @@ class Parser(argparse.ArgumentParser):
     def error(self, message):
         say(f"{message}; `{self.prog} --help` explains")
         sys.exit(2)
+
+
+class Version(argparse.Action):
+    """The option --version; NumPy loads only where it is asked for."""
+
+    def __call__(self, parser, *others):
+        tell(arithmetic())
+        parser.exit()
 
 
 # --- types of values, as argparse asks for them ---
@@ -510,7 +518,7 @@ def parser():
         description=in_groups(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    top.add_argument("--version", action="version", version=f"p4dgs_ref {__version__}")
+    top.add_argument("--version", action=Version, nargs=0, help="packages and kernels")
     every = {name: row for commands in GROUPS.values() for name, row in commands.items()}
     add_commands(top, "command", every, help=argparse.SUPPRESS)
     return top

@@ -1,0 +1,111 @@
+"""Which of their kernels NumPy and its BLAS use: the same on every processor, for the same bytes.
+
+Both choose code by the processor, and sums in another order end in other digits. The kernels of
+AVX2 run on every x86-64 processor of the last ten years, so `prepare` chooses those for all.
+"""
+
+import ctypes
+import os
+import sys
+import warnings
+
+BLAS = "Haswell"  # OpenBLAS calls its kernels for AVX2 so
+OWN = "the processor's own"
+# What NumPy calls the features above AVX2. It warns of a name that a version does not know.
+FEATURES = {
+    (2, 4): "X86_V4 AVX512_ICL AVX512_SPR",
+    (2, 3): "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR",
+    (1, 26): "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL",
+}
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # the names of glibc in malloc.h
+
+
+def prepare() -> None:
+    """Choose kernels and the number of BLAS threads, and tune the allocator, before NumPy loads.
+
+    What the environment sets already stays. `P4DGS_KERNELS=native` leaves the kernels to the
+    processor, and so does a system other than Linux, or a processor without AVX2 and FMA.
+
+    The matrix products here are thin: a second BLAS thread gains nothing and costs waiting. glibc
+    returns every large temporary array to the system and pays its page faults again in the next
+    step, unless it is told to keep them.
+    """
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    if os.environ.get("P4DGS_KERNELS") != "native" and has_avx2():
+        choose_kernels()
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+        mallopt(M_MMAP_THRESHOLD, 1 << 30)
+        mallopt(M_TRIM_THRESHOLD, 2**31 - 1)
+    except (OSError, AttributeError):
+        pass  # another C library: the page faults cost time, nothing else changes
+
+
+def has_avx2():
+    """Whether Linux says that the processor has AVX2 and FMA."""
+    if sys.platform != "linux":
+        return False
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
+            flags = next((line for line in file if line.startswith("flags")), "")
+    except OSError:
+        return False
+    return {"avx2", "fma"} <= set(flags.split())
+
+
+def choose_kernels():
+    """Ask for the kernels of AVX2 before NumPy loads; warn where it has loaded others."""
+    from importlib.metadata import version
+
+    release = tuple(map(int, version("numpy").split(".")[:2]))
+    names = next(names for since, names in FEATURES.items() if release >= since)
+    wanted = {"OPENBLAS_CORETYPE": BLAS, "NPY_DISABLE_CPU_FEATURES": names.replace(" ", ",")}
+    if "numpy" not in sys.modules:
+        os.environ.update({**wanted, **os.environ})
+    elif not wanted.keys() <= os.environ.keys() and kernels() == OWN:
+        warnings.warn(f"NumPy was imported before prepare(): the bits are {OWN}", stacklevel=3)
+
+
+def kernels():
+    """The kernels in force, as NumPy and each OpenBLAS of this process report them."""
+    import numpy as np
+
+    core = (getattr(np, "_core", None) or np.core)._multiarray_umath
+    features, dispatched = core.__cpu_features__, core.__cpu_dispatch__
+    above = {name for names in FEATURES.values() for name in names.split()}
+    same = features.get("AVX2") and features.get("FMA3")
+    same = same and not any(features[name] for name in above.intersection(dispatched))
+    names, threads = zip(*openblas() or [("", 0)])
+    if not same or set(names) != {BLAS}:
+        return OWN
+    return f"{BLAS}, AVX2, {max(threads)} thread{'s' * (max(threads) > 1)}"
+
+
+def openblas():
+    """The name of its kernels and the number of threads of each OpenBLAS that is loaded."""
+    try:
+        with open("/proc/self/maps", encoding="utf-8") as file:
+            paths = {line.split(maxsplit=5)[-1].strip() for line in file if "openblas" in line}
+    except OSError:
+        return []  # another system
+    found = []
+    for library in map(ctypes.CDLL, sorted(paths)):
+        for form in ("openblas_{}", "openblas_{}64_", "scipy_openblas_{}", "scipy_openblas_{}64_"):
+            name = getattr(library, form.format("get_corename"), None)
+            if name:
+                name.restype = ctypes.c_char_p
+                threads = getattr(library, form.format("get_num_threads"))
+                found.append((name().decode(), threads()))
+    return found
+
+
+def arithmetic():
+    """What the last digits depend on: this package, NumPy, SciPy, and the kernels in force."""
+    import numpy as np
+    import scipy
+
+    from . import __version__
+
+    versions = f"p4dgs_ref {__version__}, NumPy {np.__version__}, SciPy {scipy.__version__}"
+    return f"{versions}, kernels: {kernels()}"
