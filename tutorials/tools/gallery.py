@@ -23,13 +23,13 @@ from tutorials.tools.shared import FOLDER, write_text
 DRAWN = Path(__file__).with_name("gallery.json")  # {picture: hash of the code that drew it}
 
 
-# One picture of the gallery: what draws it ("demo", "accuracy" and "compare" are commands of
-# p4dgs-ref), the file that this command or tutorial writes, and the caption.
+# One picture of the gallery: what draws it ("demo" and "accuracy" are commands of p4dgs-ref), the
+# file that this command or tutorial writes, and the caption.
 Picture = namedtuple("Picture", "drawn_by figure caption")
 
 PICTURES = {
     "curve.png": Picture(
-        "compare",
+        "record",
         "curve.png",
         "PSNR against bytes: ours, and every other method over its own size",
     ),

@@ -1,10 +1,11 @@
 """The maker of rows: any method on one scene is trained, written to a file, read and measured.
 
 A study is a list of Tasks and what it says about their rows. A row begins with the fields method,
-scene, seed, psnr_db and bytes, and lies as JSON beside its file, in a folder that is named after
-a checksum of the scene's views, effects and background, and the length of the trainings. A row that
-is there is not made again, so a killed study goes on, takes what another one has made, and can grow
-by scenes, seeds and methods.
+scene, seed, psnr_db and bytes; it has the first digits of its file's sha256 and the command that
+makes this file. It lies as JSON beside the file, in a folder that is named after a checksum of the
+scene's views, effects and background, and the length of the trainings. A row that is there is not
+made again, so a killed study goes on, takes what another one has made, and can grow by scenes,
+seeds and methods.
 """
 
 import hashlib
