@@ -3,8 +3,9 @@
 #
 # This is the record of a decision, not a lesson with exercises. It says what was expected, what was
 # measured, and what was rejected. It runs in a few seconds. It shows the idea on a small network,
-# and reads the results of whole trainings from `beyond_networks.csv`. Name another table with the
-# same columns to look at that one instead:
+# and reads the results of whole trainings from
+# [a record](records/beyond_networks.csv), whose rows have the commands that make them. Name another
+# table with the same columns to look at that one instead:
 #
 #     python tutorials/beyond_networks.py results.csv
 #
@@ -188,9 +189,10 @@ for price in (1e-7, 1e-6, 1e-5):
 
 # %%
 named = [name for name in sys.argv[1:] if name.endswith(".csv")]
-path = Path(named[0] if named else Path(__file__).with_name("beyond_networks.csv"))
+path = Path(named[0] if named else Path(__file__).parent / "records" / "beyond_networks.csv")
 with open(path, newline="", encoding="utf-8") as file:
     TABLE = list(csv.DictReader(file))
+NUMBERS = ("lambda_rate", "bytes", "deformation_bytes", "psnr_db", "ssim")
 
 
 def rows_of(method):
@@ -198,7 +200,7 @@ def rows_of(method):
     rows = {}
     for row in TABLE:
         if row["method"] == method:
-            numbers = {name: float(row[name]) for name in row if name not in ("method", "scene")}
+            numbers = {name: float(row[name]) for name in NUMBERS}
             rows[row["scene"], int(row["seed"]), numbers["lambda_rate"]] = numbers
     return rows
 

@@ -7,7 +7,6 @@ gallery.json, so that a test notices pictures that are out of date.
 import hashlib
 import inspect
 import json
-import shutil
 from collections import namedtuple
 from pathlib import Path
 
@@ -18,19 +17,19 @@ from p4dgs_ref.lab.school import show
 from p4dgs_ref.lab.tables import curve
 from p4dgs_ref.report import figures, jobs
 from p4dgs_ref.scenes import load_scene, output
-from tutorials.tools import animation, architecture, handout, tour
+from tutorials.tools import animation, architecture, handout, records, tour
 from tutorials.tools.shared import FOLDER, write_text
 
 DRAWN = Path(__file__).with_name("gallery.json")  # {picture: hash of the code that drew it}
 
 
-# One picture of the gallery: what draws it ("demo", "accuracy" and "compare" are commands of
-# p4dgs-ref), the file that this command or tutorial writes, and the caption.
+# One picture of the gallery: what draws it ("demo" and "accuracy" are commands of p4dgs-ref), the
+# file that this command or tutorial writes, and the caption.
 Picture = namedtuple("Picture", "drawn_by figure caption")
 
 PICTURES = {
     "curve.png": Picture(
-        "compare",
+        "record",
         "curve.png",
         "PSNR against bytes: ours, and every other method over its own size",
     ),
@@ -183,19 +182,10 @@ def draw_demo(out):
     )
 
 
-def take_curve(out):
-    """Take the records that `p4dgs-ref compare --curve` and `ablate` have left in report/, if any.
-
-    Their rows say when and where each was made; training them here would take hours.
-    """
-    for file in Path("report/compare").glob("curve.*"):
-        shutil.copy(file, out if file.suffix == ".png" else FOLDER)
-    studies = [
-        file.read_text().partition("\n")
-        for file in sorted(Path("report").glob("ablate*/ablate.csv"))
-    ]
-    if studies:  # one a scene, all with the same columns
-        write_text(FOLDER / "ablate.csv", "".join([studies[0][0], "\n", *(s[2] for s in studies)]))
+def draw_curve(out):
+    """Draw the record of the curve into the folder `out`."""
+    points, curves, title = curve.read(records.rows("curve"))
+    curve.draw(Path(out) / PICTURES["curve.png"].figure, points, curves[curve.EDGE], title)
 
 
 def draw_tour(_):

@@ -4,7 +4,7 @@ python -m tutorials.tools.syllabus               run all tutorials, draw all, wr
 python -m tutorials.tools.syllabus 00 06 demo    only these tutorials and the pictures of the demo
 python -m tutorials.tools.syllabus accuracy      only the pictures of the two studies of accuracy
 python -m tutorials.tools.syllabus tour          only the ten pictures of the tour
-python -m tutorials.tools.syllabus curve         only take what compare --curve has drawn
+python -m tutorials.tools.syllabus curve         only the picture of the curve, from its record
 python -m tutorials.tools.syllabus index         only the index, with the times it already holds
 
 Each of these also draws the architecture anew and writes the glossary and the handout.
@@ -215,7 +215,7 @@ MADE = {  # what draws pictures and is no numbered tutorial with a solution
     "demo": gallery.draw_demo,
     "accuracy": gallery.draw_accuracy,
     "tour": gallery.draw_tour,
-    "curve": gallery.take_curve,
+    "curve": gallery.draw_curve,
 }
 
 

@@ -91,7 +91,7 @@ COLUMNS = {
 def plan(scene, folder, seeds=3, iterations=None):
     """The Tasks of all steps and seeds."""
     still = replace(scene, effects=[name for name in scene.effects if name not in MOTION])
-    whole = methods.plan({OURS: [{}]}, [OURS], [scene], folder, seeds, iterations)
+    whole = methods.plan({OURS: [{}]}, [OURS], [scene], folder, seeds, iterations, "ablate")
     return [
         task._replace(step=step, scene=still if step == STILL else scene)._replace(**changes)
         for step, changes in {**STEPS, **LEFT_OUT}.items()

@@ -37,6 +37,7 @@ SIZES = {
 }
 COLORS = dict(zip(SIZES, (LIGHT_BLUE, BLUE, RED, *STACK[1:])))
 DRAWN = {"bytes": "bytes of the file", "anchor_bytes": "bytes of the coded anchors"}
+EDGE = "the envelope"  # of the explicit methods
 RIVAL, MOST_BYTES = "d3dgs_small", 30_000  # our best point of that size stands against its best
 COLUMNS = {
     "point": "{label}",
@@ -93,7 +94,7 @@ def plan(scenes, folder, names=(), seeds=3, iterations=None):
     StudyError for an unknown method.
     """
     chosen = methods.known([*OWN, *(names or baselines.METHODS)])
-    return methods.plan(SIZES, chosen, scenes, folder, seeds, iterations)
+    return methods.plan(SIZES, chosen, scenes, folder, seeds, iterations, "compare --curve")
 
 
 def collect(tasks, folder, progress=lambda line: None):
@@ -104,13 +105,8 @@ def collect(tasks, folder, progress=lambda line: None):
     progress("the curve")
     rows = methods.made(tasks)
     write_csv(folder / "curve.csv", rows)
-    points = means(rows, "label", "method")
-    curves = {
-        name: [(row["bytes"], row["psnr_db"]) for row in points if row["method"] == name]
-        for name in dict.fromkeys(row["method"] for row in points)
-    }
-    edge = envelope([curve for name, curve in curves.items() if name not in OWN])
-    title = f"{', '.join(dict.fromkeys(row['scene'] for row in rows))}; {seeds_of(rows)}"
+    points, curves, title = read(rows)
+    edge = curves[EDGE]
     draw(folder / "curve.png", points, edge, title)
     parts = composition([task.path for task in tasks[:2]])
     write_csv(folder / "composition.csv", parts)
@@ -123,12 +119,24 @@ def collect(tasks, folder, progress=lambda line: None):
         ],
         "against": [
             against(name, curves[CODED], curve)
-            for name, curve in {"the envelope": edge, **curves}.items()
+            for name, curve in curves.items()
             if len(curve) and name != CODED
         ],
         "best": best(rows, points),
         "composition": {"lambda_rate": [row["lambda_rate"] for row in rows[:2]], "rows": parts},
     }
+
+
+def read(rows):
+    """The points of rows, the curves {name: points} with the envelope first, and a title."""
+    points = means(rows, "label", "method")
+    curves = {
+        name: [(row["bytes"], row["psnr_db"]) for row in points if row["method"] == name]
+        for name in dict.fromkeys(row["method"] for row in points)
+    }
+    edge = envelope([curve for name, curve in curves.items() if name not in OWN])
+    title = f"{', '.join(dict.fromkeys(row['scene'] for row in rows))}; {seeds_of(rows)}"
+    return points, {EDGE: edge, **curves}, title
 
 
 def against(name, ours, others):

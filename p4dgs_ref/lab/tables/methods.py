@@ -1,12 +1,14 @@
 """The maker of rows: any method on one scene is trained, written to a file, read and measured.
 
 A study is a list of Tasks and what it says about their rows. A row begins with the fields method,
-scene, seed, psnr_db and bytes, and lies as JSON beside its file, in a folder that is named after
-a checksum of the scene's views, effects and background, and the length of the trainings. A row that
-is there is not made again, so a killed study goes on, takes what another one has made, and can grow
-by scenes, seeds and methods.
+scene, seed, psnr_db and bytes; it has the first digits of its file's sha256 and the command that
+makes this file. It lies as JSON beside the file, in a folder that is named after a checksum of the
+scene's views, effects and background, and the length of the trainings. A row that is there is not
+made again, so a killed study goes on, takes what another one has made, and can grow by scenes,
+seeds and methods.
 """
 
+import hashlib
 import json
 from ast import literal_eval
 from dataclasses import replace
@@ -27,7 +29,7 @@ from ...scenes.scene import require
 from ...training.fit import fingerprint
 from ...training.initial import design_of
 from ...training.parameters import Parameters
-from ...training.presets import TINY_REAL, choose
+from ...training.presets import PRESETS, TINY_REAL, choose, differences
 from ...training.trainer import Trainer
 from .. import StudyError, baselines
 from ..accuracy.harness import shortened
@@ -60,6 +62,7 @@ class Task(NamedTuple):
     folder: Path  # of the file
     iterations: int | None = None  # None: those of the preset
     changes: dict = {}  # of the preset; `preset` is another one than that of the method
+    study: str = "compare"  # the command of which it is a row
     # Of the ablation's steps, which train our method in another form:
     step: str | None = None  # the name of the step
     design: dict = {}  # changes of the Design
@@ -86,9 +89,32 @@ class Task(NamedTuple):
         return Path(self.folder) / f"{name}.{ending}"
 
     @property
+    def command(self):
+        """What makes the file: one training of ours, else the study of which it is a row."""
+        scene, seed = self.scene.name, self.seed
+        if self.own and not self.step:
+            preset = preset_of(self)
+            changes = "".join(
+                f" --set {field}={text_of(value)}"
+                for field, _, value in differences(preset, PRESETS[preset.name])
+            )
+            return (
+                f"p4dgs-ref train {scene} --preset {preset.name} --seed {seed}{changes} -o run && "
+                f"p4dgs-ref encode run -o '{self.path.name}'"
+            )
+        chosen = "" if self.step else f" --method {self.method}"
+        length = f" --iterations {self.iterations}" if self.iterations else ""
+        return f"p4dgs-ref {self.study} {scene}{chosen} --seeds {seed + 1}{length} --yes"
+
+    @property
     def record(self):
         """The JSON of the row."""
         return self.path.with_suffix(".json")
+
+
+def text_of(value):
+    """A value of a preset as `--set` takes it."""
+    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def known(names):
@@ -123,7 +149,7 @@ def preset_of(task):
     return replace(theirs, **{name: max(round(share * n), n > 0) for name, n in dates.items()})
 
 
-def plan(sizes, names, scenes, folder, seeds=3, iterations=None):
+def plan(sizes, names, scenes, folder, seeds=3, iterations=None, study="compare"):
     """The Tasks of some methods, for each of its `sizes` {method: [changes of the preset]}.
 
     All scenes with one seed come before the next seed.
@@ -135,7 +161,7 @@ def plan(sizes, names, scenes, folder, seeds=3, iterations=None):
     ]
     places = [(scene, f"points_{crc:08x}{length}") for scene, crc in zip(scenes, sums)]
     return [
-        Task(scene, method, seed, Path(folder) / place, iterations, changes)
+        Task(scene, method, seed, Path(folder) / place, iterations, changes, study)
         for seed in range(seeds)
         for scene, place in places
         for method in names
@@ -227,11 +253,15 @@ def make(task):
         "train_seconds": float(seconds),
         "made": f"{date.today()}",
         "machine": machine(),
+        "sha256": hashlib.sha256(task.path.read_bytes()).hexdigest()[:16],
+        "command": task.command,
     }
     if task.path.suffix == ".p4dgs":
         sections = {part["name"]: part for part in ledger(task.path.read_bytes())}
         row["estimated_bytes"] = round(sum(part["estimate_bytes"] for part in sections.values()))
         row["anchor_bytes"] = sum(sections[name]["bytes"] for name in ATTRIBUTE_SECTIONS)
+        row["positions_bytes"] = sections["positions"]["bytes"]
+        row["deformation_bytes"] = sections.get("deformation_mlp", {}).get("bytes", 0)
     text = json.dumps(json_safe(row), indent=1) + "\n"
     output.write_atomically(task.record, lambda file: file.write(text.encode()))
     return row

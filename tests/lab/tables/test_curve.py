@@ -1,23 +1,16 @@
 """The curve: every method over its own size, kept points, ours against the envelope, Table 4."""
 
 from dataclasses import replace
-from datetime import date
 
 import imageio.v3 as iio
 import pytest
 
 from p4dgs_ref.lab import writer
-from p4dgs_ref.lab.tables import ablate, methods
 from p4dgs_ref.lab.tables import curve as study
+from p4dgs_ref.lab.tables import methods
 from p4dgs_ref.lab.tables.methods import CODED, OURS, Task
-from tests.budget import ROOT
 
 from .shared import CURVE, FIRST, table
-
-RECORDS = {  # in tutorials/: the tasks, in order, of so many scenes, each with so many seeds
-    "curve.csv": lambda scene, scenes, seeds: study.plan([scene] * scenes, "", (), seeds),
-    "ablate.csv": lambda scene, scenes, seeds: ablate.plan(scene, "", seeds) * scenes,
-}
 
 
 def test_the_csv_has_a_row_for_each_point_and_says_when_and_where_it_was_made(drawn):
@@ -115,19 +108,3 @@ def test_trainings_of_another_length_or_scene_are_other_points(drawn, scene):
 def test_a_point_from_another_preset(scene):
     changes = {"preset": "smoke", "lambda_rate": 0.25}
     assert methods.preset_of(Task(scene, CODED, 0, None, None, changes))[0] == "smoke"
-
-
-@pytest.mark.parametrize("name", RECORDS)
-def test_the_committed_records_have_all_rows_of_their_scenes_and_seeds_at_full_length(scene, name):
-    rows = table(ROOT / "tutorials" / name)
-    assert [*rows[0]][:5] == FIRST
-    assert [(row["label"], int(row["iterations"])) for row in rows] == [
-        (task.label, methods.preset_of(task).iterations)
-        for task in RECORDS[name](scene, *(len({row[n] for row in rows}) for n in FIRST[1:3]))
-    ]
-    assert all(
-        19 < float(row["psnr_db"]) < 45
-        and int(row["bytes"]) > 2000
-        and date.fromisoformat(row["made"])
-        for row in rows
-    )

@@ -1,12 +1,16 @@
 """Rows are those of their files, in every study; presets, names and mistakes."""
 
 import dataclasses
+import hashlib
 import pickle
+import shlex
 
 import pytest
 
+import p4dgs_ref as p4
+from p4dgs_ref.__main__ import main
 from p4dgs_ref.lab import baselines, writer
-from p4dgs_ref.lab.tables import ablate, compare, methods
+from p4dgs_ref.lab.tables import ablate, compare, curve, methods
 from p4dgs_ref.lab.tables.methods import OURS, Task
 from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.report.inspect import ledger
@@ -25,6 +29,7 @@ def test_every_row_is_that_of_its_file(study, scene, request):
         path = place / row["file"]
         assert list(row)[:5] == FIRST and row["scene"] == "bouncing"
         assert path.stat().st_size == int(row["bytes"])
+        assert row["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()[:16]
         kinds = [int(row[f"{kind}_bytes"]) for kind in ("gaussians", "network", "other")]
         assert sum(kinds) == int(row["bytes"]) and min(kinds) >= 0
         metrics = evaluate(methods.load(path), scene)[0]
@@ -95,6 +100,30 @@ def test_a_task_travels_to_other_processes_and_names_its_file(scene, tmp_path):
     assert baselines.load(task.path).primitives <= 20 and methods.made([task]) == [row]
     step = task._replace(method=OURS, step="+ a / b", plain=())
     assert step.path == tmp_path / "bouncing_a___b_seed0.npy"
+
+
+@pytest.mark.parametrize("changes", [{}, {"preset": "small_coded", "d": 8, "anchors": 60}])
+def test_the_command_of_a_row_makes_its_file(changes, tmp_path, monkeypatch, capsys):
+    task = Task(p4.load_scene("bouncing"), methods.CODED, 3, tmp_path / "rows", 4, changes)
+    row = methods.make(task)
+    monkeypatch.chdir(tmp_path)
+    for part in row["command"].split(" && "):
+        assert main(shlex.split(part)[1:]) == 0
+    made = (tmp_path / row["file"]).read_bytes()
+    assert made == task.path.read_bytes() and "--seed 3 --set" in row["command"]
+
+
+def test_the_command_of_a_row_of_a_study_plans_its_task(scene, tmp_path):
+    for plan, study, asked in (
+        (compare.plan, "compare", ([scene], tmp_path, ["hexplane"], 3, 9)),
+        (curve.plan, "compare --curve", ([scene], tmp_path, ["hexplane"], 3, 9)),
+        (ablate.plan, "ablate", (scene, tmp_path, 3, 9)),
+    ):
+        task = next(t for t in plan(*asked) if t.seed == 1 and (t.step or not t.own))
+        method = " --method hexplane" * (study != "ablate")
+        assert task.command == (
+            f"p4dgs-ref {study} bouncing{method} --seeds 2 --iterations 9 --yes"
+        )
 
 
 def test_bytes_of_our_files_by_kind():

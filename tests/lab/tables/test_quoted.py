@@ -1,0 +1,158 @@
+"""Every numeral of a page that quotes a record is an entry of it or follows from its rows.
+
+In a page, `<!-- from records/curve.csv: label d3dgs; scene figure -->` stands before a table or
+before sentences, up to the next blank line or comment, whose numerals come from the rows with these
+values: entries, means over seeds and scenes with half their range, differences and ratios between
+the named labels. `factors` are those of the bytes of all methods at equal PSNR, and the BD-rates.
+"""
+
+import re
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.lab.tables import ablate, curve
+from p4dgs_ref.lab.tables.methods import CODED
+from p4dgs_ref.lab.writer import means
+from tests.budget import ROOT
+from tutorials.tools import records
+
+PAGES = ("README.md", "tutorials/reference.md", "tutorials/tour.md")
+MARK = re.compile(r"<!-- from records/(\w+)\.csv(?:: (.+?))? -->(.+?)(?=\n\n|<!--|\Z)", re.DOTALL)
+NUMERAL = re.compile(r"(?<![\w.,])\d+(?:,\d{3})*(?:\.\d+)?(?![\w]|[.,]\d)")
+UNQUOTED = re.compile(r"`[^`]*`|\]\([^)]*\)")  # names and links
+QUANTITIES = ("psnr_db", "ssim", "lambda_rate", "iterations", "anchors", "gaussians")
+QUOTES = [
+    pytest.param(page, *quote, id=f"{page}: {' '.join(quote[2].split())[:30]}")
+    for page in PAGES
+    for quote in MARK.findall((ROOT / page).read_text(encoding="utf-8"))
+]
+
+
+def sentences(text, labels):
+    """The sentences of prose or the rows of a table, each with the labels that it is about.
+
+    A table with a row for each label, in the order of the record, is read row by row.
+    """
+    if not text.startswith("\n|"):
+        return [(one, labels) for one in re.split(r"(?<=[.:;])\s+", " ".join(text.split()))]
+    head, rule, *body = text.strip().splitlines()
+    each = [[label] for label in labels] if len(body) == len(labels) else [labels] * len(body)
+    return [(head, labels), *zip(body, each)]
+
+
+def numerals(sentence):
+    """Its numerals, without those of names, code and links."""
+    return NUMERAL.findall(UNQUOTED.sub("", sentence))
+
+
+def chosen(rows, terms):
+    """The rows with the values of the terms, such as "label d3dgs; scene figure"."""
+    wanted = {}
+    for term in terms:
+        column, _, value = term.partition(" ")
+        wanted.setdefault(column, set()).add(value)
+    for column, values in wanted.items():
+        assert values <= {str(row[column]) for row in rows}, f"no row with {column} {values}"
+        rows = [row for row in rows if str(row[column]) in values]
+    return rows
+
+
+def entries(rows):
+    """The entries of rows, their means over seeds and scenes, half ranges, seeds and years."""
+    found = {*range(3), *(int(row["made"][:4]) for row in rows)}
+    for keys in ((), ("scene",), ("scene", "seed")):
+        for row in means(rows, "label", *keys):
+            found |= {
+                row[column]
+                for column in row
+                if column.removesuffix("_spread") in QUANTITIES or "bytes" in column
+            }
+    return found
+
+
+def pairs(rows):
+    """What distinguishes two labels: in the mean, on a scene, and at the extremes."""
+    found, each = set(), {}
+    for keys in ((), ("scene",), ("scene", "seed")):
+        for one, other in permutations(means(rows, "label", *keys), 2):
+            if all(one[key] == other[key] for key in keys):
+                ratio = one["bytes"] / other["bytes"]
+                change = ratio, 100 * (1 - ratio), one["psnr_db"] - other["psnr_db"]
+                each.setdefault((keys, one["label"], other["label"]), []).append(change)
+    for (keys, *_), changes in each.items():
+        found |= {*np.mean(changes, axis=0), *np.min(changes, axis=0)}
+        found |= {value for change in changes for value in change if keys == ("scene",)}
+    return found
+
+
+def steps(rows, labels):
+    """What the steps of an ablation change, on each scene, here and in the paper."""
+    found = set()
+    for scene in {row["scene"] for row in rows}:
+        for step in ablate.summaries([row for row in rows if row["scene"] == scene]):
+            if step["label"] in labels:
+                found |= {step.get(unit, 0.0) for unit in ablate.UNITS} | {*step["paper"].values()}
+    return found
+
+
+def factors(rows):
+    """How ours compares with every other curve."""
+    _, curves, _ = curve.read(rows)
+    found = set()
+    for name, other in curves.items():
+        if len(other):
+            row = curve.against(name, curves[CODED], other)
+            found |= {value for value in row.values() if isinstance(value, float)}
+            found |= {*map(float, re.findall(r"(\d+\.\d) %", row["bd_rate"]))}
+    return found
+
+
+def numbers(name, terms, rows, labels):
+    """The numbers that a sentence about some labels may quote."""
+    own = [row for row in rows if row["label"] in labels]
+    if "factors" in terms:
+        return factors(own)
+    if name == "ablate":
+        return entries(own) | steps(records.rows(name), labels)
+    return entries(own) | (pairs(own) if "label " in " ".join(terms) else set())
+
+
+def is_in(numeral, found):
+    """Whether a number of the record is written like this."""
+    text = numeral.replace(",", "")
+    decimals = len(text.partition(".")[2])
+    return any(f"{abs(value):.{decimals}f}" == text for value in found)
+
+
+def unfound(name, terms, text):
+    """The numerals of a text that are not in the record, each with its sentence; how many are."""
+    terms = terms.split("; ") if terms else []
+    rows = chosen(records.rows(name), [term for term in terms if term != "factors"])
+    found, missing = {}, []
+    for sentence, labels in sentences(text, [*dict.fromkeys(row["label"] for row in rows)]):
+        allowed = found.setdefault(tuple(labels), numbers(name, terms, rows, labels))
+        missing += [
+            f"{one} in {sentence!r}" for one in numerals(sentence) if not is_in(one, allowed)
+        ]
+    return missing
+
+
+@pytest.mark.parametrize("page, name, terms, text", QUOTES)
+def test_the_numerals_are_those_of_the_record(page, name, terms, text):
+    assert numerals(text)
+    missing = unfound(name, terms, text)
+    assert not missing, f"{page}: not in records/{name}.csv: " + "\n".join(missing)
+
+
+def test_every_record_is_quoted_and_most_changed_digits_are_noticed():
+    """A wrong digit passes only where the record has such a number, too."""
+    changed = noticed = 0
+    for quote in QUOTES:
+        _, name, terms, text = quote.values
+        other = NUMERAL.sub(lambda one: f"{one[0][:-1]}{(int(one[0][-1]) + 5) % 10}", text)
+        changed += len(numerals(other))
+        noticed += len(unfound(name, terms, other))
+    assert {quote.values[1] for quote in QUOTES} == {*records.PLANS}
+    assert 0.8 * changed < noticed <= changed

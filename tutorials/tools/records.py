@@ -1,0 +1,95 @@
+"""The records of long trainings: tutorials/records/*.csv, each row with the command that makes it.
+
+python -m tutorials.tools.records beyond_networks    train what this record lacks, and write it
+python -m tutorials.tools.records curve --jobs 2     the same, two trainings at once
+
+A row is there when it has a sha256, that of its file; delete rows that are no longer true. New rows
+and files lie in report/records/ as well, so what was stopped goes on there.
+"""
+
+if __name__ == "__main__":
+    import p4dgs_ref
+
+    p4dgs_ref.prepare()  # before NumPy is imported
+
+import argparse
+import csv
+import sys
+
+from p4dgs_ref.lab.tables import ablate, curve, methods
+from p4dgs_ref.lab.tables.methods import CODED, OURS, OWN
+from p4dgs_ref.report.figures import write_csv
+from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.scenes.output import filled
+from tutorials.tools.shared import FOLDER
+
+SCENES = ("bouncing", "figure", "glossy")
+
+
+def rates(*values):
+    """Changes of a preset to other prices of a bit."""
+    return [{"lambda_rate": value} for value in values]
+
+
+PAIRS = {OURS: [{}], CODED: [{}, *rates(0.00025, 0.0012)]}  # of every scene, with three seeds
+SWEEP = {  # of the first scene and seed
+    OURS: rates(0.0001, 0.001, 0.003, 0.01, 0.03),
+    CODED: rates(0.0001, 0.001, 0.002, 0.003, 0.01, 0.03),
+}
+PLANS = {  # {record: the Tasks of its rows, in their order, for scenes and a folder of files}
+    "curve": curve.plan,
+    "ablate": lambda scenes, folder: [
+        task for scene in scenes[:2] for task in ablate.plan(scene, folder)
+    ],
+    "beyond_networks": lambda scenes, folder: sorted(
+        methods.plan(PAIRS, OWN, scenes, folder)
+        + methods.plan(SWEEP, OWN, scenes[:1], folder, seeds=1),
+        key=lambda task: (task.method, task.scene.name, task.seed),
+    ),
+}
+
+
+def tasks(name, folder="report/records"):
+    """The Tasks of a record's rows; `methods.make` makes one of them again, in a folder."""
+    return PLANS[name]([load_scene(scene) for scene in SCENES], folder)
+
+
+def rows(name):
+    """The rows of a record, their numbers as numbers, without what is empty."""
+    with open(FOLDER / "records" / f"{name}.csv", newline="", encoding="utf-8") as file:
+        return [
+            {
+                column: text if column == "sha256" else number(text)
+                for column, text in row.items()
+                if text
+            }
+            for row in csv.DictReader(file)
+        ]
+
+
+def number(text):
+    """A number, or the text that is none."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    return text
+
+
+def main(name, jobs):
+    """Make the rows of a record that are missing, and write it."""
+    kept = {row["file"]: row for row in rows(name) if "sha256" in row}
+    missing = [task for task in tasks(name) if task.path.name not in kept]
+    methods.make_missing(missing, lambda line: print(line, file=sys.stderr, flush=True), jobs)
+    kept |= {row["file"]: row for row in methods.made(missing)}
+    with filled(FOLDER / "records") as beside:
+        write_csv(beside / f"{name}.csv", [kept[task.path.name] for task in tasks(name)])
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Make the rows of a record that are missing.")
+    parser.add_argument("name", choices=PLANS)
+    parser.add_argument("--jobs", type=int, default=1, help="trainings at once")
+    arguments = parser.parse_args()
+    main(arguments.name, arguments.jobs)
