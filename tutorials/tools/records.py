@@ -92,4 +92,7 @@ if __name__ == "__main__":
     parser.add_argument("name", choices=PLANS)
     parser.add_argument("--jobs", type=int, default=1, help="trainings at once")
     arguments = parser.parse_args()
-    main(arguments.name, arguments.jobs)
+    try:
+        main(arguments.name, arguments.jobs)
+    except KeyboardInterrupt:
+        sys.exit("stopped; the trainings that are done are kept, the same command makes the others")
