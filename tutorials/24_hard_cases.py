@@ -156,7 +156,9 @@ assert q == 2**-10
 # rotated by $40^\circ$. Its covariance with the rows $(a, b)$ and $(b, c)$, including the blur of
 # $0.3$, has $ac \approx 2.4\cdot 10^{15}$ and $ac - b^2 \approx 5.5\cdot 10^7$. In `float32` the
 # last digit of $ac$ alone is larger than this difference. The computed difference is 0, and the
-# splat is culled because it seems to be flat.
+# splat is culled because it seems to be flat. At $10^7$ px `float64` fails as well. The remedy is a
+# root $m$ of the covariance, here $R\,\mathrm{diag}(10^4, 0.5)$, with the rows $m_1$ and $m_2$:
+# $(m_1\times m_2)^2 + 0.3\,(|m_1|^2 + |m_2|^2) + 0.09$ is the same number, and nothing cancels.
 
 # %%
 angle = math.radians(40)
@@ -171,6 +173,11 @@ def determinant(dtype):
     return float(a * c - b * b)
 
 
+def of_root(dtype):
+    m = (R * [10000.0, 0.5]).astype(dtype)
+    return float(np.linalg.det(m) ** 2 + 0.3 * (m * m).sum() + 0.09)
+
+
 print(
     f"float32 {determinant(np.float32):.6g}, float64 {determinant(np.float64):.6g}, "
     f"true {true_det:.6g}"
@@ -179,6 +186,8 @@ assert 2.35e15 < cov[0, 0] * cov[1, 1] < 2.45e15
 assert 5.45e7 < true_det < 5.55e7
 assert determinant(np.float32) == 0
 assert abs(determinant(np.float64) / true_det - 1) < 1e-6
+assert abs(of_root(np.float32) / true_det - 1) < 1e-6
+assert abs(of_root(np.float64) / true_det - 1) < 1e-15
 
 # %% [markdown]
 # **5: images that are nearly equal.** Compare a constant picture with one that is brighter by

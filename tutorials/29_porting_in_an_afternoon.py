@@ -152,8 +152,8 @@ MISTAKES = {
         24,
     ),
     "infinity times zero": (
-        "least > 0 ? Math.sqrt((reach * A) / determinant) : Infinity",
-        "Math.sqrt((reach * A) / determinant)",
+        "const tall = Math.sqrt(reach * variance);",
+        "const tall = Math.sqrt((reach * A) / (A * C - B * B));",
         "compositing",
         "compositing/equal_depths",
         9,

@@ -7,11 +7,12 @@ import pytest
 
 from p4dgs_ref.lab.random_inputs import random_splats
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.splatting import compositing, fast, loop, render, tiles
+from p4dgs_ref.splatting import compositing, covariance, fast, loop, render, tiles
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
 from p4dgs_ref.training.presets import SMOKE
 from p4dgs_ref.training.trainer import Trainer
+from tests.golden import needles
 
 # (height, width): one pixel, less than a tile, not a multiple of a tile, square.
 SIZES = [(1, 1), (5, 3), (29, 43), (64, 64)]
@@ -58,6 +59,43 @@ def test_loop_and_fast_without_cuts_equal_the_exact_twin(height, width, alpha):
         assert bars.keys() == exact_bars.keys()
         for name, bar in bars.items():
             assert relative(bar, exact_bars[name]) < 1e-11, (module.__name__, name)
+
+
+@pytest.mark.parametrize("ratio", needles.RATIOS)
+def test_needles_have_all_their_digits_in_every_renderer(ratio):
+    """Image and every number of the gradients, against decimals, in both precisions."""
+    gaussians, image_bar = needles.needle(ratio)
+    image, bars = needles.truth(ratio)
+    double = FAST._replace(dtype="float64", cut=1e-16, stop=0.0)
+    for settings, precision in ((EXACT, 1e-12), (double, 1e-12), (FAST, 1e-4)):
+        (found, *_), saved = render.forward(**gaussians, camera=needles.CAMERA, settings=settings)
+        found_bars = render.backward(saved, image_bar)
+        np.testing.assert_allclose(found, image, rtol=precision)
+        for name, bar in bars.items():
+            np.testing.assert_allclose(found_bars[name], bar, precision, err_msg=name)
+    (Sigma, R), _ = covariance.axes(gaussians["s"], gaussians["r"])
+    projected, _ = render.project(gaussians["x"], Sigma, needles.CAMERA, EXACT, R)
+    names = ("mean2d", "cov2d", "conic", "depth", "visible")
+    looks = {name: gaussians[name] for name in ("alpha", "color", "background")}
+    size = dict(height=needles.CAMERA.height, width=needles.CAMERA.width)
+    (found, _), _ = loop.forward(**dict(zip(names, projected)), **looks, **size, settings=EXACT)
+    np.testing.assert_allclose(found, image, rtol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [1e100, 1e200, np.inf, np.nan])
+def test_gaussians_beyond_every_number_are_culled_alone(scale):
+    gaussians, image_bar = needles.needle(1e8)
+    both = {name: np.repeat(a, 2, axis=0) for name, a in gaussians.items() if name != "background"}
+    both["s"][0] = scale
+    looks = dict(background=gaussians["background"], camera=needles.CAMERA, settings=EXACT)
+    with np.errstate(over="ignore", invalid="ignore"):
+        (found, _, visible), saved = render.forward(**both, **looks)
+        bars = render.backward(saved, image_bar)
+    (alone, *_), saved = render.forward(**{**gaussians, **looks})
+    assert visible.tolist() == [False, True] and np.array_equal(found, alone)
+    for name, bar in render.backward(saved, image_bar).items():
+        assert name == "background" or np.array_equal(bars[name][1], bar[0]), name
+        assert name in ("background", "s") or not bars[name][0].any(), name
 
 
 @pytest.mark.parametrize("n, size", [(1000, 64), pytest.param(5000, 128, marks=pytest.mark.slow)])

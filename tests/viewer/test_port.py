@@ -15,6 +15,7 @@ from p4dgs_ref.codec.published import FOLDER
 from p4dgs_ref.oracle import checker, streams
 from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.report.inspect import anchor_bits, components
+from tests.golden import needles
 from tests.golden.damage import mutation
 
 pytestmark = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
@@ -36,6 +37,20 @@ const pictures = (view) => [
 const drawn = JSON.parse(readFileSync(0)).map(pictures);
 const coarse = requantise(model, p4dgs.openContainer(data).sections, { coarser: 2 }).bytes;
 console.log(JSON.stringify({ drawn, coarse, bits: [...anchorBits(model)] }));
+"""
+
+# Input: a needle and its camera. Output: its picture, exact and nearly so.
+NEEDLE = """
+const p4dgs = require(`${process.argv[1]}/p4dgs.js`);
+const { x, s, r, background, camera, ...looks } = JSON.parse(require("fs").readFileSync(0));
+const [x_t, s_t, r_t] = [x, s, r].map((rows) => Float64Array.from(rows.flat()));
+const [alpha, color] = [looks.alpha, looks.color].map((a) => Float64Array.from(a.flat()));
+const splats = p4dgs.splatting({ alpha, color }, { x_t, s_t, r_t }, camera);
+const drawn = [0, 1e-13].map((least) => {
+  const scene = { background, size: camera.size, occlusion: true, least };
+  return [...p4dgs.compositing(splats, scene).image];
+});
+console.log(JSON.stringify(drawn));
 """
 
 
@@ -79,19 +94,33 @@ def test_damaged_files_get_the_verdict_of_the_package(port, n):
             assert "arrays" in answer(port, data), i
 
 
+def described(camera):
+    """A camera as the port takes it."""
+    return {
+        "W": camera.R.ravel().tolist(),
+        "T": camera.T.tolist(),
+        "focal": [camera.f_x, camera.f_y],
+        "center": [camera.c_x, camera.c_y],
+        "size": [camera.width, camera.height],
+    }
+
+
+@pytest.mark.parametrize("ratio", needles.RATIOS)
+def test_needles_have_all_their_digits(ratio):
+    gaussians, _ = needles.needle(ratio)
+    asked = {name: a.tolist() for name, a in gaussians.items()}
+    asked["camera"] = described(needles.CAMERA)
+    said = subprocess.check_output(
+        ["node", "-e", NEEDLE, VIEWER], input=json.dumps(asked), text=True
+    )
+    for drawn in json.loads(said):
+        image, _ = needles.truth(ratio)
+        np.testing.assert_allclose(drawn, image.ravel(), rtol=1e-12)
+
+
 def test_pictures_and_bits_are_those_of_the_package():
     model, views = p4.decode(DEMO.read_bytes()), p4.load_scene("orbit").test
-    asked = [
-        {
-            "W": view.camera.R.ravel().tolist(),
-            "T": view.camera.T.tolist(),
-            "t": view.time,
-            "focal": [view.camera.f_x, view.camera.f_y],
-            "center": [view.camera.c_x, view.camera.c_y],
-            "size": [view.camera.width, view.camera.height],
-        }
-        for view in views
-    ]
+    asked = [{**described(view.camera), "t": view.time} for view in views]
     said = json.loads(
         subprocess.check_output(
             ["node", "-e", DRAW, VIEWER, DEMO], input=json.dumps(asked), text=True

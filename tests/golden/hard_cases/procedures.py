@@ -11,11 +11,12 @@ from p4dgs_ref.lab.random_inputs import random_splats
 from p4dgs_ref.lab.stability import judged, number, relative
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.scenes import Scene, SceneError
-from p4dgs_ref.splatting import compositing, covariance, fast, projection
+from p4dgs_ref.splatting import compositing, covariance, fast, projection, render
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, FAST
 from p4dgs_ref.training.loop import psnr
 from p4dgs_ref.training.parameters import BETA_1, BETA_2, EPSILON, Adam, Parameters
+from tests.golden import needles
 
 FEW = 64  # eps: a few roundings of terms a few times larger than their sum
 SPLATS = ("mean2d", "conic", "alpha", "color")  # the inputs of compositing with a gradient
@@ -293,6 +294,28 @@ def tiles(dtype):
     return judged(*shown, worst, grad, bound, bound)
 
 
+def long_needle(dtype):
+    """The image of a needle and the gradients of its place, scales and quaternion."""
+    ratio = max(needles.RATIOS)
+    gaussians, bar = needles.needle(ratio)
+    true, true_bars = needles.truth(ratio)
+    settings = without_stop(dtype, cut=1e-12)
+    (image, *_), saved = render.forward(**gaussians, camera=needles.CAMERA, settings=settings)
+    gradients = render.backward(saved, bar)
+    Sigma, _ = covariance.forward(gaussians.pop("s"), gaussians.pop("r"))
+    (literal, *_), _ = render.draw(
+        Sigma=Sigma, **gaussians, camera=needles.CAMERA, settings=settings
+    )
+    worst = np.unravel_index(np.abs(literal - true).argmax(), true.shape)
+    return judged(
+        *(float(a[worst]) for a in (literal, image, true)),
+        relative(image, true, True),
+        max(relative(gradients[name], true_bars[name], True) for name in true_bars),
+        within(dtype, 1e-13, 1e-5),
+        within(dtype, 1e-12, 1e-4),
+    )
+
+
 # --- scene, motion, measures, optimiser ----------------------------------------------------------
 def bad_time(dtype):
     """A scene refuses a time that is NaN, infinite or outside 0 to 1, and names it."""
@@ -353,6 +376,7 @@ PROCEDURES = {
     "H-R5.seams": seams,
     "H-R7.sum": sum_of_bits,
     "H-P10.nothing_coded": nothing_coded,
+    "H-G3.needle": long_needle,
     "H-G4.inf": culled(np.inf),
     "H-G4.nan": culled(np.nan),
     "H-G5.opposite": opposite_quaternions,

@@ -107,6 +107,11 @@ def shape_entries():
             each=False,
         )
     yield from procedures(
+        (
+            "H-G3.needle",
+            "render",
+            "a needle 1e13 times longer than thin, in a picture; literal is a c - b^2 of Sigma",
+        ),
         *(
             (
                 f"H-G4.{name}",
@@ -114,7 +119,7 @@ def shape_entries():
                 f"a covariance with {name}: that Gaussian alone is culled, with gradient 0",
             )
             for name in ("inf", "nan")
-        )
+        ),
     )
 
 

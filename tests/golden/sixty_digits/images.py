@@ -97,6 +97,13 @@ def forward_compositing(
     return {"image": image, "transmittance": transmittance}
 
 
+def forward_render(x, s, r, W, T, focal, center, size, **looks):
+    """From Gaussians to an image."""
+    splats = forward_projection(x, forward_covariance(s, r)["Sigma"], W, T, focal, center, size)
+    splats.pop("cov2d")
+    return forward_compositing(**splats, **looks)
+
+
 def _falloff(e_x, e_y, conic):
     a, b, c = conic
     return exp(-(a * e_x * e_x + c * e_y * e_y) / 2 - b * e_x * e_y)
@@ -152,6 +159,7 @@ FORMULAS = {  # key -> formula, inputs that receive a gradient
     "covariance": (forward_covariance, ("s", "r")),
     "projection": (forward_projection, ("x", "Sigma")),
     "compositing": (forward_compositing, ("mean2d", "conic", "alpha", "color", "background")),
+    "render": (forward_render, ("x", "s", "r")),
     "ssim": (forward_ssim, ("image",)),
     "render_loss": (forward_render_loss, ("image",)),
 }
