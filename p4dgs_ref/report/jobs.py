@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
+from ..arithmetic import arithmetic
 from ..codec.file import decode, encode
 from ..scenes.output import filled
 from ..scenes.scene import Scene
@@ -130,6 +131,7 @@ def main_job(
             "scene": scene.name,
             "preset": chosen.name,
             "seed": seed,
+            "arithmetic": arithmetic(),
             **own,
             "paper_design": {key: (paper or own)[key] for key in ("bytes", "psnr_db", "ssim")},
             "trained_at_once": chosen.coded and jobs > 1,

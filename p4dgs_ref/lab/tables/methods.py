@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...arithmetic import arithmetic
 from ...codec.file import ATTRIBUTE_SECTIONS, decode, encode
 from ...model import CONTEXT_NETWORKS, Anchors, Design, Model, bounding_box
 from ...report.evaluate import evaluate, json_safe
@@ -31,7 +32,7 @@ from ...training.presets import TINY_REAL, choose
 from ...training.trainer import Trainer
 from .. import StudyError, baselines
 from ..accuracy.harness import shortened
-from ..clock import clocked, machine
+from ..clock import clocked
 
 OURS = "p4dgs"
 CODED = "p4dgs_coded"  # with coded networks and positions, beyond the paper
@@ -226,7 +227,7 @@ def make(task):
         "iterations": preset.iterations,
         "train_seconds": float(seconds),
         "made": f"{date.today()}",
-        "machine": machine(),
+        "arithmetic": arithmetic(),
     }
     if task.path.suffix == ".p4dgs":
         sections = {part["name"]: part for part in ledger(task.path.read_bytes())}
