@@ -9,6 +9,7 @@ import os
 import sys
 import warnings
 
+CHOSEN = "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES"  # variables that choose the kernels
 BLAS = "Haswell"  # OpenBLAS calls its kernels for AVX2 so
 OWN = "the processor's own"
 # What NumPy calls the features above AVX2. It warns of a name that a version does not know.
@@ -60,7 +61,7 @@ def choose_kernels():
 
     release = tuple(map(int, version("numpy").split(".")[:2]))
     names = next(names for since, names in FEATURES.items() if release >= since)
-    wanted = {"OPENBLAS_CORETYPE": BLAS, "NPY_DISABLE_CPU_FEATURES": names.replace(" ", ",")}
+    wanted = dict(zip(CHOSEN, (BLAS, names.replace(" ", ","))))
     if "numpy" not in sys.modules:
         os.environ.update({**wanted, **os.environ})
     elif not wanted.keys() <= os.environ.keys() and kernels() == OWN:

@@ -10,8 +10,8 @@ import pytest
 import p4dgs_ref
 from tests.sampling import SEED
 
-# Before NumPy loads, as every command does it: processes that a test starts inherit this setting,
-# and with another number of BLAS threads the last digits differ.
+# Before NumPy loads, as every command does it: processes that a test starts inherit the settings,
+# and with other kernels or another number of BLAS threads the last digits differ.
 p4dgs_ref.prepare()
 # A shell starts what runs in its background with SIGINT ignored, which tests of Ctrl-C must not be.
 signal.signal(signal.SIGINT, signal.default_int_handler)

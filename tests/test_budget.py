@@ -33,6 +33,7 @@ WIDTH = 100
 # A room imports itself and the rooms before it.
 ORDER = (
     "signals",
+    "arithmetic",
     "equations",
     "splatting",
     "table",

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from ..arithmetic import arithmetic
 from ..codec.file import decode, encode
 from ..codec.gaussian_table import MU_BITS, SIGMA_BITS
 from ..codec.rans import pop_rows_plainly, push_rows_plainly
@@ -89,7 +90,7 @@ def bench(quick=False):
         rows.append(row)
     parts = [{"what": f"  {key}", "ms": ms} for key, ms in by_equation(trainer.step).items()]
     stretch = stretch_of([one._asdict() for one in times.values()])
-    return {"rows": [*rows, *parts], "stretch": stretch}
+    return {"arithmetic": arithmetic(), "rows": [*rows, *parts], "stretch": stretch}
 
 
 def describe(result):
@@ -99,5 +100,10 @@ def describe(result):
         "each. What remains is Adam and what joins the equations."
     )
     return "\n".join(
-        [*table(COLUMNS, result["rows"]), note, disturbance(result["stretch"])]
+        [
+            *table(COLUMNS, result["rows"]),
+            note,
+            f"{result['arithmetic']}.",
+            disturbance(result["stretch"]),
+        ]
     ).rstrip()

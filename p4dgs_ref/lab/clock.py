@@ -5,13 +5,10 @@ and frequency with it, so a time is given with its quartiles, and where the wall
 ahead of the processor's, the measurement was disturbed.
 """
 
-import os
-import platform
 import time
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 
 ROUND = 0.3  # seconds; shorter rounds are repeated more often: other programs disturb them more
 DISTURBED = 1.1  # the wall clock's seconds over the processor's
@@ -50,19 +47,12 @@ def times_of(turns):
     return Times(float(median), float(low), float(high), float(wall.sum() / processor.sum()))
 
 
-def machine():
-    """The parts of the machine that times and last digits depend on, as text."""
-    python = (
-        f"Python {platform.python_version()}, NumPy {np.__version__}, SciPy {scipy.__version__}"
-    )
-    return f"{os.cpu_count()} cores, {platform.platform()}, {python}"
-
-
-def alternate(functions, repeats):
+def alternate(functions, repeats, clocked=clocked):
     """The Times of one call of each function, {name: Times}.
 
     The functions are called in turn, so that a disturbance meets all of them, after one call to
     warm up. `repeats` is the smallest number of turns; short rounds take up to five times as many.
+    A function may run in another process, which `clocked` then asks for its result and its seconds.
     """
     spent = sum(clocked(function)[1][0] for function in functions.values())
     turns = {name: [] for name in functions}

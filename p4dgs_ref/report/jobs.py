@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
+from ..arithmetic import arithmetic
 from ..codec.file import decode, encode
 from ..scenes.output import filled
 from ..scenes.scene import Scene
@@ -127,6 +128,7 @@ def main_job(
             "scene": scene.name,
             "preset": chosen.name,
             "seed": seed,
+            "arithmetic": arithmetic(),
             **own,
             "beyond_the_paper": beyond(chosen),
             "paper_design": {key: (paper or own)[key] for key in ("bytes", "psnr_db", "ssim")},

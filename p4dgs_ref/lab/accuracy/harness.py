@@ -1,22 +1,25 @@
-"""Short trainings, the three harnesses, which turn a knob into rows, and the verdict of a row.
+"""Short trainings, the four harnesses, which turn a knob into rows, and the verdict of a row.
 
-A row has the columns line and value, then error and ms (formulas), psnr_db and bytes (files), or
-psnr_db, bytes and seconds (training). Times are processor times of this process, taken in turn;
-trainings may run in others.
+A row has the columns line and value, then error and ms (formulas, kernels), psnr_db and bytes
+(files), or psnr_db, bytes and seconds (training). Times are processor times, taken in turn, of this
+process or, for kernels, of one process each; trainings may run in others.
 """
 
+import os
+from contextlib import contextmanager
 from functools import cache
 
 import numpy as np
 
+from ...arithmetic import CHOSEN, OWN, kernels
 from ...codec.file import ATTRIBUTE_SECTIONS, decode, encode
 from ...report.evaluate import evaluate
 from ...report.inspect import components
-from ...report.jobs import in_processes
+from ...report.jobs import in_processes, processes
 from ...scenes import load_scene
 from ...training.presets import TINY, choose
 from ...training.trainer import Trainer
-from ..clock import alternate, can_tell
+from ..clock import alternate, can_tell, clocked
 from .diagram import lines_of
 
 SCENE, ITERATIONS, SEEDS = "bouncing", 950, 3
@@ -46,13 +49,17 @@ def reduced(iterations, **changes):
 
 
 def step_at(scene, preset, stage, **options):
-    """A function that does the first step of a stage again and again; `options` of the Trainer."""
+    """A function that does the first step of a stage again and again and returns all parameters.
+
+    `options` are those of the Trainer.
+    """
     # The anchors stay as they are.
     trainer = Trainer(scene, preset._replace(grow_every=10**9), **options)
 
     def step():
         trainer.iteration = (0, *preset.stage_ends)[stage - 1]
         trainer.step()
+        return trainer.parameters.vector
 
     return step
 
@@ -87,6 +94,50 @@ def measure_forms(forms, repeats):
             {"line": line, "value": value, **judge(run()), **times[line, value].columns()}
             for (line, value), (run, judge) in forms.items()
         ]
+
+
+@cache
+def last_step():
+    """A function that does the first step of stage 4."""
+    return step_at(scene_of(), TINY, 4)
+
+
+def clocked_step():
+    """The parameters after one more step of stage 4, and its seconds on both clocks."""
+    return clocked(last_step())
+
+
+def measure_kernels(knob):
+    """Rows of a training step with the kernels in force, and with those of the processor's choice.
+
+    Kernels are chosen when NumPy loads, so each has a process of its own, and these take turns. The
+    error is the share of parameters that differ after the same steps.
+    """
+    with processes(1) as first, processes(1) as second:
+        names = [first.submit(kernels).result()]
+        with natively():
+            names.append(second.submit(kernels).result())
+        pools = dict(enumerate((first, second)))
+        times = alternate(pools, knob.values, lambda pool: pool.submit(clocked_step).result())
+        ends = [pool.submit(clocked_step).result()[0] for pool in pools.values()]
+    return [
+        {"line": "", "value": name, "error": float(np.mean(end != ends[0])), **times[i].columns()}
+        for i, (name, end) in enumerate(zip(names, ends))
+    ]
+
+
+@contextmanager
+def natively():
+    """Within this context, processes that start use the kernels of their processor's choice."""
+    before = dict(os.environ)
+    for name in CHOSEN if kernels() != OWN else ():
+        os.environ.pop(name, None)
+    os.environ["P4DGS_KERNELS"] = "native"
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
 
 
 def measured(model, scene):

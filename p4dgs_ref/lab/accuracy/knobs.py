@@ -23,9 +23,10 @@ class Knob(NamedTuple):
     """A row of the table of knobs."""
 
     name: str
-    harness: str  # "formula", "file" or "training"
-    # Of "formula" and "file" a function that returns the forms, of "training" {value: changes},
-    # where `changes` are fields of the preset, or its iterations, downscale or settings.
+    harness: str  # "formula", "kernels", "file" or "training"
+    # Of "formula" and "file" a function that returns the forms, of "kernels" the turns, of
+    # "training" {value: changes}, where `changes` are fields of the preset, or its iterations,
+    # downscale or settings.
     values: Any
     changes: str  # what the knob is, in words
     set_by: str  # where a user of the package sets it
@@ -195,6 +196,16 @@ KNOBS = (
         *SIZE,
     ),
     Knob(
+        "same bytes everywhere",
+        "kernels",
+        40,
+        "A training step with the kernels of AVX2, and with those that the processor would choose",
+        "`P4DGS_KERNELS=native`",
+        1e-3,
+        "of the numbers",
+        "ms",
+    ),
+    Knob(
         "weight bits",
         "file",
         weight_bits,
@@ -287,6 +298,7 @@ KNOBS = (
 )
 HARNESSES = {
     "formula": "Cheaper forms of a function, against its true value",
+    "kernels": "A training step with other kernels of NumPy and its BLAS",
     "file": "The same trained model, written otherwise",
     "training": "Trained with another field of the preset",
 }

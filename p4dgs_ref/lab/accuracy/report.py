@@ -3,8 +3,9 @@
 import time
 from pathlib import Path
 
+from ...arithmetic import arithmetic
 from ...report.figures import write_csv
-from ..clock import disturbance, machine, stretch_of
+from ..clock import disturbance, stretch_of
 from .diagram import draw, lines_of
 from .harness import (
     ITERATIONS,
@@ -15,6 +16,7 @@ from .harness import (
     loss,
     measure_file,
     measure_forms,
+    measure_kernels,
     measure_trainings,
     pays_from,
     scene_of,
@@ -32,6 +34,7 @@ SPENT = {
 # that is drawn; smaller ones are drawn there.
 OVERVIEW = {
     "formula": ("error, in multiples of enough", 1.0, 1e-6),
+    "kernels": ("numbers that differ, in multiples of enough", 1.0, 1e-6),
     "file": ("PSNR lost (dB)", 0.1, 0.01),
     "training": ("PSNR lost (dB)", 0.1, 0.01),
 }
@@ -66,7 +69,7 @@ def run(names, folder, quick=False, progress=lambda line: None, jobs=1):
         write_csv(folder / f"{name}.csv", own)
     draw_all(folder / "knobs.png", knobs, rows)
     result = {
-        "machine": machine(),
+        "arithmetic": arithmetic(),
         "seconds": time.perf_counter() - start,
         "stretch": max((stretch_of(a) for a in rows.values() if "stretch" in a[0]), default=1.0),
         "seeds_db": spread,
@@ -87,6 +90,9 @@ def measure(knobs, quick, progress, jobs):
     for knob in of["formula"]:
         progress(f"formula: {knob.name}")
         rows[knob.name] = measure_forms(knob.values(quick), 3 if quick else 5)
+    for knob in of["kernels"]:
+        progress(f"kernels: {knob.name}")
+        rows[knob.name] = measure_kernels(knob)
     if of["training"]:
         found, spread = measure_trainings(of["training"], ITERATIONS, progress, jobs)
         rows |= found
@@ -118,8 +124,8 @@ def draw_all(path, knobs, rows):
     for harness in dict.fromkeys(knob.harness for knob in knobs):
         shown, (label, enough, least) = [], OVERVIEW[harness]
         for knob in (knob for knob in knobs if knob.harness == harness):
-            unit = knob.enough if harness == "formula" else 1.0  # errors have different units
             dear, *_ = own = next(iter(lines_of(rows[knob.name]).values()))
+            unit = knob.enough if "error" in dear else 1.0  # errors have different units
             for row in own:
                 times, lost = dear[knob.spent] / row[knob.spent], max(loss(row, dear) / unit, least)
                 shown.append({"line": knob.name, "times": times, "loss": lost})
@@ -160,7 +166,7 @@ def notes(result):
 
 def head(result):
     """The page up to its sections: the table, how it is to be read, and the picture."""
-    measured = f"Measured on {result['machine']}, in {result['seconds']:.0f} seconds."
+    measured = f"Measured with {result['arithmetic']}, in {result['seconds']:.0f} seconds."
     parts = (
         "# What accuracy costs in time and bytes",
         disturbance(result["stretch"]),

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...arithmetic import arithmetic
 from ...codec.file import ATTRIBUTE_SECTIONS, decode, encode
 from ...model import CONTEXT_NETWORKS, Anchors, Design, Model, bounding_box
 from ...report.evaluate import evaluate, json_safe
@@ -33,7 +34,7 @@ from ...training.presets import PRESETS, TINY_REAL, choose, differences
 from ...training.trainer import Trainer
 from .. import StudyError, baselines
 from ..accuracy.harness import shortened
-from ..clock import clocked, machine
+from ..clock import clocked
 
 OURS = "p4dgs"
 CODED = "p4dgs_coded"  # with coded networks and positions, beyond the paper
@@ -252,7 +253,7 @@ def make(task):
         "iterations": preset.iterations,
         "train_seconds": float(seconds),
         "made": f"{date.today()}",
-        "machine": machine(),
+        "arithmetic": arithmetic(),
         "sha256": hashlib.sha256(task.path.read_bytes()).hexdigest()[:16],
         "command": task.command,
     }

@@ -20,7 +20,7 @@ def test_the_csv_has_a_row_for_each_point_and_says_when_and_where_it_was_made(dr
     assert [(row["method"], row["seed"]) for row in rows] == [
         (task.method, str(task.seed)) for task in tasks
     ]
-    assert all("NumPy" in row["machine"] for row in rows)
+    assert all("NumPy" in row["arithmetic"] for row in rows)
     knobs = {(row["label"], row["lambda_rate"], row["sh_degree"]) for row in rows}
     assert {("p4dgs lambda_rate=0.01", "0.01", ""), ("d3dgs_small", "", "3")} <= knobs
     assert ("d3dgs_small gaussians=100 sh_degree=0", "", "0") in knobs
