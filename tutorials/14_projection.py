@@ -3,7 +3,7 @@
 #
 # **Promise.** After this tutorial you can project a Gaussian by hand, and follow a gradient from
 # its conic back to its position and shape. **Before it:** `13_covariance`. **Takes** six seconds of
-# machine time on two cores, 35 minutes of reading and 40 of exercises.
+# machine time on two cores, 40 minutes of reading and 40 of exercises.
 #
 # **File:** [projection.py](../p4dgs_ref/splatting/projection.py).
 
@@ -319,26 +319,41 @@ dcov = dm @ Sigma @ m.transpose(0, 2, 1) + m @ Sigma @ dm.transpose(0, 2, 1)
 assert close(inner(D, dcov), inner(m_bar, dm))
 
 # %% [markdown]
-# **Needles.** For long thin Gaussians $ac - b^2$ and $K D_K K$ cancel, and from a length of about
-# $10^7$ pixels on `float64` loses all digits. The renderer therefore gives `projection` the
-# rotation $R$ of `13_covariance` and $\Sigma = \mathrm{diag}(s)^2$, which is diagonal in the frame
-# $R$. Let $m_1$, $m_2$ be the rows of $m = JWR$, and $n = m_1\times m_2$. By the rule
-# $x\times(y\times z) = y\,(x\cdot z) - z\,(x\cdot y)$
+# **Needles.** For long thin Gaussians $ac - b^2$ and $K D_K K$ cancel; from about $10^7$ pixels on
+# `float64` loses all digits. The renderer therefore passes the rotation $R$ of `13_covariance` and
+# $\Sigma = \mathrm{diag}(s)^2$. With $m = JWR$, its rows $m_1$, $m_2$ and $n = m_1\times m_2$,
 # $$\det\Sigma_{2D} = s_2^2s_3^2n_1^2 + s_3^2s_1^2n_2^2 + s_1^2s_2^2n_3^2
 #   + 0.3\,(m_1\Sigma m_1^T + m_2\Sigma m_2^T) + 0.3^2,$$
-# $$K m = \frac1{\det\Sigma_{2D}}\begin{pmatrix} (\Sigma m_2)\times n + 0.3\,m_1 \\
-#   n\times(\Sigma m_1) + 0.3\,m_2 \end{pmatrix},\qquad
-#   \bar\Sigma = -(Km)^T D_K\,(Km),\quad \bar m = -2K D_K\,(Km)\,\Sigma.$$
-# $\bar s_i = 2s_i\bar\Sigma_{ii}$ then has all its digits. The cell compares the forms for ordinary
-# Gaussians, where both are right.
+# and $Km$, which gives $\bar\Sigma = -(Km)^T D_K\,(Km)$, has the rows
+# $(\Sigma m_2)\times n + 0.3\,m_1$ and $n\times(\Sigma m_1) + 0.3\,m_2$ over the determinant.
 
 # %%
-(ordinary, R), _ = covariance.axes(rng.uniform(0.1, 0.5, (N, 3)), r)
-_, in_frame = projection.forward(x, ordinary, **camera, R=R)
-_, in_world = projection.forward(x, R @ ordinary @ R.transpose(0, 2, 1), **camera)
-of_frame, of_world = (projection.backward(a, conic_bar=conic_bar) for a in (in_frame, in_world))
-assert close(of_frame["x"], of_world["x"], 1e-8)
-assert close(of_frame["Sigma"], R.transpose(0, 2, 1) @ of_world["Sigma"] @ R, 1e-8)
+s = np.tile([0.5, 0.1, 0.3], (N, 1))
+(squares, R), _ = covariance.axes(s, r)
+_, of_axes = projection.forward(
+    x,
+    squares,
+    **camera,
+    R=R,
+)
+in_axes = projection.backward(
+    of_axes,
+    conic_bar=conic_bar,
+)
+_, of_Sigma = projection.forward(
+    x,
+    R @ squares @ R.transpose(0, 2, 1),
+    **camera,
+)
+in_world = projection.backward(
+    of_Sigma,
+    conic_bar=conic_bar,
+)
+assert close(
+    in_axes["x"],
+    in_world["x"],
+    1e-8,
+)
 
 # %% [markdown]
 # **From $JW$ to $u_1 = u$, $u_2 = v$ and $z$.** With $W_i$ for the rows of $W$, row $i$ of $m$ is

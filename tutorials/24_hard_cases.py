@@ -175,7 +175,9 @@ def determinant(dtype):
 
 def of_root(dtype):
     m = (R * [10000.0, 0.5]).astype(dtype)
-    return float(np.linalg.det(m) ** 2 + 0.3 * (m * m).sum() + 0.09)
+    cross = np.linalg.det(m)
+    lengths = (m * m).sum()
+    return float(cross**2 + 0.3 * lengths + 0.09)
 
 
 print(

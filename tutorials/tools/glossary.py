@@ -114,6 +114,7 @@ SECTIONS = {
     ),
     "Splatting": (
         Symbol(r"\Sigma", "Sigma", "covariances"),
+        Symbol("R", "R", "rotations of frames in which the covariances are given"),
         Symbol("W", "W"),
         Symbol("T", "T"),
         Symbol("f_x, f_y", "focal", "focal lengths"),
