@@ -1,0 +1,43 @@
+"""`python -m tests.golden.demo` makes the demo's two files and keeps their SHA-256 in DEMO.
+
+They hold for the arithmetic that is kept with them: versions of NumPy and SciPy, and kernels.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+
+import p4dgs_ref as p4
+from p4dgs_ref.arithmetic import arithmetic
+
+DEMO = Path(__file__).parent / "data" / "demo.json"
+
+
+def file(preset):
+    """The demo's file of a preset."""
+    return p4.encode(p4.train(p4.load_scene("bouncing"), preset=preset, seed=0))
+
+
+def sha256(data):
+    """The SHA-256 of a file, in hexadecimal digits."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def with_what():
+    """The arithmetic without the version of this package."""
+    return arithmetic().partition(", ")[2]
+
+
+def kept():
+    """What DEMO holds."""
+    return json.loads(DEMO.read_text(encoding="utf-8"))
+
+
+def main():
+    """Make both files and keep what they are."""
+    found = {preset: sha256(file(preset)) for preset in ("tiny_coded", "tiny")}
+    DEMO.write_text(json.dumps({"arithmetic": with_what(), **found}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

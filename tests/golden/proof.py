@@ -1,0 +1,34 @@
+"""Sixty steps of both designs and what follows, as SHA-256: `python -m tests.golden.proof`.
+
+On every x86-64 Linux machine with AVX2 and with the same versions of the packages it prints the
+same, also where `qemu-x86_64 -cpu Haswell` stands before it. An emulated processor needs hundreds
+of times as long, so views and model are small.
+"""
+
+import hashlib
+import json
+
+import p4dgs_ref as p4
+from p4dgs_ref.arithmetic import arithmetic
+from p4dgs_ref.training.fit import fit
+
+STAGES = dict(stage_ends=(10, 20, 40, 60), grow_from=10, grow_every=15, mask_from=20)
+
+
+def proof():
+    """The arithmetic, and the SHA-256 of all parameters, the file and a picture of each design."""
+    scene, found = p4.load_scene("bouncing", downscale=4), {}
+    view = scene.test[0]
+    for preset in ("tiny", "tiny_coded"):
+        trainer = fit(scene, preset, 0, anchors=50, **STAGES)
+        data = p4.encode(trainer.model())
+        picture = p4.decode(data).render(view.camera, view.time)
+        found[f"{preset}: parameters"] = trainer.parameters.vector.tobytes()
+        found[f"{preset}: file"] = data
+        found[f"{preset}: picture"] = picture.tobytes()
+    hashes = {what: hashlib.sha256(data).hexdigest() for what, data in found.items()}
+    return {"arithmetic": arithmetic(), **hashes}
+
+
+if __name__ == "__main__":
+    print(json.dumps(proof(), indent=1))

@@ -1,0 +1,149 @@
+"""The same bits on every processor: what `prepare` asks for, and what emulated processors compute.
+
+`python -m tests.golden.proof` prints the hashes that are compared here.
+"""
+
+import io
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from p4dgs_ref import arithmetic
+from tests.golden.proof import proof
+
+ROOT = Path(__file__).resolve().parents[1]
+CORE = (getattr(np, "_core", None) or np.core)._multiarray_umath
+PREPARED = """
+import os, sys
+import p4dgs_ref as p4
+p4.prepare()
+assert "numpy" not in sys.modules
+p4.prepare()
+from p4dgs_ref.arithmetic import CHOSEN, kernels
+print(*(os.environ.get(name, "") for name in CHOSEN), kernels(), sep="; ")
+p4.prepare()
+"""
+TOO_LATE = "import numpy, p4dgs_ref as p4; p4.prepare(); p4.prepare()"
+
+
+def python(*options, **variables):
+    """Run Python in a process of its own, in which only these variables choose kernels."""
+    others = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in (*arithmetic.CHOSEN, "P4DGS_KERNELS")
+    }
+    return subprocess.run(
+        [sys.executable, *options],
+        cwd=ROOT,
+        env={**others, **variables},
+        capture_output=True,
+        text=True,
+    )
+
+
+def pinned():
+    """Skip a test of kernels or hashes where the surroundings use other kernels."""
+    if arithmetic.kernels() == arithmetic.OWN:
+        asked = {name: os.environ.get(name) for name in (*arithmetic.CHOSEN, "P4DGS_KERNELS")}
+        pytest.skip(f"other kernels than those of AVX2 are in force: {asked}")
+
+
+# --- what prepare asks for ---
+@pytest.mark.slow
+def test_prepare_chooses_the_kernels_without_a_warning():
+    """An unknown name of a feature would be a warning, which -W error makes an exception."""
+    pinned()
+    done = python("-W", "error", "-c", PREPARED)
+    assert done.stderr == "" and done.stdout.startswith("Haswell; ")
+    assert done.stdout.endswith("; Haswell, AVX2, 1 thread\n")
+    name, features = arithmetic.CHOSEN[1], done.stdout.split("; ")[1]
+    inherited = python(
+        "-W", "error", "-c", TOO_LATE, **{name: features, "OPENBLAS_CORETYPE": "Haswell"}
+    )
+    assert (inherited.stdout, inherited.stderr) == ("", "")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "variables, asked",
+    [
+        ({"P4DGS_KERNELS": "native"}, ["", ""]),
+        ({"OPENBLAS_CORETYPE": "Prescott", "NPY_DISABLE_CPU_FEATURES": ""}, ["Prescott", ""]),
+    ],
+)
+def test_prepare_leaves_what_is_set_and_native_kernels(variables, asked):
+    done = python("-c", PREPARED, **variables)
+    assert done.stdout.split("; ")[:2] == asked, done.stderr
+
+
+@pytest.mark.slow
+def test_prepare_after_numpy_says_so_once():
+    pinned()
+    done = python("-c", TOO_LATE)
+    own = python("-c", "from p4dgs_ref.arithmetic import *; print(kernels())").stdout.strip()
+    assert done.stderr.count("the bits are the processor's own") == (own == arithmetic.OWN)
+    assert python("-c", TOO_LATE, P4DGS_KERNELS="native").stderr == ""
+
+
+@pytest.mark.parametrize(
+    "flags, has", [("avx avx2 fma", True), ("avx fma", False), ("avx2", False), (None, False)]
+)
+def test_kernels_are_chosen_where_the_system_knows_the_instructions(monkeypatch, flags, has):
+    def opened(path, **how):
+        if flags is None:
+            raise FileNotFoundError(path)
+        return io.StringIO(f"model name : avx2 fma\nflags\t\t: sse2 {flags}\n")
+
+    monkeypatch.setattr(arithmetic, "open", opened, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    assert arithmetic.has_avx2() == has
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert not arithmetic.has_avx2()
+
+
+@pytest.mark.parametrize("found", [[], [("SkylakeX", 1)], [("Haswell", 1), ("Zen", 1)]])
+def test_other_kernels_are_never_called_those_of_avx2(monkeypatch, found):
+    monkeypatch.setattr(arithmetic, "openblas", lambda: found)
+    assert arithmetic.kernels() == arithmetic.OWN
+
+
+def test_a_feature_above_avx2_is_reported(monkeypatch):
+    pinned()
+    known = {name for names in arithmetic.FEATURES.values() for name in names.split()}
+    monkeypatch.setattr(arithmetic, "openblas", lambda: [("Haswell", 2)])
+    assert arithmetic.kernels() == "Haswell, AVX2, 2 threads"
+    monkeypatch.setitem(CORE.__cpu_features__, min(known.intersection(CORE.__cpu_dispatch__)), True)
+    assert arithmetic.kernels() == arithmetic.OWN
+
+
+def test_every_feature_above_avx2_is_disabled():
+    """NumPy's own list: what follows AVX2, or the third level of x86-64; Xeon Phi is left out."""
+    release = tuple(map(int, np.__version__.split(".")[:2]))
+    names = next(names for since, names in arithmetic.FEATURES.items() if release >= since)
+    phi = {"AVX512_KNL", "AVX512_KNM"}
+    above = {name for name in CORE.__cpu_dispatch__ if name > "X86_V3" or "512" in name} - phi
+    assert above == set(names.split())
+
+
+# --- what processors compute ---
+@pytest.fixture(scope="module")
+def native():
+    pinned()
+    return proof()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("qemu-x86_64"), reason="no qemu-x86_64 (package qemu-user)")
+@pytest.mark.parametrize("processor", ["Haswell", "EPYC-Rome"])
+def test_an_emulated_processor_computes_the_same_bytes(native, processor):
+    command = ["qemu-x86_64", "-cpu", processor, sys.executable, "-m", "tests.golden.proof"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == native
