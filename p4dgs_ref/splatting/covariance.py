@@ -25,7 +25,8 @@ def backward(saved, Sigma_bar):
     M, R, s, r = saved
     M_bar = (Sigma_bar + Sigma_bar.transpose(0, 2, 1)) @ M  # both factors of M M^T
     s_bar = np.einsum("nij,nij->nj", M_bar, R)
-    return {"s": s_bar, "r": rotation_backward(r, M_bar * s[:, None, :])}
+    R_bar = M_bar * s[:, None, :]
+    return {"s": s_bar, "r": rotation_backward(r, R_bar)}
 
 
 def axes(s, r):

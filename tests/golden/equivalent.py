@@ -5,6 +5,7 @@ CULLED = (
     "the replacement of a culled row may be anything finite that is not zero, "
     "because its results are replaced by zeros"
 )
+SYMMETRIC = "Sigma is symmetric in the domain, so its transpose is itself"
 ONE = "an array of ones is divided by instead of multiplied"
 DEGREES = "the number of coefficients is 1, 4, 9 or 16"
 LAST = "on and beyond the upper face both nodes of a cell are the last one, so its slope is 0"
@@ -33,11 +34,14 @@ EQUIVALENT = {
     "projection:forward:float:5": CULLED,
     "projection:forward:float:6": CULLED,
     "projection:forward:swap-arguments:3": "clip is the median of its arguments, in any order",
-    "projection:forward:int:23": CULLED,
-    "projection:forward:int:24": CULLED,
-    "projection:forward:int:25": (
+    "projection:forward:int:21": CULLED,
+    "projection:forward:int:22": CULLED,
+    "projection:forward:int:23": (
         "zeros replace a culled row's conic among the outputs, and its gradient in backward"
     ),
+    "projection:forward:swap-arguments:5": "of n only the squares count",
+    "projection:backward:no-transpose:4": SYMMETRIC,
+    "projection:backward:swap-arguments:12": SYMMETRIC,
     "projection:halved:int:1": CULLED,
     "projection:cross:swap-items:5": "n and both products with it change their signs",
     "compositing:alphas:int:5": "positive by rounding alone, which is part of every S",

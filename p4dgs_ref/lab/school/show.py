@@ -62,8 +62,8 @@ def frame(model, camera, t, zoom=8, colors=None):
 
 def splats(g, camera, chosen=slice(None)):
     """The chosen splats of Gaussians: mean2d [N, 2], cov2d and conic [N, 3], depth, visible [N]."""
-    Sigma, _ = covariance.forward(g.s, g.r)
-    return [values[chosen] for values in render.project(g.x, Sigma, camera, EXACT)[0]]
+    (Sigma, R), _ = covariance.axes(g.s, g.r)
+    return [values[chosen] for values in render.project(g.x, Sigma, camera, EXACT, R)[0]]
 
 
 def seen(x, camera):

@@ -255,17 +255,6 @@ def off_diagonal(factor):
     return scale
 
 
-def through(cov_bar):
-    """Edits by which the gradient of the conic reaches the covariance as the matrix `cov_bar`."""
-    return {
-        "K_bar_Km = K_bar @ Km": f"cov_bar_m = ({cov_bar}) @ m",
-        "Sigma_bar -= Km.transpose(0, 2, 1) @ K_bar_Km": (
-            "Sigma_bar += m.transpose(0, 2, 1) @ cov_bar_m"
-        ),
-        "m_bar -= K @ K_bar_Km": "m_bar += cov_bar_m",
-    }
-
-
 FORMULAS = [
     edited(
         "projection",
@@ -298,7 +287,12 @@ FORMULAS = [
         "projection",
         "projection-detached-determinant",
         "the gradient of the conic takes the determinant for a constant",
-        through("K_bar[:, ::-1, ::-1] * [[1, -1], [-1, 1]] * np.linalg.det(K)[:, None, None]"),
+        {
+            "cov_bar -= K @ halved(conic_bar, visible) @ K": (
+                "cov_bar += halved(conic_bar, visible)[:, ::-1, ::-1] * [[1, -1], [-1, 1]] "
+                "* np.linalg.det(K)[:, None, None]"
+            )
+        },
     ),
     edited(
         "projection",
@@ -333,7 +327,7 @@ FORMULAS = [
         "projection",
         "projection-mean-gradient-alone",
         "x receives no gradient through the covariance",
-        {"m_bar = 2 * m_bar @ Sigma": "m_bar = 0 * m"},
+        {"m_bar = m_bar @ (Sigma + Sigma.transpose(0, 2, 1))": "m_bar = 0 * m"},
     ),
     edited(
         "projection",
@@ -341,7 +335,9 @@ FORMULAS = [
         "the conic is the covariance itself: it is not inverted",
         {
             "np.stack([c, -b, a]) / det": "np.stack([a, b, c])",
-            **through("K_bar"),
+            "cov_bar -= K @ halved(conic_bar, visible) @ K": (
+                "cov_bar += halved(conic_bar, visible)"
+            ),
         },
     ),
     known(
@@ -363,9 +359,8 @@ FORMULAS = [
         "projection-off-diagonal-gradient",
         "the gradient of the covariance's off-diagonal entry counts one of its two places",
         {
-            **through("K @ K_bar @ K * [[-1, -0.5], [-0.5, -1]]"),
-            "halved(cov2d_bar, visible) @ m": (
-                "(halved(cov2d_bar, visible) * [[1, 0.5], [0.5, 1]]) @ m"
+            "cov_bar[:, 1, 0] = cov_bar[:, 0, 1]": (
+                "cov_bar[:, 1, 0] = cov_bar[:, 0, 1] = cov_bar[:, 0, 1] / 2"
             ),
         },
     ),
