@@ -290,7 +290,7 @@ def test_commands_and_options_are_those_of_the_parser():
     assert re.findall(r"^\| \*\*(.*)\*\* \|", table_of_commands, re.MULTILINE) == headings
     for line in re.findall(r"p4dgs-ref ([\w-]+ [^`\n]+)`", BOTH):
         assert parser.parse_args(line.split()).function
-    deep = [*commands.values(), *subcommands(commands["oracle"]).values()]
+    deep = [parser, *commands.values(), *subcommands(commands["oracle"]).values()]
     every = {option for command in deep for option in command._option_string_actions}
     ours = re.sub(r"`python -m tests[^`]*`", "", BOTH)  # tools of a checkout have other options
     assert set(re.findall(r"(?<![\w-])--[a-z]+(?:-[a-z]+)*", ours)) <= every
