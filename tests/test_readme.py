@@ -4,13 +4,14 @@ Their programs print what they show, and their figures, names and links hold.
 """
 
 import configparser
-import json
 import math
 import os
 import re
 import runpy
+import shutil
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
@@ -31,6 +32,7 @@ from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.parameters import EPSILON
 from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, TINY
 from tests.budget import subcommands
+from tests.golden import demo as demo_files
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -198,6 +200,9 @@ def test_check_fails_where_a_test_fails_and_leaves_nothing(tmp_path, tests, slow
     quiet = {"stdin": subprocess.DEVNULL, "capture_output": True}
     done = subprocess.run([ROOT / ".ci" / "run"], env=environment, **quiet)
     assert done.returncode == code, done.stderr
+    absent = [name for name in ("node", "qemu-x86_64") if not shutil.which(name)] * (code == 0)
+    told = [f"Skipped: the tests that need {name}." for name in absent]
+    assert done.stdout.decode().splitlines() == told
     options, extras = declared()["options"], declared()["options.extras_require"]
     floors = options["install_requires"].split() + extras["test"].split()
     lowest = " ".join(floor.replace(">=", "==") for floor in floors)
@@ -285,7 +290,7 @@ def test_commands_and_options_are_those_of_the_parser():
     assert re.findall(r"^\| \*\*(.*)\*\* \|", table_of_commands, re.MULTILINE) == headings
     for line in re.findall(r"p4dgs-ref ([\w-]+ [^`\n]+)`", BOTH):
         assert parser.parse_args(line.split()).function
-    deep = [*commands.values(), *subcommands(commands["oracle"]).values()]
+    deep = [parser, *commands.values(), *subcommands(commands["oracle"]).values()]
     every = {option for command in deep for option in command._option_string_actions}
     ours = re.sub(r"`python -m tests[^`]*`", "", BOTH)  # tools of a checkout have other options
     assert set(re.findall(r"(?<![\w-])--[a-z]+(?:-[a-z]+)*", ours)) <= every
@@ -458,24 +463,24 @@ def test_demo_bytes_add_up():
 @pytest.mark.slow
 @pytest.mark.parametrize("column, preset", [(CODED, "tiny_coded"), (PAPER_DESIGN, "tiny")])
 def test_demo_figures_are_those_of_the_demo(column, preset):
-    """Trained anew. Other last bits on another machine lead to another model, hence the slack."""
-    scene = load_scene("bouncing")
-    data = p4.encode(p4.train(scene, preset=preset, seed=0))
+    """Trained anew: the same files, or, from other packages or kernels, nearly as many decibels.
+
+    `python -m tests.golden.demo` keeps the hashes of the files. Other last bits lead to another
+    model: two such models differed by 1 dB.
+    """
+    data, kept, said = demo_files.file(preset), demo_files.kept(), demo(column)
     model = p4.decode(data)
-    measured, _, _ = evaluate(model, scene)
+    measured, _, _ = evaluate(model, load_scene("bouncing"))
+    if demo_files.with_what() != kept["arithmetic"]:
+        warnings.warn(f"{preset}: only its dB are compared; the demo had {kept['arithmetic']}")
+        assert abs(measured["psnr_db"] - said["psnr_db"]) <= 1.5
+        return
+    assert demo_files.sha256(data) == kept[preset]
     measured.update(bytes=len(data), explicit_bytes=explicit_bytes(model, measured["gaussians"]))
-    slack = {
-        "psnr_db": 1.1,
-        "psnr_fg_db": 1.1,
-        "ssim": 0.006,
-        "bytes": 1500,
-        "anchors": 20,
-        "gaussians": 75,
-        "explicit_bytes": 20_000,
-    }
-    said = demo(column)
-    found = {key: abs(measured[key] - said[key]) for key in slack}
-    assert all(found[key] <= slack[key] for key in slack), json.dumps(measured)
+    digits = {"psnr_db": 2, "psnr_fg_db": 2, "ssim": 4}
+    exact = ("bytes", "anchors", "gaussians", "explicit_bytes")
+    found = {key: round(measured[key], digits.get(key)) for key in (*digits, *exact)}
+    assert found == {key: said[key] for key in found}
 
 
 def test_changelog_puts_numbers_before_code():

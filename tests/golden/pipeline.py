@@ -284,7 +284,7 @@ def trace_cases():
 
 
 def trace_steps_cases():
-    """The published inputs of `trace`: on another processor the last bits of `truth` differ."""
+    """The published inputs of `trace`; other kernels made the last bits of their `truth`."""
     yield Case("ten_steps", published.cases("trace")[0].inputs())
 
 

@@ -7,15 +7,15 @@ import pytest
 
 from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.compare import deviations
-from tests.golden import vectors
+from tests.golden import demo, vectors
 
 # What may differ from the published manifest: bytes move with the last digits of numbers.
 MEASURED = ("files", "generator")
 
-# Half of the smallest tolerance. On the machine that made the vectors 4 are enough.
-ULPS = 16
-# Steps of training enlarge the last bits in which BLAS kernels differ: another processor needed 25.
-ULPS_AFTER_STEPS = 64
+# Most eps S, and most after steps of training, which enlarge last bits. The vectors were made with
+# other kernels than those of AVX2, which need 4.8 and 11.9. Other packages or kernels may need
+# more, but at most half of the smallest tolerance; after steps, another processor needed 25.
+ULPS, ULPS_ELSEWHERE = (5, 12), (16, 64)
 
 
 @pytest.fixture(scope="module")
@@ -41,12 +41,14 @@ def described(manifest):
 def test_regenerated_vectors_are_the_published_ones(regenerated):
     """Integers are equal, floats within a few eps S, scales within a factor of two.
 
-    Inputs may differ too, because another machine's LAPACK rounds in another way.
+    Inputs may differ too, because LAPACK's other kernels round in another way.
     """
+    here = demo.with_what() == demo.kept()["arithmetic"]
+    usual, after_steps = ULPS if here else ULPS_ELSEWHERE
     manifest, folder = regenerated
     assert (folder / "FLAGS.json").read_bytes() == (published.FOLDER / "FLAGS.json").read_bytes()
     for subject in manifest["subjects"]:
-        ulps = ULPS_AFTER_STEPS if subject["level"] == "L4" else ULPS
+        ulps = after_steps if subject["level"] == "L4" else usual
         for old, new in zip(published.cases(subject["key"]), published.read(subject, folder)):
             assert set(old.tensors) == set(new.tensors), old.id
             for name, a in old.tensors.items():

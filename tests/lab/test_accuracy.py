@@ -5,11 +5,13 @@ The tests look at errors, bytes and counted pairs, never at times.
 
 import json
 import math
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from p4dgs_ref.arithmetic import kernels
 from p4dgs_ref.codec.file import decode, encode
 from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.equations import likelihood
@@ -209,9 +211,21 @@ def test_the_table_of_knobs_is_about_this_package():
     for field in ("k", "d", "L_x", "L_t", "anchors", "lambda_rate"):
         assert float(bases[f"`--set {field}`"]) == getattr(TINY, field)
     assert harness.prepared(knobs.steps_times(1), 38)[1] == harness.reduced(38)
-    with pytest.raises(ValueError, match="--only colour: expected one of formula, file, training"):
+    words = "--only colour: expected one of formula, kernels, file, training"
+    with pytest.raises(ValueError, match=words):
         knobs.chosen(["renderer", "colour"])
     assert {knob.harness for knob in knobs.chosen(["file"])} == {"file"}
+
+
+@pytest.mark.slow
+def test_either_kernels_have_a_process_of_their_own():
+    """Where the processor's own are others, their last bits are, too."""
+    before, knob = dict(os.environ), KNOBS["same_bytes_everywhere"]
+    chosen, own = harness.measure_kernels(knob._replace(values=1))
+    assert dict(os.environ) == before
+    assert chosen["value"] == kernels() and chosen["error"] == 0
+    assert (own["error"] > 0) == (own["value"] != chosen["value"])
+    assert own["ms"] > 0 and chosen["ms"] > 0
 
 
 # --- what the rows say ---------------------------------------------------------------------------
