@@ -1,7 +1,7 @@
-"""Which of their kernels NumPy and its BLAS use: the same on every processor, for the same bytes.
+"""The kernels of NumPy and its BLAS: the same ones on every processor give the same bytes.
 
-Both choose code by the processor, and sums in another order end in other digits. The kernels of
-AVX2 run on every x86-64 processor of the last ten years, so `prepare` chooses those for all.
+Both choose their kernels by the processor. Other kernels add in another order, so the last digits
+differ. Those for AVX2 run on nearly every x86-64 processor since 2015, so `prepare` chooses them.
 """
 
 import ctypes
@@ -10,9 +10,9 @@ import sys
 import warnings
 
 CHOSEN = "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES"  # variables that choose the kernels
-BLAS = "Haswell"  # OpenBLAS calls its kernels for AVX2 so
+BLAS = "Haswell"  # the name of the kernels for AVX2 in OpenBLAS
 OWN = "the processor's own"
-# What NumPy calls the features above AVX2. It warns of a name that a version does not know.
+# The features above AVX2, by the first NumPy version with these names; others make it warn.
 FEATURES = {
     (2, 4): "X86_V4 AVX512_ICL AVX512_SPR",
     (2, 3): "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR",
@@ -75,7 +75,7 @@ def kernels():
     core = (getattr(np, "_core", None) or np.core)._multiarray_umath
     features, dispatched = core.__cpu_features__, core.__cpu_dispatch__
     above = {name for names in FEATURES.values() for name in names.split()}
-    same = features.get("AVX2") and features.get("FMA3")
+    same = features.get("AVX2") and features.get("FMA3") and features.get("X86_V3", True)
     same = same and not any(features[name] for name in above.intersection(dispatched))
     names, threads = zip(*openblas() or [("", 0)])
     if not same or set(names) != {BLAS}:
@@ -86,12 +86,13 @@ def kernels():
 def openblas():
     """The name of its kernels and the number of threads of each OpenBLAS that is loaded."""
     try:
-        with open("/proc/self/maps", encoding="utf-8") as file:
-            paths = {line.split(maxsplit=5)[-1].strip() for line in file if "openblas" in line}
+        with open("/proc/self/maps", encoding="utf-8", errors="surrogateescape") as file:
+            paths = {line.split(maxsplit=5)[-1].strip() for line in file}
     except OSError:
         return []  # another system
     found = []
-    for library in map(ctypes.CDLL, sorted(paths)):
+    named = sorted(path for path in paths if "openblas" in os.path.basename(path))
+    for library in map(ctypes.CDLL, named):
         for form in ("openblas_{}", "openblas_{}64_", "scipy_openblas_{}", "scipy_openblas_{}64_"):
             name = getattr(library, form.format("get_corename"), None)
             if name:

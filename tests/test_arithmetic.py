@@ -114,6 +114,20 @@ def test_other_kernels_are_never_called_those_of_avx2(monkeypatch, found):
     assert arithmetic.kernels() == arithmetic.OWN
 
 
+def test_only_libraries_of_that_name_are_asked(monkeypatch):
+    """A program may have mapped other files from a folder that is called so."""
+    mapped = "7f00-7f01 r--p 00000000 08:01 42    /home/openblas/a picture.bin\n"
+    monkeypatch.setattr(arithmetic, "open", lambda *_, **how: io.StringIO(mapped), raising=False)
+    assert arithmetic.openblas() == []
+
+
+def test_numpy_without_its_kernels_of_avx2_is_reported(monkeypatch):
+    """NumPy 2.4 names these kernels X86_V3; whoever disables them leaves AVX2 itself as it is."""
+    pinned()
+    monkeypatch.setitem(CORE.__cpu_features__, "X86_V3", False)
+    assert arithmetic.kernels() == arithmetic.OWN
+
+
 def test_a_feature_above_avx2_is_reported(monkeypatch):
     pinned()
     known = {name for names in arithmetic.FEATURES.values() for name in names.split()}
