@@ -84,10 +84,11 @@ def designs(scene, preset, seed, path, stream, jobs):
 
     There are no other metrics where the preset is the paper's design.
     """
-    own, paper = (scene, preset, seed, path), paper_design(preset)
-    if paper == preset:
+    own = (scene, preset, seed, path)
+    if not beyond(preset):
         return one_design(*own, stream), None
-    other = (scene, paper, seed, path.with_name(f"{path.stem}_paper_design{path.suffix}"))
+    beside = path.with_name(f"{path.stem}_paper_design{path.suffix}")
+    other = (scene, paper_design(preset), seed, beside)
     if jobs == 1:
         return one_design(*own, stream), one_design(*other, stream)[0]
     with processes(1) as pool:

@@ -108,7 +108,7 @@ class Preset(NamedTuple):
     lambda_rate: float = row(1e-3, 5e-4, NOT_NEGATIVE, "HAC (Q12)", "weight of the rate")
     coded: bool = row(False, False, FLAG, OFF, "networks pay for their bits (B1)")
     position_bits: int = row(
-        16, 16, between(1, 16), "ours (Q14)", "of a position per axis; fewer if coded (B2)"
+        16, 16, between(1, 16), "ours (Q14)", "bits of a position per axis, fewer in ours (B2)"
     )
     network_ramp: int = row(0, 0, NOT_NEGATIVE, OFF, "iterations until coded networks pay fully")
     # stages and loss

@@ -155,6 +155,14 @@ def test_equal_images(tmp_path, recwarn):
     assert {path.name for path in tmp_path.glob("*.png")} == PICTURES - {"motion.gif"}
 
 
+def test_a_preset_with_nothing_of_ours_is_trained_once(monkeypatch, tmp_path):
+    """Also where it changes a field that only coded networks use."""
+    monkeypatch.setattr(job, "one_design", lambda *arguments: "own")
+    preset = TINY._replace(network_ramp=5)
+    assert preset != paper_design(preset)
+    assert job.designs(None, preset, 0, tmp_path / "a.p4dgs", None, 1) == ("own", None)
+
+
 def test_a_coded_preset_is_compared_with_the_paper_design(scene, done, tmp_path):
     """The paper's design beside it has the same changes, and is what its own preset trains."""
     assert paper_design(TINY_CODED)._replace(name="tiny") == TINY
