@@ -125,7 +125,7 @@ class Trainer(Loop):
         )
 
     def fixed(self):
-        """The inputs of the next iteration that are neither parameters nor of its view."""
+        """The inputs of the next iteration besides its view, the weights of pixels and parameters."""
         preset, stage = self.preset, self.stage
         coded_for = self.iteration - preset.stage_ends[2]  # iterations of stage 4
         return objective.Fixed(
@@ -242,15 +242,11 @@ class Trainer(Loop):
         }
 
     def restore(self, arrays, values):
-        """Take over copies of what `state` returned.
-
-        An array that is not among it stays as it is. The state of the paper's design has no
-        "log_step", of which the coded design makes no use before stage 4.
-        """
-        self.adopt(Parameters({**self.parameters.arrays, **tagged(arrays, "p")}))
-        self.adam.first = Parameters({**self.adam.first.arrays, **tagged(arrays, "m")})
-        self.adam.second = Parameters({**self.adam.second.arrays, **tagged(arrays, "v")})
-        self.adam.steps |= values["steps"]
+        """Take over copies of what `state` returned."""
+        self.adopt(Parameters(tagged(arrays, "p")))
+        self.adam.first = Parameters(tagged(arrays, "m"))
+        self.adam.second = Parameters(tagged(arrays, "v"))
+        self.adam.steps = {**values["steps"]}
         self.statistics = density.Statistics(**tagged(arrays, "stat"))
         self.order, self.iteration = arrays["order"], values["iteration"]
         self.rng.bit_generator.state, self.history = values["rng"], [*values["history"]]
