@@ -183,7 +183,7 @@ for price in (1e-7, 1e-6, 1e-5):
 # %% [markdown]
 # ## Whole trainings
 # Presets `tiny` (the paper's design at its best: rates and $\lambda_{\text{rate}}$ were tuned for
-# it) and `tiny_coded` (B1 and B2 together). Files are decoded before PSNR is measured on the test
+# it) and `tiny_coded` (B1 to B3 together). Files are decoded before PSNR is measured on the test
 # views. Each row compares two trainings of one scene and one seed, both with the
 # $\lambda_{\text{rate}}$ of `tiny`.
 

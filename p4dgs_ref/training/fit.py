@@ -1,6 +1,6 @@
 """Training in one call, and the checkpoint from which it goes on to the same bytes.
 
-Training warns of a scene with few views, and of a result that has learned hardly anything.
+`train` warns of a scene with few views, and of a model that has lost what moves.
 """
 
 import hashlib
@@ -30,7 +30,7 @@ from .trainer import Trainer, assemble, tagged
 
 SAVE_EVERY = 20.0  # seconds between checkpoints
 FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.2 dB against 48, 16 far more (reference.md, Limits)
-TIMES = 9  # at which a model is drawn to see what of it rests
+TIMES = 9  # the model is drawn at so many; the median of these pictures shows it at rest
 LEAST_GAIN = 3.0  # dB above the mean of the training pictures, where something moves
 CHECKPOINT = "checkpoint.npz"
 # Part of what the checksum is taken of, so that the checkpoint of another release does not fit.

@@ -219,7 +219,7 @@ def test_the_table_of_knobs_is_about_this_package():
 
 @pytest.mark.slow
 def test_either_kernels_have_a_process_of_their_own():
-    """Where the processor's own are others, their last bits are, too."""
+    """Parameters differ where the processor's own kernels are others than those of AVX2."""
     before, knob = dict(os.environ), KNOBS["same_bytes_everywhere"]
     chosen, own = harness.measure_kernels(knob._replace(values=1))
     assert dict(os.environ) == before

@@ -7,11 +7,6 @@ A row is there when it has a sha256, that of its file; delete rows that are no l
 and files lie in report/records/ as well, so what was stopped goes on there.
 """
 
-if __name__ == "__main__":
-    import p4dgs_ref
-
-    p4dgs_ref.prepare()  # before NumPy is imported
-
 import argparse
 import csv
 import sys
@@ -55,7 +50,7 @@ def tasks(name, folder="report/records"):
 
 
 def rows(name):
-    """The rows of a record, their numbers as numbers, without what is empty."""
+    """The rows of a record without their empty fields; texts of numbers become numbers."""
     with open(FOLDER / "records" / f"{name}.csv", newline="", encoding="utf-8") as file:
         return [
             {
@@ -68,7 +63,7 @@ def rows(name):
 
 
 def number(text):
-    """A number, or the text that is none."""
+    """The number that a text stands for, otherwise the text itself."""
     for kind in (int, float):
         try:
             return kind(text)
@@ -79,12 +74,13 @@ def number(text):
 
 def main(name, jobs):
     """Make the rows of a record that are missing, and write it."""
+    every = tasks(name)
     kept = {row["file"]: row for row in rows(name) if "sha256" in row}
-    missing = [task for task in tasks(name) if task.path.name not in kept]
+    missing = [task for task in every if task.path.name not in kept]
     methods.make_missing(missing, lambda line: print(line, file=sys.stderr, flush=True), jobs)
     kept |= {row["file"]: row for row in methods.made(missing)}
     with filled(FOLDER / "records") as beside:
-        write_csv(beside / f"{name}.csv", [kept[task.path.name] for task in tasks(name)])
+        write_csv(beside / f"{name}.csv", [kept[task.path.name] for task in every])
 
 
 if __name__ == "__main__":

@@ -128,7 +128,7 @@ def measure_kernels(knob):
 
 @contextmanager
 def natively():
-    """Within this context, processes that start use the kernels of their processor's choice."""
+    """Processes that start within this context use the kernels that the processor chooses."""
     before = dict(os.environ)
     for name in CHOSEN if kernels() != OWN else ():
         os.environ.pop(name, None)

@@ -6,7 +6,7 @@ Every step is trained, written to a file, read back and measured. The steps from
     + spatial prediction          anchors and their networks instead of Gaussians; float32
     + compact deformation MLP     our deformation network, in float16
     + quantisation and entropy coding        the paper's whole method and its file
-    + coded networks and positions           B1 and B2, the preset `tiny_coded`
+    + coded networks and positions           B1 to B3, the preset `tiny_coded`
     + more anchors                what the saved bytes pay for
 
 Up to the third step there is no noise, rate or masking in training, and no context. One part at a
