@@ -125,7 +125,7 @@ class Trainer(Loop):
         )
 
     def fixed(self):
-        """The inputs of the next iteration besides its view, the weights of pixels and parameters."""
+        """The inputs of the next iteration besides parameters, view and weights of pixels."""
         preset, stage = self.preset, self.stage
         coded_for = self.iteration - preset.stage_ends[2]  # iterations of stage 4
         return objective.Fixed(
