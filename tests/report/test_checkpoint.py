@@ -235,7 +235,15 @@ def scene():
     return p4.load_scene("bouncing", downscale=4)
 
 
-CODED = {**LIVELY, "coded": True, "position_bits": 10, "network_ramp": 9, "lr_step": (0.02, 0.01)}
+CODED = {
+    **LIVELY,
+    "coded": True,
+    "position_bits": 10,
+    "network_ramp": 9,
+    "lr_step": (0.02, 0.01),
+    "body": True,
+    "min_opacity": 0.15,
+}
 KINDS = {"coded": CODED, "reseed": LIVELY, "scaffold": SCAFFOLD}
 
 
