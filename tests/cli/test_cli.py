@@ -19,6 +19,7 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref import cli as base
+from p4dgs_ref.arithmetic import arithmetic
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.lab.tables import compare
@@ -200,9 +201,16 @@ def test_the_paper_presets_say_where_each_value_comes_from(ok):
     assert "lambda_rate" in shown and sources["lambda_rate"] == "HAC (Q12)"
 
 
+def test_the_version_says_which_kernels_are_in_force(run):
+    code, out, _ = run("--version")
+    assert (code, out) == (0, f"{arithmetic()}\n")
+    assert re.fullmatch(r"p4dgs_ref \S+, NumPy \S+, SciPy \S+, kernels: .+\n", out)
+
+
 @pytest.mark.slow
 def test_bench(ok):
     measured = ok("bench --quick --json")
+    assert measured["arithmetic"] == arithmetic()
     rows = {row["what"]: row for row in measured["rows"]}
     assert rows["render 300 Gaussians, 64x64, with gradients"]["ratio"] > 1
     assert rows["training step of `tiny`, stage 4"]["ms"] > rows["  compositing, fast"]["ms"] > 0

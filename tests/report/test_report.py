@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
+from p4dgs_ref.arithmetic import arithmetic
 from p4dgs_ref.cli import text
 from p4dgs_ref.lab.tables import methods
 from p4dgs_ref.report import figures as report
@@ -75,6 +76,7 @@ def test_files_and_tables(done, scene):
     )
     assert [int(row["stage"]) for row in history] == [1] * 10 + [2] * 5 + [3] * 15 + [4] * 15
     assert all((float(row["bits_per_parameter"]) > 0) == (row["stage"] == "4") for row in history)
+    assert metrics["arithmetic"] == arithmetic()
     assert metrics["changes"] == CHANGES and metrics == json.loads(
         (folder / "metrics.json").read_text()
     )

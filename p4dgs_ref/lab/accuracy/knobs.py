@@ -198,7 +198,7 @@ KNOBS = (
     Knob(
         "same bytes everywhere",
         "kernels",
-        40,
+        20,
         "A training step with the kernels of AVX2, and with those that the processor would choose",
         "`P4DGS_KERNELS=native`",
         1e-3,
