@@ -106,9 +106,9 @@ class Preset(NamedTuple):
     Q_l: float = row(0.001, 0.01, STEP, "paper", "base step of l")
     Q_O: float = row(0.2, 0.1, STEP, "paper", "base step of O")
     lambda_rate: float = row(1e-3, 5e-4, NOT_NEGATIVE, "HAC (Q12)", "weight of the rate")
-    coded: bool = row(False, False, FLAG, OFF, "networks pay for their bits (B1)")
+    coded: bool = row(False, False, FLAG, OFF, "networks that pay for their bits (B1)")
     position_bits: int = row(
-        16, 16, between(1, 16), "ours (Q14)", "bits of a position per axis, fewer in ours (B2)"
+        16, 16, between(1, 16), "ours (Q14)", "positions of few bits per axis, sorted (B2)"
     )
     network_ramp: int = row(0, 0, NOT_NEGATIVE, OFF, "iterations until coded networks pay fully")
     # stages and loss
@@ -120,7 +120,7 @@ class Preset(NamedTuple):
         "iterations at which stages 1 to 4 end",
     )
     lambda_ssim: float = row(0.2, 0.2, between(0, 1), "3DGS (Q13)", "weight of D-SSIM")
-    body: bool = row(False, False, FLAG, OFF, "what moves counts more in L1 (B3)")
+    body: bool = row(False, False, FLAG, OFF, "more weight in L1 for what moves (B3)")
     # learning rates: first and last, geometric over all iterations from `decay_from` on
     decay_from: int = row(0, 1800, NOT_NEGATIVE, "ours (Q17)", "first iteration of the decay")
     lr_x: tuple = row((0.0, 0.0), (0.002, 2e-4), RATE, "Scaffold-GS (Q14)", "positions")

@@ -185,7 +185,7 @@ def test_a_coded_preset_is_compared_with_the_paper_design(scene, done, tmp_path)
     said = text.metrics(metrics, tmp_path)
     assert f"file {own['bytes']:,} bytes" in said and f"file {metrics['bytes']:,} bytes" in said
     assert f"{metrics['bytes'] / own['bytes']:.3f} of the bytes" in said
-    assert "ours: networks pay for their bits (B1); what moves" in said
+    assert "ours: networks that pay for their bits (B1); more weight" in said
     assert "against it" not in text.metrics(paper, folder) and "B1" not in text.metrics(
         paper, folder
     )
