@@ -35,6 +35,11 @@ def prepare() -> None:
         os.environ.setdefault(name, "1")
     if os.environ.get("P4DGS_KERNELS") != "native" and has_avx2():
         choose_kernels()
+    keep_pages()
+
+
+def keep_pages():
+    """Tell glibc to keep the pages of large arrays; worker processes call it for themselves."""
     try:
         mallopt = ctypes.CDLL(None).mallopt
         mallopt(M_MMAP_THRESHOLD, 1 << 30)

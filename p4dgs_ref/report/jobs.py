@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
-from ..arithmetic import arithmetic
+from ..arithmetic import arithmetic, keep_pages
 from ..codec.file import decode, encode
 from ..scenes.output import filled
 from ..scenes.scene import Scene
@@ -24,6 +24,13 @@ from .evaluate import compression, evaluate, json_safe, timed
 
 
 # --- several processes ----------------------------------------------------------------------------
+def begin():
+    """What a worker does first. It has inherited the kernels and the number of BLAS threads."""
+    keep_pages()
+    # Ctrl-C reaches all processes of a terminal; the parent stops its workers.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
 @contextmanager
 def processes(jobs):
     """A pool of processes, which end with this context, also where it is left early."""
@@ -31,9 +38,7 @@ def processes(jobs):
     pool = ProcessPoolExecutor(
         jobs,
         multiprocessing.get_context("spawn"),
-        # Ctrl-C reaches all processes of a terminal; this one stops the others.
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),
+        initializer=begin,
     )
     try:
         yield pool

@@ -16,6 +16,7 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import effects as fx
 from ..model import Model
 from ..scenes.output import destination, locked, write_atomically
 from ..scenes.scene import Scene
@@ -31,6 +32,7 @@ from .trainer import Trainer, assemble, tagged
 SAVE_EVERY = 20.0  # seconds between checkpoints
 FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.2 dB against 48, 16 far more (reference.md, Limits)
 TIMES = 9  # the model is drawn at so many; the median of these pictures shows it at rest
+MOST_VIEWS = 20  # that are drawn so; of more views every second, third, ... is taken
 LEAST_GAIN = 3.0  # dB above the mean of the training pictures, where something moves
 CHECKPOINT = "checkpoint.npz"
 # Part of what the checksum is taken of, so that the checkpoint of another release does not fit.
@@ -132,32 +134,33 @@ def few_views(scene):
 def lost(trainer):
     """What to say where what moves is hardly better than in one picture shown for all views.
 
-    This picture is the mean of the training views. Both are compared with the test views, which
-    training has not seen, or with the training views where a scene has no others, in all pixels
-    that are unlike the median of the model's own pictures over nine times.
+    This picture is the mean of the training views. Both are compared with test views, which
+    training has not seen, or with training views where a scene has no others, in all pixels that
+    are unlike the median of the model's own pictures over nine times.
     """
     model, scene = trainer.model(), trainer.scene
     views, mean = scene.test or scene.train, np.mean([v.image for v in scene.train], axis=0)
     times = np.quantile([v.time for v in scene.train], np.linspace(0, 1, TIMES))
-    found = []
-    for v in views:
+    found, size = [], 0
+    for v in views[:: 1 + len(views) // MOST_VIEWS]:
         drawn, *others = (model.render(v.camera, t, trainer.settings) for t in (v.time, *times))
         moves = unlike(v.image, np.median(others, axis=0))
         found.append([image[moves] for image in (drawn, mean, v.image)])
+        size += moves.size
     drawn, mean, truth = map(np.concatenate, zip(*found))
     if not len(truth) or psnr(drawn, truth) >= psnr(mean, truth) + LEAST_GAIN:
         return ""
-    share = len(truth) / sum(v.image[:, :, 0].size for v in views)
+    moved = fx.moves(scene.effects)
     remedy = (
-        "another seed, more iterations (stage_ends), more views or larger bodies"
-        if trainer.preset.body
-        else "`--set body=true` or a preset that has it, such as tiny_coded (B3)"
+        "`--set body=true` or a preset that has it, such as tiny_coded (B3)"
+        if moved and not trainer.preset.body
+        else "another seed, more iterations (stage_ends), more views or larger bodies"
     )
     return (
-        f"scene {scene.name}: what moves is lost: where {'test' if scene.test else 'training'} "
-        f"views differ from the model at rest ({share:.1%} of the pixels), it has "
-        f"{psnr(drawn, truth):.2f} dB, the mean of the training pictures "
-        f"{psnr(mean, truth):.2f} dB; try {remedy}"
+        f"scene {scene.name}: {'what moves is lost' if moved else 'the result is useless'}: where "
+        f"{'test' if scene.test else 'training'} views differ from the model at rest "
+        f"({len(truth) / size:.1%} of the pixels), it has {psnr(drawn, truth):.2f} dB, the mean of "
+        f"the training pictures {psnr(mean, truth):.2f} dB; try {remedy}"
     )
 
 

@@ -96,7 +96,8 @@ class Trainer(Loop):
                 drawn = self.model().render(view.camera, view.time, self.settings)
                 pixels &= unlike(view.image, drawn)
         share = np.mean([pixels.mean() for pixels in self.bodies.values()])
-        self.factors = [*self.factors[: self.iteration > 0], 1 / max(share, LEAST_SHARE)]
+        times = 1 / max(share, LEAST_SHARE) if share else 1.0
+        self.factors = [*self.factors[: self.iteration > 0], times]
 
     def weight_of(self, view):
         """The weight of each pixel of a view in L1: [H, W, 1], or 1 where all count alike."""

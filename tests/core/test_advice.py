@@ -93,6 +93,12 @@ def test_a_mover_over_something_static_is_lost_though_the_picture_is_good():
     assert "what moves is lost" in fit.lost(seen)
 
 
+def test_a_scene_without_motion_is_told_that_it_is_useless():
+    still = replace(moving(), effects=("occlusion",))
+    told = fit.lost(Share(still, 0))
+    assert "useless" in told and "moves" not in told and "body" not in told
+
+
 def test_a_scene_in_which_nothing_is_wrong_is_not_told_of():
     still = Share(scene(3), 1)
     still.render = lambda camera, t, settings: scene(3).train[0].image
@@ -134,7 +140,7 @@ def test_the_body_counts_as_often_as_all_pixels_until_it_moves():
 
 
 def test_stage_3_keeps_what_the_model_at_rest_draws_wrong():
-    """Of two columns the model draws one: the other one counts 16 times, and 100 times at most."""
+    """Of two columns the model draws one: the other one counts 16 times."""
     trainer = Trainer(scene(3), TINY_CODED)
     view, rested = trainer.scene.train[0], TINY_CODED.stage_ends[1]
     drawn = np.ones((12, 16, 3))
@@ -145,7 +151,7 @@ def test_stage_3_keeps_what_the_model_at_rest_draws_wrong():
     assert np.array_equal(np.flatnonzero(trainer.weight_of(view)[0, :, 0] > 1), [8])
     assert trainer.factors == [8, 16]
     drawn[...] = view.image
-    assert (trainer.weight_of(view) == 1).all() and trainer.factors == [8, 100]
+    assert (trainer.weight_of(view) == 1).all() and trainer.factors == [8, 1]
 
 
 def test_the_paper_counts_all_pixels_alike():
