@@ -54,7 +54,7 @@ assert not wrong % 16 < 10
 # We write a codec as one would write it at first. It computes $\mu$ and $\sigma$ in `float32`. Of
 # the $2^{16}$ counts of a table with $n$ symbols, it distributes $2^{16} - n$ by placing a
 # boundary at $\lfloor(2^{16} - n)\,\Phi\rfloor$, and then gives every symbol one count more. All
-# 6622 attributes of a trained model go into one message, anchor by anchor.
+# 6607 attributes of a trained model go into one message, anchor by anchor.
 
 # %%
 BITS = 16
@@ -127,18 +127,18 @@ def build(mu, sigma):
 tables = build(mu, sigma)
 message = encode(sent, tables)
 received, last = decode(*message, tables)
-assert len(sent) == 6622
+assert len(sent) == 6607
 assert np.array_equal(received, sent)
 assert last == 2**31  # the state with which the encoder began
 
 # %% [markdown]
-# **One ulp.** Now one deviation of the decoder, that of symbol 2145, is too large by one unit in
+# **One ulp.** Now one deviation of the decoder, that of symbol 1904, is too large by one unit in
 # the last place. This is less than one part in eight million. Most errors of this size change no
 # count of a table, but this one does. The symbol itself is decoded correctly. The next one is
-# wrong, and so are 3957 of the 4476 symbols that follow.
+# wrong, and so are 4264 of the 4702 symbols that follow.
 
 # %%
-victim = 2145
+victim = 1904
 nudged = sigma.copy()
 nudged[victim] = np.nextafter(nudged[victim], np.float32(np.inf))
 received, last = decode(*message, build(mu, nudged))
@@ -146,7 +146,7 @@ wrong = np.flatnonzero(received != sent)
 following = len(sent) - victim - 1
 assert 0 < nudged[victim] / sigma[victim] - 1 < 1 / 8e6
 assert wrong[0] == victim + 1
-assert (len(wrong), following) == (3957, 4476)
+assert (len(wrong), following) == (4264, 4702)
 assert last != 2**31
 
 # %% [markdown]
@@ -224,9 +224,9 @@ lessons.show(figure, "21_desync")
 
 # %% [markdown]
 # **Such differences occur by themselves.** Take the same `float32` network and add its products
-# from first to last, or from last to first, as another library, GPU or batch size may do. Nearly a
-# fifth of the deviations then differ by a few ulps. Symbol 708 is the first one that is decoded
-# wrongly, so decoding fails after a tenth of the message.
+# from first to last, or from last to first, as another library, GPU or batch size may do. A
+# fifth of the deviations then differ by a few ulps. Symbol 326 is the first one that is decoded
+# wrongly, so decoding fails after a twentieth of the message.
 
 
 # %%
@@ -265,8 +265,8 @@ largest = np.abs(forwards[1] / backwards[1] - 1).max()
 received, _ = decode(*encode(sent, build(*forwards)), build(*backwards))
 first_wrong = np.flatnonzero(received != sent)[0]
 print(f"{differ:.0%} of the deviations differ, at most by {largest:.1e} of their value")
-assert 0.15 < differ < 0.2
-assert first_wrong == 708
+assert 0.15 < differ < 0.25
+assert first_wrong == 326
 
 # %% [markdown]
 # ## Backward by hand
@@ -307,10 +307,10 @@ assert abs(changed - expected) < 4 * math.sqrt(expected)
 # %% [markdown]
 # ## Break it
 # A plausible remedy is to round $\log_2\sigma$ to multiples of $\frac1{16}$ before the table is
-# made, so that ulps disappear. Indeed the two orders above now agree in all 6622 deviations. But
+# made, so that ulps disappear. Indeed the two orders above now agree in all 6607 deviations. But
 # the problem has only moved to the boundaries between the multiples. A value next to such a
 # boundary is rounded up by one machine and down by another, and the deviations then differ by
-# four percent instead of one ulp. In a file of two million symbols, one such case is to be
+# four percent instead of one ulp. In a file of two million symbols, about one such case is to be
 # expected.
 
 
@@ -331,7 +331,8 @@ assert snap(above) - snap(edge) == 1  # neighbouring floats, rounded to differen
 ratio = forwards[1].astype(float) / backwards[1]
 distance = 16 * np.abs(np.log2(ratio))
 crossings = 2e6 * distance.mean()
-assert round(crossings, 1) == 1.0
+print(f"{crossings:.2f} cases in two million symbols")
+assert 0.8 < crossings < 1.3
 
 # %% [markdown]
 # ## What a codec does with it
