@@ -138,7 +138,7 @@ def train(arguments):
             figures.write_training(beside, trainer.history, preset.stage_ends)
     if trainer.factors:
         counted = " and from stage 3 on ".join(f"{times:.1f} times" for times in trainer.factors)
-        say(f"what moves counted {counted} in L1, until stage 4 (B3)")
+        say(f"what moves counted {counted} in L1, until the middle of stage 3 (B3)")
     warn(lost(trainer))
     tell(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors, {seconds:.1f} s")
 

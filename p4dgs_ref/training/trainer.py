@@ -102,11 +102,12 @@ class Trainer(Loop):
     def weight_of(self, view):
         """The weight of each pixel of a view in L1: [H, W, 1], or 1 where all count alike."""
         _, rested, moved, _ = self.preset.stage_ends
-        if not self.preset.body or self.iteration >= moved:
+        until = (rested + moved) // 2
+        if not self.preset.body or self.iteration >= until:
             return 1.0
         if self.iteration in (0, rested):
             self.find_bodies()
-        more = exponential(self.iteration, self.factors[-1], 1.0, moved, rested) - 1
+        more = exponential(self.iteration, self.factors[-1], 1.0, until, rested) - 1
         return np.float32(1 + more * self.bodies[id(view)][:, :, None])
 
     @property

@@ -126,13 +126,14 @@ def test_the_body_is_what_is_unlike_the_median_colour():
 
 
 def test_the_body_counts_as_often_as_all_pixels_until_it_moves():
-    """Two of sixteen columns count 8 times, half-way through stage 3 the root of it, then once."""
+    """Two of sixteen columns count 8 times, in a quarter of stage 3 the root of it, then once."""
     trainer, found = Trainer(scene(3), TINY_CODED), []
     trainer.model = lambda: SimpleNamespace(render=lambda *where: np.ones((12, 16, 3)))
     view, (_, rested, moved, end) = trainer.scene.train[0], TINY_CODED.stage_ends
-    for trainer.iteration in (0, rested - 1, rested, (rested + moved) // 2, moved, end):
+    until = (rested + moved) // 2
+    for trainer.iteration in (0, rested - 1, rested, (rested + until) // 2, until, moved, end):
         found.append(np.max(trainer.weight_of(view)))
-    assert found == pytest.approx([8, 8, 8, np.sqrt(8), 1, 1])
+    assert found == pytest.approx([8, 8, 8, np.sqrt(8), 1, 1, 1])
     assert trainer.factors == [8, 8]
     trainer.iteration = 0
     is_more = trainer.weight_of(view)[:, :, 0] > 1
