@@ -156,7 +156,7 @@ def breaks(figure):
         show.scored_picture(ax, *found, CAMERA, T, TRUTH, VIEW, title)
 
 
-def one_ulp(wrong=1961):
+def one_ulp(wrong=2230):
     """The model that a decoder finds if sigma of one symbol is an ulp too large, and the message.
 
     The coder's tables come from floats here, as tutorial 21 explains. The decoder reads zeros after
@@ -183,11 +183,11 @@ def one_ulp(wrong=1961):
 
 
 # --- all pictures ---------------------------------------------------------------------------------
-# Anchor 42 has its children all over the blue ball; the pixel is at the lower edge of the red one.
+# Anchor 41 has its children all over the blue ball; the pixel is at the lower edge of the red one.
 PICTURES = {  # title: what fills its figure
     "1  Why": why,
-    "2  Anchors and children": lambda figure: show.anchors(figure, MODEL, CAMERA, 42, VIEW),
-    "3  Prediction": lambda figure: show.prediction(figure, FILE, CAMERA, T, 42, WALK),
+    "2  Anchors and children": lambda figure: show.anchors(figure, MODEL, CAMERA, 41, VIEW),
+    "3  Prediction": lambda figure: show.prediction(figure, FILE, CAMERA, T, 41, WALK),
     "4  Time": lambda figure: show.time(figure, MODEL, CAMERA, T, VIEW),
     "5  Splatting": lambda figure: show.pixel(figure, MODEL, CAMERA, T, (36, 32)),
     "6  Steps": lambda figure: show.steps(figure, MODEL, CAMERA, T, TRUTH, VIEW),
