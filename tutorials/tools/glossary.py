@@ -102,6 +102,7 @@ SECTIONS = {
     "Loss": (
         Symbol("", "image", "rendered image, intensities of range 1"),
         Symbol("", "truth"),
+        Symbol("", "weight", "of each pixel in L1; 1 in the paper, ours is B3"),
         Symbol(r"\mathcal{L}_1", "L1", "mean absolute difference"),
         Symbol("", "ssim", "structural similarity, 1 for equal images"),
         Symbol(r"\mathcal{L}_{\rm D-SSIM}", "D_SSIM", "1 - SSIM"),
