@@ -13,9 +13,10 @@ from tests.golden import demo, vectors
 MEASURED = ("files", "generator")
 
 # Most eps S, and most after steps of training, which enlarge last bits. The vectors were made with
-# other kernels than those of AVX2, which need 4.8 and 11.9. Other packages or kernels may need
-# more, but at most half of the smallest tolerance; after steps, another processor needed 25.
-ULPS, ULPS_ELSEWHERE = (5, 12), (16, 64)
+# other kernels than those of AVX2, and by a renderer that formed each Sigma, so now 6.7 and 14.3
+# are needed. Other packages or kernels may need more, but at most half of the smallest tolerance;
+# after steps, another processor needed 25.
+ULPS, ULPS_ELSEWHERE = (7, 15), (16, 64)
 
 
 @pytest.fixture(scope="module")
