@@ -90,10 +90,11 @@ class Trainer(Loop):
 
     def find_bodies(self):
         """Note the pixels of every training view that count more from this iteration on (B3)."""
+        model = self.model()
         for view in self.scene.train:
             pixels = self.bodies[id(view)] = body(view.image)
             if self.iteration:
-                drawn = self.model().render(view.camera, view.time, self.settings)
+                drawn = model.render(view.camera, view.time, self.settings)
                 pixels &= unlike(view.image, drawn)
         share = np.mean([pixels.mean() for pixels in self.bodies.values()])
         times = 1 / max(share, LEAST_SHARE) if share else 1.0
