@@ -17,6 +17,7 @@ from ..arithmetic import arithmetic, keep_pages
 from ..codec.file import decode, encode
 from ..scenes.output import filled
 from ..scenes.scene import Scene
+from ..signals import deferred
 from ..training.fit import few_views, fit, lost, warn
 from ..training.presets import PRESETS, Preset, beyond, choose, differences, paper_design
 from . import figures as report
@@ -33,7 +34,11 @@ def begin():
 
 @contextmanager
 def processes(jobs):
-    """A pool of processes, which end with this context, also where it is left early."""
+    """A pool of processes, which end with this context, also where it is left early.
+
+    Submit with signals `deferred`: a process that has not read what it is to do when its parent is
+    interrupted ends with a traceback.
+    """
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(
         jobs,
@@ -58,7 +63,9 @@ def in_processes(function, tasks, jobs):
         yield from map(function, tasks)
     else:
         with processes(min(jobs, len(tasks))) as pool:
-            yield from pool.map(function, tasks)
+            with deferred():
+                results = pool.map(function, tasks)
+            yield from results
 
 
 # --- the main job ---------------------------------------------------------------------------------
@@ -97,7 +104,8 @@ def designs(scene, preset, seed, path, stream, jobs):
     if jobs == 1:
         return one_design(*own, stream), one_design(*other, stream)[0]
     with processes(1) as pool:
-        waiting = pool.submit(one_design, *other)
+        with deferred():
+            waiting = pool.submit(one_design, *other)
         return one_design(*own, stream), waiting.result()[0]
 
 

@@ -98,6 +98,32 @@ def test_long_commands_stop_cleanly(tmp_path, files, line, name):
     assert left == (["run", "checkpoint.npz"] if line == RUN else [])
 
 
+# The signal arrives when a worker exists, but has not read yet what it is to do.
+AT_BIRTH = """
+import signal, sys
+from multiprocessing import util
+spawn = util.spawnv_passfds
+def at_birth(path, words, *rest):
+    child = spawn(path, words, *rest)
+    if "spawn_main" in str(words):
+        signal.raise_signal(signal.{name})
+    return child
+util.spawnv_passfds = at_birth
+"""
+
+
+@pytest.mark.slow
+@SIGNALS
+def test_while_a_worker_starts(tmp_path, name):
+    """The main job starts one; it is interrupted itself, not by `stop`."""
+    argv = ["demo", "bouncing", "-o", "out", "--quiet", "--jobs", "2"]
+    code = AT_BIRTH.format(name=f"SIG{name}") + CONSOLE_SCRIPT.format(argv=argv)
+    process = start("-c", code, cwd=tmp_path)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130 and err == f"p4dgs-ref: stopped{SAID['demo']}\n"
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.slow
 @SIGNALS
 def test_at_ten_moments_of_the_start(tmp_path, name):
