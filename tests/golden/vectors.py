@@ -19,6 +19,7 @@ import numpy as np
 import scipy
 
 from p4dgs_ref import __version__
+from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.oracle import published, safetensors, streams, tolerance
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.oracle.published import FOLDER, flatten, read_manifest
@@ -26,7 +27,7 @@ from p4dgs_ref.oracle.streams import write_streams
 from p4dgs_ref.scenes.output import filled
 from tests.golden import independent, measured
 from tests.golden.cases import FLAGS
-from tests.golden.subjects import subjects
+from tests.golden.subjects import lacking, subjects
 
 LATEST = published.VERSIONS[-1]
 # Everything else in the folder of the vectors is made here.
@@ -162,8 +163,12 @@ def subject_file(subject, kept):
 def build(progress=lambda text: None, keep=False, again=()):
     """Return every file of vectors, {name: bytes}, and the manifest.
 
+    Raises ValueError where an equation lacks something.
+
     With `keep`, the published cases stay as they are, except those of the subjects `again`.
     """
+    for line in filter(None, map(lacking, ALL_EQUATIONS)):
+        raise ValueError(line)
     files, rows = {}, []
     for subject in subjects().values():
         progress(f"vectors of {subject.key}")

@@ -14,7 +14,7 @@ import pytest
 from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.oracle import checker, published, safetensors
 from tests.golden.cases import FLAGS
-from tests.golden.subjects import subjects
+from tests.golden.subjects import lacking, subjects
 from tests.golden.vectors import IDS, WRITTEN, damaged, listed, places_in
 from tests.oracle.answers import Port
 from tests.sampling import few
@@ -111,6 +111,21 @@ def test_every_equation_of_the_paper_has_values_and_gradients(manifest):
         assert (key in GRADIENTLESS) or {"out_bar", "in_bar"} <= roles, key
     assert {s["level"] for s in manifest["subjects"]} == {"L0", "L1", "L2", "L3", "L4"}
     assert len(manifest["streams"]) >= 60
+
+
+def test_every_equation_is_complete():
+    """One line for each equation that lacks its place, cases, decimals, a shape or vectors."""
+    lines = [lacking(key) for key in ALL_EQUATIONS]
+    unpublished = set(ALL_EQUATIONS) - set(published.subjects())
+    lines += [f"{key}: no vectors; run python -m tests.golden.vectors" for key in unpublished]
+    assert not list(filter(None, lines))
+
+
+def test_the_manifest_says_what_the_code_says(manifest):
+    for row in manifest["subjects"]:
+        subject = subjects()[row["key"]]
+        told = subject.shapes, list(subject.gradients), subject.constants
+        assert told == (row["shapes"], row["differentiable"], row["constants"]), row["key"]
 
 
 def test_ids_are_unique_and_records_complete(manifest):

@@ -87,6 +87,35 @@ def axes(text):
     return tuple(axis.strip() for axis in text.split(",") if axis.strip())
 
 
+# --- as text ------------------------------------------------------------------------------------
+
+
+def manifest_shapes(forward, inputs, names):
+    """{input or output: axes} as in the manifest of the vectors.
+
+    "A k 3" is an array [A, k, 3], "" a scalar or a setting, "*I J" a list of arrays [I, J], and
+    "A k -> N" an input and the output of that name. An expression is written as I, and a number
+    among the arguments as its capital, because a port has no other names for them.
+    """
+    specs = arguments(forward)
+    shapes = {name: manifest_axes(name, specs[name]) for name in inputs}
+    for name, spec in outputs(forward, names).items():
+        before = f"{shapes[name]} -> " if name in shapes else ""
+        shapes[name] = before + manifest_axes(name, spec)
+    return shapes
+
+
+def manifest_axes(name, spec):
+    """The axes of one argument or output."""
+    if name.endswith(("weights", "biases")):
+        return "*I J" if name.endswith("weights") else "*J"
+    if not spec.shapes:
+        return ""
+    axes_written = (a[0].upper() if a.isalpha() and len(a) > 1 else a for a in spec.shapes[0])
+    text = " ".join(a if a.isalnum() else "I" for a in axes_written)
+    return f"*{text}" if spec.is_list else text
+
+
 # --- expressions --------------------------------------------------------------------------------
 
 
