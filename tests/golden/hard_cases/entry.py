@@ -45,7 +45,7 @@ def hard(
     shown,
     literal,
     flags,
-    expected=None,  # closed forms; without them the 50-digit constants are the truth
+    expected=None,  # closed forms
     smooth=True,
     value=None,  # bound of the outputs in float64 and float32
     grad=None,  # bound of the gradients likewise
