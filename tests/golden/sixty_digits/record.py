@@ -1,6 +1,6 @@
 """Measures every case of every equation: `python -m tests.golden.sixty_digits.record [KEY ...]`.
 
-The results go to tests/golden/data/reference_errors.json. `test_sixty_digits.py` compares with
+The results go to tests/golden/data/reference_errors.json. `tests/equations` compares with
 them: an equation whose error becomes twice as large fails. All equations take three minutes.
 """
 
