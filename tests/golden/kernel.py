@@ -24,8 +24,9 @@ import numpy as np
 from p4dgs_ref import model
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.oracle.published import flatten
-from p4dgs_ref.splatting import covariance, fast, projection, render
+from p4dgs_ref.splatting import fast
 from p4dgs_ref.splatting.settings import PAPER
+from tests.golden import stages
 from tests.golden.cases import Case
 from tests.golden.flat import CAMERA_SHAPES, camera_of, described
 from tests.golden.pipeline import FRONT, golden_model
@@ -230,32 +231,23 @@ def kernel_surrogate(**base):
 
 
 def splats_of(x, s, r, camera):
-    """Return the splats of some Gaussians as inputs of `composite`, and what backward needs."""
-    (Sigma, R), saved_axes = covariance.axes(s.astype(float), r.astype(float))
-    splats, saved_projection = render.project(x, Sigma, camera, PAPER, R)
-    *floats, visible = splats
-    named = dict(zip(("mean2d", "cov2d", "conic", "depth"), (a.astype(x.dtype) for a in floats)))
-    splats = dict(named, visible=visible, height=camera.height, width=camera.width)
-    return splats, (saved_axes, saved_projection)
+    """Return the splats of some Gaussians as inputs of `composite`, and their pullback."""
+    splats, pullback = stages.projected(x, s, r, camera, PAPER)
+    return dict(splats, height=camera.height, width=camera.width), pullback
 
 
 def stage_vjp(x, s, r, alpha, color, W, T, focal, center, size, background):
     """Gaussians at t -> image, by the rule of the published kernel."""
-    splats, (saved_axes, saved_projection) = splats_of(
-        x, s, r, camera_of(W, T, focal, center, size)
-    )
+    splats, splats_pullback = splats_of(x, s, r, camera_of(W, T, focal, center, size))
     looks = dict(alpha=alpha, color=color, background=background)
     outputs, kernel_pullback = kernel_vjp(**splats, **looks)
     of_lists = {name: splats[name] for name in LISTED}
 
     def pullback(image_bar, transmittance_bar):
         bars = kernel_pullback(image_bar, transmittance_bar)
-        places = projection.backward(
-            saved_projection, mean2d_bar=bars.pop("mean2d"), conic_bar=bars.pop("conic")
-        )
-        bars |= covariance.axes_backward(saved_axes, places["Sigma"], places["R"])
-        bars["x"] = places["x"]
-        return {name: bar.astype(x.dtype, copy=False) for name, bar in bars.items()}
+        places = splats_pullback(bars.pop("mean2d"), bars.pop("conic"))
+        looks_bars = {name: bar.astype(x.dtype, copy=False) for name, bar in bars.items()}
+        return {**looks_bars, **places}
 
     return {"radius": lists(**of_lists).radius, **outputs}, pullback
 
