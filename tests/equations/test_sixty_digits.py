@@ -229,8 +229,8 @@ def test_kinks_have_no_gradient_and_everything_else_has():
         for case in cases_of(key):
             if case.smooth and eq.gradients:
                 bars = cotangents_of(eq, eq(**case.inputs), f"{key}/{case.name}", case.cotangents)
-                found = sixty.gradient(key, case.inputs, bars, samples=1)
-                for name, a in found.items():
+                gradients = sixty.gradient(key, case.inputs, bars, samples=1)
+                for name, a in gradients.items():
                     for array in a if isinstance(a, list) else [a]:
                         got = sum(not v.is_nan() for v in array.ravel())
                         assert got == min(1, array.size), f"{key}, case {case.name}, {name}"
@@ -286,12 +286,12 @@ CULLED = ("projection/no_determinant", "projection/infinite_determinant")
 
 def compare(key, name, dtype, samples):
     """A case is within the allowed error, and at most twice as wrong as recorded (or as 1 eps)."""
-    found, place = measured(key, name, dtype, samples), f"{key}/{name}"
+    errors, place = measured(key, name, dtype, samples), f"{key}/{name}"
     kept = RECORDED[key][dtype].get(name)
-    assert (found is None) == (kept is None), (
+    assert (errors is None) == (kept is None), (
         f"{place}: run python -m tests.golden.sixty_digits.record"
     )
-    for side, e in (found or {}).items():
+    for side, e in (errors or {}).items():
         if kept[side] is None:
             assert e == np.inf and place in CULLED, f"{place}, {side}: record it again"
             continue

@@ -116,8 +116,8 @@ def composite(
     image, T_all = np.empty((height, width, 3), dtype), np.empty((height, width), dtype)
     last, tiles = np.zeros((height, width), np.int32), []
     if frozen is None:
-        found = lists(mean2d, cov2d, depth, visible, height, width)
-        places = [found.row[start:end] for start, end in found.ranges]
+        of_tiles = lists(mean2d, cov2d, depth, visible, height, width)
+        places = [of_tiles.row[start:end] for start, end in of_tiles.ranges]
     else:
         places = [tile.rows for tile in frozen]
     for number, rows in enumerate(places):
@@ -164,20 +164,20 @@ def along_the_pixels(tile, inputs, image_bar, transmittance_bar):
 
 def gradients(tiles, T, inputs, image_bar, transmittance_bar):
     """Return the gradients of mean2d, conic, alpha, color and background."""
-    found = {name: np.zeros_like(inputs[name]) for name in SPLATS}
+    bars = {name: np.zeros_like(inputs[name]) for name in SPLATS}
     for tile in tiles:
         rows, g = tile.rows, image_bar[tile.pixels].reshape(-1, 3)
         a, b, c = inputs["conic"][rows].T[:, :, None]
-        np.add.at(found["color"], rows, (tile.A * tile.before) @ g)
+        np.add.at(bars["color"], rows, (tile.A * tile.before) @ g)
         V = along_the_pixels(tile, inputs, image_bar, transmittance_bar)[0] * tile.falloff
-        np.add.at(found["alpha"], rows, V.sum(axis=1))
+        np.add.at(bars["alpha"], rows, V.sum(axis=1))
         V *= inputs["alpha"][rows, None]  # from here on the gradient of the exponent
         e_x, e_y = tile.e_x, tile.e_y
         along = (V * (a * e_x + b * e_y)).sum(axis=1), (V * (b * e_x + c * e_y)).sum(axis=1)
-        np.add.at(found["mean2d"], rows, np.stack(along, axis=1))
+        np.add.at(bars["mean2d"], rows, np.stack(along, axis=1))
         form = -(V * e_x**2) / 2, -(V * e_x * e_y), -(V * e_y**2) / 2
-        np.add.at(found["conic"], rows, np.stack([part.sum(axis=1) for part in form], axis=1))
-    return {**found, "background": (T[:, :, None] * image_bar).sum(axis=(0, 1))}
+        np.add.at(bars["conic"], rows, np.stack([part.sum(axis=1) for part in form], axis=1))
+    return {**bars, "background": (T[:, :, None] * image_bar).sum(axis=(0, 1))}
 
 
 # --- the subjects -------------------------------------------------------------------------------
@@ -199,13 +199,13 @@ def kernel_vjp(**inputs):
 def pixels_vjp(pixels, image_bar, **inputs):
     """Splats, gradient of the image -> what every splat is at some pixels, and its gradients."""
     (_, T, _), tiles = composite(**inputs)
-    found = np.zeros((4, len(inputs["alpha"]), *T.shape), T.dtype)
+    layers = np.zeros((4, len(inputs["alpha"]), *T.shape), T.dtype)
     for tile in tiles:
         values = tile.A, tile.before * (tile.A > 0)
         values += along_the_pixels(tile, inputs, image_bar, np.zeros_like(T))
-        area = found[(..., *tile.pixels)]
+        area = layers[(..., *tile.pixels)]
         area[:, tile.rows] = np.reshape(values, (4, -1, *area.shape[2:]))
-    return dict(zip(("A", "T", "A_bar", "T_bar"), found[(..., *pixels.T[::-1])])), no_pullback
+    return dict(zip(("A", "T", "A_bar", "T_bar"), layers[(..., *pixels.T[::-1])])), no_pullback
 
 
 def by_monomials(inputs, cotangents):

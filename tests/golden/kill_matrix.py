@@ -157,15 +157,15 @@ class Judge:
 
     def answers(self, subject):
         """Return what the doctor is shown of a subject: [(case, tensors, names of wrong ones)]."""
-        found = []
+        rows = []
         for case in self.cases:
             if case.subject == subject:
                 with suppress(Exception):
                     got = self.answer(case)
                     result = checker.judge_answer(case, got)
                     if not result.recipe:
-                        found.append(checker.evidence(case, got, result))
-        return found
+                        rows.append(checker.evidence(case, got, result))
+        return rows
 
 
 def keeps_float32(case):

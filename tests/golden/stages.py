@@ -112,8 +112,8 @@ def temporal_vjp(x, s, r, t, L_x, L_t, psi_d_weights, psi_d_biases):
         network = deformation.backward(
             saved_deltas, bars["delta_x"], bars["delta_s"], bars["delta_r"], needs_x=False
         )
-        own = {name: bars[name] for name in ("x", "s", "r")}
-        return {**own, **flat_gradients({"psi_d": network})}
+        direct = {name: bars[name] for name in ("x", "s", "r")}
+        return {**direct, **flat_gradients({"psi_d": network})}
 
     return dict(zip(("x_t", "s_t", "r_t"), at_t)), pullback
 

@@ -54,7 +54,7 @@ def test_hard_cases_are_cases(entry):
     """A hard case passes what the tests ask of an equation's own cases."""
     eq, case = EQUATIONS[entry.equation], entry.case
     assert case.flags and set(case.flags) <= set(FLAGS)
-    assert case.name not in {own.name for own in cases_of(eq.key)}
+    assert case.name not in {other.name for other in cases_of(eq.key)}
     assert case in catalogue.cases(eq.key)
     rules.check_shapes(eq, case, *rules.specs_of(eq))
     rules.gradients_have_the_shapes_of_the_inputs(eq, case)

@@ -204,12 +204,12 @@ def test_published_ids_stay():
 
 def test_version_1_0_keeps_its_bytes():
     """Every tensor of version 1.0, scales included, is the one that was published."""
-    found = hashlib.sha256()
+    sha256 = hashlib.sha256()
     for subject in published.read_manifest(version="1.0")["subjects"]:
         for case in published.read(subject):
             for name, a in sorted(case.tensors.items()):
-                found.update(f"{case.id} {name} {a.dtype} {a.shape}".encode() + a.tobytes())
-    assert found.hexdigest()[:16] == VERSION_1_0
+                sha256.update(f"{case.id} {name} {a.dtype} {a.shape}".encode() + a.tobytes())
+    assert sha256.hexdigest()[:16] == VERSION_1_0
 
 
 # --- honest -------------------------------------------------------------------------------------
@@ -218,8 +218,8 @@ def test_version_1_0_keeps_its_bytes():
 )
 def test_the_reference_passes(golden, key, dtype):
     """Against numbers most of which are not its own: decimals, closed forms."""
-    found = checker.Report(checker.check_subject(golden[key], Port(dtype=dtype)))
-    assert not any(r.wrong for r in found.results), str(found)
+    report = checker.Report(checker.check_subject(golden[key], Port(dtype=dtype)))
+    assert not any(r.wrong for r in report.results), str(report)
 
 
 def test_no_golden_image_is_empty_and_no_gradient_nothing(golden):

@@ -81,9 +81,9 @@ def main(keys):
     if unknown:
         sys.exit(f"equation {unknown[0]!r}: expected one of {', '.join(ALL_EQUATIONS)}")
     kept = json.loads(FILE.read_text(encoding="utf-8"))["errors"] if keys else {}
-    found = {**kept, **record(keys or ALL_EQUATIONS)}
+    errors = {**kept, **record(keys or ALL_EQUATIONS)}
     FILE.write_text(
-        text({key: found[key] for key in ALL_EQUATIONS if key in found}), encoding="utf-8"
+        text({key: errors[key] for key in ALL_EQUATIONS if key in errors}), encoding="utf-8"
     )
 
 
