@@ -13,8 +13,9 @@ import pytest
 
 from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.oracle import checker, published, safetensors
+from p4dgs_ref.table import EQUATIONS
 from tests.golden.cases import FLAGS
-from tests.golden.subjects import lacking, subjects
+from tests.golden.subjects import FLOW, lacking, subjects
 from tests.golden.vectors import IDS, WRITTEN, damaged, listed, places_in
 from tests.oracle.answers import Port
 from tests.sampling import few
@@ -119,6 +120,16 @@ def test_every_equation_is_complete():
     unpublished = set(ALL_EQUATIONS) - set(published.subjects())
     lines += [f"{key}: no vectors; run python -m tests.golden.vectors" for key in unpublished]
     assert not list(filter(None, lines))
+
+
+def test_an_equation_that_lacks_something_leaves_the_others_alone(monkeypatch):
+    row = EQUATIONS["offsets"]._replace(key="volume")
+    for table in (EQUATIONS, ALL_EQUATIONS):
+        monkeypatch.setitem(table, "volume", row)
+    assert lacking("volume") == "volume: no place in FLOW of tests/golden/subjects.py"
+    monkeypatch.setattr("tests.golden.subjects.FLOW", (*FLOW, "volume"))
+    assert lacking("volume") == "volume: no cases in tests/golden/cases/volume.py"
+    assert subjects.__wrapped__().keys() == subjects().keys()
 
 
 def test_the_manifest_says_what_the_code_says(manifest):

@@ -14,7 +14,7 @@ Inputs, cotangents and true values are those of the published vectors, where a c
     literal     the result of the printed formula, or of the usual shortcut, in either precision
     bounds      [largest error of outputs, of gradients or null] in either precision, relative
     each        outputs relative to each number, otherwise to the largest of the array
-    exact       [array, index, number] where the vectors hold this project's own gradient: the
+    exact       [tensor, index, number] where the vectors hold this project's own gradient: the
                 number with the largest error, from 50 digits; null is not compared
 
 In a checkout, `python -m tests.golden.hard_cases.publish` writes the file.
@@ -68,12 +68,13 @@ def hard_cases():
 def with_arrays(case, vectors):
     """A case with its inputs, cotangents and true values, {"x": array, "x_a_bar": array}."""
     vector = vectors[f"{case['equation']}/{case['id']}"]
-    true = published.unflatten(vector.tensors, "out.")
-    gradients = published.unflatten(vector.tensors, "in_bar.")
-    true |= {name + "_bar": a for name, a in gradients.items()}
+    tensors = dict(vector.tensors)
     for name, index, value in case.get("exact", []):
-        array, at = located(true[name], index)
-        array[at] = np.nan if value is None else value
+        tensors[name] = tensors[name].copy()
+        tensors[name][tuple(index)] = np.nan if value is None else value
+    true = published.unflatten(tensors, "out.")
+    for name, a in published.unflatten(tensors, "in_bar.").items():
+        true[name + "_bar"] = a
     return {**case, "inputs": vector.inputs(), "cotangents": vector.cotangents(), "true": true}
 
 
@@ -142,16 +143,10 @@ def worst(found, true, each):
 
 
 def pick(values, index):
-    """One number of an array, or of a list of arrays."""
-    array, at = located(values, index)
-    return np.asarray(array)[at]
-
-
-def located(values, index):
-    """The array that holds a number, and where; of a list, the first index says which array."""
+    """One number of an array, or of a list of arrays, whose first index says which array."""
     if isinstance(values, list):
         values, index = values[index[0]], index[1:]
-    return values, tuple(index)
+    return np.asarray(values)[tuple(index)]
 
 
 def number(value):
