@@ -426,7 +426,7 @@ for i, level in enumerate(levels):
 parameters = Parameters(flat, np.float64)
 truth = image.copy()
 truth[p[1], p[0]] = gray
-fixed = objective.Fixed(
+inputs = objective.StepInputs(
     mask,
     located,
     background,

@@ -54,17 +54,17 @@ def answers():
 
 def computed(solution):
     """{exercise: what its solution compares the answer with}."""
-    found = {}
+    answers = {}
 
     def number(exercise, mine, want, digits=6):
-        found[exercise] = np.asarray(want).tolist()
+        answers[exercise] = np.asarray(want).tolist()
 
     without_checks = mock.patch.multiple(
         lessons, number=number, forward=mock.DEFAULT, backward=mock.DEFAULT
     )
     with without_checks, contextlib.redirect_stdout(io.StringIO()):
         runpy.run_path(str(solution))
-    return found
+    return answers
 
 
 def text(made):

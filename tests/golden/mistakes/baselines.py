@@ -727,7 +727,7 @@ CONDITIONAL = [
 # --- G3 -----------------------------------------------------------------------------------------
 
 
-def seen(out):
+def is_visible(out):
     return out["weight"] > 0.05
 
 
@@ -772,8 +772,10 @@ MARGINAL = [
         "marginal",
         "marginal-cut",
         "weights up to 0.05 count as 0; the renderer leaves such Gaussians out, not the equation",
-        outputs=lambda out, _: {name: a * seen(out) for name, a in out.items()},
-        outputs_bar=lambda bars, out, _: {name: bar * seen(out) for name, bar in bars.items()},
+        outputs=lambda out, _: {name: a * is_visible(out) for name, a in out.items()},
+        outputs_bar=lambda bars, out, _: {
+            name: bar * is_visible(out) for name, bar in bars.items()
+        },
     ),
     known(
         "marginal",

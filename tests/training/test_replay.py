@@ -59,9 +59,9 @@ def gradients_of(i, state, view, u, box, n):
         EXACT,
     )
     networks = {name: p.network(name) for name in DESIGN.layers()}
-    losses, seen, back = objective.loss(p, DESIGN, networks, p.listed("grid"), fixed, view, u)
+    losses, rendered, back = objective.loss(p, DESIGN, networks, p.listed("grid"), fixed, view, u)
     bars, mean2d_bar = back()
-    return losses, {name: replay.joined(bars, name) for name in replay.ARRAYS}, seen, mean2d_bar
+    return losses, {name: replay.joined(bars, name) for name in replay.ARRAYS}, rendered, mean2d_bar
 
 
 def adam(state, bars, counts, rates):
@@ -80,7 +80,7 @@ def grown_anchors(i, state, draws):
     """The new anchors [(place, feature, size)] of Scaffold-GS's rule, child by child (Q16)."""
     A, k = state["mask"].shape
     taken = [tuple(x) for x in state["x_a"]]
-    found = []
+    added = []
     for level in range(i["grow_depth"]):
         size = i["voxel"] * max(i["grow_init"] // i["grow_hierarchy"] ** level, 1)
         threshold = i["gradient_threshold"] * (i["grow_hierarchy"] // 2) ** level
@@ -93,14 +93,14 @@ def grown_anchors(i, state, draws):
                 if views > i["grow_every"] * i["success"] / 2 and strong and lucky:
                     x = state["x_a"][a] + state["O_a"][a, c] * np.exp(state["log_l"][a])
                     cells.setdefault(tuple(np.round(x / size)), []).append(state["f_a"][a])
-        if level and not found:
+        if level and not added:
             continue
         occupied = {tuple(np.round(np.array(x) / size)) for x in taken}
         new = [(cell, parents) for cell, parents in sorted(cells.items()) if cell not in occupied]
         for cell, parents in new:
-            found.append((np.array(cell) * size, np.max(parents, axis=0), np.log(size)))
+            added.append((np.array(cell) * size, np.max(parents, axis=0), np.log(size)))
         taken += [tuple(np.array(cell) * size) for cell, _ in new]
-    return found
+    return added
 
 
 def adjust(i, state, n, draws):
@@ -150,13 +150,13 @@ def plainly(i):
             box = x.min(axis=0), x.max(axis=0)
             state["x_a"] = lattice(state["x_a"], *box)
         view = views[number]
-        losses, bars, seen, mean2d_bar = gradients_of(i, state, view, u, box, n)
+        losses, bars, rendered, mean2d_bar = gradients_of(i, state, view, u, box, n)
         now = {name: rate(i, name, n) for name in replay.ARRAYS}
         adam(state, bars, counts, now)
         state["visits"] += 1
-        state["opacity"] += np.where(seen.alpha > 0, seen.alpha, 0)
+        state["opacity"] += np.where(rendered.alpha > 0, rendered.alpha, 0)
         k = i["k"]
-        for row, visible, (g_x, g_y) in zip(seen.index, seen.visible, mean2d_bar):
+        for row, visible, (g_x, g_y) in zip(rendered.index, rendered.visible, mean2d_bar):
             if visible:
                 size = g_x * view.camera.width / 2, g_y * view.camera.height / 2
                 state["gradient"][row // k, row % k] += np.hypot(*size)
@@ -170,8 +170,8 @@ def plainly(i):
         states[-1]["L_total"] = np.float64(losses.L_total)
         states[-1]["box"] = np.array(box or np.zeros((0, 3))).reshape(-1, 3)
     losses = {name: np.array([getattr(row, name) for row in rows]) for name in replay.LOSSES}
-    found = {**by_step(states), **states[-1], **losses, "rates": np.array(rates)}
-    return flatten(found, "out.")
+    outputs = {**by_step(states), **states[-1], **losses, "rates": np.array(rates)}
+    return flatten(outputs, "out.")
 
 
 @pytest.mark.parametrize("case", CASES + EVERY_STEP, ids=lambda case: case.id)
@@ -201,16 +201,16 @@ def test_a_report_says_after_which_step_which_array_differs_first(tmp_path):
     assert checker.check_port(port, ["L4"], ["training", "training_steps"]).ok
     late = [f"growing/out.{name}.{n}" for n in (2, 3) for name in replay.ARRAYS[1:]]
     wrong = shown | {name: shown[name] + 1 for name in late}
-    found = checker.check_port(FolderPort(write(tmp_path, training_steps=wrong)), only="inside")
-    said = found.first.id, str(found).split("growing: fail\n")[1].splitlines()[:9]
-    assert said[0] == "training_steps/growing" and found.levels().keys() == {"inside"}
-    assert said[1][0].startswith("    after step 3: out.f_a.2[")
-    first = {row["id"]: row["first"] for row in as_json(found)["cases"]}
-    assert first["training_steps/growing"] == "out.f_a.2"
-    assert said[1][8] == f"    and {len(late) - 8} more tensors"
+    report = checker.check_port(FolderPort(write(tmp_path, training_steps=wrong)), only="inside")
+    first_lines = report.first.id, str(report).split("growing: fail\n")[1].splitlines()[:9]
+    assert first_lines[0] == "training_steps/growing" and report.levels().keys() == {"inside"}
+    assert first_lines[1][0].startswith("    after step 3: out.f_a.2[")
+    first_wrong = {row["id"]: row["first"] for row in as_json(report)["cases"]}
+    assert first_wrong["training_steps/growing"] == "out.f_a.2"
+    assert first_lines[1][8] == f"    and {len(late) - 8} more tensors"
     shown["growing/out.fa.2"] = shown.pop("growing/out.f_a.2")
-    found = checker.check_port(FolderPort(write(tmp_path, training_steps=shown)), only="inside")
-    assert "\n    out.fa.2: extra: not expected in this case" in str(found) and not found.ok
+    report = checker.check_port(FolderPort(write(tmp_path, training_steps=shown)), only="inside")
+    assert "\n    out.fa.2: extra: not expected in this case" in str(report) and not report.ok
 
 
 # --- mistakes -----------------------------------------------------------------------------------

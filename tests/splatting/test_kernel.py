@@ -100,9 +100,9 @@ def test_what_is_within_a_pixel_adds_up(case):
     assert np.allclose((out["A_bar"] * falloff).sum(axis=1), want, rtol=1e-10, atol=1e-12)
     order = np.argsort(i["depth"], kind="stable")
     shown = (out["T"] * out["A"] * (i["color"] @ g.T))[order]
-    seen = np.cumsum(shown[::-1], axis=0)[::-1] + T[y, x] * (g @ i["background"])
-    seen *= out["A"][order] > 0
-    assert np.allclose((out["T"] * out["T_bar"])[order], seen, rtol=1e-10, atol=1e-12)
+    behind = np.cumsum(shown[::-1], axis=0)[::-1] + T[y, x] * (g @ i["background"])
+    behind *= out["A"][order] > 0
+    assert np.allclose((out["T"] * out["T_bar"])[order], behind, rtol=1e-10, atol=1e-12)
 
 
 # --- gradients, ties, digits --------------------------------------------------------------------

@@ -90,8 +90,8 @@ def test_float32_stays_float32(subject, case):
 def test_frames_are_those_of_the_decoded_model():
     golden, frames = pipeline.golden_model(), BY_KEY["frames"]
     exact = [case for case in frames.cases() if case.inputs["renderer"] == "exact"]
-    seen = {(case.inputs["t"], case.inputs["focal"][0]) for case in exact}
-    assert len(exact) == len(seen) == 6 and len({t for t, _ in seen}) == 3
+    moments = {(case.inputs["t"], case.inputs["focal"][0]) for case in exact}
+    assert len(exact) == len(moments) == 6 and len({t for t, _ in moments}) == 3
     for case in exact:
         camera = camera_of(*(case.inputs[name] for name in ("W", "T", "focal", "center", "size")))
         assert camera.f_x != camera.f_y and camera.width != camera.height

@@ -52,13 +52,13 @@ def arguments(forward):
 def comments(forward):
     """{argument: its comment} of a function's signature; "" where there is none."""
     source = textwrap.dedent(inspect.getsource(forward))
-    found = {
+    by_line = {
         token.start[0]: token.string.lstrip("# ")
         for token in tokenize.generate_tokens(io.StringIO(source).readline)
         if token.type == tokenize.COMMENT
     }
     (function,) = ast.parse(source).body
-    return {a.arg: found.get(a.lineno, "") for a in function.args.args}
+    return {a.arg: by_line.get(a.lineno, "") for a in function.args.args}
 
 
 def parsed(comment):
@@ -66,8 +66,8 @@ def parsed(comment):
     network = re.match(r"psi\w*, (.+?) -> ([^,;]+)", comment)
     if network:
         return Spec(network=(network[1], *network[2].split("|")))
-    found = re.findall(r"(?:^|; )(list of )?\[([^\]]*)\]", comment)
-    return Spec(tuple(axes(text) for _, text in found), any(prefix for prefix, _ in found))
+    shapes = re.findall(r"(?:^|; )(list of )?\[([^\]]*)\]", comment)
+    return Spec(tuple(axes(text) for _, text in shapes), any(prefix for prefix, _ in shapes))
 
 
 def outputs(forward, names):
@@ -77,14 +77,43 @@ def outputs(forward, names):
     others = "|".join(names)
     specs = {}
     for name in names:
-        found = re.search(rf"\b{name}(?:(?:,| and) (?:{others}))* \[([^\]]*)\]", text)
-        specs[name] = Spec((axes(found[1]), *shared)) if found else Spec()
+        match = re.search(rf"\b{name}(?:(?:,| and) (?:{others}))* \[([^\]]*)\]", text)
+        specs[name] = Spec((axes(match[1]), *shared)) if match else Spec()
     return specs
 
 
 def axes(text):
     """The axes of a shape: "A, 3k" -> ("A", "3k")."""
     return tuple(axis.strip() for axis in text.split(",") if axis.strip())
+
+
+# --- as text ------------------------------------------------------------------------------------
+
+
+def manifest_shapes(forward, inputs, names):
+    """{input or output: axes} as in the manifest of the vectors.
+
+    "A k 3" is an array [A, k, 3], "" a scalar or a setting, "*I J" a list of arrays [I, J], and
+    "A k -> N" an input and the output of that name. An expression is written as I, and a number
+    among the arguments as its capital, because a port has no other names for them.
+    """
+    specs = arguments(forward)
+    shapes = {name: manifest_axes(name, specs[name]) for name in inputs}
+    for name, spec in outputs(forward, names).items():
+        before = f"{shapes[name]} -> " if name in shapes else ""
+        shapes[name] = before + manifest_axes(name, spec)
+    return shapes
+
+
+def manifest_axes(name, spec):
+    """The axes of one argument or output."""
+    if name.endswith(("weights", "biases")):
+        return "*I J" if name.endswith("weights") else "*J"
+    if not spec.shapes:
+        return ""
+    axes_written = (a[0].upper() if a.isalpha() and len(a) > 1 else a for a in spec.shapes[0])
+    text = " ".join(a if a.isalnum() else "I" for a in axes_written)
+    return f"*{text}" if spec.is_list else text
 
 
 # --- expressions --------------------------------------------------------------------------------
@@ -106,9 +135,9 @@ def evaluate(axis, lengths):
     return eval(python, {}, lengths)
 
 
-def solve(found, lengths):
+def solve(rows, lengths):
     """Find the lengths of all letters and compare every axis with its text; changes `lengths`."""
-    pending = [axis for axis in found if not axis.at_most]
+    pending = [axis for axis in rows if not axis.at_most]
     while pending:
         known = [axis for axis in pending if not letters(axis.text) - set(lengths)]
         for axis in known:
@@ -123,7 +152,7 @@ def solve(found, lengths):
             solve_linear(linear[0], lengths)
         else:
             assert not pending, f"{pending[0].where}: what is {pending[0].text}?"
-    for axis in found:
+    for axis in rows:
         if axis.at_most:
             most = evaluate(axis.text, lengths)
             assert axis.length <= most, f"{axis.where}: {axis.text} is {most}, not {axis.length}"
@@ -154,12 +183,12 @@ def compare(specs, values, is_off):
         for name, value in values.items()
         if isinstance(value, int) and not isinstance(value, bool)
     }
-    found, met, weights = [], {}, None
+    rows, met, weights = [], {}, None
     for name, value in values.items():
         spec = specs[name]
         if spec.network:
             weights = value
-            found += network_axes(name, spec, weights, is_off)
+            rows += network_axes(name, spec, weights, is_off)
         elif name == "biases":
             assert [b.shape for b in value] == [W.shape[1:] for W in weights], "biases"
         elif spec.is_list:
@@ -167,10 +196,10 @@ def compare(specs, values, is_off):
                 solve(array_axes(f"{name}[{i}]", spec.shapes[0], array), {})
         elif spec.shapes:
             met[name] = alternative(name, spec, np.shape(value), is_off)
-            found += array_axes(name, met[name], value)
+            rows += array_axes(name, met[name], value)
         else:
             assert not isinstance(value, (np.ndarray, list)), f"{name}: no shape is written"
-    solve(found, lengths)
+    solve(rows, lengths)
     numbers = {int(axis) for shape in met.values() for axis in shape if axis.isdigit()}
     on_axes = {axis for shape in met.values() for axis in shape}
     return {a: n for a, n in lengths.items() if a in on_axes}, numbers, met

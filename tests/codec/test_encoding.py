@@ -41,7 +41,7 @@ def test_sections_together_are_the_file():
         case = case_of("encoder", name)
         sections = plain_decoder.read_container(case.tensors["out.file"].tobytes())
         assert sections.pop("header").decode() == case.record["settings"]["header"]
-        found = {n: a.tobytes() for n, a in case.tensors.items() if n.startswith("out.")}
-        del found["out.file"]
-        assert {f"out.{n}": body for n, body in sections.items()} == found
-    assert "out.deformation_mlp" not in found
+        bodies = {n: a.tobytes() for n, a in case.tensors.items() if n.startswith("out.")}
+        del bodies["out.file"]
+        assert {f"out.{n}": body for n, body in sections.items()} == bodies
+    assert "out.deformation_mlp" not in bodies

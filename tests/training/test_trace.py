@@ -61,8 +61,8 @@ def test_first_losses_are_those_of_an_evaluation_by_stages():
         i.lambda_rate * rate + 0.8 * L1 + 0.2 * D_SSIM,
     )
     tensors = published.cases("trace")[0].tensors
-    found = [tensors[f"out.{name}"][0] for name in pipeline.LOSSES]
-    assert np.allclose(found, want, rtol=1e-11)
+    losses = [tensors[f"out.{name}"][0] for name in pipeline.LOSSES]
+    assert np.allclose(losses, want, rtol=1e-11)
 
 
 def test_the_arrays_of_every_step_have_the_published_checksums():
@@ -71,9 +71,9 @@ def test_the_arrays_of_every_step_have_the_published_checksums():
     inputs = flatten(published.cases("trace")[0].inputs())
     names = next(pipeline.trace_cases()).inputs["arrays"]
     for stem in pipeline.ARRAYS:
-        own = [n for n in names if pipeline.own_name(n).split(".")[0] == stem]
-        own.sort(key=lambda name: pipeline.own_name(name)[::-1])  # W0, b0, W1, b1
-        ends, at = np.cumsum([inputs[n].size for n in own]), [names.index(n) for n in own]
+        parts_of = [n for n in names if pipeline.parameter_name(n).split(".")[0] == stem]
+        parts_of.sort(key=lambda name: pipeline.parameter_name(name)[::-1])  # W0, b0, W1, b1
+        ends, at = np.cumsum([inputs[n].size for n in parts_of]), [names.index(n) for n in parts_of]
         for step in range(pipeline.STEPS):
             parts = np.split(steps[f"out.{stem}.{step}"].ravel(), ends[:-1])
             sums = [[part.sum(), pipeline.ramp(part)] for part in parts]

@@ -5,7 +5,6 @@ import random
 from decimal import Decimal
 from fractions import Fraction
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,11 +17,10 @@ from tests.golden.checks import edited
 from tests.golden.sixty_digits import functions as f
 from tests.golden.sixty_digits.floats import exact
 from tests.golden.sixty_digits.gradients import FORMULAS
-from tests.golden.sixty_digits.record import SAMPLES, measure, text
+from tests.golden.sixty_digits.record import FILE, SAMPLES, measure, text
 from tests.sampling import few
 
-DATA = Path(__file__).with_name("data")
-RECORDED = json.loads((DATA / "reference_errors.json").read_text(encoding="utf-8"))["errors"]
+RECORDED = json.loads(FILE.read_text(encoding="utf-8"))["errors"]
 CASES = [(key, case.name) for key in ALL_EQUATIONS for case in cases_of(key)]
 
 # Sixty digits: pi, e and log 2 as in OEIS A000796, A001113, A002162; all of them from mpmath 1.4
@@ -231,14 +229,15 @@ def test_kinks_have_no_gradient_and_everything_else_has():
         for case in cases_of(key):
             if case.smooth and eq.gradients:
                 bars = cotangents_of(eq, eq(**case.inputs), f"{key}/{case.name}", case.cotangents)
-                found = sixty.gradient(key, case.inputs, bars, samples=1)
-                for name, a in found.items():
+                gradients = sixty.gradient(key, case.inputs, bars, samples=1)
+                for name, a in gradients.items():
                     for array in a if isinstance(a, list) else [a]:
                         got = sum(not v.is_nan() for v in array.ravel())
                         assert got == min(1, array.size), f"{key}, case {case.name}, {name}"
 
 
-BINS = json.loads((DATA / "gaussian_bin_constants.json").read_text(encoding="utf-8"))["rows"]
+CONSTANTS = FILE.with_name("gaussian_bin_constants.json")
+BINS = json.loads(CONSTANTS.read_text(encoding="utf-8"))["rows"]
 
 
 @pytest.mark.parametrize("row", few([(row,) for row in BINS], 12))
@@ -287,12 +286,12 @@ CULLED = ("projection/no_determinant", "projection/infinite_determinant")
 
 def compare(key, name, dtype, samples):
     """A case is within the allowed error, and at most twice as wrong as recorded (or as 1 eps)."""
-    found, place = measured(key, name, dtype, samples), f"{key}/{name}"
+    errors, place = measured(key, name, dtype, samples), f"{key}/{name}"
     kept = RECORDED[key][dtype].get(name)
-    assert (found is None) == (kept is None), (
+    assert (errors is None) == (kept is None), (
         f"{place}: run python -m tests.golden.sixty_digits.record"
     )
-    for side, e in (found or {}).items():
+    for side, e in (errors or {}).items():
         if kept[side] is None:
             assert e == np.inf and place in CULLED, f"{place}, {side}: record it again"
             continue
@@ -324,7 +323,7 @@ def test_the_record_is_of_these_cases():
 
 
 def test_the_record_is_written_as_it_is_read():
-    assert (DATA / "reference_errors.json").read_text(encoding="utf-8") == text(RECORDED)
+    assert FILE.read_text(encoding="utf-8") == text(RECORDED)
 
 
 # --- mistakes are seen ---------------------------------------------------------------------------

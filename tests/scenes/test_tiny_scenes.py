@@ -54,8 +54,8 @@ def test_twocams_is_read_as_it_was_drawn():
     for views, eye in ((scene.train, eyes["left"]), (scene.test, eyes["right"])):
         for view in views:
             for field, value in vars(eye).items():
-                found = getattr(view.camera, field)
-                np.testing.assert_allclose(found, value, atol=1e-12, err_msg=field)
+                computed = getattr(view.camera, field)
+                np.testing.assert_allclose(computed, value, atol=1e-12, err_msg=field)
         drawn = trace(description, eye, views[5].time)
         wanted = drawn[..., :3] * drawn[..., 3:] + 1 - drawn[..., 3:]
         np.testing.assert_allclose(views[5].image, wanted, atol=0.51 / 255)
@@ -77,7 +77,7 @@ def test_a_training_on_twocams_finds_the_other_view():
         return np.mean([decibel(error) for error in errors])
 
     still = np.mean([view.image for view in scene.test], axis=0)
-    beside = {view.time: view.image for view in scene.train}
+    training_images = {view.time: view.image for view in scene.train}
     psnr = evaluate(train(scene, "tiny_real"), scene)[0]["psnr_db"]
     assert psnr > 26 and psnr > 2 + without_model(lambda view: still)
-    assert psnr > 5 + without_model(lambda view: beside[view.time])
+    assert psnr > 5 + without_model(lambda view: training_images[view.time])
