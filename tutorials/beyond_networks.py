@@ -21,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
+from p4dgs_ref import lessons
 from p4dgs_ref.codec.version_2 import write_weights
 from p4dgs_ref.equations import mlp, noise, positional_encoding, weight_bits
-from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.lab.writer import bd_rate
 from p4dgs_ref.model import step_code, step_of_code
 from p4dgs_ref.training import coded_networks

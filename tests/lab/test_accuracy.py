@@ -20,7 +20,7 @@ from p4dgs_ref.lab.accuracy import diagram, formulas, harness, knobs, report
 from p4dgs_ref.lab.stability import plane
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.training.presets import TINY
-from tests.lab import drawn
+from tests.tutorials import drawn
 
 TABLE = json.loads(
     (Path(__file__).parents[1] / "golden" / "data" / "gaussian_bin_constants.json").read_text()

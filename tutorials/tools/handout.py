@@ -8,7 +8,7 @@ from collections import namedtuple
 
 from matplotlib.patches import Rectangle
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 from tutorials.tools import architecture
 
 PAGE = (8.27, 11.69)  # inches: A4

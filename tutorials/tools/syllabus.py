@@ -18,7 +18,7 @@ from collections import namedtuple
 from functools import cache
 from pathlib import Path
 
-from p4dgs_ref.lab.school.syllabus import TUTORIALS, tutorial_of
+from p4dgs_ref.lessons import TUTORIALS, tutorial_of
 from p4dgs_ref.oracle.published import subjects
 from p4dgs_ref.table import EQUATIONS
 from tutorials.tools import architecture, gallery, glossary, handout, shared
@@ -109,7 +109,7 @@ def exercises(source, keys):
     found = {}
     for check, exercise, given in calls:
         words = set(re.findall(r"\w+", given))
-        if check != "number":
+        if check != "check_number":
             words = {subjects()[word]["equation"] for word in words & set(subjects())}
         found[exercise] = tuple(key for key in keys if key in words) or keys
     return dict(sorted(found.items()))

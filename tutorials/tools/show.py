@@ -13,16 +13,15 @@ import numpy as np
 from matplotlib.collections import EllipseCollection, LineCollection
 from scipy.special import ndtr
 
-from ...codec.container import read_container
-from ...codec.file import encode, quantised_of
-from ...equations import hash_grid
-from ...model import context
-from ...report.evaluate import decibel, squared_error
-from ...report.figures import heat_image
-from ...report.inspect import anchor_bits, symbol_bits
-from ...splatting import compositing, covariance, render
-from ...splatting.settings import EXACT, FAST
-from .lessons import COLORS
+from p4dgs_ref.codec.container import read_container
+from p4dgs_ref.codec.file import encode, quantised_of
+from p4dgs_ref.equations import hash_grid
+from p4dgs_ref.model import context
+from p4dgs_ref.report.evaluate import decibel, squared_error
+from p4dgs_ref.report.figures import COLORS, heat_image
+from p4dgs_ref.report.inspect import anchor_bits, symbol_bits
+from p4dgs_ref.splatting import compositing, covariance, render
+from p4dgs_ref.splatting.settings import EXACT, FAST
 
 SPACE, STEP, TIME, RATE, CONTEXT, SPLAT, ANCHOR = COLORS
 GREY, PALE = "#606060", "#d9d9d9"

@@ -25,7 +25,7 @@ from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import TINY
 from tests.sampling import few
 
-PATH = Path(__file__).resolve().parents[3] / "tutorials" / "00_whole_paper.py"
+PATH = Path(__file__).resolve().parents[2] / "tutorials" / "00_whole_paper.py"
 SOURCE = PATH.read_text(encoding="utf-8")
 
 

@@ -19,10 +19,10 @@ from p4dgs_ref.equations.prior import layout
 from p4dgs_ref.oracle import published
 from p4dgs_ref.splatting.covariance import rotation_matrix
 from p4dgs_ref.table import EQUATIONS
-from tests.lab.drawn import overlaps
+from tests.tutorials.drawn import overlaps
 from tutorials.tools import handout
 
-FILE = Path(__file__).resolve().parents[3] / "tutorials" / "handout.pdf"
+FILE = Path(__file__).resolve().parents[2] / "tutorials" / "handout.pdf"
 
 
 # --- each gradient as printed: arguments are inputs, outputs and gradients of outputs -------------

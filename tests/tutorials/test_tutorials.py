@@ -10,24 +10,24 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.syllabus import TUTORIALS, tutorial_of
+from p4dgs_ref import lessons
+from p4dgs_ref.lessons import TUTORIALS, tutorial_of
 from p4dgs_ref.oracle.published import subjects
 from p4dgs_ref.table import EQUATIONS
 from tests.golden import answers
-from tests.lab.school import tutorial_form as form
 from tests.sampling import few
+from tests.tutorials import tutorial_form as form
 from tutorials.tools import gallery, notebooks, shared, syllabus
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tutorials"
 NAMES = {tutorial.name for tutorial in TUTORIALS}
 INDEX = (FOLDER / "README.md").read_text(encoding="utf-8")
 WIDTH, LEGIBLE = 640, 8  # pixels: of a page, and of the smallest text of a picture on it
 RUN = """
 import json, runpy, sys
-from p4dgs_ref.lab.school import lessons
-from tests.lab import drawn
+from p4dgs_ref import lessons
+from tests.tutorials import drawn
 show, texts = lessons.show, {}
 def watched(figure, name, **how):
     show(figure, name, **how)
@@ -118,7 +118,7 @@ def test_headings_and_title(tutorial):
 def test_package_is_imported_where_it_is_needed_and_figures_have_cells_of_their_own(tutorial):
     text = source(tutorial)
     assert re.findall(r"^(?:from|import) p4dgs_ref.*", text.split("# ## Claim")[0], re.M) == [
-        "from p4dgs_ref.lab.school import lessons"
+        "from p4dgs_ref import lessons"
     ]
     drawing = [cell.text for cell in form.cells(text) if "lessons.show(" in cell.text]
     assert drawing and all(map(notebooks.ONLY_DRAWS.match, drawing))  # notebooks collapse them
@@ -137,8 +137,8 @@ def test_prose_imports_and_functions(tutorial, solution):
             imported.add(node.module or "")
         elif isinstance(node, ast.FunctionDef):
             assert node.end_lineno - node.lineno < 60
-    allowed = {"numpy", "scipy", "matplotlib", "imageio", "p4dgs_ref", *sys.stdlib_module_names}
-    assert {name.split(".")[0] for name in imported} <= allowed
+    allowed = {"numpy", "scipy", "matplotlib", "imageio", "p4dgs_ref", "tutorials"}
+    assert {name.split(".")[0] for name in imported} <= allowed | sys.stdlib_module_names
 
 
 @EACH
@@ -157,7 +157,7 @@ def test_exercises_are_two_or_three_and_have_solutions(tutorial):
 @EACH
 def test_answers_do_not_stand_below_their_blanks(tutorial):
     asked = source(tutorial).split("# ## Exercises\n", 1)[1].split("# ## Check your port", 1)[0]
-    for exercise, right in re.findall(r'lessons\.number\(\s*"([^"]+)", \w+(.*)\)', asked):
+    for exercise, right in re.findall(r'lessons\.check_number\(\s*"([^"]+)", \w+(.*)\)', asked):
         assert exercise in lessons.stored("answers") or exercise in answers.FROM_DATA
         assert not right.removeprefix(", digits=15") or exercise in answers.FROM_DATA
 

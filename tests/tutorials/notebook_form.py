@@ -11,7 +11,7 @@ from pathlib import Path
 from tutorials.tools import notebooks
 
 # Folders of this machine, which no output may name.
-HERE = tuple(map(str, (tempfile.gettempdir(), Path.home(), Path(__file__).resolve().parents[3])))
+HERE = tuple(map(str, (tempfile.gettempdir(), Path.home(), Path(__file__).resolve().parents[2])))
 SIDES = range(60, 2401)  # pixels of a picture
 LARGEST_PICTURE = 600_000  # bytes
 LONGEST_TEXT = 6_000  # characters that one cell prints

@@ -8,7 +8,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from tests.lab.school import notebook_form as form
+from tests.tutorials import notebook_form as form
 from tutorials.tools import notebooks
 from tutorials.tools.shared import FOLDER
 
@@ -109,7 +109,7 @@ print(__name__, len(sys.argv) > 1, "__file__" in globals())
 # %%
 import matplotlib.pyplot as plt
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
 figure, axes = lessons.pyplot().subplots(figsize=(4, 3))
 axes.plot([1, 2])

@@ -5,8 +5,8 @@ import re
 import imageio.v3 as iio
 import pytest
 
-from tests.lab import drawn
 from tests.sampling import few
+from tests.tutorials import drawn
 from tutorials.tools import tour
 from tutorials.tools.shared import FOLDER
 

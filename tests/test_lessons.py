@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from p4dgs_ref import EQUATIONS, oracle
+from p4dgs_ref import EQUATIONS, lessons, oracle
 from p4dgs_ref.equations import offsets
-from p4dgs_ref.lab.school import lessons
 
 
 @pytest.fixture(autouse=True)
@@ -43,7 +42,7 @@ def test_close_is_relative_to_the_largest_number():
     ],
 )
 def test_numbers(mine, said, capsys):
-    assert lessons.number("01.1", mine, [1, 2]) is None  # a notebook would print a value
+    assert lessons.check_number("01.1", mine, [1, 2]) is None  # a notebook would print a value
     assert lessons.RESULTS == {"01.1": mine == [1, 2]}
     assert said in capsys.readouterr().out
 
@@ -63,14 +62,14 @@ def test_numbers(mine, said, capsys):
     ],
 )
 def test_short_answers_are_stored_and_not_given_away(mine, said, capsys):
-    lessons.number("20.1", mine)
+    lessons.check_number("20.1", mine)
     printed = capsys.readouterr().out
     assert said in printed
     assert said == "solved" or "7" not in printed.replace("20.1", "")
 
 
 def test_hints_come_one_after_the_other(capsys, monkeypatch):
-    monkeypatch.setattr(lessons, "ASKED", {})
+    monkeypatch.setattr(lessons, "HINTS_GIVEN", {})
     first, second = lessons.stored("hints")["07.3"]
     for said in (f"1 of 2: {first}", f"2 of 2: {second}", f"2 of 2: {second}"):
         lessons.hint("07.3")
@@ -103,7 +102,7 @@ def unwritten(**inputs):
     ],
 )
 def test_forwards(mine, said, capsys):
-    assert lessons.forward("01.2", mine, "offsets") is None
+    assert lessons.check_forward("01.2", mine, "offsets") is None
     assert said in capsys.readouterr().out
 
 
@@ -116,7 +115,7 @@ def test_backwards(capsys):
         return {name: gradients[name] for name in ("x_a", "O_a")}
 
     def solved(mine, *wanted):
-        assert lessons.backward("01.3", mine, "offsets", *wanted) is None
+        assert lessons.check_backward("01.3", mine, "offsets", *wanted) is None
         return lessons.RESULTS["01.3"]
 
     assert solved(right_backward)
@@ -141,7 +140,7 @@ def wrong_in_q(change):
 
 
 def said_of(change, capsys):
-    lessons.backward("07.3", wrong_in_q(change), "noise")
+    lessons.check_backward("07.3", wrong_in_q(change), "noise")
     return capsys.readouterr().out
 
 
@@ -179,6 +178,6 @@ def test_feedback_on_integers(capsys):
         symbols = np.floor(f / q).astype(int)
         return symbols, symbols * q
 
-    lessons.forward("07.2", floored, "rounding")
+    lessons.check_forward("07.2", floored, "rounding")
     said = capsys.readouterr().out
     assert "the output symbols: " in said and " numbers are wrong\n" in said
