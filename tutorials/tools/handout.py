@@ -1,7 +1,7 @@
 """The handout: the drawing and the 17 equations with their gradients on one page of paper.
 
-`python -m tutorials.tools.syllabus` writes it to tutorials/handout.pdf. A test compares each
-gradient printed here with the `backward` in the code.
+`python -m tutorials.tools.syllabus` writes it to tutorials/handout.pdf. The gradients are those of
+the `backward` functions; a test notices where one of them is edited.
 """
 
 from collections import namedtuple

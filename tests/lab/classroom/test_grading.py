@@ -214,7 +214,7 @@ GRADED = {
 }
 
 
-@pytest.mark.parametrize("name", few(list(GRADED), 3))
+@pytest.mark.parametrize("name", few(list(GRADED), 2))
 def test_points_and_reasons(name, tmp_path, monkeypatch):
     monkeypatch.setattr(student, "CASE_SECONDS", 1)
     key, forward, backward, total, parts, reason = GRADED[name]
@@ -246,6 +246,7 @@ def test_files_that_are_not_equations(room, text, reason):
     assert row["points"] == 0 and reason in row["says"]
 
 
+@pytest.mark.slow
 def test_a_file_that_is_right_for_published_inputs_alone_is_wrong(room):
     sums = {np.abs(case.tensors["in.x_a"]).sum() for case in published.cases("offsets")}
     body = RIGHT + f"known = np.abs(x_a).sum() in {sorted(map(float, sums))}\n"
@@ -426,6 +427,7 @@ def test_a_class_is_graded_by_the_same_inputs_in_one_table(course, tmp_path):
     assert (tmp_path / "grades.txt").read_text() == text + "\n"
 
 
+@pytest.mark.slow
 def test_reports_name_no_value_of_the_inputs_that_are_held_back(room):
     write(room, "offsets", forward=WITHOUT_SCALING)
     one, other = (classroom.grade(room, seed=seed)["students"][0] for seed in (3, 4))
