@@ -61,8 +61,8 @@ def text_flaws(text):
 
 
 def those(*rows):
-    """What is said in the rows (said, whether it is so) that are so."""
-    return [said for said, is_so in rows if is_so]
+    """The flaws of the rows (flaw, whether it is there) that are there."""
+    return [flaw for flaw, is_there in rows if is_there]
 
 
 # --- the prose ------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ def test_every_equation_has_one_box_with_its_number():
 
 
 def test_lit_boxes_stand_out_and_the_others_are_grey():
-    figure = architecture.draw(("step", "file"))
+    figure = architecture.draw_method(("step", "file"))
     dark = {
         text.get_text() for text in figure.axes[0].texts if text.get_color() == architecture.INK
     }

@@ -22,8 +22,8 @@ def test_every_tutorial_has_a_notebook_that_is_up_to_date():
 
 
 def test_notebooks_are_small_and_alone():
-    found = [file for file in (FOLDER / "notebooks").rglob("*") if "out" not in file.parts]
-    assert [f for f in sorted(found) if ".ipynb_checkpoints" not in f.parts] == FILES
+    files = [file for file in (FOLDER / "notebooks").rglob("*") if "out" not in file.parts]
+    assert [f for f in sorted(files) if ".ipynb_checkpoints" not in f.parts] == FILES
     assert 0 < sum(file.stat().st_size for file in FILES) <= LARGEST
 
 
@@ -34,16 +34,16 @@ def test_notebook_shows_text_and_figures_and_links_somewhere(file):
     outputs = [o for cell in notebook["cells"] for o in cell.get("outputs", ())]
     assert any("image/png" in o.get("data", ()) for o in outputs)
     assert any(o.get("name") == "stdout" for o in outputs)
-    found = form.links(notebook)
-    assert len(found) >= 3
-    assert [link for link in found if not (file.parent / link).exists()] == []
+    links = form.links(notebook)
+    assert len(links) >= 3
+    assert [link for link in links if not (file.parent / link).exists()] == []
 
 
 @pytest.mark.parametrize("source", SOURCES, ids=[source.stem for source in SOURCES])
 def test_prose_can_be_shown_by_viewers_of_notebooks(source):
     cells = notebooks.cells(source.read_text(encoding="utf-8"))
-    found = {cell.line: form.prose_flaws(cell.text) for cell in cells if cell.prose}
-    assert {line: flaws for line, flaws in found.items() if flaws} == {}
+    flaws = {cell.line: form.prose_flaws(cell.text) for cell in cells if cell.prose}
+    assert not any(flaws.values()), flaws
 
 
 # --- the maker ------------------------------------------------------------------------------------
@@ -144,7 +144,7 @@ def test_missing_stale_and_orphaned_notebooks_are_found(small):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "code, said",
+    "code, message",
     [
         ("x = 1\n\n\ndef f():\n    return x / 0\n\n\nf()", "ZeroDivisionError: division by zero"),
         ("x = 1\nx = = 2", "SyntaxError: invalid syntax"),
@@ -152,7 +152,7 @@ def test_missing_stale_and_orphaned_notebooks_are_found(small):
         ("import os\n\nos._exit(7)", "exit code 7"),
     ],
 )
-def test_error_names_the_tutorial(code, said, small):
+def test_error_names_the_tutorial(code, message, small):
     folder = small.parent / "notebooks"
     folder.mkdir()
     (folder / "01_small.ipynb").write_text("as before")
@@ -160,7 +160,7 @@ def test_error_names_the_tutorial(code, said, small):
     with pytest.raises(SystemExit) as stopped:
         notebooks.main(["01"], small.parent)
     error = str(stopped.value)
-    assert error.startswith("01_small.py, ") and said in error and "\n" not in error
+    assert error.startswith("01_small.py, ") and message in error and "\n" not in error
     assert [file.read_text() for file in folder.iterdir()] == ["as before"]
 
 

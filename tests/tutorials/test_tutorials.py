@@ -166,13 +166,13 @@ def test_index_is_the_generated_one_with_times_within_the_limit():
 @pytest.mark.parametrize("key", list(EQUATIONS))
 def test_every_equation_has_tutorial_vector_and_exercise(key):
     tutorial = tutorial_of(key)
-    own = syllabus.facts(tutorial)
+    facts = syllabus.facts(tutorial)
     assert subjects()[key]["cases"]
     assert sum(key in t.keys for t in TUTORIALS) == 1
-    assert any(key in about for about in own.exercises.values())
+    assert any(key in about for about in facts.exercises.values())
     number = EQUATIONS[key].number
     if number:
-        assert f"({number.rstrip(chr(39))})" in own.title
+        assert f"({number.rstrip(chr(39))})" in facts.title
     if number and not number.endswith("'"):  # the paper does not print those by analogy
         assert rf"\tag{{{number}" in source(tutorial)
 
@@ -186,8 +186,8 @@ def test_links_of_the_index_lead_somewhere():
 
 @EACH
 def test_first_cell_states_the_measured_minutes(tutorial):
-    own = syllabus.facts(tutorial)
-    assert (own.reading, own.doing) == syllabus.minutes(tutorial.name)
+    facts = syllabus.facts(tutorial)
+    assert (facts.reading, facts.doing) == syllabus.minutes(tutorial.name)
 
 
 def test_all_hours_are_those_of_the_headers():

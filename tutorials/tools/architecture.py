@@ -1,7 +1,7 @@
 """One drawing of P-4DGS: from anchors to the picture, and from anchors to the bits of the file.
 
-    figure = architecture.draw()  # everything lit
-    figure = architecture.draw(("step", "prior"))  # two equations lit, the others grey
+    figure = architecture.draw_method()  # everything lit
+    figure = architecture.draw_method(("step", "prior"))  # two equations lit, the others grey
 
 Positions are literal, in hundredths of the drawing's width.
 """
@@ -226,10 +226,10 @@ LIT = {
 def show(name):
     """Show the drawing with what a tutorial explains lit, and save it as out/NUMBER_map.png."""
     keys = {tutorial.name: tutorial.keys for tutorial in TUTORIALS}[name]
-    lessons.show(draw(keys or LIT.get(name, ())), f"{name[:2]}_map")
+    lessons.show(draw_method(keys or LIT.get(name, ())), f"{name[:2]}_map")
 
 
-def draw(lit=(), dpi=100):
+def draw_method(lit=(), dpi=100):
     """Return a figure of the method in which the boxes of the keys `lit` stand out, or all."""
     figure = lessons.pyplot().figure(figsize=(INCHES, INCHES * HEIGHT / WIDTH), dpi=dpi)
     paint(figure.add_axes((0, 0, 1, 1)), lit)
@@ -238,7 +238,7 @@ def draw(lit=(), dpi=100):
 
 def save(path):
     """Write the drawing as a PNG, without matplotlib's version in it."""
-    draw(dpi=150).savefig(path, metadata={"Software": None})
+    draw_method(dpi=150).savefig(path, metadata={"Software": None})
 
 
 def paint(axes, lit=()):

@@ -189,7 +189,7 @@ LEGEND = (
 UNDATED = dict.fromkeys(("Creator", "Producer", "CreationDate"))  # so that equal pages are equal
 
 
-def draw():
+def draw_page():
     """Return the page as a figure."""
     figure = lessons.pyplot().figure(figsize=PAGE, dpi=150)
     height = DRAWING * architecture.HEIGHT / architecture.WIDTH
@@ -222,4 +222,4 @@ def write(figure, x, y, text, size=8.2, **style):
 
 def save(path):
     """Write the page as PDF, without a date and without matplotlib's version."""
-    draw().savefig(path, metadata={"Title": TITLE, **UNDATED})
+    draw_page().savefig(path, metadata={"Title": TITLE, **UNDATED})

@@ -119,20 +119,20 @@ def parts(figure):
     """The file as a strip, section by section, in the paper's design and with coded networks."""
     ax = figure.subplots()
     plain = replace(MODEL, design=DESIGN._replace(coded=False, position_bits=16), steps=None)
-    paper, own = (inspect.components(data) for data in (file.encode(plain), DATA))
+    paper, coded = (inspect.components(data) for data in (file.encode(plain), DATA))
     zoom, colors = sum(paper.values()) / len(DATA), {n: color for n, (_, color) in SECTIONS.items()}
     labels = {  # of narrow parts above the strip, of the others below it
-        name: (1.45 if own[name] < 400 else -0.2, f"{own[name]:,}\n{label}")
+        name: (1.45 if coded[name] < 400 else -0.2, f"{coded[name]:,}\n{label}")
         for name, (label, _) in SECTIONS.items()
     }
-    for y, sizes, title in ((4, paper, "the paper's design"), (2.4, own, "coded networks")):
+    for y, sizes, title in ((4, paper, "the paper's design"), (2.4, coded, "coded networks")):
         networks = sum(size for name, size in sizes.items() if "mlp" in name)
-        said = f"{sum(sizes.values()):,} bytes, {networks:,} of them networks"
-        ax.text(0, y + 0.45, f"{title}: {said}", size=18)
+        total = f"{sum(sizes.values()):,} bytes, {networks:,} of them networks"
+        ax.text(0, y + 0.45, f"{title}: {total}", size=18)
         show.strip(ax, {name: sizes[name] for name in SECTIONS}, y, colors)
     between = (0, len(DATA), zoom * len(DATA), 0), (2.05, 2.05, 0.9, 0.9)
     ax.fill(*between, color=show.PALE, alpha=0.5, lw=0)
-    show.strip(ax, {name: zoom * own[name] for name in SECTIONS}, 0.4, colors, 1, labels)
+    show.strip(ax, {name: zoom * coded[name] for name in SECTIONS}, 0.4, colors, 1, labels)
     ax.set(xlim=(0, zoom * len(DATA)), ylim=(-1.3, 4.9))
     ax.set_axis_off()
 
@@ -152,8 +152,8 @@ def breaks(figure):
     first, *axes = figure.subplots(2, 4).flat
     truth = animation.truth(SCENE, show.enlarged(CAMERA, 8), T, MODEL.background)
     show.picture(first, truth, CAMERA, **VIEW, title="the truth,\nray traced")
-    for ax, (title, found) in zip(axes, shown.items()):
-        show.scored_picture(ax, *found, CAMERA, T, TRUTH, VIEW, title)
+    for ax, (title, decoded) in zip(axes, shown.items()):
+        show.scored_picture(ax, *decoded, CAMERA, T, TRUTH, VIEW, title)
 
 
 def one_ulp(wrong=2230):
@@ -208,7 +208,7 @@ def page(title):
     return figure
 
 
-def draw():
+def draw_pictures():
     """Write all pictures, in 256 colours each, and the PDF, one picture a page."""
     with (
         output.filled(shared.FOLDER) as beside,
