@@ -10,6 +10,7 @@ import numpy as np
 
 import p4dgs_ref as p4
 
+from .. import designs
 from ..codec import container, splats
 from ..report import figures
 from ..report import inspect as sizes
@@ -17,9 +18,8 @@ from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
 from ..scenes.load import find_scene, read_description, read_points_for
 from ..scenes.output import filled, made, new_file, write_atomically
-from ..training.fit import CHECKPOINT, few_views, fit, load_model, lost, warn
-from ..training.presets import SOURCES, beyond, choose, differences
-from ..training.trainer import Trainer
+from ..training.fit import CHECKPOINT, few_views, warn
+from ..training.presets import differences, table
 from . import UsageError, expect, progress, say, show, tell, text
 
 
@@ -32,7 +32,7 @@ def read_preset(arguments):
     """The preset with its --set changes, checked before any work begins."""
     try:
         changes = dict(item.partition("=")[::2] for item in arguments.changes)
-        return choose(arguments.preset, changes)
+        return designs.choose(arguments.preset, changes)
     except ValueError as error:
         raise UsageError(str(error)) from None
 
@@ -44,7 +44,7 @@ def read_file(path):
         f"{path}: a folder, pipe or device; expected a .p4dgs file",
     )
     try:
-        data = container.read_file(path)
+        data = designs.read_file(path)
         return data, *timed(p4.decode, data)
     except container.BitstreamError as error:
         raise UsageError(f"{path}: {error}") from None
@@ -80,8 +80,10 @@ def seconds_of(trainer):
 def demo(arguments):
     """Run the main job and write its report."""
     preset, scene = read_preset(arguments), read_scene(arguments)
-    designs = 2 if beyond(preset) else 1
-    estimate(arguments, [(Trainer(scene, preset), designs)], min(arguments.jobs, designs))
+    trainings = 2 if designs.beyond(preset) else 1
+    estimate(
+        arguments, [(designs.trainer_of(scene, preset), trainings)], min(arguments.jobs, trainings)
+    )
     metrics = p4.main_job(
         scene,
         preset,
@@ -116,7 +118,7 @@ def train(arguments):
     if arguments.points:
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
-        estimate(arguments, [(Trainer(scene, preset), 1)])
+        estimate(arguments, [(designs.trainer_of(scene, preset), 1)])
     if not resume and "effects" not in read_description(find_scene(arguments.scene)):
         say(
             "warning: no scene.json lists effects, so all are trained; "
@@ -125,7 +127,7 @@ def train(arguments):
     warn(few_views(scene))
     with made(arguments.output) as folder:
         trainer, seconds = timed(
-            fit,
+            designs.fit,
             scene,
             preset,
             arguments.seed,
@@ -136,17 +138,18 @@ def train(arguments):
         )
         with filled(folder) as beside:
             figures.write_training(beside, trainer.history, preset.stage_ends)
-    if trainer.factors:
-        counted = " and from stage 3 on ".join(f"{times:.1f} times" for times in trainer.factors)
+    factors = getattr(trainer, "factors", ())
+    if factors:
+        counted = " and from stage 3 on ".join(f"{times:.1f} times" for times in factors)
         say(f"what moves counted {counted} in L1, until the middle of stage 3 (B3)")
-    warn(lost(trainer))
+    warn(designs.what_is_lost(trainer))
     tell(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors, {seconds:.1f} s")
 
 
 def encode(arguments):
     """Compress a run to a file."""
     with new_file(arguments.output, Path(arguments.run) / CHECKPOINT) as output:
-        model, values = load_model(arguments.run)
+        model, values = designs.load_model(arguments.run)
         data, seconds = timed(p4.encode, model)
         write_atomically(output, lambda file: file.write(data))
     tell(f"{output}: {len(data):,} bytes, from iteration {values['iteration']}, {seconds:.3f} s")
@@ -169,7 +172,7 @@ def decode(arguments):
     }
     with filled(arguments.output, arguments.file) as beside:
         np.savez(beside / "model.npz", **arrays)
-        (beside / "model.json").write_text(json.dumps(model.design._asdict(), indent=1) + "\n")
+        (beside / "model.json").write_text(json.dumps(vars(model.design), indent=1) + "\n")
     tell(f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json; {seconds:.3f} s")
 
 
@@ -300,12 +303,14 @@ def presets(arguments):
         arguments,
         {
             preset.name: {
-                "fields": preset._asdict(),
+                "fields": vars(preset),
                 "differs": [
                     {"field": field, "paper": paper, "here": here}
                     for field, paper, here in differences(preset)
                 ],
-                "sources_of_paper_presets": SOURCES,
+                "sources_of_paper_presets": {
+                    name: row.metadata["source"] for name, row in table(preset).items()
+                },
             }
             for preset in chosen
         },
