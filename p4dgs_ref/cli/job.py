@@ -178,9 +178,11 @@ def decode(arguments):
 
 def read_model(path):
     """The model of a file of ours, or of a baseline's."""
-    from ..lab import baselines  # a tenth of a second that other commands do not need
+    if Path(path).suffix != ".ply":
+        return read_file(path)[1]
+    from ..lab import baselines
 
-    return baselines.load(path) if Path(path).suffix == ".ply" else read_file(path)[1]
+    return baselines.load(path)
 
 
 def held_camera(model, azimuth=40.0, elevation=30.0, distance=3.6, size=128):

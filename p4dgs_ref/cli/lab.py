@@ -1,13 +1,11 @@
-"""The commands of the laboratory: what choices cost, the paper's tables, the classroom."""
+"""The commands of the laboratory: what choices cost, the paper's tables, the classroom.
+
+Each imports the part of the laboratory that it needs.
+"""
 
 from contextlib import nullcontext
 from functools import partial
 
-from ..lab import bench, effect_ledger, school
-from ..lab.accuracy import report as accuracies
-from ..lab.stability import describe, draw_map, rows
-from ..lab.suggest import foretold, suggest
-from ..lab.tables import ablate, compare, curve, methods
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
 from ..scenes.output import filled
 from . import expect, progress, say, show, tell
@@ -16,6 +14,8 @@ from .job import estimate, read_scene
 
 def turn_knobs(arguments):
     """Turn the knobs that trade accuracy for time or bytes, and write a page about them."""
+    from ..lab.accuracy import report as accuracies
+
     with filled(arguments.output) as beside:
         result = accuracies.run(
             arguments.only or None, beside, arguments.quick, progress, arguments.jobs
@@ -25,6 +25,8 @@ def turn_knobs(arguments):
 
 def hard_cases(arguments):
     """Print the hard cases and draw the map; exit code 1 if a hard case is beyond its bound."""
+    from ..lab.stability import describe, draw_map, rows
+
     with filled(arguments.output) as beside:
         cases = rows(arguments.only)
         draw_map(beside / "stability.png")
@@ -34,6 +36,8 @@ def hard_cases(arguments):
 
 def effects(arguments):
     """Train with and without each effect, or say which effects the pictures call for."""
+    from ..lab import effect_ledger
+
     expect(arguments.suggest or not arguments.apply, "--apply: expected together with --suggest")
     expect(not (arguments.suggest and arguments.quick), "--quick: expected without --suggest")
     if arguments.suggest:
@@ -48,6 +52,8 @@ def effects(arguments):
 
 def suggest_effects(arguments):
     """Say which effects the pictures call for; with --apply write the list to scene.json."""
+    from ..lab.suggest import foretold, suggest
+
     scene, folder = read_scene(arguments), find_scene(arguments.scene)
     expect(
         not arguments.apply or packaged_folder() not in folder.resolve().parents,
@@ -64,12 +70,16 @@ def suggest_effects(arguments):
 
 def times(arguments):
     """Time the renderer, a training step and the coder."""
+    from ..lab import bench
+
     result = bench.bench(arguments.quick)
     show(arguments, result, bench.describe(result))
 
 
 def make(arguments, tasks):
     """Make the rows of a study that are missing, after an estimate of the time."""
+    from ..lab.tables import methods
+
     methods.make_missing(tasks, progress, arguments.jobs, partial(estimate, arguments))
 
 
@@ -80,6 +90,8 @@ def show_table(arguments, study, result):
 
 def compare_methods(arguments):
     """Train all methods on scenes; print the paper's Tables 1 and 2 in form, or their curves."""
+    from ..lab.tables import compare, curve
+
     names, seeds = arguments.scenes or compare.dynamic_scenes(), arguments.seeds
     study = curve if arguments.curve else compare
     if arguments.quick:
@@ -94,6 +106,8 @@ def compare_methods(arguments):
 
 def ablate_parts(arguments):
     """Print the paper's Table 3 in form, and the method with one part left out at a time."""
+    from ..lab.tables import ablate
+
     scene, options = load_scene(arguments.scene), (arguments.seeds, arguments.iterations)
     with filled(arguments.output) as beside:
         tasks = ablate.plan(scene, arguments.output, *options)
@@ -104,7 +118,9 @@ def ablate_parts(arguments):
 
 def classroom(arguments):
     """Write the equations without their bodies, and the key."""
-    done = school.classroom(arguments.folder, arguments.only)
+    from ..lab.classroom import hand_out
+
+    done = hand_out(arguments.folder, arguments.only)
     kept = f"; kept as they were: {', '.join(done['kept'])}" if done["kept"] else ""
     tell(
         f"{done['output']}: {done['functions']} functions of {len(done['equations'])} equations to "
@@ -114,14 +130,15 @@ def classroom(arguments):
 
 def grade(arguments):
     """Judge what students wrote."""
-    with filled(arguments.output) if arguments.output else nullcontext() as beside:
-        grades = school.grade(
+    from ..lab import classroom as room
+
+    with filled(arguments.output) if arguments.output else nullcontext() as staging:
+        grades = room.grade(
             *arguments.folders,
             classroom=arguments.classroom,
             seed=arguments.seed,
-            timeout=arguments.timeout,
             progress=progress,
         )
-        if beside:
-            school.write(grades, beside)
-    show(arguments, grades, school.text(grades))
+        if staging:
+            room.write(grades, staging)
+    show(arguments, grades, room.to_text(grades))

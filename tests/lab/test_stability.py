@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.__main__ import main
-from p4dgs_ref.cli import lab
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.lab import StudyError, stability
 from p4dgs_ref.lab.accuracy import formulas
@@ -146,7 +145,7 @@ def test_the_map_is_red_where_the_literal_formula_fails(tmp_path):
 
 # --- the command ---------------------------------------------------------------------------------
 def test_the_command_fails_where_a_case_fails(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(lab, "draw_map", lambda path: path.write_bytes(b""))
+    monkeypatch.setattr(stability, "draw_map", lambda path: path.write_bytes(b""))
     arguments = ["stability", "--json", "-o", str(tmp_path), "--only"]
     assert main([*arguments, "H-R1.9sigma"]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -11,7 +11,6 @@ import pytest
 from scipy.special import erf
 
 from p4dgs_ref import oracle
-from p4dgs_ref.lab.school.room import equations
 from p4dgs_ref.oracle import checker, doctor, published
 from p4dgs_ref.oracle.compare import compare, expected
 from p4dgs_ref.table import EQUATIONS
@@ -239,7 +238,7 @@ def test_what_the_equation_explains_is_offered_to_its_scalars_and_says_from_wher
 # --- factors, which need no stored answers ------------------------------------------------------
 QUANTITIES = [
     (key, quantity)
-    for key in equations()
+    for key in EQUATIONS
     for quantity in dict.fromkeys(
         name.rsplit(".", name.count(".") - 1)[0]
         for case in published.cases(key)

@@ -83,7 +83,7 @@ def test_the_same_model_gives_the_same_bytes(scene, tmp_path, monkeypatch):
 
     monkeypatch.setattr(animation, "FRAMES", 2)
     for name in ("one.gif", "two.gif"):
-        animation.draw(tmp_path / name, Gray())
+        animation.write_animation(tmp_path / name, Gray())
     assert (tmp_path / "one.gif").read_bytes() == (tmp_path / "two.gif").read_bytes()
     left, middle, right = panels(iio.imread(tmp_path / "one.gif")[0])
     assert np.abs(middle - 0.5).max() < 0.03 < np.abs(left - 0.5).max()

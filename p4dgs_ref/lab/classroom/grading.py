@@ -12,6 +12,7 @@ import secrets
 from itertools import combinations
 from pathlib import Path
 
+from ...lessons import problem, tutorial_of
 from ...oracle import published
 from ...oracle.compare import compare, expected
 from ...oracle.ports import PortError
@@ -21,10 +22,8 @@ from ...scenes.output import filled
 from ...table import EQUATIONS
 from ..writer import table
 from .held_back import cases, is_ordinary
-from .lessons import problem
-from .room import files_of, keys_of, parts_of, source_of, stub_of
-from .student import Student, alike, copies, functions, same_lines
-from .syllabus import tutorial_of
+from .room import files_of, keys_of, modules_of, parts_of, sources_of, stubs_of
+from .student import Student, alike, copies, functions, joined, same_lines
 
 FORWARD, GRADIENTS, HARD = 3, 3, 4  # points of an equation
 ROLES = {"forward": "out.", "backward": "in_bar.", "follow": "in_bar."}
@@ -33,13 +32,12 @@ SAVES_SLOPES = {"hash_grid", "step", "likelihood"}
 ALL_LINES = "all lines of the key"  # what was copied, where functions are short
 
 
-def grade(*folders, classroom=None, seed=None, timeout=5.0, progress=lambda text: None):
+def grade(*folders, classroom=None, seed=None, progress=lambda text: None):
     """Grade what students handed in, all by the same inputs, and compare it in pairs.
 
     A folder contains a student's files, or a folder `student` with them, as a classroom does.
     `classroom` is the one whose equations are asked for; the default is the first folder. `seed`
-    determines the inputs; without it one is drawn. `timeout` is the time for one case, in seconds.
-    Nothing is written. Raises ClassroomError.
+    determines the inputs; without it one is drawn. Nothing is written. Raises ClassroomError.
     """
     keys = keys_of(folders[0] if classroom is None else classroom)
     seed = secrets.randbelow(2**32) if seed is None else seed
@@ -47,10 +45,10 @@ def grade(*folders, classroom=None, seed=None, timeout=5.0, progress=lambda text
     students, works = [], []
     for folder, files in zip(folders, places):
         progress(f"grading {folder}")
-        read = {key: source_in(files / f"{key}.py", key) for key in keys}
+        read = {key: source_in(files, key) for key in keys}
         works.append({key: source for key, (source, _) in read.items()})
-        whole = same_lines(works[-1], {key: source_of(key) for key in keys})
-        rows = [row_of(key, files, *read[key], key in whole, seed, timeout) for key in keys]
+        whole = same_lines(works[-1], {key: joined(sources_of(key)) for key in keys})
+        rows = [row_of(key, files, *read[key], key in whole, seed) for key in keys]
         students.append(
             {
                 "student": str(folder),
@@ -67,17 +65,19 @@ def grade(*folders, classroom=None, seed=None, timeout=5.0, progress=lambda text
 
 
 # --- one equation ---------------------------------------------------------------------------------
-def source_in(path, key):
-    """Return a student's file and "", or "" and why it is not graded."""
-    try:
-        source = path.read_text(encoding="utf-8")
-        functions(source)
-    except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
-        return "", f"{path.name} cannot be read: {type(error).__name__}: {error}"
-    return ("", "not begun") if source == stub_of(key) else (source, "")
+def source_in(folder, key):
+    """Return what a student wrote of an equation and "", or "" and why it is not graded."""
+    files = {}
+    for name in modules_of(key):
+        try:
+            files[name] = (folder / f"{name}.py").read_text(encoding="utf-8")
+            functions(files[name])
+        except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
+            return "", f"{name}.py cannot be read: {type(error).__name__}: {error}"
+    return ("", "not begun") if files == stubs_of(key) else (joined(files), "")
 
 
-def row_of(key, files, source, says, is_whole, seed, timeout):
+def row_of(key, files, source, says, is_whole, seed):
     """Return the row of one equation; `says` is why its file is not graded, if it is not.
 
     In the row, `says` is the reason why points are missing. `flags` are copies; with any of them
@@ -96,7 +96,7 @@ def row_of(key, files, source, says, is_whole, seed, timeout):
     if says:
         return row
     flags = copies(source, key) or [ALL_LINES] * is_whole
-    with Student(files / f"{key}.py", timeout) as student:
+    with Student(files / f"{key}.py") as student:
         parts = marks(key, student, cases(key, seed))
         points = round(sum(part["points"] for part in parts), 4)
         says = reason(key, student) if points < row["of"] else ""
@@ -116,13 +116,13 @@ def marks(key, student, cases):
         wrong[case.id] |= mine
     parts = []
     for name, of, prefix, ordinary in points_of(key):
-        said = [
+        is_wrong = [
             any(f"{tensor}.".startswith(prefix) for tensor in wrong[case.id])
             for case in cases
             if is_ordinary(case) == ordinary
             if any(f"{tensor}.".startswith(prefix) for tensor in expected(case.tensors))
         ]
-        right, asked = said.count(False), len(said)
+        right, asked = is_wrong.count(False), len(is_wrong)
         points = of * right / max(asked, 1)
         parts.append({"name": name, "points": points, "of": of, "right": right, "asked": asked})
     return parts
@@ -147,8 +147,8 @@ def wrong_in(case, student, part):
     """Return the names of the outputs or gradients of a case that are wrong or missing."""
     role = ROLES[part]
     try:
-        found = compare(case.tensors, student.part(part).run(case), case.tolerance("float64"))
-        return {finding.tensor for finding in found if finding.tensor.startswith(role)}
+        findings = compare(case.tensors, student.part(part).run(case), case.tolerance("float64"))
+        return {finding.tensor for finding in findings if finding.tensor.startswith(role)}
     except PortError:
         return {name for name in expected(case.tensors) if name.startswith(role)}
 
@@ -160,7 +160,7 @@ def reason(key, student):
         for part in parts_of(key)
     )
     unseen = "right on the published cases, wrong on inputs that are held back"
-    return next((f"{part}: {said}" for part, said in problems if said), unseen)
+    return next((f"{part}: {message}" for part, message in problems if message), unseen)
 
 
 # --- the grades as text, JSON and CSV -----------------------------------------------------------
@@ -180,7 +180,7 @@ def rows_of(grades):
     ]
 
 
-def text(grades):
+def to_text(grades):
     """Return the sums of all students as a table, who are alike, and then the details of each."""
     sums = ("student", "points", "of", "copied", "alike", "seed")
     lines = table({name: f"{{{name}}}" for name in sums}, rows_of(grades))
@@ -209,7 +209,7 @@ def details(student):
 
 def write(grades, folder):
     """Write grades.txt, grades.json and grades.csv to a folder. Raises OutputError."""
-    with filled(Path(folder)) as beside:
-        (beside / "grades.txt").write_text(text(grades) + "\n", encoding="utf-8")
-        (beside / "grades.json").write_text(json.dumps(grades, indent=1) + "\n", encoding="utf-8")
-        write_csv(beside / "grades.csv", rows_of(grades))
+    with filled(Path(folder)) as staging:
+        (staging / "grades.txt").write_text(to_text(grades) + "\n", encoding="utf-8")
+        (staging / "grades.json").write_text(json.dumps(grades, indent=1) + "\n", encoding="utf-8")
+        write_csv(staging / "grades.csv", rows_of(grades))

@@ -7,54 +7,44 @@ DIR/key/          the complete files, which stay with the teacher
 
 import ast
 import inspect
-import re
 from importlib import import_module
 from pathlib import Path
 
-from ...oracle import published
+from ...lessons import tutorial_of
 from ...oracle.report import name_of
 from ...scenes.output import filled
 from ...table import EQUATIONS
-from .syllabus import tutorial_of
 
-# Functions that contain the answer as well. They are removed together with forward or backward.
+# Functions that contain the answer as well. They are removed together with forward and backward.
 HELPERS = {
-    ("compositing", "forward"): ("alphas", "transmittances"),
-    ("covariance", "forward"): ("rotation_matrix",),
-    ("deformed", "forward"): ("as_printed", "moved"),
-    ("hash_grid", "forward"): ("locate", "nodes", "entries", "query"),
-    ("hash_rate", "forward"): ("entropy",),
-    ("likelihood", "forward"): (
+    "compositing": ("alphas", "transmittances"),
+    "covariance": ("rotation_matrix",),
+    "deformed": ("as_printed", "moved"),
+    "grid_nodes": ("locate", "nodes", "entries"),
+    "hash_grid": ("query",),
+    "hash_rate": ("entropy",),
+    "likelihood": (
         "literal",
         "rate",
         "around_the_mean",
         "beside_the_mean",
         "far_from_the_mean",
         "narrow_bin",
+        "slopes",
     ),
-    ("likelihood", "backward"): ("slopes",),
-    ("masking", "backward"): ("scatter",),
-    ("ssim", "forward"): ("dissimilarity",),
+    "masking": ("scatter",),
+    "ssim": ("dissimilarity",),
 }
-# Half of Eq. (9) is a file of its own. Students get both in one.
-HALF = "grid_nodes"
-
-
-def equations():
-    """Return the keys of the paper's equations, in the order in which data flows."""
-    return [
-        key
-        for key, row in published.subjects().items()
-        if row["level"] == "L1" and "group" not in row
-    ]
+# Equations of which a part is a module of its own, which students write as well.
+OTHER_MODULES = {"hash_grid": ("grid_nodes",)}
 
 
 class ClassroomError(ValueError):
     """The folder is not a classroom, or the key is not one of an equation."""
 
 
-def classroom(folder, only=None):
-    """Write student/<key>.py, key/<key>.py and a README.md for each of the two readers.
+def hand_out(folder, only=None):
+    """Write the files of equations to student/ and key/, and a README.md for each reader.
 
     `only` lists the equations; without it all are written. If the folder is a classroom already,
     equations are added, and the files of the students stay.
@@ -62,31 +52,31 @@ def classroom(folder, only=None):
     Returns {"output", "equations": keys written, "functions": how many have to be written, "kept":
     keys left as they were}. Raises ClassroomError or OutputError.
     """
-    folder, every = Path(folder), equations()
+    folder = Path(folder)
     for key in only or ():
-        if key not in every:
-            raise ClassroomError(f"{key!r}: expected one of {', '.join(every)}")
+        if key not in EQUATIONS:
+            raise ClassroomError(f"{key!r}: expected one of {', '.join(EQUATIONS)}")
     old = keys_of(folder / "student") if folder.is_dir() and any(folder.iterdir()) else []
-    new = [key for key in every if key in (only or every) and key not in old]
-    table = "".join(
-        f"| {EQUATIONS[key].number} | `{key}.py` | `tutorials/{tutorial_of(key).name}.py` "
-        f"| {', '.join(f'`{name}`' for name in functions_of(key))} |\n"
-        for key in sorted({*old, *new}, key=every.index)
+    new = [key for key in EQUATIONS if key in (only or EQUATIONS) and key not in old]
+    rows = "".join(
+        f"| {EQUATIONS[key].number} | `{name}.py` | `tutorials/{tutorial_of(key).name}.py` "
+        f"| {', '.join(f'`{function}`' for function in functions_of(name))} |\n"
+        for key in EQUATIONS
+        if key in old or key in new
+        for name in modules_of(key)
     )
-    files = {
-        "README.md": TEACHER,
-        "student/README.md": STUDENT + table,
-        **{f"student/{key}.py": stub_of(key) for key in new},
-        **{f"key/{key}.py": source_of(key) for key in new},
-    }
-    with filled(folder) as beside:
+    files = {"README.md": TEACHER, "student/README.md": STUDENT + rows}
+    for key in new:
+        files |= {f"student/{name}.py": text for name, text in stubs_of(key).items()}
+        files |= {f"key/{name}.py": text for name, text in sources_of(key).items()}
+    with filled(folder) as staging:
         for name, text in files.items():
-            (beside / name).parent.mkdir(exist_ok=True)
-            (beside / name).write_text(text, encoding="utf-8")
+            (staging / name).parent.mkdir(exist_ok=True)
+            (staging / name).write_text(text, encoding="utf-8")
     return {
         "output": str(folder),
         "equations": new,
-        "functions": sum(len(functions_of(key)) for key in new),
+        "functions": sum(len(functions_of(name)) for key in new for name in modules_of(key)),
         "kept": old,
     }
 
@@ -102,45 +92,59 @@ def files_of(folder):
 def keys_of(folder):
     """Return the equations that students find in a classroom. Raises ClassroomError."""
     files = files_of(folder)
-    found = [key for key in equations() if (files / f"{key}.py").is_file()]
-    if not found:
+    keys = [key for key in EQUATIONS if (files / f"{key}.py").is_file()]
+    if not keys:
         raise ClassroomError(
             f"{folder}: expected a classroom, which has files such as student/offsets.py; "
             "`p4dgs-ref classroom` writes one to a new folder"
         )
-    return found
+    return keys
 
 
 # --- the files that students get ------------------------------------------------------------------
-def parts_of(key):
-    """Return what students write: forward, and backward where the equation has gradients."""
-    return ["forward", "backward"] if EQUATIONS[key].gradients else ["forward"]
+def modules_of(key):
+    """Return {file name without .py: module} of an equation."""
+    package = EQUATIONS[key].module.rpartition(".")[0]
+    return {name: f"{package}.{name}" for name in (key, *OTHER_MODULES.get(key, ()))}
 
 
-def functions_of(key):
-    """Return the functions to write for an equation: ("forward", "entropy", ...)."""
-    return tuple(name for part in parts_of(key) for name in (part, *HELPERS.get((key, part), ())))
+def parts_of(name):
+    """Return what students write of an equation: forward, and backward if it has gradients."""
+    if name not in EQUATIONS:
+        return ()
+    return ("forward", "backward") if EQUATIONS[name].gradients else ("forward",)
 
 
-def source_of(key):
-    """Return the source of an equation's file, with its other half if it has one."""
-    source = inspect.getsource(import_module(EQUATIONS[key].module))
-    half = inspect.getsource(import_module(f"p4dgs_ref.equations.{HALF}"))
-    return re.sub(rf"import numpy as np\n\nfrom \.{HALF} import \w+\n", lambda _: half, source)
+def functions_of(name):
+    """Return the functions to write in a file: ("forward", "backward", "entropy", ...)."""
+    return (*parts_of(name), *HELPERS.get(name, ()))
 
 
-def stub_of(key):
-    """Return the file that students get: everything but the bodies of the functions to write.
+def sources_of(key):
+    """Return the complete files of an equation, {file name without .py: text}."""
+    modules = modules_of(key).items()
+    return {name: inspect.getsource(import_module(module)) for name, module in modules}
+
+
+def stubs_of(key):
+    """Return the files of an equation that students get, {file name without .py: text}."""
+    return {name: stub(name, source) for name, source in sources_of(key).items()}
+
+
+def stub(name, source):
+    """Return a file without the bodies of the functions to write.
 
     Docstrings stay, and so do the first lines of a body that unpack `saved`: they show what the
     reference's forward saves.
     """
-    lines = source_of(key).splitlines(keepends=True)
+    lines, title = source.splitlines(keepends=True), name_of(name)
     # From the last function to the first, so that the line numbers stay valid.
-    for name, node in reversed(functions_in(source_of(key)).items()):
-        if name in functions_of(key):
-            stub = f'    raise NotImplementedError("{name_of(key)}.{name} has to be written")\n'
-            lines[kept(node)[-1].end_lineno : node.end_lineno] = [stub]
+    for function, node in reversed(functions_in(source).items()):
+        if function in functions_of(name):
+            message = f"{title}.{function} has to be written"
+            lines[kept(node)[-1].end_lineno : node.end_lineno] = [
+                f'    raise NotImplementedError("{message}")\n'
+            ]
     return "".join(lines)
 
 
@@ -172,9 +176,10 @@ tutorial that explains each equation.
   change that line.
 - `p4dgs-ref grade DIR`, where DIR is this folder, prints your points on inputs that are new in
   every run; run it again after every change. Your teacher will use other inputs.
-- In Python, `eq = school.load("DIR/offsets.py")` with `from p4dgs_ref.lab import school` loads the
-  equation from your file. `eq.forward` and `eq.backward` are your functions, and
+- In Python, `eq = classroom.load("DIR/offsets.py")` with `from p4dgs_ref.lab import classroom`
+  loads the equation from your file. `eq.forward` and `eq.backward` are your functions, and
   `outputs, pullback = eq.vjp(**inputs)` calls them by name.
+- Eq. (9) has two files: `hash_grid.py` imports what you write in `grid_nodes.py`.
 - Hand in this folder.
 
 ## How it is graded
@@ -190,8 +195,9 @@ has too few digits in float64 loses most of the hard cases.
   An answer is right if it agrees with the reference within the same bounds as for the published
   vectors. What is said about a wrong answer comes from the published cases, as in the tutorials.
 - Each equation is graded alone. Whatever your file imports from `p4dgs_ref` is the reference's
-  code, not yours: `opacity.py`, for example, uses the reference's networks. Only the modules that
-  the file imported originally, and those that they use, can be imported from `p4dgs_ref`.
+  code, not yours: `opacity.py`, for example, uses the reference's networks. (The exception is your
+  `grid_nodes.py`.) Only the modules that the file imported originally, and those that they use, can
+  be imported from `p4dgs_ref`.
 - A wrong forward is not punished twice. If yours is wrong or missing, your backward is also tried
   on what the reference's forward saves, so keep the line that unpacks `saved` until your forward
   works. The exceptions are `hash_grid`, `step` and `likelihood`, whose forwards save the slopes
@@ -236,8 +242,8 @@ their text with those of the key or of the installed package, whatever their nam
 docstrings and layout are. The report names them beside the points that the file would have had, so
 that you can decide otherwise.
 
-**Short equations** are written by everybody in the same way: `view`, `offsets`, `opacity`, `color`,
-`rotation`, `scale`, `step`, `noise`, `rate_loss`, `total_loss`. Equal code is no proof there. A
+**Short equations** are written by everybody in the same way: `offsets`, `view`, `opacity`, `color`,
+`rotation`, `scale`, `noise`, `step`, `total_loss`, `rate_loss`. Equal code is no proof there. A
 file of these counts as a copy if it has all lines of the key as they are in the key, comments and
 names included, and chance can be excluded: because one of these lines has a comment, or because
 there are three such files or more. The report then says *all lines of the key*.

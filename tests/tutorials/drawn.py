@@ -11,20 +11,20 @@ DRAW = inspect.unwrap(Text.draw).__code__
 
 def texts(figure):
     """[(text, box in pixels)] of all texts that are drawn."""
-    found, before = [], sys.getprofile()
+    drawn, before = [], sys.getprofile()
 
     def watch(frame, event, _):
         if event == "call" and frame.f_code is DRAW:
             text, renderer = frame.f_locals["self"], frame.f_locals["renderer"]
             if text.get_visible() and text.get_text().strip():
-                found.append((text.get_text(), Text.get_window_extent(text, renderer)))
+                drawn.append((text.get_text(), Text.get_window_extent(text, renderer)))
 
     sys.setprofile(watch)
     try:
         figure.canvas.draw()
     finally:
         sys.setprofile(before)
-    return found
+    return drawn
 
 
 def smallest(figure):

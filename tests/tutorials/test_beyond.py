@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.lab.school.tutorial_form import flaws
+from tests.tutorials.tutorial_form import flaws
 
-FOLDER = Path(__file__).resolve().parents[3] / "tutorials"
+FOLDER = Path(__file__).resolve().parents[2] / "tutorials"
 RECORDS = sorted(FOLDER.glob("beyond_*.py"), key=lambda path: path.name)
 
 

@@ -4,11 +4,9 @@ import json
 import re
 import shutil
 
-import imageio.v3 as iio
-import numpy as np
 import pytest
 
-from tests.lab.school import notebook_form as form
+from tests.tutorials import notebook_form as form
 from tutorials.tools import notebooks
 from tutorials.tools.shared import FOLDER
 
@@ -24,8 +22,8 @@ def test_every_tutorial_has_a_notebook_that_is_up_to_date():
 
 
 def test_notebooks_are_small_and_alone():
-    found = [file for file in (FOLDER / "notebooks").rglob("*") if "out" not in file.parts]
-    assert [f for f in sorted(found) if ".ipynb_checkpoints" not in f.parts] == FILES
+    files = [file for file in (FOLDER / "notebooks").rglob("*") if "out" not in file.parts]
+    assert [f for f in sorted(files) if ".ipynb_checkpoints" not in f.parts] == FILES
     assert 0 < sum(file.stat().st_size for file in FILES) <= LARGEST
 
 
@@ -36,62 +34,16 @@ def test_notebook_shows_text_and_figures_and_links_somewhere(file):
     outputs = [o for cell in notebook["cells"] for o in cell.get("outputs", ())]
     assert any("image/png" in o.get("data", ()) for o in outputs)
     assert any(o.get("name") == "stdout" for o in outputs)
-    found = form.links(notebook)
-    assert len(found) >= 3
-    assert [link for link in found if not (file.parent / link).exists()] == []
+    links = form.links(notebook)
+    assert len(links) >= 3
+    assert [link for link in links if not (file.parent / link).exists()] == []
 
 
 @pytest.mark.parametrize("source", SOURCES, ids=[source.stem for source in SOURCES])
 def test_prose_can_be_shown_by_viewers_of_notebooks(source):
     cells = notebooks.cells(source.read_text(encoding="utf-8"))
-    found = {cell.line: form.prose_flaws(cell.text) for cell in cells if cell.prose}
-    assert {line: flaws for line, flaws in found.items() if flaws} == {}
-
-
-# --- the checker ----------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    "key, value, said",
-    [
-        *(("text", f"in {folder}/a", "path or traceback") for folder in form.HERE),
-        ("text", "Traceback (most", "path or traceback"),
-        ("text", "<f at 0x7f0012345678>", "an address"),
-        ("text", "x" * 6001, "6,001 characters"),
-        ("image/png", "%%%", "not base64"),
-        ("image/png", "aGFsbG8=", "not a PNG"),
-    ],
-)
-def test_checker_notices(key, value, said, made):
-    notebook = form.load(made)
-    if key == "text":
-        notebook["cells"][2]["outputs"][0][key] = value
-    else:
-        notebook["cells"][3]["outputs"][0]["data"][key] = value
-    assert said in " | ".join(form.flaws(notebook))
-
-
-@pytest.mark.parametrize(
-    "text, said",
-    [
-        ("$a$ and `$` cost \\tag", ""),
-        ("$$a \\tag{1}$$\nafter", ""),
-        ("$$\\begin{aligned} a \\end{aligned} \\tag{1}$$", ""),
-        ("$$\\begin{aligned} a \\tag{1} \\end{aligned}$$", "tags within"),
-        ("$$a \\tag{1} b \\tag{2}$$", "tags within"),
-        ("$a \\tag{1}$", "a tag in a formula of a line"),
-        ("it costs 5$ a day", "without its partner"),
-        ("$a$$", "without its partner"),
-        ("$$a\n\nb$$", "empty line"),
-        ("$\\bm x$", "macro"),
-        ("$\\frac{1}{2$", "braces"),
-        ("a <b>word</b>", "HTML: <b>"),
-        ("1 < 2 and $a<b$", ""),
-        ("Items:\n\n- one\n- two\n  more", ""),
-        ("its symbol is\n0. And", "a list without"),
-    ],
-)
-def test_checker_of_prose(text, said):
-    found = " | ".join(form.prose_flaws(text))
-    assert said in found if said else found == ""
+    flaws = {cell.line: form.prose_flaws(cell.text) for cell in cells if cell.prose}
+    assert not any(flaws.values()), flaws
 
 
 # --- the maker ------------------------------------------------------------------------------------
@@ -109,7 +61,7 @@ print(__name__, len(sys.argv) > 1, "__file__" in globals())
 # %%
 import matplotlib.pyplot as plt
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
 figure, axes = lessons.pyplot().subplots(figsize=(4, 3))
 axes.plot([1, 2])
@@ -145,6 +97,7 @@ def made(tmp_path_factory):
     return notebooks.make(write_small(tmp_path_factory.mktemp("made") / "tutorials"))
 
 
+@pytest.mark.slow
 def test_outputs_of_a_small_tutorial(made):
     notebook = form.load(made)
     assert form.flaws(notebook) == []
@@ -152,26 +105,15 @@ def test_outputs_of_a_small_tutorial(made):
     assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)
     assert [cell["id"] for cell in notebook["cells"]] == ["01-links", *(f"01-0{i}" for i in "1234")]
     head, title, first, second, third = notebook["cells"]
-    assert "".join(head["source"]).startswith(
-        "Made from [01_small.py](../01_small.py) · [solutions](../solutions/01_small.py) · "
-        "next: [02_next](02_next.ipynb) · [all tutorials](../README.md)\n\n"
-        "To run it, install the package: `pip install .` in"
-    )
-    both = {"cell_type", "id", "metadata", "source"}
-    assert set(title) == both and set(first) == {*both, "outputs", "execution_count"}
+    assert "next: [02_next](02_next.ipynb) · [all" in head["source"][0]
     assert title["source"] == [
         "# A title, $x^2$\n",
         "[next](02_next.ipynb), [here](#a), [web](https://example.org/a.py), "
         "[code](../../p4dgs_ref/table.py)\n",
         "Then [`02_next`](02_next.ipynb) and [`02_next`](02_next.ipynb).",
     ]
-    assert first["outputs"] == [
-        {
-            "output_type": "stream",
-            "name": "stdout",
-            "text": "printed\n__main__ True False\n",
-        }
-    ]
+    (printed,) = first["outputs"]
+    assert (printed["name"], printed["text"]) == ("stdout", "printed\n__main__ True False\n")
     kinds = [output.get("text") or set(output["data"]) for output in second["outputs"]]
     picture = {"image/png", "text/plain"}
     assert kinds == [picture, "between\n", picture, "after\n"]
@@ -202,7 +144,7 @@ def test_missing_stale_and_orphaned_notebooks_are_found(small):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "code, said",
+    "code, message",
     [
         ("x = 1\n\n\ndef f():\n    return x / 0\n\n\nf()", "ZeroDivisionError: division by zero"),
         ("x = 1\nx = = 2", "SyntaxError: invalid syntax"),
@@ -210,7 +152,7 @@ def test_missing_stale_and_orphaned_notebooks_are_found(small):
         ("import os\n\nos._exit(7)", "exit code 7"),
     ],
 )
-def test_error_names_the_tutorial(code, said, small):
+def test_error_names_the_tutorial(code, message, small):
     folder = small.parent / "notebooks"
     folder.mkdir()
     (folder / "01_small.ipynb").write_text("as before")
@@ -218,21 +160,15 @@ def test_error_names_the_tutorial(code, said, small):
     with pytest.raises(SystemExit) as stopped:
         notebooks.main(["01"], small.parent)
     error = str(stopped.value)
-    assert error.startswith("01_small.py, ") and said in error and "\n" not in error
+    assert error.startswith("01_small.py, ") and message in error and "\n" not in error
     assert [file.read_text() for file in folder.iterdir()] == ["as before"]
 
 
 @pytest.mark.slow
-def test_command_makes_what_is_named_with_a_link_to_the_one_before(small, capsys):
+def test_command_makes_what_is_named(small, capsys):
     notebooks.main(["02"], small.parent)
     assert re.fullmatch(r"02_next: [\d,]+ bytes\n", capsys.readouterr().out)
-    (file,) = (small.parent / "notebooks").iterdir()
-    assert file.name == "02_next.ipynb"
-    assert "".join(form.load(file)["cells"][0]["source"]) == (
-        "Made from [02_next.py](../02_next.py) · previous: [01_small](01_small.ipynb) · "
-        "[all tutorials](../README.md)\n\n"
-        "To run it, install the package: `pip install .` in the folder above `tutorials/`."
-    )
+    assert [file.name for file in (small.parent / "notebooks").iterdir()] == ["02_next.ipynb"]
 
 
 @pytest.mark.slow
@@ -244,11 +180,8 @@ def test_a_committed_notebook_is_what_the_maker_makes(tmp_path):
     ours = form.load(FOLDER / "notebooks" / f"{name}.ipynb")
     made = form.load(notebooks.make(tmp_path / f"{name}.py"))
     assert form.without_outputs(made) == form.without_outputs(ours)
-    for a, b in zip(ours["cells"], made["cells"], strict=True):
-        for mine, theirs in zip(a.get("outputs", ()), b.get("outputs", ()), strict=True):
-            assert mine.get("text") == theirs.get("text")
-            if "image/png" in mine.get("data", ()):
-                one, two = (iio.imread(form.picture(o)) for o in (mine, theirs))
-                # Other versions of matplotlib draw other pixels and cut other borders.
-                assert np.abs(np.subtract(one.shape, two.shape)).max() <= 8
-                assert abs(one.mean() - two.mean()) < 3
+    one, other = (
+        [output.get("text") for cell in notebook["cells"] for output in cell.get("outputs", ())]
+        for notebook in (ours, made)
+    )
+    assert one == other

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from p4dgs_ref import EQUATIONS, oracle
+from p4dgs_ref import EQUATIONS, lessons, oracle
 from p4dgs_ref.equations import offsets
-from p4dgs_ref.lab.school import lessons
 
 
 @pytest.fixture(autouse=True)
@@ -27,7 +26,7 @@ def test_close_is_relative_to_the_largest_number():
 
 
 @pytest.mark.parametrize(
-    "mine, said",
+    "mine, message",
     [
         (..., 'exercise 01.1: not solved: no answer yet\n  lessons.hint("01.1") gives a hint\n'),
         ([1, 2], "exercise 01.1: solved\n"),
@@ -42,14 +41,14 @@ def test_close_is_relative_to_the_largest_number():
         ("two", "not solved: expected a number"),
     ],
 )
-def test_numbers(mine, said, capsys):
-    assert lessons.number("01.1", mine, [1, 2]) is None  # a notebook would print a value
+def test_numbers(mine, message, capsys):
+    assert lessons.check_number("01.1", mine, [1, 2]) is None  # a notebook would print a value
     assert lessons.RESULTS == {"01.1": mine == [1, 2]}
-    assert said in capsys.readouterr().out
+    assert message in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
-    "mine, said",
+    "mine, message",
     [
         (7, "solved"),
         (-7, "it is -1 times the right number"),
@@ -62,19 +61,19 @@ def test_numbers(mine, said, capsys):
         (float("nan"), "1 of 1 numbers are wrong"),
     ],
 )
-def test_short_answers_are_stored_and_not_given_away(mine, said, capsys):
-    lessons.number("20.1", mine)
+def test_short_answers_are_stored_and_not_given_away(mine, message, capsys):
+    lessons.check_number("20.1", mine)
     printed = capsys.readouterr().out
-    assert said in printed
-    assert said == "solved" or "7" not in printed.replace("20.1", "")
+    assert message in printed
+    assert message == "solved" or "7" not in printed.replace("20.1", "")
 
 
 def test_hints_come_one_after_the_other(capsys, monkeypatch):
-    monkeypatch.setattr(lessons, "ASKED", {})
+    monkeypatch.setattr(lessons, "HINTS_GIVEN", {})
     first, second = lessons.stored("hints")["07.3"]
-    for said in (f"1 of 2: {first}", f"2 of 2: {second}", f"2 of 2: {second}"):
+    for message in (f"1 of 2: {first}", f"2 of 2: {second}", f"2 of 2: {second}"):
         lessons.hint("07.3")
-        assert capsys.readouterr().out == f"hint {said}\n"
+        assert capsys.readouterr().out == f"hint {message}\n"
     with pytest.raises(KeyError, match="7.3"):
         lessons.hint("7.3")
 
@@ -84,7 +83,7 @@ def unwritten(**inputs):
 
 
 @pytest.mark.parametrize(
-    "mine, said",
+    "mine, message",
     [
         (lambda x_a, O_a, l_a: x_a[:, None] + O_a * l_a[:, None], "exercise 01.2: solved"),
         (lambda **inputs: {"x": offsets.forward(**inputs)[0]}, "exercise 01.2: solved"),
@@ -102,9 +101,9 @@ def unwritten(**inputs):
         ),
     ],
 )
-def test_forwards(mine, said, capsys):
-    assert lessons.forward("01.2", mine, "offsets") is None
-    assert said in capsys.readouterr().out
+def test_forwards(mine, message, capsys):
+    assert lessons.check_forward("01.2", mine, "offsets") is None
+    assert message in capsys.readouterr().out
 
 
 def test_backwards(capsys):
@@ -116,7 +115,7 @@ def test_backwards(capsys):
         return {name: gradients[name] for name in ("x_a", "O_a")}
 
     def solved(mine, *wanted):
-        assert lessons.backward("01.3", mine, "offsets", *wanted) is None
+        assert lessons.check_backward("01.3", mine, "offsets", *wanted) is None
         return lessons.RESULTS["01.3"]
 
     assert solved(right_backward)
@@ -125,8 +124,8 @@ def test_backwards(capsys):
     assert not solved(one_missing)
     assert "the gradient of l_a is missing; expected [A, 3] = [5, 3] of" in capsys.readouterr().out
     assert not solved(lambda inputs, cotangents: (cotangents["x_bar"],))
-    said = "not solved: expected a dictionary {input name: gradient}, got tuple\n"
-    assert said in capsys.readouterr().out
+    message = "not solved: expected a dictionary {input name: gradient}, got tuple\n"
+    assert message in capsys.readouterr().out
 
 
 def wrong_in_q(change):
@@ -140,8 +139,8 @@ def wrong_in_q(change):
     return backward
 
 
-def said_of(change, capsys):
-    lessons.backward("07.3", wrong_in_q(change), "noise")
+def message_of(change, capsys):
+    lessons.check_backward("07.3", wrong_in_q(change), "noise")
     return capsys.readouterr().out
 
 
@@ -149,10 +148,10 @@ def test_feedback_names_the_mistake_that_the_oracle_names(capsys):
     def mean(q_bar, f_bar):
         return q_bar / f_bar.shape[1]
 
-    said = said_of(mean, capsys)
+    message = message_of(mean, capsys)
     by_oracle = oracle.check(EQUATIONS["noise"], "noise", wrong_in_q(mean)).first.explanation
     assert "mean over the channels instead of the sum" in by_oracle
-    assert said.splitlines()[:3] == [
+    assert message.splitlines()[:3] == [
         "exercise 07.3: not solved: the gradient of q: all 6 numbers are 0.2 times the right ones",
         "  Case noise/ordinary: in_bar.q[3, 0]: got 0.135502324, expected 0.677511622",
         f"  It looks like this: {by_oracle}",
@@ -160,7 +159,7 @@ def test_feedback_names_the_mistake_that_the_oracle_names(capsys):
 
 
 @pytest.mark.parametrize(
-    "change, said",
+    "change, message",
     [
         (lambda q_bar, f_bar: 0 * q_bar, "the gradient of q: all 6 numbers are 0 times"),
         (lambda q_bar, f_bar: q_bar / -4, "are -0.25 times the right ones\n"),
@@ -170,8 +169,8 @@ def test_feedback_names_the_mistake_that_the_oracle_names(capsys):
         (lambda q_bar, f_bar: q_bar * (1 + 1e-9), "q: too few right digits\n"),
     ],
 )
-def test_feedback_in_plain_words(change, said, capsys):
-    assert said in said_of(change, capsys)
+def test_feedback_in_plain_words(change, message, capsys):
+    assert message in message_of(change, capsys)
 
 
 def test_feedback_on_integers(capsys):
@@ -179,6 +178,6 @@ def test_feedback_on_integers(capsys):
         symbols = np.floor(f / q).astype(int)
         return symbols, symbols * q
 
-    lessons.forward("07.2", floored, "rounding")
-    said = capsys.readouterr().out
-    assert "the output symbols: " in said and " numbers are wrong\n" in said
+    lessons.check_forward("07.2", floored, "rounding")
+    message = capsys.readouterr().out
+    assert "the output symbols: " in message and " numbers are wrong\n" in message

@@ -26,62 +26,63 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
+from ...lessons import WrongForm, gradients_of, outputs_of
 from ...oracle.adapter import Adapter, packed, unpacked
 from ...oracle.ports import PortError
 from ...oracle.published import Golden, flatten
 from ...table import EQUATIONS
-from .lessons import WrongForm, gradients_of, outputs_of
-from .room import HALF, stub_of
+from .room import modules_of, stubs_of
 
 PACKAGE = Path(__file__).resolve().parents[2]
 ALIKE = 0.8  # of a function's text; where tutorials and tests compute the same, it is below 0.4
-ENOUGH = 200  # characters of such functions in a file; names count as one
-SEVERAL = 3  # files without a comment whose lines are the same by more than chance
-SECONDS = 30  # for all cases of an equation; the cases after that are not asked
+MIN_CHARACTERS = 200  # of such functions in an equation; names count as one
+MIN_EQUATIONS = 3  # without a comment, whose lines are the same by more than chance
+CASE_SECONDS = 5
+ALL_SECONDS = 30  # for all cases of an equation; the cases after that are not asked
 START_SECONDS = 60  # importing NumPy does not count against the student
 START = (
     "import sys; sys.path[0] = sys.argv.pop(1); "
-    "from p4dgs_ref.lab.school.student import main; main(sys.argv[1])"
+    "from p4dgs_ref.lab.classroom.student import main; main(sys.argv[1])"
 )
 
 
 # --- copies ---------------------------------------------------------------------------------------
 def copies(source, key, others=None, alike=ALIKE):
-    """Return the functions of a student's file that are copies.
+    """Return the functions of what a student wrote of an equation that are copies.
 
     `others` are the statements they are compared with, by default those of the package. The entries
     have the form "forward (line 5)". There are none if together they are so short that they may be
-    alike by chance. Raises SyntaxError or ValueError if the file cannot be parsed.
+    alike by chance. Raises SyntaxError or ValueError if the source cannot be parsed.
     """
     others = statements_of_the_package() if others is None else others
-    given, found = statements(stub_of(key)), {}
+    handed_out, copied = statements(joined(stubs_of(key))), {}
     for name, lines in functions(source).items():
-        mine = [line for line in lines if line not in given]
+        mine = [line for line in lines if line not in handed_out]
         same = [line for line in mine if line in others]
         if same and len("".join(same)) >= alike * len("".join(mine)):
-            found[name] = "".join(same)
-    return list(found) if len("".join(found.values())) >= ENOUGH else []
+            copied[name] = "".join(same)
+    return list(copied) if len("".join(copied.values())) >= MIN_CHARACTERS else []
 
 
 def same_lines(mine, theirs):
     """Return the equations for which a student has all lines that another author wrote.
 
     Both are {key: source}. There are none if the lines may be the same by chance: in fewer than
-    SEVERAL files, and without a comment.
+    MIN_EQUATIONS equations, and without a comment.
     """
     lines = {key: written(source, key) for key, source in theirs.items()}
     same = [key for key in lines if set() < lines[key] <= written(mine[key], key)]
     has_comment = any("#" in line for key in same for line in lines[key])
-    return same if has_comment or len(same) >= SEVERAL else []
+    return same if has_comment or len(same) >= MIN_EQUATIONS else []
 
 
 def written(source, key):
-    """Return the lines of functions in a file that are not those of the file as handed out."""
-    mine, given = (
+    """Return the lines of functions that are not those of the files as handed out."""
+    mine, handed_out = (
         {line.strip() for line in text.splitlines() if line[:1].isspace()}
-        for text in (source, stub_of(key))
+        for text in (source, joined(stubs_of(key)))
     )
-    return mine - given
+    return mine - handed_out
 
 
 def alike(mine, theirs):
@@ -92,6 +93,11 @@ def alike(mine, theirs):
         for key, source in mine.items()
         if key in same or copies(source, key, statements(theirs[key]))
     }
+
+
+def joined(files):
+    """Return the files of an equation as one text."""
+    return "\n\n\n".join(files.values())
 
 
 @cache
@@ -129,10 +135,10 @@ def functions(source):
 class Student(Adapter):
     """The process with one student's file."""
 
-    def __init__(self, path, timeout):
+    def __init__(self, path):
         command = [sys.executable, "-c", START, str(PACKAGE.parent), str(path)]
         super().__init__(shlex.join(command))
-        self.for_case, self.end = timeout, time.monotonic() + SECONDS
+        self.end = time.monotonic() + ALL_SECONDS
 
     def part(self, name):
         """Return the port that answers with one part: forward, backward or follow."""
@@ -140,8 +146,8 @@ class Student(Adapter):
 
     def _exchange(self, request, field):
         if time.monotonic() >= self.end:
-            raise PortError("hung", f"not asked, because {SECONDS} s are over")
-        self.timeout = self.for_case if "id" in request else START_SECONDS
+            raise PortError("hung", f"not asked, because {ALL_SECONDS} s are over")
+        self.timeout = CASE_SECONDS if "id" in request else START_SECONDS
         return super()._exchange(request, field)
 
 
@@ -164,26 +170,46 @@ def alone(key):
     for name in [name for name in sys.modules if name.startswith("p4dgs_ref")]:
         del sys.modules[name]
     reference = import_module(EQUATIONS[key].module)
-    for name in {reference.__name__, f"p4dgs_ref.equations.{HALF}"} & sys.modules.keys():
-        package, _, module = name.rpartition(".")
-        delattr(sys.modules[package], module)
-        del sys.modules[name]
+    for name, module in modules_of(key).items():
+        delattr(sys.modules[reference.__package__], name)
+        del sys.modules[module]
     sys.meta_path.insert(0, Lock)
     return reference
 
 
 def load(path):
-    """Return the Equation in a student's file; whatever the file imports is the reference's code.
+    """Return the Equation in a student's file.
 
-    Raises KeyError if the file does not have the name of an equation, and whatever the file raises.
+    Of the project, the file imports the student's other modules of the equation, which lie beside
+    it, and otherwise the reference's code. Raises KeyError if the file does not have the name of an
+    equation, and whatever the file raises.
     """
     path = Path(path)
     eq = EQUATIONS[path.stem]
-    module = ModuleType(f"{eq.module}_of_a_student")
-    module.__package__, module.__file__ = eq.module.rpartition(".")[0], str(path)
-    exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), module.__dict__)
+    others = {
+        module: executed(path.with_name(f"{name}.py"), eq)
+        for name, module in modules_of(eq.key).items()
+        if name != eq.key
+    }
+    of_the_reference = {module: sys.modules.pop(module, None) for module in others}
+    try:
+        sys.modules.update(others)
+        module = executed(path, eq)
+    finally:
+        for name in others:
+            del sys.modules[name]
+        sys.modules.update({name: old for name, old in of_the_reference.items() if old})
     sys.modules[module.__name__] = module
     return eq._replace(module=module.__name__)
+
+
+def executed(path, eq):
+    """Return a module of an equation that holds what a student's file defines."""
+    package = eq.module.rpartition(".")[0]
+    module = ModuleType(f"{package}.{path.stem}_of_a_student")
+    module.__package__, module.__file__ = package, str(path)
+    exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), module.__dict__)
+    return module
 
 
 def main(path):
@@ -200,10 +226,10 @@ def main(path):
 def tried(path, request, reference):
     """Return the fields of the reply to one case: an answer, or the error of the student's file."""
     try:
-        found = answer(load(path), request, reference)
+        fields = answer(load(path), request, reference)
     except BaseException as error:
-        found = {"error": f"{type(error).__name__}: {error}".strip(": ")}
-    return {"id": request["id"], **found}
+        fields = {"error": f"{type(error).__name__}: {error}".strip(": ")}
+    return {"id": request["id"], **fields}
 
 
 @np.errstate(all="ignore")
@@ -221,12 +247,12 @@ def answer(eq, request, reference):
         raise WrongForm("expected a pair, the output and what backward needs")
     output, saved = pair
     if part == "forward":
-        return {"out": numbers(outputs_of(output, eq.outputs)), "in_bar": {}}
+        return {"out": packed_tensors(outputs_of(output, eq.outputs)), "in_bar": {}}
     made = eq.backward(saved, **case.cotangents())
-    return {"out": {}, "in_bar": numbers(gradients_of(made, eq.gradients))}
+    return {"out": {}, "in_bar": packed_tensors(gradients_of(made, eq.gradients))}
 
 
-def numbers(values):
+def packed_tensors(values):
     """Return arrays and lists of arrays, flat and packed.
 
     What is neither float64 nor whole numbers is left out, so that it counts as missing.

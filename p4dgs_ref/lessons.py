@@ -3,22 +3,59 @@
 import json
 import os
 import sys
-from contextlib import suppress
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 
-from ...oracle import published
-from ...oracle.checker import Report, check, check_subject
-from ...oracle.ports import FunctionPort
-from ...scenes.output import write_atomically
-from ...table import EQUATIONS
+from .oracle import published
+from .oracle.checker import Report, check, check_subject
+from .oracle.ports import FunctionPort
+from .report.figures import COLORS
+from .scenes.output import write_atomically
+from .table import EQUATIONS
 
-# The colours of Okabe and Ito, which colour-blind readers can tell apart.
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+
+class Tutorial(NamedTuple):
+    """One file of tutorials/, and the keys of the equations that it explains."""
+
+    name: str
+    keys: tuple = ()
+
+
+TUTORIALS = (
+    Tutorial("01_offsets", ("offsets",)),
+    Tutorial("02_view", ("view",)),
+    Tutorial("03_opacity_and_masking", ("opacity", "masking", "mlp")),
+    Tutorial("04_color_rotation_scale", ("color", "rotation", "scale")),
+    Tutorial("05_positional_encoding_and_deformation", ("positional_encoding", "deformation")),
+    Tutorial("06_deformed", ("deformed",)),
+    Tutorial("07_noise_and_rounding", ("noise", "rounding")),
+    Tutorial("08_step", ("step",)),
+    Tutorial("09_hash_grid", ("hash_grid",)),
+    Tutorial("10_prior_and_likelihood", ("likelihood", "prior")),
+    Tutorial("11_rate", ("anchor_rate", "hash_rate", "rate_loss")),
+    Tutorial("12_losses", ("total_loss", "render_loss", "ssim")),
+    Tutorial("13_covariance", ("covariance",)),
+    Tutorial("14_projection", ("projection",)),
+    Tutorial("15_compositing", ("compositing",)),
+    Tutorial("16_pipeline_by_hand"),
+    Tutorial("17_four_stages"),
+    Tutorial("18_one_training_step"),
+    Tutorial("19_file_byte_by_byte"),
+    Tutorial("20_intervals_to_rans"),
+    Tutorial("21_desync"),
+    Tutorial("22_five_questions_about_bits"),
+    Tutorial("23_accuracy_versus_time"),
+    Tutorial("24_hard_cases"),
+    Tutorial("25_effects"),
+    Tutorial("26_video_codec_analogy"),
+    Tutorial("27_rate_distortion"),
+    Tutorial("28_four_ways_to_move"),
+    Tutorial("29_porting_in_an_afternoon"),
+)
 STYLE = {
     "figure.figsize": (8, 4.5),
     "figure.dpi": 120,
@@ -29,10 +66,10 @@ STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
-NEARLY = 1e-6  # of a number: a smaller error comes from rounding, not from the formula
-NEAR = 0.01  # of a number: an answer with a smaller error is nearly right
+ROUNDING_TOLERANCE = 1e-6  # of a number: a smaller error comes from rounding, not from the formula
+NEAR_TOLERANCE = 0.01  # of a number: an answer with a smaller error is nearly right
 # Factors that are told without giving an answer away, and what may have been confused.
-TELLING = {
+TELLING_FACTORS = {
     0: "",
     0.5: "",
     1: "",
@@ -49,7 +86,12 @@ TELLING = {
     1 / 1000: "a unit that is a thousand times larger",
 }
 RESULTS = {}  # exercise -> whether it is solved, for tests that run a tutorial or its solutions
-ASKED = {}  # exercise -> how many hints were asked for
+HINTS_GIVEN = {}  # exercise -> how many hints were asked for
+
+
+def tutorial_of(key):
+    """Return the tutorial that explains an equation."""
+    return next(tutorial for tutorial in TUTORIALS if key in tutorial.keys)
 
 
 # --- figures --------------------------------------------------------------------------------------
@@ -73,14 +115,9 @@ def interactive():
     return hasattr(sys, "ps1") or "ipykernel" in sys.modules
 
 
-def begin(name):
-    """Show the drawing of the method with what a tutorial explains lit, and return pyplot.
-
-    The drawing belongs to the checkout, as the tutorials do; without one it is left out.
-    """
+def begin():
+    """Return pyplot, and let the tutorial that runs import `tutorials.tools` of its checkout."""
     sys.path.extend(str(root) for root in here().parents if (root / "tutorials" / "tools").is_dir())
-    with suppress(ModuleNotFoundError):
-        import_module("tutorials.tools.architecture").show(name)
     return pyplot()
 
 
@@ -88,11 +125,6 @@ def here():
     """Return the folder of the tutorial that runs, or of its notebook."""
     script = Path(sys.argv[0]).resolve().parent
     return script if script.name in ("tutorials", "solutions") else Path.cwd()
-
-
-def demo():
-    """Return the file of the demo's trained model, which belongs to the checkout as well."""
-    return (import_module("tutorials.tools.shared").FOLDER / "demo.p4dgs").read_bytes()
 
 
 def at_stage_4(trainer, model):
@@ -213,9 +245,9 @@ def caught(mistaken, key, *says, vjp=None):
     """Check a port with a mistake; print where it fails first and why, and what `says` must be."""
     first = check(mistaken, key, vjp).first
     assert first, f"{key}: the mistake is not noticed"
-    said = f"{first.id} fails: {first.explanation or first.hint}"
-    print(said)
-    assert all(words in said for words in says), said
+    message = f"{first.id} fails: {first.explanation or first.hint}"
+    print(message)
+    assert all(words in message for words in says), message
 
 
 # --- exercises ------------------------------------------------------------------------------------
@@ -224,7 +256,7 @@ def golden(id):
     return next(c for c in published.cases(id.partition("/")[0]) if c.id == id).tensors
 
 
-def number(exercise, mine, want=None, digits=6):
+def check_number(exercise, mine, want=None, digits=6):
     """Check an exercise whose answer is a number or an array; Ellipsis stands for no answer.
 
     Without `want`, the answer is compared with the one that is stored for the exercise.
@@ -240,14 +272,14 @@ def number(exercise, mine, want=None, digits=6):
     right = np.isclose(mine, want, 0, 10.0**-digits * np.abs(want).max(initial=0))
     if right.all():
         return settle(exercise, "")
-    if np.isclose(mine, want, NEAR, 0).all():
+    if np.isclose(mine, want, NEAR_TOLERANCE, 0).all():
         return settle(exercise, f"nearly right, but {digits} right digits are expected")
     first = tuple(np.argwhere(~right)[0].tolist())
     example = f"; the first, {list(first)}: {difference(mine[first], want[first])}"
     return settle(exercise, difference(mine, want, example))
 
 
-def forward(exercise, mine, key):
+def check_forward(exercise, mine, key):
     """Check a forward: `mine(**inputs)` returns one array, a tuple or a dictionary of outputs."""
     cases = published.cases(key)
     names = dict.fromkeys(n.split(".")[1] for n in cases[0].tensors if n.startswith("out."))
@@ -255,7 +287,7 @@ def forward(exercise, mine, key):
     settle(exercise, problem(cases, port, ("out.",)))
 
 
-def backward(exercise, mine, key, *wanted):
+def check_backward(exercise, mine, key, *wanted):
     """Check a backward: `mine(inputs, cotangents)` returns {input name: gradient}.
 
     `wanted` names the gradients to check; without it all are checked.
@@ -272,16 +304,16 @@ def backward(exercise, mine, key, *wanted):
 def settle(exercise, problem):
     """Record and print whether an exercise is solved."""
     RESULTS[exercise] = not problem
-    said = "no answer yet" if "NotImplementedError" in problem else problem
+    message = "no answer yet" if "NotImplementedError" in problem else problem
     offer = f'\n  lessons.hint("{exercise}") gives a hint'
-    print(f"exercise {exercise}: " + (f"not solved: {said}{offer}" if problem else "solved"))
+    print(f"exercise {exercise}: " + (f"not solved: {message}{offer}" if problem else "solved"))
 
 
 def hint(exercise):
     """Print the first hint on an exercise, and the second one when it is asked for again."""
     hints = stored("hints")[exercise]
-    ASKED[exercise] = min(ASKED.get(exercise, 0) + 1, len(hints))
-    print(f"hint {ASKED[exercise]} of {len(hints)}: {hints[ASKED[exercise] - 1]}")
+    HINTS_GIVEN[exercise] = min(HINTS_GIVEN.get(exercise, 0) + 1, len(hints))
+    print(f"hint {HINTS_GIVEN[exercise]} of {len(hints)}: {hints[HINTS_GIVEN[exercise] - 1]}")
 
 
 @cache
@@ -299,12 +331,12 @@ def outputs_of(made, names):
     """Return what a forward made as {name: value}. Raises WrongForm for too few or too many."""
     if isinstance(made, dict):
         return made
-    given = made if isinstance(made, tuple) else (made,)
-    if len(given) != len(names):
+    outputs = made if isinstance(made, tuple) else (made,)
+    if len(outputs) != len(names):
         asked = "the output" if len(names) == 1 else f"a tuple of {len(names)} outputs,"
-        got = f"{len(given)} of type {type(made).__name__}"
+        got = f"{len(outputs)} of type {type(made).__name__}"
         raise WrongForm(f"expected {asked} {', '.join(names)}, got {got}")
-    return dict(zip(names, given))
+    return dict(zip(names, outputs))
 
 
 def gradients_of(made, names):
@@ -330,22 +362,22 @@ def problem(cases, port, roles):
     if first is None:
         return ""
     if not first.findings:
-        said = f"{first.verdict} in {first.id}: {first.explanation}"
-        return said.rpartition(f"{WrongForm.__name__}: ")[2]
+        message = f"{first.verdict} in {first.id}: {first.explanation}"
+        return message.rpartition(f"{WrongForm.__name__}: ")[2]
     finding, known = first.findings[0], first.explanation or first.hint
     role, name = finding.tensor.split(".", 1)
     case = next(case for case in cases if case.id == first.id)
     mine, right = (of.get(finding.tensor) for of in (answers[case.id], case.tensors))
-    said = f": {finding.message}"
+    message = f": {finding.message}"
     if finding.kind == "value":
         place = finding.message.partition(" (")[0]
-        said = f": {difference(mine, right)}\n  Case {case.id}: {place}"
+        message = f": {difference(mine, right)}\n  Case {case.id}: {place}"
     if finding.kind in ("missing", "shape"):
         got = "missing" if mine is None else f"of the shape {list(mine.shape)}"
-        said = f" is {got}; expected {axes_of(case, finding.tensor)} of {right.dtype}"
+        message = f" is {got}; expected {axes_of(case, finding.tensor)} of {right.dtype}"
     if known:
-        said += f"\n  It looks like this: {known}"
-    return f"{'the output' if role == 'out' else 'the gradient of'} {name}{said}"
+        message += f"\n  It looks like this: {known}"
+    return f"{'the output' if role == 'out' else 'the gradient of'} {name}{message}"
 
 
 def axes_of(case, tensor):
@@ -363,26 +395,30 @@ def difference(mine, right, example=""):
     Of a single number only a telling factor is named; others would give the right one away.
     `example` follows where the errors of several numbers have nothing in common.
     """
-    wrong = ~np.isclose(mine, right, NEARLY, 0)
+    wrong = ~np.isclose(mine, right, ROUNDING_TOLERANCE, 0)
     factor = np.vdot(right, mine) / np.vdot(right, right)
-    telling = [told for told in TELLING if np.isclose(abs(factor), told, NEAR, 0)]
-    unit = "".join(f" ({TELLING[told]}?)" for told in telling if TELLING[told])
+    telling = [
+        (known, unit)
+        for known, unit in TELLING_FACTORS.items()
+        if np.isclose(abs(factor), known, NEAR_TOLERANCE, 0)
+    ]
+    unit = "".join(f" ({unit}?)" for _, unit in telling if unit)
     sign = "right" if factor > 0 else "wrong"
     size = "large" if abs(factor) > 1 else "small"
     some = f"{wrong.sum()} of {right.size} numbers"
     rules = (
         (not wrong.any(), "too few right digits"),
-        (np.isclose(mine, right, NEAR, 0).all(), "nearly right"),
+        (np.isclose(mine, right, NEAR_TOLERANCE, 0).all(), "nearly right"),
         (right.size == 1 and telling, f"it is {factor:.3g} times the right number{unit}"),
         (
             right.size == 1 and np.isfinite(factor),
             f"it is wrong: its sign is {sign}, its magnitude too {size}",
         ),
         (
-            close(mine, factor * right, NEARLY),
+            close(mine, factor * right, ROUNDING_TOLERANCE),
             f"all {right.size} numbers are {factor:.6g} times the right ones{unit}",
         ),
-        (close(np.abs(mine), np.abs(right), NEARLY), f"{some} have the wrong sign"),
+        (close(np.abs(mine), np.abs(right), ROUNDING_TOLERANCE), f"{some} have the wrong sign"),
         (True, f"{some} are wrong{example}"),
     )
-    return next(said for holds, said in rules if holds)
+    return next(message for holds, message in rules if holds)

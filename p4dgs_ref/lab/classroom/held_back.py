@@ -12,12 +12,12 @@ from ...oracle import published, tolerance
 from ...oracle.compare import change_floats
 from ...table import EQUATIONS
 
-DRAWS = 3  # of every ordinary case; one of every other case
+ORDINARY_DRAWS = 3  # of every ordinary case; one of every other case
 # Rows are multiplied by 0.8 to 1, which preserves signs, zeros and upper bounds on magnitudes.
-LEAST = 0.8
+MIN_FACTOR = 0.8
 # Cases with these flags or names would lose their point if numbers changed. Their inputs stay, with
 # other cotangents.
-KEPT = {
+FLAGS_OF_KEPT_INPUTS = {
     "kink",
     "tie",
     "clamped",
@@ -48,7 +48,7 @@ def cases(key, seed):
     return [
         drawn(case, f"{case.id}#{i + 1}", seed)
         for case in published.cases(key)
-        for i in range(DRAWS if is_ordinary(case) else 1)
+        for i in range(ORDINARY_DRAWS if is_ordinary(case) else 1)
     ]
 
 
@@ -56,7 +56,7 @@ def drawn(case, id, seed):
     """Return a case with changed inputs, new cotangents and the reference's answers to them."""
     eq, inputs = EQUATIONS[case.equation], case.inputs()
     rng = np.random.default_rng((seed, zlib.crc32(id.encode())))
-    if not KEPT & {case.name, *case.record["flags"]}:
+    if not FLAGS_OF_KEPT_INPUTS & {case.name, *case.record["flags"]}:
         inputs = change_floats(inputs, lambda a: scaled(a, rng))
     cotangents = tolerance.cotangents_of(eq, eq(**inputs), f"{seed}/{id}")
     answer = tolerance.answer_of(eq)
@@ -79,4 +79,4 @@ def scaled(a, rng):
     lengths = np.linalg.norm(a, axis=-1) if a.shape[-1:] in ((3,), (4,)) else 0
     if np.allclose(lengths, 1, rtol=0, atol=1e-9):
         return a
-    return (a * rng.uniform(LEAST, 1, a.shape[:1] + (1,) * (a.ndim - 1))).astype(a.dtype)
+    return (a * rng.uniform(MIN_FACTOR, 1, a.shape[:1] + (1,) * (a.ndim - 1))).astype(a.dtype)

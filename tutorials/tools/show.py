@@ -13,16 +13,15 @@ import numpy as np
 from matplotlib.collections import EllipseCollection, LineCollection
 from scipy.special import ndtr
 
-from ...codec.container import read_container
-from ...codec.file import encode, quantised_of
-from ...equations import hash_grid
-from ...model import context
-from ...report.evaluate import decibel, squared_error
-from ...report.figures import heat_image
-from ...report.inspect import anchor_bits, symbol_bits
-from ...splatting import compositing, covariance, render
-from ...splatting.settings import EXACT, FAST
-from .lessons import COLORS
+from p4dgs_ref.codec.container import read_container
+from p4dgs_ref.codec.file import encode, quantised_of
+from p4dgs_ref.equations import hash_grid
+from p4dgs_ref.model import context
+from p4dgs_ref.report.evaluate import decibel, squared_error
+from p4dgs_ref.report.figures import COLORS, heat_image
+from p4dgs_ref.report.inspect import anchor_bits, symbol_bits
+from p4dgs_ref.splatting import compositing, covariance, render
+from p4dgs_ref.splatting.settings import EXACT, FAST
 
 SPACE, STEP, TIME, RATE, CONTEXT, SPLAT, ANCHOR = COLORS
 GREY, PALE = "#606060", "#d9d9d9"
@@ -35,7 +34,7 @@ PARTS = {  # of an anchor's bits: shades of RATE
     "offsets": "#e8bfd6",
 }
 STYLE = {"font.size": 16, "axes.titlesize": 18, "figure.dpi": 100, "axes.grid": False}
-LEAST = 0.01  # of a pixel: a Gaussian that gives less to it is not drawn
+MIN_SHARE = 0.01  # of a pixel: a Gaussian that gives less to it is not drawn
 
 
 # --- what is drawn --------------------------------------------------------------------------------
@@ -60,13 +59,16 @@ def frame(model, camera, t, zoom=8, colors=None):
     return np.clip(image, 0, 1)
 
 
-def splats(g, camera, chosen=slice(None)):
-    """The chosen splats of Gaussians: mean2d [N, 2], cov2d and conic [N, 3], depth, visible [N]."""
+def splats(g, camera, which=slice(None)):
+    """The splats of the Gaussians that `which` selects, of all if it is left out.
+
+    These are mean2d [N, 2], cov2d and conic [N, 3], depth and visible [N].
+    """
     (Sigma, R), _ = covariance.axes(g.s, g.r)
-    return [values[chosen] for values in render.project(g.x, Sigma, camera, EXACT, R)[0]]
+    return [values[which] for values in render.project(g.x, Sigma, camera, EXACT, R)[0]]
 
 
-def seen(x, camera):
+def to_pixels(x, camera):
     """Points x [..., 3] in pixels [..., 2]."""
     x = x @ camera.R.T + camera.T
     return x[..., :2] / x[..., 2:] * (camera.f_x, camera.f_y) + (camera.c_x, camera.c_y)
@@ -116,24 +118,24 @@ def ellipses(ax, mean2d, cov2d, **style):
     ax.add_collection(EllipseCollection(width, height, angles, **place, **style))
 
 
-def families(ax, model, camera, chosen, t=None):
+def families(ax, model, camera, anchor, t=None):
     """Draw anchors, their children, and a line from each to its anchor; one family stands out."""
     g = model.gaussians(t, camera)
     parents = g.index // model.design.k
-    anchors, children = (seen(x, camera) for x in (model.anchors.x_a, g.x))
-    lines, own = np.stack([anchors[parents], children], axis=1), parents == chosen
-    for which, color, width, size in ((~own, SPACE, 0.8, 9), (own, STEP, 3, 70)):
+    anchors, children = (to_pixels(x, camera) for x in (model.anchors.x_a, g.x))
+    lines, of_anchor = np.stack([anchors[parents], children], axis=1), parents == anchor
+    for which, color, width, size in ((~of_anchor, SPACE, 0.8, 9), (of_anchor, STEP, 3, 70)):
         ax.add_collection(LineCollection(lines[which], colors=color, lw=width, zorder=1 + width))
         ax.scatter(*children[which].T, size, color, lw=0, zorder=2 + width)
     ax.scatter(*anchors.T, 26, ANCHOR, lw=0, zorder=3)
-    ax.scatter(*anchors[chosen], 120, ANCHOR, edgecolor=STEP, lw=3, zorder=6)
+    ax.scatter(*anchors[anchor], 120, ANCHOR, edgecolor=STEP, lw=3, zorder=6)
 
 
 def paths(ax, model, camera, times):
     """Draw the paths of all Gaussians in colours for the length of delta_x; return these lines."""
     x = np.array([model.gaussians(t, camera).x for t in times])
     length = np.linalg.norm(x - model.gaussians(None, camera).x, axis=2)
-    places = seen(x, camera)
+    places = to_pixels(x, camera)
     pieces = np.stack([places[:-1], places[1:]], axis=2).reshape(-1, 2, 2)
     lines = LineCollection(pieces, cmap=AMOUNT, lw=2, rasterized=True)
     lines.set_array((length[:-1] + length[1:]).ravel() / 2)
@@ -180,37 +182,38 @@ def distribution(ax, mu, sigma, symbol, reach=14):
 
 
 # --- whole figures --------------------------------------------------------------------------------
-def anchors(figure, model, camera, chosen, view):
+def anchors(figure, model, camera, anchor, view):
     """Anchors and children in canonical space, and the ellipses of the children; one stands out."""
     left, right = figure.subplots(1, 2)
     g, image = model.gaussians(None, camera), 0.5 * frame(model, camera, None) + 0.5
     picture(left, np.ones_like(image), camera, **view)
     left.set_title(f"{model.primitives} anchors (black), {len(g.x)} children (blue)")
-    families(left, model, camera, chosen)
+    families(left, model, camera, anchor)
     picture(right, image, camera, **view, title="the children, drawn as Gaussians")
-    own = g.index // model.design.k == chosen
-    for which, colors, width in ((~own, 0.7 * g.color[~own], 1), (own, STEP, 4)):
+    of_anchor = g.index // model.design.k == anchor
+    others = ~of_anchor
+    for which, colors, width in ((others, 0.7 * g.color[others], 1), (of_anchor, STEP, 4)):
         ellipses(right, *splats(g, camera, which)[:2], fc="none", ec=colors, lw=width)
 
 
-def prediction(figure, file, camera, t, chosen, walk):
+def prediction(figure, file, camera, t, anchor, walk):
     """The feature of an anchor, its Gaussians, and their colours as the cameras of `walk` see them.
 
     `file` is a Quantised model. `walk` is {direction in degrees: camera}, in steps of one degree.
     """
     feature, family, colors = figure.subplots(1, 3, width_ratios=(1, 1.3, 1.5))
-    symbols = file.symbols[chosen, : file.model.design.d]
+    symbols = file.symbols[anchor, : file.model.design.d]
     feature.barh(-np.arange(len(symbols)), symbols, color=SPACE)
     feature.set(title=f"one feature:\n{len(symbols)} integers", xlabel="integer", yticks=())
     g = file.model.gaussians(t, camera)
-    own = g.index // file.model.design.k == chosen
-    mean2d, cov2d, *_ = splats(g, camera, own)
+    children = g.index // file.model.design.k == anchor
+    mean2d, cov2d, *_ = splats(g, camera, children)
     x, y = middle = mean2d.mean(axis=0)
     image = 0.3 * frame(file.model, camera, t, 20) + 0.7
     picture(family, image, camera, xlim=(x - 8, x + 8), ylim=(y + 10, y - 10))
-    ellipses(family, mean2d, cov2d, fc=g.color[own], ec=STEP, lw=3)
-    family.set_title(f"its {own.sum()} Gaussians")
-    shades = np.array([file.model.gaussians(t, at).color[own] for at in walk.values()])
+    ellipses(family, mean2d, cov2d, fc=g.color[children], ec=STEP, lw=3)
+    family.set_title(f"its {children.sum()} Gaussians")
+    shades = np.array([file.model.gaussians(t, at).color[children] for at in walk.values()])
     for i, away in enumerate(mean2d - middle, 1):
         place = middle + away * (1 + 2.6 / np.linalg.norm(away))
         family.text(*place, i, ha="center", va="center", weight="bold", size=22)
@@ -247,7 +250,7 @@ def pixel(figure, model, camera, t, at):
     g, (x, y) = model.gaussians(t, camera), at
     order, shares, behind = front_to_back(g, camera, at)
     mixed = shares @ g.color[order] + behind * model.background
-    first, shares = order[shares > LEAST], shares[shares > LEAST]
+    first, shares = order[shares > MIN_SHARE], shares[shares > MIN_SHARE]
     image = 0.3 * frame(model, camera, t, 20) + 0.7
     picture(left, image, camera, xlim=(x - 8, x + 8), ylim=(y + 8, y - 8))
     ellipses(left, *splats(g, camera, first)[:2], fc="none", ec=0.8 * g.color[first], lw=4)
@@ -300,8 +303,10 @@ def knowledge(figure, file, level, side=160):
     near = np.abs(model.anchors.x_a[:, 2] - level) < 0.15
     b.plot(*model.anchors.x_a[near, :2].T, "o", color="white", mec=ANCHOR, ms=8)
     b.set(title="σ that they predict,\nand anchors there", xlabel="x (scene units)")
-    own = context_at(model, model.anchors.x_a)
-    mu, sigma = (values[:, :d] / own.q[:, :1] for values in (own.mu, own.sigma))
+    at_anchors = context_at(model, model.anchors.x_a)
+    mu, sigma = (
+        values[:, :d] / at_anchors.q[:, :1] for values in (at_anchors.mu, at_anchors.sigma)
+    )
     cheapest = symbol_bits(file)[:, :d].argmin()
     for ax, word, i in zip(both, ("sure", "unsure"), (cheapest, sigma.argmax())):
         bits = distribution(ax, mu.flat[i], sigma.flat[i], file.symbols[:, :d].flat[i])

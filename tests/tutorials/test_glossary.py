@@ -6,7 +6,7 @@ from pathlib import Path
 from p4dgs_ref.table import EQUATIONS
 from tutorials.tools import glossary
 
-FOLDER = Path(__file__).resolve().parents[3] / "tutorials"
+FOLDER = Path(__file__).resolve().parents[2] / "tutorials"
 TEXT = (FOLDER / "glossary.md").read_text(encoding="utf-8")
 SYMBOLS = [symbol for symbols in glossary.SECTIONS.values() for symbol in symbols]
 
