@@ -443,7 +443,7 @@ losses = objective.loss(
     design,
     networks,
     levels,
-    fixed,
+    inputs,
     View("", truth, None, camera, t),
     np.zeros((1, 14)),
 )[0]
