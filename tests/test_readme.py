@@ -206,7 +206,9 @@ def test_check_fails_where_a_test_fails_and_leaves_nothing(tmp_path, tests, slow
     options, extras = declared()["options"], declared()["options.extras_require"]
     floors = options["install_requires"].split() + extras["test"].split()
     lowest = " ".join(floor.replace(">=", "==") for floor in floors)
-    paper = "tests/core tests/codec tests/golden/test_vectors.py tests/oracle/test_published.py"
+    rooms = ("equations", "splatting", "scenes", "training", "codec")
+    vectors = "tests/golden/test_vectors.py tests/oracle/test_published.py"
+    paper = f"{' '.join(f'tests/{room}' for room in rooms)} {vectors}"
     short, old, slow = (
         [f"python -m pytest {chosen} --share {i}/2" for i in (1, 2)]
         for chosen in ("tests", paper, "-m slow tests")

@@ -7,7 +7,7 @@ import pytest
 
 from p4dgs_ref.lab.stability import FILE
 from p4dgs_ref.table import EQUATIONS
-from tests.core import rules
+from tests.equations import rules
 from tests.golden import demo
 from tests.golden.cases import FLAGS, cases_of
 from tests.golden.hard_cases import catalogue, make_constants, publish

@@ -15,7 +15,7 @@ from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator import place_cameras, trace
 from p4dgs_ref.scenes.simulator.description import describe
 from p4dgs_ref.training.presets import TINY
-from tests.core.effect_scenes import described
+from tests.training.effect_scenes import described
 
 VIEWS = 24
 

@@ -9,7 +9,7 @@ import re
 from collections import namedtuple
 
 from p4dgs_ref.table import EQUATIONS
-from tests.core import shape_comments
+from tests.equations import shape_comments
 from tutorials.tools.shared import table
 
 UNITS = (

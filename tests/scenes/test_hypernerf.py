@@ -12,7 +12,7 @@ from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.load import read_points_for
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
-from tests.core.refusals import refuse
+from tests.scenes.refusals import refuse
 
 WIDTH, HEIGHT = 16, 12
 CENTER, SCALE = np.array([0.5, -2.0, 7.0]), 0.25

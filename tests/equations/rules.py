@@ -5,8 +5,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from tests.core import shape_comments
-from tests.core.adjoint import EPS, cast, close, draw_cotangents, is_float, leaves
+from tests.equations import shape_comments
+from tests.equations.adjoint import EPS, cast, close, draw_cotangents, is_float, leaves
 
 
 def run(eq, inputs):

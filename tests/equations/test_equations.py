@@ -13,8 +13,8 @@ import pytest
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.oracle import checker, published
 from p4dgs_ref.table import BEYOND, EQUATIONS
-from tests.core import adjoint, rules
-from tests.core.adjoint import close, is_float
+from tests.equations import adjoint, rules
+from tests.equations.adjoint import close, is_float
 from tests.golden.cases import FLAGS, case_of, cases_of
 from tests.golden.checks import altered
 from tests.oracle.answers import Port

@@ -15,7 +15,7 @@ import pytest
 
 from p4dgs_ref.scenes import MODEL_EFFECTS, Scene, load, load_scene, packaged_scenes
 from p4dgs_ref.splatting.camera import look_at
-from tests.core.refusals import refuse
+from tests.scenes.refusals import refuse
 
 WIDTH, HEIGHT = 12, 8
 
