@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from tests import ROOT
+
 BUILT = (".git", ".venv", "venv", "build", "dist", "*.egg-info", "__pycache__", ".*_cache")
 
 

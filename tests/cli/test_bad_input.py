@@ -5,7 +5,6 @@ import math
 import os
 import resource
 import shutil
-from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
@@ -16,11 +15,10 @@ from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.report import figures
 from p4dgs_ref.scenes.output import PART
 from p4dgs_ref.training.fit import fit, load_checkpoint
+from tests import ROOT
 from tests.sampling import few
 
 from .conftest import tree
-
-ROOT = Path(p4.__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")

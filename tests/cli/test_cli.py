@@ -6,8 +6,6 @@ import os
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 import time
 from contextlib import redirect_stderr, redirect_stdout
 from importlib import import_module
@@ -23,10 +21,10 @@ from p4dgs_ref.arithmetic import arithmetic
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.lab.tables import compare
+from tests import ROOT, processes
 from tests.budget import subcommands
 from tests.processes import start
 
-ROOT = Path(p4.__file__).resolve().parents[1]
 HEADINGS = ["The main job", "Files", "Ports", "Measure", "Teach"]
 DATA = "demo evaluate inspect presets accuracy stability effects compare ablate bench grade"
 
@@ -315,7 +313,7 @@ def test_python_face_has_every_name():
 
 def test_importing_the_package_leaves_numpy_alone():
     code = "import sys, p4dgs_ref, p4dgs_ref.cli.parser; sys.exit('numpy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+    assert processes.run("-c", code).returncode == 0
 
 
 @pytest.fixture

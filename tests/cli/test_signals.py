@@ -4,16 +4,14 @@ import itertools
 import signal
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
-import p4dgs_ref as p4
 from p4dgs_ref.signals import deferred, handled, interrupt
+from tests import ROOT
 from tests.processes import start
 from tests.sampling import few
 
-ROOT = Path(p4.__file__).resolve().parents[1]
 NUMBERS = {"INT": signal.SIGINT, "TERM": signal.SIGTERM}
 SIGNALS = pytest.mark.parametrize("name", NUMBERS)
 # Before the import of a module, say so and wait, as a slow disk would.

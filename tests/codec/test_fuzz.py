@@ -6,7 +6,6 @@ import json
 import tracemalloc
 from collections import Counter
 from datetime import date
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,6 +24,7 @@ from p4dgs_ref.codec.published import FOLDER
 from p4dgs_ref.codec.quantise import quantise, without_silent_units
 from p4dgs_ref.codec.streams import decode_symbols, encode_bits, encode_gaussian
 from p4dgs_ref.model import join
+from tests import ROOT
 from tests.codec.models import changed, digest, refusal
 from tests.golden import fuzz
 from tests.golden.damage import Mutation, assemble, damage_header, mutation
@@ -50,7 +50,7 @@ REAL = dict(
     ),
 )
 
-DEMO = Path(__file__).resolve().parents[2] / "tutorials" / "demo.p4dgs"
+DEMO = ROOT / "tutorials" / "demo.p4dgs"
 
 
 @pytest.fixture(scope="module")
