@@ -21,7 +21,7 @@ def run(*options, env=None):
     return subprocess.run([sys.executable, *options], cwd=ASIDE, env=env, **CAPTURED)
 
 
-def start(*options, cwd):
+def start(*options, cwd=ASIDE):
     """Start Python with options; Ctrl-C reaches it, also where the tests themselves ignore it."""
     return subprocess.Popen(
         [sys.executable, *options],

@@ -87,6 +87,11 @@ def demo(column):
     }
 
 
+# The short trainings of these programs learn nothing.
+SHORT = pytest.mark.filterwarnings("ignore:scene bouncing. what moves is lost")
+
+
+@SHORT
 @pytest.mark.parametrize(
     "program, output",
     [*PROGRAMS, CHECK],
@@ -117,6 +122,7 @@ def test_every_program_is_run_and_the_first_is_short():
     assert slope == quotient != 0
 
 
+@SHORT
 def test_five_lines_run_and_print_the_figures_of_the_demo(run):
     """With another preset, which takes a second; the demo's own figures are measured below."""
     program, output = FIVE_LINES

@@ -14,6 +14,7 @@ from p4dgs_ref.equations import hash_grid, prior
 from p4dgs_ref.model import Gaussians, context, split
 from p4dgs_ref.scenes.files import read_ply
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
+from p4dgs_ref.training.fit import fit
 from p4dgs_ref.training.initial import design_of, initial_parameters
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import SMOKE
@@ -79,7 +80,7 @@ AS_D3DGS = dict(deformation=(7, 6, 5, 4), time_net=(8, 3), skip=True)
 TURNING = dict(deformation=(), grid_3d=(3, 4), grid_2d=())
 
 MAKE = {
-    "trained": cache(lambda: p4.train(p4.load_scene("bouncing"), preset="smoke")),
+    "trained": cache(lambda: fit(p4.load_scene("bouncing"), "smoke", 0).model()),
     "random": lambda: random_model(1),
     "many": lambda: random_model(2, **MANY),
     "static": lambda: random_model(3, ("view_color", "occlusion", "background")),

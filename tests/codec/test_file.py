@@ -13,6 +13,7 @@ from p4dgs_ref.equations import likelihood
 from p4dgs_ref.model import ANCHOR_NETWORKS, Anchors, join
 from p4dgs_ref.report.inspect import components, ledger
 from p4dgs_ref.splatting.camera import look_at
+from p4dgs_ref.training.fit import fit
 from p4dgs_ref.training.presets import SMOKE, TINY
 from tests.codec.models import (
     MAKE,
@@ -81,7 +82,7 @@ def test_encoding_again_gives_the_same_bytes(made):
 )
 def test_files_of_trainings_encode_to_themselves(scene, preset):
     """The demo's scene with the preset smoke is among the models of the test above."""
-    data = encode(p4.train(p4.load_scene(scene), preset=preset, seed=3))
+    data = encode(fit(p4.load_scene(scene), preset, 3).model())
     assert encode(decode(data)) == data
 
 

@@ -222,6 +222,7 @@ def test_apply_is_refused_in_one_line(line, word, quick, capsys):
     assert word in error and error.count("\n") == 1
 
 
+@pytest.mark.filterwarnings("always:scene")  # of a command: a line
 def test_train_points_to_the_suggestion_where_no_effects_are_listed(folder, tmp_path, capsys):
     line = f"train {folder} --preset smoke --set stage_ends=1,1,2,2 --set mask_from=2 --quiet"
     assert run(f"{line} -o {tmp_path / 'run'}") == 0

@@ -150,6 +150,13 @@ def other_number(arrays, values):
     arrays["p/f_a"][0, 0] += 1
 
 
+def zeros():
+    """The bytes of an array as NumPy writes one."""
+    file = io.BytesIO()
+    np.save(file, np.zeros(3))
+    return file.getvalue()
+
+
 # name: (the edit of the file, words of the message)
 EDITS = {
     "a number": (edited(other_number, sealed=False), ("edited",)),
@@ -160,7 +167,7 @@ EDITS = {
     "a byte more": (changed_bytes(lambda data: data + b"x"), ("damaged",)),
     "empty": (changed_bytes(lambda data: b""), ("damaged",)),
     **{f"one bit at {share}": (one_bit(share), ("damaged",)) for share in (0, 0.01, 0.3, 0.99, 1)},
-    "one array": (lambda path: np.save(open(path, "wb"), np.zeros(3)), ("expected a checkpoint",)),
+    "one array": (changed_bytes(lambda data: zeros()), ("expected a checkpoint",)),
     "a pipe": (replaced(os.mkfifo), ("regular file",)),
     "a folder": (replaced(os.mkdir), ("regular file",)),
 }

@@ -276,7 +276,6 @@ MISTAKES = [
 ]
 
 
-@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("file, fields, words", MISTAKES)
 def test_mistakes_in_a_file(folder, file, fields, words):
     edit(folder / file, **fields)

