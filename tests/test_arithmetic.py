@@ -16,6 +16,7 @@ import pytest
 from p4dgs_ref import arithmetic
 from tests import processes
 from tests.golden.proof import proof
+from tests.sampling import of_the_day
 
 CORE = (getattr(np, "_core", None) or np.core)._multiarray_umath
 PREPARED = """
@@ -148,7 +149,7 @@ def native():
 
 @pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("qemu-x86_64"), reason="no qemu-x86_64 (package qemu-user)")
-@pytest.mark.parametrize("processor", ["Haswell", "EPYC-Rome"])
+@pytest.mark.parametrize("processor", of_the_day(["Haswell", "EPYC-Rome"]))
 def test_an_emulated_processor_computes_the_same_bytes(native, processor):
     command = ["qemu-x86_64", "-cpu", processor, sys.executable, "-m", "tests.golden.proof"]
     done = subprocess.run(command, cwd=processes.ASIDE, **processes.CAPTURED)

@@ -11,7 +11,6 @@ import runpy
 import shutil
 import subprocess
 import sys
-import warnings
 from pathlib import Path
 
 import pytest
@@ -490,9 +489,8 @@ def test_demo_figures_are_those_of_the_demo(column, preset):
     model = p4.decode(data)
     measured, _, _ = evaluate(model, load_scene("bouncing"))
     if demo_files.with_what() != kept["arithmetic"]:
-        warnings.warn(f"{preset}: only its dB are compared; the demo had {kept['arithmetic']}")
         assert abs(measured["psnr_db"] - said["psnr_db"]) <= 1.5
-        return
+        pytest.skip(f"only its dB were compared; the demo had {kept['arithmetic']}")
     assert demo_files.sha256(data) == kept[preset]
     measured.update(bytes=len(data), explicit_bytes=explicit_bytes(model, measured["gaussians"]))
     digits = {"psnr_db": 2, "psnr_fg_db": 2, "ssim": 4}

@@ -58,14 +58,14 @@ def least():
     return fuzz.good_files()[1]
 
 
-@pytest.mark.parametrize("count", [150, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [150, pytest.param(1000, marks=pytest.mark.slow)])
 def test_damage_is_refused_or_within_limits(count):
     seed = date.today().toordinal()
     answers, failures = fuzz.fuzz(count, seed)
     assert not failures, f"seed {seed}"
     assert sum(sum(c.values()) for c in answers.values()) == count
     assert not any(c["within limits"] for kind, c in answers.items() if kind.startswith("raw"))
-    if count > 1000:
+    if count == 1000:
         assert len(answers) == 28 and all(c["refused"] > count / 100 for c in answers.values())
         # Repaired checksums let some changes through, so decoded models were checked too.
         for kind in ("flip", "overwrite", "header field"):
@@ -181,7 +181,7 @@ def kept(model):
     return without_silent_units(changed(model, **anchors))
 
 
-@pytest.mark.parametrize("count", [100, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [100, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.filterwarnings("error")
 def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
     """Where the box has no extent, 0 is stored, and attributes may move by half of another step."""
@@ -218,7 +218,7 @@ def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
             assert found.model.design == expected.design
         assert encode(found.model) == again, f"seed {seed}, mutant {i}"
     assert seen["decoded"] > count / 3 and seen["flat"] and seen["fewer_anchors"]
-    assert count < 1000 or seen["fewer_units"]
+    assert count == 100 or seen["fewer_units"]
 
 
 # --- Memory ---
