@@ -5,8 +5,6 @@ Of every version of the vectors: what joined, and what an earlier version still 
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +16,7 @@ from p4dgs_ref.oracle import checker, published, report, safetensors
 from p4dgs_ref.oracle.compare import expected
 from p4dgs_ref.oracle.ports import FolderPort, PortError
 from p4dgs_ref.table import EQUATIONS
+from tests import processes
 from tests.golden.vectors import damaged
 from tests.oracle.answers import broken, right, write
 
@@ -289,9 +288,8 @@ print("\\n".join(name for name in sys.modules if name.partition(".")[0] == "p4dg
 
 @pytest.mark.slow
 def test_a_check_of_one_equation_loads_few_modules():
-    done = subprocess.run(
-        [sys.executable, "-c", CHECK], capture_output=True, text=True, check=True, timeout=60
-    )
+    done = processes.run("-c", CHECK)
+    assert done.returncode == 0, done.stderr
     loaded = done.stdout.split()
     assert len(loaded) <= 20, loaded
     rooms = {name.split(".")[1] for name in loaded if "." in name}

@@ -83,6 +83,7 @@ def test_a_right_port_fails_nothing(key):
     assert not any(r.wrong for r in report.results), str(report)
 
 
+@pytest.mark.filterwarnings("ignore:Mean of empty slice")  # of mistakes of the window of SSIM
 @pytest.mark.parametrize("mistake", few(FOUND, 12), ids=lambda mistake: mistake.id)
 def test_a_wrong_port_is_found(mistake):
     port = alone(lambda case: answers(mistake, case))

@@ -6,8 +6,8 @@ import pytest
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.table import EQUATIONS
-from tests.core import adjoint
-from tests.core.adjoint import leaves
+from tests.equations import adjoint
+from tests.equations.adjoint import leaves
 from tests.golden import pipeline, scalars, scalars_coding, stages, stages_coding
 from tests.golden.cases import FLAGS
 from tests.golden.flat import camera_of

@@ -8,7 +8,7 @@ from p4dgs_ref.oracle.compare import cast, compare
 from p4dgs_ref.splatting import fast, loop
 from p4dgs_ref.splatting.settings import PAPER
 from p4dgs_ref.splatting.tiles import bin_splats
-from tests.core import adjoint
+from tests.equations import adjoint
 from tests.golden import kernel
 from tests.golden.mistakes.kernel import ruled
 from tests.golden.subjects import subjects

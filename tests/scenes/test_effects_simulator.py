@@ -7,7 +7,7 @@ from p4dgs_ref.effects import MOTION
 from p4dgs_ref.scenes import SIMULATOR_EFFECTS
 from p4dgs_ref.scenes.simulator import bodies, place_cameras, trace
 from p4dgs_ref.scenes.simulator.description import describe
-from tests.core.effect_scenes import EPS, SCENES, described, simulated_effects, small_camera
+from tests.training.effect_scenes import EPS, SCENES, described, simulated_effects, small_camera
 
 STILL = {
     "line": {"by": [0, 0, 0]},

@@ -15,7 +15,7 @@ import pytest
 
 from p4dgs_ref.scenes import MODEL_EFFECTS, Scene, load, load_scene, packaged_scenes
 from p4dgs_ref.splatting.camera import look_at
-from tests.core.refusals import refuse
+from tests.scenes.refusals import refuse
 
 WIDTH, HEIGHT = 12, 8
 
@@ -282,7 +282,6 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize("change, words", [pytest.param(*row[1:], id=row[0]) for row in MISTAKES])
-@pytest.mark.filterwarnings("error")  # a warning of NumPy would be a further line
 def test_mistakes_in_a_transforms_file(folder, change, words):
     shutil.copy(folder / "train" / "r_000.png", folder.parent / "secret.png")
     (folder / "link.png").symlink_to(folder.parent / "secret.png")
@@ -347,7 +346,6 @@ def palette_png(path, rng, alphas):
     return np.dstack([palette[index], alpha[index]]) / 255
 
 
-@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("alphas", [[], [0], [0, 128, 255, 7]], ids=["opaque", "one", "several"])
 def test_palette_pngs(folder, alphas):
     want = palette_png(folder / "train" / "r_001.png", np.random.default_rng(1), alphas)
@@ -517,7 +515,6 @@ IN_ARRAYS = [
 ]
 
 
-@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("change, words", IN_ARRAYS)
 def test_mistakes_in_arrays(change, words):
     given = {**dict(images=IMAGES, cameras=CAMERAS, times=TIMES), **change}

@@ -98,11 +98,10 @@ def test_gaussians_beyond_every_number_are_culled_alone(scale):
         assert name in ("background", "s") or not bars[name][0].any(), name
 
 
-@pytest.mark.parametrize("n, size", [(1000, 64), pytest.param(5000, 128, marks=pytest.mark.slow)])
-def test_fast_settings_stay_within_their_declared_error(n, size):
+def test_fast_settings_stay_within_their_declared_error():
     """Image within 1e-4 and gradients within 1e-3 of the exact twin, for a random cotangent."""
-    inputs = splats(n, size, size, seed=n)
-    image_bar = np.random.default_rng(2).normal(size=(size, size, 3))
+    inputs = splats(1000, 64, 64, seed=1000)
+    image_bar = np.random.default_rng(2).normal(size=(64, 64, 3))
     exact, _, exact_bars = run(compositing, inputs, image_bar)
     image, _, bars = run(fast, inputs, image_bar, settings=FAST)
     assert largest(image, exact) <= 1e-4

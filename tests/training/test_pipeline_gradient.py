@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.training import objective
-from tests.core.whole_gradient import check, setting
 from tests.sampling import few
+from tests.training.whole_gradient import check, setting
 
 STAGES_1_AND_2 = {"psi_d", "psi_p", "psi_q", "grid"}
 RESTS, MOVES = ("occlusion", "background"), ("translation", "view_color", "background")

@@ -10,7 +10,7 @@ import p4dgs_ref as p4
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.cli import text
 from p4dgs_ref.training import fit
-from tests.core.bars import Share, moving, scene
+from tests.training.bars import Share, moving, scene
 
 
 def messages(function, *args, **kwargs):
@@ -68,6 +68,7 @@ def test_training_warns_before_and_after():
     assert len(told) == 2 and "training views" in told[0] and "is lost" in told[1]
 
 
+@pytest.mark.filterwarnings("always:views")
 def test_the_command_line_prints_a_warning_as_one_line(capsys, monkeypatch):
     monkeypatch.setattr(text, "presets", lambda *args: warnings.warn("views:\x1b\nfew"))
     assert cli.run(["presets"], 0.0) == 0

@@ -22,8 +22,9 @@ from p4dgs_ref.training.initial import design_of, initial_parameters
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import SMOKE
 from p4dgs_ref.training.trainer import Trainer
-from tests.core.adjoint import close
-from tests.core.effect_scenes import (
+from tests.equations.adjoint import close
+from tests.sampling import few
+from tests.training.effect_scenes import (
     EPS,
     SCENES,
     SEEN_BY,
@@ -33,7 +34,6 @@ from tests.core.effect_scenes import (
     small_scene,
     trained,
 )
-from tests.sampling import few
 
 
 # --- what is off is absent ---

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.scenes.files import read_points
-from tests.core.refusals import refuse
+from tests.scenes.refusals import refuse
 
 POINTS = np.array([[0.5, -0.25, 1.0], [0.125, 2.0, -3.0], [1e-3, 0.75, 0.5], [4.0, 5.0, 6.0]])
 LITTLE = """ply

@@ -2,7 +2,6 @@
 
 import os
 import re
-import subprocess
 import sys
 from dataclasses import replace
 
@@ -26,6 +25,7 @@ from p4dgs_ref.training.presets import (
 )
 from p4dgs_ref.training.trainer import Trainer
 from p4dgs_ref.training.watch import NotFinite, equation_codes, watching
+from tests import processes
 
 SHORT = replace(SMOKE, stage_ends=(1, 2, 3, 5))  # every stage, in five steps
 
@@ -372,5 +372,4 @@ def test_prepare_comes_before_numpy():
     )
     others = {name: a for name, a in os.environ.items() if not name.endswith("_NUM_THREADS")}
     for environment, threads in ((others, "1"), ({**others, "OPENBLAS_NUM_THREADS": "3"}, "3")):
-        command = [sys.executable, "-c", program]
-        assert subprocess.check_output(command, env=environment, text=True).strip() == threads
+        assert processes.run("-c", program, env=environment).stdout.strip() == threads

@@ -14,7 +14,7 @@ from p4dgs_ref.scenes.simulator import place_cameras, simulate, trace
 from p4dgs_ref.scenes.simulator.bodies import HITS, NORMALS, box_hit, capsule_hit, poses, turn
 from p4dgs_ref.scenes.simulator.description import describe
 from p4dgs_ref.splatting.camera import look_at
-from tests.core.refusals import refuse
+from tests.scenes.refusals import refuse
 
 SPHERE = {"name": "ball", "shape": {"kind": "sphere", "radius": 0.5}, "color": [0.8, 0.4, 0.2]}
 BOX = {"name": "box", "shape": {"kind": "box", "half": [0.4, 0.3, 0.2]}, "color": [0.1, 0.3, 0.5]}

@@ -25,8 +25,6 @@ Z, W, BITS, BITS_F, BITS_Q = (np.array(column)[None] for column in zip(*ROWS))
 BOTH = pytest.mark.parametrize("dtype", [np.float64, np.float32])
 SIGNS = pytest.mark.parametrize("sign", [1, -1])
 
-pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
-
 
 def rate(z, w, mu=0.0, sigma=1.0, dtype=np.float64):
     """Bits, and their derivatives by f_noisy, mu, sigma and q, in units of 1 / sigma."""

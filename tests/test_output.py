@@ -162,6 +162,10 @@ def test_hidden_folders_of_killed_processes_are_removed(tmp_path, write):
         assert not killed.exists() and alive.exists() and new.exists()
 
 
+LEARNS_NOTHING = pytest.mark.filterwarnings("ignore:scene bouncing")  # a training of few steps
+
+
+@LEARNS_NOTHING
 @pytest.mark.parametrize("without", ["fcntl", "locks"])
 def test_without_locks_everything_is_written(tmp_path, monkeypatch, without):
     hidden(tmp_path, "perhaps alive")
@@ -174,6 +178,7 @@ def test_without_locks_everything_is_written(tmp_path, monkeypatch, without):
     assert names == [f"{output.PART}perhaps alive", "checkpoint.npz"]
 
 
+@LEARNS_NOTHING
 def test_two_trainings_in_one_folder(tmp_path):
     short = dict(preset="smoke", folder=tmp_path, stage_ends=(1, 2, 3, 4))
     with locked(tmp_path):
