@@ -3,15 +3,15 @@
 from contextlib import nullcontext
 from functools import partial
 
-from ..lab import bench, effect_ledger, school
+from ..lab import effect_ledger, school
 from ..lab.accuracy import report as accuracies
 from ..lab.stability import describe, draw_map, rows
 from ..lab.suggest import foretold, suggest
 from ..lab.tables import ablate, compare, curve, methods
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
 from ..scenes.output import filled
-from . import expect, progress, say, show, tell
-from .job import estimate, read_scene
+from . import progress, require, say, show, tell
+from .job import estimate
 
 
 def turn_knobs(arguments):
@@ -34,24 +34,23 @@ def hard_cases(arguments):
 
 def effects(arguments):
     """Train with and without each effect, or say which effects the pictures call for."""
-    expect(arguments.suggest or not arguments.apply, "--apply: expected together with --suggest")
-    expect(not (arguments.suggest and arguments.quick), "--quick: expected without --suggest")
+    require(arguments.suggest or not arguments.apply, "--apply", "expected together with --suggest")
     if arguments.suggest:
         return suggest_effects(arguments)
-    preset, share = ("smoke", 1) if arguments.quick else ("tiny", 0.5)
     with filled(arguments.output) as beside:
-        scene = read_scene(arguments)
-        found = effect_ledger.ledger(scene, preset, arguments.seed, share, progress, arguments.jobs)
+        scene = load_scene(arguments.scene)
+        found = effect_ledger.ledger(scene, progress=progress, jobs=arguments.jobs)
         effect_ledger.draw_ledger(beside / "effects.png", found)
-    show(arguments, {"effects": found}, effect_ledger.describe(found, arguments.quick))
+    show(arguments, {"effects": found}, effect_ledger.describe(found))
 
 
 def suggest_effects(arguments):
     """Say which effects the pictures call for; with --apply write the list to scene.json."""
-    scene, folder = read_scene(arguments), find_scene(arguments.scene)
-    expect(
+    scene, folder = load_scene(arguments.scene), find_scene(arguments.scene)
+    require(
         not arguments.apply or packaged_folder() not in folder.resolve().parents,
-        f"--apply: {folder} is a packaged scene; expected a folder of yours",
+        "--apply",
+        f"{folder} is a packaged scene; expected a folder of yours",
     )
     say(f"--suggest: about {foretold(scene, jobs=arguments.jobs):.0f} s of short trainings")
     found = suggest(scene, progress=progress, jobs=arguments.jobs)
@@ -60,12 +59,6 @@ def suggest_effects(arguments):
         called = [row["effect"] for row in found if row["called_for"]]
         lines.append(f"written to {list_effects(folder, called)}: {', '.join(called)}")
     show(arguments, {"effects": found}, "\n".join(lines))
-
-
-def times(arguments):
-    """Time the renderer, a training step and the coder."""
-    result = bench.bench(arguments.quick)
-    show(arguments, result, bench.describe(result))
 
 
 def make(arguments, tasks):

@@ -10,7 +10,7 @@ import numpy as np
 from . import safetensors
 from .compare import expected, precision
 from .published import FOLDER, flatten, meant, read_manifest, subjects
-from .safetensors import need
+from .safetensors import require
 
 ROLES = "out.", "in_bar."  # outputs and gradients: the tensors that a port is asked for
 
@@ -40,13 +40,13 @@ class FolderPort:
         streams = [row["name"] for row in read_manifest()["streams"]]
         for place, known in (self.folder, subjects()), (self.folder / "codec", streams):
             for file in sorted(place.glob("*.safetensors")) + sorted(place.glob("*.npz")):
-                need(file.stem in known, f"{file}: name: {meant(file.stem, known)}")
+                require(file.stem in known, f"{file}: name", meant(file.stem, known))
                 same = [
                     vectors
                     for vectors in FOLDER.glob(file.name)
                     if file.is_file() and vectors.read_bytes() == file.read_bytes()
                 ]
-                need(not same, f"{file}: expected a port's answers, got the published vectors")
+                require(not same, file, "expected a port's answers, got the published vectors")
 
     def run(self, case):
         """Return the tensors of one case.
@@ -58,10 +58,11 @@ class FolderPort:
             known = [row["name"] for row in subjects()[case.subject]["cases"]]
             for name in arrays:
                 own, _, tensor = name.partition("/")
-                need(own in known, f"{file}: {name}: case {own!r}: {meant(own, known)}")
-                need(
+                require(own in known, f"{file}: {name}: case {own!r}", meant(own, known))
+                require(
                     not tensor.startswith("scale."),
-                    f"{file}: {name}: expected a port's answers, got a scale of the vectors",
+                    f"{file}: {name}",
+                    "expected a port's answers, got a scale of the vectors",
                 )
         arrays, file = self.loaded[case.subject]
         prefix = case.name + "/"
