@@ -11,12 +11,12 @@ import numpy as np
 import p4dgs_ref as p4
 
 from ..codec import container, splats
+from ..output import filled, made, new_file, write_atomically
 from ..report import figures
 from ..report import inspect as sizes
 from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
 from ..scenes.load import find_scene, read_description, read_points_for
-from ..scenes.output import filled, made, new_file, write_atomically
 from ..training.fit import CHECKPOINT, few_views, fit, load_model, lost, warn
 from ..training.presets import SOURCES, beyond, choose, differences
 from ..training.trainer import Trainer

@@ -8,8 +8,8 @@ from ..lab.accuracy import report as accuracies
 from ..lab.stability import describe, draw_map, rows
 from ..lab.suggest import foretold, suggest
 from ..lab.tables import ablate, compare, curve, methods
+from ..output import filled
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
-from ..scenes.output import filled
 from . import expect, progress, say, show, tell
 from .job import estimate, read_scene
 

@@ -20,7 +20,7 @@ import numpy as np
 from ..codec import published
 from ..codec.container import BitstreamError, open_container
 from ..codec.file import quantised_of
-from ..scenes.output import OutputError, filled
+from ..output import OutputError, filled
 from . import safetensors
 from .compare import Result, differences
 from .ports import PortError

@@ -15,7 +15,7 @@ from typing import Any, TextIO
 
 from ..arithmetic import arithmetic, keep_pages
 from ..codec.file import decode, encode
-from ..scenes.output import filled
+from ..output import filled
 from ..scenes.scene import Scene
 from ..signals import deferred
 from ..training.fit import few_views, fit, lost, warn

@@ -7,10 +7,10 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from ..output import write_atomically
 from . import dnerf, hypernerf
 from .fields import numbers, require
 from .files import read_json, read_points
-from .output import write_atomically
 from .scene import LARGEST_LENS, MODEL_EFFECTS, Scene, background_color, model_effects
 
 DESCRIPTION = "scene.json"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.scenes import output
-from p4dgs_ref.scenes.output import (
+from p4dgs_ref import output
+from p4dgs_ref.output import (
     OutputError,
     filled,
     locked,

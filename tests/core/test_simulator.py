@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from p4dgs_ref.output import OutputError
 from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene
 from p4dgs_ref.scenes.load import packaged_folder
-from p4dgs_ref.scenes.output import OutputError
 from p4dgs_ref.scenes.simulator import place_cameras, simulate, trace
 from p4dgs_ref.scenes.simulator.bodies import HITS, NORMALS, box_hit, capsule_hit, poses, turn
 from p4dgs_ref.scenes.simulator.description import describe

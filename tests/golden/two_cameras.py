@@ -11,7 +11,7 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 
-from p4dgs_ref.scenes.output import filled
+from p4dgs_ref.output import filled
 from p4dgs_ref.scenes.simulator import camera_at
 from p4dgs_ref.scenes.simulator.bodies import poses
 from p4dgs_ref.scenes.simulator.description import describe

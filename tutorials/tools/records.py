@@ -13,9 +13,9 @@ import sys
 
 from p4dgs_ref.lab.tables import ablate, curve, methods
 from p4dgs_ref.lab.tables.methods import CODED, OURS, OWN
+from p4dgs_ref.output import filled
 from p4dgs_ref.report.figures import write_csv
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.scenes.output import filled
 from tutorials.tools.shared import FOLDER
 
 SCENES = ("bouncing", "figure", "glossy")

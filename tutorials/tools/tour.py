@@ -13,10 +13,11 @@ import numpy as np
 from matplotlib.backends.backend_pdf import PdfPages
 from scipy.special import ndtr
 
+from p4dgs_ref import output
 from p4dgs_ref.codec import container, file, quantise, rans
 from p4dgs_ref.lab.school import lessons, show
 from p4dgs_ref.report import evaluate, inspect
-from p4dgs_ref.scenes import load, output, simulator
+from p4dgs_ref.scenes import load, simulator
 from p4dgs_ref.training import presets, trainer
 from tutorials.tools import animation, handout, shared
 

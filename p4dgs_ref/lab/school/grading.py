@@ -16,8 +16,8 @@ from ...oracle import published
 from ...oracle.compare import compare, expected
 from ...oracle.ports import PortError
 from ...oracle.report import name_of
+from ...output import filled
 from ...report.figures import write_csv
-from ...scenes.output import filled
 from ...table import EQUATIONS
 from ..writer import table
 from .held_back import cases, is_ordinary

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ...oracle import published
 from ...oracle.report import name_of
-from ...scenes.output import filled
+from ...output import filled
 from ...table import EQUATIONS
 from .syllabus import tutorial_of
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 
+from ...output import filled, new_file
 from ...splatting.camera import look_at
 from ..dnerf import OPENGL_TO_OPENCV
-from ..output import filled, new_file
 from . import trace
 from .description import describe
 

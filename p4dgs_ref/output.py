@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ..signals import deferred
+from .signals import deferred
 
 try:
     import fcntl
