@@ -136,16 +136,16 @@ def export(folder, version=VERSIONS[-1]):
             f"{folder}: expected an empty folder, or an earlier export with its manifest.json"
         )
     manifest = read_manifest(version=version)
-    with filled(folder) as beside:
+    with filled(folder) as staging:
         for file in sorted(FOLDER.iterdir()):
             asked = file.suffix != ".safetensors" or file.name in manifest["files"]
             if file.is_file() and asked:
-                shutil.copyfile(file, beside / file.name)
+                shutil.copyfile(file, staging / file.name)
         if version != VERSIONS[-1]:
-            (beside / "manifest.json").write_text(
+            (staging / "manifest.json").write_text(
                 json.dumps(manifest, separators=(",", ":")), encoding="utf-8"
             )
-        write_streams(beside)
+        write_streams(staging)
     return sum(len(row["cases"]) for row in manifest["subjects"]) + len(manifest["streams"])
 
 

@@ -41,9 +41,9 @@ def write_file(path):
 
 
 def write_folder(path):
-    with filled(path.parent) as beside:
-        (beside / "a first file").write_bytes(b"new")
-        (beside / path.name).write_bytes(b"new")
+    with filled(path.parent) as staging:
+        (staging / "a first file").write_bytes(b"new")
+        (staging / path.name).write_bytes(b"new")
 
 
 @pytest.mark.parametrize("kind", KINDS)

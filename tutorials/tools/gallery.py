@@ -140,9 +140,9 @@ def take(out, pictures):
     """
     figures = {name: Path(out) / picture.figure for name, picture in PICTURES.items()}
     renewed = [name for name, figure in figures.items() if figure.is_file()]
-    with output.filled(pictures) as beside:
+    with output.filled(pictures) as staging:
         for name in renewed:
-            (beside / name).write_bytes(figures[name].read_bytes())
+            (staging / name).write_bytes(figures[name].read_bytes())
     return renewed
 
 

@@ -79,8 +79,8 @@ def main(name, jobs):
     missing = [task for task in every if task.path.name not in kept]
     methods.make_missing(missing, lambda line: print(line, file=sys.stderr, flush=True), jobs)
     kept |= {row["file"]: row for row in methods.made(missing)}
-    with filled(FOLDER / "records") as beside:
-        write_csv(beside / f"{name}.csv", [kept[task.path.name] for task in every])
+    with filled(FOLDER / "records") as staging:
+        write_csv(staging / f"{name}.csv", [kept[task.path.name] for task in every])
 
 
 if __name__ == "__main__":

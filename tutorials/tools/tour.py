@@ -212,16 +212,16 @@ def page(title):
 def draw():
     """Write all pictures, in 256 colours each, and the PDF, one picture a page."""
     with (
-        output.filled(shared.FOLDER) as beside,
-        PdfPages(beside / "tour.pdf", metadata=handout.UNDATED) as pages,
+        output.filled(shared.FOLDER) as staging,
+        PdfPages(staging / "tour.pdf", metadata=handout.UNDATED) as pages,
     ):
-        (beside / "tour").mkdir()
+        (staging / "tour").mkdir()
         for i, title in enumerate(PICTURES, 1):
             figure = page(title)
             pages.savefig(figure, bbox_inches=figure.bbox_inches)  # whatever rcParams say
             figure.canvas.draw()  # after the pass for the page, so that the layout has settled
             pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
-            iio.imwrite(beside / "tour" / f"{i:02d}.png", pixels, optimize=True, bits=8)
+            iio.imwrite(staging / "tour" / f"{i:02d}.png", pixels, optimize=True, bits=8)
 
 
 if __name__ == "__main__":

@@ -209,7 +209,7 @@ def details(student):
 
 def write(grades, folder):
     """Write grades.txt, grades.json and grades.csv to a folder. Raises OutputError."""
-    with filled(Path(folder)) as beside:
-        (beside / "grades.txt").write_text(text(grades) + "\n", encoding="utf-8")
-        (beside / "grades.json").write_text(json.dumps(grades, indent=1) + "\n", encoding="utf-8")
-        write_csv(beside / "grades.csv", rows_of(grades))
+    with filled(Path(folder)) as staging:
+        (staging / "grades.txt").write_text(text(grades) + "\n", encoding="utf-8")
+        (staging / "grades.json").write_text(json.dumps(grades, indent=1) + "\n", encoding="utf-8")
+        write_csv(staging / "grades.csv", rows_of(grades))
