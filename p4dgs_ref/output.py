@@ -55,8 +55,10 @@ def destination(path):
     """The regular file that `path` stands for; it need not exist, and links are followed."""
     target = Path(os.path.realpath(path))
     if os.path.lexists(target) and not target.is_file():
-        kind = "a folder" if target.is_dir() else "a device, pipe, socket or broken link"
-        raise OutputError(f"{path}: expected a regular file or nothing, found {kind}")
+        raise OutputError(
+            f"{path}: expected a regular file or nothing, found "
+            f"{'a folder' if target.is_dir() else 'a device, pipe, socket or broken link'}"
+        )
     return target
 
 

@@ -16,7 +16,7 @@ from ..report import figures
 from ..report import inspect as sizes
 from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
-from ..scenes.load import find_scene, read_description, read_points_for
+from ..scenes.load import find_scene, read_points_for, read_scene_json
 from ..training.fit import CHECKPOINT, few_views, fit, load_model, lost, warn
 from ..training.presets import SOURCES, beyond, choose, differences
 from ..training.trainer import Trainer
@@ -117,7 +117,7 @@ def train(arguments):
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
         estimate(arguments, [(Trainer(scene, preset), 1)])
-    if not resume and "effects" not in read_description(find_scene(arguments.scene)):
+    if not resume and "effects" not in read_scene_json(find_scene(arguments.scene)):
         say(
             "warning: no scene.json lists effects, so all are trained; "
             f"`p4dgs-ref effects {arguments.scene} --suggest --apply` finds and lists them"

@@ -22,7 +22,7 @@ from p4dgs_ref.training import presets, trainer
 from tutorials.tools import animation, handout, shared
 
 PLACE = shared.FOLDER / "tour"
-SCENE = simulator.describe(load.find_scene("bouncing") / load.DESCRIPTION)
+SCENE = simulator.read_description(load.find_scene("bouncing") / load.DESCRIPTION)
 WALK = {a: simulator.camera_at(SCENE, np.radians(a), np.radians(26)) for a in range(361)}
 CAMERA, T = WALK[305], 0.3  # which all pictures show
 VIEW = {"xlim": (1, 62), "ylim": (59, 10)}  # without the empty margins
