@@ -162,8 +162,11 @@ def judge_answer(case, got, roles=ROLES, strict=False):
 
 def findings_of(case, got, names):
     """Return the findings of `compare` on some tensors of a case."""
-    tensors = {n: a for n, a in case.tensors.items() if n.removeprefix("scale.") in names}
-    return compare(tensors, got, case.tolerance(precision(got)))
+    return compare(
+        {n: a for n, a in case.tensors.items() if n.removeprefix("scale.") in names},
+        got,
+        case.tolerance(precision(got)),
+    )
 
 
 def evidence(case, got, result):

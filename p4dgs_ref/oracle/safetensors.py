@@ -78,15 +78,20 @@ def load(data):
 def array_of(name, record, data):
     """Return the array that `dtype` and `shape` of a record describe. Raises TensorError."""
     code, shape = DTYPES.get(str(record.get("dtype"))), record.get("shape")
-    known = f"one of {', '.join(DTYPES)}; bfloat16 is not judged, the vectors' page says why"
-    need(code, f"{name}.dtype: expected {known}")
+    need(
+        code,
+        f"{name}.dtype: expected one of {', '.join(DTYPES)}; bfloat16 is not judged, the vectors' "
+        "page says why",
+    )
     need(
         naturals(shape) and len(shape) <= 32 and max(shape, default=0) < 2**31,
         f"{name}.shape: expected a list of integers, none of them negative",
     )
     size = math.prod(shape) * np.dtype(code).itemsize  # Python's integers do not overflow
-    said = f"expected {size} bytes for {record['dtype']} {shape}, got {len(data)}"
-    need(len(data) == size, f"{name}: {said}")
+    need(
+        len(data) == size,
+        f"{name}: expected {size} bytes for {record['dtype']} {shape}, got {len(data)}",
+    )
     need(
         code != "|b1" or not bytes(data).strip(b"\0\1"),
         f"{name}: expected bytes 0 and 1 for BOOL",

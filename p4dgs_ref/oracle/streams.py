@@ -59,8 +59,8 @@ def decoded(data):
     """
     types = {**published.TYPES, "bit": bool}
     quantised = quantised_of(open_container(data), data[8])
-    found = published.expected(quantised)
-    return {name: np.asarray(a).astype(types[kind]) for name, (kind, a) in found.items()}
+    arrays = published.expected(quantised)
+    return {name: np.asarray(a).astype(types[kind]) for name, (kind, a) in arrays.items()}
 
 
 def check(port, names=None):
@@ -95,7 +95,7 @@ def optional(results, valid):
 
 def judge(row, good, decode):
     """Return the Result of one stream."""
-    id, findings, said = f"codec/{row['name']}", [], ""
+    id, findings, explanation = f"codec/{row['name']}", [], ""
     try:
         arrays, refused = decode(row["name"], (published.FOLDER / row["file"]).read_bytes())
     except PortError as error:
@@ -105,12 +105,12 @@ def judge(row, good, decode):
         want = {name: stored(row, entries[name]) for name in BLAMED if name in entries}
         findings = differences(want, arrays)
     elif good:
-        said = f"refused a valid stream: {refused}"
+        explanation = f"refused a valid stream: {refused}"
     elif refused is None:
-        said = f"accepted a stream that must be refused: {row['says']}"
+        explanation = f"accepted a stream that must be refused: {row['says']}"
     blamed = BLAMED.get(findings[0].tensor, "codec") if findings else "codec"
-    verdict = "fail" if findings or said else "pass"
-    return Result(id, blamed, "L3", verdict, True, tuple(findings), said)
+    verdict = "fail" if findings or explanation else "pass"
+    return Result(id, blamed, "L3", verdict, True, tuple(findings), explanation)
 
 
 def stored(row, entry):

@@ -27,7 +27,7 @@ from .published import flatten
 
 PROBES = 12
 DELTA = 2.0**-34  # far above float64's rounding, small enough for terms that cancel to eight digits
-LEAST = 2.0**-40  # of the largest S in its array: the smallest S of a number
+MIN_SHARE = 2.0**-40  # of the largest S in its array: the smallest S of a number
 
 
 def answer_of(eq):
@@ -97,7 +97,7 @@ def _scale(name, values, wide, narrow):
     size = np.maximum(size, np.where(narrow > 4 * wide, 0, wide))
     largest = size.max(initial=0)
     is_image = name.split(".")[1] in IMAGES
-    size = largest.reshape(()) if is_image else np.maximum(size, LEAST * largest)
+    size = largest.reshape(()) if is_image else np.maximum(size, MIN_SHARE * largest)
     # float32 has enough digits for S, but not always the range
     in_range = (size == 0) | (size > 1e-30) & (size < 1e30)
     return size.astype(np.float32) if in_range.all() else size
