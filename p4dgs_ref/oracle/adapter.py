@@ -253,8 +253,8 @@ class Child:
                 with contextlib.suppress(ProcessLookupError, PermissionError):
                     os.killpg(self.process.pid, signal.SIGKILL)
             self.listener.join(1)  # another process may hold stderr
-        lines = self.words.decode(errors="replace").splitlines()
-        return " / ".join(line.strip() for line in lines if line.strip())[-QUOTE_LENGTH:]
+        lines = map(str.strip, self.words.decode(errors="replace").splitlines())
+        return " / ".join(filter(None, lines))[-QUOTE_LENGTH:]
 
 
 def packed(array):

@@ -102,12 +102,14 @@ def check_subject(cases, port, strict=False):
         return [r._replace(required=False) for r in results]
     if not any(r.findings and not r.recipe for r in results):
         return results
-    answers = [
-        evidence(case, got, result)
-        for case, (result, got) in zip(cases, judged)
-        if result.verdict in ("pass", "fail") and not result.recipe
-    ]
-    diagnoses = doctor.diagnose(cases[0].subject, answers)
+    diagnoses = doctor.diagnose(
+        cases[0].subject,
+        [
+            evidence(case, got, result)
+            for case, (result, got) in zip(cases, judged)
+            if result.verdict in ("pass", "fail") and not result.recipe
+        ],
+    )
     return [explained(r, diagnoses) for r in results]
 
 
@@ -194,12 +196,10 @@ def _shared(results):
     subject, that case contradicts it.
     """
     sources = {r.equation: r for r in reversed(results) if r.findings and r.explanation}
-
-    def shared(r):
-        source = sources.get(r.equation, r)
-        silent = r.findings and not (r.explanation or r.hint or r.recipe)
-        if silent and r.subject != source.subject:
-            return r._replace(explanation=f"{source.explanation} (seen in {source.id})")
-        return r
-
-    return [shared(r) for r in results]
+    return [
+        r._replace(explanation=f"{source.explanation} (seen in {source.id})")
+        if r.findings and not (r.explanation or r.hint or r.recipe) and r.subject != source.subject
+        else r
+        for r in results
+        for source in [sources.get(r.equation, r)]
+    ]

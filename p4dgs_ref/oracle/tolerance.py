@@ -35,15 +35,13 @@ def answer_of(eq):
 
     def answer(inputs, cotangents):
         outputs, pullback = eq.vjp(**inputs)
-        gradients = pullback(**cotangents) if eq.gradients else {}
+        bars = pullback(**cotangents) if eq.gradients else {}
         # A scalar's gradient may be one of Python's numbers.
-        gradients = {
-            name: gradients[name]
-            if isinstance(gradients[name], list)
-            else np.asarray(gradients[name])
+        arrays = {
+            name: bars[name] if isinstance(bars[name], list) else np.asarray(bars[name])
             for name in eq.gradients
         }
-        return {**flatten(outputs, "out."), **flatten(gradients, "in_bar.")}
+        return {**flatten(outputs, "out."), **flatten(arrays, "in_bar.")}
 
     return answer
 
