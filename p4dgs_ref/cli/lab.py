@@ -3,55 +3,54 @@
 from contextlib import nullcontext
 from functools import partial
 
-from ..lab import bench, effect_ledger, school
+from ..lab import effect_ledger, school
 from ..lab.accuracy import report as accuracies
 from ..lab.stability import describe, draw_map, rows
 from ..lab.suggest import foretold, suggest
 from ..lab.tables import ablate, compare, curve, methods
 from ..output import filled
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
-from . import expect, progress, say, show, tell
-from .job import estimate, read_scene
+from . import progress, require, say, show, tell
+from .job import estimate
 
 
 def turn_knobs(arguments):
     """Turn the knobs that trade accuracy for time or bytes, and write a page about them."""
-    with filled(arguments.output) as beside:
+    with filled(arguments.output) as staging:
         result = accuracies.run(
-            arguments.only or None, beside, arguments.quick, progress, arguments.jobs
+            arguments.only or None, staging, arguments.quick, progress, arguments.jobs
         )
     show(arguments, result, accuracies.describe(result, arguments.output))
 
 
 def hard_cases(arguments):
     """Print the hard cases and draw the map; exit code 1 if a hard case is beyond its bound."""
-    with filled(arguments.output) as beside:
+    with filled(arguments.output) as staging:
         cases = rows(arguments.only)
-        draw_map(beside / "stability.png")
+        draw_map(staging / "stability.png")
     show(arguments, {"cases": cases}, f"{describe(cases)}\nmap: {arguments.output}/stability.png")
     return int(any(row["verdict"] == "fails" for row in cases))
 
 
 def effects(arguments):
     """Train with and without each effect, or say which effects the pictures call for."""
-    expect(arguments.suggest or not arguments.apply, "--apply: expected together with --suggest")
-    expect(not (arguments.suggest and arguments.quick), "--quick: expected without --suggest")
+    require(arguments.suggest or not arguments.apply, "--apply", "expected together with --suggest")
     if arguments.suggest:
         return suggest_effects(arguments)
-    preset, share = ("smoke", 1) if arguments.quick else ("tiny", 0.5)
-    with filled(arguments.output) as beside:
-        scene = read_scene(arguments)
-        found = effect_ledger.ledger(scene, preset, arguments.seed, share, progress, arguments.jobs)
-        effect_ledger.draw_ledger(beside / "effects.png", found)
-    show(arguments, {"effects": found}, effect_ledger.describe(found, arguments.quick))
+    with filled(arguments.output) as staging:
+        scene = load_scene(arguments.scene)
+        found = effect_ledger.ledger(scene, progress=progress, jobs=arguments.jobs)
+        effect_ledger.draw_ledger(staging / "effects.png", found)
+    show(arguments, {"effects": found}, effect_ledger.describe(found))
 
 
 def suggest_effects(arguments):
     """Say which effects the pictures call for; with --apply write the list to scene.json."""
-    scene, folder = read_scene(arguments), find_scene(arguments.scene)
-    expect(
+    scene, folder = load_scene(arguments.scene), find_scene(arguments.scene)
+    require(
         not arguments.apply or packaged_folder() not in folder.resolve().parents,
-        f"--apply: {folder} is a packaged scene; expected a folder of yours",
+        "--apply",
+        f"{folder} is a packaged scene; expected a folder of yours",
     )
     say(f"--suggest: about {foretold(scene, jobs=arguments.jobs):.0f} s of short trainings")
     found = suggest(scene, progress=progress, jobs=arguments.jobs)
@@ -60,12 +59,6 @@ def suggest_effects(arguments):
         called = [row["effect"] for row in found if row["called_for"]]
         lines.append(f"written to {list_effects(folder, called)}: {', '.join(called)}")
     show(arguments, {"effects": found}, "\n".join(lines))
-
-
-def times(arguments):
-    """Time the renderer, a training step and the coder."""
-    result = bench.bench(arguments.quick)
-    show(arguments, result, bench.describe(result))
 
 
 def make(arguments, tasks):
@@ -85,20 +78,20 @@ def compare_methods(arguments):
     if arguments.quick:
         names, seeds = names[:1], 1
     scenes, options = [load_scene(name) for name in names], (arguments.methods, seeds)
-    with filled(arguments.output) as beside:
+    with filled(arguments.output) as staging:
         tasks = study.plan(scenes, arguments.output, *options, arguments.iterations)
         make(arguments, tasks)
-        result = study.collect(tasks, beside, progress)
+        result = study.collect(tasks, staging, progress)
     show_table(arguments, study, result)
 
 
 def ablate_parts(arguments):
     """Print the paper's Table 3 in form, and the method with one part left out at a time."""
     scene, options = load_scene(arguments.scene), (arguments.seeds, arguments.iterations)
-    with filled(arguments.output) as beside:
+    with filled(arguments.output) as staging:
         tasks = ablate.plan(scene, arguments.output, *options)
         make(arguments, tasks)
-        result = ablate.collect(tasks, beside)
+        result = ablate.collect(tasks, staging)
     show_table(arguments, ablate, result)
 
 
@@ -114,7 +107,7 @@ def classroom(arguments):
 
 def grade(arguments):
     """Judge what students wrote."""
-    with filled(arguments.output) if arguments.output else nullcontext() as beside:
+    with filled(arguments.output) if arguments.output else nullcontext() as staging:
         grades = school.grade(
             *arguments.folders,
             classroom=arguments.classroom,
@@ -122,6 +115,6 @@ def grade(arguments):
             timeout=arguments.timeout,
             progress=progress,
         )
-        if beside:
-            school.write(grades, beside)
+        if staging:
+            school.write(grades, staging)
     show(arguments, grades, school.text(grades))

@@ -16,7 +16,7 @@ from ..splatting.settings import EXACT, FAST
 from ..training.presets import TINY
 from ..training.trainer import Trainer
 from ..training.watch import equation_codes, watching
-from .accuracy.forms import draw, in_units, message, splat_scene
+from .accuracy.forms import image_and_gradients, message, splat_scene
 from .clock import alternate, disturbance, stretch_of
 from .writer import table
 
@@ -57,16 +57,17 @@ def by_equation(step):
 
 
 def bench(quick=False):
-    """The rows that the command `bench` prints, and how far the machine was disturbed."""
+    """The rows that `python -m p4dgs_ref.lab` prints, and how far the machine was disturbed."""
     n, count, steps = (300, 2000, 20) if quick else (1000, 200_000, 600)
     trainer, splats, (symbols, mu, sigma) = trained(steps), splat_scene(n, 64), message(count)
-    units = in_units(mu, MU_BITS, MU_BITS), in_units(np.log2(sigma), SIGMA_BITS, SIGMA_BITS)
+    scaled = mu * 2.0**MU_BITS, np.log2(sigma) * 2.0**SIGMA_BITS
+    units = [np.rint(values).astype(np.int64) for values in scaled]
     model, sent = trainer.model(), (symbols, *units)
     file, coded = encode(model), (encode_gaussian(*sent), *units)
     # A function and its readable twin, if it has one.
     places = {
         f"render {n:,} Gaussians, 64x64, with gradients": [
-            partial(draw, splats, settings) for settings in (FAST, EXACT)
+            partial(image_and_gradients, splats, settings) for settings in (FAST, EXACT)
         ],
         f"encode {count:,} symbols": [
             partial(encode_gaussian, *sent),

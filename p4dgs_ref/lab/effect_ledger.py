@@ -44,7 +44,6 @@ COLUMNS = {
     "work off": "{work_off:,}",
     "worth dB": "{worth_db:+.2f}",
 }
-TOO_FEW = "\n\n45 steps of the preset smoke: too few for the PSNR to mean anything"
 UNITS = "ms per step, multiply-adds of its forward; PSNR with it minus without it, test views"
 
 
@@ -172,10 +171,10 @@ def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, 
     return rows
 
 
-def describe(rows, quick=False):
+def describe(rows):
     """The ledger as text, a line per effect."""
     lines = table(COLUMNS, [{**r, "called_for": "yes" if r["called_for"] else "no"} for r in rows])
-    return "\n".join([*lines, "", UNITS]) + TOO_FEW * quick
+    return "\n".join([*lines, "", UNITS])
 
 
 def draw_ledger(path, rows):

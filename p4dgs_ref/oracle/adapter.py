@@ -142,9 +142,10 @@ class Adapter(contextlib.AbstractContextManager):
                 )
                 self.asked = ROLES[:1] if self.says.get("gradients") is False else ROLES
                 listed, known = self.says.get("subjects", []), [*subjects(), "codec"]
-                need(
+                require(
                     isinstance(listed, list) and all(name in known for name in listed),
-                    f"subjects: expected a list of some of {', '.join(known)}, got {listed}",
+                    "subjects",
+                    f"expected a list of some of {', '.join(known)}, got {listed}",
                 )
             stage = subject
             named = subject in self.says.get("subjects", [subject])
@@ -167,12 +168,13 @@ class Adapter(contextlib.AbstractContextManager):
         assert self.child, "a process runs"
         line = self.child.exchange(json.dumps(request).encode() + b"\n", self.timeout)
         answer = json_object(line)
-        need(
+        require(
             answer is not None,
+            "answer",
             f"expected a line with a JSON object, got {_short(repr(line[:QUOTE_LENGTH])[1:])}",
         )
         want, got = json.dumps(request[field]), _short(json.dumps(answer.get(field)))
-        need(got == want, f"expected {field} {want}, got {got}")
+        require(got == want, "answer", f"expected {field} {want}, got {got}")
         return answer
 
 
@@ -223,8 +225,9 @@ class Child:
                 if not part:
                     raise self._failure(line, PortError("died", "the process closed its pipes"))
                 line += part
-                need(
+                require(
                     len(line) <= MAX_ANSWER_BYTES,
+                    "answer",
                     f"expected a line of at most {MAX_ANSWER_BYTES:,} bytes, got more",
                 )
         return bytes(line)
@@ -269,12 +272,12 @@ def unpacked(answer, role):
     Raises PortError, kind nonsense, which names the array and what was expected.
     """
     fields = answer.get(role)
-    need(isinstance(fields, dict), f"field {role!r}: expected an object of arrays")
+    require(isinstance(fields, dict), f"field {role!r}", "expected an object of arrays")
     return {name: _array(f"{role}.{name}", field) for name, field in fields.items()}
 
 
 def _array(name, field):
-    need(isinstance(field, dict), f"{name}: expected the fields dtype, shape and data")
+    require(isinstance(field, dict), name, "expected the fields dtype, shape and data")
     try:
         return array_of(name, field, base64.b64decode(field.get("data"), validate=True))
     except TensorError as error:
@@ -283,10 +286,10 @@ def _array(name, field):
         raise PortError("nonsense", f"{name}: expected data in base64") from None
 
 
-def need(condition, message):
-    """Raise PortError where a line is none of the protocol's answers."""
+def require(condition, where, expected):
+    """Raise a PortError unless the condition holds: an answer breaks the protocol."""
     if not condition:
-        raise PortError("nonsense", message)
+        raise PortError("nonsense", f"{where}: {expected}")
 
 
 def _short(message):

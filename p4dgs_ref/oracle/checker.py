@@ -60,29 +60,20 @@ def check(forward, key, vjp=None, strict=False):
     return Report(check_subject(published.cases(key), FunctionPort(forward, vjp), strict))
 
 
-def check_port(
-    port,
-    levels=(),
-    only=(),
-    progress=lambda text: None,
-    version=published.VERSIONS[-1],
-    strict=False,
-):
+def check_port(port, levels=(), only=(), progress=lambda text: None, strict=False):
     """Return a Report on a port, in the order in which data flows.
 
-    `levels` and `only` (subjects, equations or groups) choose cases; empty, all. `version` is
-    that of the vectors: cases that joined later are left out. `strict` is that of `check`.
+    `levels` and `only` (subjects, equations or groups) choose cases; empty, all. `strict` is that
+    of `check`.
     """
-    only = {only} if isinstance(only, str) else set(only)
-    manifest = published.read_manifest(version=version)
-    results = []
+    only, results = {only} if isinstance(only, str) else set(only), []
     for level in (level for level in LEVELS if not levels or level in levels):
         if level == "L3" and (not only or "codec" in only):
             from . import streams  # loads the codec
 
             progress("codec")
-            results += streams.check(port, {row["name"] for row in manifest["streams"]})
-        for subject in manifest["subjects"]:
+            results += streams.check(port)
+        for subject in published.subjects().values():
             names = {subject["key"], subject["equation"], subject.get("group")}
             if subject["level"] == level and (not only or names & only):
                 progress(subject["key"])

@@ -10,7 +10,7 @@ import numpy as np
 from . import safetensors
 from .compare import expected, precision
 from .published import FOLDER, flatten, meant, read_manifest, subjects
-from .safetensors import need
+from .safetensors import require
 
 ROLES = "out.", "in_bar."  # outputs and gradients: the tensors that a port is asked for
 
@@ -40,11 +40,12 @@ class FolderPort:
         streams = [row["name"] for row in read_manifest()["streams"]]
         for place, known in (self.folder, subjects()), (self.folder / "codec", streams):
             for file in sorted(place.glob("*.safetensors")) + sorted(place.glob("*.npz")):
-                need(file.stem in known, f"{file}: name: {meant(file.stem, known)}")
-                need(
+                require(file.stem in known, f"{file}: name", meant(file.stem, known))
+                require(
                     not file.is_file()
                     or all(v.read_bytes() != file.read_bytes() for v in FOLDER.glob(file.name)),
-                    f"{file}: expected a port's answers, got the published vectors",
+                    file,
+                    "expected a port's answers, got the published vectors",
                 )
 
     def run(self, case):
@@ -57,10 +58,11 @@ class FolderPort:
             known = [row["name"] for row in subjects()[case.subject]["cases"]]
             for name in arrays:
                 label, _, tensor = name.partition("/")
-                need(label in known, f"{file}: {name}: case {label!r}: {meant(label, known)}")
-                need(
+                require(label in known, f"{file}: {name}: case {label!r}", meant(label, known))
+                require(
                     not tensor.startswith("scale."),
-                    f"{file}: {name}: expected a port's answers, got a scale of the vectors",
+                    f"{file}: {name}",
+                    "expected a port's answers, got a scale of the vectors",
                 )
         arrays, file = self.loaded[case.subject]
         prefix = case.name + "/"

@@ -24,7 +24,7 @@ from ..output import OutputError, filled
 from . import safetensors
 from .compare import Result, differences
 from .ports import PortError
-from .published import FOLDER, VERSIONS, read_manifest
+from .published import FOLDER, read_manifest
 
 VERSION_2 = "codec/coded_"  # how the ids of its streams begin
 # The arrays in the order in which a decoder finds them, each with the equation (or the codec) to
@@ -124,8 +124,8 @@ def stored(row, entry):
     return np.frombuffer(body, published.TYPES[kind], count, at).reshape(shape)
 
 
-def export(folder, version=VERSIONS[-1]):
-    """Copy a version of the published vectors into a folder; return the number of its cases.
+def export(folder):
+    """Copy the published vectors into a folder; return the number of its cases.
 
     The folder `codec` beside them holds what a right port answers to the streams, as an example.
     Raises OutputError where the folder holds other things, because files could be overwritten.
@@ -135,17 +135,11 @@ def export(folder, version=VERSIONS[-1]):
         raise OutputError(
             f"{folder}: expected an empty folder, or an earlier export with its manifest.json"
         )
-    manifest = read_manifest(version=version)
     with filled(folder) as staging:
-        for file in sorted(FOLDER.iterdir()):
-            asked = file.suffix != ".safetensors" or file.name in manifest["files"]
-            if file.is_file() and asked:
-                shutil.copyfile(file, staging / file.name)
-        if version != VERSIONS[-1]:
-            (staging / "manifest.json").write_text(
-                json.dumps(manifest, separators=(",", ":")), encoding="utf-8"
-            )
+        for file in filter(Path.is_file, FOLDER.iterdir()):
+            shutil.copyfile(file, staging / file.name)
         write_streams(staging)
+    manifest = read_manifest()
     return sum(len(row["cases"]) for row in manifest["subjects"]) + len(manifest["streams"])
 
 

@@ -71,7 +71,6 @@ LINES = {
     "accuracy -o out": "out/.p4dgs-part-*",
     "effects bouncing -o out": "out/.p4dgs-part-*",
     "stability -o out": "out/.p4dgs-part-*",
-    "bench": "",
     f"simulate {ROOT}/tiny_scenes/bouncing/scene.json -o out": "out/.p4dgs-part-*",
 }
 

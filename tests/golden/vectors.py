@@ -28,7 +28,8 @@ from tests.golden import independent, measured
 from tests.golden.cases import FLAGS
 from tests.golden.subjects import subjects
 
-LATEST = published.VERSIONS[-1]
+# What the manifest calls its drafts: the first one, and the one in which new cases are listed.
+FIRST, LATEST = "1.0", "1.2"
 # Everything else in the folder of the vectors is made here.
 WRITTEN = ("README.md", "LICENSE", "example_adapter.py", "model.p4dgs")
 IDS = Path(__file__).parent / "data" / "oracle_ids.csv"  # every case, its hash, since when
@@ -104,7 +105,7 @@ def joined():
 def joining(id):
     """Return the field of a record that says since when it is there; none for version 1.0."""
     since = joined().get(id, LATEST)
-    return {} if since == published.VERSIONS[0] else {"since": since}
+    return {} if since == FIRST else {"since": since}
 
 
 def settings(inputs):

@@ -318,10 +318,18 @@ def test_killed_in_the_middle_of_a_checkpoint(scene, whole, tmp_path, monkeypatc
     assert [*go_on(scene, settings, tmp_path)] == want
 
 
-OPTIONS = (
-    "--preset smoke --seed 2 --downscale 4 --set grow=reseed --set stage_ends=40,60,120,240 "
-    "--save-every 0"
-)
+OPTIONS = "--preset smoke --seed 2 --downscale 4 --set grow=reseed --set stage_ends=40,60,120,240"
+# The command line with a checkpoint after every iteration.
+EAGER = """
+import sys
+from functools import partial
+from p4dgs_ref import prepare
+prepare()
+from p4dgs_ref.__main__ import main
+from p4dgs_ref.cli import job
+job.fit = partial(job.fit, save_every=0)
+sys.exit(main())
+"""
 
 
 def stop_at(iteration, process, run, how):
@@ -338,7 +346,7 @@ def stop_at(iteration, process, run, how):
 def test_interrupted_then_killed_then_resumed(tmp_path):
     """In other processes, with the option that the interrupted one names."""
     train, run = (
-        ("-m", "p4dgs_ref", "train", "bouncing", *OPTIONS.split(), "-o"),
+        ("-c", EAGER, "train", "bouncing", *OPTIONS.split(), "-o"),
         tmp_path / "b run",
     )
     uninterrupted = start(*train, "a run", "--quiet", cwd=tmp_path)

@@ -41,7 +41,7 @@ def splat_scene(n, side, **spread):
     return splats, cov2d_of(splats["conic"]), frame, image_bar
 
 
-def draw(scene, settings):
+def image_and_gradients(scene, settings):
     """The image, its gradients, and how many pairs of a Gaussian and a pixel were evaluated."""
     splats, cov2d, frame, image_bar = scene
     if settings.footprint == "all":
@@ -66,8 +66,11 @@ def image_errors(truth, found):
 
 def rendered(choices, scene):
     """Forms of the renderer, {(line, value): Settings}, for one scene."""
-    judge = partial(image_errors, draw(scene, EXACT))
-    return {key: (partial(draw, scene, settings), judge) for key, settings in choices.items()}
+    judge = partial(image_errors, image_and_gradients(scene, EXACT))
+    return {
+        key: (partial(image_and_gradients, scene, settings), judge)
+        for key, settings in choices.items()
+    }
 
 
 def renderer(quick):

@@ -186,7 +186,7 @@ def test_the_file_is_read_back(scene, trained, tmp_path, method):
         assert np.array_equal(again.parameters[name], a), name
     image, other = (m.render(scene.test[0].camera, scene.test[0].time) for m in (model, again))
     assert np.array_equal(image, other) and np.array_equal(again.background, scene.background)
-    assert cli.run(f"render {path} -o {tmp_path} --scene bouncing --downscale 4".split(), 0.0) == 0
+    assert cli.run(f"render {path} -o {tmp_path} --scene bouncing".split(), 0.0) == 0
     drawn = iio.imread(tmp_path / "test_r_000.png") / 255
     np.testing.assert_allclose(drawn, np.clip(image, 0, 1), atol=0.501 / 255)
     assert cli.run(f"render {path} -o {tmp_path / 'held'} --frames 2 --size 8".split(), 0.0) == 0
