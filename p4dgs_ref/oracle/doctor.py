@@ -92,7 +92,11 @@ def diagnose(subject, answers):
     mistakes = known(subject) + _scaled(answers)
     whole = explain(mistakes, answers)
     parts = {part: _of(answers, role) for part, role in ROLES.items()}
-    parts = [explain(mistakes, rows, part) for part, rows in parts.items() if _failing(rows)]
+    parts = [
+        explain(mistakes, rows, part)
+        for part, rows in parts.items()
+        if any(wrong for *_, wrong in rows)
+    ]
     of_parts = [row for rows in parts for row in _best(rows)]
     explained = _best(whole) or (of_parts if all(map(_best, parts)) else [])
     if explained:  # where one part is wrong, a mistake in this direction alone fits as well
@@ -104,7 +108,7 @@ def diagnose(subject, answers):
 
 def explain(mistakes, answers, part=""):
     """Return a Diagnosis of every mistake that agrees with a failing case and with all others."""
-    failing, right = _failing(answers), [row for row in answers if not row[2]]
+    failing, right = ([row for row in answers if bool(row[2]) == wrong] for wrong in (True, False))
     diagnoses = [
         Diagnosis(
             mistake,
@@ -121,10 +125,6 @@ def explain(mistakes, answers, part=""):
         if any(id.partition("/")[2] not in row.mistake.noisy for id in row.cases)
         and all(_agrees(row.mistake, *r) for r in right)
     ]
-
-
-def _failing(answers):
-    return [row for row in answers if row[2]]
 
 
 def _best(rows):

@@ -79,8 +79,11 @@ def load(data):
 def array_of(name, record, data):
     """Return the array that `dtype` and `shape` of a record describe. Raises TensorError."""
     code, shape = DTYPES.get(str(record.get("dtype"))), record.get("shape")
-    known = f"one of {', '.join(DTYPES)}; bfloat16 is not judged, the vectors' page says why"
-    require(code, f"{name}.dtype", f"expected {known}")
+    require(
+        code,
+        f"{name}.dtype",
+        f"expected one of {', '.join(DTYPES)}; bfloat16 is not judged, the vectors' page says why",
+    )
     require(
         naturals(shape) and len(shape) <= 32 and max(shape, default=0) < 2**31,
         f"{name}.shape",

@@ -109,8 +109,15 @@ def judge(row, good, decode):
     elif refused is None:
         explanation = f"accepted a stream that must be refused: {row['says']}"
     blamed = BLAMED.get(findings[0].tensor, "codec") if findings else "codec"
-    verdict = "fail" if findings or explanation else "pass"
-    return Result(id, blamed, "L3", verdict, True, tuple(findings), explanation)
+    return Result(
+        id,
+        blamed,
+        "L3",
+        verdict="fail" if findings or explanation else "pass",
+        required=True,
+        findings=tuple(findings),
+        explanation=explanation,
+    )
 
 
 def stored(row, entry):
