@@ -19,6 +19,7 @@ PACKAGE = ROOT / "p4dgs_ref"
 # Rooms that are counted together.
 SHARED = {
     **dict.fromkeys(("splatting", "table", "model", "effects"), "splatting, model"),
+    "output": "scenes",
     **dict.fromkeys(("cli", "signals", "arithmetic", "__init__", "__main__"), "cli, root"),
 }
 

@@ -39,6 +39,7 @@ ORDER = (
     "table",
     "effects",
     "model",
+    "output",
     "scenes",
     "training",
     "codec",

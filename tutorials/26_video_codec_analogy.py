@@ -76,7 +76,7 @@ for t, frame in enumerate(video):
 import p4dgs_ref as p4
 from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator import place_cameras
-from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.description import read_description
 from p4dgs_ref.scenes.simulator.trace import trace
 
 file = packaged_folder() / "bouncing" / "scene.json"
@@ -84,7 +84,7 @@ description = json.loads(file.read_text(encoding="utf-8"))
 description["resolution"] = [32, 32]
 description["lens"] = {"fl_x": 42.8, "fl_y": 42.8, "cx": 16, "cy": 16}
 description["cameras"].update(train=12, test=3)
-drawing = describe(description)
+drawing = read_description(description)
 cameras, is_test = [], []
 for split in ("train", "test"):
     for camera, _ in place_cameras(drawing, split):

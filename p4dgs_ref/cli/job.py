@@ -11,12 +11,12 @@ import numpy as np
 import p4dgs_ref as p4
 
 from ..codec import container, splats
+from ..output import filled, made, new_file, write_atomically
 from ..report import figures
 from ..report import inspect as sizes
 from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
-from ..scenes.load import find_scene, read_description, read_points_for
-from ..scenes.output import filled, made, new_file, write_atomically
+from ..scenes.load import find_scene, read_points_for, read_scene_json
 from ..training.fit import CHECKPOINT, few_views, fit, load_model, lost
 from ..training.presets import SOURCES, beyond, choose, differences
 from ..training.trainer import Trainer
@@ -116,7 +116,7 @@ def train(arguments):
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
         estimate(arguments, [(Trainer(scene, preset), 1)])
-    if not resume and "effects" not in read_description(find_scene(arguments.scene)):
+    if not resume and "effects" not in read_scene_json(find_scene(arguments.scene)):
         caution(
             "no scene.json lists effects, so all are trained; "
             f"`p4dgs-ref effects {arguments.scene} --suggest --apply` finds and lists them"
@@ -132,8 +132,8 @@ def train(arguments):
             resume=resume,
             stream=None if arguments.quiet else sys.stderr,
         )
-        with filled(folder) as beside:
-            figures.write_training(beside, trainer.history, preset.stage_ends)
+        with filled(folder) as staging:
+            figures.write_training(staging, trainer.history, preset.stage_ends)
     if trainer.factors:
         counted = " and from stage 3 on ".join(f"{times:.1f} times" for times in trainer.factors)
         say(f"what moves counted {counted} in L1, until the middle of stage 3 (B3)")
@@ -165,9 +165,9 @@ def decode(arguments):
             for i, array in enumerate(layers)
         },
     }
-    with filled(arguments.output, arguments.file) as beside:
-        np.savez(beside / "model.npz", **arrays)
-        (beside / "model.json").write_text(json.dumps(model.design._asdict(), indent=1) + "\n")
+    with filled(arguments.output, arguments.file) as staging:
+        np.savez(staging / "model.npz", **arrays)
+        (staging / "model.json").write_text(json.dumps(model.design._asdict(), indent=1) + "\n")
     tell(f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json; {seconds:.3f} s")
 
 
@@ -208,12 +208,12 @@ def render(arguments):
             (f"t_{i:03d}", camera, t) for i, t in enumerate(np.linspace(0, 1, arguments.frames))
         ]
     images = []
-    with filled(arguments.output, arguments.file) as beside:
+    with filled(arguments.output, arguments.file) as staging:
         for name, camera, t in views:
             images.append(np.clip(model.render(camera, t, known[arguments.settings]), 0, 1))
-            iio.imwrite(beside / f"{name}.png", (images[-1] * 255).round().astype(np.uint8))
+            iio.imwrite(staging / f"{name}.png", (images[-1] * 255).round().astype(np.uint8))
         if not arguments.scene:
-            figures.write_gif(beside / "motion.gif", images)
+            figures.write_gif(staging / "motion.gif", images)
     tell(f"{arguments.output}: {len(images)} images")
 
 
@@ -271,8 +271,8 @@ def evaluate(arguments):
         "decode_seconds": seconds,
     }
     if arguments.output:
-        with filled(arguments.output, arguments.file) as beside:
-            figures.write_comparison(beside, scene, rows, images)
+        with filled(arguments.output, arguments.file) as staging:
+            figures.write_comparison(staging, scene, rows, images)
     show(
         arguments,
         {**json_safe(metrics), "views": [json_safe(row) for row in rows]},
@@ -286,12 +286,12 @@ def inspect(arguments):
     data, _, _ = read_file(arguments.file)
     rows, gaps = sizes.ledger(data), sizes.GAPS
     if arguments.output:
-        with filled(arguments.output, arguments.file) as beside:
-            figures.write_csv(beside / "size.csv", rows)
-            figures.draw_ledger(beside / "size.png", rows)
+        with filled(arguments.output, arguments.file) as staging:
+            figures.write_csv(staging / "size.csv", rows)
+            figures.draw_ledger(staging / "size.png", rows)
             if arguments.heat:
                 model, bits = sizes.anchor_bits(data)
-                figures.write_heat(beside, model, bits, held_camera(model))
+                figures.write_heat(staging, model, bits, held_camera(model))
     show(arguments, {"bytes": len(data), "sections": rows, "gaps": gaps}, text.ledger(rows, gaps))
 
 

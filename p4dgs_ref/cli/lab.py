@@ -8,26 +8,26 @@ from ..lab.accuracy import report as accuracies
 from ..lab.stability import describe, draw_map, rows
 from ..lab.suggest import foretold, suggest
 from ..lab.tables import ablate, compare, curve, methods
+from ..output import filled
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
-from ..scenes.output import filled
 from . import progress, require, say, show, tell
 from .job import estimate
 
 
 def turn_knobs(arguments):
     """Turn the knobs that trade accuracy for time or bytes, and write a page about them."""
-    with filled(arguments.output) as beside:
+    with filled(arguments.output) as staging:
         result = accuracies.run(
-            arguments.only or None, beside, arguments.quick, progress, arguments.jobs
+            arguments.only or None, staging, arguments.quick, progress, arguments.jobs
         )
     show(arguments, result, accuracies.to_text(result, arguments.output))
 
 
 def hard_cases(arguments):
     """Print the hard cases and draw the map; exit code 1 if a hard case is beyond its bound."""
-    with filled(arguments.output) as beside:
+    with filled(arguments.output) as staging:
         cases = rows(arguments.only)
-        draw_map(beside / "stability.png")
+        draw_map(staging / "stability.png")
     show(arguments, {"cases": cases}, f"{describe(cases)}\nmap: {arguments.output}/stability.png")
     return int(any(row["verdict"] == "fails" for row in cases))
 
@@ -37,10 +37,10 @@ def effects(arguments):
     require(arguments.suggest or not arguments.apply, "--apply", "expected together with --suggest")
     if arguments.suggest:
         return suggest_effects(arguments)
-    with filled(arguments.output) as beside:
+    with filled(arguments.output) as staging:
         scene = load_scene(arguments.scene)
         found = effect_ledger.ledger(scene, progress=progress, jobs=arguments.jobs)
-        effect_ledger.draw_ledger(beside / "effects.png", found)
+        effect_ledger.draw_ledger(staging / "effects.png", found)
     show(arguments, {"effects": found}, effect_ledger.describe(found))
 
 
@@ -78,20 +78,20 @@ def compare_methods(arguments):
     if arguments.quick:
         names, seeds = names[:1], 1
     scenes, options = [load_scene(name) for name in names], (arguments.methods, seeds)
-    with filled(arguments.output) as beside:
+    with filled(arguments.output) as staging:
         tasks = study.plan(scenes, arguments.output, *options, arguments.iterations)
         make(arguments, tasks)
-        result = study.collect(tasks, beside, progress)
+        result = study.collect(tasks, staging, progress)
     show_table(arguments, study, result)
 
 
 def ablate_parts(arguments):
     """Print the paper's Table 3 in form, and the method with one part left out at a time."""
     scene, options = load_scene(arguments.scene), (arguments.seeds, arguments.iterations)
-    with filled(arguments.output) as beside:
+    with filled(arguments.output) as staging:
         tasks = ablate.plan(scene, arguments.output, *options)
         make(arguments, tasks)
-        result = ablate.collect(tasks, beside)
+        result = ablate.collect(tasks, staging)
     show_table(arguments, ablate, result)
 
 
@@ -107,7 +107,7 @@ def classroom(arguments):
 
 def grade(arguments):
     """Judge what students wrote."""
-    with filled(arguments.output) if arguments.output else nullcontext() as beside:
+    with filled(arguments.output) if arguments.output else nullcontext() as staging:
         grades = school.grade(
             *arguments.folders,
             classroom=arguments.classroom,
@@ -115,6 +115,6 @@ def grade(arguments):
             timeout=arguments.timeout,
             progress=progress,
         )
-        if beside:
-            school.write(grades, beside)
+        if staging:
+            school.write(grades, staging)
     show(arguments, grades, school.text(grades))

@@ -93,12 +93,14 @@ def check_subject(cases, port, strict=False):
         return [r._replace(required=False) for r in results]
     if not any(r.findings and not r.recipe for r in results):
         return results
-    answers = [
-        evidence(case, got, result)
-        for case, (result, got) in zip(cases, judged)
-        if result.verdict in ("pass", "fail") and not result.recipe
-    ]
-    diagnoses = doctor.diagnose(cases[0].subject, answers)
+    diagnoses = doctor.diagnose(
+        cases[0].subject,
+        [
+            evidence(case, got, result)
+            for case, (result, got) in zip(cases, judged)
+            if result.verdict in ("pass", "fail") and not result.recipe
+        ],
+    )
     return [explained(r, diagnoses) for r in results]
 
 
@@ -153,8 +155,11 @@ def judge_answer(case, got, roles=ROLES, strict=False):
 
 def findings_of(case, got, names):
     """Return the findings of `compare` on some tensors of a case."""
-    tensors = {n: a for n, a in case.tensors.items() if n.removeprefix("scale.") in names}
-    return compare(tensors, got, case.tolerance(precision(got)))
+    return compare(
+        {n: a for n, a in case.tensors.items() if n.removeprefix("scale.") in names},
+        got,
+        case.tolerance(precision(got)),
+    )
 
 
 def evidence(case, got, result):
@@ -182,12 +187,10 @@ def _shared(results):
     subject, that case contradicts it.
     """
     sources = {r.equation: r for r in reversed(results) if r.findings and r.explanation}
-
-    def shared(r):
-        source = sources.get(r.equation, r)
-        silent = r.findings and not (r.explanation or r.hint or r.recipe)
-        if silent and r.subject != source.subject:
-            return r._replace(explanation=f"{source.explanation} (seen in {source.id})")
-        return r
-
-    return [shared(r) for r in results]
+    return [
+        r._replace(explanation=f"{source.explanation} (seen in {source.id})")
+        if r.findings and not (r.explanation or r.hint or r.recipe) and r.subject != source.subject
+        else r
+        for r in results
+        for source in [sources.get(r.equation, r)]
+    ]

@@ -43,8 +43,10 @@ class Golden(NamedTuple):
 
     def inputs(self):
         """Return the keyword arguments of forward: tensors, lists of tensors and settings."""
-        settings = {name: _tuples(value) for name, value in self.record["settings"].items()}
-        return {**unflatten(self.tensors, "in."), **settings}
+        return {
+            **unflatten(self.tensors, "in."),
+            **{name: _tuples(value) for name, value in self.record["settings"].items()},
+        }
 
     def cotangents(self):
         """Return the cotangents, {"x_bar": array}."""
@@ -138,11 +140,11 @@ def unflatten(tensors, prefix):
     for name, a in tensors.items():
         if name.startswith(prefix):
             first, _, index = name.removeprefix(prefix).partition(".")
-            own = a.astype(float if a.dtype.kind == "f" else a.dtype)
+            copied = a.astype(float if a.dtype.kind == "f" else a.dtype)
             if index:
-                values.setdefault(first, []).append(own)
+                values.setdefault(first, []).append(copied)
             else:
-                values[first] = own
+                values[first] = copied
     return values
 
 

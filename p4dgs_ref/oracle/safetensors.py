@@ -79,18 +79,25 @@ def load(data):
 def array_of(name, record, data):
     """Return the array that `dtype` and `shape` of a record describe. Raises TensorError."""
     code, shape = DTYPES.get(str(record.get("dtype"))), record.get("shape")
-    known = f"one of {', '.join(DTYPES)}; bfloat16 is not judged, the vectors' page says why"
-    require(code, f"{name}.dtype", f"expected {known}")
+    require(
+        code,
+        f"{name}.dtype",
+        f"expected one of {', '.join(DTYPES)}; bfloat16 is not judged, the vectors' page says why",
+    )
     require(
         naturals(shape) and len(shape) <= 32 and max(shape, default=0) < 2**31,
         f"{name}.shape",
         "expected a list of integers, none of them negative",
     )
     size = math.prod(shape) * np.dtype(code).itemsize  # Python's integers do not overflow
-    expected = f"expected {size} bytes for {record['dtype']} {shape}, got {len(data)}"
-    require(len(data) == size, name, expected)
-    is_right = code != "|b1" or not bytes(data).strip(b"\0\1")
-    require(is_right, name, "expected bytes 0 and 1 for BOOL")
+    require(
+        len(data) == size,
+        name,
+        f"expected {size} bytes for {record['dtype']} {shape}, got {len(data)}",
+    )
+    require(
+        code != "|b1" or not bytes(data).strip(b"\0\1"), name, "expected bytes 0 and 1 for BOOL"
+    )
     return np.frombuffer(data, code).reshape(shape)
 
 

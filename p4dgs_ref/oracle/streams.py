@@ -20,7 +20,7 @@ import numpy as np
 from ..codec import published
 from ..codec.container import BitstreamError, open_container
 from ..codec.file import quantised_of
-from ..scenes.output import OutputError, filled
+from ..output import OutputError, filled
 from . import safetensors
 from .compare import Result, differences
 from .ports import PortError
@@ -59,8 +59,8 @@ def decoded(data):
     """
     types = {**published.TYPES, "bit": bool}
     quantised = quantised_of(open_container(data), data[8])
-    found = published.expected(quantised)
-    return {name: np.asarray(a).astype(types[kind]) for name, (kind, a) in found.items()}
+    arrays = published.expected(quantised)
+    return {name: np.asarray(a).astype(types[kind]) for name, (kind, a) in arrays.items()}
 
 
 def check(port, names=None):
@@ -95,7 +95,7 @@ def optional(results, valid):
 
 def judge(row, good, decode):
     """Return the Result of one stream."""
-    id, findings, said = f"codec/{row['name']}", [], ""
+    id, findings, explanation = f"codec/{row['name']}", [], ""
     try:
         arrays, refused = decode(row["name"], (published.FOLDER / row["file"]).read_bytes())
     except PortError as error:
@@ -105,12 +105,19 @@ def judge(row, good, decode):
         want = {name: stored(row, entries[name]) for name in BLAMED if name in entries}
         findings = differences(want, arrays)
     elif good:
-        said = f"refused a valid stream: {refused}"
+        explanation = f"refused a valid stream: {refused}"
     elif refused is None:
-        said = f"accepted a stream that must be refused: {row['says']}"
+        explanation = f"accepted a stream that must be refused: {row['says']}"
     blamed = BLAMED.get(findings[0].tensor, "codec") if findings else "codec"
-    verdict = "fail" if findings or said else "pass"
-    return Result(id, blamed, "L3", verdict, True, tuple(findings), said)
+    return Result(
+        id,
+        blamed,
+        "L3",
+        verdict="fail" if findings or explanation else "pass",
+        required=True,
+        findings=tuple(findings),
+        explanation=explanation,
+    )
 
 
 def stored(row, entry):
@@ -135,10 +142,10 @@ def export(folder):
         raise OutputError(
             f"{folder}: expected an empty folder, or an earlier export with its manifest.json"
         )
-    with filled(folder) as beside:
+    with filled(folder) as staging:
         for file in filter(Path.is_file, FOLDER.iterdir()):
-            shutil.copyfile(file, beside / file.name)
-        write_streams(beside)
+            shutil.copyfile(file, staging / file.name)
+        write_streams(staging)
     manifest = read_manifest()
     return sum(len(row["cases"]) for row in manifest["subjects"]) + len(manifest["streams"])
 

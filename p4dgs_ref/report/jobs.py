@@ -15,7 +15,7 @@ from typing import Any, TextIO
 
 from ..arithmetic import arithmetic, keep_pages
 from ..codec.file import decode, encode
-from ..scenes.output import filled
+from ..output import filled
 from ..scenes.scene import Scene
 from ..signals import deferred
 from ..training.fit import few_views, fit, lost, warn
@@ -134,9 +134,9 @@ def main_job(
     chosen, name = choose(preset, changes), scene.name.replace("/", "_")
     warn(few_views(scene))
     # The report looks the same whatever style a program or a user's settings have chosen.
-    with filled(folder) as beside, report.pyplot().style.context("default"):
+    with filled(folder) as staging, report.pyplot().style.context("default"):
         (own, rows, images, model, history), paper = designs(
-            scene, chosen, seed, beside / f"{name}.p4dgs", stream, jobs
+            scene, chosen, seed, staging / f"{name}.p4dgs", stream, jobs
         )
         metrics = {
             "scene": scene.name,
@@ -152,12 +152,12 @@ def main_job(
                 field: here for field, _, here in differences(chosen, PRESETS[chosen.name])
             },
         }
-        report.write_comparison(beside, scene, rows, images)
-        report.write_motion(beside / "motion.gif", model, scene.test[0].camera)
-        report.write_size(beside, chosen.name, own, paper)
-        report.write_training(beside, history, chosen.stage_ends)
+        report.write_comparison(staging, scene, rows, images)
+        report.write_motion(staging / "motion.gif", model, scene.test[0].camera)
+        report.write_size(staging, chosen.name, own, paper)
+        report.write_training(staging, history, chosen.stage_ends)
         warn(own["warning"])
         warn(paper and paper["warning"] and f"the paper's design: {paper['warning']}")
         metrics["seconds"] = time.perf_counter() - start
-        (beside / "metrics.json").write_text(json.dumps(json_safe(metrics), indent=1) + "\n")
+        (staging / "metrics.json").write_text(json.dumps(json_safe(metrics), indent=1) + "\n")
     return metrics

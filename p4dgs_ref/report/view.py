@@ -5,7 +5,7 @@ import json
 import re
 from pathlib import Path
 
-from ..scenes.output import new_file, write_atomically
+from ..output import new_file, write_atomically
 
 VIEWER = Path(__file__).parents[1] / "viewer"
 

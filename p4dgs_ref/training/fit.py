@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from .. import effects as fx
 from ..model import Model
-from ..scenes.output import destination, locked, write_atomically
+from ..output import destination, locked, write_atomically
 from ..scenes.scene import Scene
 from ..signals import deferred
 from ..splatting.settings import FAST, Settings

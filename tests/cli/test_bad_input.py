@@ -14,8 +14,8 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.cli import parser as cli
+from p4dgs_ref.output import PART
 from p4dgs_ref.report import figures
-from p4dgs_ref.scenes.output import PART
 from p4dgs_ref.training.fit import fit, load_checkpoint
 from tests.sampling import few
 

@@ -7,7 +7,7 @@ import pytest
 from p4dgs_ref.report.evaluate import decibel, squared_error
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.load import DESCRIPTION, find_scene
-from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.description import read_description
 from tests.budget import ROOT
 from tutorials.tools import animation
 
@@ -21,7 +21,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def description():
-    return describe(find_scene("bouncing") / DESCRIPTION)
+    return read_description(find_scene("bouncing") / DESCRIPTION)
 
 
 @pytest.fixture(scope="module")

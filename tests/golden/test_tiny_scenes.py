@@ -9,7 +9,7 @@ import pytest
 from p4dgs_ref.report.evaluate import decibel, evaluate, squared_error
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.load import packaged_folder
-from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.description import read_description
 from p4dgs_ref.scenes.simulator.trace import trace
 from p4dgs_ref.training.fit import train
 from tests.golden import tiny_scenes, two_cameras
@@ -49,7 +49,7 @@ def test_the_size_of_twocams_is_stated():
 
 
 def test_twocams_is_read_as_it_was_drawn():
-    description, scene = describe(two_cameras.SOURCE), load_scene("twocams")
+    description, scene = read_description(two_cameras.SOURCE), load_scene("twocams")
     eyes = two_cameras.cameras(description)
     for views, eye in ((scene.train, eyes["left"]), (scene.test, eyes["right"])):
         for view in views:

@@ -23,7 +23,7 @@ from p4dgs_ref.oracle import published, safetensors, streams, tolerance
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.oracle.published import FOLDER, flatten, read_manifest
 from p4dgs_ref.oracle.streams import write_streams
-from p4dgs_ref.scenes.output import filled
+from p4dgs_ref.output import filled
 from tests.golden import independent, measured
 from tests.golden.cases import FLAGS
 from tests.golden.subjects import subjects

@@ -13,7 +13,7 @@ from p4dgs_ref.lab import suggest
 from p4dgs_ref.scenes import MODEL_EFFECTS, SIMULATOR_EFFECTS, Scene, load_scene
 from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator import place_cameras, trace
-from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.description import read_description
 from p4dgs_ref.training.presets import TINY
 from tests.core.effect_scenes import described
 
@@ -132,7 +132,7 @@ def test_all_trainings_together_are_shorter_than_one():
 
 def still(**changes):
     """A variation of the scene `static`, drawn anew."""
-    description = describe({**described("static", SIMULATOR_EFFECTS), **changes})
+    description = read_description({**described("static", SIMULATOR_EFFECTS), **changes})
     posed = place_cameras(description, "train")
     return Scene.from_arrays(
         [np.rint(trace.trace(description, c, t) * 255).astype(np.uint8) for c, t in posed],

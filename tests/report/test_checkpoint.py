@@ -16,7 +16,7 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.scenes.output import OutputError
+from p4dgs_ref.output import OutputError
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training import fit as training
 from p4dgs_ref.training import objective

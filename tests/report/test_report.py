@@ -19,12 +19,12 @@ import p4dgs_ref as p4
 from p4dgs_ref.arithmetic import arithmetic
 from p4dgs_ref.cli import text
 from p4dgs_ref.lab.tables import methods
+from p4dgs_ref.output import OutputError
 from p4dgs_ref.report import figures as report
 from p4dgs_ref.report import jobs as job
 from p4dgs_ref.report.evaluate import decibel, explicit_bytes, score
 from p4dgs_ref.report.jobs import in_processes
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.scenes.output import OutputError
 from p4dgs_ref.training.fit import fit
 from p4dgs_ref.training.loop import COLUMNS
 from p4dgs_ref.training.presets import TINY, TINY_CODED, paper_design

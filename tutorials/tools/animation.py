@@ -93,7 +93,7 @@ def error_colors(error):
 
 def draw(path, model, name="bouncing"):
     """Write the animation of a decoded model of a packaged scene to a GIF."""
-    description = simulator.describe(load.find_scene(name) / load.DESCRIPTION)
+    description = simulator.read_description(load.find_scene(name) / load.DESCRIPTION)
     shown = [
         (truth(description, camera, t, model.background), np.clip(model.render(camera, t), 0, 1), t)
         for camera, t in views(description)

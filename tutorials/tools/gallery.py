@@ -10,13 +10,14 @@ import json
 from collections import namedtuple
 from pathlib import Path
 
+from p4dgs_ref import output
 from p4dgs_ref.codec.file import decode
 from p4dgs_ref.lab import stability
 from p4dgs_ref.lab.accuracy import diagram, forms, report
 from p4dgs_ref.lab.school import show
 from p4dgs_ref.lab.tables import curve
 from p4dgs_ref.report import figures, jobs
-from p4dgs_ref.scenes import load_scene, output
+from p4dgs_ref.scenes import load_scene
 from tutorials.tools import animation, architecture, handout, records, tour
 from tutorials.tools.shared import FOLDER, write_text
 
@@ -139,9 +140,9 @@ def take(out, pictures):
     """
     figures = {name: Path(out) / picture.figure for name, picture in PICTURES.items()}
     renewed = [name for name, figure in figures.items() if figure.is_file()]
-    with output.filled(pictures) as beside:
+    with output.filled(pictures) as staging:
         for name in renewed:
-            (beside / name).write_bytes(figures[name].read_bytes())
+            (staging / name).write_bytes(figures[name].read_bytes())
     return renewed
 
 

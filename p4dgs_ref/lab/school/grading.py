@@ -16,8 +16,8 @@ from ...oracle import published
 from ...oracle.compare import compare, expected
 from ...oracle.ports import PortError
 from ...oracle.report import name_of
+from ...output import filled
 from ...report.figures import write_csv
-from ...scenes.output import filled
 from ...table import EQUATIONS
 from ..writer import table
 from .held_back import cases, is_ordinary
@@ -209,7 +209,7 @@ def details(student):
 
 def write(grades, folder):
     """Write grades.txt, grades.json and grades.csv to a folder. Raises OutputError."""
-    with filled(Path(folder)) as beside:
-        (beside / "grades.txt").write_text(text(grades) + "\n", encoding="utf-8")
-        (beside / "grades.json").write_text(json.dumps(grades, indent=1) + "\n", encoding="utf-8")
-        write_csv(beside / "grades.csv", rows_of(grades))
+    with filled(Path(folder)) as staging:
+        (staging / "grades.txt").write_text(text(grades) + "\n", encoding="utf-8")
+        (staging / "grades.json").write_text(json.dumps(grades, indent=1) + "\n", encoding="utf-8")
+        write_csv(staging / "grades.csv", rows_of(grades))

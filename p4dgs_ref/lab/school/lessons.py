@@ -14,7 +14,7 @@ import numpy as np
 from ...oracle import published
 from ...oracle.checker import Report, check, check_subject
 from ...oracle.ports import FunctionPort
-from ...scenes.output import write_atomically
+from ...output import write_atomically
 from ...table import EQUATIONS
 
 # The colours of Okabe and Ito, which colour-blind readers can tell apart.

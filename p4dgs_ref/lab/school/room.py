@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ...oracle import published
 from ...oracle.report import name_of
-from ...scenes.output import filled
+from ...output import filled
 from ...table import EQUATIONS
 from .syllabus import tutorial_of
 
@@ -79,10 +79,10 @@ def classroom(folder, only=None):
         **{f"student/{key}.py": stub_of(key) for key in new},
         **{f"key/{key}.py": source_of(key) for key in new},
     }
-    with filled(folder) as beside:
+    with filled(folder) as staging:
         for name, text in files.items():
-            (beside / name).parent.mkdir(exist_ok=True)
-            (beside / name).write_text(text, encoding="utf-8")
+            (staging / name).parent.mkdir(exist_ok=True)
+            (staging / name).write_text(text, encoding="utf-8")
     return {
         "output": str(folder),
         "equations": new,

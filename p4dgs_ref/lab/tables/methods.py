@@ -18,13 +18,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ... import output
 from ...arithmetic import arithmetic
 from ...codec.file import ATTRIBUTE_SECTIONS, decode, encode
 from ...model import CONTEXT_NETWORKS, Anchors, Design, Model, bounding_box
 from ...report.evaluate import evaluate, json_safe
 from ...report.inspect import components, ledger
 from ...report.jobs import in_processes
-from ...scenes import Scene, output
+from ...scenes import Scene
 from ...scenes.files import read_json
 from ...scenes.scene import require
 from ...training.fit import fingerprint
