@@ -39,9 +39,9 @@ def effects(arguments):
         return suggest_effects(arguments)
     with filled(arguments.output) as staging:
         scene = load_scene(arguments.scene)
-        found = effect_ledger.ledger(scene, progress=progress, jobs=arguments.jobs)
-        effect_ledger.draw_ledger(staging / "effects.png", found)
-    show(arguments, {"effects": found}, effect_ledger.describe(found))
+        rows = effect_ledger.ledger(scene, progress=progress, jobs=arguments.jobs)
+        effect_ledger.draw_ledger(staging / "effects.png", rows)
+    show(arguments, {"effects": rows}, effect_ledger.describe(rows))
 
 
 def suggest_effects(arguments):
@@ -53,12 +53,12 @@ def suggest_effects(arguments):
         f"{folder} is a packaged scene; expected a folder of yours",
     )
     say(f"--suggest: about {foretold(scene, jobs=arguments.jobs):.0f} s of short trainings")
-    found = suggest(scene, progress=progress, jobs=arguments.jobs)
-    lines = [f"{row['effect']:<14} {row['verdict']:<12} {row['evidence']}" for row in found]
+    rows = suggest(scene, progress=progress, jobs=arguments.jobs)
+    lines = [f"{row['effect']:<14} {row['verdict']:<12} {row['evidence']}" for row in rows]
     if arguments.apply:
-        called = [row["effect"] for row in found if row["called_for"]]
+        called = [row["effect"] for row in rows if row["called_for"]]
         lines.append(f"written to {list_effects(folder, called)}: {', '.join(called)}")
-    show(arguments, {"effects": found}, "\n".join(lines))
+    show(arguments, {"effects": rows}, "\n".join(lines))
 
 
 def make(arguments, tasks):

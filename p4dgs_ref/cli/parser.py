@@ -10,7 +10,6 @@ import sys
 import warnings
 from contextlib import suppress
 from importlib import import_module
-from pathlib import Path
 
 from ..arithmetic import arithmetic
 from ..signals import deferred
@@ -472,7 +471,7 @@ def parser():
 
 # The end of the message of a stopped command: what is kept, and how to go on.
 STOPPED = {
-    "train": "; the last checkpoint is kept, the same command with --resume goes on from it",
+    "train": "; if the run folder has a checkpoint, the same command with --resume goes on from it",
     **dict.fromkeys(
         ("compare", "ablate"),
         "; the trainings that are done are kept, the same command makes the others",
@@ -482,22 +481,13 @@ STOPPED = {
 }
 
 
-def how_to_go_on(arguments):
-    """What STOPPED says of a command; nothing of a training that has no checkpoint yet."""
-    from ..training.fit import CHECKPOINT
-
-    is_lost = arguments.command == "train" and not Path(arguments.output, CHECKPOINT).is_file()
-    return "" if is_lost else STOPPED.get(arguments.command, "")
-
-
 def run(argv, start):
     """Parse and run a command; returns the exit code.
 
     Exit codes: 0 success, 1 failed training or check, 2 invalid input, 130 interrupted. Every
     ValueError that this package defines means invalid input; another one is a bug.
     """
-    arguments = parser().parse_args(argv)
-    arguments.start = start
+    arguments = parser().parse_args(argv, argparse.Namespace(start=start))
     module, name = arguments.function.split(".")
     with warnings.catch_warnings(record=True) as caught:
         try:
@@ -505,7 +495,7 @@ def run(argv, start):
                 function = getattr(import_module(f".{module}", __package__), name)
             return function(arguments) or 0
         except KeyboardInterrupt:
-            code, message = 130, f"stopped{how_to_go_on(arguments)}"
+            code, message = 130, f"stopped{STOPPED.get(arguments.command, '')}"
         except (ArithmeticError, MemoryError) as error:
             code, message = 1, str(error) or "out of memory"
         except OSError as error:
