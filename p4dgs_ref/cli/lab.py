@@ -5,8 +5,8 @@ from functools import partial
 
 from ..lab import effect_ledger, school
 from ..lab.accuracy import report as accuracies
-from ..lab.stability import describe, draw_map, rows
-from ..lab.suggest import foretold, suggest
+from ..lab.stability import draw_map, rows, to_text
+from ..lab.suggest import seconds_of, suggest
 from ..lab.tables import ablate, compare, curve, methods
 from ..output import filled
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
@@ -28,7 +28,7 @@ def hard_cases(arguments):
     with filled(arguments.output) as staging:
         cases = rows(arguments.only)
         draw_map(staging / "stability.png")
-    show(arguments, {"cases": cases}, f"{describe(cases)}\nmap: {arguments.output}/stability.png")
+    show(arguments, {"cases": cases}, f"{to_text(cases)}\nmap: {arguments.output}/stability.png")
     return int(any(row["verdict"] == "fails" for row in cases))
 
 
@@ -41,7 +41,7 @@ def effects(arguments):
         scene = load_scene(arguments.scene)
         found = effect_ledger.ledger(scene, progress=progress, jobs=arguments.jobs)
         effect_ledger.draw_ledger(staging / "effects.png", found)
-    show(arguments, {"effects": found}, effect_ledger.describe(found))
+    show(arguments, {"effects": found}, effect_ledger.to_text(found))
 
 
 def suggest_effects(arguments):
@@ -52,7 +52,7 @@ def suggest_effects(arguments):
         "--apply",
         f"{folder} is a packaged scene; expected a folder of yours",
     )
-    say(f"--suggest: about {foretold(scene, jobs=arguments.jobs):.0f} s of short trainings")
+    say(f"--suggest: about {seconds_of(scene, jobs=arguments.jobs):.0f} s of short trainings")
     found = suggest(scene, progress=progress, jobs=arguments.jobs)
     lines = [f"{row['effect']:<14} {row['verdict']:<12} {row['evidence']}" for row in found]
     if arguments.apply:
@@ -68,7 +68,7 @@ def make(arguments, tasks):
 
 def show_table(arguments, study, result):
     """Show the result of a study and where its files are."""
-    show(arguments, result, f"{study.describe(result)}\nfiles and tables: {arguments.output}")
+    show(arguments, result, f"{study.to_text(result)}\nfiles and tables: {arguments.output}")
 
 
 def compare_methods(arguments):

@@ -18,7 +18,7 @@ from ..training.trainer import Trainer
 from ..training.watch import equation_codes, watching
 from .accuracy.forms import image_and_gradients, message, splat_scene
 from .clock import alternate, disturbance, stretch_of
-from .writer import table
+from .writer import text_table
 
 REPEATS = 5  # turns of everything, and steps that are watched
 COLUMNS = {
@@ -94,7 +94,7 @@ def bench(quick=False):
     return {"arithmetic": arithmetic(), "rows": [*rows, *parts], "stretch": stretch}
 
 
-def describe(result):
+def to_text(result):
     """The benchmark as text."""
     note = (
         "Below the step are its equations, forward and backward; watching them adds a little to "
@@ -102,7 +102,7 @@ def describe(result):
     )
     return "\n".join(
         [
-            *table(COLUMNS, result["rows"]),
+            *text_table(COLUMNS, result["rows"]),
             note,
             f"{result['arithmetic']}.",
             disturbance(result["stretch"]),

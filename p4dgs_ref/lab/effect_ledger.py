@@ -25,7 +25,7 @@ from ..training.trainer import Trainer
 from ..training.watch import equation_codes, watching
 from .accuracy.harness import shortened, step_at
 from .clock import alternate
-from .writer import table
+from .writer import text_table
 
 TURNS = 15  # of the steps that are timed
 AS_LISTED = "as listed"
@@ -171,10 +171,10 @@ def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, 
     return rows
 
 
-def describe(rows):
+def to_text(rows):
     """The ledger as text, a line per effect."""
-    lines = table(COLUMNS, [{**r, "called_for": "yes" if r["called_for"] else "no"} for r in rows])
-    return "\n".join([*lines, "", UNITS])
+    cells = [{**row, "called_for": "yes" if row["called_for"] else "no"} for row in rows]
+    return "\n".join([*text_table(COLUMNS, cells), "", UNITS])
 
 
 def draw_ledger(path, rows):

@@ -4,7 +4,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from p4dgs_ref.report.evaluate import decibel, squared_error
+from p4dgs_ref.report.evaluate import psnr
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.load import DESCRIPTION, find_scene
 from p4dgs_ref.scenes.simulator.description import read_description
@@ -55,8 +55,8 @@ def test_committed_animation_shows_the_truth_and_is_near_it(scene, description, 
         camera, t = posed[i]
         left, middle, _ = panels(committed[i])
         true = animation.truth(description, camera, t, scene.background)
-        assert decibel(squared_error(left, true)) > 38  # the colours of a GIF
-        assert 30 < decibel(squared_error(middle, true)) < 36
+        assert psnr(left, true) > 38  # the colours of a GIF
+        assert 30 < psnr(middle, true) < 36
 
 
 def test_committed_error_is_that_of_the_panels_in_the_stated_colours(committed):

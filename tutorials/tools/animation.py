@@ -57,10 +57,10 @@ def with_palette(picture, colors):
 def frame(true, decoded, t, colors):
     """One frame [height, width, 3] in 8 bits: three panels with titles, the scale of the error."""
     error = np.abs(decoded - true).mean(axis=2)
-    psnr = evaluate.decibel(evaluate.squared_error(decoded, true))
+    quality = evaluate.psnr(decoded, true)
     panels = (
         (f"truth, t = {t:.2f}", with_palette(true, colors)),
-        (f"decoded, PSNR {psnr:.1f} dB", with_palette(decoded, colors)),
+        (f"decoded, PSNR {quality:.1f} dB", with_palette(decoded, colors)),
         (f"absolute error, mean {error.mean():.3f}", error_colors(error)),
     )
     side = ZOOM * true.shape[1]
