@@ -306,7 +306,7 @@ for (top, below), (name, way) in zip(rows.T, fitted.items()):
     x_t, w, _ = way.forward(DENSE)
     top.plot(truth[:, 0], truth[:, 2], color="0.6", lw=5, label="the ball")
     for path, weight in zip(x_t[0], w[0]):
-        seen = weight > gaussian4d.LEAST_WEIGHT
+        seen = weight > gaussian4d.MIN_WEIGHT
         top.scatter(path[seen, 0], path[seen, 2], 14, HUES[name], alpha=weight[seen].clip(0, 1))
         below.plot(DENSE, np.where(seen, weight, np.nan), color=HUES[name], lw=1.5)
     below.plot(DENSE, w[0].sum(axis=0), color="k", ls="--", lw=1.5, label="together")
@@ -466,7 +466,7 @@ def influence(way, t_0=0.3):
     at = np.array([t_0])
     x_t, w, saved = way.forward(at)
     x_t_bar = np.zeros_like(x_t)
-    x_t_bar[..., 2] = np.where(w > gaussian4d.LEAST_WEIGHT, w, 0)  # the others are not drawn
+    x_t_bar[..., 2] = np.where(w > gaussian4d.MIN_WEIGHT, w, 0)  # the others are not drawn
     gradients = way.backward(saved, x_t_bar, np.zeros_like(w))
 
     def height(t):

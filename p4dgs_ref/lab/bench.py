@@ -44,13 +44,13 @@ def by_equation(step):
     """{equation: ms} of one step; an equation that runs inside another one counts with it."""
     ms, started = Counter(), []
 
-    def see(event, mark, frame, value):
+    def time_calls(event, mark, frame, value):
         if event == "call":
             started.append(time.process_time())
         elif (begin := started.pop()) and not started:
             ms[mark[0]] += 1e3 * (time.process_time() - begin) / REPEATS
 
-    with watching(equation_codes(), see):
+    with watching(equation_codes(), time_calls):
         for _ in range(REPEATS):
             step()
     return dict(ms.most_common())

@@ -8,7 +8,7 @@ import pytest
 
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.lab import baselines
-from p4dgs_ref.lab.baselines.explicit import FINISHED
+from p4dgs_ref.lab.baselines.explicit import AFTER_TRAINING
 from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training.parameters import Parameters
@@ -17,12 +17,13 @@ from .small import MODULES, SMALL, model_of, random_parameters
 
 EVERY = pytest.mark.parametrize("method", MODULES)
 WAITING = ("psi", "planes")  # arrays that take part once the Gaussians move
+ENDS = ((AFTER_TRAINING, 3, 0), (0, 0, 0))
 # Iterations, with the active degree of the harmonics and the waves in time.
 ITERATIONS = [
-    *((method, *row) for method in ("d3dgs", "hexplane") for row in ((FINISHED, 3, 0), (0, 0, 0))),
+    *((method, *row) for method in ("d3dgs", "hexplane") for row in ENDS),
     *((method, 10, 1, 0) for method in ("d3dgs", "hexplane")),
     *(("gaussian4d", *row) for row in ((0, 0, 0), (25, 2, 0), (30, 3, 0), (40, 3, 1))),
-    ("gaussian4d", FINISHED, 3, 2),
+    ("gaussian4d", AFTER_TRAINING, 3, 2),
 ]
 
 
