@@ -20,7 +20,7 @@ def turn_knobs(arguments):
         result = accuracies.run(
             arguments.only or None, staging, arguments.quick, progress, arguments.jobs
         )
-    show(arguments, result, accuracies.describe(result, arguments.output))
+    show(arguments, result, accuracies.to_text(result, arguments.output))
 
 
 def hard_cases(arguments):
