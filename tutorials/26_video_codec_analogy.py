@@ -120,7 +120,7 @@ def scene_of(moments, moves):
 
 # %%
 from p4dgs_ref.lab.accuracy.harness import reduced
-from p4dgs_ref.report.evaluate import decibel, evaluate, squared_error
+from p4dgs_ref.report.evaluate import evaluate, psnr
 from p4dgs_ref.training.trainer import Trainer
 
 sizes = dict(
@@ -142,7 +142,7 @@ def build(scene):
     return p4.decode(data), data
 
 
-def psnr(model, scene):
+def mean_psnr(model, scene):
     return evaluate(model, scene)[0]["psnr_db"]
 
 
@@ -152,9 +152,9 @@ inter, inter_data = build(scene_of(times, moves=True))
 intra_bytes = [len(data) for _, data in intra]
 inter_bytes = len(inter_data)
 quality = {
-    "intra": [psnr(model, frame) for (model, _), frame in zip(intra, frames)],
-    "inter": [psnr(inter, scene_of([t], moves=True)) for t in times],
-    "repeat frame 0": [psnr(intra[0][0], frame) for frame in frames],
+    "intra": [mean_psnr(model, frame) for (model, _), frame in zip(intra, frames)],
+    "inter": [mean_psnr(inter, scene_of([t], moves=True)) for t in times],
+    "repeat frame 0": [mean_psnr(intra[0][0], frame) for frame in frames],
 }
 for name, db in quality.items():
     print(f"{name:14s} PSNR {np.round(db, 2)}, mean {np.mean(db):.2f} dB")
@@ -295,7 +295,7 @@ for line, (name, images) in zip(axes, shown.items()):
             grid=False,
         )
         panel.set_xlabel(
-            f"t = {t:.2f}" if name == "truth" else f"{decibel(squared_error(image, truth)):.1f} dB",
+            f"t = {t:.2f}" if name == "truth" else f"{psnr(image, truth):.1f} dB",
             fontsize=14,
         )
     line[0].set_ylabel(name, fontsize=16)

@@ -156,8 +156,8 @@ def open_container(data):
         require(crc == CRC.unpack_from(data, at)[0], "container", at, "wrong checksum of the file")
         return sections
     for name, _, _, crc in rows:
-        found = zlib.crc32(sections[name])
-        require(found == crc, name, 0, f"checksum {found:08x}, the section table says {crc:08x}")
+        actual = zlib.crc32(sections[name])
+        require(actual == crc, name, 0, f"checksum {actual:08x}, the section table says {crc:08x}")
     return sections
 
 

@@ -8,7 +8,7 @@ def main():
     prepare()
     from . import bench  # loads NumPy
 
-    print(bench.describe(bench.bench()))
+    print(bench.to_text(bench.bench()))
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from ..training.trainer import Trainer
 from ..training.watch import equation_codes, watching
 from .accuracy.forms import image_and_gradients, message, splat_scene
 from .clock import alternate, disturbance, stretch_of
-from .writer import table
+from .writer import text_table
 
 REPEATS = 5  # turns of everything, and steps that are watched
 COLUMNS = {
@@ -44,13 +44,13 @@ def by_equation(step):
     """{equation: ms} of one step; an equation that runs inside another one counts with it."""
     ms, started = Counter(), []
 
-    def see(event, mark, frame, value):
+    def time_calls(event, mark, frame, value):
         if event == "call":
             started.append(time.process_time())
         elif (begin := started.pop()) and not started:
             ms[mark[0]] += 1e3 * (time.process_time() - begin) / REPEATS
 
-    with watching(equation_codes(), see):
+    with watching(equation_codes(), time_calls):
         for _ in range(REPEATS):
             step()
     return dict(ms.most_common())
@@ -94,7 +94,7 @@ def bench(quick=False):
     return {"arithmetic": arithmetic(), "rows": [*rows, *parts], "stretch": stretch}
 
 
-def describe(result):
+def to_text(result):
     """The benchmark as text."""
     note = (
         "Below the step are its equations, forward and backward; watching them adds a little to "
@@ -102,7 +102,7 @@ def describe(result):
     )
     return "\n".join(
         [
-            *table(COLUMNS, result["rows"]),
+            *text_table(COLUMNS, result["rows"]),
             note,
             f"{result['arithmetic']}.",
             disturbance(result["stretch"]),

@@ -6,7 +6,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from p4dgs_ref.report.evaluate import decibel, evaluate, squared_error
+from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator.description import read_description
@@ -73,8 +73,7 @@ def test_a_training_on_twocams_finds_the_other_view():
     scene = load_scene("twocams")
 
     def without_model(picture_of):
-        errors = [squared_error(picture_of(view), view.image) for view in scene.test]
-        return np.mean([decibel(error) for error in errors])
+        return np.mean([psnr(picture_of(view), view.image) for view in scene.test])
 
     still = np.mean([view.image for view in scene.test], axis=0)
     beside = {view.time: view.image for view in scene.train}

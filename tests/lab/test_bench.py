@@ -18,4 +18,4 @@ def test_the_command_prints_what_was_measured(capsys, monkeypatch):
     assert rows["training step of `tiny`, stage 4"]["ms"] > rows["  compositing, fast"]["ms"] > 0
     monkeypatch.setattr(bench, "bench", partial(dict, measured))
     command.main()
-    assert capsys.readouterr().out == bench.describe(measured) + "\n"
+    assert capsys.readouterr().out == bench.to_text(measured) + "\n"

@@ -27,7 +27,7 @@ def suggested(scene, **options):
 @pytest.fixture
 def quick(monkeypatch):
     """No training: every view gains what this dictionary says of its effect, give or take 0.1."""
-    gains = dict.fromkeys(("translation", *suggest.VIEW, "occlusion"), 0.0)
+    gains = dict.fromkeys(("translation", *suggest.OF_VIEW, "occlusion"), 0.0)
     noise = np.linspace(-0.1, 0.1, 8)
     monkeypatch.setattr(suggest, "paired", lambda task: gains[task[2]] + noise)
     return gains
@@ -82,8 +82,8 @@ def test_every_effect_has_a_verdict_and_a_number(quick):
 
 def test_one_time_and_few_views(quick):
     scene = load_scene("bouncing")
-    assert suggest.foretold(scene, jobs=2) > 0
-    assert suggest.foretold(replace(scene, train=scene.train[:11])) == 0
+    assert suggest.seconds_of(scene, jobs=2) > 0
+    assert suggest.seconds_of(replace(scene, train=scene.train[:11])) == 0
     frozen = suggested(replace(scene, train=[replace(view, time=0.5) for view in scene.train]))
     assert {frozen[effect]["verdict"] for effect in MOTION} == {"no"}
     assert "0.5" in frozen["translation"]["evidence"]

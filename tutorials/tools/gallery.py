@@ -113,7 +113,7 @@ PICTURES = {
 
 DRAWING, HANDOUT, TOUR = "architecture.png", "handout.pdf", "tour.pdf"
 DRAW = {  # what draws the pictures that come from no tutorial
-    "curve.png": (curve.draw,),
+    "curve.png": (curve.draw_curves,),
     "demo.png": (figures.write_comparison,),
     "demo_size.png": (figures.write_size,),
     "demo.gif": (animation,),
@@ -186,7 +186,7 @@ def draw_demo(out):
 def draw_curve(out):
     """Draw the record of the curve into the folder `out`."""
     points, curves, title = curve.read(records.rows("curve"))
-    curve.draw(Path(out) / PICTURES["curve.png"].figure, points, curves[curve.EDGE], title)
+    curve.draw_curves(Path(out) / PICTURES["curve.png"].figure, points, curves[curve.EDGE], title)
 
 
 def draw_tour(_):

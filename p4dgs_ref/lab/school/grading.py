@@ -19,7 +19,7 @@ from ...oracle.report import name_of
 from ...output import filled
 from ...report.figures import write_csv
 from ...table import EQUATIONS
-from ..writer import table
+from ..writer import text_table
 from .held_back import cases, is_ordinary
 from .lessons import problem
 from .room import files_of, keys_of, parts_of, source_of, stub_of
@@ -183,7 +183,7 @@ def rows_of(grades):
 def text(grades):
     """Return the sums of all students as a table, who are alike, and then the details of each."""
     sums = ("student", "points", "of", "copied", "alike", "seed")
-    lines = table({name: f"{{{name}}}" for name in sums}, rows_of(grades))
+    lines = text_table({name: f"{{{name}}}" for name in sums}, rows_of(grades))
     pairs = [
         f"    {' and '.join(pair['students'])}: {', '.join(pair['equations'])}"
         for pair in grades["alike"]

@@ -17,11 +17,11 @@ from ...codec.container import read_container
 from ...codec.file import encode, quantised_of
 from ...equations import hash_grid
 from ...model import context
-from ...report.evaluate import decibel, squared_error
 from ...report.figures import heat_image
 from ...report.inspect import anchor_bits, symbol_bits
 from ...splatting import compositing, covariance, render
 from ...splatting.settings import EXACT, FAST
+from ...training.loop import psnr
 from .lessons import COLORS
 
 SPACE, STEP, TIME, RATE, CONTEXT, SPLAT, ANCHOR = COLORS
@@ -102,8 +102,8 @@ def picture(ax, image, camera, **settings):
 
 def scored_picture(ax, model, data, camera, t, truth, view, name):
     """Show what a model renders, with the bytes of its file and its PSNR against `truth`."""
-    psnr = decibel(squared_error(model.render(camera, t), truth))
-    title = f"{name}\n{len(data):,} bytes, {psnr:.1f} dB"
+    quality = psnr(model.render(camera, t), truth)
+    title = f"{name}\n{len(data):,} bytes, {quality:.1f} dB"
     picture(ax, frame(model, camera, t), camera, **view, title=title)
 
 

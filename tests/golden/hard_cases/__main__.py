@@ -30,7 +30,7 @@ def procedure_rows():
 def main():
     """Print the table of `p4dgs-ref stability` and, below it, that of the procedures."""
     rows = [*stability.rows(), *procedure_rows()]
-    print(stability.describe(rows))
+    print(stability.to_text(rows))
     return int(any(row["verdict"] == "fails" for row in rows))
 
 
