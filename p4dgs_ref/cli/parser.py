@@ -80,16 +80,13 @@ JOBS = option(
     metavar="N",
     help="processes for independent trainings (default: one for every core)",
 )
-SEED = option(
-    "--seed", type=number(int, 0), default=0, metavar="N", help="of everything random (0)"
-)
 YES = switch("--yes", "go on although the estimate is over an hour")
 FILE = option("file", help="a .p4dgs file")
 NEW_FOLDER = output("folder to write to", required=True)
 SCENE_HELP = "a D-NeRF, HyperNeRF or NeRF-DS folder, or the name of a packaged scene"
 SCENE = option("scene", help=SCENE_HELP)
 SETTINGS = (
-    SEED,
+    option("--seed", type=number(int, 0), default=0, metavar="N", help="of everything random (0)"),
     several("--set", "KEY=VALUE", "change a field of the preset; may be repeated", dest="changes"),
     switch("--quiet", "no progress line"),
     YES,
