@@ -13,8 +13,8 @@ import numpy as np
 from .oracle import published
 from .oracle.checker import Report, check, check_subject
 from .oracle.ports import FunctionPort
+from .output import write_atomically
 from .report.figures import COLORS
-from .scenes.output import write_atomically
 from .table import EQUATIONS
 
 

@@ -201,7 +201,7 @@ print(f"bits a symbol after the error: sent {true:.2f}, received {broken:.2f}")
 assert abs(broken / true - 1) < 0.1
 before = picture(sent)
 after = picture(received)
-print(f"PSNR {evaluate.decibel(evaluate.squared_error(after, before)):.1f} dB")
+print(f"PSNR {evaluate.psnr(after, before):.1f} dB")
 
 # %%
 figure, (left, middle, errors) = plt.subplots(

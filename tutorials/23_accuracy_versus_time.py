@@ -204,7 +204,7 @@ for domain, limits in {"to 3 σ": forms.USUAL, "everywhere": forms.DOMAIN}.items
     for name, formula in formulas.FORMULAS.items():
         choices[domain, name] = formula, limits
 for entries in formulas.TABLES:
-    choices["tables", f"{entries}/σ"] = formulas.table(entries), forms.USUAL
+    choices["tables", f"{entries}/σ"] = formulas.lookup_table(entries), forms.USUAL
 rows = measure_forms(forms.priced(choices, quick=True), 3)
 priced = {(row["line"], row["value"]): row for row in rows}
 for (domain, name), row in priced.items():

@@ -104,7 +104,7 @@ shown = (
 rows = []
 for id in shown:
     rows += stability.rows(id)
-print(stability.describe(rows))
+print(stability.to_text(rows))
 assert len(rows) == 2 * len(shown)
 assert all(row["verdict"] == "ok" for row in rows)
 

@@ -99,7 +99,7 @@ assert [2 * parameters_of_psi_d(effects) for effects in lists] == [107540, 10483
 
 # %%
 import p4dgs_ref as p4
-from p4dgs_ref.lab.effect_ledger import counted, describe, ledger
+from p4dgs_ref.lab.effect_ledger import counted, ledger, to_text
 from p4dgs_ref.training.trainer import Trainer
 
 scenes = {name: p4.load_scene(name) for name in ("static", "bouncing")}
@@ -265,7 +265,7 @@ assert components(p4.encode(absent)).get("deformation_mlp", 0) == 0 < bytes_of_z
 
 # %%
 rows = ledger(scenes["static"], "smoke", seed=0, share=1, stage_ends=(15, 25, 100, 150))
-print(describe(rows))
+print(to_text(rows))
 ledger_of = {row["effect"]: row for row in rows}
 for row in rows:
     assert row["work_off"] == row["bytes_off"] == 0 < row["work_on"]

@@ -58,7 +58,7 @@ def ledger(data):
     steps = np.repeat(q.context.q, model.design.widths, axis=1)
     floats, _ = likelihood.forward(q.symbols * steps, prior.mu, prior.sigma, steps)
     integers = symbol_bits(q)
-    found = {
+    parts = {
         "header": (len(sections["header"]),),
         "positions": (BOX_BYTES + has_version_2(data), q.positions.size),
     }
@@ -66,18 +66,18 @@ def ledger(data):
     for name, flags in (("masks", model.anchors.mask), ("hash_grid", signs)):
         ones, f = np.count_nonzero(flags), int.from_bytes(sections[name][:4], "little") / 2**24
         coded = -(xlogy(ones, f) + xlogy(flags.size - ones, 1 - f)) / np.log(2)
-        found[name] = stream_header(sections[name], 4), flags.size, entropy_bits(flags), coded
+        parts[name] = stream_header(sections[name], 4), flags.size, entropy_bits(flags), coded
     for name, columns in attribute_columns(model.design):
         kept = q.kept[:, columns]
         estimate, coded = (bits[:, columns][kept].sum() for bits in (floats, integers))
-        found[name] = stream_header(sections[name], 0), int(kept.sum()), estimate, coded
+        parts[name] = stream_header(sections[name], 0), int(kept.sum()), estimate, coded
     for name, members in NETWORK_SECTIONS.items():
         layers = [model.networks.get(member, ()) for member in members]
-        found[name] = 0, sum(a.size for pair in layers for arrays in pair for a in arrays)
+        parts[name] = 0, sum(a.size for pair in layers for arrays in pair for a in arrays)
     frame = len(data) - sum(map(len, sections.values()))
     return [
         ledger_row("container", frame, frame),
-        *(ledger_row(name, len(body), *found[name]) for name, body in sections.items()),
+        *(ledger_row(name, len(body), *parts[name]) for name, body in sections.items()),
     ]
 
 

@@ -21,8 +21,8 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 
+from ..output import write_atomically
 from .fields import SceneError, require
-from .output import write_atomically
 from .scene import FARTHEST, LARGEST_JSON, MOST_ANCHORS, as_float, over_background, size_of
 
 FOLDERS = (

@@ -82,9 +82,8 @@ def read_splits(folder):
     """
     file = folder / SPLITS
     listed = fields(read_json(file, FULL), file, DATASET, others=True)
-    train, test = listed.train_ids, listed.val_ids
-    if not test:
-        train, test = listed.ids[::4], listed.ids[2::4]
+    splits = [listed.train_ids, listed.val_ids]
+    train, test = splits if listed.val_ids else [listed.ids[::4], listed.ids[2::4]]
     require(
         train and test and not {*train} & {*test},
         file,
@@ -96,8 +95,9 @@ def read_splits(folder):
 def read_times(folder, names):
     """The time in [0, 1] of every view by its name: its time_id over the largest of all."""
     file = folder / "metadata.json"
-    table = dict.fromkeys(names, (MOMENT, REQUIRED))
-    moments = vars(fields(read_json(file, FULL), file, table, others=True))
+    moments = vars(
+        fields(read_json(file, FULL), file, dict.fromkeys(names, (MOMENT, REQUIRED)), others=True)
+    )
     counted = {
         name: moment.warp_id if moment.time_id is None else moment.time_id
         for name, moment in moments.items()

@@ -41,9 +41,9 @@ BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 ROTATION_TOLERANCE = 1e-3
 
 
-def rotation(found, where):
+def rotation(value, where):
     """Check a 3 x 3 matrix that is a rotation: orthonormal, and no mirror."""
-    R = numbers(found, where, -FARTHEST, FARTHEST, (3, 3))
+    R = numbers(value, where, -FARTHEST, FARTHEST, (3, 3))
     error, determinant = np.abs(R @ R.T - np.eye(3)).max(), np.linalg.det(R)
     require(
         error <= ROTATION_TOLERANCE and determinant > 0,
@@ -139,8 +139,11 @@ class Scene:
             f"{name}: images, cameras, times",
             f"{len(images)}, {len(cameras)} and {len(moments)}; expected equal numbers",
         )
-        index = partial(numbers, low=0, high=len(images) - 1, kind=int)
-        held_back = list_of(list(test), f"{name}: test", index)
+        held_back = list_of(
+            list(test),
+            f"{name}: test",
+            partial(numbers, low=0, high=len(images) - 1, kind=int),
+        )
         listed = model_effects(effects, f"{name}: effects")
         color = background_color(background, listed, name)
         views = [
@@ -163,8 +166,11 @@ class Scene:
 
 def check_effects(names, where):
     """A list of effects in the order of SIMULATOR_EFFECTS; None stands for all of the model's."""
-    check = partial(choice, table={name: name for name in SIMULATOR_EFFECTS})
-    listed = list_of(MODEL_EFFECTS if names is None else names, where, check)
+    listed = list_of(
+        MODEL_EFFECTS if names is None else names,
+        where,
+        partial(choice, table={name: name for name in SIMULATOR_EFFECTS}),
+    )
     return tuple(effect for effect in SIMULATOR_EFFECTS if effect in listed)
 
 
@@ -175,8 +181,10 @@ def model_effects(names, where):
 
 def background_color(background, effects, where):
     """The background as three float32 in [0, 1]; black where the scene does not list the effect."""
-    color = BACKGROUNDS.get(background, background) if isinstance(background, str) else background
-    color = COLOR(color, f"{where}: background, white, black or three numbers")
+    color = COLOR(
+        BACKGROUNDS.get(background, background) if isinstance(background, str) else background,
+        f"{where}: background, white, black or three numbers",
+    )
     return color.astype(np.float32) if "background" in effects else np.zeros(3, np.float32)
 
 

@@ -110,6 +110,7 @@ def backward(saved, image_bar):
         if weights is None:
             weights = np.empty_like(A)
             front_to_back(A, weights, before.copy(), np.zeros(before.shape, bool), settings)
+        # In the forward image += weight color, so a color gets the weights, and a weight the color.
         g_tiles, sums = g[tiles], np.empty((*pairs.shape, 9), A.dtype)
         paint_bar = sums[:, :, 6:].transpose(1, 0, 2)
         np.matmul(weights.transpose(1, 0, 2), g_tiles.transpose(0, 2, 1), out=paint_bar)
@@ -117,15 +118,17 @@ def backward(saved, image_bar):
         colors = paint.take(pairs, axis=0).transpose(1, 0, 2)
         np.matmul(colors, g_tiles, out=V.transpose(1, 0, 2))
         if occlusion:
-            seen = behind[tiles]  # the value seen through a rank; nothing is divided by 1 - alpha
-            blocked = np.empty_like(seen)
+            # In the forward T *= 1 - alpha, so alpha also takes what stands behind its rank.
+            through = behind[tiles]  # the value behind a rank; nothing is divided by 1 - alpha
+            blocked = np.empty_like(through)
             for a, v in zip(A[::-1], V[::-1]):
-                v -= seen
-                seen += np.multiply(a, v, out=blocked)
-            behind[tiles] = seen
-        V *= weights  # gradient of log alpha
+                v -= through
+                through += np.multiply(a, v, out=blocked)
+            behind[tiles] = through
+        V *= weights  # in the forward weight = alpha T, so this is the gradient of log alpha
         for where, slope in clamped:
             V.reshape(-1)[where] *= slope
+        # In the forward log alpha = coefficients @ monomials, so coefficients get their moments.
         np.matmul(V.reshape(-1, len(basis)), basis, out=sums.reshape(-1, 9)[:, :6])
         per_pair[pairs] = sums
     columns = per_pair[:-1].T.astype(float, order="C")

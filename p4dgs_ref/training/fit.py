@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import effects as fx
-from ..scenes.output import destination, locked, write_atomically
+from ..output import destination, locked, write_atomically
 from ..signals import deferred
 from .loop import Progress, psnr
 from .presets import Preset

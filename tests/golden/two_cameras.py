@@ -11,10 +11,10 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 
-from p4dgs_ref.scenes.output import filled
+from p4dgs_ref.output import filled
 from p4dgs_ref.scenes.simulator import camera_at
 from p4dgs_ref.scenes.simulator.bodies import poses
-from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.description import read_description
 from p4dgs_ref.scenes.simulator.trace import hit, rays, trace
 
 SOURCE = Path(__file__).with_name("two_cameras.json")
@@ -26,7 +26,7 @@ CENTER, SCALE = np.array([0.5, -1.5, 2.0]), 0.25
 
 def draw(folder):
     """Draw the scene into a folder."""
-    description = describe(SOURCE)
+    description = read_description(SOURCE)
     eyes, moments = cameras(description), description.cameras.train
     every = moments // description.cameras.test
     names = {

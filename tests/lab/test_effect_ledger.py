@@ -50,7 +50,7 @@ def test_ledger(tmp_path):
         assert (row["bytes_on"] > 0) == (row["effect"] in (*MOTION, *VIEW))
     background = rows[MODEL_EFFECTS.index("background")]
     assert background["worth_db"] > 0.5
-    assert f"{background['worth_db']:+.2f}\n" in effect_ledger.describe(rows)
+    assert f"{background['worth_db']:+.2f}\n" in effect_ledger.to_text(rows)
     effect_ledger.draw_ledger(tmp_path / "ledger.png", rows)
     with open(tmp_path / "ledger.csv", newline="") as file:
         assert [row["effect"] for row in csv.DictReader(file)] == list(MODEL_EFFECTS)

@@ -40,7 +40,7 @@ def test_rows_are_as_scripts_expect(rows):
     assert json.loads(json.dumps(rows, allow_nan=False)) == rows
     assert all(wanted <= set(row) for row in rows)
     assert all(row["error"] >= 0 and row["bound"] <= 1e-3 for row in rows)
-    text = stability.describe(rows)
+    text = stability.to_text(rows)
     assert text.splitlines()[-1] == f"{len(rows)} rows, 0 beyond their bounds"
     assert "H-R1.9sigma" in text
 
@@ -84,7 +84,7 @@ def test_a_formula_that_is_worse_fails(changes, monkeypatch):
     with np.errstate(all="ignore"):
         rows = stability.rows("H-R1.9sigma")
     assert rows[0]["verdict"] == "fails"
-    assert "  H-R1.9sigma float64" in stability.describe(rows).splitlines()
+    assert "  H-R1.9sigma float64" in stability.to_text(rows).splitlines()
 
 
 @pytest.mark.parametrize(

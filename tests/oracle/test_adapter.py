@@ -266,7 +266,7 @@ def test_a_log_or_another_version_is_named(port, twist, words):
 
 
 def test_floods_are_bounded(port, monkeypatch):
-    monkeypatch.setattr(adapter_module, "LONGEST", 10**6)
+    monkeypatch.setattr(adapter_module, "MAX_ANSWER_BYTES", 10**6)
     kind, message = failure(port("if n: send('x' * 2 * 10**6); time.sleep(60)"))
     assert kind == "nonsense" and "1,000,000 bytes" in message
     assert failure(port("while n: send('x\\n' * 65536)"))[0] == "nonsense"

@@ -1,11 +1,10 @@
 """The checker: it fails when it should, names the first wrong equation and reports each case.
 
-Of every version of the vectors: what joined, and what an earlier version still is.
+Also the commands, and what they export.
 """
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -238,11 +237,8 @@ def run(capsys, *argv):
 
 
 def test_commands(answered, capsys):
-    code, out, _ = run(capsys, "path")
-    assert code == 0 and Path(out.strip()) == published.FOLDER
-    listed = [run(capsys, "list", "--vectors", version)[1] for version in published.VERSIONS]
-    assert all("likelihood/tail" in out and "codec/" in out for out in listed)
-    assert listed == sorted({*listed}, key=len)
+    code, out, _ = run(capsys, "list")
+    assert code == 0 and "likelihood/tail" in out and "codec/" in out
     code, out, _ = run(capsys, "check", str(answered), "--only", "offsets")
     assert code == 0 and "every required case passes" in out
     code, out, _ = run(capsys, "check", str(answered), "--only", "tanh", "--json")
@@ -268,6 +264,7 @@ def test_the_vectors_are_no_answer(exported, tmp_path, capsys):
         (["check", ".", "--level", "L0", "--only", "offsets"], "no such case"),
         (["export", "."], "expected an empty folder"),
         (["check", ".", "--only", "ofsets"], "--only ofsets: did you mean 'offsets'?"),
+        (["check", ".", "--level", "L5"], "--level L5: expected one of L0, L1, L2, L3, L4"),
     ],
 )
 def test_mistakes_of_the_user(capsys, argv, says):
@@ -296,47 +293,17 @@ def test_a_check_of_one_equation_loads_few_modules():
     assert rooms <= {"oracle"}, rooms
 
 
-# --- versions -----------------------------------------------------------------------------------
-FIRST, LAST = published.VERSIONS[0], published.VERSIONS[-1]
-
-
-def ids(version):
-    """The ids of all cases of a version."""
-    subjects = published.read_manifest(version=version)["subjects"]
-    return {case["id"] for subject in subjects for case in subject["cases"]}
-
-
-def checked(folder, version):
-    levels = ("L0", "L1", "L2", "L4")  # no streams
-    return checker.check_port(FolderPort(folder), levels, version=version)
-
-
-@pytest.mark.slow
-def test_answers_to_the_first_version_lack_only_what_joined_since(tmp_path):
-    """A folder that a port of version 1.0 wrote, with all equations right."""
-    first = ids(FIRST)
-    for subject in published.read_manifest(version=FIRST)["subjects"]:
-        key = subject["key"]
-        arrays = right(key).items()
-        write(tmp_path, **{key: {n: a for n, a in arrays if f"{key}/{n.split('/')[0]}" in first}})
-    report = checked(tmp_path, FIRST)
-    assert report.ok and {r.id for r in report.results} == first
-    verdicts = {r.id: r.verdict for r in checked(tmp_path, LAST).results}
-    assert first == {id for id, verdict in verdicts.items() if verdict == "pass"}
-    assert {*verdicts.values()} == {"pass", "missing"}
-
-
-def test_the_first_version_is_exported_as_it_was(exported):
+# --- the export ---------------------------------------------------------------------------------
+def test_the_export_is_the_published_vectors(exported):
     folder, cases = exported
     assert damaged(folder) == []
-    manifest = published.read_manifest(folder)
-    assert manifest["version"] == "v1.0"
-    assert cases == len(ids(FIRST)) + len(manifest["streams"])
-    assert "since" not in json.dumps(manifest)
-    names = {file.name for file in folder.glob("*.safetensors")}
-    assert names == set(manifest["files"]) and "kernel.safetensors" not in names
-    for subject in manifest["subjects"]:
-        assert published.read(subject, folder)
+    manifest = (folder / "manifest.json").read_bytes()
+    assert manifest == (published.FOLDER / "manifest.json").read_bytes()
+    subjects, streams = published.subjects().values(), json.loads(manifest)["streams"]
+    assert cases == sum(len(row["cases"]) for row in subjects) + len(streams)
+    assert {file.name for file in folder.iterdir() if file.is_file()} == {
+        file.name for file in published.FOLDER.iterdir() if file.is_file()
+    }
 
 
 def test_half_precision_is_told_why_it_is_not_judged(tmp_path):

@@ -210,7 +210,7 @@ def test_a_mistake_that_agrees_with_few_failing_cases_is_not_mentioned():
 def test_the_best_hint_comes_first():
     rows = told("step", lambda case: Mostly(by_id("step-half-slope"), {"ordinary"}).run(case))
     shares = [len(row.cases) / row.failed for row in rows]
-    assert shares == sorted(shares, reverse=True) and shares[0] >= doctor.MOST
+    assert shares == sorted(shares, reverse=True) and shares[0] >= doctor.MIN_HINT_SHARE
 
 
 def test_a_mistake_that_would_show_in_a_right_case_is_not_mentioned():

@@ -332,7 +332,7 @@ def test_printed_commands_run(tmp_path, monkeypatch, capsys):
         {"L0", "L1"},
         {"step", "step_floor", "prior", "sigma_clamp"},
         {"step"},
-        {s["key"] for s in read_manifest(version="1.0")["subjects"] if s["level"] == "L2"},
+        {s["key"] for s in read_manifest()["subjects"] if s["level"] == "L2"},
         set(BASELINE_EQUATIONS),
         {"weight_bits"},
         {"trace_steps", "training_steps", "kernel_pixels"},

@@ -4,10 +4,10 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from p4dgs_ref.report.evaluate import decibel, squared_error
+from p4dgs_ref.report.evaluate import psnr
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.load import DESCRIPTION, find_scene
-from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.description import read_description
 from tests.budget import ROOT
 from tutorials.tools import animation
 
@@ -21,7 +21,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def description():
-    return describe(find_scene("bouncing") / DESCRIPTION)
+    return read_description(find_scene("bouncing") / DESCRIPTION)
 
 
 @pytest.fixture(scope="module")
@@ -55,19 +55,19 @@ def test_committed_animation_shows_the_truth_and_is_near_it(scene, description, 
         camera, t = posed[i]
         left, middle, _ = panels(committed[i])
         true = animation.truth(description, camera, t, scene.background)
-        assert decibel(squared_error(left, true)) > 38  # the colours of a GIF
-        assert 30 < decibel(squared_error(middle, true)) < 36
+        assert psnr(left, true) > 38  # the colours of a GIF
+        assert 30 < psnr(middle, true) < 36
 
 
 def test_committed_error_is_that_of_the_panels_in_the_stated_colours(committed):
-    levels = np.linspace(0, animation.figures.LARGEST_ERROR, animation.ERROR_COLORS)
+    levels = np.linspace(0, animation.figures.ERROR_RANGE, animation.ERROR_COLORS)
     scale = animation.error_colors(levels[None])[0]
     for frame in committed[::8]:
         left, middle, right = panels(frame)
         distances = np.abs(right[:, :, None] - scale).max(axis=3)
         assert distances.min(axis=2).max() < 2 / 255
         shown = levels[distances.argmin(axis=2)]
-        error = np.abs(middle - left).mean(axis=2).clip(0, animation.figures.LARGEST_ERROR)
+        error = np.abs(middle - left).mean(axis=2).clip(0, animation.figures.ERROR_RANGE)
         assert np.abs(shown - error).mean() < 0.005
         assert np.corrcoef(shown.ravel(), error.ravel())[0, 1] > 0.9
 

@@ -21,12 +21,12 @@ from p4dgs_ref.arithmetic import arithmetic
 from p4dgs_ref.cli import text
 from p4dgs_ref.designs import fit, paper_preset
 from p4dgs_ref.lab.tables import methods
+from p4dgs_ref.output import OutputError
 from p4dgs_ref.report import figures as report
 from p4dgs_ref.report import jobs as job
-from p4dgs_ref.report.evaluate import decibel, explicit_bytes, score
+from p4dgs_ref.report.evaluate import explicit_bytes, psnr, score
 from p4dgs_ref.report.jobs import in_processes
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.scenes.output import OutputError
 from p4dgs_ref.training.loop import COLUMNS
 from p4dgs_ref.training.presets import TINY
 from p4dgs_ref.training.watch import NotFinite
@@ -114,7 +114,8 @@ def test_measures_against_sums_by_hand(scene):
     assert got["psnr_fg_db"] == pytest.approx(-10 * math.log10(sum(inside) / len(inside)), rel=1e-9)
     same = score(view.image, view)
     assert same["psnr_db"] == same["psnr_fg_db"] == math.inf and same["ssim"] == pytest.approx(1)
-    assert decibel(0.0) == math.inf and decibel(0.01) == pytest.approx(20)
+    black = np.zeros((2, 2, 3))
+    assert psnr(black, black) == math.inf and psnr(black + 0.1, black) == pytest.approx(20)
 
 
 def test_bytes_of_the_plain_gaussians(done):

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
+from p4dgs_ref.output import OutputError
 from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene
 from p4dgs_ref.scenes.load import packaged_folder
-from p4dgs_ref.scenes.output import OutputError
 from p4dgs_ref.scenes.simulator import place_cameras, simulate, trace
 from p4dgs_ref.scenes.simulator.bodies import HITS, NORMALS, box_hit, capsule_hit, poses, turn
-from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.description import read_description
 from p4dgs_ref.splatting.camera import look_at
 from tests.scenes.refusals import refuse
 
@@ -42,7 +42,7 @@ FULL = {
 
 
 def changed(**changes):
-    return describe({**copy.deepcopy(FULL), **changes})
+    return read_description({**copy.deepcopy(FULL), **changes})
 
 
 def test_silhouette_of_a_sphere_is_its_cone():
@@ -107,7 +107,7 @@ def test_hits_lie_on_the_surface_and_nothing_lies_before(shape):
 
 def test_distance_to_a_face_of_a_turned_box():
     """Along the turned x axis of the box the face is half an edge nearer than the centre."""
-    body = describe(
+    body = read_description(
         {
             **FULL,
             "bodies": [
@@ -247,7 +247,7 @@ def test_cameras_survive_the_way_through_the_file(tmp_path):
     calls = []
     simulate(FULL, tmp_path / "out", progress=lambda *call: calls.append(call))
     assert calls == [(i, 5) for i in range(1, 6)]
-    description, scene = describe(FULL), load_scene(tmp_path / "out", background="black")
+    description, scene = read_description(FULL), load_scene(tmp_path / "out", background="black")
     for split, views in (("train", scene.train), ("test", scene.test)):
         for (eye, t), view in zip(place_cameras(description, split), views, strict=True):
             assert view.time == t

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.designs import train
-from p4dgs_ref.report.evaluate import decibel, evaluate, squared_error
+from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.load import packaged_folder
-from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.description import read_description
 from p4dgs_ref.scenes.simulator.trace import trace
 from tests.golden import tiny_scenes, two_cameras
 from tests.sampling import few
@@ -49,7 +49,7 @@ def test_the_size_of_twocams_is_stated():
 
 
 def test_twocams_is_read_as_it_was_drawn():
-    description, scene = describe(two_cameras.SOURCE), load_scene("twocams")
+    description, scene = read_description(two_cameras.SOURCE), load_scene("twocams")
     eyes = two_cameras.cameras(description)
     for views, eye in ((scene.train, eyes["left"]), (scene.test, eyes["right"])):
         for view in views:
@@ -73,8 +73,7 @@ def test_a_training_on_twocams_finds_the_other_view():
     scene = load_scene("twocams")
 
     def without_model(picture_of):
-        errors = [squared_error(picture_of(view), view.image) for view in scene.test]
-        return np.mean([decibel(error) for error in errors])
+        return np.mean([psnr(picture_of(view), view.image) for view in scene.test])
 
     still = np.mean([view.image for view in scene.test], axis=0)
     training_images = {view.time: view.image for view in scene.train}

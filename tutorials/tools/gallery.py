@@ -10,12 +10,13 @@ import json
 from collections import namedtuple
 from pathlib import Path
 
+from p4dgs_ref import output
 from p4dgs_ref.designs import decode
 from p4dgs_ref.lab import stability
 from p4dgs_ref.lab.accuracy import diagram, forms, report
 from p4dgs_ref.lab.tables import curve
 from p4dgs_ref.report import figures, jobs
-from p4dgs_ref.scenes import load_scene, output
+from p4dgs_ref.scenes import load_scene
 from tutorials.tools import animation, architecture, handout, records, show, tour
 from tutorials.tools.shared import FOLDER, write_text
 
@@ -111,7 +112,7 @@ PICTURES = {
 
 DRAWING, HANDOUT, TOUR = "architecture.png", "handout.pdf", "tour.pdf"
 DRAW = {  # what draws the pictures that come from no tutorial
-    "curve.png": (curve.draw,),
+    "curve.png": (curve.draw_curves,),
     "demo.png": (figures.write_comparison,),
     "demo_size.png": (figures.write_size,),
     "demo.gif": (animation,),
@@ -138,9 +139,9 @@ def take(out, pictures):
     """
     figures = {name: Path(out) / picture.figure for name, picture in PICTURES.items()}
     renewed = [name for name, figure in figures.items() if figure.is_file()]
-    with output.filled(pictures) as beside:
+    with output.filled(pictures) as staging:
         for name in renewed:
-            (beside / name).write_bytes(figures[name].read_bytes())
+            (staging / name).write_bytes(figures[name].read_bytes())
     return renewed
 
 
@@ -184,7 +185,7 @@ def draw_demo(out):
 def draw_curve(out):
     """Draw the record of the curve into the folder `out`."""
     points, curves, title = curve.read(records.rows("curve"))
-    curve.draw(Path(out) / PICTURES["curve.png"].figure, points, curves[curve.EDGE], title)
+    curve.draw_curves(Path(out) / PICTURES["curve.png"].figure, points, curves[curve.EDGE], title)
 
 
 def draw_tour(_):

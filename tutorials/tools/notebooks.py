@@ -24,7 +24,7 @@ from typing import NamedTuple
 import imageio.v3 as iio
 import numpy as np
 
-from p4dgs_ref.scenes.output import made
+from p4dgs_ref.output import made
 from tutorials.tools.shared import FOLDER, run, write_text
 
 DPI = 100  # of the figures: most are 800 pixels wide

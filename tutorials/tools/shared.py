@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from p4dgs_ref.scenes.output import write_atomically
+from p4dgs_ref.output import write_atomically
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tutorials"

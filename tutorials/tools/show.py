@@ -13,15 +13,14 @@ import numpy as np
 from matplotlib.collections import EllipseCollection, LineCollection
 from scipy.special import ndtr
 
-from p4dgs_ref.codec.container import read_container
-from p4dgs_ref.codec.file import encode, quantised_of
+from p4dgs_ref.designs import encode, quantised_of
 from p4dgs_ref.equations import hash_grid
 from p4dgs_ref.model import context
-from p4dgs_ref.report.evaluate import decibel, squared_error
 from p4dgs_ref.report.figures import COLORS, heat_image
 from p4dgs_ref.report.inspect import anchor_bits, symbol_bits
 from p4dgs_ref.splatting import compositing, covariance, render
 from p4dgs_ref.splatting.settings import EXACT, FAST
+from p4dgs_ref.training.loop import psnr
 
 SPACE, STEP, TIME, RATE, CONTEXT, SPLAT, ANCHOR = COLORS
 GREY, PALE = "#606060", "#d9d9d9"
@@ -104,8 +103,8 @@ def picture(ax, image, camera, **settings):
 
 def scored_picture(ax, model, data, camera, t, truth, view, name):
     """Show what a model renders, with the bytes of its file and its PSNR against `truth`."""
-    psnr = decibel(squared_error(model.render(camera, t), truth))
-    title = f"{name}\n{len(data):,} bytes, {psnr:.1f} dB"
+    quality = psnr(model.render(camera, t), truth)
+    title = f"{name}\n{len(data):,} bytes, {quality:.1f} dB"
     picture(ax, frame(model, camera, t), camera, **view, title=title)
 
 
@@ -269,8 +268,8 @@ def steps(figure, model, camera, t, truth, view, factors=(1, 4, 16)):
     axes = figure.subplots(2, len(factors), height_ratios=(2.2, 1)).T
     Q_0, d = np.array(model.design.Q_0), model.design.d
     for (top, bottom), factor in zip(axes, factors):
-        data = encode(replace(model, design=model.design._replace(Q_0=tuple(factor * Q_0))))
-        file = quantised_of(read_container(data), data[8])
+        data = encode(replace(model, design=replace(model.design, Q_0=tuple(factor * Q_0))))
+        file = quantised_of(data)
         scored_picture(top, file.model, data, camera, t, truth, view, f"steps × {factor}")
         values, counts = np.unique(file.symbols[:, :d], return_counts=True)
         bottom.bar(factor * values, 100 * counts / counts.sum(), 0.85 * factor, color=STEP)
@@ -325,7 +324,7 @@ def bits(figure, data, camera, t, view):
     image = frame(model, camera, t, colors=scale.to_rgba(whole)[:, :3])
     picture(left, image, camera, **view, title="anchors coloured by their bits")
     figure.colorbar(scale, ax=left, location="bottom", label="bits")
-    coded = symbol_bits(quantised_of(read_container(data), data[8]))
+    coded = symbol_bits(quantised_of(data))
     groups = np.add.reduceat(coded, np.cumsum((0, *model.design.widths[:3])), axis=1)
     table = np.column_stack([whole - coded.sum(axis=1), groups])
     rows = table[whole.argmin()], table.mean(axis=0), table[whole.argmax()]

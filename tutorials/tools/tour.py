@@ -13,15 +13,15 @@ import numpy as np
 from matplotlib.backends.backend_pdf import PdfPages
 from scipy.special import ndtr
 
-from p4dgs_ref import designs, lessons, model
+from p4dgs_ref import designs, lessons, model, output
 from p4dgs_ref.beyond import file
 from p4dgs_ref.codec import quantise, rans
 from p4dgs_ref.report import evaluate, inspect
-from p4dgs_ref.scenes import load, output, simulator
+from p4dgs_ref.scenes import load, simulator
 from tutorials.tools import animation, handout, shared, show
 
 PLACE = shared.FOLDER / "tour"
-SCENE = simulator.describe(load.find_scene("bouncing") / load.DESCRIPTION)
+SCENE = simulator.read_description(load.find_scene("bouncing") / load.DESCRIPTION)
 WALK = {a: simulator.camera_at(SCENE, np.radians(a), np.radians(26)) for a in range(361)}
 CAMERA, T = WALK[305], 0.3  # which all pictures show
 VIEW = {"xlim": (1, 62), "ylim": (59, 10)}  # without the empty margins
@@ -215,16 +215,16 @@ def page(title):
 def draw_pictures():
     """Write all pictures, in 256 colours each, and the PDF, one picture a page."""
     with (
-        output.filled(shared.FOLDER) as beside,
-        PdfPages(beside / "tour.pdf", metadata=handout.UNDATED) as pages,
+        output.filled(shared.FOLDER) as staging,
+        PdfPages(staging / "tour.pdf", metadata=handout.UNDATED) as pages,
     ):
-        (beside / "tour").mkdir()
+        (staging / "tour").mkdir()
         for i, title in enumerate(PICTURES, 1):
             figure = page(title)
             pages.savefig(figure, bbox_inches=figure.bbox_inches)  # whatever rcParams say
             figure.canvas.draw()  # after the pass for the page, so that the layout has settled
             pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
-            iio.imwrite(beside / "tour" / f"{i:02d}.png", pixels, optimize=True, bits=8)
+            iio.imwrite(staging / "tour" / f"{i:02d}.png", pixels, optimize=True, bits=8)
 
 
 if __name__ == "__main__":

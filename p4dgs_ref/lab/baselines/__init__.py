@@ -22,6 +22,7 @@ from ...splatting.settings import FAST
 from ...table import EQUATIONS, Equation
 from ...training.parameters import Parameters
 from ...training.presets import read_changes
+from .. import entry
 from . import d3dgs, explicit, gaussian4d, hexplane
 
 # The names in comparisons, each with its module and its preset for the tiny scenes.
@@ -35,9 +36,7 @@ METHODS = {
 
 def module_of(method):
     """The module of a method, and the name of its preset for the tiny scenes."""
-    if method not in METHODS:
-        raise ValueError(f"method {method!r}: expected one of {', '.join(METHODS)}")
-    return METHODS[method]
+    return entry(METHODS, "method", method)
 
 
 def choose(method, preset=None, changes=None):
@@ -46,11 +45,8 @@ def choose(method, preset=None, changes=None):
     Raises ValueError with the name of the method, preset or field and what was expected.
     """
     module, tiny = module_of(method)
-    name = preset or tiny
-    if name not in module.PRESETS:
-        raise ValueError(f"preset {name!r}: expected one of {', '.join(module.PRESETS)}")
-    chosen = module.PRESETS[name]
-    return replace(chosen, **read_changes(name, vars(chosen), changes))
+    base = entry(module.PRESETS, "preset", preset or tiny)
+    return replace(base, **read_changes(base.name, vars(base), changes))
 
 
 def train(scene, method="d3dgs", preset=None, seed=0, settings=FAST, report=None, **changes):
@@ -60,9 +56,9 @@ def train(scene, method="d3dgs", preset=None, seed=0, settings=FAST, report=None
     a `training.loop.Progress`; the other arguments are those of our `train`. Raises ValueError
     for an unknown method, preset, field or value, and NotFinite.
     """
-    kind, chosen = module_of(method)[0].Trainer, choose(method, preset, changes)
+    (module, _), constants = module_of(method), choose(method, preset, changes)
     with np.errstate(all="ignore"):  # non-finite values are found and named
-        return kind(scene, chosen, seed, settings).run(report)
+        return module.Trainer(scene, constants, seed, settings).run(report)
 
 
 def load(path):

@@ -71,7 +71,7 @@ class D3DGS(explicit.Explicit):
             arrays[f"psi_d.b{i}"] *= preset.deformation_gain
         return arrays
 
-    def predict(self, t, x_c, iteration=explicit.FINISHED):
+    def predict(self, t, x_c, iteration=explicit.AFTER_TRAINING):
         """See `Explicit`; before `warm_up` nothing moves."""
         p, preset = self.parameters, self.preset
         moves = iteration >= preset.warm_up

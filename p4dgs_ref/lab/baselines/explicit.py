@@ -45,13 +45,13 @@ from ...training.parameters import Parameters, exponential
 from ...training.watch import NotFinite, first_bad
 from . import sh_color
 
-FINISHED = 10**9  # an iteration in which every schedule of a preset has ended
+AFTER_TRAINING = 10**9  # an iteration in which every schedule of a preset has ended
 # The fields of a preset that a file tells its reader.
 FORM = ("sh_degree", "L_x", "L_t", "waves")
 START_ALPHA = 0.1  # the opacity of every Gaussian before training, as in 3DGS
-WAITING = ("psi", "psi_d", "psi_t", "planes")  # what takes part once the Gaussians move
+MOVING_ARRAYS = ("psi", "psi_d", "psi_t", "planes")  # they take part once the Gaussians move
 SHRINK = 1.6  # children of a split are smaller by this factor
-LARGEST = 0.1  # of the extent: larger Gaussians are pruned once opacities have been reset
+MAX_SCALE = 0.1  # of the extent: larger Gaussians are pruned once opacities have been reset
 RESET_ALPHA = 0.01
 # The arrays of a Gaussian in the order of 3DGS's PLY, with the names of their properties.
 PLY_OF_3DGS = {
@@ -125,7 +125,7 @@ class Explicit:
     predict(t, x_c, iteration)     the Gaussians at time t as the camera at x_c sees them, and
                                    back(x_bar, s_bar, r_bar, alpha_bar, color_bar), which returns
                                    the gradients {array name: gradient}; the iteration is one of
-                                   training, or FINISHED, which is the default
+                                   training, or AFTER_TRAINING, the default
     """
 
     parameters: Parameters
@@ -298,7 +298,7 @@ class Trainer(Loop):
 
     def rate_of(self, name):
         """The current learning rate of an array, or of all arrays of a network."""
-        waits = name in WAITING and self.iteration < self.preset.warm_up
+        waits = name in MOVING_ARRAYS and self.iteration < self.preset.warm_up
         if waits or name not in self.RATES:
             return 0.0
         now, until = self.schedule(name)
@@ -390,7 +390,7 @@ def densify(p, rows, gradient, extent, preset, scatter, prune_large):
     children = {name: np.repeat(p[name][parents], 2, axis=0) for name in rows}
     scatter(children)
     added = {name: np.concatenate([p[name][clones], children[name]]) for name in rows}
-    limit = LARGEST * extent if prune_large else np.inf
+    limit = MAX_SCALE * extent if prune_large else np.inf
     keep, lasting = lasts(p, preset, limit), lasts(added, preset, limit)
     keep[parents] = False
     return keep, {name: a[lasting] for name, a in added.items()}

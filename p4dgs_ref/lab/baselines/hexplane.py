@@ -80,7 +80,7 @@ class HexPlane(explicit.Explicit):
         inputs = F * len(preset.levels)
         return {**arrays, **first_network(rng, inputs, preset.hidden, preset.deformation_gain)}
 
-    def predict(self, t, x_c, iteration=explicit.FINISHED):
+    def predict(self, t, x_c, iteration=explicit.AFTER_TRAINING):
         """See `Explicit`; in the coarse stage nothing moves."""
         p, preset = self.parameters, self.preset
         x, log_s, raw_r = p["x"], p["log_s"], p["raw_r"]

@@ -17,10 +17,10 @@ from ...oracle import published
 from ...oracle.compare import compare, expected
 from ...oracle.ports import PortError
 from ...oracle.report import name_of
+from ...output import filled
 from ...report.figures import write_csv
-from ...scenes.output import filled
 from ...table import EQUATIONS
-from ..writer import table
+from ..writer import text_table
 from .held_back import cases, is_ordinary
 from .room import files_of, keys_of, modules_of, parts_of, sources_of, stubs_of
 from .student import Student, alike, copies, functions, joined, same_lines
@@ -183,7 +183,7 @@ def rows_of(grades):
 def to_text(grades):
     """Return the sums of all students as a table, who are alike, and then the details of each."""
     sums = ("student", "points", "of", "copied", "alike", "seed")
-    lines = table({name: f"{{{name}}}" for name in sums}, rows_of(grades))
+    lines = text_table({name: f"{{{name}}}" for name in sums}, rows_of(grades))
     pairs = [
         f"    {' and '.join(pair['students'])}: {', '.join(pair['equations'])}"
         for pair in grades["alike"]

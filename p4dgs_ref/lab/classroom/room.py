@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ...lessons import tutorial_of
 from ...oracle.report import name_of
-from ...scenes.output import filled
+from ...output import filled
 from ...table import EQUATIONS
 
 # Functions that contain the answer as well. They are removed together with forward and backward.

@@ -33,7 +33,7 @@ from ...report.figures import pyplot, save_figure, write_csv
 from ...table import EQUATIONS
 from .. import StudyError
 from ..accuracy import formulas
-from ..writer import table
+from ..writer import text_table
 
 FILE = Path(__file__).with_name("hard_cases.json")
 SMALLEST = 1e-44  # differences below are no errors: float32 cannot hold them
@@ -172,12 +172,12 @@ def relative(got, want, each):
     return float(np.nan_to_num(errors, nan=np.inf, posinf=np.inf).max(initial=0))
 
 
-def describe(rows):
+def to_text(rows):
     """The table as text, and at the end the rows that fail."""
     shown = [{name: as_text(name, value) for name, value in row.items()} for row in rows]
     failed = [f"  {row['id']} {row['dtype']}" for row in rows if row["verdict"] == "fails"]
     end = f"{len(rows)} rows, {len(failed)} beyond their bounds"
-    return "\n".join([*table(COLUMNS, shown), "", end, *failed])
+    return "\n".join([*text_table(COLUMNS, shown), "", end, *failed])
 
 
 def as_text(name, value):

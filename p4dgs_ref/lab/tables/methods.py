@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ... import designs
+from ... import designs, output
 from ... import model as paper
 from ...arithmetic import arithmetic
 from ...codec.file import ATTRIBUTE_SECTIONS
@@ -27,20 +27,20 @@ from ...model import CONTEXT_NETWORKS, Anchors, bounding_box
 from ...report.evaluate import evaluate, json_safe
 from ...report.inspect import components, ledger
 from ...report.jobs import in_processes
-from ...scenes import Scene, output
+from ...scenes import Scene
 from ...scenes.files import read_json
 from ...scenes.scene import require
 from ...training.fit import fingerprint
 from ...training.parameters import Parameters
 from ...training.presets import TINY_REAL, differences
-from .. import StudyError, baselines
+from .. import baselines, entry
 from ..accuracy.harness import shortened
 from ..baselines import d3dgs_network
 from ..clock import clocked
 
 OURS = "p4dgs"
 CODED = "p4dgs_coded"  # with coded networks and positions, beyond the paper
-OWN = {OURS: "tiny", CODED: "tiny_coded"}  # their presets
+OUR_PRESETS = {OURS: "tiny", CODED: "tiny_coded"}
 KNOBS = ("lambda_rate", "sh_degree")  # fields of presets that stand in the rows
 # The fields of the baselines' presets that are counted in iterations.
 DATES = (
@@ -73,9 +73,9 @@ class Task(NamedTuple):
     plain: tuple | None = None  # in a plain file; the networks that are float16 there
 
     @property
-    def own(self):
+    def is_ours(self):
         """Whether it is one of our designs, not a baseline."""
-        return self.method in OWN
+        return self.method in OUR_PRESETS
 
     @property
     def label(self):
@@ -86,16 +86,15 @@ class Task(NamedTuple):
     @property
     def path(self):
         """The file."""
-        name = f"{self.scene.name} {self.label} seed{self.seed}"
-        name = name.replace("+ ", "").replace(" ", "_").replace("/", "_")
-        ending = ("p4dgs" if self.plain is None else "npy") if self.own else "ply"
-        return Path(self.folder) / f"{name}.{ending}"
+        name = f"{self.scene.name} {self.label} seed{self.seed}".replace("+ ", "")
+        ending = ("p4dgs" if self.plain is None else "npy") if self.is_ours else "ply"
+        return Path(self.folder) / f"{name.replace(' ', '_').replace('/', '_')}.{ending}"
 
     @property
     def command(self):
         """What makes the file: one training of ours, else the study of which it is a row."""
         scene, seed = self.scene.name, self.seed
-        if self.own and not self.step:
+        if self.is_ours and not self.step:
             preset = preset_of(self)
             changes = "".join(
                 f" --set {field}={text_of(value)}"
@@ -105,9 +104,9 @@ class Task(NamedTuple):
                 f"p4dgs-ref train {scene} --preset {preset.name} --seed {seed}{changes} -o run && "
                 f"p4dgs-ref encode run -o '{self.path.name}'"
             )
-        chosen = "" if self.step else f" --method {self.method}"
-        length = f" --iterations {self.iterations}" if self.iterations else ""
-        return f"p4dgs-ref {self.study} {scene}{chosen} --seeds {seed + 1}{length} --yes"
+        method = f" --method {self.method}" * (not self.step)
+        length = f" --iterations {self.iterations}" * bool(self.iterations)
+        return f"p4dgs-ref {self.study} {scene}{method} --seeds {seed + 1}{length} --yes"
 
     @property
     def record(self):
@@ -125,10 +124,9 @@ def known(names):
 
     Raises StudyError for an unknown one.
     """
-    methods = (*OWN, *baselines.METHODS)
+    methods = {**OUR_PRESETS, **baselines.METHODS}
     for name in names:
-        if name not in methods:
-            raise StudyError(f"method {name!r}: expected one of {', '.join(methods)}")
+        entry(methods, "method", name)
     return [name for name in methods if (name in names if names else name != CODED)]
 
 
@@ -139,14 +137,14 @@ def preset_of(task):
     Gaussians with which it starts.
     """
     changes = dict(task.changes)
-    preset = changes.pop("preset", OWN.get(task.method))
-    if task.own:
+    preset = changes.pop("preset", OUR_PRESETS.get(task.method))
+    if task.is_ours:
         # As in `tiny_real`: points know their depth, and anchors keep it.
         real = {} if task.scene.points is None else {"lr_x": TINY_REAL.lr_x}
         ours = choose(preset, {**real, **changes})
         return shortened(ours, (task.iterations or ours.iterations) / ours.iterations)
-    most = {"most": number for field, number in changes.items() if field == "gaussians"}
-    theirs = baselines.choose(task.method, preset, {**most, **changes})
+    limit = {"most": count for field, count in changes.items() if field == "gaussians"}
+    theirs = baselines.choose(task.method, preset, {**limit, **changes})
     share = (task.iterations or theirs.iterations) / theirs.iterations
     dates = {name: getattr(theirs, name) for name in DATES if hasattr(theirs, name)}
     return replace(theirs, **{name: max(round(share * n), n > 0) for name, n in dates.items()})
@@ -175,7 +173,7 @@ def plan(sizes, names, scenes, folder, seeds=3, iterations=None, study="compare"
 def trainer_of(task):
     """The Trainer of a task before its first step."""
     preset = preset_of(task)
-    if not task.own:
+    if not task.is_ours:
         return baselines.module_of(task.method)[0].Trainer(task.scene, preset, task.seed)
     if task.network:
         trainer = d3dgs_network.Trainer(task.scene, preset, task.seed, task.network)
@@ -187,11 +185,11 @@ def trainer_of(task):
 
 
 def trainers(tasks):
-    """Pairs of a Trainer and the number of tasks that differ from its own in the seed alone."""
+    """Pairs of a Trainer and the number of tasks that differ from its task in the seed alone."""
     alike = {}
     for task in tasks:
         alike.setdefault(task._replace(seed=0).path, []).append(task)
-    return [(trainer_of(own[0]), len(own)) for own in alike.values()]
+    return [(trainer_of(group[0]), len(group)) for group in alike.values()]
 
 
 def fit(task):
@@ -202,7 +200,7 @@ def fit(task):
 
 def write(task, model):
     """Write the file of a task; returns its bytes by kind."""
-    if not task.own:
+    if not task.is_ours:
         return model.save(task.path)
     if task.plain is not None:
         return save_plain(model, task.path, task.plain)

@@ -15,10 +15,10 @@ from ..files import read_json
 from ..scene import COLOR, FARTHEST, NUMBER, POINT, SHARE, SIMULATOR_EFFECTS, check_effects
 
 
-def direction(found, where):
+def direction(value, where):
     """Three numbers that are not all zero."""
-    axis = POINT(found, where)
-    require(axis.any(), where, f"{found!r}; expected a direction, not zero")
+    axis = POINT(value, where)
+    require(axis.any(), where, f"{value!r}; expected a direction, not zero")
     return axis
 
 
@@ -108,7 +108,7 @@ SCENE = {
 }
 
 
-def describe(source):
+def read_description(source):
     """The checked description, a namespace with the fields of SCENE, from a file or a dictionary.
 
     Raises SceneError with one line that names the file, the field and what was expected.

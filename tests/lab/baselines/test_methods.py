@@ -8,8 +8,9 @@ import pytest
 
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.lab import baselines
-from p4dgs_ref.lab.baselines.explicit import FINISHED
+from p4dgs_ref.lab.baselines.explicit import AFTER_TRAINING
 from p4dgs_ref.report.evaluate import evaluate
+from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training.parameters import Parameters
 
@@ -17,12 +18,13 @@ from .small import MODULES, SMALL, model_of, random_parameters
 
 EVERY = pytest.mark.parametrize("method", MODULES)
 WAITING = ("psi", "planes")  # arrays that take part once the Gaussians move
+ENDS = ((AFTER_TRAINING, 3, 0), (0, 0, 0))
 # Iterations, with the active degree of the harmonics and the waves in time.
 ITERATIONS = [
-    *((method, *row) for method in ("d3dgs", "hexplane") for row in ((FINISHED, 3, 0), (0, 0, 0))),
+    *((method, *row) for method in ("d3dgs", "hexplane") for row in ENDS),
     *((method, 10, 1, 0) for method in ("d3dgs", "hexplane")),
     *(("gaussian4d", *row) for row in ((0, 0, 0), (25, 2, 0), (30, 3, 0), (40, 3, 1))),
-    ("gaussian4d", FINISHED, 3, 2),
+    ("gaussian4d", AFTER_TRAINING, 3, 2),
 ]
 
 
@@ -186,7 +188,11 @@ def test_the_file_is_read_back(scene, trained, tmp_path, method):
         assert np.array_equal(again.parameters[name], a), name
     image, other = (m.render(scene.test[0].camera, scene.test[0].time) for m in (model, again))
     assert np.array_equal(image, other) and np.array_equal(again.background, scene.background)
-    assert cli.run(f"render {path} -o {tmp_path} --scene bouncing --downscale 4".split(), 0.0) == 0
-    drawn = iio.imread(tmp_path / "test_r_000.png") / 255
-    np.testing.assert_allclose(drawn, np.clip(image, 0, 1), atol=0.501 / 255)
+    assert cli.run(f"render {path} -o {tmp_path} --scene bouncing".split(), 0.0) == 0
+    whole = load_scene("bouncing").test[0]  # the command draws views in their full size
+    drawn, want = (
+        iio.imread(tmp_path / "test_r_000.png") / 255,
+        again.render(whole.camera, whole.time),
+    )
+    np.testing.assert_allclose(drawn, np.clip(want, 0, 1), atol=0.501 / 255)
     assert cli.run(f"render {path} -o {tmp_path / 'held'} --frames 2 --size 8".split(), 0.0) == 0

@@ -93,13 +93,13 @@ def test_savings_are_against_the_step_before():
     expected = [(-50, 1), (-20, -0.5), (10, -1.5), (-75, -1), (20, 0.5)]
     np.testing.assert_allclose(changes, expected)
     assert others[-1]["psnr_db_spread"] == 0.5
-    assert study.unlike([first, *others]) == [
+    assert study.disagreements([first, *others]) == [
         f"{TABLE_3[-1]}: +10.00 % of bytes here, -84.10 in the paper (seeds: 2, ±0.50 dB)."
     ]
 
 
 def test_table_3_shows_the_papers_numbers_apart(ablated):
-    lines = study.describe(ablated[1]).splitlines()
+    lines = study.to_text(ablated[1]).splitlines()
     ends = [line.split()[-4:] for line in lines[2:9]]
     assert lines[2].startswith("D3DGS") and ends[0] == ["56.70", "-", "38.04", "-"]
     assert ends[3] == ["0.85", "-84.1", "38.24", "-0.10"] and ends[4] == 4 * ["-"]

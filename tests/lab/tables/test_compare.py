@@ -43,7 +43,7 @@ def test_summary_and_ratios(compared):
 
 
 def test_the_tables_show_the_papers_numbers_apart(compared):
-    text = study.describe(compared[1]).splitlines()
+    text = study.to_text(compared[1]).splitlines()
     heading = next(i for i, line in enumerate(text) if line.startswith("method"))
     assert text[heading].count("the paper's") == 2
     assert [line.split("  ")[0] for line in text[heading + 1 :][: len(CHOSEN)]] == CHOSEN
@@ -56,9 +56,9 @@ def test_the_tables_show_the_papers_numbers_apart(compared):
 
 def test_every_scene_has_a_table_where_there_are_several(compared):
     result = compared[1]
-    assert "bouncing  " not in study.describe(result)
+    assert "bouncing  " not in study.to_text(result)
     better = [{**row, "scene": "second", "psnr_db": 1.5} for row in result["methods"]]
-    text = study.describe({**result, "methods": [*result["methods"], *better]}).splitlines()
+    text = study.to_text({**result, "methods": [*result["methods"], *better]}).splitlines()
     at = next(i for i, line in enumerate(text) if line.startswith("second "))
     lines = [" ".join(line.split()) for line in text[at + 1 :][: len(CHOSEN)]]
     assert [line.split(" ±0.00")[0] for line in lines] == [f"{name} 1.50" for name in CHOSEN]

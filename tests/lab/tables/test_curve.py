@@ -32,7 +32,7 @@ def test_sizes_of_the_points(drawn):
     _, tasks, result = drawn
     for row, task in zip(result["rows"], tasks):
         model, preset = methods.load(task.path), methods.preset_of(task)
-        if task.own:
+        if task.is_ours:
             assert (type(model) is Model) == (task.method != CODED)
             assert row["anchors"] <= preset.anchors
         else:
@@ -90,7 +90,7 @@ def test_composition_sums_to_the_files(drawn):
             whole[f"bytes_{end}"]
         )
         assert sum(float(row[f"percent_{end}"]) for row in rows) == pytest.approx(100)
-    lines = study.describe(result).splitlines()
+    lines = study.to_text(result).splitlines()
     assert lines[-1].split()[::2] == ["file", "100.0", "100.0", "-"]
     assert "Table 4" in lines[-12] and lines[-4].split()[-2:] == ["47.6", "26.9"]
 

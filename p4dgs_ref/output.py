@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ..signals import deferred
+from .signals import deferred
 
 try:
     import fcntl
@@ -21,7 +21,7 @@ except ImportError:  # Windows: nothing is locked there
     fcntl = None
 
 PART = ".p4dgs-part-"
-LOCKING = 5.0  # seconds within which a process has locked the hidden folder that it has made
+LOCK_SECONDS = 5.0  # within which a process has locked the hidden folder that it has made
 
 
 class OutputError(ValueError):
@@ -55,8 +55,10 @@ def destination(path):
     """The regular file that `path` stands for; it need not exist, and links are followed."""
     target = Path(os.path.realpath(path))
     if os.path.lexists(target) and not target.is_file():
-        kind = "a folder" if target.is_dir() else "a device, pipe, socket or broken link"
-        raise OutputError(f"{path}: expected a regular file or nothing, found {kind}")
+        raise OutputError(
+            f"{path}: expected a regular file or nothing, found "
+            f"{'a folder' if target.is_dir() else 'a device, pipe, socket or broken link'}"
+        )
     return target
 
 
@@ -90,11 +92,11 @@ def files_in(folder):
 def sweep(folder):
     """Remove the hidden folders in `folder` whose processes were killed.
 
-    A process that lives holds the lock of its folder, or has made it LOCKING seconds ago at most.
+    A process that lives holds the lock of its folder, or has made it LOCK_SECONDS ago at most.
     """
     for part in folder.glob(f"{PART}*"):
         with suppress(OSError, OutputError), locked(part) as is_ours:
-            if is_ours and time.time() - part.stat().st_mtime > LOCKING:
+            if is_ours and time.time() - part.stat().st_mtime > LOCK_SECONDS:
                 shutil.rmtree(part)
 
 
@@ -110,7 +112,7 @@ def replaced(path):
 def write_atomically(path, write):
     """Call `write(file)` on a new file, then put it in the place of `path`."""
     sweep(destination(path).parent)
-    with replaced(path) as beside, open(beside, "wb") as file:
+    with replaced(path) as part, open(part, "wb") as file:
         write(file)
         file.flush()
         os.fsync(file.fileno())
@@ -156,8 +158,8 @@ def filled(path, reads=None):
                 pass
         with deferred():  # all files move, or none
             for file in files:
-                with replaced(folder / file.relative_to(part)) as beside:
-                    shutil.move(file, beside)
+                with replaced(folder / file.relative_to(part)) as place:
+                    shutil.move(file, place)
 
 
 @contextmanager
