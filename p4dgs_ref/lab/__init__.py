@@ -1,4 +1,4 @@
-"""The laboratory: what measures the paper, compares it and hands it out as exercises; see its README.md."""
+"""The laboratory: what measures the paper, compares it and teaches it; see its README.md."""
 
 
 class StudyError(ValueError):
