@@ -23,8 +23,8 @@ def test_all_equations_of_the_paper_are_on_the_page():
     numbers = [row.number for row in handout.ROWS if row.number]
     assert list(dict.fromkeys(numbers)) == [f"({i})" for i in range(1, 18)]
     for row in handout.ROWS:
-        own = EQUATIONS[row.key].number.rstrip("'")
-        assert row.number in ("", f"({own})"), row.key
+        number = EQUATIONS[row.key].number.rstrip("'")
+        assert row.number in ("", f"({number})"), row.key
 
 
 def test_file_is_one_small_page():

@@ -19,7 +19,7 @@ def test_text_quotes_the_numbers_of_a_legible_picture(number, title):
     """Where it fails after a change, `python -m tutorials.tools.syllabus tour` draws anew."""
     figure, (heading, image, text) = tour.page(title), SECTIONS[number - 1].split("\n\n", 2)
     assert heading == title.replace("  ", ". ") and f"](tour/{number:02d}.png)" in image
-    shown = {numeral for said, _ in drawn.texts(figure) for numeral in NUMERAL.findall(said)}
+    shown = {numeral for label, _ in drawn.texts(figure) for numeral in NUMERAL.findall(label)}
     assert drawn.overlaps(figure) == [] and drawn.smallest(figure) > 19  # pixels
     assert set() != set(NUMERAL.findall(text)) <= shown
 

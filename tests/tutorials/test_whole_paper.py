@@ -259,9 +259,9 @@ def test_a_shell_gets_one_page_of_pictures_and_remarks_on_what_is_odd(tmp_path, 
     exec(source, {"__name__": "__main__", "__file__": str(tmp_path / "00_whole_paper.py")})
     page = tmp_path / "out" / "00_pictures.png"
     assert iio.imread(page).shape[:2] == (2940, 900)  # eleven figures below each other
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for remark in ("stage 1 changed nothing", "no better than the mean", "They differ", str(page)):
-        assert remark in said
+        assert remark in printed
 
 
 # --- form -----------------------------------------------------------------------------------------
