@@ -23,7 +23,7 @@ from p4dgs_ref.lab.classroom.room import (
 from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.checker import judge
 from p4dgs_ref.oracle.ports import FunctionPort
-from p4dgs_ref.scenes.output import OutputError
+from p4dgs_ref.output import OutputError
 from tests.sampling import few
 
 SOLUTIONS = Path(__file__).resolve().parents[3] / "tutorials" / "solutions"
