@@ -92,7 +92,9 @@ def fit(
 
 def what_is_lost(fitted: trainer.Trainer) -> str:
     """The warning of `training.fit.lost`, with the remedy that is ours where there is one."""
-    helps = HAS_OURS and fx.moves(fitted.scene.effects) and not getattr(fitted.preset, "body", False)
+    helps = (
+        HAS_OURS and fx.moves(fitted.scene.effects) and not getattr(fitted.preset, "body", False)
+    )
     return lost(fitted, BODY if helps else "")
 
 

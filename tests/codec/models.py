@@ -10,7 +10,7 @@ from scipy.special import expit
 
 import p4dgs_ref as p4
 from p4dgs_ref.codec.container import BitstreamError
-from p4dgs_ref.designs import choose, fit, trainer_class
+from p4dgs_ref.designs import HAS_OURS, choose, fit, trainer_class
 from p4dgs_ref.equations import hash_grid, prior
 from p4dgs_ref.model import Gaussians, context, split
 from p4dgs_ref.scenes.files import read_ply
@@ -112,6 +112,7 @@ CODED = {
     "static": lambda: coded(effects=("view_color", "occlusion", "background")),
     "without effects": lambda: coded(effects=()),
 }
+CODED = CODED if HAS_OURS else {}
 
 
 def refusal(read, *arguments):

@@ -17,7 +17,7 @@ from p4dgs_ref.codec import context, file, header, published
 from p4dgs_ref.codec.container import SECTIONS
 from p4dgs_ref.codec.file import NETWORK_SECTIONS
 from p4dgs_ref.codec.published import FOLDER
-from p4dgs_ref.designs import decode, encode, layout, quantised_of, read_container
+from p4dgs_ref.designs import HAS_OURS, decode, encode, layout, quantised_of, read_container
 from p4dgs_ref.model import join
 from p4dgs_ref.report.inspect import ledger
 from tests.codec.models import CODED, MAKE, refusal
@@ -26,6 +26,8 @@ from tests.sampling import few
 
 MANIFEST = json.loads((FOLDER / "manifest.json").read_text())
 GOOD, BAD = ({row["name"]: row for row in MANIFEST[key]} for key in ("good", "bad"))
+# Without `beyond` nobody reads the streams of version 2.
+READ = [name for name in (*GOOD, *BAD) if HAS_OURS or not name.startswith("coded_")]
 
 
 def read(name):
@@ -91,7 +93,7 @@ def test_the_builder_writes_the_published_bytes(tmp_path, capsys):
     assert len(GOOD) == len(MANIFEST["good"]) and len(BAD) == len(MANIFEST["bad"])
 
 
-@pytest.mark.parametrize("name", GOOD)
+@pytest.mark.parametrize("name", [name for name in READ if name in GOOD])
 def test_good_streams_decode_to_what_is_expected(name):
     row, data = GOOD[name], read(GOOD[name]["file"])
     assert (len(data), hashlib.sha256(data).hexdigest()) == (row["bytes"], row["sha256"])
@@ -133,7 +135,7 @@ def test_good_streams_decode_to_what_is_expected(name):
     assert encode(decode(again)) == again
 
 
-@pytest.mark.parametrize("name", BAD)
+@pytest.mark.parametrize("name", [name for name in READ if name in BAD])
 def test_bad_streams_are_refused_where_they_are_bad(name):
     row, data = BAD[name], read(BAD[name]["file"])
     assert (len(data), hashlib.sha256(data).hexdigest()) == (row["bytes"], row["sha256"])
@@ -194,7 +196,7 @@ def test_every_kind_of_error_has_a_stream():
     assert len(GOOD) >= 12 and set(KINDS) == {row["kind"] for row in BAD.values()}
 
 
-@pytest.mark.parametrize("name", GOOD)
+@pytest.mark.parametrize("name", [name for name in READ if name in GOOD])
 def test_the_plain_decoder_finds_what_is_expected(name):
     found = plain_decoder.decode(read(GOOD[name]["file"]))
     assert found["header"] == GOOD[name]["header"]
@@ -206,8 +208,9 @@ def test_the_plain_decoder_finds_what_is_expected(name):
     assert np.array(found["attributes"], float).tobytes() == expected["attributes"].tobytes()
 
 
-@pytest.mark.parametrize("row", BAD.values(), ids=BAD)
-def test_the_plain_decoder_refuses_bad_streams(row):
+@pytest.mark.parametrize("name", [name for name in READ if name in BAD])
+def test_the_plain_decoder_refuses_bad_streams(name):
+    row = BAD[name]
     with pytest.raises(ValueError) as caught:
         plain_decoder.decode(read(row["file"]))
     assert caught.value.args[0] == row["section"]

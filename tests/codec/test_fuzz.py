@@ -23,7 +23,7 @@ from p4dgs_ref.model import join
 from tests import ROOT
 from tests.codec.models import changed, digest, refusal
 from tests.golden import fuzz
-from tests.golden.both import quantise, write_container
+from tests.golden.both import VERSIONS, quantise, write_container
 from tests.golden.damage import Mutation, assemble, damage_header, mutation
 from tests.golden.sample_model import sample_model
 from tests.sampling import few
@@ -183,7 +183,8 @@ def kept(model):
 def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
     """Where the box has no extent, 0 is stored, and attributes may move by half of another step."""
     good = json.loads((FOLDER / "manifest.json").read_text())["good"]
-    paths = [DEMO, *(FOLDER / row["file"] for row in good)]
+    files = [DEMO, *(FOLDER / row["file"] for row in good)]
+    paths = [path for path in files if path.read_bytes()[8] in VERSIONS]
     seed, seen = date.today().toordinal(), Counter()
     for i in range(count):
         rng = np.random.default_rng([seed, i])
