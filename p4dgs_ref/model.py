@@ -291,7 +291,7 @@ def step_of_code(code):
 
 
 def first_steps(networks):
-    """Codes of steps that nobody has learned, for the weights and the biases of every layer.
+    """Default step codes, for the weights and the biases of every layer.
 
     A tenth of the root mean square of the weights, and half of that for the biases, as
     {network: (codes, codes)}.

@@ -12,8 +12,8 @@ from ..equations import noise, weight_bits
 from ..model import first_steps, pull, step_code, step_of_code
 from .parameters import Parameters
 
-SHARED = 4.0  # the mean of a tensor counts like so many numbers of each row and column
-LEAST_SCALE = 0.4  # of a density, in steps: the pull towards 0 is at most 1 / LEAST_SCALE a step
+SHARED = 4.0  # pseudo-count with which the mean of a tensor enters those of its rows and columns
+LEAST_SCALE = 0.4  # of a density, in steps: its slope is at most 1 / LEAST_SCALE a step
 
 
 class Layout:

@@ -4,6 +4,7 @@ Damaged and forged streams are refused by BitstreamError and by no other excepti
 """
 
 import ast
+import doctest
 import hashlib
 import inspect
 
@@ -74,6 +75,11 @@ EDGES = {  # symbols, mu_units, sigma_units
         )
     },
 }
+
+
+def test_the_lines_at_the_top_of_the_page_print_what_stands_there():
+    result = doctest.testmod(streams)
+    assert result.attempted == 10 and not result.failed
 
 
 def test_tables_are_those_of_the_format():
