@@ -152,10 +152,12 @@ class Explicit:
 
     def render(self, camera, t, settings=FAST):
         """The image [H, W, 3] at time t in [0, 1]. Clip it to [0, 1] before saving it."""
-        (image, *_), _ = self.draw(self.gaussians(t, camera), camera, settings, keep=False)
+        (image, *_), _ = self.render_gaussians(
+            self.gaussians(t, camera), camera, settings, keep=False
+        )
         return image
 
-    def draw(self, g, camera, settings, keep=True):
+    def render_gaussians(self, g, camera, settings, keep=True):
         """What `splatting.render.forward` returns for some Gaussians, and its backward."""
         looks = camera, self.background, settings, self.occlusion, keep
         return pull(render, g.x, g.s, g.r, g.alpha, g.color, *looks)
@@ -318,11 +320,11 @@ class Trainer(Loop):
         model, gradients = self.around(p), p.zeros()
         x_c = view.camera.center.astype(p.vector.dtype)
         g, back_predict = model.predict(self.time_of(view), x_c, self.iteration)
-        (image, _, visible), back_draw = model.draw(g, view.camera, self.settings)
+        (image, _, visible), back_render = model.render_gaussians(g, view.camera, self.settings)
         truth = view.image.astype(image.dtype)
         moments = self.moments_of(view)
         losses, back_loss = pull(render_loss, image, truth, preset.lambda_ssim, moments)
-        bars = back_draw(back_loss(1.0)["image"])
+        bars = back_render(back_loss(1.0)["image"])
         gaussians_bar = [bars[name].astype(p.vector.dtype) for name in g._fields[:-1]]
         for name, gradient in back_predict(*gaussians_bar).items():
             gradients[name][...] = gradient

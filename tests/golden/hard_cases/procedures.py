@@ -303,7 +303,7 @@ def long_needle(dtype):
     (image, *_), saved = render.forward(**gaussians, camera=needles.CAMERA, settings=settings)
     gradients = render.backward(saved, bar)
     Sigma, _ = covariance.forward(gaussians.pop("s"), gaussians.pop("r"))
-    (literal, *_), _ = render.draw(
+    (literal, *_), _ = render.from_covariances(
         Sigma=Sigma, **gaussians, camera=needles.CAMERA, settings=settings
     )
     worst = np.unravel_index(np.abs(literal - true).argmax(), true.shape)
