@@ -71,7 +71,7 @@ import os
 import struct
 import zlib
 
-from ..scenes.scene import MOST_FILE
+from ..scenes.scene import MAX_FILE_BYTES
 
 MAGIC = b"\x89P4D\r\n\x1a\n"
 VERSIONS = 1, 2
@@ -205,10 +205,10 @@ def read_rows(data, size):
         f"{count} sections, expected at most {len(SECTIONS)}",
     )
     require(
-        total == size <= MOST_FILE,
+        total == size <= MAX_FILE_BYTES,
         "container",
         10,
-        f"total length {total}, expected the file's {size} bytes, at most {MOST_FILE}",
+        f"total length {total}, expected the file's {size} bytes, at most {MAX_FILE_BYTES}",
     )
     end = FIXED.size + ROW.size * count
     require(
@@ -249,7 +249,7 @@ def read_lengths(data, size):
             rows.append((name, start, number - 1, None))
             start += number - 1
     require(
-        start == size <= MOST_FILE,
+        start == size <= MAX_FILE_BYTES,
         "container",
         FIXED_2,
         f"the lengths of the sections add up to {start} of {size} bytes",

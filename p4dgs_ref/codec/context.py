@@ -143,7 +143,7 @@ import numpy as np
 from ..equations.grid_nodes import entries
 from ..equations.prior import RAW_MAX, RAW_MIN, layout
 from ..model import GROUPS, LATTICE
-from .gaussian_table import MU_BITS, MU_LIMIT, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, table
+from .gaussian_table import MU_BITS, MU_LIMIT, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, lookup_table
 from .rans import bit_length
 
 INPUT_BITS, ACTIVATION_BITS, WEIGHT_BITS, BIAS_BITS, MOST_SCALE = 15, 22, 15, 50, 24
@@ -214,7 +214,7 @@ def log2(values):
     length = bit_length(values)
     # Shift the leading one to bit 23; the 23 bits after it are 8 of the index and 15 of the rest.
     leading = values << np.maximum(24 - length, 0) >> np.maximum(length - 24, 0)
-    steps, i, r = table("log2"), leading >> 15 & 255, leading & 2**15 - 1
+    steps, i, r = lookup_table("log2"), leading >> 15 & 255, leading & 2**15 - 1
     return (length - 1 << 16) + steps[i] + ((steps[i + 1] - steps[i]) * r >> 15)
 
 
@@ -269,7 +269,7 @@ def context_of(h, psi_q, psi_p, design):
     """q, mu_units and sigma_units (parts 3 to 6) of some anchors."""
     u = rescale(run_network(h, psi_q), psi_q[-1].bits, 12, 2**15)
     v = np.clip(u + (4 << 12), 0, (10 << 12) - 1)
-    steps, i, r = table("sigmoid"), v >> 6, v & 63
+    steps, i, r = lookup_table("sigmoid"), v >> 6, v & 63
     share = steps[i] + ((steps[i + 1] - steps[i]) * r >> 6)
     q_units = np.clip(share + 128 >> 8, STEP_FLOOR, STEP_MAX)
 

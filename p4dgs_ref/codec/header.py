@@ -63,8 +63,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..model import CONTEXT_NETWORKS, MOST_NUMBERS, Design, declared_numbers
-from ..scenes.scene import MODEL_EFFECTS, MOST_ANCHORS, MOST_ENTRIES, MOST_HEADER
+from ..model import CONTEXT_NETWORKS, MAX_NUMBERS, Design, declared_numbers
+from ..scenes.scene import MAX_ANCHORS, MAX_ENTRIES, MAX_HEADER_BYTES, MODEL_EFFECTS
 from .container import require
 
 # The base designs of version 2. Files name them, so none of them may ever change.
@@ -102,7 +102,7 @@ def read_header(data, version=1):
 
     Raises BitstreamError for anything but an object with exactly the fields above, in their ranges.
     """
-    expect(len(data) <= MOST_HEADER, f"{len(data)} bytes, expected at most {MOST_HEADER}")
+    expect(len(data) <= MAX_HEADER_BYTES, f"{len(data)} bytes, expected at most {MAX_HEADER_BYTES}")
     try:
         pairs = json.loads(str(data, "ascii"), object_pairs_hook=tuple)
     except (ValueError, RecursionError):
@@ -132,12 +132,12 @@ def read_header(data, version=1):
     design = Design(**values, coded=version == 2)
     parts = declared_numbers(design, anchors)
     expect(
-        parts["grid"] <= MOST_ENTRIES,
-        f"field 'grid': {parts['grid']} entries declared, expected at most {MOST_ENTRIES}",
+        parts["grid"] <= MAX_ENTRIES,
+        f"field 'grid': {parts['grid']} entries declared, expected at most {MAX_ENTRIES}",
     )
     expect(
-        sum(parts.values()) <= MOST_NUMBERS,
-        f"{sum(parts.values())} numbers declared {parts}, expected at most {MOST_NUMBERS}",
+        sum(parts.values()) <= MAX_NUMBERS,
+        f"{sum(parts.values())} numbers declared {parts}, expected at most {MAX_NUMBERS}",
     )
     return design, anchors, background
 
@@ -211,7 +211,7 @@ def level(name, value):
 EFFECT = field(lambda value: value in MODEL_EFFECTS, f"some of {', '.join(MODEL_EFFECTS)}")
 WIDTHS = list_of(integer(2**14), 0, 8)  # of hidden layers
 FIELDS = {
-    "anchors": integer(MOST_ANCHORS),
+    "anchors": integer(MAX_ANCHORS),
     "background": list_of(number(-(2.0**20), 2.0**20), 3, 3),
     "d": integer(4096),
     "k": integer(256),

@@ -19,13 +19,13 @@ from ..model import (
     split,
     step_of_code,
 )
-from ..scenes.scene import LARGEST_BOX, MOST_STEPS
+from ..scenes.scene import MAX_BOX, MAX_STEPS
 from .container import BitstreamError
 from .context import CodingContext, coding_context
 from .header import read_header, write_header
 from .version_2 import codes_of
 
-BOX = f"lo <= hi, finite, within +-{LARGEST_BOX:g}"  # what the box of a file must be
+BOX = f"lo <= hi, finite, within +-{MAX_BOX:g}"  # what the box of a file must be
 
 
 class EncodeError(ValueError):
@@ -151,7 +151,7 @@ def round_networks(networks, steps):
         require_encodable(
             all(np.isfinite(a).all() for arrays in rounded[name] for a in arrays),
             f"network {name}: expected finite weights within float16's range, +-65504, or of at "
-            f"most {MOST_STEPS} steps in the coded design",
+            f"most {MAX_STEPS} steps in the coded design",
         )
     return rounded
 
@@ -163,7 +163,7 @@ def round_weights(weights, code):
             return np.array(weights, np.float16, order="C").astype(float)
     step = step_of_code(code)
     n = np.rint(np.array(weights, order="C") / step) + 0.0
-    return np.where(np.abs(n) <= MOST_STEPS, n * step, np.nan)
+    return np.where(np.abs(n) <= MAX_STEPS, n * step, np.nan)
 
 
 def round_attributes(values, q, design):
@@ -199,7 +199,7 @@ def round_box(box):
 def valid_box(lo, hi):
     """Whether a file may hold this box; False for NaN."""
     # The float32 next to 1e30 is larger than 1e30, hence < and not <=.
-    return (np.abs([lo, hi]) < np.float32(LARGEST_BOX)).all() and (lo <= hi).all()
+    return (np.abs([lo, hi]) < np.float32(MAX_BOX)).all() and (lo <= hi).all()
 
 
 def as_decoded(model):

@@ -54,7 +54,7 @@ The bits 1 1 1 0 have f = 12582912, and their stream is 00 00 C0 00  80 00 00 40
 
 import numpy as np
 
-from ..scenes.scene import MOST_SYMBOL
+from ..scenes.scene import MAX_SYMBOL
 from . import rans
 from .container import require
 from .gaussian_table import CHUNK, PRECISION, gaussian_model
@@ -107,7 +107,7 @@ def decode_symbols(data, model, section="stream", pop_rows=None, at=0):
         symbols[rows] = (model.lowest[rows] + place << widths) + unpack_fields(low, widths)
         at += len(low)
         require(
-            np.abs(symbols[rows]).max() <= MOST_SYMBOL,
+            np.abs(symbols[rows]).max() <= MAX_SYMBOL,
             section,
             start,
             "a symbol beyond +-2^31",

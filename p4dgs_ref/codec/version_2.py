@@ -75,7 +75,7 @@ from functools import cache
 import numpy as np
 
 from ..model import LATTICE, on_lattice, step_of_code
-from ..scenes.scene import MOST_STEPS
+from ..scenes.scene import MAX_STEPS
 from . import rans
 from .container import require
 from .gaussian_table import CHUNK, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, gaussian_model
@@ -204,10 +204,10 @@ def read_weights(data, section, shapes):
         scales += [(t_W + next(codes)[:, None] + next(codes)).ravel(), np.full(J, t_b)]
     symbols = decode_symbols(data, tables_of(np.concatenate(scales)), section, at=at)
     require(
-        np.abs(symbols).max(initial=0) <= MOST_STEPS,
+        np.abs(symbols).max(initial=0) <= MAX_STEPS,
         section,
         at,
-        f"expected symbols within +-{MOST_STEPS}",
+        f"expected symbols within +-{MAX_STEPS}",
     )
     numbers = symbols * np.repeat(step_of_code(steps.ravel()), [len(part) for part in scales])
     of_network = np.split(steps.T, np.cumsum([*map(len, shapes.values())])[:-1], axis=1)

@@ -8,7 +8,7 @@ changes.
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from ..model import MOST_NUMBERS, declared_numbers
+from ..model import MAX_NUMBERS, declared_numbers
 from ..scenes.scene import MODEL_EFFECTS
 from .initial import design_of
 
@@ -289,9 +289,9 @@ def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Pr
     if chosen.position_bits != 16 and not chosen.coded:
         raise ValueError("field 'position_bits': expected 16 where the field coded is false")
     parts = declared_numbers(design_of(chosen, MODEL_EFFECTS), chosen.anchors)
-    if sum(parts.values()) > MOST_NUMBERS:
+    if sum(parts.values()) > MAX_NUMBERS:
         raise ValueError(
-            f"fields 'anchors', 'grid_3d', 'hidden' and others: expected at most {MOST_NUMBERS} "
+            f"fields 'anchors', 'grid_3d', 'hidden' and others: expected at most {MAX_NUMBERS} "
             f"numbers in a model, as many as a file may hold, got {parts}"
         )
     return chosen

@@ -307,8 +307,11 @@ def save_plain(model, path, half=()):
     record = np.array((*values.values(), design), [*types, ("design", f"S{len(design)}")])
     output.write_atomically(path, lambda file: np.save(file, record))
     anchors, weights = (sum(record[n].nbytes for n in part) for part in (gaussians, network))
-    other = path.stat().st_size - anchors - weights
-    return {"gaussians": anchors, "network": weights, "other": other}
+    return {
+        "gaussians": anchors,
+        "network": weights,
+        "other": path.stat().st_size - anchors - weights,
+    }
 
 
 def load_plain(path):
