@@ -275,17 +275,6 @@ _ROWS = (
 )
 
 EQUATIONS: dict[str, Equation] = {row.key: row for row in _ROWS}
-# What goes beyond the paper; the number begins with B.
-BEYOND = {
-    "weight_bits": Equation(
-        "weight_bits",
-        "B1",
-        "bits = -log2 P(w / step - 1/2 < K < w / step + 1/2), K Laplace of scale b",
-        "p4dgs_ref.equations.weight_bits",
-        ("bits",),
-        ("w", "step"),
-    )
-}
 
 
 def to_markdown(equations=EQUATIONS):

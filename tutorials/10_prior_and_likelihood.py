@@ -508,8 +508,7 @@ lessons.passes("likelihood", "prior")
 # $2056$ numbers in `context_mlps`, about $98$ bytes. You have succeeded if you need fewer than
 # $4298$ bytes.
 #
-# To begin, call `codec.file.quantised_of(codec.container.open_container(data), 2)` of the package.
-# It returns the `symbols [199, 34]`, and `kept` says which of them the file contains. In units of
-# its step, every bin has the width $1$. First try a Gaussian for each column. Then find out which
-# columns are not Gaussian and which ones predict each other. What happens to both sums with ten
-# times as many anchors?
+# To begin, call `designs.quantised_of(data)` of the package. It returns the `symbols [199, 34]`,
+# and `kept` says which of them the file contains. In units of its step, every bin has the width
+# $1$. First try a Gaussian for each column. Then find out which columns are not Gaussian and which
+# ones predict each other. What happens to both sums with ten times as many anchors?

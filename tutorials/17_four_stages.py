@@ -108,16 +108,15 @@ for end in ends:
     if trainer.stage == 4:
         trainer.freeze_positions()  # otherwise the first step of stage 4 does it
     stage = trainer.stage
-    # psi_t is the time net of D3DGS, which `tiny` does not have
-    rates = {stem: trainer.rate_of(stem) for stem in LEARNING_RATES if stem != "psi_t"}
+    rates = {stem: trainer.rate_of(stem) for stem in LEARNING_RATES}
     before = {name: a.copy() for name, a in trainer.parameters.arrays.items()}
     for step in range(end - trainer.iteration):
-        losses, seen, view = trainer.step()
-        history.append((trainer.iteration, psnr(seen.image, view.image), losses.L_rate))
+        losses, rendered, view = trainer.step()
+        history.append((trainer.iteration, psnr(rendered.image, view.image), losses.L_rate))
         # We look after two steps, because in the very first one all offsets are 0, and so is
         # the gradient of log_l.
         if step == 1:
-            on = trainer.fixed()._replace(mask=trainer.mask.copy())
+            on = trainer.step_inputs(view)._replace(mask=trainer.mask.copy())
             exact_copy = Parameters(trainer.parameters.arrays, np.float64)
             saved.append((stage, exact_copy, on))
             moved.append(arrays_that_moved(before))
@@ -434,7 +433,7 @@ from p4dgs_ref.model import Context
 
 
 def port(noisy, mu, sigma, q, mask, grids, d, k):
-    widths = trainer.design._replace(d=d, k=k)
+    widths = replace(trainer.design, d=d, k=k)
     return objective.rate(noisy, Context(q, mu, sigma), grids, mask, widths)[0]
 
 

@@ -105,7 +105,7 @@ from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 
 data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
-model = quantised_of(container.open_container(data))
+model = quantised_of(container.read_container(data))
 
 symbols = model.symbols[7, :6]
 tables = gaussian_model(model.context.mu_units[7, :6], model.context.sigma_units[7, :6])

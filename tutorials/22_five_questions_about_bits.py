@@ -84,7 +84,7 @@ from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
 from p4dgs_ref.report import inspect
 
 data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
-quantised = quantised_of(container.open_container(data))
+quantised = quantised_of(container.read_container(data))
 model = quantised.model
 design = model.design
 kept = quantised.kept

@@ -144,7 +144,7 @@ without_motion = [effect for effect in full.design.effects if effect not in fx.M
 other_networks = {name: net for name, net in full.networks.items() if name != "psi_d"}
 absent = replace(
     full,
-    design=full.design._replace(effects=tuple(without_motion)),
+    design=replace(full.design, effects=tuple(without_motion)),
     networks=other_networks,
 )
 camera = scenes["bouncing"].test[0].camera

@@ -8,7 +8,7 @@
 # two cores, 60 minutes of reading and 35 of exercises.
 #
 # **Files:** [deformation.py](../p4dgs_ref/equations/deformation.py),
-# [deformation_d3dgs.py](../p4dgs_ref/equations/deformation_d3dgs.py),
+# [deformation_d3dgs.py](../p4dgs_ref/lab/baselines/deformation_d3dgs.py),
 # [plane_features.py](../p4dgs_ref/lab/baselines/plane_features.py),
 # [plane_decoder.py](../p4dgs_ref/lab/baselines/plane_decoder.py),
 # [conditional.py](../p4dgs_ref/lab/baselines/conditional.py),
@@ -105,7 +105,8 @@ assert int(position) == 2 and np.isclose(position - 2, 0.4)
 
 # %%
 from p4dgs_ref.equations import deformation, mlp, positional_encoding
-from p4dgs_ref.model import declared_numbers, deformation_layers
+from p4dgs_ref.lab.baselines.d3dgs_network import deformation_layers
+from p4dgs_ref.model import declared_numbers
 from p4dgs_ref.training.parameters import Adam, Parameters, exponential, random_layers
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
 

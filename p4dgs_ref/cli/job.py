@@ -10,6 +10,7 @@ import numpy as np
 
 import p4dgs_ref as p4
 
+from .. import designs
 from ..codec import container, splats
 from ..output import filled, made, new_file, write_atomically
 from ..report import figures
@@ -17,16 +18,15 @@ from ..report import inspect as sizes
 from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
 from ..scenes.load import find_scene, read_points_for, read_scene_json
-from ..training.fit import CHECKPOINT, few_views, fit, load_model, lost
-from ..training.presets import SOURCES, beyond, choose, differences
-from ..training.trainer import Trainer
+from ..training.fit import CHECKPOINT, few_views
+from ..training.presets import differences, table
 from . import UsageError, caution, progress, require, say, show, tell, text
 
 
 def read_preset(name, changes=()):
     """The preset with its --set changes, checked before any work begins."""
     try:
-        return choose(name, dict(item.partition("=")[::2] for item in changes))
+        return designs.choose(name, dict(item.partition("=")[::2] for item in changes))
     except ValueError as error:
         raise UsageError(str(error)) from None
 
@@ -39,7 +39,7 @@ def read_file(path):
         "a folder, pipe or device; expected a .p4dgs file",
     )
     try:
-        data = container.read_file(path)
+        data = designs.read_file(path)
         return data, *timed(p4.decode, data)
     except container.BitstreamError as error:
         raise UsageError(f"{path}: {error}") from None
@@ -77,8 +77,10 @@ def demo(arguments):
     """Run the main job and write its report."""
     preset = read_preset(arguments.preset, arguments.changes)
     scene = p4.load_scene(arguments.scene)
-    designs = 2 if beyond(preset) else 1
-    estimate(arguments, [(Trainer(scene, preset), designs)], min(arguments.jobs, designs))
+    trainings = 2 if designs.beyond(preset) else 1
+    estimate(
+        arguments, [(designs.trainer_of(scene, preset), trainings)], min(arguments.jobs, trainings)
+    )
     metrics = p4.main_job(
         scene,
         preset,
@@ -115,7 +117,7 @@ def train(arguments):
     if arguments.points:
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
-        estimate(arguments, [(Trainer(scene, preset), 1)])
+        estimate(arguments, [(designs.trainer_of(scene, preset), 1)])
     if not resume and "effects" not in read_scene_json(find_scene(arguments.scene)):
         caution(
             "no scene.json lists effects, so all are trained; "
@@ -124,7 +126,7 @@ def train(arguments):
     caution(few_views(scene))
     with made(arguments.output) as folder:
         trainer, seconds = timed(
-            fit,
+            designs.fit,
             scene,
             preset,
             arguments.seed,
@@ -134,17 +136,18 @@ def train(arguments):
         )
         with filled(folder) as staging:
             figures.write_training(staging, trainer.history, preset.stage_ends)
-    if trainer.factors:
-        counted = " and from stage 3 on ".join(f"{times:.1f} times" for times in trainer.factors)
+    factors = getattr(trainer, "factors", ())
+    if factors:
+        counted = " and from stage 3 on ".join(f"{times:.1f} times" for times in factors)
         say(f"what moves counted {counted} in L1, until the middle of stage 3 (B3)")
-    caution(lost(trainer))
+    caution(designs.what_is_lost(trainer))
     tell(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors, {seconds:.1f} s")
 
 
 def encode(arguments):
     """Compress a run to a file."""
     with new_file(arguments.output, Path(arguments.run) / CHECKPOINT) as output:
-        model, values = load_model(arguments.run)
+        model, values = designs.load_model(arguments.run)
         data, seconds = timed(p4.encode, model)
         write_atomically(output, lambda file: file.write(data))
     tell(f"{output}: {len(data):,} bytes, from iteration {values['iteration']}, {seconds:.3f} s")
@@ -167,7 +170,7 @@ def decode(arguments):
     }
     with filled(arguments.output, arguments.file) as staging:
         np.savez(staging / "model.npz", **arrays)
-        (staging / "model.json").write_text(json.dumps(model.design._asdict(), indent=1) + "\n")
+        (staging / "model.json").write_text(json.dumps(vars(model.design), indent=1) + "\n")
     tell(f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json; {seconds:.3f} s")
 
 
@@ -303,12 +306,14 @@ def presets(arguments):
         arguments,
         {
             preset.name: {
-                "fields": preset._asdict(),
+                "fields": vars(preset),
                 "differs": [
                     {"field": field, "paper": paper, "here": here}
                     for field, paper, here in differences(preset)
                 ],
-                "sources_of_paper_presets": SOURCES,
+                "sources_of_paper_presets": {
+                    name: row.metadata["source"] for name, row in table(preset).items()
+                },
             }
             for preset in rows
         },

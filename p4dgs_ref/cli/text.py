@@ -1,6 +1,6 @@
 """What the commands print for people; --json prints the same values."""
 
-from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, SOURCES, differences
+from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, differences, table, value_of
 
 
 def quality(m):
@@ -92,16 +92,17 @@ def presets(chosen, every_field):
     for preset in chosen:
         changed = [field for field, *_ in differences(preset)]
         columns = list(dict.fromkeys((preset, PAPER_SYNTHETIC, PAPER_REAL)))
-        table = [["  field", *(p.name for p in columns), "source of the paper presets"]]
-        table += [
+        rows = [["  field", *(p.name for p in columns), "source of the paper presets"]]
+        rows += [
             [
                 f"* {field}" if field in changed else f"  {field}",
-                *(setting(getattr(p, field)) for p in columns),
-                SOURCES[field],
+                *(setting(value_of(p, row)) for p in columns),
+                row.metadata["source"],
             ]
-            for field in (SOURCES if every_field else changed)
+            for field, row in table(preset).items()
+            if every_field or field in changed
         ]
-        widths = [max(map(len, column)) for column in zip(*table)]
+        widths = [max(map(len, column)) for column in zip(*rows)]
         lines.append(f"{preset.name}: {len(changed)} fields (*) differ from {PAPER_SYNTHETIC.name}")
-        lines += ["  ".join(map(str.ljust, row, widths)).rstrip() for row in table]
+        lines += ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
     return "\n".join(lines)

@@ -7,10 +7,10 @@ from functools import partial
 import numpy as np
 
 from ..arithmetic import arithmetic
-from ..codec.file import decode, encode
 from ..codec.gaussian_table import MU_BITS, SIGMA_BITS
 from ..codec.rans import pop_rows_plainly, push_rows_plainly
 from ..codec.streams import decode_gaussian, encode_gaussian
+from ..designs import decode, encode
 from ..scenes import load_scene
 from ..splatting.settings import EXACT, FAST
 from ..training.presets import TINY

@@ -14,14 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import effects as fx
-from ..codec.file import decode, encode
+from ..designs import choose, decode, encode, trainer_of
 from ..model import declared_numbers
 from ..report.evaluate import evaluate
 from ..report.figures import BLUE, ORANGE, pyplot, save_figure, write_csv
 from ..report.jobs import in_processes
 from ..scenes.scene import MODEL_EFFECTS
-from ..training.presets import choose
-from ..training.trainer import Trainer
 from ..training.watch import equation_codes, watching
 from .accuracy.harness import shortened, step_at
 from .clock import alternate
@@ -93,7 +91,7 @@ def effect_bytes(data):
     design = decode(data).design
 
     def size(effects):
-        return 2 * declared_numbers(design._replace(effects=effects), 0)["networks"]
+        return 2 * declared_numbers(replace(design, effects=effects), 0)["networks"]
 
     without = {effect: [e for e in design.effects if e != effect] for effect in MODEL_EFFECTS}
     return {effect: size(design.effects) - size(others) for effect, others in without.items()}
@@ -108,7 +106,7 @@ def switched(scene, effect):
 def train_alone(task):
     """Train one build: its file, PSNR, and of each effect the bytes and the work of a last step."""
     scene, preset, seed = task
-    trainer = Trainer(scene, preset, seed)
+    trainer = trainer_of(scene, preset, seed)
     with np.errstate(all="ignore"):  # an overflow stops training with its own message
         while trainer.iteration < preset.iterations - 1:
             trainer.step()

@@ -131,7 +131,8 @@ def shuffled(views, effect, seed):
 def short(iterations):
     """`tiny` without noise and rate: in its first half nothing moves and anchors grow."""
     half = iterations // 2
-    return TINY._replace(
+    return replace(
+        TINY,
         stage_ends=(half, half, iterations, iterations),
         decay_from=half,
         grow_from=iterations // 12,

@@ -73,12 +73,7 @@ def evaluate(
 
 def explicit_bytes(model, gaussians, floats=FLOATS_PER_GAUSSIAN):
     """Bytes of the same Gaussians and of the deformation network as plain float32."""
-    weights = sum(
-        a.size
-        for name in ("psi_d", "psi_t")
-        for arrays in model.networks.get(name, ())
-        for a in arrays
-    )
+    weights = sum(a.size for arrays in model.networks.get("psi_d", ()) for a in arrays)
     return 4 * (gaussians * floats + weights)
 
 

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from ..arithmetic import arithmetic, keep_pages
-from ..codec.file import decode, encode
+from ..designs import PRESETS, beyond, choose, decode, encode, fit, paper_preset, what_is_lost
 from ..output import filled
 from ..scenes.scene import Scene
 from ..signals import deferred
-from ..training.fit import few_views, fit, lost, warn
-from ..training.presets import PRESETS, Preset, beyond, choose, differences, paper_design
+from ..training.fit import few_views, warn
+from ..training.presets import Preset, differences
 from . import figures as report
 from .evaluate import compression, evaluate, json_safe, timed
 
@@ -86,7 +86,7 @@ def one_design(scene, preset, seed, path, stream=None):
         "ms_per_step": 1e3 * seconds / preset.iterations,
         "encode_seconds": encode_seconds,
         "decode_seconds": decode_seconds,
-        "warning": lost(trainer),
+        "warning": what_is_lost(trainer),
     }
     return metrics, rows, images, model, trainer.history
 
@@ -100,7 +100,7 @@ def designs(scene, preset, seed, path, stream, jobs):
     if not beyond(preset):
         return one_design(*ours, stream), None
     paper_path = path.with_name(f"{path.stem}_paper_design{path.suffix}")
-    paper = (scene, paper_design(preset), seed, paper_path)
+    paper = (scene, paper_preset(preset), seed, paper_path)
     if jobs == 1:
         return one_design(*ours, stream), one_design(*paper, stream)[0]
     with processes(1) as pool:

@@ -3,7 +3,7 @@
 `trainer.Trainer` makes it the training of P-4DGS, `baselines.explicit.Trainer` that of the methods
 that the paper compares itself with. A subclass supplies
 
-    gradients_of(view)  Losses, what density control has Seen, the gradients as Parameters, and
+    gradients_of(view)  Losses, what was Rendered, the gradients as Parameters, and
                         those of the splats' mean2d; raises NotFinite
     rate_of(name)       the current learning rate of an array, or of all arrays of a network
     adjust()            density control, at the end of every window of `preset.grow_every`
@@ -80,23 +80,23 @@ class Loop:
         return moments
 
     def step(self):
-        """Do one iteration; returns its Losses, what was Seen, and the View.
+        """Do one iteration; returns its Losses, what was Rendered, and the View.
 
         Raises NotFinite with the first equation, array and index that is NaN or infinite.
         """
         view, p = self.next_view(), self.parameters
-        losses, seen, gradients, mean2d_bar = self.gradients_of(view)
+        losses, rendered, gradients, mean2d_bar = self.gradients_of(view)
         rate_of = cache(self.rate_of)  # all arrays of a network have the same rate
         self.adam.step(p, gradients, lambda name: rate_of(name.split(".")[0]))
         if not np.isfinite(p.vector).all():
-            found = first_bad(p.arrays, "after Adam's step, parameter ")
-            raise NotFinite(f"iteration {self.iteration}: {found}")
+            phrase = first_bad(p.arrays, "after Adam's step, parameter ")
+            raise NotFinite(f"iteration {self.iteration}: {phrase}")
         if self.iteration >= self.preset.collect_from:
-            self.statistics.collect(seen, mean2d_bar, view.camera.width, view.camera.height)
+            self.statistics.collect(rendered, mean2d_bar, view.camera.width, view.camera.height)
         self.iteration += 1
         if self.iteration % self.preset.grow_every == 0:
             self.adjust()
-        return losses, seen, view
+        return losses, rendered, view
 
     def change_rows(self, names, keep, added):
         """Drop rows of the arrays `names` and append `added`, whose Adam moments are zero."""
@@ -109,12 +109,12 @@ class Loop:
     def run(self, report=None):
         """Train to the end and return the model.
 
-        `report(trainer, losses, seen, view)` is called after each step.
+        `report(trainer, losses, rendered, view)` is called after each step.
         """
         while self.iteration < self.preset.iterations:
-            seen = self.step()
+            results = self.step()
             if report:
-                report(self, *seen)
+                report(self, *results)
         return self.model()
 
 
@@ -134,10 +134,10 @@ class Progress:
         self.stream, self.live = stream, stream is not None and stream.isatty()
         self.shown, self.steps = time.monotonic(), 0  # the time of the last line, and steps since
 
-    def __call__(self, trainer, losses, seen, view):
+    def __call__(self, trainer, losses, rendered, view):
         done, total = trainer.iteration, trainer.preset.iterations
-        stage, decibel = trainer.preset.stage(done - 1), psnr(seen.image, view.image)
-        counts = trainer.primitives, len(seen.index)
+        stage, decibel = trainer.preset.stage(done - 1), psnr(rendered.image, view.image)
+        counts = trainer.primitives, len(rendered.index)
         if done % min(EVERY, max(total // 50, 1)) == 0 or done == total:
             trainer.history.append([done, stage, losses.L_total, decibel, losses.L_rate, *counts])
         self.steps += 1

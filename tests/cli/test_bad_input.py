@@ -14,9 +14,10 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.cli import parser as cli
+from p4dgs_ref.designs import fit
 from p4dgs_ref.output import PART
 from p4dgs_ref.report import figures
-from p4dgs_ref.training.fit import fit, load_checkpoint
+from p4dgs_ref.training.fit import load_checkpoint
 from tests.sampling import few
 
 from .conftest import tree
@@ -386,7 +387,7 @@ def test_out_of_memory(place, run, monkeypatch):
     def full(*arguments):
         raise MemoryError("8 TiB for an array")
 
-    monkeypatch.setattr("p4dgs_ref.training.fit.Trainer", full)
+    monkeypatch.setattr("p4dgs_ref.designs.trainer_of", full)
     before = sorted(place.rglob("*"))
     code, _, err = run("demo scene -o new --preset smoke --quiet")
     assert (code, err) == (1, "p4dgs-ref: 8 TiB for an array\n")

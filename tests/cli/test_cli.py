@@ -265,7 +265,7 @@ LONG = "--preset smoke --set stage_ends=9,9,9,90000000 --set anchors=2"
 WHOLE = "--seeds 3 --iterations 90000000"
 ESTIMATED = {  # iterations, and what is said when the training is stopped
     f"train bouncing -o run {LONG}": (90_000_000, "stopped\n"),
-    f"demo bouncing -o run {LONG} --set coded=true --jobs 1": (180_000_000, "--resume goes on"),
+    f"demo bouncing -o run {LONG} --set is_coded=true --jobs 1": (180_000_000, "--resume goes on"),
     f"compare scene -o run {WHOLE} --method hexplane": (9 * 90_000_000, "that are done are kept"),
     f"compare scene -o run --curve {WHOLE} --method hexplane": (27 * 90_000_000, "are kept"),
     f"ablate scene -o run {WHOLE} --jobs 9": (30 * 90_000_000, "are kept"),
@@ -277,7 +277,7 @@ def test_long_trainings_need_a_yes(place, run, monkeypatch, line):
     def stop(*arguments, **named):
         raise KeyboardInterrupt
 
-    for name in ("report.jobs.fit", "cli.job.fit", "lab.tables.methods.in_processes"):
+    for name in ("report.jobs.fit", "designs.fit", "lab.tables.methods.in_processes"):
         monkeypatch.setattr(f"p4dgs_ref.{name}", stop)
     code, _, err = run(line)
     (iterations, words), (first, second) = ESTIMATED[line], err.splitlines()

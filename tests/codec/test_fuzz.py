@@ -12,21 +12,18 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.codec import container, file
-from p4dgs_ref.codec.container import (
-    BitstreamError,
-    open_container,
-    read_container,
-    write_container,
-)
-from p4dgs_ref.codec.file import NETWORK_SECTIONS, decode, encode, quantised_of
+from p4dgs_ref.codec.container import BitstreamError
+from p4dgs_ref.codec.file import NETWORK_SECTIONS
 from p4dgs_ref.codec.gaussian_table import SIGMA_MAX, SIGMA_MIN, gaussian_model
 from p4dgs_ref.codec.header import MAX_NUMBERS, declared_numbers
 from p4dgs_ref.codec.published import FOLDER
-from p4dgs_ref.codec.quantise import quantise, without_silent_units
+from p4dgs_ref.codec.quantise import without_silent_units
 from p4dgs_ref.codec.streams import decode_symbols, encode_bits, encode_gaussian
+from p4dgs_ref.designs import decode, encode, quantised_of, read_container
 from p4dgs_ref.model import join
 from tests.codec.models import changed, digest, refusal
 from tests.golden import fuzz
+from tests.golden.both import quantise, write_container
 from tests.golden.damage import Mutation, assemble, damage_header, mutation
 from tests.golden.sample_model import sample_model
 from tests.sampling import few
@@ -97,9 +94,9 @@ def test_a_faulty_decoder_is_noticed(monkeypatch, fault, found):
     """An exception, a warning, too much memory and too much time are failures."""
     monkeypatch.setattr(fuzz, "PATIENCE", 0.015 if found == "seconds" else 60)
 
-    def faulty(sections, version):
-        fault(sections)
-        return file.quantised_of(sections, version)
+    def faulty(data):
+        fault(data)
+        return quantised_of(data)
 
     monkeypatch.setattr(fuzz, "quantised_of", faulty)
     _, failures = fuzz.fuzz(12)
@@ -125,7 +122,7 @@ def test_an_accepted_change_is_noticed(monkeypatch, least, capsys):
 
 
 def test_models_beyond_their_header_are_noticed(least):
-    q = file.quantised_of(open_container(least))
+    q = file.quantised_of(read_container(least))
     assert fuzz.beyond_limits(q) == []
     anchors = q.model.anchors
     infinite = anchors._replace(f_a=anchors.f_a * np.inf)
@@ -192,7 +189,7 @@ def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
         rng = np.random.default_rng([seed, i])
         data = edited(rng, paths[rng.integers(len(paths))].read_bytes())
         try:
-            q = quantised_of(open_container(data), data[8])
+            q = quantised_of(data)
         except BitstreamError:
             continue
         (lo, hi), expected = q.model.box, kept(q.model)
@@ -208,7 +205,7 @@ def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
         except OverflowError:
             assert lost, f"seed {seed}, mutant {i}"
             continue
-        found = quantised_of(open_container(again), again[8])
+        found = quantised_of(again)
         if lost:
             moved = np.abs(join(found.model.anchors) - join(expected.anchors))
             steps = np.repeat(found.context.q, expected.design.widths, axis=1)
@@ -245,7 +242,7 @@ def bytes_of_arrays(model):
 LARGE = {
     "anchors of paper_real": (20_000, REAL),
     "narrow": (60_000, dict(d=1, k=1)),
-    "narrow and coded": (60_000, dict(d=1, k=1, coded=True, position_bits=16)),
+    "narrow and coded": (60_000, dict(d=1, k=1, position_bits=16)),
     "wide features": (700, dict(d=4096)),
     "many children": (2000, dict(k=256)),
     "every level": (1500, dict(F=64, grid=(("xyz", 3),) * 64)),

@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 
 from p4dgs_ref import model
-from p4dgs_ref.codec.file import decode, encode
+from p4dgs_ref.designs import decode, encode, train
 from p4dgs_ref.equations.grid_nodes import locate
 from p4dgs_ref.model import Anchors
 from p4dgs_ref.oracle import published
@@ -24,7 +24,6 @@ from p4dgs_ref.splatting import render
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, SETTINGS
 from p4dgs_ref.training import objective
-from p4dgs_ref.training.fit import train
 from p4dgs_ref.training.parameters import Adam, Parameters
 from p4dgs_ref.training.presets import SMOKE
 from p4dgs_ref.training.trainer import LEARNING_RATES
@@ -74,7 +73,7 @@ def frames_vjp(
     whatever they say.
     """
     camera = camera_of(W, T, focal, center, size)
-    design = EMPTY._replace(L_x=L_x, L_t=L_t, tau_alpha=tau_alpha, effects=effects)
+    design = replace(EMPTY, L_x=L_x, L_t=L_t, tau_alpha=tau_alpha, effects=effects)
     anchors = Anchors(x_a, f_a, s_a, l_a, O_a, mask)
     g, *_ = model.predict(design, networks_of(networks), anchors, camera.center, t)
     settings = SETTINGS[renderer]._replace(dtype="float64")
@@ -93,7 +92,8 @@ def golden_model():
 def train_golden_model():
     """Bytes of a small model that moves, shines and hides parts of itself."""
     scene = replace(load_scene("bouncing", background=(0.35, 0.6, 0.85)), effects=MODEL_EFFECTS)
-    preset = SMOKE._replace(
+    preset = replace(
+        SMOKE,
         name="golden",
         anchors=60,
         d=6,
@@ -186,7 +186,8 @@ def traced(
     )
     nets = {name: p.network(name) for name in networks_of(networks)}
     levels = p.listed("grid")
-    design = EMPTY._replace(
+    design = replace(
+        EMPTY,
         d=f_a.shape[1],
         k=O_a.shape[1],
         L_x=L_x,
@@ -196,13 +197,13 @@ def traced(
         effects=effects,
     )
     located = locate(x_a, lo, hi, resolutions, [len(grid) for grid in grids])
-    fixed = objective.Fixed(mask, located, background, 4, lambda_rate, lambda_ssim, EXACT)
+    inputs = objective.StepInputs(mask, located, background, 4, lambda_rate, lambda_ssim, EXACT)
     rates = dict(zip(map(own_name, arrays), learning_rates.tolist(), strict=True))
     adam = Adam(p)
     for v, noise in zip(views, u):
         camera = camera_of(W[v], T[v], focal[v], center[v], size)
         view = View("", truth[v], None, camera, times[v])
-        losses, _, back = objective.loss(p, design, nets, levels, fixed, view, noise)
+        losses, _, back = objective.loss(p, design, nets, levels, inputs, view, noise)
         gradients, _ = back()
         adam.step(p, gradients, rates.get)
         yield p, losses, gradients
@@ -237,8 +238,7 @@ def trace_steps_vjp(**inputs):
     return by_step(states), no_pullback
 
 
-# The parameters: anchors, networks, grid. There is no psi_t, and no step of coded networks.
-ARRAYS = tuple(name for name in LEARNING_RATES if name not in ("psi_t", "log_step"))
+ARRAYS = tuple(LEARNING_RATES)  # the parameters: anchors, networks, grid
 
 
 def joined(parameters, stem):
@@ -291,7 +291,8 @@ def trace_steps_cases():
 def trace_inputs(rng, A=9, k=5, d=7, V=6):
     """Anchors, networks, grids, noise, and views of another, smoother model, drawn by `rng`."""
     resolutions = (("xyz", 3), ("xy", 5), ("xz", 4), ("yz", 4))
-    design = EMPTY._replace(
+    design = replace(
+        EMPTY,
         d=d,
         k=k,
         hidden=(7,),

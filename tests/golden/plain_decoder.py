@@ -14,7 +14,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[2] / "p4dgs_ref"
 TABLES = json.loads((PACKAGE / "codec" / "tables.json").read_text())
-BASES = json.loads((PACKAGE / "codec" / "bases.json").read_text())
+BASES = json.loads((PACKAGE / "beyond" / "bases.json").read_text())
 SECTIONS = (
     "header",
     "positions",
@@ -119,7 +119,6 @@ def read_header(body, size, version):
         numbers = h["anchors"] * (9 + h["d"] + 4 * h["k"]) + entries  # without the weights
         most = min(2**25, 2**22 + 16 * size)
         need(0 < entries <= 2**24 and 0 < numbers <= most, "header", "sizes")
-        need(not h.get("skip") or len(h["deformation"]) >= 3, "header", "skip")
         need(len(h["Q_0"]) == 4 and {*h["effects"]} <= EFFECTS, "header", "steps or effects")
         widths = [h["d"], 3, 3, 3 * h["k"]]
         nets = [(len(T) * h["F"], *h["context"], n) for n in (2 * sum(widths), 4)]
@@ -163,18 +162,12 @@ def read_networks(sections, h, widths, version):
 
 
 def layers_of_deformation(h):
-    """(inputs, outputs) of the layers of psi_d, whose heads are the last, and of psi_t."""
+    """(inputs, outputs) of the layers of psi_d, whose heads are the last."""
     heads = [n for effect, n in HEADS.items() if effect in h["effects"]]
     if not heads:
         return []
-    time = [1 + 2 * h["L_t"], *h.get("time_net", [])]
-    inputs = 3 * (1 + 2 * h["L_x"]) + time[-1]
-    rows = [inputs, *h["deformation"]]
-    layers = [*zip(rows, rows[1:]), *((rows[-1], n) for n in heads)]
-    if h.get("skip"):
-        after = len(h["deformation"]) // 2 + 1
-        layers[after] = inputs + layers[after][0], layers[after][1]
-    return layers + [*zip(time, time[1:])]
+    rows = [3 * (1 + 2 * h["L_x"]) + 1 + 2 * h["L_t"], *h["deformation"]]
+    return [*zip(rows, rows[1:]), *((rows[-1], n) for n in heads)]
 
 
 def read_weights(body, layers, section):

@@ -6,6 +6,7 @@ change of the training shows here. A network is one vector, as in a file: layer 
 row, then b. The levels of the grid follow each other in one vector too.
 """
 
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -17,7 +18,7 @@ from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training.density import Statistics
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.parameters import Adam, Parameters
-from p4dgs_ref.training.presets import Preset
+from p4dgs_ref.training.presets import Preset, table
 from p4dgs_ref.training.trainer import Trainer
 from tests.golden.cases import Case
 from tests.golden.flat import CAMERA_SHAPES, camera_of
@@ -90,16 +91,12 @@ PRESET = Preset(
     min_opacity=0.03,
     mask_from=8,
 )
-# Fields that only the name of a preset or the start of a training concerns, or that are off.
-UNUSED = (
-    *("name", "anchors", "extent", "feature_std", "opacity_bias", "upright"),
-    *("deformation_gain", "body"),
-    *("coded", "position_bits", "network_ramp", "lr_step"),
-)
+# Fields that only the start of a training concerns.
+UNUSED = ("anchors", "extent", "feature_std", "opacity_bias", "upright", "deformation_gain")
 # What the vectors switch off and no preset can switch on, at its place among the settings.
 OFF_AFTER = {"deformation": {"time_net": (), "skip": False}, "lambda_ssim": {"lambda_volume": 0.0}}
 SETTINGS = {}
-for field in PRESET._fields:
+for field in table(PRESET):
     if field not in UNUSED:
         SETTINGS |= {field: getattr(PRESET, field), **OFF_AFTER.get(field, {})}
 
@@ -152,7 +149,7 @@ def views_of(W, T, focal, center, size, times, truth):
 
 def trainer_of(trainer, state, views, background, iteration, effects, settings):
     """Return a Trainer in a given state: arrays, moments, steps, mask, sums and box."""
-    preset = PRESET._replace(**{n: v for n, v in settings.items() if n in PRESET._fields})
+    preset = replace(PRESET, **{n: v for n, v in settings.items() if n in table(PRESET)})
     scene = SimpleNamespace(train=views, effects=effects, background=background, points=None)
     trainer = trainer(scene, preset, settings=EXACT)
     p, m, v = (

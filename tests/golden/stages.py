@@ -1,5 +1,7 @@
 """Vectors of level L2: several equations at once. Here Fig. 1; `stages_coding` has Fig. 2."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from p4dgs_ref import model
@@ -32,7 +34,7 @@ def spatial_vjp(x_a, f_a, s_a, l_a, O_a, mask, x_c, tau_alpha, effects, **networ
 
     `effects` lists view_geometry, view_color or neither; without them networks do not see the view.
     """
-    design = EMPTY._replace(effects=effects, tau_alpha=tau_alpha)
+    design = replace(EMPTY, effects=effects, tau_alpha=tau_alpha)
     anchors = Anchors(x_a, f_a, s_a, l_a, O_a, mask)
     gaussians, _, back = model.predict(design, networks_of(networks), anchors, x_c)
 
@@ -56,7 +58,7 @@ def spatial_surrogate(**base):
 
 def anchor_inputs(rng, A, d, k, hidden, effects):
     """Anchors about the origin, a camera centre, and anchor networks as the effects need them."""
-    design = EMPTY._replace(d=d, k=k, hidden=hidden, effects=effects)
+    design = replace(EMPTY, d=d, k=k, hidden=hidden, effects=effects)
     networks = {
         name: random_network(rng, layers[0][0], *(columns for _, columns in layers))
         for name, layers in design.layers().items()

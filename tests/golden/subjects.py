@@ -7,9 +7,10 @@ called like one: a scalar function, a stage of several equations, the pipeline.
 from functools import cache
 from typing import Callable, NamedTuple
 
+from p4dgs_ref.beyond import BEYOND
 from p4dgs_ref.lab.baselines import ALL_EQUATIONS, BASELINE_EQUATIONS
 from p4dgs_ref.oracle import tolerance
-from p4dgs_ref.table import BEYOND, EQUATIONS
+from p4dgs_ref.table import EQUATIONS
 from tests.golden.cases import cases_of
 from tests.golden.declared import CONSTANTS, FORMULAS, GRADIENTS, SHAPES
 from tests.golden.hard_cases import catalogue

@@ -6,12 +6,12 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
+from p4dgs_ref.designs import train
 from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator.description import read_description
 from p4dgs_ref.scenes.simulator.trace import trace
-from p4dgs_ref.training.fit import train
 from tests.golden import tiny_scenes, two_cameras
 from tests.sampling import few
 

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.arithmetic import kernels
-from p4dgs_ref.codec.file import decode, encode
-from p4dgs_ref.codec.quantise import quantise
+from p4dgs_ref.designs import decode, encode
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.lab import clock
 from p4dgs_ref.lab.accuracy import diagram, formulas, harness, knobs, report
 from p4dgs_ref.lab.stability import plane
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.training.presets import TINY
+from tests.golden.both import quantise
 from tests.lab import drawn
 
 TABLE = json.loads(

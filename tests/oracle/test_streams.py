@@ -11,7 +11,7 @@ import pytest
 
 from p4dgs_ref.codec import published
 from p4dgs_ref.codec.container import BitstreamError
-from p4dgs_ref.codec.file import quantised_of
+from p4dgs_ref.designs import quantised_of
 from p4dgs_ref.oracle import checker, safetensors, streams
 from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.oracle.ports import FolderPort, PortError

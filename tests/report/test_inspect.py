@@ -13,9 +13,9 @@ from matplotlib import colormaps
 import p4dgs_ref as p4
 from p4dgs_ref.codec import container, file, published
 from p4dgs_ref.codec.__main__ import page
-from p4dgs_ref.codec.container import SECTIONS, layout, read_container
-from p4dgs_ref.codec.file import quantised_of
+from p4dgs_ref.codec.container import SECTIONS
 from p4dgs_ref.codec.gaussian_table import lookup_table
+from p4dgs_ref.designs import layout, quantised_of, read_container
 from p4dgs_ref.equations import grid_nodes
 from p4dgs_ref.report import figures as report
 from p4dgs_ref.report.figures import heat_image
@@ -55,7 +55,7 @@ def test_anchor_bits_add_up_to_the_cost_of_all_anchors(data):
     parts = ("positions", "features", "scales", "offset_scales", "offsets", "masks")
     total = sum(rows[name]["integer_bytes"] for name in parts)
     assert bits.sum() / 8 == pytest.approx(total, rel=1e-4)
-    q = quantised_of(read_container(data))
+    q = quantised_of(data)
     assert symbol_bits(q).shape == q.symbols.shape
     assert not symbol_bits(q)[~q.kept].any()
 

@@ -2,6 +2,8 @@
 # # Solutions to the four stages of training
 
 # %%
+from dataclasses import replace
+
 import numpy as np
 
 from p4dgs_ref import PRESETS
@@ -34,7 +36,7 @@ late = {
     "psi_q": 4,
     "grid": 4,
 }
-first = [late.get(stem, 1) for stem in LEARNING_RATES if stem not in ("psi_t", "log_step")]
+first = [late.get(stem, 1) for stem in LEARNING_RATES]
 assert PRESETS["paper_real"].lr_x == (0, 0)
 lessons.number("17.2", first, 9 * [1] + [3, 4, 4, 4])
 
@@ -76,7 +78,7 @@ lessons.backward("17.3", my_backward, "rate_stage", "noisy", "q")
 # %%
 given = published.cases("context_stage")[0].inputs()
 design = design_of(PRESETS["tiny"], MODEL_EFFECTS)
-design = design._replace(d=given["d"], k=given["k"], Q_0=tuple(given["Q_0"]))
+design = replace(design, d=given["d"], k=given["k"], Q_0=tuple(given["Q_0"]))
 tables = [len(grid) for grid in given["grids"]]
 located = hash_grid.locate(
     given["x_a"],

@@ -11,7 +11,7 @@ from collections import namedtuple
 from pathlib import Path
 
 from p4dgs_ref import output
-from p4dgs_ref.codec.file import decode
+from p4dgs_ref.designs import decode
 from p4dgs_ref.lab import stability
 from p4dgs_ref.lab.accuracy import diagram, forms, report
 from p4dgs_ref.lab.school import show

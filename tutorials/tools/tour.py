@@ -6,19 +6,19 @@ picture anew, which takes a few minutes; their files lie beside the pictures, so
 train in order to draw.
 """
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import imageio.v3 as iio
 import numpy as np
 from matplotlib.backends.backend_pdf import PdfPages
 from scipy.special import ndtr
 
-from p4dgs_ref import output
-from p4dgs_ref.codec import container, file, quantise, rans
+from p4dgs_ref import designs, model, output
+from p4dgs_ref.beyond import file
+from p4dgs_ref.codec import quantise, rans
 from p4dgs_ref.lab.school import lessons, show
 from p4dgs_ref.report import evaluate, inspect
 from p4dgs_ref.scenes import load, simulator
-from p4dgs_ref.training import presets, trainer
 from tutorials.tools import animation, handout, shared
 
 PLACE = shared.FOLDER / "tour"
@@ -27,7 +27,8 @@ WALK = {a: simulator.camera_at(SCENE, np.radians(a), np.radians(26)) for a in ra
 CAMERA, T = WALK[305], 0.3  # which all pictures show
 VIEW = {"xlim": (1, 62), "ylim": (59, 10)}  # without the empty margins
 DATA = (shared.FOLDER / "demo.p4dgs").read_bytes()
-FILE = file.quantised_of(container.read_container(DATA), DATA[8])
+PRESET = designs.PRESETS["tiny_coded"]
+FILE = designs.quantised_of(DATA)
 MODEL, DESIGN = FILE.model, FILE.model.design
 TRUTH = animation.truth(SCENE, CAMERA, T, MODEL.background)
 
@@ -67,7 +68,7 @@ class Silent(np.random.Generator):
 FAILURES = {  # title: generator of training, and what of the demo's preset changes
     "no noise": (Silent, {}),
     "no rate": (np.random.Generator, {"lambda_rate": 0.0}),
-    "rate times 100": (np.random.Generator, {"lambda_rate": 100 * presets.TINY_CODED.lambda_rate}),
+    "rate times 100": (np.random.Generator, {"lambda_rate": 100 * PRESET.lambda_rate}),
     "one frequency in time": (np.random.Generator, {"L_t": 1}),
 }
 
@@ -75,9 +76,10 @@ FAILURES = {  # title: generator of training, and what of the demo's preset chan
 def train():
     """Train the failures and write their files."""
     for title, (generator, changes) in FAILURES.items():
-        run = trainer.Trainer(load.load_scene("bouncing"), presets.TINY_CODED._replace(**changes))
+        preset = replace(PRESET, **changes)
+        run = designs.trainer_of(load.load_scene("bouncing"), preset)
         run.rng = generator(run.rng.bit_generator)
-        (PLACE / f"{title.replace(' ', '_')}.p4dgs").write_bytes(file.encode(run.run()))
+        (PLACE / f"{title.replace(' ', '_')}.p4dgs").write_bytes(designs.encode(run.run()))
 
 
 # --- the pictures that are not in `show` ----------------------------------------------------------
@@ -119,8 +121,10 @@ def why(figure):
 def parts(figure):
     """The file as a strip, section by section, in the paper's design and with coded networks."""
     ax = figure.subplots()
-    plain = replace(MODEL, design=DESIGN._replace(coded=False, position_bits=16), steps=None)
-    paper, own = (inspect.components(data) for data in (file.encode(plain), DATA))
+    design = model.Design(**{row.name: vars(DESIGN)[row.name] for row in fields(model.Design)})
+    numbers = {row.name: vars(MODEL)[row.name] for row in fields(model.Model)}
+    plain = designs.encode(model.Model(**{**numbers, "design": design}))
+    paper, own = inspect.components(plain), inspect.components(DATA)
     zoom, colors = sum(paper.values()) / len(DATA), {n: color for n, (_, color) in SECTIONS.items()}
     labels = {  # of narrow parts above the strip, of the others below it
         name: (1.45 if own[name] < 400 else -0.2, f"{own[name]:,}\n{label}")
@@ -140,15 +144,15 @@ def parts(figure):
 
 def breaks(figure):
     """The same picture after failures of training and of decoding."""
-    sections = container.read_container(DATA)
+    sections = designs.read_container(DATA)
     first, *rest = sections["deformation_mlp"]
     sections["deformation_mlp"] = bytes([first ^ 64, *rest])
     files = {
         "the file": DATA,
         **{title: (PLACE / f"{title.replace(' ', '_')}.p4dgs").read_bytes() for title in FAILURES},
-        "one bit changed": container.write_container(sections, DATA[8]),
+        "one bit changed": file.write_container(sections),
     }
-    shown = {title: (file.decode(data), data) for title, data in files.items()}
+    shown = {title: (designs.decode(data), data) for title, data in files.items()}
     shown["one ulp in the decoder"] = one_ulp()
     first, *axes = figure.subplots(2, 4).flat
     truth = animation.truth(SCENE, show.enlarged(CAMERA, 8), T, MODEL.background)

@@ -7,18 +7,19 @@ process or, for kernels, of one process each; trainings may run in others.
 
 import os
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
 from ...arithmetic import CHOSEN, OWN, kernels
-from ...codec.file import ATTRIBUTE_SECTIONS, decode, encode
+from ...codec.file import ATTRIBUTE_SECTIONS
+from ...designs import choose, decode, encode, trainer_of
 from ...report.evaluate import evaluate
 from ...report.inspect import components
 from ...report.jobs import in_processes, processes
 from ...scenes import load_scene
-from ...training.presets import TINY, choose
-from ...training.trainer import Trainer
+from ...training.presets import TINY
 from ..clock import alternate, clocked
 
 SCENE, ITERATIONS, SEEDS = "bouncing", 950, 3
@@ -32,7 +33,7 @@ def shortened(preset, share):
     """The preset with a share of its iterations: all stages and dates are shortened alike."""
     ends = tuple(max(round(share * end), i + 1) for i, end in enumerate(preset.stage_ends))
     dates = {name: round(share * getattr(preset, name)) for name in DATES}
-    return preset._replace(stage_ends=ends, **dates)
+    return replace(preset, stage_ends=ends, **dates)
 
 
 def reduced(iterations, **changes):
@@ -48,7 +49,7 @@ def step_at(scene, preset, stage, **options):
     `options` are those of the Trainer.
     """
     # The anchors stay as they are.
-    trainer = Trainer(scene, preset._replace(grow_every=10**9), **options)
+    trainer = trainer_of(scene, replace(preset, grow_every=10**9), **options)
 
     def step():
         trainer.iteration = (0, *preset.stage_ends)[stage - 1]
@@ -76,7 +77,7 @@ def trained(changes, iterations, seed=0):
     """The model of a training with some changes."""
     scene, preset, options = prepared(changes, iterations)
     with np.errstate(all="ignore"):  # the trainer itself looks for overflows
-        return Trainer(scene, preset, seed, **options).run()
+        return trainer_of(scene, preset, seed, **options).run()
 
 
 # --- the harnesses -------------------------------------------------------------------------------

@@ -8,9 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...beyond import model as ours
+from ...beyond.networks import step_code
 from ...codec.quantise import quantise
 from ...equations.prior import layout
-from ...model import Model, join, step_code
+from ...model import Model, join
 from ...splatting.settings import FAST, PAPER
 from .. import StudyError
 from . import forms
@@ -55,7 +57,7 @@ SLOPE = 1e-3, "of the gradient", "ms"
 # Each function below returns {(line, value): model}, from the reference to cheaper ones.
 def redesigned(model, **changes) -> Model:
     """The model with other fields of its design."""
-    return replace(model, design=model.design._replace(**changes))
+    return replace(model, design=replace(model.design, **changes))
 
 
 def weight_bits(model):
@@ -69,14 +71,20 @@ def weight_bits(model):
             )
             for name, pair in model.networks.items()
         }
-        choices["", f"{bits}"] = replace(redesigned(model, coded=True), steps=steps)
+        choices["", f"{bits}"] = coded(model, steps=steps)
     return choices
+
+
+def coded(model, steps=None, position_bits=16):
+    """The model in the coded design."""
+    design = ours.Design(**vars(model.design), position_bits=position_bits)
+    return ours.Model(**{**vars(model), "design": design}, steps=steps)
 
 
 def position_bits(model):
     """Bits of a position per axis, in the coded design."""
     bits = (16, 12, 11, 10, 9, 8, 7, 6)
-    return {("", f"{n}"): redesigned(model, coded=True, position_bits=n) for n in bits}
+    return {("", f"{n}"): coded(model, position_bits=n) for n in bits}
 
 
 def with_base_steps(model):
@@ -199,7 +207,7 @@ KNOBS = (
         "file",
         weight_bits,
         "Bits of a network's weight: 16 as they are, fewer entropy coded",
-        "`Model.steps` and `coded`",
+        "`beyond.model.Model.steps`",
     ),
     Knob(
         "position bits",

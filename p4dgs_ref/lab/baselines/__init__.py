@@ -15,10 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ... import designs
 from ...scenes.fields import require
 from ...scenes.files import reading
 from ...splatting.settings import FAST
-from ...table import BEYOND, EQUATIONS, Equation
+from ...table import EQUATIONS, Equation
 from ...training.parameters import Parameters
 from ...training.presets import read_changes
 from .. import entry
@@ -94,7 +95,7 @@ _ROWS = (
         "deformation_d3dgs",
         "D3",
         "(delta_x, delta_s, delta_r) = psi_d(concat(E(x), psi_t(E(t))))",
-        "p4dgs_ref.equations.deformation_d3dgs",
+        "p4dgs_ref.lab.baselines.deformation_d3dgs",
         ("delta_x", "delta_s", "delta_r"),
         ("x", "weights", "biases", "time_weights", "time_biases"),
     ),
@@ -157,4 +158,4 @@ _ROWS = (
 )
 
 BASELINE_EQUATIONS: dict[str, Equation] = {row.key: row for row in _ROWS}
-ALL_EQUATIONS = {**EQUATIONS, **BASELINE_EQUATIONS, **BEYOND}
+ALL_EQUATIONS = {**EQUATIONS, **BASELINE_EQUATIONS, **designs.EQUATIONS}

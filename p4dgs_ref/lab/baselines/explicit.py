@@ -31,7 +31,7 @@ import numpy as np
 
 from ...equations import render_loss, view
 from ...equations.numerics import normalise, sigmoid
-from ...model import bounding_box, pull
+from ...model import bounding_box, with_backward
 from ...scenes.fields import require
 from ...scenes.files import read_ply, write_ply
 from ...splatting import render
@@ -40,7 +40,7 @@ from ...splatting.settings import FAST
 from ...training.density import Statistics
 from ...training.initial import neighbour_distance, starting_points
 from ...training.loop import Loop
-from ...training.objective import Losses, Seen
+from ...training.objective import Losses, Rendered
 from ...training.parameters import Parameters, exponential
 from ...training.watch import NotFinite, first_bad
 from . import sh_color
@@ -160,7 +160,7 @@ class Explicit:
     def render_gaussians(self, g, camera, settings, keep=True):
         """What `splatting.render.forward` returns for some Gaussians, and its backward."""
         looks = camera, self.background, settings, self.occlusion, keep
-        return pull(render, g.x, g.s, g.r, g.alpha, g.color, *looks)
+        return with_backward(render, g.x, g.s, g.r, g.alpha, g.color, *looks)
 
     def regularise(self, gradients, iteration):
         """Return the further terms of the loss and add their gradients; here there are none."""
@@ -217,11 +217,11 @@ def colors(preset, p, x, x_c, iteration):
     back(color_bar), the gradients of x, sh_dc and sh_rest. The direction is that of the moved
     Gaussian, as in the kernel of 3DGS.
     """
-    (_, d), back_view = pull(view, x, x_c)
+    (_, d), back_view = with_backward(view, x, x_c)
     degree = min(iteration // preset.sh_every, preset.sh_degree)
     used = (degree + 1) ** 2 - 1
     sh = np.concatenate([p["sh_dc"], p["sh_rest"][:, :, :used]], axis=2)
-    color, back_color = pull(sh_color, d, sh)
+    color, back_color = with_backward(sh_color, d, sh)
 
     def back(color_bar):
         bars = back_color(color_bar)
@@ -317,7 +317,7 @@ class Trainer(Loop):
         return self.iteration, self.preset.iterations
 
     def gradients_of(self, view):
-        """The Losses of a view, what was Seen, and the gradients of parameters and of mean2d.
+        """The Losses of a view, what was Rendered, and the gradients of parameters and of mean2d.
 
         Raises NotFinite with the first array and index that is NaN or infinite.
         """
@@ -327,7 +327,7 @@ class Trainer(Loop):
         g, back_predict = model.predict(self.time_of(view), x_c, self.iteration)
         (image, _, visible), back_render = model.render_gaussians(g, view.camera, self.settings)
         truth, moments = view.image.astype(image.dtype), self.moments_of(view)
-        losses, back_loss = pull(render_loss, image, truth, preset.lambda_ssim, moments)
+        losses, back_loss = with_backward(render_loss, image, truth, preset.lambda_ssim, moments)
         bars = back_render(back_loss(1.0)["image"])
         gaussians_bar = [bars[name].astype(p.vector.dtype) for name in g._fields[:-1]]
         for name, gradient in back_predict(*gaussians_bar).items():
@@ -340,7 +340,7 @@ class Trainer(Loop):
         unused = np.zeros((self.primitives, 1))  # opacities, which decide nothing here
         return (
             Losses(L_total, L_render, L1, D_SSIM, 0.0, 0.0),
-            Seen(unused, g.index, visible, image),
+            Rendered(unused, g.index, visible, image),
             gradients,
             bars["mean2d"],
         )

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...equations.numerics import sigmoid, sigmoid_slope
-from ...model import pull
+from ...model import with_backward
 from ...splatting import render
 from . import conditional, explicit, marginal, rotation_4d, spherindrical
 
@@ -88,10 +88,10 @@ class Gaussian4D(explicit.Explicit):
         """See `Explicit`; only the Gaussians with a weight above MIN_WEIGHT are returned."""
         p = self.parameters
         s = four_scales(p)
-        R, back_R = pull(rotation_4d, p["raw_l"], p["raw_r"])
-        (x, Sigma, var_t), back_conditional = pull(conditional, p["x"], p["mu_t"], s, R, t)
+        R, back_R = with_backward(rotation_4d, p["raw_l"], p["raw_r"])
+        (x, Sigma, var_t), back_conditional = with_backward(conditional, p["x"], p["mu_t"], s, R, t)
         opacity = sigmoid(p["logit_alpha"])
-        (alpha, weight), back_marginal = pull(marginal, opacity, p["mu_t"], var_t, t)
+        (alpha, weight), back_marginal = with_backward(marginal, opacity, p["mu_t"], var_t, t)
         color, back_color = self.colors(x, x_c, t, iteration)
         rows = np.flatnonzero(weight > MIN_WEIGHT)
 
@@ -129,7 +129,7 @@ class Gaussian4D(explicit.Explicit):
         waves = min(max(in_time, 0), preset.waves)
         stored = np.concatenate([p["sh_dc"], p["sh_rest"]], axis=2)
         sh = stored.reshape(len(x), 3, preset.waves + 1, -1)[:, :, : waves + 1]
-        sh_t, back_sh = pull(spherindrical, sh, p["mu_t"], t)
+        sh_t, back_sh = with_backward(spherindrical, sh, p["mu_t"], t)
         at_t = {"sh_dc": sh_t[:, :, :1], "sh_rest": sh_t[:, :, 1:]}
         color, back_color = explicit.colors(preset, at_t, x, x_c, iteration)
 

@@ -55,10 +55,10 @@ STEPS = {
     "D3DGS": {"method": "d3dgs"},
     "+ spatial prediction": {
         "changes": {**WITHOUT_RATE, "lr_d": AUTHORS.lr_d},
-        "design": {name: getattr(AUTHORS, name) for name in THEIR_NETWORK},
+        "network": {name: getattr(AUTHORS, name) for name in THEIR_NETWORK},
         "plain": (),
     },
-    "+ compact deformation MLP": {"changes": WITHOUT_RATE, "plain": ("psi_d", "psi_t")},
+    "+ compact deformation MLP": {"changes": WITHOUT_RATE, "plain": ("psi_d",)},
     PAPER_METHOD: {},
     "+ coded networks and positions": {"method": CODED},
     "+ more anchors": {"method": CODED, "changes": {"anchors": 800, "lambda_rate": 0.001}},

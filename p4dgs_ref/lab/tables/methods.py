@@ -18,10 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ... import output
+from ... import designs, output
+from ... import model as paper
 from ...arithmetic import arithmetic
-from ...codec.file import ATTRIBUTE_SECTIONS, decode, encode
-from ...model import CONTEXT_NETWORKS, Anchors, Design, Model, bounding_box
+from ...codec.file import ATTRIBUTE_SECTIONS
+from ...designs import PRESETS, choose, decode, encode
+from ...model import CONTEXT_NETWORKS, Anchors, bounding_box
 from ...report.evaluate import evaluate, json_safe
 from ...report.inspect import components, ledger
 from ...report.jobs import in_processes
@@ -29,12 +31,11 @@ from ...scenes import Scene
 from ...scenes.files import read_json
 from ...scenes.scene import require
 from ...training.fit import fingerprint
-from ...training.initial import design_of
 from ...training.parameters import Parameters
-from ...training.presets import PRESETS, TINY_REAL, choose, differences
-from ...training.trainer import Trainer
+from ...training.presets import TINY_REAL, differences
 from .. import baselines, entry
 from ..accuracy.harness import shortened
+from ..baselines import d3dgs_network
 from ..clock import clocked
 
 OURS = "p4dgs"
@@ -67,7 +68,7 @@ class Task(NamedTuple):
     study: str = "compare"  # the command of which it is a row
     # Of the ablation's steps, which train our method in another form:
     step: str | None = None  # the name of the step
-    design: dict = {}  # changes of the Design
+    network: dict = {}  # fields of the Design that are those of D3DGS's network
     zeros: tuple = ()  # parameters that start at zero
     plain: tuple | None = None  # in a plain file; the networks that are float16 there
 
@@ -174,8 +175,10 @@ def trainer_of(task):
     preset = preset_of(task)
     if not task.is_ours:
         return baselines.module_of(task.method)[0].Trainer(task.scene, preset, task.seed)
-    design = design_of(preset, task.scene.effects)._replace(**task.design)
-    trainer = Trainer(task.scene, preset, task.seed, design=design)
+    if task.network:
+        trainer = d3dgs_network.Trainer(task.scene, preset, task.seed, task.network)
+    else:
+        trainer = designs.trainer_of(task.scene, preset, task.seed)
     for name in task.zeros:
         trainer.parameters[name][...] = 0
     return trainer
@@ -303,7 +306,7 @@ def save_plain(model, path, half=()):
     types = [
         (name, "f2" if name.split(".")[0] in half else "f4", a.shape) for name, a in values.items()
     ]
-    design = str(model.design._asdict())
+    design = str(vars(model.design))
     record = np.array((*values.values(), design), [*types, ("design", f"S{len(design)}")])
     output.write_atomically(path, lambda file: np.save(file, record))
     anchors, weights = (sum(record[n].nbytes for n in part) for part in (gaussians, network))
@@ -322,6 +325,7 @@ def load_plain(path):
     attributes = [p[name] for name in Anchors._fields[:-1]]
     anchors = Anchors(*attributes, mask=np.ones(attributes[-1].shape[:2], bool))
     networks = dict.fromkeys(name.split(".")[0] for name in names if "." in name)
-    design = Design(**literal_eval(record["design"].item().decode()))
+    design = literal_eval(record["design"].item().decode())
+    form = d3dgs_network if "time_net" in design else paper
     box, networks = bounding_box(anchors.x_a), {name: p.network(name) for name in networks}
-    return Model(design, anchors, networks, [], box, p["background"])
+    return form.Model(form.Design(**design), anchors, networks, [], box, p["background"])

@@ -6,6 +6,7 @@ import io
 import re
 import sys
 import types
+from dataclasses import replace
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -131,7 +132,8 @@ def mixed(whole):
 
 def in_the_package(whole, p):
     """The same parameters, design and networks in the package's form."""
-    preset = TINY._replace(
+    preset = replace(
+        TINY,
         d=whole.d,
         k=whole.k,
         hidden=(2 * whole.d,) * 2,
@@ -198,7 +200,7 @@ def test_whole_loss_and_its_gradient_are_those_of_the_package(stage, whole):
         located = hash_grid.locate(p["x_a"], *box, design.grid, tables)
     middle, size = (whole.SIZE - 1) / 2, whole.SIZE
     camera = Camera(R, T, whole.FOCAL, whole.FOCAL, middle, middle, size, size)
-    fixed = objective.Fixed(
+    fixed = objective.StepInputs(
         mask=np.ones((whole.A, whole.k), bool),
         located=located,
         background=whole.BACKGROUND,

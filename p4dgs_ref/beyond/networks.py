@@ -8,12 +8,40 @@ Equation `weight_bits` says what the numbers cost, and `scales` under which dens
 
 import numpy as np
 
-from ..equations import noise, weight_bits
-from ..model import first_steps, pull, step_code, step_of_code
-from .parameters import Parameters
+from ..equations import noise
+from ..model import with_backward
+from ..training.parameters import Parameters
+from . import weight_bits
 
-SHARED = 4.0  # pseudo-count with which the mean of a tensor enters those of its rows and columns
-LEAST_SCALE = 0.4  # of a density, in steps: its slope is at most 1 / LEAST_SCALE a step
+PSEUDO_COUNT = 4.0  # numbers that have the mean of their tensor, added to each row and column
+MIN_SCALE = 0.4  # of a density, in steps: the gradient of the bits is at most 1 / MIN_SCALE a step
+
+
+def step_code(step):
+    """The codes of the steps that are nearest to some positive numbers: int64."""
+    mantissa, exponent = np.frexp(np.clip(step, step_of_code(0), step_of_code(255)))
+    return 16 * (exponent + 14) + np.rint(32 * mantissa).astype(np.int64) - 16
+
+
+def step_of_code(code):
+    """The steps of codes 0 to 255: (16 + code mod 16) 2^(floor(code / 16) - 19), 2^-15 to 1.94.
+
+    The product of a step and an integer up to 2^19 is exact, also in float32.
+    """
+    return np.ldexp(16.0 + code % 16, code // 16 - 19)
+
+
+def default_steps(networks):
+    """Default step codes, for the weights and the biases of every layer.
+
+    A tenth of the root mean square of the weights, and half of that for the biases, as
+    {network: (codes, codes)}.
+    """
+    steps = {}
+    for name, (weights, _) in networks.items():
+        rms = np.sqrt([np.sum(W.astype(float) ** 2) / max(W.size, 1) for W in weights])
+        steps[name] = step_code(0.1 * rms), step_code(0.05 * rms)
+    return steps
 
 
 class Layout:
@@ -34,9 +62,9 @@ class Layout:
         self.counts = [np.bincount(index) for index in (self.tensor, self.row, self.column)]
 
 
-def first_log_steps(networks):
+def initial_log_steps(networks):
     """Logarithms [T] of the steps before they are learned, tensors in the order of Parameters."""
-    codes = [np.stack(pair, axis=1).ravel() for pair in first_steps(networks).values()]
+    codes = [np.stack(pair, axis=1).ravel() for pair in default_steps(networks).values()]
     return np.log(step_of_code(np.concatenate(codes)))
 
 
@@ -53,8 +81,8 @@ def steps_of(log_step):
 
 
 def means(a, index, count, mean):
-    """The mean of the magnitudes a [n] that share an index, together with SHARED times `mean`."""
-    return (np.bincount(index, a)[index] + SHARED * mean) / (count + SHARED)[index]
+    """The mean of the magnitudes a [n] that share an index, and of PSEUDO_COUNT times `mean`."""
+    return (np.bincount(index, a)[index] + PSEUDO_COUNT * mean) / (count + PSEUDO_COUNT)[index]
 
 
 def scales(k, layout):
@@ -66,10 +94,10 @@ def scales(k, layout):
     a, (numbers, in_row, in_column) = np.abs(k).astype(float), layout.counts
     m = (np.bincount(layout.tensor, a) / np.maximum(numbers, 1))[layout.tensor]
     r, c = means(a, layout.row, in_row, m), means(a, layout.column, in_column, m)
-    return np.maximum(r * c / np.maximum(m, 1e-9), LEAST_SCALE).astype(k.dtype)
+    return np.maximum(r * c / np.maximum(m, 1e-9), MIN_SCALE).astype(k.dtype)
 
 
-def coded(p, layout):
+def rounded_networks(p, layout):
     """Return the rounded networks, their bits, and `back`.
 
     back(gradients, R_networks_bar) turns the gradients of the rounded networks, in place, into
@@ -77,9 +105,9 @@ def coded(p, layout):
     """
     w, step = p.vector[layout.part], steps_of(p["log_step"]).astype(p.vector.dtype)[layout.tensor]
     error = np.rint(w / step) - w / step
-    rounded, back_rounded = pull(noise, w[:, None], error[:, None], step[:, None])
+    rounded, back_rounded = with_backward(noise, w[:, None], error[:, None], step[:, None])
     layout.rounded.vector[:] = w = rounded[:, 0]
-    bits, back_bits = pull(weight_bits, w, step, scales(w / step, layout))
+    bits, back_bits = with_backward(weight_bits, w, step, scales(w / step, layout))
 
     def back(gradients, R_networks_bar):
         of_bits = back_bits(np.full_like(step, R_networks_bar))

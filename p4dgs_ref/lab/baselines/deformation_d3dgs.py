@@ -4,12 +4,12 @@
 
 Yang et al. 2024 (D3DGS). With three hidden layers this is the reading of the paper whose size comes
 nearest to its table (Q1); the presets use `deformation`. The skip gives concat(E(x), psi_t(E(t)))
-once more to the layer after the middle one; `skip_layer` finds it from the weights' shapes.
+once more to the layer after the middle one. `skip_layer` finds it from the weights' shapes.
 """
 
 import numpy as np
 
-from . import mlp, positional_encoding
+from ...equations import mlp, positional_encoding
 
 
 def forward(

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.codec import version_2 as weights
-from p4dgs_ref.codec.file import decode, encode
-from p4dgs_ref.codec.quantise import EncodeError, quantise
-from p4dgs_ref.codec.version_2 import read_weights, write_weights
-from p4dgs_ref.model import first_steps, step_code, step_of_code
-from p4dgs_ref.training.fit import fit
+from p4dgs_ref.beyond import weights
+from p4dgs_ref.beyond.file import quantised
+from p4dgs_ref.beyond.networks import default_steps, step_code, step_of_code
+from p4dgs_ref.beyond.weights import read_networks, read_steps, write_weights
+from p4dgs_ref.codec.container import EncodeError
+from p4dgs_ref.designs import decode, encode, fit
 from tests.codec.models import prefixes, random_model, refusal
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -47,7 +47,8 @@ def made(shapes, scale, seed=0):
 def test_sections_come_back(shapes, scale):
     networks, steps = made(shapes, scale)
     data = write_weights(networks, steps)
-    found, codes = read_weights(data, "anchor_mlps", shapes)
+    found = read_networks(data, "anchor_mlps", shapes)
+    codes = read_steps(data, "anchor_mlps", shapes)
     assert [*found] == [*networks] == [*codes]
     for name, pair in networks.items():
         for arrays, others in zip(pair, found[name]):
@@ -87,7 +88,7 @@ def test_rows_and_columns_that_are_almost_zero_are_cheap():
 def test_the_codes_chosen_never_cost_more_than_none_and_are_found_soon(monkeypatch, scale):
     rng, calls, price = np.random.default_rng(4), [], weights.price
     n = np.rint(scale * rng.normal(size=(9, 5)) * rng.lognormal(size=5)).astype(np.int64)
-    magnitudes = np.minimum(np.abs(n), weights.MOST - 1)
+    magnitudes = np.minimum(np.abs(n), weights.KNOWN_COSTS - 1)
     plain = weights.fit(n, True, weights.best_level_plainly)
     monkeypatch.setattr(weights, "price", lambda *pair: calls.append(pair) or price(*pair))
     t, r, c = weights.fit(n, True)
@@ -113,22 +114,22 @@ def test_every_truncation_is_refused():
     shapes = SHAPES["usual"]
     data = write_weights(*made(shapes, 3.0))
     for bad in prefixes(data):
-        error = refusal(read_weights, bad, "anchor_mlps", shapes)
+        error = refusal(read_networks, bad, "anchor_mlps", shapes)
         assert error.section == "anchor_mlps" and error.offset <= len(bad)
-    assert refusal(read_weights, data + b"\0", "", shapes).message == "bits left over"
+    assert refusal(read_networks, data + b"\0", "", shapes).message == "bits left over"
 
 
 @pytest.mark.parametrize("tensor", range(8))
 def test_a_level_beyond_27_is_refused_at_its_byte(tensor):
     data = bytearray(write_weights(*made(SHAPES["usual"], 3.0)))
     data[2 * tensor + 1] = 28
-    error = refusal(read_weights, bytes(data), "anchor_mlps", SHAPES["usual"])
+    error = refusal(read_networks, bytes(data), "anchor_mlps", SHAPES["usual"])
     assert error.offset == 2 * tensor + 1 and "levels of at most 27" in error.message
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, 32768 * 2.0**-15])
 def test_a_weight_that_no_file_can_hold_is_named(wrong):
-    model = random_model(1, coded=True)
+    model = random_model(1, is_coded=True)
     steps = {name: (0 * W, 0 * b) for name, (W, b) in model.steps.items()}
     tame = {name: [[0 * a for a in part] for part in pair] for name, pair in model.networks.items()}
     tame["psi_r"][0][0][2, 1] = wrong
@@ -136,11 +137,11 @@ def test_a_weight_that_no_file_can_hold_is_named(wrong):
         encode(dataclasses.replace(model, networks=tame, steps=steps))
 
 
-def test_a_model_without_steps_gets_the_first_ones():
-    model = random_model(1, coded=True)
+def test_a_model_without_steps_gets_the_default_ones():
+    model = random_model(1, is_coded=True)
     plain = dataclasses.replace(model, steps=None)
-    expected = first_steps(model.networks)
-    found = quantise(plain).model
+    expected = default_steps(model.networks)
+    found = quantised(plain).model
     assert all(np.array_equal(found.steps[name], expected[name]) for name in expected)
     rms = np.sqrt(np.mean(model.networks["psi_c"][0][0] ** 2))
     assert step_of_code(expected["psi_c"][0][0]) == pytest.approx(0.1 * rms, rel=0.04)
@@ -149,12 +150,12 @@ def test_a_model_without_steps_gets_the_first_ones():
 
 
 def test_training_learns_the_steps_and_the_file_holds_them():
-    changes = dict(coded=True, position_bits=10, network_ramp=5, lr_step="0.05,0.02")
+    changes = dict(is_coded=True, position_bits=10, network_ramp=5, lr_step="0.05,0.02")
     scene = p4.load_scene("bouncing", downscale=4)
     trainer = fit(scene, "smoke", 3, **changes)
     first = fit(scene, "smoke", 3, **{**changes, "lr_step": "0,0"})
     model, decoded = trainer.model(), decode(encode(trainer.model()))
-    assert decoded.design.coded and decoded.design.position_bits == 10
+    assert decoded.design.position_bits == 10
     for name, pair in decoded.networks.items():
         for arrays, trained, codes in zip(pair, model.networks[name], model.steps[name]):
             for a, b, step in zip(arrays, trained, step_of_code(codes)):

@@ -3,20 +3,18 @@
 import itertools
 import json
 import zlib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from p4dgs_ref.codec import container, version_2
-from p4dgs_ref.codec.container import read_container
-from p4dgs_ref.codec.file import decode, encode
-from p4dgs_ref.codec.header import BASES, read_header, write_header
-from p4dgs_ref.codec.quantise import quantise
-from p4dgs_ref.codec.version_2 import read_gaps, write_gaps
-from p4dgs_ref.model import on_lattice, snap
-from p4dgs_ref.training.initial import design_of
-from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
-from tests.codec.models import CODED, MAKE, coded, digest, random_model, refusal
+from p4dgs_ref.beyond import positions
+from p4dgs_ref.beyond.file import BASES, quantised, read_header, write_header
+from p4dgs_ref.beyond.positions import of_16_bits, read_positions, snap, write_positions
+from p4dgs_ref.beyond.presets import design_of
+from p4dgs_ref.designs import choose, decode, encode, read_container
+from tests.codec.models import CODED, MAKE, coded, digest, refusal
+from tests.golden.both import write_container
 from tests.sampling import few
 
 # An overflow or a NaN on the way is a failure, too.
@@ -24,13 +22,34 @@ pytestmark = pytest.mark.filterwarnings("error")
 BOX = np.array([-1.5, -1.0, 0.25], np.float32), np.array([1.5, 2.0, 1.75], np.float32)
 
 
+def box_bytes(box):
+    return np.concatenate(box).astype("<f4").tobytes()
+
+
+def write_gaps(points, box, bits):
+    """The section after the box."""
+    model = SimpleNamespace(box=box, design=SimpleNamespace(position_bits=bits))
+    section = write_positions(model, points)
+    assert section.startswith(box_bytes(box))
+    return section[24:]
+
+
+def read_gaps(data, count, box, bits):
+    """The positions in a section whose bytes after the box are `data`."""
+    found, points = read_positions(
+        box_bytes(box) + data, count, SimpleNamespace(position_bits=bits)
+    )
+    assert np.array_equal(found, box)
+    return points
+
+
 @pytest.mark.parametrize("name", few(CODED, 4))
 def test_decoding_gives_the_quantised_model_and_encoding_again_the_file(name):
     model = CODED[name]()
-    data, quantised = encode(model), quantise(model)
+    data, rounded = encode(model), quantised(model)
     assert data[8] == 2
-    assert digest(decode(data)) == digest(quantised.model)
-    assert decode(data).design == quantised.model.design
+    assert digest(decode(data)) == digest(rounded.model)
+    assert decode(data).design == rounded.model.design
     assert encode(decode(data)) == data
 
 
@@ -52,7 +71,7 @@ def test_anchors_of_one_code_keep_their_order():
     lo, hi = (corner.astype(float) for corner in model.box)
     codes = [code_of(point, 1) for point in np.rint((given.x_a - lo) / (hi - lo)).astype(int)]
     order = sorted(range(len(codes)), key=codes.__getitem__)  # a stable sort
-    found = quantise(model)
+    found = quantised(model)
     assert np.array_equal(found.model.anchors.mask, given.mask[order])
     for i, name in enumerate(("f_a", "s_a", "l_a")):
         error = np.abs(getattr(found.model.anchors, name) - getattr(given, name)[order])
@@ -62,7 +81,7 @@ def test_anchors_of_one_code_keep_their_order():
 @pytest.mark.parametrize("bits", range(1, 17))
 def test_the_lattice_is_part_of_that_of_16_bits(bits):
     m, last = np.arange(2**bits), 2**bits - 1
-    n = on_lattice(m, bits)
+    n = of_16_bits(m, bits)
     # 65535 i / last, rounded half up
     assert n.tolist() == [(2 * 65535 * i + last) // (2 * last) for i in m.tolist()]
     assert n[0] == 0 and n[-1] == 65535 and (np.diff(n) > 0).all()
@@ -95,7 +114,7 @@ def sorted_points(rng, count, bits, spread=None):
         m = np.clip(m // spread + rng.integers(0, 2**bits - 1), 0, 2**bits - 1)
     codes = [code_of(point, bits) for point in m.tolist()]
     order = np.argsort(codes, kind="stable")
-    return on_lattice(m[order], bits), sorted(codes)
+    return of_16_bits(m[order], bits), sorted(codes)
 
 
 GAPS = itertools.product([1, 2, 7, 10, 15, 16], [1, 2, 7, 300], [None, 3, 50])
@@ -113,17 +132,17 @@ def test_gaps_are_written_as_the_page_says(bits, count, spread):
     allowed = {r: size for r, size in sizes.items() if least <= r <= 3 * bits}
     assert data[0] == min(allowed, key=allowed.get)
     for r in range(least, 3 * bits + 1):  # a decoder reads any r
-        assert np.array_equal(read_gaps(gaps_file(gaps, r), 0, count, BOX, bits), points)
+        assert np.array_equal(read_gaps(gaps_file(gaps, r), count, BOX, bits), points)
 
 
 def test_worked_numbers_of_positions():
-    points = on_lattice(np.array([[0, 1, 2], [3, 0, 1]]), 2)
+    points = of_16_bits(np.array([[0, 1, 2], [3, 0, 1]]), 2)
     assert points.tolist() == [[0, 21845, 43690], [65535, 0, 21845]]
     assert [code_of(point, 2) for point in ([0, 1, 2], [3, 0, 1])] == [10, 37]
     assert gaps_file([10, 27], 4) == bytes([0x04, 0xBA, 0x05])
-    assert np.array_equal(read_gaps(bytes([0x04, 0xBA, 0x05]), 0, 2, BOX, 2), points)
+    assert np.array_equal(read_gaps(bytes([0x04, 0xBA, 0x05]), 2, BOX, 2), points)
     for text in ("10 and 27", "04 BA 05", "0, 21845, 43690 and 65535"):
-        assert text in " ".join(version_2.__doc__.split())
+        assert text in " ".join(positions.__doc__.split())
 
 
 @pytest.mark.parametrize(
@@ -148,12 +167,12 @@ def test_worked_numbers_of_positions():
     ],
 )
 def test_wrong_gaps_are_refused(data, count, bits, offset, why):
-    error = refusal(read_gaps, data, 0, count, BOX, bits)
-    assert (error.section, error.offset) == ("positions", offset) and why in error.message
+    error = refusal(read_gaps, data, count, BOX, bits)
+    assert (error.section, error.offset) == ("positions", 24 + offset) and why in error.message
 
 
 def test_gaps_may_add_up_to_the_last_code():
-    found = read_gaps(gaps_file([2**48 - 1, 0], 20), 0, 2, BOX, 16)
+    found = read_gaps(gaps_file([2**48 - 1, 0], 20), 2, BOX, 16)
     assert found.tolist() == [[65535] * 3] * 2
 
 
@@ -163,25 +182,25 @@ def test_axes_without_extent_cost_nothing():
     flat = np.array([0, 0, 1], np.float32), np.array([0, 3, 1], np.float32)
     data = write_gaps(points, flat, 2)
     assert data == gaps_file([0, 1, 0, 2], data[0])
-    assert np.array_equal(read_gaps(data, 0, 4, flat, 2), points)
+    assert np.array_equal(read_gaps(data, 4, flat, 2), points)
     nowhere = flat[0], flat[0]
     assert write_gaps(points * 0, nowhere, 16) == bytes([0, 0b1111])
-    assert not read_gaps(bytes([0, 0b1111]), 0, 4, nowhere, 16).any()
+    assert not read_gaps(bytes([0, 0b1111]), 4, nowhere, 16).any()
 
 
 # --- header ---
 
 
 @pytest.mark.parametrize(
-    "preset, name", [(TINY._replace(position_bits=10), "tiny"), (PAPER_SYNTHETIC, "paper")]
+    "preset, bits, name", [("tiny", 10, "tiny"), ("paper_synthetic", 16, "paper")]
 )
-def test_a_base_design_says_what_a_preset_says(preset, name):
+def test_a_base_design_says_what_a_preset_says(preset, bits, name):
     effects = tuple(BASES[name]["effects"])
-    design = design_of(preset._replace(coded=True), effects)
+    design = design_of(choose(preset, {"is_coded": True, "position_bits": bits}), effects)
     text = json.dumps({"as": name, "anchors": 7}, separators=(",", ":")).encode()
-    found, anchors, background = read_header(text, 2)
+    found, anchors, background = read_header(text)
     assert (found, anchors, background.tolist()) == (design, 7, [1.0, 1.0, 1.0])
-    model = random_model(coded=True, position_bits=10)
+    model = coded(10)
     written = write_header(changed_design(model, design))
     assert json.loads(written)["as"] == name and "d" not in json.loads(written)
 
@@ -198,7 +217,7 @@ def test_the_header_holds_what_differs():
     fields = json.loads(write_header(model))
     base = BASES[fields.pop("as")]
     assert fields and all(base.get(name) != value for name, value in fields.items())
-    assert read_header(write_header(model), 2)[0] == model.design
+    assert read_header(write_header(model))[0] == model.design
 
 
 @pytest.mark.parametrize(
@@ -211,11 +230,10 @@ def test_the_header_holds_what_differs():
         ({"as": None, "anchors": 7}, "field 'as'"),
         ({"as": "tiny"}, "expected the fields"),
         ({"as": "tiny", "anchors": 0}, "field 'anchors'"),
-        ({"as": "tiny", "anchors": 7, "coded": True}, "expected the fields"),
+        ({"as": "tiny", "anchors": 7, "is_coded": True}, "expected the fields"),
         ({"as": "tiny", "anchors": 7, "position_bits": 0}, "field 'position_bits'"),
         ({"as": "tiny", "anchors": 7, "position_bits": 17}, "field 'position_bits'"),
         ({"as": "tiny", "anchors": 7, "position_bits": 9.0}, "field 'position_bits'"),
-        ({"as": "tiny", "anchors": 7, "skip": True}, "field 'skip'"),
         ({"as": "tiny", "anchors": 7, "d": 0}, "field 'd'"),
         ('{"as":"tiny","anchors":7,"anchors":7}', "no field twice"),
         ('{"as":"tiny","anchors":7,"as":"tiny"}', "no field twice"),
@@ -225,21 +243,15 @@ def test_the_header_holds_what_differs():
 )
 def test_wrong_headers_are_refused(text, why):
     body = text if isinstance(text, str) else json.dumps(text)
-    error = refusal(read_header, body.encode(), 2)
+    error = refusal(read_header, body.encode())
     assert (error.section, error.offset) == ("header", 0) and why in error.message
 
 
 def test_a_header_belongs_to_its_version():
     old, new = encode(MAKE["random"]()), encode(coded())
     for data, version, why in ((old, 2, "field 'as'"), (new, 1, "expected the fields")):
-        forged = container.write_container(read_container(data), version)
+        forged = write_container(read_container(data), version)
         assert why in refusal(decode, forged).message
-
-
-def test_the_paper_s_design_has_16_bits_whatever_it_says():
-    model = random_model(1)
-    design = model.design._replace(position_bits=3)
-    assert encode(changed_design(model, design)) == encode(model)
 
 
 # --- the whole file ---
