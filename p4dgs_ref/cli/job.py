@@ -136,10 +136,6 @@ def train(arguments):
         )
         with filled(folder) as staging:
             figures.write_training(staging, trainer.history, preset.stage_ends)
-    factors = getattr(trainer, "factors", ())
-    if factors:
-        counted = " and from stage 3 on ".join(f"{times:.1f} times" for times in factors)
-        say(f"what moves counted {counted} in L1, until the middle of stage 3 (B3)")
     caution(designs.what_is_lost(trainer))
     tell(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors, {seconds:.1f} s")
 
@@ -232,14 +228,9 @@ def frozen_camera(arguments, model):
 
 def export_ply(arguments):
     """Write the Gaussians of one time as one camera sees them."""
-    require(
-        Path(arguments.file).suffix != ".ply",
-        arguments.file,
-        "expected a .p4dgs file; `p4dgs-ref render` draws a baseline's",
-    )
-    _, model, _ = read_file(arguments.file)
+    file, (_, model, _) = Path(arguments.file), read_file(arguments.file)
     camera, name = frozen_camera(arguments, model)
-    file, gaussians = Path(arguments.file), model.gaussians(arguments.time, camera)
+    gaussians = model.gaussians(arguments.time, camera)
     with new_file(arguments.output or file.with_suffix(".ply"), file) as output:
         splats.write_gaussians(
             output,

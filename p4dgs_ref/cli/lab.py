@@ -39,9 +39,9 @@ def effects(arguments):
         return suggest_effects(arguments)
     with filled(arguments.output) as staging:
         scene = load_scene(arguments.scene)
-        found = effect_ledger.ledger(scene, progress=progress, jobs=arguments.jobs)
-        effect_ledger.draw_ledger(staging / "effects.png", found)
-    show(arguments, {"effects": found}, effect_ledger.to_text(found))
+        rows = effect_ledger.ledger(scene, progress=progress, jobs=arguments.jobs)
+        effect_ledger.draw_ledger(staging / "effects.png", rows)
+    show(arguments, {"effects": rows}, effect_ledger.to_text(rows))
 
 
 def suggest_effects(arguments):
@@ -53,46 +53,36 @@ def suggest_effects(arguments):
         f"{folder} is a packaged scene; expected a folder of yours",
     )
     say(f"--suggest: about {seconds_of(scene, jobs=arguments.jobs):.0f} s of short trainings")
-    found = suggest(scene, progress=progress, jobs=arguments.jobs)
-    lines = [f"{row['effect']:<14} {row['verdict']:<12} {row['evidence']}" for row in found]
+    rows = suggest(scene, progress=progress, jobs=arguments.jobs)
+    lines = [f"{row['effect']:<14} {row['verdict']:<12} {row['evidence']}" for row in rows]
     if arguments.apply:
-        called = [row["effect"] for row in found if row["called_for"]]
+        called = [row["effect"] for row in rows if row["called_for"]]
         lines.append(f"written to {list_effects(folder, called)}: {', '.join(called)}")
-    show(arguments, {"effects": found}, "\n".join(lines))
+    show(arguments, {"effects": rows}, "\n".join(lines))
 
 
-def make(arguments, tasks):
-    """Make the rows of a study that are missing, after an estimate of the time."""
-    methods.make_missing(tasks, progress, arguments.jobs, partial(estimate, arguments))
-
-
-def show_table(arguments, study, result):
-    """Show the result of a study and where its files are."""
+def make_table(arguments, study, *options):
+    """Make the rows of a study that are missing, after an estimate of the time; show all."""
+    with filled(arguments.output) as staging:
+        tasks = study.plan(*options, arguments.iterations)
+        methods.make_missing(tasks, progress, arguments.jobs, partial(estimate, arguments))
+        result = study.collect(tasks, staging)
     show(arguments, result, f"{study.to_text(result)}\nfiles and tables: {arguments.output}")
 
 
 def compare_methods(arguments):
     """Train all methods on scenes; print the paper's Tables 1 and 2 in form, or their curves."""
-    names, seeds = arguments.scenes or compare.dynamic_scenes(), arguments.seeds
-    study = curve if arguments.curve else compare
+    study, seeds = curve if arguments.curve else compare, arguments.seeds
+    scenes = [load_scene(name) for name in arguments.scenes or compare.dynamic_scenes()]
     if arguments.quick:
-        names, seeds = names[:1], 1
-    scenes, options = [load_scene(name) for name in names], (arguments.methods, seeds)
-    with filled(arguments.output) as staging:
-        tasks = study.plan(scenes, arguments.output, *options, arguments.iterations)
-        make(arguments, tasks)
-        result = study.collect(tasks, staging, progress)
-    show_table(arguments, study, result)
+        scenes, seeds = scenes[:1], 1
+    make_table(arguments, study, scenes, arguments.output, arguments.methods, seeds)
 
 
 def ablate_parts(arguments):
     """Print the paper's Table 3 in form, and the method with one part left out at a time."""
-    scene, options = load_scene(arguments.scene), (arguments.seeds, arguments.iterations)
-    with filled(arguments.output) as staging:
-        tasks = ablate.plan(scene, arguments.output, *options)
-        make(arguments, tasks)
-        result = ablate.collect(tasks, staging)
-    show_table(arguments, ablate, result)
+    scene = load_scene(arguments.scene)
+    make_table(arguments, ablate, scene, arguments.output, arguments.seeds)
 
 
 def classroom(arguments):

@@ -10,7 +10,6 @@ import sys
 import warnings
 from contextlib import suppress
 from importlib import import_module
-from pathlib import Path
 
 from ..arithmetic import arithmetic
 from ..signals import deferred
@@ -81,16 +80,13 @@ JOBS = option(
     metavar="N",
     help="processes for independent trainings (default: one for every core)",
 )
-SEED = option(
-    "--seed", type=number(int, 0), default=0, metavar="N", help="of everything random (0)"
-)
 YES = switch("--yes", "go on although the estimate is over an hour")
 FILE = option("file", help="a .p4dgs file")
 NEW_FOLDER = output("folder to write to", required=True)
 SCENE_HELP = "a D-NeRF, HyperNeRF or NeRF-DS folder, or the name of a packaged scene"
 SCENE = option("scene", help=SCENE_HELP)
 SETTINGS = (
-    SEED,
+    option("--seed", type=number(int, 0), default=0, metavar="N", help="of everything random (0)"),
     several("--set", "KEY=VALUE", "change a field of the preset; may be repeated", dest="changes"),
     switch("--quiet", "no progress line"),
     YES,
@@ -472,7 +468,7 @@ def parser():
 
 # The end of the message of a stopped command: what is kept, and how to go on.
 STOPPED = {
-    "train": "; the last checkpoint is kept, the same command with --resume goes on from it",
+    "train": "; if the run folder has a checkpoint, the same command with --resume goes on from it",
     **dict.fromkeys(
         ("compare", "ablate"),
         "; the trainings that are done are kept, the same command makes the others",
@@ -482,22 +478,13 @@ STOPPED = {
 }
 
 
-def how_to_go_on(arguments):
-    """What STOPPED says of a command; nothing of a training that has no checkpoint yet."""
-    from ..training.fit import CHECKPOINT
-
-    is_lost = arguments.command == "train" and not Path(arguments.output, CHECKPOINT).is_file()
-    return "" if is_lost else STOPPED.get(arguments.command, "")
-
-
 def run(argv, start):
     """Parse and run a command; returns the exit code.
 
     Exit codes: 0 success, 1 failed training or check, 2 invalid input, 130 interrupted. Every
     ValueError that this package defines means invalid input; another one is a bug.
     """
-    arguments = parser().parse_args(argv)
-    arguments.start = start
+    arguments = parser().parse_args(argv, argparse.Namespace(start=start))
     module, name = arguments.function.split(".")
     with warnings.catch_warnings(record=True) as caught:
         try:
@@ -505,7 +492,7 @@ def run(argv, start):
                 function = getattr(import_module(f".{module}", __package__), name)
             return function(arguments) or 0
         except KeyboardInterrupt:
-            code, message = 130, f"stopped{how_to_go_on(arguments)}"
+            code, message = 130, f"stopped{STOPPED.get(arguments.command, '')}"
         except (ArithmeticError, MemoryError) as error:
             code, message = 1, str(error) or "out of memory"
         except OSError as error:

@@ -69,7 +69,7 @@ def plan(scenes, folder, names=(), seeds=3, iterations=None):
     return methods.plan(SIZES, names, scenes, folder, seeds, iterations)
 
 
-def collect(tasks, folder, progress=lambda line: None):
+def collect(tasks, folder):
     """Time what the Tasks have made, and write compare.json, .csv and .png into a folder.
 
     Returns what compare.json holds.
@@ -78,7 +78,6 @@ def collect(tasks, folder, progress=lambda line: None):
     for start in range(0, len(tasks), len(labels)):
         group = tasks[start : start + len(labels)]  # of one scene and seed
         scene = group[0].scene
-        progress(f"{scene.name}: times of rendering")
         models = {task.label: methods.load(task.path) for task in group}
         speeds = rendering(scene.test, models)
         rows += [{**row, **speeds[row["label"]]} for row in methods.made(group)]

@@ -97,12 +97,11 @@ def plan(scenes, folder, names=(), seeds=3, iterations=None):
     return methods.plan(SIZES, names, scenes, folder, seeds, iterations, "compare --curve")
 
 
-def collect(tasks, folder, progress=lambda line: None):
+def collect(tasks, folder):
     """Draw what the Tasks have made; returns the points and how ours compare with the others.
 
     The files are curve.csv, curve.png, and composition.csv of two files of the first scene.
     """
-    progress("the curve")
     rows = methods.made(tasks)
     write_csv(folder / "curve.csv", rows)
     points, curves, title = read(rows)
