@@ -62,10 +62,14 @@ def beyond(preset: Preset) -> list[str]:
 
 
 # --- training -------------------------------------------------------------------------------------
+def trainer_class(preset: Preset) -> type[trainer.Trainer]:
+    """The class that trains by a preset."""
+    return ours("trainer").Trainer if is_ours(preset) else trainer.Trainer
+
+
 def trainer_of(scene, preset, *arguments, **options) -> trainer.Trainer:
     """The Trainer of a scene by a preset, before its first step."""
-    kind = ours("trainer").Trainer if is_ours(preset) else trainer.Trainer
-    return kind(scene, preset, *arguments, **options)
+    return trainer_class(preset)(scene, preset, *arguments, **options)
 
 
 def fit(
@@ -135,7 +139,7 @@ def load_model(folder: str | Path) -> tuple[Model, dict]:
         if name.startswith("preset.") and name != "preset.name"
     }
     preset = choose(PAPER_SYNTHETIC, fields)
-    kind = ours("trainer").Trainer if is_ours(preset) else trainer.Trainer
+    kind = trainer_class(preset)
     design, p = kind.design_of(preset, values["effects"]), Parameters(trainer.tagged(arrays, "p"))
     box = tuple(arrays["box"])
     return kind.assemble(p, design, arrays["mask"], box, values["background"]), values

@@ -10,11 +10,10 @@ import gc
 import json
 import tokenize
 from functools import cache
-from pathlib import Path
 
 from p4dgs_ref.cli.parser import parser
+from tests import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "p4dgs_ref"
 # Rooms that are counted together.
 SHARED = {

@@ -3,16 +3,19 @@
 The header shows the seed of the short lane's samples.
 """
 
+import os
 import signal
 
 import pytest
 
 import p4dgs_ref
+from tests import processes
 from tests.sampling import SEED
 
 # Before NumPy loads, as every command does it: processes that a test starts inherit the settings,
 # and with other kernels or another number of BLAS threads the last digits differ.
 p4dgs_ref.prepare()
+os.environ["PYTHONPATH"] = processes.PATHS
 # A shell starts what runs in its background with SIGINT ignored, which tests of Ctrl-C must not be.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -23,7 +26,7 @@ def pytest_addoption(parser):
 
 
 def pytest_report_header():
-    return f"sampled tests: P4DGS_TEST_SEED={SEED}"
+    return [f"sampled tests: P4DGS_TEST_SEED={SEED}", f"package: {p4dgs_ref.__file__}"]
 
 
 @pytest.hookimpl(trylast=True)  # after -m and -k have chosen

@@ -12,6 +12,11 @@ import pytest
 SEED = os.environ.get("P4DGS_TEST_SEED") or f"{date.today():%Y%m%d}"
 
 
+def of_the_day(values):
+    """A list with one of the values, drawn by the seed: the others have other days."""
+    return [random.Random(SEED).choice([*values])]
+
+
 def few(values, count):
     """The values for `parametrize`: `count` of them drawn by the seed; the others are slow tests.
 

@@ -9,15 +9,15 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from p4dgs_ref import arithmetic
+from tests import processes
 from tests.golden.proof import proof
+from tests.sampling import of_the_day
 
-ROOT = Path(__file__).resolve().parents[1]
 CORE = (getattr(np, "_core", None) or np.core)._multiarray_umath
 PREPARED = """
 import os, sys
@@ -39,13 +39,7 @@ def python(*options, **variables):
         for name, value in os.environ.items()
         if name not in (*arithmetic.CHOSEN, "P4DGS_KERNELS")
     }
-    return subprocess.run(
-        [sys.executable, *options],
-        cwd=ROOT,
-        env={**others, **variables},
-        capture_output=True,
-        text=True,
-    )
+    return processes.run(*options, env={**others, **variables})
 
 
 def pinned():
@@ -155,9 +149,9 @@ def native():
 
 @pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("qemu-x86_64"), reason="no qemu-x86_64 (package qemu-user)")
-@pytest.mark.parametrize("processor", ["Haswell", "EPYC-Rome"])
+@pytest.mark.parametrize("processor", of_the_day(["Haswell", "EPYC-Rome"]))
 def test_an_emulated_processor_computes_the_same_bytes(native, processor):
     command = ["qemu-x86_64", "-cpu", processor, sys.executable, "-m", "tests.golden.proof"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=processes.ASIDE, **processes.CAPTURED)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == native

@@ -4,12 +4,12 @@ import ast
 import configparser
 import json
 import re
-import subprocess
 import sys
 from functools import cache
 
 import pytest
 
+from tests import processes
 from tests.budget import (
     PACKAGE,
     ROOT,
@@ -162,16 +162,45 @@ def test_only_commands_and_tests_know_the_laboratory():
     assert knowing <= {"cli"}
 
 
+def test_only_its_commands_and_tests_know_the_classroom():
+    files = [*PACKAGE_FILES, *TUTORIALS, *(ROOT / "tests" / "oracle").rglob("*.py")]
+    knowing = {
+        name_of(file)
+        for file in files
+        if any(name.startswith("p4dgs_ref.lab.classroom") for name in imported(file))
+    }
+    assert {name for name in knowing if "/classroom/" not in name} == {"p4dgs_ref/cli/lab.py"}
+
+
+def test_the_package_knows_no_module_of_the_tutorials():
+    """Not even by a name that `import_module` would read."""
+    strings = {
+        (name_of(file), node.value)
+        for file in PACKAGE_FILES
+        for node in ast.walk(parse(file))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
+    assert not {pair for pair in strings if re.match(r"tutorials(\.\w+)*$", pair[1])} - {
+        ("p4dgs_ref/lessons.py", "tutorials")  # the folder
+    }
+
+
 @pytest.mark.slow
-def test_the_main_job_loads_nothing_of_the_laboratory(tmp_path):
+@pytest.mark.parametrize(
+    "line",
+    [
+        "run(['train', 'static', '--preset', 'smoke', '--quiet', '-o', sys.argv[1]], 0)",
+        "p4.main_job(p4.load_scene('static'), folder=sys.argv[1], stage_ends=(1,2,3,4))",
+    ],
+)
+def test_the_main_job_loads_nothing_of_the_laboratory(line, tmp_path):
     program = (
-        "import sys; import p4dgs_ref as p4; "
-        "p4.main_job(p4.load_scene('static'), folder=sys.argv[1], stage_ends=(1,2,3,4)); "
-        "print([name for name in sys.modules if name.startswith('p4dgs_ref.lab')])"
+        "import sys; import p4dgs_ref as p4; from p4dgs_ref.cli.parser import run; "
+        f"{line}; rooms = ('p4dgs_ref.lab', 'p4dgs_ref.lessons', 'p4dgs_ref.oracle'); "
+        "print([name for name in sys.modules if name.startswith(rooms)])"
     )
-    run = [sys.executable, "-c", program, str(tmp_path / "report")]
-    printed = subprocess.run(run, check=True, capture_output=True, text=True, cwd=ROOT).stdout
-    assert printed.splitlines()[-1] == "[]"
+    done = processes.run("-c", program, str(tmp_path / "report"))
+    assert done.stdout.splitlines()[-1:] == ["[]"], done.stderr
 
 
 def patches(tree):
@@ -237,7 +266,8 @@ def test_no_test_module_imports_another():
 
 def test_tests_mirror_the_package():
     folders = {file.parent.name for file in TESTS if file.parent != ROOT / "tests"}
-    assert {"core", "codec", "report", "oracle", "lab", "cli", "golden"} <= folders
+    rooms = {"equations", "splatting", "scenes", "training", "codec"}
+    assert rooms | {"report", "oracle", "lab", "cli", "golden"} <= folders
 
 
 def test_imports_are_seen_wherever_they_stand(tmp_path):
@@ -268,6 +298,16 @@ def test_every_package_is_installed():
     used -= {"p4dgs_ref.oracle.v1"}  # data, with a program among them
     assert made == used
     assert set(SETUP["options"]["packages"].split()) == made | {"p4dgs_ref.tiny_scenes"}
+
+
+def test_every_data_file_is_installed():
+    """A file that no pattern of setup.cfg names is in the checkout alone."""
+    installed = set(PACKAGE_FILES)
+    for name, patterns in SETUP["options.package_data"].items():
+        folder = ROOT.joinpath(*name.split("."))
+        installed |= {file for p in patterns.split(",") for file in folder.glob(p.strip())}
+    files = {file for file in PACKAGE.rglob("*") if file.is_file() and file.suffix != ".pyc"}
+    assert files <= installed, files - installed
 
 
 def test_requirements_are_the_named_packages():

@@ -14,9 +14,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("17_four_stages")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("17_four_stages")
 
 # %% [markdown]
 # ## Claim
@@ -416,9 +419,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("17.1", answer_1)
-lessons.number("17.2", answer_2)
-lessons.backward("17.3", my_backward, "rate_stage", "noisy", "q")
+lessons.check_number("17.1", answer_1)
+lessons.check_number("17.2", answer_2)
+lessons.check_backward("17.3", my_backward, "rate_stage", "noisy", "q")
 
 # %% [markdown]
 # ## Check your port

@@ -12,9 +12,12 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("18_one_training_step")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("18_one_training_step")
 
 # %% [markdown]
 # ## Claim
@@ -393,9 +396,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("18.1", answer_1)
-lessons.number("18.2", answer_2)
-lessons.backward("18.3", my_backward, "temporal_prediction", "x", "s", "r")
+lessons.check_number("18.1", answer_1)
+lessons.check_number("18.2", answer_2)
+lessons.check_backward("18.3", my_backward, "temporal_prediction", "x", "s", "r")
 
 # %% [markdown]
 # ## Check your port

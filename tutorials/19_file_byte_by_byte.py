@@ -18,9 +18,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("19_file_byte_by_byte")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("19_file_byte_by_byte")
 
 # %% [markdown]
 # ## Claim
@@ -411,9 +414,9 @@ def grade_container(mine):
 assert grade_container(container.read_container) == [24, 14]
 with suppress(NotImplementedError):
     answer_3 = grade_container(my_container)
-lessons.number("19.1", answer_1)
-lessons.number("19.2", answer_2, digits=15)
-lessons.number("19.3", answer_3, [24, 14])
+lessons.check_number("19.1", answer_1)
+lessons.check_number("19.2", answer_2, digits=15)
+lessons.check_number("19.3", answer_3, [24, 14])
 
 # %% [markdown]
 # ## Check your port

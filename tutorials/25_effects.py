@@ -14,9 +14,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("25_effects")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("25_effects")
 
 # %% [markdown]
 # ## Claim
@@ -374,9 +377,9 @@ def my_color_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("25.1", answer_1)
-lessons.forward("25.2", my_motion, "temporal_prediction")
-lessons.backward("25.3", my_color_backward, "color")
+lessons.check_number("25.1", answer_1)
+lessons.check_forward("25.2", my_motion, "temporal_prediction")
+lessons.check_backward("25.3", my_color_backward, "color")
 
 # %% [markdown]
 # ## Check your port

@@ -14,9 +14,12 @@ import json
 
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("26_video_codec_analogy")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("26_video_codec_analogy")
 
 # %% [markdown]
 # ## Claim
@@ -453,9 +456,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("26.1", answer_1)
-lessons.number("26.2", answer_2)
-lessons.backward("26.3", my_backward, "deformation")
+lessons.check_number("26.1", answer_1)
+lessons.check_number("26.2", answer_2)
+lessons.check_backward("26.3", my_backward, "deformation")
 
 # %% [markdown]
 # ## Check your port

@@ -20,9 +20,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("28_four_ways_to_move")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("28_four_ways_to_move")
 
 # %% [markdown]
 # ## Claim
@@ -845,9 +848,9 @@ lessons.show(figure, "28_four_ways_to_move_reading")
 # %%
 answer_1 = answer_2 = answer_3 = ...
 
-lessons.number("28.1", answer_1)
-lessons.number("28.2", answer_2)
-lessons.number("28.3", answer_3)
+lessons.check_number("28.1", answer_1)
+lessons.check_number("28.2", answer_2)
+lessons.check_number("28.3", answer_3)
 
 # %% [markdown]
 # ## Check your port

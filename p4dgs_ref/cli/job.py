@@ -136,6 +136,10 @@ def train(arguments):
         )
         with filled(folder) as staging:
             figures.write_training(staging, trainer.history, preset.stage_ends)
+    factors = getattr(trainer, "factors", ())
+    if factors:
+        counted = " and from stage 3 on ".join(f"{times:.1f} times" for times in factors)
+        say(f"what moves counted {counted} in L1, until the middle of stage 3 (B3)")
     caution(designs.what_is_lost(trainer))
     tell(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors, {seconds:.1f} s")
 
@@ -172,9 +176,11 @@ def decode(arguments):
 
 def read_model(path):
     """The model of a file of ours, or of a baseline's."""
-    from ..lab import baselines  # a tenth of a second that other commands do not need
+    if Path(path).suffix != ".ply":
+        return read_file(path)[1]
+    from ..lab import baselines
 
-    return baselines.load(path) if Path(path).suffix == ".ply" else read_file(path)[1]
+    return baselines.load(path)
 
 
 def held_camera(model, azimuth=40.0, elevation=30.0, distance=3.6, size=128):

@@ -1,13 +1,11 @@
-"""The commands of the laboratory: what choices cost, the paper's tables, the classroom."""
+"""The commands of the laboratory: what choices cost, the paper's tables, the classroom.
+
+Each imports the part of the laboratory that it needs.
+"""
 
 from contextlib import nullcontext
 from functools import partial
 
-from ..lab import effect_ledger, school
-from ..lab.accuracy import report as accuracies
-from ..lab.stability import draw_map, rows, to_text
-from ..lab.suggest import seconds_of, suggest
-from ..lab.tables import ablate, compare, curve, methods
 from ..output import filled
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
 from . import progress, require, say, show, tell
@@ -16,6 +14,8 @@ from .job import estimate
 
 def turn_knobs(arguments):
     """Turn the knobs that trade accuracy for time or bytes, and write a page about them."""
+    from ..lab.accuracy import report as accuracies
+
     with filled(arguments.output) as staging:
         result = accuracies.run(
             arguments.only or None, staging, arguments.quick, progress, arguments.jobs
@@ -25,6 +25,8 @@ def turn_knobs(arguments):
 
 def hard_cases(arguments):
     """Print the hard cases and draw the map; exit code 1 if a hard case is beyond its bound."""
+    from ..lab.stability import draw_map, rows, to_text
+
     with filled(arguments.output) as staging:
         cases = rows(arguments.only)
         draw_map(staging / "stability.png")
@@ -34,6 +36,8 @@ def hard_cases(arguments):
 
 def effects(arguments):
     """Train with and without each effect, or say which effects the pictures call for."""
+    from ..lab import effect_ledger
+
     require(arguments.suggest or not arguments.apply, "--apply", "expected together with --suggest")
     if arguments.suggest:
         return suggest_effects(arguments)
@@ -46,6 +50,8 @@ def effects(arguments):
 
 def suggest_effects(arguments):
     """Say which effects the pictures call for; with --apply write the list to scene.json."""
+    from ..lab.suggest import seconds_of, suggest
+
     scene, folder = load_scene(arguments.scene), find_scene(arguments.scene)
     require(
         not arguments.apply or packaged_folder() not in folder.resolve().parents,
@@ -63,6 +69,8 @@ def suggest_effects(arguments):
 
 def make_table(arguments, study, *options):
     """Make the rows of a study that are missing, after an estimate of the time; show all."""
+    from ..lab.tables import methods
+
     with filled(arguments.output) as staging:
         tasks = study.plan(*options, arguments.iterations)
         methods.make_missing(tasks, progress, arguments.jobs, partial(estimate, arguments))
@@ -72,6 +80,8 @@ def make_table(arguments, study, *options):
 
 def compare_methods(arguments):
     """Train all methods on scenes; print the paper's Tables 1 and 2 in form, or their curves."""
+    from ..lab.tables import compare, curve
+
     study, seeds = curve if arguments.curve else compare, arguments.seeds
     scenes = [load_scene(name) for name in arguments.scenes or compare.dynamic_scenes()]
     if arguments.quick:
@@ -81,13 +91,17 @@ def compare_methods(arguments):
 
 def ablate_parts(arguments):
     """Print the paper's Table 3 in form, and the method with one part left out at a time."""
+    from ..lab.tables import ablate
+
     scene = load_scene(arguments.scene)
     make_table(arguments, ablate, scene, arguments.output, arguments.seeds)
 
 
 def classroom(arguments):
     """Write the equations without their bodies, and the key."""
-    done = school.classroom(arguments.folder, arguments.only)
+    from ..lab.classroom import hand_out
+
+    done = hand_out(arguments.folder, arguments.only)
     kept = f"; kept as they were: {', '.join(done['kept'])}" if done["kept"] else ""
     tell(
         f"{done['output']}: {done['functions']} functions of {len(done['equations'])} equations to "
@@ -97,14 +111,15 @@ def classroom(arguments):
 
 def grade(arguments):
     """Judge what students wrote."""
+    from ..lab import classroom as room
+
     with filled(arguments.output) if arguments.output else nullcontext() as staging:
-        grades = school.grade(
+        grades = room.grade(
             *arguments.folders,
             classroom=arguments.classroom,
             seed=arguments.seed,
-            timeout=arguments.timeout,
             progress=progress,
         )
         if staging:
-            school.write(grades, staging)
-    show(arguments, grades, school.text(grades))
+            room.write(grades, staging)
+    show(arguments, grades, room.to_text(grades))

@@ -409,13 +409,6 @@ GROUPS = {
                     metavar="N",
                     help="of the inputs; students must not know it (drawn and printed)",
                 ),
-                option(
-                    "--timeout",
-                    type=number(float, 0.1, 3600),
-                    default=5.0,
-                    metavar="SECONDS",
-                    help="for one case (5)",
-                ),
                 output("folder for grades.txt, .json and .csv"),
             ),
         ),

@@ -96,15 +96,11 @@ def preset(one, every_field):
     changed = [field for field, *_ in differences(one)]
     columns = list(dict.fromkeys((one, PAPER_SYNTHETIC, PAPER_REAL)))
     rows = [["  field", *(p.name for p in columns), "source of the paper presets"]]
-    rows += [
-        [
-            f"* {field}" if field in changed else f"  {field}",
-            *(setting(value_of(p, row)) for p in columns),
-            row.metadata["source"],
-        ]
-        for field, row in table(one).items()
-        if every_field or field in changed
-    ]
+    for field, row in table(one).items():
+        if every_field or field in changed:
+            values = [setting(value_of(p, row)) for p in columns]
+            mark = "* " if field in changed else "  "
+            rows.append([mark + field, *values, row.metadata["source"]])
     widths = [max(map(len, column)) for column in zip(*rows)]
     return [
         f"{one.name}: {len(changed)} fields (*) differ from {PAPER_SYNTHETIC.name}",

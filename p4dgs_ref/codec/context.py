@@ -146,7 +146,7 @@ from ..model import GROUPS, LATTICE
 from .gaussian_table import MU_BITS, MU_LIMIT, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, lookup_table
 from .rans import bit_length
 
-INPUT_BITS, ACTIVATION_BITS, WEIGHT_BITS, BIAS_BITS, MOST_SCALE = 15, 22, 15, 50, 24
+INPUT_BITS, ACTIVATION_BITS, WEIGHT_BITS, BIAS_BITS, MAX_SCALE = 15, 22, 15, 50, 24
 STEP_FLOOR, STEP_MAX = 32, 2**16  # of q_units, 2 Q_0 / 2^16 each; the floor of Q7 is 2^-10 Q_0
 LOG2_E = 94548  # log2(e) in units of 2^-16
 CHUNK = 2**18  # numbers per temporary array, so that memory does not grow with the anchors
@@ -176,7 +176,7 @@ def whole_layers(weights, biases):
     """The layers of a network in integers, from the weights and biases in the file."""
     layers, bits, X = [], INPUT_BITS, 2**INPUT_BITS
     for W, b in zip(weights, biases):
-        n = min(WEIGHT_BITS - exponent(W), BIAS_BITS - exponent(b) - bits, MOST_SCALE)
+        n = min(WEIGHT_BITS - exponent(W), BIAS_BITS - exponent(b) - bits, MAX_SCALE)
         W, b, bits = np.rint(W * 2.0**n), np.rint(b * 2.0 ** (bits + n)), bits + n
         # |x_i| <= X, so by the triangle inequality no sum of some of the products x_i W_ij, with or
         # without b_j, exceeds the bound. Integers up to 2^53 are exact in float64.

@@ -22,9 +22,10 @@ LABELS = {
     "anchor_mlps": "anchor MLPs",
     "context_mlps": "context MLPs",
 }
-# Of Okabe and Ito's palette, for colour-blind readers.
-BLUE, LIGHT_BLUE, RED, ORANGE = "#0072B2", "#56B4E9", "#D55E00", "#E69F00"
-STACK = (BLUE, ORANGE, "#009E73", "#CC79A7")
+# The colours of Okabe and Ito, which colour-blind readers can tell apart.
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+BLUE, RED, GREEN, PINK, ORANGE, LIGHT_BLUE, _ = COLORS
+STACK = (BLUE, ORANGE, GREEN, PINK)
 ERROR_RANGE = 0.25  # the end of the error pictures' colours, the same in every report
 
 

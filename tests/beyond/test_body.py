@@ -7,7 +7,7 @@ import pytest
 
 from p4dgs_ref.beyond import body
 from p4dgs_ref.designs import PRESETS, trainer_of, what_is_lost
-from tests.core.bars import Share, moving, scene
+from tests.training.bars import Share, moving, scene
 
 TINY_CODED = PRESETS["tiny_coded"]
 

@@ -10,7 +10,7 @@ from p4dgs_ref.beyond import networks, trainer
 from p4dgs_ref.beyond.networks import step_of_code
 from p4dgs_ref.designs import choose, trainer_of
 from p4dgs_ref.training.parameters import Parameters
-from tests.core.whole_gradient import SMALL, check, setting
+from tests.training.whole_gradient import SMALL, check, setting
 
 SHORT = dict(is_coded=True, network_ramp=4, lr_step=(0.02, 0.01), stage_ends=(2, 3, 5, 12))
 

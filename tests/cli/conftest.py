@@ -3,6 +3,7 @@
 import json
 import shlex
 import time
+import warnings
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -15,13 +16,20 @@ from p4dgs_ref.cli import parser as cli
 WARNING = "p4dgs-ref: warning: "
 
 
+def command(line):
+    """The exit code of a command, which prints warnings as for a user, for whom they are lines."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("always", category=UserWarning)
+        return cli.run(shlex.split(line), time.perf_counter())
+
+
 @pytest.fixture
 def run(capsys):
     """Run a command in this process: its exit code, stdout, and stderr without warnings."""
 
     def run(line):
         try:
-            code = cli.run(shlex.split(line), time.perf_counter())
+            code = command(line)
         except SystemExit as stopped:
             code = stopped.code
         out, err = capsys.readouterr()

@@ -6,23 +6,20 @@ import os
 import resource
 import shutil
 from functools import partial
-from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.designs import fit
 from p4dgs_ref.output import PART
 from p4dgs_ref.report import figures
 from p4dgs_ref.training.fit import load_checkpoint
+from tests import ROOT
 from tests.sampling import few
 
-from .conftest import tree
-
-ROOT = Path(p4.__file__).resolve().parents[1]
+from .conftest import command, tree
 
 
 @pytest.fixture(scope="module")
@@ -353,10 +350,8 @@ def test_no_test_views():
         p4.evaluate(None, scene)
 
 
-@pytest.mark.filterwarnings("ignore:scene:UserWarning")  # the scene has 2 views and no list
-@pytest.mark.filterwarnings("error")  # warnings of NumPy would be further lines
 def test_learning_rate_that_explodes(place, run, monkeypatch):
-    monkeypatch.setattr("p4dgs_ref.cli.job.fit", partial(fit, save_every=0))
+    monkeypatch.setattr("p4dgs_ref.designs.fit", partial(fit, save_every=0))
 
     def failed(line):
         code, _, err = run(f"{line} --preset smoke --quiet")
@@ -379,7 +374,7 @@ def test_learning_rate_that_explodes(place, run, monkeypatch):
 
 def test_a_training_that_goes_on_is_not_told_of_effects(place, capsys):
     for line, count in (("-o new", 1), ("-o run --resume", 0)):
-        assert cli.run(["train", "scene", *line.split(), "--preset", "smoke", "--quiet"], 0.0) == 0
+        assert command(f"train scene {line} --preset smoke --quiet") == 0
         assert capsys.readouterr().err.count("no scene.json lists effects") == count
 
 

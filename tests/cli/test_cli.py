@@ -6,9 +6,6 @@ import os
 import re
 import shlex
 import shutil
-import subprocess
-import sys
-import time
 from contextlib import redirect_stderr, redirect_stdout
 from importlib import import_module
 from pathlib import Path
@@ -23,10 +20,12 @@ from p4dgs_ref.arithmetic import arithmetic
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.lab.tables import compare
+from tests import ROOT, processes
 from tests.budget import subcommands
 from tests.processes import start
 
-ROOT = Path(p4.__file__).resolve().parents[1]
+from .conftest import command
+
 HEADINGS = ["The main job", "Files", "Ports", "Measure", "Teach"]
 DATA = "demo evaluate inspect presets accuracy stability effects compare ablate grade"
 
@@ -39,7 +38,7 @@ def report(tmp_path_factory):
     """The folder that a demo fills, and what it prints to stdout and stderr."""
     folder, out, err = tmp_path_factory.mktemp("demo") / "report", io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
-        assert cli.run(shlex.split(f"{DEMO} --json -o {folder}"), time.perf_counter()) == 0
+        assert command(f"{DEMO} --json -o {folder}") == 0
     return folder, out.getvalue(), err.getvalue()
 
 
@@ -220,17 +219,17 @@ def test_help_has_five_groups_and_fits_a_screen(monkeypatch):
     assert [line.split(",")[0] for line in groups] == HEADINGS
     listed = [found[1] for line in lines if (found := re.match(r"  ([a-z][a-z-]*) ", line))]
     assert listed == [*subcommands(parser)] and len(listed) <= 19
-    for name, command in every_command(parser).items():
-        help = command.format_help().splitlines()
+    for name, part in every_command(parser).items():
+        help = part.format_help().splitlines()
         assert len(help) <= 24 and max(map(len, [*help, *lines])) <= 100, name
         printing |= {name for line in help if line.startswith("  --json ")}
     assert printing == {*DATA.split(), "oracle check"}
 
 
 def test_every_command_has_its_function():
-    for command in every_command(cli.parser()).values():
-        if not subcommands(command):
-            module, function = command.get_default("function").split(".")
+    for part in every_command(cli.parser()).values():
+        if not subcommands(part):
+            module, function = part.get_default("function").split(".")
             assert callable(getattr(import_module(f"p4dgs_ref.cli.{module}"), function))
 
 
@@ -296,7 +295,7 @@ def test_python_face_has_every_name():
 
 def test_importing_the_package_leaves_numpy_alone():
     code = "import sys, p4dgs_ref, p4dgs_ref.cli.parser; sys.exit('numpy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+    assert processes.run("-c", code).returncode == 0
 
 
 @pytest.fixture

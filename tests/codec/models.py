@@ -9,14 +9,12 @@ import pytest
 from scipy.special import expit
 
 import p4dgs_ref as p4
-from p4dgs_ref.beyond import trainer as ours
 from p4dgs_ref.codec.container import BitstreamError
-from p4dgs_ref.designs import choose, is_ours
+from p4dgs_ref.designs import choose, fit, trainer_class
 from p4dgs_ref.equations import hash_grid, prior
 from p4dgs_ref.model import Gaussians, context, split
 from p4dgs_ref.scenes.files import read_ply
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.training import trainer
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import SMOKE
 
@@ -29,7 +27,7 @@ def random_model(seed=0, effects=MODEL_EFFECTS, points=None, **changes):
     rng = np.random.default_rng(seed)
     base = choose(SMOKE, {"is_coded": True}) if "is_coded" in changes else SMOKE
     preset = dataclasses.replace(base, deformation_gain=0.3, **changes)
-    kind = ours.Trainer if is_ours(preset) else trainer.Trainer
+    kind = trainer_class(preset)
     design = kind.design_of(preset, effects)
     p = Parameters(kind.initial_parameters(preset, design, rng, points).arrays)
     last = f"psi_p.b{len(design.context)}"
@@ -81,7 +79,7 @@ LEAST = dict(k=1, hidden=(), context=(), grid_3d=(), grid_2d=(5,))
 TURNING = dict(deformation=(), grid_3d=(3, 4), grid_2d=())
 
 MAKE = {
-    "trained": cache(lambda: p4.train(p4.load_scene("bouncing"), preset="smoke")),
+    "trained": cache(lambda: fit(p4.load_scene("bouncing"), "smoke", 0).model()),
     "random": lambda: random_model(1),
     "many": lambda: random_model(2, **MANY),
     "static": lambda: random_model(3, ("view_color", "occlusion", "background")),

@@ -7,7 +7,7 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, NETWORK_SECTIONS
-from p4dgs_ref.designs import decode, encode, quantised_of, read_container
+from p4dgs_ref.designs import decode, encode, fit, quantised_of, read_container
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.model import ANCHOR_NETWORKS, Anchors, join
 from p4dgs_ref.report.inspect import components, ledger
@@ -84,7 +84,7 @@ def test_encoding_again_gives_the_same_bytes(made):
 )
 def test_files_of_trainings_encode_to_themselves(scene, preset):
     """The demo's scene with the preset smoke is among the models of the test above."""
-    data = encode(p4.train(p4.load_scene(scene), preset=preset, seed=3))
+    data = encode(fit(p4.load_scene(scene), preset, 3).model())
     assert encode(decode(data)) == data
 
 

@@ -6,7 +6,6 @@ import json
 import tracemalloc
 from collections import Counter
 from datetime import date
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +20,7 @@ from p4dgs_ref.codec.quantise import without_silent_units
 from p4dgs_ref.codec.streams import decode_symbols, encode_bits, encode_gaussian
 from p4dgs_ref.designs import decode, encode, quantised_of, read_container
 from p4dgs_ref.model import join
+from tests import ROOT
 from tests.codec.models import changed, digest, refusal
 from tests.golden import fuzz
 from tests.golden.both import quantise, write_container
@@ -47,7 +47,7 @@ REAL = dict(
     ),
 )
 
-DEMO = Path(__file__).resolve().parents[2] / "tutorials" / "demo.p4dgs"
+DEMO = ROOT / "tutorials" / "demo.p4dgs"
 
 
 @pytest.fixture(scope="module")
@@ -55,14 +55,14 @@ def least():
     return fuzz.good_files()[1]
 
 
-@pytest.mark.parametrize("count", [150, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [150, pytest.param(1000, marks=pytest.mark.slow)])
 def test_damage_is_refused_or_within_limits(count):
     seed = date.today().toordinal()
     answers, failures = fuzz.fuzz(count, seed)
     assert not failures, f"seed {seed}"
     assert sum(sum(c.values()) for c in answers.values()) == count
     assert not any(c["within limits"] for kind, c in answers.items() if kind.startswith("raw"))
-    if count > 1000:
+    if count == 1000:
         assert len(answers) == 28 and all(c["refused"] > count / 100 for c in answers.values())
         # Repaired checksums let some changes through, so decoded models were checked too.
         for kind in ("flip", "overwrite", "header field"):
@@ -178,7 +178,7 @@ def kept(model):
     return without_silent_units(changed(model, **anchors))
 
 
-@pytest.mark.parametrize("count", [100, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [100, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.filterwarnings("error")
 def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
     """Where the box has no extent, 0 is stored, and attributes may move by half of another step."""
@@ -215,7 +215,7 @@ def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
             assert found.model.design == expected.design
         assert encode(found.model) == again, f"seed {seed}, mutant {i}"
     assert seen["decoded"] > count / 3 and seen["flat"] and seen["fewer_anchors"]
-    assert count < 1000 or seen["fewer_units"]
+    assert count == 100 or seen["fewer_units"]
 
 
 # --- Memory ---

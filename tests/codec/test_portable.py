@@ -5,9 +5,6 @@ float context.
 """
 
 import os
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,10 +17,10 @@ from p4dgs_ref.codec.context import run_network, whole_layers
 from p4dgs_ref.designs import decode, encode
 from p4dgs_ref.equations import hash_grid, likelihood, mlp, prior, step
 from p4dgs_ref.report.inspect import ledger
+from tests import processes
 from tests.codec.models import DECODE_AND_PRINT, digest, random_model
 from tests.golden import plain_decoder
 
-ROOT = Path(__file__).resolve().parents[2]
 SEVERAL = dict(
     anchors=400,
     hidden=(9, 7),
@@ -173,13 +170,8 @@ def test_other_kernels_and_threads_decode_the_same(coded, tmp_path, machine):
     (tmp_path / "model.p4dgs").write_bytes(data)
     machine = {name: dispatched() if value == "all" else value for name, value in machine.items()}
     others = {name: value for name, value in os.environ.items() if name not in CHOSEN}
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", DECODE_AND_PRINT, tmp_path / "model.p4dgs"],
-        cwd=ROOT,
-        env={**others, **machine},
-        capture_output=True,
-        text=True,
-    )
+    program = ("-W", "ignore", "-c", DECODE_AND_PRINT, tmp_path / "model.p4dgs")
+    done = processes.run(*program, env={**others, **machine})
     assert done.stdout.split() == [expected, "True"], done.stderr
 
 

@@ -56,8 +56,8 @@ def flat_model(model):
 
 def apart(inputs):
     """The flat inputs of `model_of`, with the arrays of the networks in one dictionary."""
-    own = {name: a for name, a in inputs.items() if not name.startswith("psi_")}
-    return own, {name: a for name, a in inputs.items() if name.startswith("psi_")}
+    others = {name: a for name, a in inputs.items() if not name.startswith("psi_")}
+    return others, {name: a for name, a in inputs.items() if name.startswith("psi_")}
 
 
 def quantiser_vjp(**inputs):
@@ -65,11 +65,11 @@ def quantiser_vjp(**inputs):
 
     Anchors without a kept child are left out: B of A anchors remain.
     """
-    own, networks = apart(inputs)
-    quantised = quantise(model_of(**own, networks=networks))
-    found = {name: a for name, (_, a) in published.expected(quantised).items()}
+    others, networks = apart(inputs)
+    quantised = quantise(model_of(**others, networks=networks))
+    arrays = {name: a for name, (_, a) in published.expected(quantised).items()}
     names = ("positions", "signs", "h", "q_units", "mu_units", "sigma_units", "symbols")
-    outputs = {name: np.asarray(found[name]).astype(np.int32) for name in names}
+    outputs = {name: np.asarray(arrays[name]).astype(np.int32) for name in names}
     return {**outputs, "kept": quantised.kept}, no_pullback
 
 
@@ -103,11 +103,11 @@ def rans_vjp(start, freq, lanes):
 
 def encoder_vjp(header, **inputs):
     """A model and the text of its header -> the bytes of all other sections and of the file."""
-    own, networks = apart(inputs)
-    sections = sections_of(quantise(model_of(**own, networks=networks)))
+    others, networks = apart(inputs)
+    sections = sections_of(quantise(model_of(**others, networks=networks)))
     sections["header"] = header.encode()
-    found = {name: a for name, a in sections.items() if name != "header"}
-    outputs = {**found, "file": write_container(sections)}
+    bodies = {name: a for name, a in sections.items() if name != "header"}
+    outputs = {**bodies, "file": write_container(sections)}
     return {name: np.frombuffer(a, np.uint8) for name, a in outputs.items()}, no_pullback
 
 

@@ -198,7 +198,7 @@ def traced(
     )
     located = locate(x_a, lo, hi, resolutions, [len(grid) for grid in grids])
     inputs = objective.StepInputs(mask, located, background, 4, lambda_rate, lambda_ssim, EXACT)
-    rates = dict(zip(map(own_name, arrays), learning_rates.tolist(), strict=True))
+    rates = dict(zip(map(parameter_name, arrays), learning_rates.tolist(), strict=True))
     adam = Adam(p)
     for v, noise in zip(views, u):
         camera = camera_of(W[v], T[v], focal[v], center[v], size)
@@ -217,7 +217,7 @@ def trace_vjp(arrays, **inputs):
     elements times cos 0, cos 1, cos 2, ...; and `final`, all parameters after the last step, the
     arrays row by row, one after the other.
     """
-    names = [own_name(name) for name in arrays]
+    names = [parameter_name(name) for name in arrays]
     rows = {name: [] for name in TRACED}
     for p, losses, gradients in traced(arrays=arrays, **inputs):
         for name in LOSSES:
@@ -273,7 +273,7 @@ def gather(attributes, networks, grids):
     return Parameters(arrays, attributes["x_a"].dtype)
 
 
-def own_name(tensor):
+def parameter_name(tensor):
     """The name in Parameters of a flat input: psi_c_weights.0 -> psi_c.W0, grids.1 -> grid.1."""
     name = re.sub(r"_weights\.", ".W", re.sub(r"_biases\.", ".b", tensor))
     return name.replace("grids.", "grid.")
@@ -347,12 +347,12 @@ def views_of(teacher, design, times, background):
     f, s, l = teacher["f_a"], np.exp(teacher["log_s"]), np.exp(teacher["log_l"])
     anchors = Anchors(teacher["x_a"], f, s, l, teacher["O_a"], np.ones((len(f), design.k), bool))
     networks = {name: teacher.network(name) for name in design.layers()}
-    seen = model.Model(design, anchors, networks, [], None, background)
+    shown = model.Model(design, anchors, networks, [], None, background)
     cameras = []
     for i, angle in enumerate(np.linspace(0, 5, len(times))):
         place = 2.6 * np.array([np.cos(angle), np.sin(angle), 0.3 + 0.1 * i])
         cameras.append(look_at(place, (0.05, 0, 0), 14.0, 12.5, 13, 11, c_x=6.4, c_y=4.8))
-    truth = np.stack([seen.render(camera, t, EXACT) for camera, t in zip(cameras, times)])
+    truth = np.stack([shown.render(camera, t, EXACT) for camera, t in zip(cameras, times)])
     posed = [described(camera) for camera in cameras]
     stacked = {n: np.stack([c[n] for c in posed]) for n in ("W", "T", "focal", "center")}
     return dict(size=posed[0]["size"], times=times, truth=truth, **stacked)

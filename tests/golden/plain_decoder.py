@@ -437,8 +437,8 @@ def decode(data):
     features, q_units, mu_units, sigma_units = [], [], [], []
     for a in range(A):
         place = positions[3 * a : 3 * a + 3]
-        found = context(place, h, grids, widths, psi_p, psi_q)
-        for whole, part in zip((features, q_units, mu_units, sigma_units), found):
+        of_anchor = context(place, h, grids, widths, psi_p, psi_q)
+        for whole, part in zip((features, q_units, mu_units, sigma_units), of_anchor):
             whole += part
     q = [units * (h["Q_0"][i % 4] * 2.0**-15) for i, units in enumerate(q_units)]
 

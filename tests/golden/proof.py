@@ -17,16 +17,16 @@ CHANGES = dict(stage_ends=(10, 20, 40, 60), grow_from=10, grow_every=15, mask_fr
 
 def proof():
     """The arithmetic, and the SHA-256 of all parameters, the file and a picture of each design."""
-    scene, found = p4.load_scene("bouncing", downscale=4), {}
+    scene, outputs = p4.load_scene("bouncing", downscale=4), {}
     view = scene.test[0]
     for preset in ("tiny", "tiny_coded"):
         trainer = trainer_of(scene, choose(preset, CHANGES), seed=0)
         data = p4.encode(trainer.run())
         picture = p4.decode(data).render(view.camera, view.time)
-        found[f"{preset}: parameters"] = trainer.parameters.vector.tobytes()
-        found[f"{preset}: file"] = data
-        found[f"{preset}: picture"] = picture.tobytes()
-    hashes = {what: hashlib.sha256(data).hexdigest() for what, data in found.items()}
+        outputs[f"{preset}: parameters"] = trainer.parameters.vector.tobytes()
+        outputs[f"{preset}: file"] = data
+        outputs[f"{preset}: picture"] = picture.tobytes()
+    hashes = {what: hashlib.sha256(data).hexdigest() for what, data in outputs.items()}
     return {"arithmetic": arithmetic(), **hashes}
 
 

@@ -123,7 +123,7 @@ class Replayed(Trainer):
 
 def parted(arrays, design):
     """Undo `joined`: the Parameters of {array: values}."""
-    found = {}
+    parts_by_name = {}
     for stem, values in arrays.items():
         if stem == "grid":
             shapes = {f"grid.{i}": shape for i, shape in enumerate(design.levels())}
@@ -132,12 +132,12 @@ def parted(arrays, design):
             for i, (rows, columns) in enumerate(design.layers()[stem]):
                 shapes |= {f"{stem}.W{i}": (rows, columns), f"{stem}.b{i}": (columns,)}
         else:
-            found[stem] = values
+            parts_by_name[stem] = values
             continue
         ends = np.cumsum([np.prod(shape) for shape in shapes.values()])
         parts = np.split(values, ends[:-1])
-        found |= {name: a.reshape(shape) for (name, shape), a in zip(shapes.items(), parts)}
-    return Parameters(found, arrays["x_a"].dtype)
+        parts_by_name |= {name: a.reshape(shape) for (name, shape), a in zip(shapes.items(), parts)}
+    return Parameters(parts_by_name, arrays["x_a"].dtype)
 
 
 def views_of(W, T, focal, center, size, times, truth):
@@ -235,9 +235,9 @@ def scene_inputs(seed=481):
     teacher = draw(rng, design, 6)
     teacher["psi_c.W2"][...] *= 4  # strong colours
     background = single([0.9, 0.75, 0.3])
-    seen = views_of_model(teacher, design, single(np.linspace(0.1, 0.9, V)), background)
-    seen["background"] = background
-    return {name: seen[name] if name == "size" else single(seen[name]) for name in GIVEN}
+    shown = views_of_model(teacher, design, single(np.linspace(0.1, 0.9, V)), background)
+    shown["background"] = background
+    return {name: shown[name] if name == "size" else single(shown[name]) for name in GIVEN}
 
 
 def noise(rng, shape):
@@ -308,11 +308,11 @@ def steps_from(state, first, last, rng):
 def all_inputs():
     """Return {name of a case: its inputs}."""
     start = starting_state()
-    found = {"growing": steps_from(start, 0, 4, np.random.default_rng(486))}
-    state = rounded(replay(**found["growing"])[0])
-    found["stage_switch"] = steps_from(state, 4, 10, np.random.default_rng(484))
-    found["ten_steps"] = steps_from(start, 0, 10, np.random.default_rng(500))
-    return found
+    inputs = {"growing": steps_from(start, 0, 4, np.random.default_rng(486))}
+    state = rounded(replay(**inputs["growing"])[0])
+    inputs["stage_switch"] = steps_from(state, 4, 10, np.random.default_rng(484))
+    inputs["ten_steps"] = steps_from(start, 0, 10, np.random.default_rng(500))
+    return inputs
 
 
 def event_cases():
@@ -326,15 +326,15 @@ def whole_cases():
 
 def shapes():
     """Return the axes of all inputs and outputs; A anchors become B."""
-    found = {}
+    axes_of = {}
     for tag in ROLES:
         for name, axes in STATE_SHAPES.items():
             ends = f"{axes} -> {axes.replace('A', 'B')}"
-            found[tag + name] = ends if name in OF_ANCHORS else axes
-    found |= {name: "A k -> B k" for name in ("mask", *SUMS)} | {"visits": "A -> B"}
+            axes_of[tag + name] = ends if name in OF_ANCHORS else axes
+    axes_of |= {name: "A k -> B k" for name in ("mask", *SUMS)} | {"visits": "A -> B"}
     cameras = {name: f"V {axes}" for name, axes in CAMERA_SHAPES.items() if name != "size"}
     return {
-        **found,
+        **axes_of,
         **cameras,
         "size": "2",
         "times": "V",

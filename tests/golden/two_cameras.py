@@ -91,6 +91,6 @@ def surface(description, camera):
     where = poses(description.bodies, description.effects, 0.0, viewer)
     hits = [hit(body, where[body.name], viewer, directions) for body in description.bodies]
     depth = np.min(hits, axis=0)
-    seen = np.flatnonzero(np.isfinite(depth))
-    chosen = np.random.default_rng(0).choice(seen, POINTS, replace=False)
-    return viewer + depth[chosen, None] * directions[chosen]
+    met = np.flatnonzero(np.isfinite(depth))
+    drawn = np.random.default_rng(0).choice(met, POINTS, replace=False)
+    return viewer + depth[drawn, None] * directions[drawn]

@@ -20,7 +20,7 @@ from p4dgs_ref.lab.stability import plane
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.training.presets import TINY
 from tests.golden.both import quantise
-from tests.lab import drawn
+from tests.tutorials import drawn
 
 TABLE = json.loads(
     (Path(__file__).parents[1] / "golden" / "data" / "gaussian_bin_constants.json").read_text()
@@ -276,27 +276,7 @@ def saved(monkeypatch):
         diagram.pyplot().close(figure)
 
 
-def crowd(line, n=9):
-    """Points so close together that labels at the same side of all of them would overlap."""
-    return [
-        {"line": line, "value": f"{i} entries", "ms": 1 + 0.01 * i, "error": 1e-3 * (1 + i)}
-        | {"ms_low": 1 + 0.01 * i - 0.1, "ms_high": 1 + 0.01 * i + 0.2}
-        for i in range(n)
-    ]
-
-
 LOGARITHMIC = dict(xscale="log", yscale="log")
-
-
-def test_labels_of_close_points_do_not_overlap(saved, tmp_path, monkeypatch):
-    panel = crowd("one") + crowd("other"), "ms", "error", 1e-3
-    diagram.write_figure(tmp_path / "crowd.png", *panel, **LOGARITHMIC)
-    assert drawn.overlaps(saved["crowd.png"]) == []
-    shown = [text for text, _ in drawn.texts(saved["crowd.png"]) if text.endswith("entries")]
-    assert len(shown) > 6  # most of them find a place
-    monkeypatch.setattr(diagram, "place_labels", lambda fig: None)
-    diagram.write_figure(tmp_path / "naive.png", *panel, **LOGARITHMIC)
-    assert len(drawn.overlaps(saved["naive.png"])) > 5
 
 
 def test_failures_are_red_at_the_top_and_lines_can_be_told_apart():

@@ -15,7 +15,8 @@ from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator import place_cameras, trace
 from p4dgs_ref.scenes.simulator.description import read_description
 from p4dgs_ref.training.presets import TINY
-from tests.core.effect_scenes import described
+from tests.sampling import of_the_day
+from tests.training.effect_scenes import described
 
 VIEWS = 24
 
@@ -163,17 +164,16 @@ def rods(radius):
     ]
 
 
+JUDGED = [
+    ({}, "no"),
+    ({"bodies": rods(0.03)}, "no"),
+    ({"bodies": bodies(motion=[{"kind": "line", "by": [0.04, 0, 0]}])}, "yes"),
+    ({"bodies": bodies(motion=[{"kind": "spin", "axis": [0, 0, 1], "degrees": 20}])}, "yes"),
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "changes, said",
-    [
-        ({}, "no"),
-        ({"bodies": rods(0.03)}, "no"),
-        ({"bodies": bodies(motion=[{"kind": "line", "by": [0.04, 0, 0]}])}, "yes"),
-        ({"bodies": bodies(motion=[{"kind": "spin", "axis": [0, 0, 1], "degrees": 20}])}, "yes"),
-    ],
-    ids=["still", "thin rods", "one pixel", "slow turn"],
-)
+@pytest.mark.parametrize("changes, said", of_the_day(JUDGED))
 def test_motion_is_judged_right_on_thin_slow_and_textured_things(changes, said):
     """Silhouettes called rods of one to three pixels moving, and missed a motion of one pixel."""
     scene = still(**changes)
@@ -222,6 +222,7 @@ def test_apply_is_refused_in_one_line(line, word, quick, capsys):
     assert word in error and error.count("\n") == 1
 
 
+@pytest.mark.filterwarnings("always:scene")  # of a command: a line
 def test_train_points_to_the_suggestion_where_no_effects_are_listed(folder, tmp_path, capsys):
     line = f"train {folder} --preset smoke --set stage_ends=1,1,2,2 --set mask_from=2 --quiet"
     assert run(f"{line} -o {tmp_path / 'run'}") == 0

@@ -150,6 +150,13 @@ def other_number(arrays, values):
     arrays["p/f_a"][0, 0] += 1
 
 
+def zeros():
+    """The bytes of an array as NumPy writes one."""
+    file = io.BytesIO()
+    np.save(file, np.zeros(3))
+    return file.getvalue()
+
+
 # name: (the edit of the file, words of the message)
 EDITS = {
     "a number": (edited(other_number, sealed=False), ("edited",)),
@@ -160,7 +167,7 @@ EDITS = {
     "a byte more": (changed_bytes(lambda data: data + b"x"), ("damaged",)),
     "empty": (changed_bytes(lambda data: b""), ("damaged",)),
     **{f"one bit at {share}": (one_bit(share), ("damaged",)) for share in (0, 0.01, 0.3, 0.99, 1)},
-    "one array": (lambda path: np.save(open(path, "wb"), np.zeros(3)), ("expected a checkpoint",)),
+    "one array": (changed_bytes(lambda data: zeros()), ("expected a checkpoint",)),
     "a pipe": (replaced(os.mkfifo), ("regular file",)),
     "a folder": (replaced(os.mkdir), ("regular file",)),
 }
@@ -280,7 +287,7 @@ def stopped(monkeypatch, call, scene, settings, folder, save_every):
     return load_checkpoint(folder)[1]["iteration"]
 
 
-@pytest.mark.parametrize("at", few([30, 7, 0, 15, 45], 1))
+@pytest.mark.parametrize("at", few([30, 7, 45], 1))
 @pytest.mark.parametrize("save_every", few([0, 1000], 1))
 def test_stopped_inside_a_step(scene, whole, tmp_path, monkeypatch, at, save_every):
     settings, *want = whole
@@ -290,7 +297,7 @@ def test_stopped_inside_a_step(scene, whole, tmp_path, monkeypatch, at, save_eve
     assert [*go_on(scene, settings, tmp_path)] == want
 
 
-@pytest.mark.parametrize("at", few([25, 0, 11, 44, -1], 1))
+@pytest.mark.parametrize("at", few([25, 0, -1], 1))
 def test_ctrl_c_waits_for_the_end_of_the_step(
     scene, whole, tmp_path, monkeypatch, interruptible, at
 ):
@@ -318,16 +325,16 @@ def test_killed_in_the_middle_of_a_checkpoint(scene, whole, tmp_path, monkeypatc
     assert [*go_on(scene, settings, tmp_path)] == want
 
 
-OPTIONS = "--preset smoke --seed 2 --downscale 4 --set grow=reseed --set stage_ends=40,60,120,240"
+OPTIONS = "--preset smoke --seed 2 --downscale 4 --set grow=reseed --set stage_ends=20,30,60,120"
 # The command line with a checkpoint after every iteration.
 EAGER = """
 import sys
 from functools import partial
 from p4dgs_ref import prepare
 prepare()
+from p4dgs_ref import designs
 from p4dgs_ref.__main__ import main
-from p4dgs_ref.cli import job
-job.fit = partial(job.fit, save_every=0)
+designs.fit = partial(designs.fit, save_every=0)
 sys.exit(main())
 """
 
@@ -351,15 +358,12 @@ def test_interrupted_then_killed_then_resumed(tmp_path):
     )
     uninterrupted = start(*train, "a run", "--quiet", cwd=tmp_path)
     first = start(*train, "b run", cwd=tmp_path)
-    err, code = stop_at(50, first, run, signal.SIGINT)
+    err, code = stop_at(25, first, run, signal.SIGINT)
     assert code == 130 and "Traceback" not in err
     assert err.endswith("the same command with --resume goes on from it\n")
-    for at in (90, 130, 180):  # in other stages
-        assert (
-            stop_at(at, start(*train, "b run", "--resume", cwd=tmp_path), run, signal.SIGKILL)[1]
-            == -signal.SIGKILL
-        )
-        assert at <= load_checkpoint(run)[1]["iteration"] < 240
+    again = start(*train, "b run", "--resume", cwd=tmp_path)
+    assert stop_at(70, again, run, signal.SIGKILL)[1] == -signal.SIGKILL
+    assert 70 <= load_checkpoint(run)[1]["iteration"] < 120
     for process in (uninterrupted, start(*train, "b run", "--resume", cwd=tmp_path)):
         assert process.communicate(timeout=120) and process.returncode == 0
     files = [p4.encode(load_model(tmp_path / name)[0]) for name in ("a run", "b run")]

@@ -3,8 +3,6 @@
 import dataclasses
 import json
 import re
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -21,6 +19,7 @@ from p4dgs_ref.report import figures as report
 from p4dgs_ref.report.figures import heat_image
 from p4dgs_ref.report.inspect import anchor_bits, ledger, symbol_bits
 from p4dgs_ref.splatting.camera import look_at
+from tests import processes
 from tests.codec.models import MAKE, coded
 
 
@@ -150,7 +149,4 @@ def test_the_format_page_has_what_a_decoder_needs_and_leaves_out_the_rest():
 
 
 def test_python_m_codec_prints_the_page():
-    done = subprocess.run(
-        [sys.executable, "-m", "p4dgs_ref.codec"], capture_output=True, text=True, check=True
-    )
-    assert done.stdout == page()
+    assert processes.run("-m", "p4dgs_ref.codec").stdout == page()

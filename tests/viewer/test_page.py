@@ -3,13 +3,13 @@
 import base64
 import json
 import re
-from pathlib import Path
 
 import pytest
 
 from p4dgs_ref.report import view
+from tests import ROOT
 
-TUTORIALS = Path(__file__).parents[2] / "tutorials"
+TUTORIALS = ROOT / "tutorials"
 PAGES = sorted((TUTORIALS / "viewer").glob("*.html"))
 
 

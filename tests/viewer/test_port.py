@@ -15,12 +15,13 @@ from p4dgs_ref.codec.published import FOLDER
 from p4dgs_ref.oracle import checker, streams
 from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.report.inspect import anchor_bits, components
+from tests import ROOT
 from tests.golden import needles
 from tests.golden.damage import mutation
 
 pytestmark = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
 VIEWER = Path(p4.__file__).parent / "viewer"
-DEMO = Path(__file__).parents[2] / "tutorials" / "demo.p4dgs"
+DEMO = ROOT / "tutorials" / "demo.p4dgs"
 # Arguments: the folder and a file. Input: views. Output: each picture, exact, nearly so, and as
 # bytes of the page's canvas; the bits of each anchor; bytes of sections if steps were doubled.
 DRAW = """

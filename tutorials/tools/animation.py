@@ -44,8 +44,8 @@ def truth(description, camera, t, background):
 def palette(pictures, background):
     """The background and PICTURE_COLORS colours [M, 3] that stand for those of all pictures."""
     colors = np.unique(np.rint(np.concatenate(pictures).reshape(-1, 3) * 255), axis=0)
-    chosen = kmeans2(colors, PICTURE_COLORS, minit="++", seed=0)[0]
-    return np.concatenate([[background], np.rint(chosen) / 255])
+    centres = kmeans2(colors, PICTURE_COLORS, minit="++", seed=0)[0]
+    return np.concatenate([[background], np.rint(centres) / 255])
 
 
 def with_palette(picture, colors):
@@ -91,7 +91,7 @@ def error_colors(error):
     return figures.pyplot().get_cmap("magma", ERROR_COLORS)(error / figures.ERROR_RANGE)[..., :3]
 
 
-def draw(path, model, name="bouncing"):
+def write_animation(path, model, name="bouncing"):
     """Write the animation of a decoded model of a packaged scene to a GIF."""
     description = simulator.read_description(load.find_scene(name) / load.DESCRIPTION)
     shown = [

@@ -54,7 +54,7 @@ def rows(name):
     with open(FOLDER / "records" / f"{name}.csv", newline="", encoding="utf-8") as file:
         return [
             {
-                column: text if column == "sha256" else number(text)
+                column: text if column == "sha256" else as_number(text)
                 for column, text in row.items()
                 if text
             }
@@ -62,7 +62,7 @@ def rows(name):
         ]
 
 
-def number(text):
+def as_number(text):
     """The number that a text stands for, otherwise the text itself."""
     for kind in (int, float):
         try:

@@ -13,13 +13,12 @@ import numpy as np
 from matplotlib.backends.backend_pdf import PdfPages
 from scipy.special import ndtr
 
-from p4dgs_ref import designs, model, output
+from p4dgs_ref import designs, lessons, model, output
 from p4dgs_ref.beyond import file
 from p4dgs_ref.codec import quantise, rans
-from p4dgs_ref.lab.school import lessons, show
 from p4dgs_ref.report import evaluate, inspect
 from p4dgs_ref.scenes import load, simulator
-from tutorials.tools import animation, handout, shared
+from tutorials.tools import animation, handout, shared, show
 
 PLACE = shared.FOLDER / "tour"
 SCENE = simulator.read_description(load.find_scene("bouncing") / load.DESCRIPTION)
@@ -124,20 +123,20 @@ def parts(figure):
     design = model.Design(**{row.name: vars(DESIGN)[row.name] for row in fields(model.Design)})
     numbers = {row.name: vars(MODEL)[row.name] for row in fields(model.Model)}
     plain = designs.encode(model.Model(**{**numbers, "design": design}))
-    paper, own = inspect.components(plain), inspect.components(DATA)
+    paper, coded = inspect.components(plain), inspect.components(DATA)
     zoom, colors = sum(paper.values()) / len(DATA), {n: color for n, (_, color) in SECTIONS.items()}
     labels = {  # of narrow parts above the strip, of the others below it
-        name: (1.45 if own[name] < 400 else -0.2, f"{own[name]:,}\n{label}")
+        name: (1.45 if coded[name] < 400 else -0.2, f"{coded[name]:,}\n{label}")
         for name, (label, _) in SECTIONS.items()
     }
-    for y, sizes, title in ((4, paper, "the paper's design"), (2.4, own, "coded networks")):
+    for y, sizes, title in ((4, paper, "the paper's design"), (2.4, coded, "coded networks")):
         networks = sum(size for name, size in sizes.items() if "mlp" in name)
-        said = f"{sum(sizes.values()):,} bytes, {networks:,} of them networks"
-        ax.text(0, y + 0.45, f"{title}: {said}", size=18)
+        total = f"{sum(sizes.values()):,} bytes, {networks:,} of them networks"
+        ax.text(0, y + 0.45, f"{title}: {total}", size=18)
         show.strip(ax, {name: sizes[name] for name in SECTIONS}, y, colors)
     between = (0, len(DATA), zoom * len(DATA), 0), (2.05, 2.05, 0.9, 0.9)
     ax.fill(*between, color=show.PALE, alpha=0.5, lw=0)
-    show.strip(ax, {name: zoom * own[name] for name in SECTIONS}, 0.4, colors, 1, labels)
+    show.strip(ax, {name: zoom * coded[name] for name in SECTIONS}, 0.4, colors, 1, labels)
     ax.set(xlim=(0, zoom * len(DATA)), ylim=(-1.3, 4.9))
     ax.set_axis_off()
 
@@ -157,8 +156,8 @@ def breaks(figure):
     first, *axes = figure.subplots(2, 4).flat
     truth = animation.truth(SCENE, show.enlarged(CAMERA, 8), T, MODEL.background)
     show.picture(first, truth, CAMERA, **VIEW, title="the truth,\nray traced")
-    for ax, (title, found) in zip(axes, shown.items()):
-        show.scored_picture(ax, *found, CAMERA, T, TRUTH, VIEW, title)
+    for ax, (title, decoded) in zip(axes, shown.items()):
+        show.scored_picture(ax, *decoded, CAMERA, T, TRUTH, VIEW, title)
 
 
 def one_ulp(wrong=2230):
@@ -213,7 +212,7 @@ def page(title):
     return figure
 
 
-def draw():
+def draw_pictures():
     """Write all pictures, in 256 colours each, and the PDF, one picture a page."""
     with (
         output.filled(shared.FOLDER) as staging,

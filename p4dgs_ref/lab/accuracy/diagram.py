@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ...report.figures import BLUE, LIGHT_BLUE, RED, pyplot, save_figure
+from ...report.figures import COLORS, pyplot, save_figure
 
-# Okabe and Ito's palette, for colour-blind readers. The markers differ as well, for grey prints.
-COLORS = (BLUE, RED, "#009E73", "#CC79A7", "#E69F00", LIGHT_BLUE, "#000000", "#8C6D31", "#808080")
+# The markers differ as well, for grey prints.
+LINE_COLORS = (*COLORS, "#8C6D31", "#808080")
 MARKERS = "osD^vPXph<>*d"
 # Where a label may stand beside its point, in points, and which of its sides is towards it.
 PLACES = (
@@ -36,7 +36,7 @@ def lines(ax, rows, x, y):
     are a red cross at the top of the panel. Scales and labels of the axes are the caller's.
     """
     for i, (name, points) in enumerate(lines_of(rows).items()):
-        color, marker = COLORS[i % len(COLORS)], MARKERS[i % len(MARKERS)]
+        color, marker = LINE_COLORS[i % len(LINE_COLORS)], MARKERS[i % len(MARKERS)]
         style = dict(color=color, marker=marker, markersize=6, linewidth=1.6)
         smallest = SMALLEST_ERROR if ax.get_yscale() == "log" else -np.inf
         losses = [max(row[y], smallest) if np.isfinite(row[y]) else np.nan for row in points]

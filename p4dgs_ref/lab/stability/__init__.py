@@ -1,23 +1,23 @@
 """Hard cases: inputs for which a correct formula returns wrong numbers, and what ours returns.
 
-Two things show them. The table of `cases.json` has the result of the literal formula, ours, the
-true value, errors and a verdict for each of its cases. The stability map shows the error of three
-formulas for Eq. (11) over distance and bin width.
+Two things show them. A table has the result of the literal formula, ours, the true value, errors
+and a verdict for each case. The stability map shows the error of three formulas for Eq. (11) over
+distance and bin width.
 
-`cases.json` is a list of calls of equations:
+Inputs, cotangents and true values are those of the published vectors, where a case has the same id.
+`hard_cases.json` adds one line a case:
 
     id          "H-R1.6sigma": the group H-R1, then which of its inputs
     equation    its key in the table of equations
     says        what is hard, and what the column "literal" shows
-    inputs      {"x": array}, and cotangents {"x_bar": array}
-    true        outputs {"x": array} and gradients {"x_bar": array}; NaN where there is none
     shown       (array, index) of the number that the table shows
-    literal     {dtype: the result of the printed formula, or of the usual shortcut}
-    bounds      {dtype: [largest error of outputs, of gradients or None]}, relative
+    literal     the result of the printed formula, or of the usual shortcut, in either precision
+    bounds      [largest error of outputs, of gradients or null] in either precision, relative
     each        outputs relative to each number, otherwise to the largest of the array
+    exact       [tensor, index, number] where the vectors hold this project's own gradient: the
+                number with the largest error, from 50 digits; null is not compared
 
-True values are correctly rounded from 50 digits, or closed forms. In a checkout,
-`python -m tests.golden.hard_cases.publish` writes the file.
+In a checkout, `python -m tests.golden.hard_cases.publish` writes the file.
 """
 
 import json
@@ -27,6 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...oracle import published
 from ...oracle.compare import cast
 from ...report.figures import pyplot, save_figure, write_csv
 from ...table import EQUATIONS
@@ -34,7 +35,7 @@ from .. import StudyError
 from ..accuracy import formulas
 from ..writer import text_table
 
-FILE = Path(__file__).with_name("cases.json")
+FILE = Path(__file__).with_name("hard_cases.json")
 SMALLEST = 1e-44  # differences below are no errors: float32 cannot hold them
 DTYPES = ("float64", "float32")
 COLUMNS = {
@@ -58,15 +59,23 @@ LEVELS = (-16, 0)  # log10 of the errors that the colours distinguish
 @cache
 def hard_cases():
     """{id: case}, in the order of the table."""
-    cases = json.loads(FILE.read_text(encoding="utf-8"), object_hook=as_array)
-    return {case["id"]: case for case in cases}
+    cases = json.loads(FILE.read_text(encoding="utf-8"))
+    keys = {case["equation"] for case in cases}
+    vectors = {vector.id: vector for key in keys for vector in published.cases(key)}
+    return {case["id"]: with_arrays(case, vectors) for case in cases}
 
 
-def as_array(value):
-    """The array that a JSON object with a shape stands for; any other object itself."""
-    if "shape" not in value:
-        return value
-    return np.array(value["numbers"], value["type"]).reshape(value["shape"])
+def with_arrays(case, vectors):
+    """A case with its inputs, cotangents and true values, {"x": array, "x_a_bar": array}."""
+    vector = vectors[f"{case['equation']}/{case['id']}"]
+    tensors = dict(vector.tensors)
+    for name, index, value in case.get("exact", []):
+        tensors[name] = tensors[name].copy()
+        tensors[name][tuple(index)] = np.nan if value is None else value
+    true = published.unflatten(tensors, "out.")
+    for name, a in published.unflatten(tensors, "in_bar.").items():
+        true[name + "_bar"] = a
+    return {**case, "inputs": vector.inputs(), "cotangents": vector.cotangents(), "true": true}
 
 
 def rows(only=None):
@@ -97,13 +106,14 @@ def measure(case, dtype):
     gradients = pullback(**cast(case["cotangents"], dtype)) if equation.gradients else {}
     bars = {name + "_bar": a for name, a in gradients.items()}
     name, index = case["shown"]
+    which = DTYPES.index(dtype)
     return judged(
-        case["literal"][dtype],
+        case["literal"][which],
         pick({**outputs, **bars}[name], index),
         pick(true[name], index),
         worst(outputs, true, case["each"]),
         worst(bars, true, False),
-        *case["bounds"][dtype],
+        *case["bounds"][which],
     )
 
 

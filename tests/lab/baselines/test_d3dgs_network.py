@@ -10,8 +10,8 @@ from p4dgs_ref.lab.baselines import d3dgs_network, deformation_d3dgs
 from p4dgs_ref.lab.tables.methods import load_plain, save_plain
 from p4dgs_ref.training import initial
 from p4dgs_ref.training.presets import SMOKE
-from tests.core.whole_gradient import check, setting
 from tests.lab.baselines.cases.deformation_d3dgs import inputs
+from tests.training.whole_gradient import check, setting
 
 
 def test_without_both_it_is_eq_5():

@@ -8,10 +8,9 @@ from scipy.special import lpmv
 
 from p4dgs_ref.lab.baselines import BASELINE_EQUATIONS, conditional, rotation_4d, sh_color
 from p4dgs_ref.table import Equation
-from tests.core import adjoint, rules
+from tests.equations import adjoint, rules
 from tests.golden.cases import cases_of
 
-pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 ALL = [
     pytest.param(eq, case, id=f"{key}-{case.name}")
     for key, eq in BASELINE_EQUATIONS.items()

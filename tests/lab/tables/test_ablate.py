@@ -5,8 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-import p4dgs_ref as p4
-from p4dgs_ref.designs import quantised_of
+from p4dgs_ref.designs import fit, quantised_of
 from p4dgs_ref.lab import baselines
 from p4dgs_ref.lab.tables import ablate as study
 from p4dgs_ref.lab.tables import methods
@@ -108,7 +107,7 @@ def test_table_3_shows_the_papers_numbers_apart(ablated):
 
 
 def test_a_plain_file_renders_like_its_model(scene, tmp_path):
-    trained = p4.train(scene, "smoke", 0, stage_ends=(1, 1, 2, 3), mask_from=3)
+    trained = fit(scene, "smoke", 0, stage_ends=(1, 1, 2, 3), mask_from=3).model()
     unmasked = trained.anchors._replace(mask=np.ones_like(trained.anchors.mask))
     exact = dataclasses.replace(trained, anchors=unmasked)
     sizes = methods.save_plain(exact, tmp_path / "a")

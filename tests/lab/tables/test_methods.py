@@ -102,6 +102,7 @@ def test_a_task_travels_to_other_processes_and_names_its_file(scene, tmp_path):
     assert step.path == tmp_path / "bouncing_a___b_seed0.npy"
 
 
+@pytest.mark.filterwarnings("always:scene")  # of a command: a line
 @pytest.mark.parametrize("changes", [{}, {"preset": "small_coded", "d": 8, "anchors": 60}])
 def test_the_command_of_a_row_makes_its_file(changes, tmp_path, monkeypatch, capsys):
     task = Task(p4.load_scene("bouncing"), methods.CODED, 3, tmp_path / "rows", 4, changes)

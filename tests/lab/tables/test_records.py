@@ -14,7 +14,7 @@ from tutorials.tools import records
 
 from .shared import FIRST
 
-LONGEST = 120  # seconds of the processor that the row of a day may take
+LONGEST = 60  # seconds of the processor that the row of a day may take
 
 
 @pytest.mark.parametrize("name", records.PLANS)

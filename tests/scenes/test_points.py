@@ -1,0 +1,115 @@
+"""Point clouds from .npy files, binary .ply files and COLMAP's points3D.txt and .bin."""
+
+import struct
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.scenes.files import read_points
+from tests.scenes.refusals import refuse
+
+POINTS = np.array([[0.5, -0.25, 1.0], [0.125, 2.0, -3.0], [1e-3, 0.75, 0.5], [4.0, 5.0, 6.0]])
+LITTLE = """ply
+format binary_little_endian 1.0
+comment made by hand
+element vertex 4
+property uchar red
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+"""
+BIG = LITTLE.replace("little", "big")
+
+
+def binary(order, points=POINTS):
+    kind = np.dtype([("red", "u1"), *((axis, order + "f4") for axis in "xyz")])
+    rows = np.array([(7, *point) for point in points], kind)
+    return rows.tobytes() + b"\x03\x00\x00\x00\x00"
+
+
+def points3d(points=POINTS, tracks=(0, 1, 3, 0)):
+    """COLMAP's points3D.bin: the number of points, then field by field of each."""
+    return struct.pack("<Q", len(points)) + b"".join(
+        struct.pack("<Q", 7 + i)  # POINT3D_ID
+        + struct.pack("<3d", *point)
+        + bytes((9, 10, 11))  # R, G, B
+        + struct.pack("<d", 0.5)  # ERROR
+        + struct.pack("<Q", track)
+        + struct.pack("<ii", 3, 4) * track  # IMAGE_ID and POINT2D_IDX
+        for i, (point, track) in enumerate(zip(points, tracks))
+    )
+
+
+def test_every_form_of_file_gives_the_same_points(tmp_path):
+    (tmp_path / "points3D.bin").write_bytes(points3d())
+    (tmp_path / "l.ply").write_bytes(LITTLE.encode() + binary("<"))
+    (tmp_path / "b.ply").write_bytes(BIG.encode() + binary(">"))
+    np.save(tmp_path / "n.npy", POINTS)
+    np.save(tmp_path / "f.npy", POINTS.astype(np.float32))
+    tracks = ("", " 1 2", " 3 4 5 6", "")
+    lines = [f"7 {x!r} {y!r} {z!r} 9 9 9 0.5" for x, y, z in POINTS.tolist()]
+    text = "# COLMAP\n" + "".join(line + track + "\n" for line, track in zip(lines, tracks))
+    (tmp_path / "points3D.txt").write_text(text)
+    whole = dict.fromkeys(("n.npy", "points3D.txt", "points3D.bin"), np.float64)
+    for name, dtype in (whole | dict.fromkeys(("l.ply", "b.ply", "f.npy"), np.float32)).items():
+        assert np.array_equal(read_points(tmp_path / name), POINTS.astype(dtype)), name
+
+
+def header(old="", new=""):
+    return LITTLE.replace(old, new).encode()
+
+
+@pytest.mark.parametrize(
+    "name, content, words",
+    [
+        ("missing.ply", None, ["missing; expected points"]),
+        ("points.obj", b"", [".npy, .ply, .bin, .txt"]),
+        ("points.txt", b"1 2 3", ["read", "points3D.txt"]),
+        ("words.txt", b"1 a b c 9 9 9 0.5", ["read", "points3D.txt"]),
+        ("empty.ply", b"", ["ply"]),
+        ("cut.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 4\n", ["end_header"]),
+        ("faces.ply", header("vertex 4", "corner 4"), ["'vertex' as the first"]),
+        ("none.ply", b"ply\nformat binary_little_endian 1.0\nend_header\n", ["vertex"]),
+        ("flat.ply", header("property float y\n") + bytes(36), ["y"]),
+        ("list.ply", header("property uchar red", "property list uchar int red"), ["list"]),
+        ("ascii.ply", header("binary_little_endian", "ascii"), ["ascii", "a binary .ply"]),
+        ("noformat.ply", header("format binary_little_endian 1.0\n"), ["a binary .ply"]),
+        ("half.ply", header() + b"7", ["read"]),
+        ("count.ply", header("vertex 4", f"vertex {10**30}"), ["a binary .ply"]),
+        ("nan.ply", header() + binary("<", [[1, np.nan, 3]] * 4), ["finite"]),
+        ("text.npy", b"no array", ["points in a .npy"]),
+        ("no.bin", b"", ["byte 8"]),
+        ("none.bin", points3d(()), ["1 to 4194304 points"]),
+        ("cut.bin", points3d()[:-1], ["read", "points3D.txt or .bin"]),
+        ("track.bin", points3d(tracks=(0, 0, 0, 2))[:-1], ["end with its last point, at byte"]),
+        ("more.bin", points3d() + b"7", ["end with its last point, at byte"]),
+        ("few.bin", bytes([255] * 8) + points3d()[8:], ["read"]),
+        ("long.bin", points3d()[:51] + bytes([255] * 8) + points3d()[59:], ["read"]),
+        ("nan.bin", points3d([[1, np.nan, 3]]), ["finite"]),
+    ],
+)
+def test_other_files_are_refused_in_one_line(name, content, words, tmp_path):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    refuse([name, *words], read_points, tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "array, words",
+    [
+        (np.zeros((4, 2)), "[A, 3]"),
+        (np.zeros((0, 3)), "[A, 3]"),
+        (np.zeros((4, 3), complex), "finite"),
+        (np.full((4, 3), "a"), "finite"),
+        (np.full((4, 3), np.inf), "finite"),
+        (np.full((4, 3), 1e300), "at most 1e+06"),
+        (np.broadcast_to(np.int8(0), (2**22 + 1, 3)), "1 to 4194304 points"),
+        (np.array([None]), "points in a .npy"),
+    ],
+)
+def test_other_arrays_are_refused(array, words, tmp_path):
+    np.save(tmp_path / "points.npy", array, allow_pickle=True)
+    refuse(["points.npy", words], read_points, tmp_path / "points.npy")

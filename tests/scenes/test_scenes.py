@@ -1,0 +1,521 @@
+"""Scenes: the conventions of the loader, its messages, scenes from arrays."""
+
+import json
+import math
+import os
+import shutil
+import struct
+import zlib
+from dataclasses import replace
+from itertools import product
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+from p4dgs_ref.scenes import MODEL_EFFECTS, Scene, load, load_scene, packaged_scenes
+from p4dgs_ref.splatting.camera import look_at
+from tests.scenes.refusals import refuse
+
+WIDTH, HEIGHT = 12, 8
+
+
+def pose(azimuth=0.3, elevation=0.5, radius=4.0):
+    """A camera-to-world matrix in Blender's axes, from spherical angles."""
+    back = np.array(
+        [
+            math.cos(elevation) * math.cos(azimuth),
+            math.cos(elevation) * math.sin(azimuth),
+            math.sin(elevation),
+        ]
+    )
+    right = np.array([-math.sin(azimuth), math.cos(azimuth), 0])
+    c2w = np.eye(4)
+    c2w[:3] = np.stack([right, np.cross(back, right), back, radius * back], axis=1)
+    return c2w
+
+
+def write_folder(
+    folder,
+    width=WIDTH,
+    height=HEIGHT,
+    extension="",
+    head=None,
+    splits=("train", "test"),
+):
+    """Write a folder in the layout of the published D-NeRF scenes; returns its pictures by name."""
+    rng, pictures = np.random.default_rng(7), {}
+    for split in splits:
+        (folder / split).mkdir(parents=True)
+        frames = []
+        for i in range(3):
+            name = f"./{split}/r_{i:03d}"
+            pictures[name[2:]] = rng.integers(0, 256, (height, width, 4), dtype=np.uint8)
+            iio.imwrite(folder / f"{name}.png", pictures[name[2:]])
+            frames.append(
+                {
+                    "file_path": name + extension,
+                    "rotation": 0.02,
+                    "time": i / 2,
+                    "transform_matrix": pose(azimuth=i).tolist(),
+                }
+            )
+        (folder / f"transforms_{split}.json").write_text(
+            json.dumps({**({"camera_angle_x": 0.69} if head is None else head), "frames": frames})
+        )
+    return pictures
+
+
+@pytest.fixture
+def folder(tmp_path):
+    write_folder(tmp_path / "scene")
+    return tmp_path / "scene"
+
+
+def edit(folder, change, name="transforms_train.json"):
+    data = json.loads((folder / name).read_text())
+    change(data)
+    (folder / name).write_text(json.dumps(data))
+
+
+def test_a_folder_in_the_published_layout(tmp_path):
+    pictures = write_folder(tmp_path / "jumping", 80, 80, splits=("train", "val", "test"))
+    scene = load_scene(tmp_path / "jumping")
+    assert (len(scene.train), len(scene.val), len(scene.test), scene.name) == (3, 3, 3, "jumping")
+    assert scene.effects == MODEL_EFFECTS and [view.time for view in scene.val] == [0, 0.5, 1]
+    assert [view.name for view in scene.test] == ["test/r_000", "test/r_001", "test/r_002"]
+    view = scene.train[1]
+    assert view.image.dtype == view.alpha.dtype == np.float32
+    np.testing.assert_allclose(view.alpha, pictures["train/r_001"][..., 3] / 255, atol=1e-6)
+    np.testing.assert_allclose(view.camera.center, pose(azimuth=1)[:3, 3], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "extension, background, color",
+    [
+        (".png", "black", (0, 0, 0)),
+        ("", "white", (1, 1, 1)),
+        ("", (0.2, 0.9, 0.4), (0.2, 0.9, 0.4)),
+    ],
+)
+def test_composited_over_the_background(tmp_path, extension, background, color):
+    pictures = write_folder(tmp_path / "scene", extension=extension)
+    scene = load_scene(str(tmp_path / "scene"), background=background)
+    np.testing.assert_allclose(scene.background, np.float32(color))
+    camera = scene.test[2].camera
+    f = WIDTH / 2 / math.tan(0.69 / 2)  # the angle spans the width; pixels are square
+    np.testing.assert_allclose([camera.f_x, camera.f_y, camera.c_x, camera.c_y], [f, f, 5.5, 3.5])
+    picture = pictures["test/r_002"] / 255
+    want = picture[..., :3] * picture[..., 3:] + np.array(color) * (1 - picture[..., 3:])
+    np.testing.assert_allclose(scene.test[2].image, want, atol=1e-6)
+
+
+def test_downscale_averages_boxes_of_premultiplied_colour(tmp_path):
+    head = {"fl_x": 20.0, "fl_y": 30.0, "cx": 5.0, "cy": 4.5}
+    pictures = write_folder(tmp_path / "scene", head=head)
+    view = load_scene(tmp_path / "scene", background="black", downscale=4).train[0]
+    for row, column in np.ndindex(HEIGHT // 4, WIDTH // 4):
+        box = pictures["train/r_000"][4 * row : 4 * row + 4, 4 * column : 4 * column + 4] / 255
+        found = [*view.image[row, column], view.alpha[row, column]]
+        wanted = sum(np.append(p[:3] * p[3], p[3]) for p in box.reshape(-1, 4)) / 16
+        np.testing.assert_allclose(found, wanted, atol=1e-6)
+    camera = view.camera
+    assert (camera.f_x, camera.f_y, camera.c_x, camera.c_y) == (
+        5.0,
+        7.5,
+        5 / 4 - 0.5,
+        4.5 / 4 - 0.5,
+    )
+
+
+def test_effects_listed_in_the_folder(folder):
+    (folder / "scene.json").write_text(
+        json.dumps({"effects": ["specular", "occlusion", "rotation"]})
+    )
+    scene = load_scene(folder)
+    assert scene.effects == ("rotation", "occlusion")  # the model's, in the order of the list
+    assert not scene.background.any()  # no `background`: black, the neutral input
+
+
+def change_matrix(rows):
+    return lambda data: data["frames"][1].update(transform_matrix=rows)
+
+
+def with_entry(i, j, value):
+    matrix = pose()
+    matrix[i, j] = value
+    return matrix.tolist()
+
+
+MISTAKES = [
+    ("no frames", lambda d: d.pop("frames"), ("frames", "list")),
+    ("empty split", lambda d: d.update(frames=[]), ("frames", "at least one")),
+    ("frame of text", lambda d: d["frames"].insert(1, "r_001"), ("frames[1]", "a dict")),
+    ("no file_path", lambda d: d["frames"][1].pop("file_path"), ("frames[1].file_path", "a text")),
+    (
+        "absent picture",
+        lambda d: d["frames"][1].update(file_path="./train/r_9"),
+        ("frames[1].file_path", "r_9.png"),
+    ),
+    ("time missing", lambda d: d["frames"][1].pop("time"), ("frames[1].time", "[0, 1]")),
+    (
+        "time NaN",
+        lambda d: d["frames"][1].update(time=math.nan),
+        ("frames[1].time", "nan", "[0, 1]"),
+    ),
+    ("time 1.5", lambda d: d["frames"][1].update(time=1.5), ("frames[1].time", "1.5", "[0, 1]")),
+    ("time true", lambda d: d["frames"][1].update(time=True), ("frames[1].time", "[0, 1]")),
+    (
+        "no matrix",
+        lambda d: d["frames"][1].pop("transform_matrix"),
+        ("frames[1].transform_matrix", "shape [4, 4]"),
+    ),
+    (
+        "matrix 3x4",
+        change_matrix(pose()[:3].tolist()),
+        ("frames[1].transform_matrix", "shape [4, 4]"),
+    ),
+    ("ragged matrix", change_matrix([[1, 0], [0]]), ("frames[1].transform_matrix", "shape [4, 4]")),
+    (
+        "matrix NaN",
+        change_matrix(with_entry(0, 3, math.nan)),
+        ("frames[1].transform_matrix", "[-1e+06, 1e+06]"),
+    ),
+    ("last row", change_matrix(with_entry(3, 0, 1.0)), ("frames[1].transform_matrix", "last row")),
+    (
+        "scaled",
+        change_matrix((pose() * [1.01, 1.01, 1.01, 1]).tolist()),
+        ("frames[1].transform_matrix", "rotation"),
+    ),
+    (
+        "mirrored",
+        change_matrix((pose() * [-1, 1, 1, 1]).tolist()),
+        ("frames[1].transform_matrix", "+1"),
+    ),
+    (
+        "huge integers",
+        change_matrix([[10**400] * 4] * 4),
+        ("frames[1].transform_matrix", "shape [4, 4]"),
+    ),
+    (
+        "huge entry",
+        change_matrix(with_entry(0, 0, 1e200)),
+        ("frames[1].transform_matrix", "1e+06"),
+    ),
+    (
+        "large entry",
+        change_matrix(with_entry(0, 0, 1e5)),
+        ("frames[1].transform_matrix", "rotation"),
+    ),
+    (
+        "singular",
+        change_matrix((pose() * [1, 1, 0, 1]).tolist()),
+        ("frames[1].transform_matrix", "rotation"),
+    ),
+    (
+        "sheared",
+        change_matrix((pose() @ np.eye(4)[[0, 0, 2, 3]]).tolist()),
+        ("frames[1].transform_matrix", "rotation"),
+    ),
+    (
+        "matrix of texts",
+        change_matrix([[str(entry) for entry in row] for row in pose().tolist()]),
+        ("frames[1].transform_matrix", "shape [4, 4]"),
+    ),
+    (
+        "matrix with true",
+        change_matrix([[True, *row[1:]] for row in pose().tolist()]),
+        ("frames[1].transform_matrix", "shape [4, 4]"),
+    ),
+    (
+        "a camera at 1e308",
+        change_matrix(with_entry(2, 3, 1e308)),
+        ("frames[1].transform_matrix", "1e+06"),
+    ),
+    (
+        "a camera at 2e6",
+        change_matrix(with_entry(2, 3, -2e6)),
+        ("frames[1].transform_matrix", "1e+06"),
+    ),
+    (
+        "a picture above the folder",
+        lambda d: d["frames"][1].update(file_path="../secret"),
+        ("frames[1].file_path", "outside", "picture in the folder"),
+    ),
+    (
+        "a picture above the folder, by a way through it",
+        lambda d: d["frames"][1].update(file_path="./train/../../secret.png"),
+        ("frames[1].file_path", "outside"),
+    ),
+    (
+        "a picture through a link",
+        lambda d: d["frames"][1].update(file_path="link"),
+        ("frames[1].file_path", "outside"),
+    ),
+    (
+        "a picture through a linked folder",
+        lambda d: d["frames"][1].update(file_path="linked/secret"),
+        ("frames[1].file_path", "outside"),
+    ),
+    (
+        "a picture that is a pipe",
+        lambda d: d["frames"][1].update(file_path="pipe"),
+        ("frames[1].file_path", "no picture"),
+    ),
+    (
+        "a name with a zero byte",
+        lambda d: d["frames"][1].update(file_path="train/r_001\0"),
+        ("frames[1].file_path", "control characters"),
+    ),
+    (
+        "a name no file bears",
+        lambda d: d["frames"][1].update(file_path="a" * 300),
+        ("frames[1].file_path", "picture"),
+    ),
+    ("no angle", lambda d: d.pop("camera_angle_x"), ("camera_angle_x", "missing")),
+    ("angle 4", lambda d: d.update(camera_angle_x=4), ("camera_angle_x", "4; expected", "3.14159")),
+    ("angle text", lambda d: d.update(camera_angle_x="0.6"), ("camera_angle_x", "a number")),
+    ("fl_x 0", lambda d: d.update(fl_x=0), ("fl_x", "[1e-09")),
+    ("fl_y huge", lambda d: d.update(fl_y=10**400), ("fl_y", "1e+09]")),
+    ("cy NaN", lambda d: d.update(cy=math.nan), ("cy", "nan", "1e+09]")),
+]
+
+
+@pytest.mark.parametrize("change, words", [pytest.param(*row[1:], id=row[0]) for row in MISTAKES])
+def test_mistakes_in_a_transforms_file(folder, change, words):
+    shutil.copy(folder / "train" / "r_000.png", folder.parent / "secret.png")
+    (folder / "link.png").symlink_to(folder.parent / "secret.png")
+    (folder / "linked").symlink_to(folder.parent)
+    os.mkfifo(folder / "pipe.png")
+    edit(folder, change)
+    refuse(("transforms_train.json", *words), load_scene, folder)
+
+
+def test_pictures_inside_the_folder_by_any_way(folder):
+    """An absolute path, a detour and a link are fine as long as they stay inside."""
+    (folder / "link.png").symlink_to("train/r_000.png")
+    ways = (str(folder / "train/r_000.png"), "test/../train/r_000", "link", "./train/r_000.png")
+    want = load_scene(folder).train[0].image
+    for way in ways:
+        edit(folder, lambda data, way=way: data["frames"][1].update(file_path=way))
+        np.testing.assert_array_equal(load_scene(folder).train[1].image, want)
+    (folder.parent / "another name").symlink_to(folder.name)  # the folder itself may be a link
+    assert len(load_scene(folder.parent / "another name").train) == 3
+
+
+def make_large(path):
+    """3 GB that take no place on the disk."""
+    os.truncate(os.open(path, os.O_CREAT | os.O_RDWR), 3 << 30)
+
+
+@pytest.mark.parametrize("name", ["transforms_train.json", "transforms_val.json", "scene.json"])
+@pytest.mark.parametrize(
+    "make, words",
+    [
+        (os.mkfifo, "directory, a device"),
+        (os.mkdir, "directory, a device"),
+        (make_large, "larger than"),
+    ],
+)
+def test_a_json_that_is_no_file(folder, name, make, words):
+    (folder / name).unlink(missing_ok=True)
+    make(folder / name)
+    refuse((name, words), load_scene, folder)
+
+
+def chunk(kind, data):
+    """A chunk of a PNG file."""
+    crc = zlib.crc32(kind + data)
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", crc)
+
+
+def palette_png(path, rng, alphas):
+    """A PNG with a palette of 16 colours, of which the first have the given alphas, byte by byte.
+
+    Returns its pixels as RGBA in [0, 1].
+    """
+    palette = rng.integers(0, 256, (16, 3), dtype=np.uint8)
+    index = rng.integers(0, 16, (HEIGHT, WIDTH), dtype=np.uint8)
+    rows = b"".join(b"\0" + row.tobytes() for row in index)
+
+    head = struct.pack(">IIBBBBB", WIDTH, HEIGHT, 8, 3, 0, 0, 0)
+    clear = chunk(b"tRNS", bytes(alphas)) if alphas else b""
+    body = chunk(b"PLTE", palette.tobytes()) + clear + chunk(b"IDAT", zlib.compress(rows))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + body + chunk(b"IEND", b""))
+    alpha = np.array([*alphas, *[255] * 16][:16], np.uint8)
+    return np.dstack([palette[index], alpha[index]]) / 255
+
+
+@pytest.mark.parametrize("alphas", [[], [0], [0, 128, 255, 7]], ids=["opaque", "one", "several"])
+def test_palette_pngs(folder, alphas):
+    want = palette_png(folder / "train" / "r_001.png", np.random.default_rng(1), alphas)
+    view = load_scene(folder, background="black").train[1]
+    np.testing.assert_allclose(view.image, want[..., :3] * want[..., 3:], atol=1e-6)
+    assert (view.alpha is None) is not bool(alphas)
+    if alphas:
+        np.testing.assert_allclose(view.alpha, want[..., 3], atol=1e-6)
+
+
+@pytest.mark.parametrize("side", [10_000, 100_000, 2**31 - 1])
+def test_a_png_that_promises_many_pixels(folder, side, recwarn):
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 6, 0, 0, 0))
+    body = chunk(b"IDAT", zlib.compress(b"only a few")) + chunk(b"IEND", b"")
+    (folder / "train" / "r_001.png").write_bytes(b"\x89PNG\r\n\x1a\n" + head + body)
+    refuse(("frames[1].file_path", "r_001.png", "PNG"), load_scene, folder)
+    assert not recwarn.list
+
+
+def text(name, content):
+    return lambda folder: (folder / name).write_text(content)
+
+
+def effects(names):
+    return text("scene.json", json.dumps({"effects": names}))
+
+
+def picture(*shape):
+    pixels = np.zeros(shape, np.uint8)
+    return lambda folder: iio.imwrite(folder / "test" / "r_001.png", pixels)
+
+
+FIVE_THOUSAND = '{"frames": [], "time": ' + "9" * 5000 + "}"
+nothing = text("notes.txt", "a file that nobody reads")
+IN_THE_FOLDER = [
+    (nothing, dict(path="nowhere"), ("nowhere", "bouncing")),
+    (nothing, dict(path="train/r_000.png"), ("r_000.png", "folder")),
+    (nothing, dict(downscale=0), ("downscale", "0")),
+    (nothing, dict(downscale=2.0), ("downscale", "integer")),
+    (nothing, dict(downscale=3), ("frames[0]", "12x8", "divisible", "3")),
+    (nothing, dict(background="pink"), ("background", "white, black", "pink")),
+    (nothing, dict(background=(0.5, 0.5)), ("background", "three numbers")),
+    (nothing, dict(background=(0, 0, 2)), ("background", "[0, 1]")),
+    (effects(["wind"]), {}, ("scene.json", "effects", "wind", *MODEL_EFFECTS)),
+    (effects("rotation"), {}, ("scene.json", "effects", "list")),
+    (effects([["rotation"]]), {}, ("scene.json", "effects[0]", "rotation")),
+    (picture(HEIGHT, 6, 4), {}, ("test/r_001", "6x8", "12x8")),
+    (picture(HEIGHT, WIDTH), {}, ("frames[1].file_path", "r_001.png", "(H, W, 3)")),
+    (
+        lambda folder: (folder / "test" / "r_001.png").write_bytes(b"\x89PNG\r\n\x1a\n and then"),
+        {},
+        ("transforms_test.json", "frames[1].file_path", "r_001.png", "PNG"),
+    ),
+    (text("transforms_test.json", '{"frames": ['), {}, ("transforms_test.json", "JSON")),
+    (text("transforms_test.json", "[1, 2]"), {}, ("transforms_test.json", "JSON")),
+    (text("transforms_test.json", FIVE_THOUSAND), {}, ("transforms_test.json", "JSON")),
+    (text("transforms_val.json", '{"frames": []}'), {}, ("transforms_val.json", "frames", "empty")),
+    *(
+        (lambda folder, name=name: (folder / name).unlink(), {}, (name, "missing"))
+        for name in ("transforms_test.json", "transforms_train.json")
+    ),
+]
+
+
+@pytest.mark.parametrize("change, options, words", IN_THE_FOLDER)
+def test_mistakes_in_the_folder(folder, change, options, words):
+    change(folder)
+    options = {**options, "path": folder / options.get("path", "")}
+    refuse(words, load_scene, **options)
+
+
+def test_packaged_names_and_paths(tmp_path, monkeypatch):
+    assert {"bouncing", "figure", "glossy", "static", "orientation", "orbit"} <= set(
+        packaged_scenes()
+    )
+    monkeypatch.chdir(tmp_path)
+    packaged = load_scene("static")
+    assert (len(packaged.train), len(packaged.test), packaged.effects) == (
+        48,
+        10,
+        ("occlusion", "background"),
+    )
+    write_folder(tmp_path / "static")
+    assert len(load_scene("static").train) == 3  # a path that exists wins over a name
+
+
+def test_arm_tips_land_on_pixels_of_their_colour():
+    """An arm whose tip is nearer to the camera than the other arms is not hidden there."""
+    scene = load_scene("orientation")
+    arms = json.loads((load.packaged_folder() / "orientation/scene.json").read_text())["bodies"]
+    seen = {arm["name"]: 0 for arm in arms}
+    for view, arm in product(scene.train + scene.test, arms):
+        tip, camera = np.array(arm["shape"]["end"]), view.camera
+        ends = np.array([a["shape"]["end"] for a in arms if a is not arm])
+        others = np.linspace(0, 1, 50)[:, None] * ends[:, None]
+        nearest = np.linalg.norm(others - camera.center, axis=-1).min()
+        if nearest > np.linalg.norm(tip - camera.center):
+            X, Y, Z = camera.R @ tip + camera.T
+            u, v = camera.f_x * X / Z + camera.c_x, camera.f_y * Y / Z + camera.c_y
+            color = view.image[round(v), round(u)]
+            np.testing.assert_allclose(color, arm["color"], atol=1 / 255)
+            seen[arm["name"]] += 1
+    assert all(count >= 10 for count in seen.values()), seen
+
+
+def arrays(n=5, channels=3):
+    rng = np.random.default_rng(3)
+    cameras = [look_at([3, i - 2.0, 1], [0, 0, 0], 10, 11, WIDTH, HEIGHT) for i in range(n)]
+    return rng.uniform(size=(n, HEIGHT, WIDTH, channels)), cameras, np.linspace(0, 1, n)
+
+
+def test_scene_from_arrays():
+    images, cameras, times = arrays(channels=4)
+    scene = Scene.from_arrays(
+        images, cameras, times, test=[1, 3], effects=["background"], background=(0.5, 0, 1)
+    )
+    assert [view.name for view in scene.test] == ["images[1]", "images[3]"] and len(
+        scene.train
+    ) == 3
+    assert (
+        scene.effects == ("background",)
+        and scene.source is None
+        and scene.test[0].camera is cameras[1]
+    )
+    want = images[3][..., :3] * images[3][..., 3:] + np.array([0.5, 0, 1]) * (
+        1 - images[3][..., 3:]
+    )
+    np.testing.assert_allclose(scene.test[1].image, want, atol=1e-6)
+    eight_bit = Scene.from_arrays((images[..., :3] * 255).astype(np.uint8), cameras, times)
+    assert eight_bit.train[0].image.dtype == np.float32 and eight_bit.train[0].alpha is None
+    single = Scene.from_arrays(images[:1], cameras[:1], [0.0])
+    late = replace(single.train[0], time=2)
+    refuse(("arrays: images[0]: time", "[0, 1]"), replace, single, train=(late,))
+
+
+CAMERA = dict(
+    rotation=[
+        dict(R=2 * np.eye(3)),
+        dict(R=np.zeros((3, 3))),
+        dict(R=np.diag([1.0, 1.0, -1.0])),
+    ],
+    R=[dict(R=np.eye(4)), dict(R=np.full((3, 3), 1e200)), dict(R=np.eye(3).astype(str))],
+    T=[dict(T=np.full(3, np.inf)), dict(T=np.array([0, 0, 1e308])), dict(T=np.full(3, np.nan))],
+    f_x=[dict(f_x=-1.0)],
+    f_y=[dict(f_y=1e300)],
+    c_x=[dict(c_x=-1e300)],
+    c_y=[dict(c_y=math.nan)],
+)
+IMAGES, CAMERAS, TIMES = arrays()
+IN_ARRAYS = [
+    (dict(cameras=CAMERAS[:4]), ("images, cameras, times", "5, 4 and 5")),
+    (dict(times=[0, 0, math.nan, 0, 0]), ("times[2]", "nan")),
+    (dict(test=[0, 5]), ("test[1]", "5", "[0, 4]")),
+    (dict(test=range(5)), ("train", "at least one")),
+    (dict(effects=["wind"]), ("effects", "wind")),
+    (dict(images=IMAGES * 255), ("images[0]", "[0, 1]")),
+    (dict(images=IMAGES * np.nan), ("images[0]", "finite")),
+    (dict(images=IMAGES[..., 0]), ("images[0]", "(H, W, 3)")),
+    (dict(images=IMAGES.astype(np.int64)), ("images[0]", "int64")),
+    (dict(images=[*IMAGES[:4], IMAGES[4][:4]]), ("images[4]", "same for all")),
+    (dict(images=IMAGES[:, :6]), ("images[0]", "camera", "12x8")),
+    *(
+        (dict(cameras=[replace(CAMERAS[0], **change), *CAMERAS[1:]]), ("images[0]: camera", word))
+        for word, changes in CAMERA.items()
+        for change in changes
+    ),
+]
+
+
+@pytest.mark.parametrize("change, words", IN_ARRAYS)
+def test_mistakes_in_arrays(change, words):
+    given = {**dict(images=IMAGES, cameras=CAMERAS, times=TIMES), **change}
+    refuse(words, Scene.from_arrays, **given)

@@ -1,0 +1,362 @@
+"""The simulator: closed forms, conventions, the packaged scenes, mistakes in scene.json."""
+
+import copy
+import json
+import math
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.output import OutputError
+from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene
+from p4dgs_ref.scenes.load import packaged_folder
+from p4dgs_ref.scenes.simulator import place_cameras, simulate, trace
+from p4dgs_ref.scenes.simulator.bodies import HITS, NORMALS, box_hit, capsule_hit, poses, turn
+from p4dgs_ref.scenes.simulator.description import read_description
+from p4dgs_ref.splatting.camera import look_at
+from tests.scenes.refusals import refuse
+
+SPHERE = {"name": "ball", "shape": {"kind": "sphere", "radius": 0.5}, "color": [0.8, 0.4, 0.2]}
+BOX = {"name": "box", "shape": {"kind": "box", "half": [0.4, 0.3, 0.2]}, "color": [0.1, 0.3, 0.5]}
+FULL = {
+    "title": "everything at once",
+    "resolution": [10, 8],
+    "lens": {"fl_x": 12, "fl_y": 11, "cx": 5, "cy": 4},
+    "effects": list(SIMULATOR_EFFECTS),
+    "cameras": {"kind": "scattered", "train": 3, "test": 2, "radius": 3, "elevation": [10, 60]},
+    "light": {"kind": "sun", "direction": [-1, -0.5, -2], "ambient": 0.4},
+    "bodies": [
+        {
+            **SPHERE,
+            "specular": {"strength": 0.5, "exponent": 5},
+            "texture": {"kind": "checker", "color": [0, 0.2, 0.1], "cell": 0.3},
+            "motion": [
+                {"kind": "line", "by": [0.3, 0, 0]},
+                {"kind": "pulse", "amount": 0.2},
+                {"kind": "spin", "axis": [1, 1, 0], "degrees": 90},
+            ],
+        },
+        {**BOX, "parent": "ball", "position": [0, 0.5, 0.1], "faces_camera": True},
+    ],
+}
+
+
+def changed(**changes):
+    return read_description({**copy.deepcopy(FULL), **changes})
+
+
+def test_silhouette_of_a_sphere_is_its_cone():
+    """A ray meets a sphere if its angle to the centre is below asin(r / distance)."""
+    eye = look_at((3.0, 1.0, 1.5), (0, 0, 0), 60, 52, 40, 32, 17.3, 18.9)
+    picture = trace.trace(changed(bodies=[SPHERE], effects=["background"]), eye, 0.0)
+    v, u, dv, du = np.meshgrid(*map(np.arange, (32, 40)), *2 * [[-1 / 3, 0, 1 / 3]], indexing="ij")
+    ray = np.stack([(u + du - 17.3) / 60, (v + dv - 18.9) / 52, np.ones(u.shape)], axis=-1)
+    distance = np.linalg.norm(eye.T)  # the sphere is at the origin
+    angle = np.arccos(ray @ eye.T / np.linalg.norm(ray, axis=-1) / distance)
+    covered = (angle < math.asin(0.5 / distance)).sum(axis=(2, 3))
+    np.testing.assert_array_equal(picture[..., 3], covered / 9)
+    assert 0.1 < (covered > 0).mean() < 0.9
+    colors = picture[covered > 0, :3]
+    np.testing.assert_allclose(colors, np.broadcast_to(SPHERE["color"], colors.shape))
+
+
+def signed_distance(shape, p):
+    """How far points are outside a shape: an independent form of the same three shapes."""
+    if shape.kind == "sphere":
+        return np.linalg.norm(p - shape.center, axis=-1) - shape.radius
+    if shape.kind == "box":
+        q = np.abs(p - shape.center) - shape.half
+        return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(axis=-1), 0)
+    a, b = shape.start, shape.end
+    past_start, past_end = (p - a) @ (b - a) > 0, (p - b) @ (b - a) > 0
+    to_line = np.linalg.norm(np.cross(p - a, p - b), axis=-1) / np.linalg.norm(b - a)
+    to_ends = np.where(past_end, np.linalg.norm(p - b, axis=-1), np.linalg.norm(p - a, axis=-1))
+    return np.where(past_start & ~past_end, to_line, to_ends) - shape.radius
+
+
+SHAPES = [
+    {"kind": "sphere", "radius": 0.7, "center": [0.1, -0.2, 0.3]},
+    {"kind": "box", "half": [0.5, 0.3, 0.8], "center": [-0.2, 0.1, 0.0]},
+    {"kind": "capsule", "start": [-0.4, 0.2, -0.5], "end": [0.5, -0.3, 0.6], "radius": 0.35},
+]
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape["kind"])
+def test_hits_lie_on_the_surface_and_nothing_lies_before(shape):
+    shape = changed(bodies=[{**SPHERE, "shape": shape}]).bodies[0].shape
+    rng = np.random.default_rng(5)
+    o = np.array([2.0, -1.7, 1.4])
+    d = (rng.uniform(-1.2, 1.2, (300, 3)) - o) * rng.uniform(0.3, 2, (300, 1))
+    t = HITS[shape.kind](shape, o, d)
+    met = np.isfinite(t)
+    assert 30 < met.sum() < 270
+    points = o + t[met, None] * d[met]
+    np.testing.assert_allclose(signed_distance(shape, points), 0, atol=1e-6)
+    steps = np.linspace(0, 1, 200)[:-1]
+    # The first hit: the whole way to it is outside.
+    for start, stop in zip(np.broadcast_to(o, points.shape), points):
+        assert signed_distance(shape, start + steps[:, None] * (stop - start)).min() > 0
+    for direction in d[~met]:  # a miss: the whole ray is outside
+        assert signed_distance(shape, o + np.linspace(0, 20, 400)[:, None] * direction).min() > 0
+    normal = NORMALS[shape.kind](shape, points)
+    above, below = (signed_distance(shape, points + sign * 1e-4 * normal) for sign in (1, -1))
+    np.testing.assert_allclose((above - below) / 2e-4, 1, atol=1e-3)
+    behind = HITS[shape.kind](shape, o, -d)[met]
+    assert not np.isfinite(behind).any()  # what lies behind is not seen
+
+
+def test_distance_to_a_face_of_a_turned_box():
+    """Along the turned x axis of the box the face is half an edge nearer than the centre."""
+    body = read_description(
+        {
+            **FULL,
+            "bodies": [
+                {**BOX, "position": [0.2, 0.1, -0.3], "turn": {"axis": [1, 2, 3], "degrees": 40}}
+            ],
+        }
+    ).bodies[0]
+    pose = poses([body], (), 0.0, np.zeros(3))["box"]
+    direction = turn((1, 2, 3), 40) @ [1.0, 0, 0]
+    distance = trace.hit(body, pose, np.array([0.2, 0.1, -0.3]) + 5 * direction, -direction[None])
+    np.testing.assert_allclose(distance, 5 - 0.4, rtol=1e-12)
+
+
+def test_rays_parallel_to_faces_and_axes():
+    box, capsule = (
+        changed(bodies=[{**SPHERE, "shape": shape}]).bodies[0].shape
+        for shape in (
+            {"kind": "box", "half": [1, 1, 1]},
+            {"kind": "capsule", "start": [0, 0, -1], "end": [0, 0, 1], "radius": 0.5},
+        )
+    )
+    down = np.array([[0.0, 0, -2]])
+    for hit, shape, eye, distance in (
+        (box_hit, box, (0.3, -0.2, 5.0), 2.0),
+        (box_hit, box, (1.3, -0.2, 5.0), np.inf),
+        (capsule_hit, capsule, (0.0, 0.0, 5.0), 1.75),
+        (capsule_hit, capsule, (0.6, 0.0, 5.0), np.inf),
+    ):
+        assert hit(shape, np.array(eye), down)[0] == distance
+
+
+def one_ball(effects, light=None, t=0.0, position=(0.0, 0.0, 4.0), **body):
+    """The ball seen from above; the row and column of the centre are integers."""
+    eye = look_at(position, (0, 0, 0), 40, 40, 21, 21, up=(0, 1, 0))
+    light = light or {"kind": "sun", "direction": [0, 0, -1], "ambient": 0.3}
+    return trace.trace(changed(bodies=[{**SPHERE, **body}], effects=effects, light=light), eye, t)
+
+
+COLOR = np.array(SPHERE["color"])
+# 60 degrees off the pole, as is the light that the pole mirrors.
+SIDEWAYS = {"kind": "sun", "direction": [-math.sqrt(3), 0, -1], "ambient": 0.3}
+BELOW = {"kind": "point", "position": [0, 0, -9], "ambient": 0.3}
+LAMP = {"kind": "point", "position": [0, math.sqrt(3), 1.5], "ambient": 0}  # 60 degrees off, too
+POLE = [  # effects, light, strength and exponent of the highlight, color, relative error
+    (["diffuse"], SIDEWAYS, (0, 1), COLOR * (0.3 + 0.7 * 0.5), 2e-3),
+    (["diffuse", "specular"], BELOW, (0.5, 1), COLOR * 0.3, 1e-7),
+    (["specular", "view_color"], SIDEWAYS, (0.2, 3), COLOR + 0.2 * 0.5**3, 1e-2),
+    (["diffuse"], LAMP, (0, 1), COLOR * 0.5, 1e-2),
+]
+
+
+@pytest.mark.parametrize("effects, light, gloss, want, rtol", POLE)
+def test_lambert_and_phong_at_the_pole(effects, light, gloss, want, rtol):
+    specular = {"strength": gloss[0], "exponent": gloss[1]}
+    lit = one_ball([*effects, "background"], light, specular=specular)[10, 10]
+    np.testing.assert_allclose(lit, [*want, 1], rtol=rtol)
+
+
+@pytest.mark.parametrize(
+    "effects, follows", [(["specular"], False), (["specular", "view_color"], True)]
+)
+def test_the_highlight_follows_the_viewer_only_with_view_color(effects, follows):
+    """Under a light overhead the highlight is at the pole, or half-way from it to the viewer."""
+    position = np.array([2.4, 0, 3.2])
+    plain, shiny = (
+        one_ball(
+            ["background", *some], position=position, specular={"strength": 0.2, "exponent": 30}
+        )
+        for some in ([], effects)
+    )
+    v, u = np.unravel_index((shiny - plain)[..., :3].sum(axis=2).argmax(), (21, 21))
+    halfway = np.array([0, 0, 1.0]) + follows * position / 4
+    eye = look_at(position, (0, 0, 0), 40, 40, 21, 21, up=(0, 1, 0))
+    X, Y, Z = eye.R @ (0.5 * halfway / np.linalg.norm(halfway)) + eye.T
+    assert abs(u - (40 * X / Z + 10)) <= 0.51 and abs(v - (40 * Y / Z + 10)) <= 0.51
+
+
+@pytest.mark.parametrize(
+    "move, t, want",
+    [
+        ({"kind": "line", "by": [0.5, 0, -0.2]}, 0.5, (0.25, 0, -0.1)),
+        ({"kind": "bounce", "height": 0.6, "period": 0.5}, 0.25, (0, 0, 0.6)),
+        ({"kind": "bounce", "height": 0.6, "period": 0.5, "phase": 0.5}, 0.125, (0, 0, 0.3)),
+        ({"kind": "arc", "center": [-1, 0, 0], "degrees": 90, "period": 1}, 0.25, (-1, 1, 0)),
+    ],
+)
+def test_translations(move, t, want):
+    body = changed(bodies=[{**SPHERE, "motion": [move]}]).bodies
+    pose = poses(body, ("translation",), t, np.zeros(3))["ball"]
+    np.testing.assert_allclose(pose.T, want, atol=1e-12)
+    np.testing.assert_allclose(pose.R, np.eye(3))
+    assert not poses(body, ("rotation", "scaling"), t, np.zeros(3))["ball"].T.any()
+
+
+def test_limbs_are_carried_by_their_parents_but_do_not_inherit_scale():
+    quarter = {"kind": "spin", "axis": [0, 0, 1], "degrees": 90}
+    bodies = changed(
+        bodies=[
+            {**SPHERE, "motion": [quarter, {"kind": "pulse", "amount": 0.5, "phase": 0.25}]},
+            {
+                **BOX,
+                "parent": "ball",
+                "position": [1, 0, 0],
+                "motion": [{"kind": "swing", "axis": [0, 1, 0], "degrees": 90, "phase": 0.25}],
+            },
+        ]
+    ).bodies
+    ball, box = poses(bodies, SIMULATOR_EFFECTS, 1.0, np.zeros(3)).values()
+    np.testing.assert_allclose([ball.scale, box.scale], [1.5, 1])
+    # The quarter turn of the parent takes x to y; the turn of the child first takes z to x.
+    np.testing.assert_allclose(box.T, (0, 1, 0), atol=1e-12)
+    np.testing.assert_allclose(box.R @ [0, 0, 1], (0, 1, 0), atol=1e-12)
+
+
+def test_a_body_that_faces_the_camera():
+    body = changed(bodies=[{**BOX, "faces_camera": True}]).bodies
+    for viewer in (np.array([2.0, -1, 3]), np.array([0.0, 0, 2])):
+        R = poses(body, ("view_geometry",), 0.0, viewer)["box"].R
+        np.testing.assert_allclose(R[:, 2], viewer / np.linalg.norm(viewer), atol=1e-12)
+        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(R) > 0 and R[2, 0] == 0
+
+
+def test_occlusion_and_its_absence():
+    below = {**SPHERE, "name": "below", "position": [0, 0, -1.2], "color": [0.1, 0.5, 0.7]}
+    eye = look_at((0, 0, 4), (0, 0, 0), 40, 40, 21, 21, up=(0, 1, 0))
+    for bodies in ([SPHERE, below], [below, SPHERE]):
+        hidden, added = (
+            trace.trace(changed(bodies=bodies, effects=effects), eye, 0)[10, 10]
+            for effects in (["occlusion", "background"], ["background"])
+        )
+        np.testing.assert_allclose(hidden, [0.8, 0.4, 0.2, 1])
+        np.testing.assert_allclose(added, [0.9, 0.9, 0.9, 1])
+
+
+def test_cameras_survive_the_way_through_the_file(tmp_path):
+    calls = []
+    simulate(FULL, tmp_path / "out", progress=lambda *call: calls.append(call))
+    assert calls == [(i, 5) for i in range(1, 6)]
+    description, scene = read_description(FULL), load_scene(tmp_path / "out", background="black")
+    for split, views in (("train", scene.train), ("test", scene.test)):
+        for (eye, t), view in zip(place_cameras(description, split), views, strict=True):
+            assert view.time == t
+            for field, value in vars(eye).items():
+                np.testing.assert_allclose(
+                    getattr(view.camera, field), value, atol=1e-12, err_msg=field
+                )
+            drawn = trace.trace(description, eye, t)
+            np.testing.assert_allclose(view.image, drawn[..., :3] * drawn[..., 3:], atol=1.1 / 255)
+            np.testing.assert_allclose(view.alpha, drawn[..., 3], atol=0.51 / 255)
+
+
+def test_views_times_and_sizes_of_the_packaged_scenes():
+    readme = (packaged_folder() / "README.md").read_text()
+    for name in ("bouncing", "figure", "glossy", "static", "orientation", "orbit"):
+        scene = load_scene(name)
+        assert (len(scene.train), len(scene.test)) == (48, 10)
+        assert (scene.train[0].time, scene.train[-1].time) == (0, 1)
+        assert not {view.time for view in scene.train} & {view.time for view in scene.test}
+        covered = [np.mean(view.alpha > 0.5) for view in scene.train + scene.test]
+        assert 0.1 < np.mean(covered) < 0.45, name
+        size = sum(file.stat().st_size for file in (packaged_folder() / name).rglob("*.*"))
+        row = next(line for line in readme.splitlines() if line.startswith(f"| {name} |"))
+        assert row.endswith(f"| {size:,} |"), f"tiny_scenes/README.md: {name} has {size:,} bytes"
+    assert sum(file.stat().st_size for file in packaged_folder().rglob("*.*")) < 2_500_000
+    steps = {
+        name: [np.linalg.norm(b.camera.center - a.camera.center) for a, b in zip(views, views[1:])]
+        for name in ("orbit", "bouncing")
+        for views in [load_scene(name).train]
+    }
+    assert max(steps["orbit"]) < 1.2 < min(steps["bouncing"])
+
+
+def test_nothing_is_left_of_a_drawing_that_stops(tmp_path):
+    def stop(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        simulate(FULL, tmp_path / "out", progress=stop)
+    assert list(tmp_path.iterdir()) == []
+    simulate(FULL, tmp_path / "out")
+    before = {file: file.read_bytes() for file in tmp_path.rglob("*.*")}
+    with pytest.raises(KeyboardInterrupt):
+        simulate({**FULL, "effects": []}, tmp_path / "out", progress=stop)
+    assert {file: file.read_bytes() for file in tmp_path.rglob("*.*")} == before
+
+
+def ball_with(**fields):
+    return {"bodies": [{**SPHERE, **fields}]}
+
+
+MISTAKES = [
+    ({"efects": []}, "scene: unknown field", "efects"),
+    ({"effects": ["wind"]}, "scene: effects", "wind"),
+    ({"resolution": [64]}, "scene: resolution", "shape [2]"),
+    ({"resolution": [64, 6.5]}, "scene: resolution", "integers"),
+    (
+        {"light": {"kind": "sun", "direction": [0, 0, 0], "ambient": 0.1}},
+        "scene: light.direction",
+        "not zero",
+    ),
+    ({"light": {"kind": "lamp"}}, "scene: light.kind", "sun, point"),
+    ({"light": {"direction": [0, 0, 1]}}, "scene: light.kind", "sun, point"),
+    ({"bodies": []}, "scene: bodies", "at least one"),
+    ({"bodies": {}}, "scene: bodies", "list"),
+    ({"bodies": [SPHERE, SPHERE]}, "scene: bodies[1].name", "taken"),
+    (ball_with(parent="box"), "scene: bodies[0].parent", "listed before"),
+    (ball_with(color=[0, 0, 1.5]), "scene: bodies[0].color", "1.5]; expected numbers"),
+    (ball_with(color=[0, 0, math.nan]), "scene: bodies[0].color", "nan"),
+    (ball_with(position=[0, 0, math.inf]), "scene: bodies[0].position", "inf"),
+    (ball_with(faces_camera=1), "scene: bodies[0].faces_camera", "a bool"),
+    (ball_with(name=3), "scene: bodies[0].name", "a text"),
+    (ball_with(shape={"kind": "sphere"}), "scene: bodies[0].shape.radius", "a number"),
+    (ball_with(shape={"kind": "cone"}), "scene: bodies[0].shape.kind", "sphere, box, capsule"),
+    (
+        ball_with(shape={"kind": "capsule", "start": [0, 0, 0], "end": [0, 0, 0], "radius": 1}),
+        "scene: bodies[0].shape.end",
+        "another point",
+    ),
+    (
+        ball_with(motion=[{"kind": "line", "by": [0, 0, 1], "height": 2}]),
+        "scene: bodies[0].motion[0]",
+        "unknown field ['height']",
+    ),
+    (
+        ball_with(motion=[{"kind": "line", "by": [0, 0, 10**400]}]),
+        "scene: bodies[0].motion[0].by",
+        "1e+06",
+    ),
+    (ball_with(specular=3), "scene: bodies[0].specular", "expected a dict"),
+]
+
+
+@pytest.mark.parametrize("change, place, expected", MISTAKES, ids=[row[1] for row in MISTAKES])
+def test_mistakes_in_a_description(change, place, expected, tmp_path):
+    message = refuse([expected], simulate, {**FULL, **change}, tmp_path / "out")
+    assert message.startswith(place)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_descriptions_in_files(tmp_path):
+    file, taken = tmp_path / "scene.json", tmp_path / "taken"
+    refuse(["scene.json: missing"], simulate, file, tmp_path / "out")
+    file.write_text(json.dumps({**FULL, "light": {"kind": "lamp"}}))
+    refuse(["scene.json: light.kind: 'lamp'"], simulate, file, tmp_path / "out")
+    file.write_text(json.dumps(FULL))
+    simulate(file, tmp_path / "new" / "out")
+    assert (tmp_path / "new" / "out" / "scene.json").read_text() == json.dumps(FULL)
+    assert len(load_scene(tmp_path / "new" / "out").train) == 3
+    taken.write_text("")
+    with pytest.raises(OutputError, match="taken: expected a folder that can be written to"):
+        simulate(FULL, taken)

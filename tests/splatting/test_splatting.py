@@ -1,0 +1,316 @@
+"""The renderers against each other: the readable loop, the exact twin and the fast one."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.lab.random_inputs import random_splats
+from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.splatting import compositing, covariance, fast, loop, render, tiles
+from p4dgs_ref.splatting.camera import look_at
+from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
+from p4dgs_ref.training.presets import SMOKE
+from p4dgs_ref.training.trainer import Trainer
+from tests.golden import needles
+
+# (height, width): one pixel, less than a tile, not a multiple of a tile, square.
+SIZES = [(1, 1), (5, 3), (29, 43), (64, 64)]
+
+
+def splats(n, height, width, seed=0, **changes):
+    """Random splats and a background, as `fast` and `loop` take them."""
+    inputs = random_splats(np.random.default_rng(seed), n, height, width, **changes)
+    a, b, c = inputs["conic"].T
+    inputs["cov2d"] = np.stack([c, -b, a], axis=1) / (a * c - b * b)[:, None]
+    return dict(inputs, background=np.array([1.0, 0.6, 0.2]), height=height, width=width)
+
+
+def run(module, inputs, image_bar, **extra):
+    """Image, transmittance and gradients; `compositing` needs no covariance."""
+    if module is compositing:
+        inputs = {name: value for name, value in inputs.items() if name != "cov2d"}
+    (image, transmittance), saved = module.forward(**inputs, **extra)
+    return image, transmittance, module.backward(saved, image_bar)
+
+
+def bin_splats(inputs, settings=FAST):
+    names = ("mean2d", "cov2d", "conic", "alpha", "depth", "visible", "width", "height")
+    return tiles.bin_splats(*(inputs[name] for name in names), settings)
+
+
+def relative(a, b):
+    return np.linalg.norm(np.asarray(a, float) - b) / max(np.linalg.norm(b), 1e-300)
+
+
+def largest(a, b):
+    return np.abs(a - b).max()
+
+
+@pytest.mark.parametrize("height, width", SIZES)
+@pytest.mark.parametrize("alpha", [(0.05, 0.9), (0.9, 1.0)])
+def test_loop_and_fast_without_cuts_equal_the_exact_twin(height, width, alpha):
+    inputs = splats(60, height, width, alpha=alpha)
+    image_bar = np.random.default_rng(1).normal(size=(height, width, 3))
+    exact, exact_T, exact_bars = run(compositing, inputs, image_bar)
+    for module in (loop, fast):
+        image, T, bars = run(module, inputs, image_bar, settings=EXACT)
+        assert largest(image, exact) < 1e-12 and largest(T, exact_T) < 1e-12
+        assert bars.keys() == exact_bars.keys()
+        for name, bar in bars.items():
+            assert relative(bar, exact_bars[name]) < 1e-11, (module.__name__, name)
+
+
+@pytest.mark.parametrize("ratio", needles.RATIOS)
+def test_needles_have_all_their_digits_in_every_renderer(ratio):
+    """Image and every number of the gradients, against decimals, in both precisions."""
+    gaussians, image_bar = needles.needle(ratio)
+    image, bars = needles.truth(ratio)
+    double = FAST._replace(dtype="float64", cut=1e-16, stop=0.0)
+    for settings, precision in ((EXACT, 1e-12), (double, 1e-12), (FAST, 1e-4)):
+        (found, *_), saved = render.forward(**gaussians, camera=needles.CAMERA, settings=settings)
+        found_bars = render.backward(saved, image_bar)
+        np.testing.assert_allclose(found, image, rtol=precision)
+        for name, bar in bars.items():
+            np.testing.assert_allclose(found_bars[name], bar, precision, err_msg=name)
+    (Sigma, R), _ = covariance.axes(gaussians["s"], gaussians["r"])
+    projected, _ = render.project(gaussians["x"], Sigma, needles.CAMERA, EXACT, R)
+    names = ("mean2d", "cov2d", "conic", "depth", "visible")
+    looks = {name: gaussians[name] for name in ("alpha", "color", "background")}
+    size = dict(height=needles.CAMERA.height, width=needles.CAMERA.width)
+    (found, _), _ = loop.forward(**dict(zip(names, projected)), **looks, **size, settings=EXACT)
+    np.testing.assert_allclose(found, image, rtol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [1e100, 1e200, np.inf, np.nan])
+def test_gaussians_beyond_every_number_are_culled_alone(scale):
+    gaussians, image_bar = needles.needle(1e8)
+    both = {name: np.repeat(a, 2, axis=0) for name, a in gaussians.items() if name != "background"}
+    both["s"][0] = scale
+    looks = dict(background=gaussians["background"], camera=needles.CAMERA, settings=EXACT)
+    with np.errstate(over="ignore", invalid="ignore"):
+        (found, _, visible), saved = render.forward(**both, **looks)
+        bars = render.backward(saved, image_bar)
+    (alone, *_), saved = render.forward(**{**gaussians, **looks})
+    assert visible.tolist() == [False, True] and np.array_equal(found, alone)
+    for name, bar in render.backward(saved, image_bar).items():
+        assert name == "background" or np.array_equal(bars[name][1], bar[0]), name
+        assert name in ("background", "s") or not bars[name][0].any(), name
+
+
+def test_fast_settings_stay_within_their_declared_error():
+    """Image within 1e-4 and gradients within 1e-3 of the exact twin, for a random cotangent."""
+    inputs = splats(1000, 64, 64, seed=1000)
+    image_bar = np.random.default_rng(2).normal(size=(64, 64, 3))
+    exact, _, exact_bars = run(compositing, inputs, image_bar)
+    image, _, bars = run(fast, inputs, image_bar, settings=FAST)
+    assert largest(image, exact) <= 1e-4
+    for name, bar in bars.items():
+        assert relative(bar, exact_bars[name]) <= 1e-3, name
+
+
+@pytest.mark.parametrize("alpha", [(0.3, 1.0), (0.985, 1.0)])
+@pytest.mark.parametrize("height, width", SIZES)
+def test_paper_settings_follow_the_kernel_in_both_renderers(height, width, alpha):
+    """The 3-sigma box of tiles, the 1/255 mask, the stop before the splat, the clamp's gradient."""
+    inputs = splats(80, height, width, seed=3, alpha=alpha)
+    image_bar = np.random.default_rng(4).normal(size=(height, width, 3))
+    wanted, _, wanted_bars = run(loop, inputs, image_bar, settings=PAPER)
+    image, _, bars = run(fast, inputs, image_bar, settings=PAPER._replace(dtype="float64"))
+    assert largest(image, wanted) < 1e-12
+    for name, bar in bars.items():
+        assert relative(bar, wanted_bars[name]) < 1e-11, name
+
+
+def test_equal_depths_stay_in_the_order_of_their_index():
+    """An unstable sort would show with some hundred depths of few values.
+
+    The other stable sort of the renderer, by the number of splats in a tile, only has to put
+    tiles of similar length into one group: every tile is composited by itself.
+    """
+    rng = np.random.default_rng(8)
+    depth, visible = rng.integers(0, 4, 999) / 4, rng.random(999) < 0.7
+    wanted = sorted(np.flatnonzero(visible).tolist(), key=lambda row: depth[row])
+    assert compositing.depth_order(depth, visible, True).tolist() == wanted
+
+
+def test_ellipse_test_is_exact():
+    """A pair is listed exactly where alpha reaches the cut inside the tile's rectangle.
+
+    The peak of alpha in a tile is found by dense sampling, which can only miss a little of it.
+    """
+    inputs = splats(300, 40, 48, seed=5, sigma=(0.6, 9.0))
+    lists = bin_splats(inputs)
+    listed = set(zip(lists.tile.tolist(), lists.row.tolist()))
+    fine = np.linspace(0, 7, 113)
+    a, b, c = inputs["conic"].T[:, :, None, None]
+    superfluous = 0
+    for tile in range(lists.columns * lists.rows):
+        x, y = np.meshgrid(fine + tile % lists.columns * 8, fine + tile // lists.columns * 8)
+        for row in range(300):
+            e_x, e_y = x - inputs["mean2d"][row, 0], y - inputs["mean2d"][row, 1]
+            form = a[row] * e_x**2 + c[row] * e_y**2 + 2 * b[row] * e_x * e_y
+            peak = inputs["alpha"][row] * np.exp(-0.5 * form.min())
+            if peak >= FAST.cut:
+                assert (tile, row) in listed
+            superfluous += peak < 0.9 * FAST.cut and (tile, row) in listed
+    assert superfluous <= 0.001 * len(listed)
+
+
+def test_lists_are_sorted_by_tile_then_depth_then_index():
+    inputs = splats(200, 32, 32, seed=6)
+    inputs["depth"] = np.round(inputs["depth"])  # many equal depths
+    lists = bin_splats(inputs)
+    keys = list(zip(lists.tile, inputs["depth"][lists.row], lists.row))
+    assert keys == sorted(keys) and len(set(keys)) == len(keys)
+
+
+def test_cost_follows_the_covered_pixels():
+    """The same splats in a larger image have about as many pairs, but for the border."""
+    small = splats(400, 64, 64, seed=7)
+    large = dict(small, mean2d=small["mean2d"] + 96, height=256, width=256)
+    pairs_small, pairs_large = len(bin_splats(small).row), len(bin_splats(large).row)
+    assert pairs_large < 1.4 * pairs_small
+    assert pairs_large * 64 < 0.15 * 400 * 256 * 256
+
+
+@pytest.mark.parametrize("settings", [EXACT, PAPER, FAST])
+@pytest.mark.parametrize("hidden", ["not visible", "off the image", "transparent"])
+def test_nothing_to_draw_gives_the_background(hidden, settings):
+    inputs = splats(5, 9, 14)
+    if hidden == "not visible":
+        inputs["visible"] = np.zeros(5, bool)
+    elif hidden == "off the image":
+        inputs["mean2d"] = inputs["mean2d"] + 1e6
+    else:
+        inputs["alpha"] = np.zeros(5)
+    image, _, bars = run(fast, inputs, np.ones((9, 14, 3)), settings=settings)
+    assert np.array_equal(image, np.broadcast_to(image[:1, :1], (9, 14, 3)))
+    assert np.allclose(image[0, 0], inputs["background"])
+    assert all(np.isfinite(bar).all() for bar in bars.values()) and not bars["mean2d"].any()
+
+
+@pytest.mark.parametrize("occlusion", [True, False])
+@pytest.mark.parametrize("settings", [EXACT, PAPER, FAST])
+def test_without_gradients_the_picture_is_the_same(settings, occlusion):
+    inputs = splats(300, 90, 120, seed=13, alpha=(0.4, 1.0))
+    (image, T), saved = fast.forward(**inputs, settings=settings, occlusion=occlusion)
+    (alone, alone_T), nothing = fast.forward(
+        **inputs, settings=settings, occlusion=occlusion, keep=False
+    )
+    assert np.array_equal(alone, image) and np.array_equal(alone_T, T)
+    assert saved[0] and nothing is None
+
+
+def test_without_gradients_memory_does_not_follow_the_alphas():
+    """Bytes alive at the worst moment: with gradients all alphas, without one chunk."""
+    inputs, peaks = splats(6000, 256, 256, seed=14), {}
+    for keep in (True, False):
+        tracemalloc.start()
+        _, saved = fast.forward(**inputs, settings=FAST, keep=keep)
+        peaks[keep] = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        if keep:
+            sizes = [A.nbytes for _, _, A, *_ in saved[0]]
+    assert max(sizes) <= 4 * fast.RANKS * fast.GROUP and len(sizes) >= 8
+    assert sum(sizes) < peaks[True] < 2 * sum(sizes), peaks  # without the weights
+    assert peaks[False] < sum(sizes), peaks
+
+
+def test_a_model_is_rendered_without_gradients(monkeypatch):
+    kept, forward = [], render.forward
+
+    def watched(*args, **kwargs):
+        result = forward(*args, **kwargs)
+        kept.append(result[1][-1])
+        return result
+
+    monkeypatch.setattr(render, "forward", watched)
+    model = Trainer(load_scene("static", downscale=4), SMOKE).model()
+    model.render(look_at((0, -3, 0), (0, 0, 0), 20, 20, 17, 11), 0.5)
+    assert kept == [None]
+
+
+@pytest.mark.parametrize("settings", [EXACT, PAPER, FAST])
+@pytest.mark.parametrize("wrong", [np.nan, -0.3])
+def test_opacities_that_are_nan_or_negative_are_refused(settings, wrong):
+    """Lists of tiles would leave such a Gaussian out in silence, and the exact twin would not."""
+    with pytest.raises(ValueError, match=r"alpha\[1\] is (nan|-0.3): expected at least 0"):
+        render.forward(
+            x=np.zeros((2, 3)),
+            s=np.full((2, 3), 0.1),
+            r=np.array([[1.0, 0, 0, 0]] * 2),
+            alpha=np.array([0.7, wrong]),
+            color=np.ones((2, 3)),
+            camera=look_at((0, -2, 0), (0, 0, 0), 50, 50, 21, 21),
+            background=np.zeros(3),
+            settings=settings,
+        )
+
+
+def test_one_gaussian_in_closed_form():
+    """A sphere on the axis has alpha exp(-r^2 / (2 (f^2 s^2 / z^2 + 0.3))) at r pixels."""
+    camera = look_at((0, -2, 0), (0, 0, 0), 50, 50, 21, 21)
+    (image, transmittance, visible), _ = render.forward(
+        x=np.zeros((1, 3)),
+        s=np.full((1, 3), 0.1),
+        r=np.array([[1.0, 0, 0, 0]]),
+        alpha=np.array([0.7]),
+        color=np.ones((1, 3)),
+        camera=camera,
+        background=np.zeros(3),
+        settings=EXACT,
+    )
+    y, x = np.mgrid[:21, :21] - 10.0
+    expected = 0.7 * np.exp(-(x**2 + y**2) / (2 * (2.5**2 + 0.3)))
+    assert visible.all() and np.allclose(image, expected[:, :, None], atol=1e-12)
+    assert np.allclose(transmittance, 1 - expected, atol=1e-12)
+
+
+# --- memory ---
+@pytest.mark.parametrize("n, scale", [(2000, 0.06), (100, 0.5), (10_000, 0.004)])
+def test_the_number_of_pairs_bounds_the_memory(monkeypatch, n, scale):
+    """Both passes stay below what `MAX_PAIRS` promises, and one pair too many is refused."""
+    rng = np.random.default_rng(0)
+    camera = look_at((0, -3.6, 0), (0, 0, 0), 300, 300, 256, 256)
+    r = rng.normal(size=(n, 4))
+    r /= np.linalg.norm(r, axis=1, keepdims=True)
+    x, alpha = rng.uniform(-1, 1, (n, 3)), rng.uniform(0.01, 0.05, n)
+    inputs = x, np.full((n, 3), scale), r, alpha, np.ones((n, 3)), camera, np.ones(3), FAST
+    monkeypatch.setattr(tiles, "MAX_PAIRS", 0)
+    with pytest.raises(ValueError, match="pairs of Gaussians and tiles") as refused:
+        render.forward(*inputs)
+    pairs = int(str(refused.value).split()[0])
+    monkeypatch.setattr(tiles, "MAX_PAIRS", pairs)  # just enough
+    tracemalloc.start()
+    try:
+        (image, *_), saved = render.forward(*inputs)
+        render.backward(saved, np.ones_like(image))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak <= 500 * pairs + 8 * fast.RANKS * fast.GROUP * image.itemsize
+
+
+@pytest.mark.parametrize("settings", [EXACT, FAST])
+def test_without_occlusion_nothing_is_sorted_by_depth(settings, monkeypatch):
+    """The order of the splats changes nothing then; what is still sorted are lengths of lists."""
+    rng = np.random.default_rng(3)
+    camera = look_at((1.0, -2.2, 1.1), (0, 0, 0), 17.0, 15.0, 16, 12)
+    x, s = rng.normal(size=(20, 3)) * 0.3, rng.uniform(0.05, 0.2, (20, 3))
+    r = np.tile([1.0, 0, 0, 0], (20, 1))
+    looks = rng.uniform(0.2, 0.9, 20), rng.random((20, 3)), camera, np.zeros(3)
+    inputs = (x, s, r, *looks, settings._replace(dtype="float64"))
+    image = render.forward(*inputs, False)[0][0]
+    assert np.abs(render.forward(*inputs, True)[0][0] - image).max() > 0.01
+
+    argsort = np.argsort
+
+    def integers_only(values, **kwargs):
+        assert values.dtype.kind != "f", "depths are sorted"
+        return argsort(values, **kwargs)
+
+    monkeypatch.setattr(np, "argsort", integers_only)
+    assert np.array_equal(render.forward(*inputs, False)[0][0], image)
+    with pytest.raises(AssertionError, match="depths are sorted"):
+        render.forward(*inputs, True)

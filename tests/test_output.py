@@ -1,0 +1,191 @@
+"""Outputs: whole files or none, nothing replaced that is no regular file, locks."""
+
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import p4dgs_ref as p4
+from p4dgs_ref import output
+from p4dgs_ref.output import (
+    OutputError,
+    filled,
+    locked,
+    new_file,
+    write_atomically,
+)
+
+SCENE = p4.load_scene("bouncing", downscale=16)
+
+
+def device(path):
+    try:
+        os.mknod(path, 0o20600, os.makedev(1, 3))  # a node of our own, like /dev/null
+    except (OSError, AttributeError):
+        pytest.skip("only root may make a device node")
+
+
+KINDS = {
+    "pipe": os.mkfifo,
+    "device": device,
+    "folder": os.mkdir,
+    "link to itself": lambda path: path.symlink_to(path.name),
+}
+
+
+def write_file(path):
+    with new_file(path):
+        write_atomically(path, lambda file: file.write(b"new"))
+
+
+def write_folder(path):
+    with filled(path.parent) as staging:
+        (staging / "a first file").write_bytes(b"new")
+        (staging / path.name).write_bytes(b"new")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("link", [False, True], ids=["itself", "through a link"])
+@pytest.mark.parametrize("write", [write_file, write_folder])
+def test_only_a_regular_file_is_replaced(tmp_path, kind, link, write):
+    (tmp_path / "there").mkdir()
+    (tmp_path / "out").mkdir()
+    place = tmp_path / "there" / "x"
+    KINDS[kind](place)
+    named = tmp_path / "out" / "x" if link else place
+    if link:
+        named.symlink_to(place)
+    before, names = os.lstat(place), sorted(tmp_path.rglob("*"))
+    with pytest.raises(OutputError, match=r"x: expected a regular file or nothing, found ") as said:
+        write(named)
+    assert "\n" not in str(said.value)
+    for field in ("st_mode", "st_ino", "st_rdev"):
+        assert getattr(os.lstat(place), field) == getattr(before, field)
+    assert sorted(tmp_path.rglob("*")) == names
+
+
+@pytest.mark.parametrize("write", [write_file, write_folder])
+@pytest.mark.parametrize("exists", [True, False])
+def test_a_link_is_written_through(tmp_path, write, exists):
+    for name in ("there", "out"):
+        (tmp_path / name).mkdir()
+    target, named = tmp_path / "there" / "target", tmp_path / "out" / "x"
+    if exists:
+        target.write_bytes(b"old")
+        held = open(target, "rb")
+    (tmp_path / "out" / "second").symlink_to("../there/target")
+    named.symlink_to("second")  # a link to a link
+    write(named)
+    assert named.is_symlink() and os.readlink(named) == "second"
+    assert (tmp_path / "out" / "second").is_symlink()
+    assert target.read_bytes() == b"new" and not target.is_symlink()
+    if exists:
+        assert held.read() == b"old"  # replaced, not overwritten
+        held.close()
+    assert [path.name for path in target.parent.iterdir()] == ["target"]
+
+
+def test_a_link_into_another_file_system(tmp_path):
+    other = Path("/dev/shm")
+    if not other.is_dir() or other.stat().st_dev == tmp_path.stat().st_dev:
+        pytest.skip("there is no second file system to write to")
+    target = other / f"p4dgs_ref test {os.getpid()}"
+    target.write_bytes(b"old")
+    try:
+        (tmp_path / "x").symlink_to(target)
+        write_folder(tmp_path / "x")
+        assert target.read_bytes() == b"new" and (tmp_path / "x").is_symlink()
+    finally:
+        target.unlink()
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path):
+    place = tmp_path / "x"
+    place.write_bytes(b"old")
+
+    def half(file):
+        file.write(b"ne")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_atomically(place, half)
+    assert place.read_bytes() == b"old" and [p.name for p in tmp_path.iterdir()] == ["x"]
+
+
+def test_new_files_have_the_usual_permissions(tmp_path):
+    (tmp_path / "usual").write_bytes(b"")
+    write_file(tmp_path / "x")
+    write_folder(tmp_path / "y")
+    modes = {path.name: path.stat().st_mode for path in tmp_path.iterdir()}
+    assert len(set(modes.values())) == 1, modes
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_does_not_part_the_files_of_a_report(tmp_path, monkeypatch, number):
+    replace, calls = os.replace, []
+
+    def interrupted(*names):
+        calls.append(names)
+        if len(calls) == 1:
+            signal.raise_signal(number)
+        replace(*names)
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    before = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt):
+        write_folder(tmp_path / "x")
+    assert signal.getsignal(number) is before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a first file", "x"]
+
+
+def refuse_locks(*arguments):
+    raise OSError(95, "Operation not supported")
+
+
+def hidden(folder, *names):
+    """Hidden folders, all but `new` made long ago."""
+    parts = [folder / f"{output.PART}{name}" for name in names]
+    for part in parts:
+        (part / "deep").mkdir(parents=True)
+        os.utime(part, None if part.name.endswith("new") else (0, 0))
+    return parts
+
+
+@pytest.mark.parametrize("write", [write_file, write_folder])
+def test_hidden_folders_of_killed_processes_are_removed(tmp_path, write):
+    killed, new = hidden(tmp_path, "killed", "new")
+    with output.new_part(tmp_path) as alive:
+        os.utime(alive, (0, 0))
+        write(tmp_path / "x")
+        assert not killed.exists() and alive.exists() and new.exists()
+
+
+LEARNS_NOTHING = pytest.mark.filterwarnings("ignore:scene bouncing")  # a training of few steps
+
+
+@LEARNS_NOTHING
+@pytest.mark.parametrize("without", ["fcntl", "locks"])
+def test_without_locks_everything_is_written(tmp_path, monkeypatch, without):
+    hidden(tmp_path, "perhaps alive")
+    if without == "fcntl":
+        monkeypatch.setattr(output, "fcntl", None)
+    else:
+        monkeypatch.setattr(output.fcntl, "flock", refuse_locks)
+    p4.train(SCENE, "smoke", folder=tmp_path, stage_ends=(1, 1, 1, 1))
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == [f"{output.PART}perhaps alive", "checkpoint.npz"]
+
+
+@LEARNS_NOTHING
+def test_two_trainings_in_one_folder(tmp_path):
+    short = dict(preset="smoke", folder=tmp_path, stage_ends=(1, 2, 3, 4))
+    with locked(tmp_path):
+        for resume in (False, True):
+            with pytest.raises(OutputError, match="another process is writing to it"):
+                p4.train(SCENE, **short, resume=resume)
+        assert not list(tmp_path.iterdir())
+    first = p4.train(SCENE, **short)
+    again = p4.train(SCENE, **short, resume=True)
+    np.testing.assert_array_equal(first.anchors.f_a, again.anchors.f_a)

@@ -1,0 +1,75 @@
+"""Warnings about trainings that cannot learn or did not."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import p4dgs_ref as p4
+from p4dgs_ref.cli import parser as cli
+from p4dgs_ref.cli import text
+from p4dgs_ref.training import fit
+from tests.training.bars import Share, moving, scene
+
+
+def messages(function, *args, **kwargs):
+    """The texts of the warnings that a call gives."""
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        function(*args, **kwargs)
+    return [str(warning.message) for warning in seen]
+
+
+def test_few_views_are_told_of_in_one_line():
+    told = fit.few_views(scene(fit.FEW_VIEWS - 1))
+    assert f"{fit.FEW_VIEWS - 1} training views" in told and "\n" not in told
+    assert not fit.few_views(scene(fit.FEW_VIEWS))
+
+
+@pytest.mark.parametrize("share, is_told", [(0, True), (0.28, True), (0.3, False), (1, False)])
+def test_what_moves_is_lost_within_3_db_of_the_mean_picture(share, is_told):
+    """With this share of the truth, the error shrinks by the factor (1 - share)**2."""
+    told = fit.lost(Share(moving(), share))
+    assert bool(told) == is_told and "\n" not in told
+    if is_told:
+        mean, seen = Share(moving(), 0).mean, moving().test[0].image
+        bar = seen[:, :, 0] < 1  # 2 of 16 columns
+        flat = -10 * np.log10(np.mean((seen - mean)[bar] ** 2))
+        assert f"training pictures {flat:.2f} dB" in told and "what moves is lost" in told
+        assert "test views" in told and "12.5% of the pixels" in told and "seed" in told
+    without = replace(moving(), test=[])
+    assert bool(fit.lost(Share(without, share))) == is_told
+
+
+def test_a_mover_over_something_static_is_lost_though_the_picture_is_good():
+    """A wall fills half of the picture: the whole picture has 14 dB more than its moving part."""
+    wall = moving()
+    for view in (*wall.train, *wall.test):
+        view.image[:, :4] = 0.5
+    seen = Share(wall, 0)
+    assert "what moves is lost" in fit.lost(seen)
+
+
+def test_a_scene_without_motion_is_told_that_it_is_useless():
+    still = replace(moving(), effects=("occlusion",))
+    told = fit.lost(Share(still, 0))
+    assert "useless" in told and "moves" not in told and "body" not in told
+
+
+def test_a_scene_in_which_nothing_is_wrong_is_not_told_of():
+    still = Share(scene(3), 1)
+    still.render = lambda camera, t, settings: scene(3).train[0].image
+    assert not fit.lost(still)
+
+
+def test_training_warns_before_and_after():
+    told = messages(p4.train, moving(), "smoke", stage_ends=(1, 2, 3, 4))
+    assert len(told) == 2 and "training views" in told[0] and "is lost" in told[1]
+
+
+@pytest.mark.filterwarnings("always:views")
+def test_the_command_line_prints_a_warning_as_one_line(capsys, monkeypatch):
+    monkeypatch.setattr(text, "presets", lambda *args: warnings.warn("views:\x1b\nfew"))
+    assert cli.run(["presets"], 0.0) == 0
+    assert capsys.readouterr().err == "p4dgs-ref: warning: views:\\x1b\\nfew\n"

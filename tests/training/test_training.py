@@ -1,0 +1,375 @@
+"""Training: presets, Adam, learning rates, stages, positions, and where a NaN came from."""
+
+import os
+import re
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from p4dgs_ref.equations import scale
+from p4dgs_ref.model import LATTICE, snap
+from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.training import loop
+from p4dgs_ref.training.initial import design_of, initial_parameters, neighbour_distance
+from p4dgs_ref.training.parameters import Adam, Parameters, exponential
+from p4dgs_ref.training.presets import (
+    PAPER_REAL,
+    PAPER_SYNTHETIC,
+    SMOKE,
+    TINY,
+    choose,
+    differences,
+    table,
+)
+from p4dgs_ref.training.trainer import Trainer
+from p4dgs_ref.training.watch import NotFinite, equation_codes, watching
+from tests import processes
+
+SHORT = replace(SMOKE, stage_ends=(1, 2, 3, 5))  # every stage, in five steps
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("bouncing", downscale=4)
+
+
+# --- presets ---
+def test_paper_presets_hold_the_numbers_that_the_paper_prints():
+    """Appendix, 'Hyperparameters', and section 4.1."""
+    for preset, voxel, d, ends in (
+        (PAPER_SYNTHETIC, 0.001, 16, (3000, 5000, 10_000, 40_000)),
+        (PAPER_REAL, 0.01, 32, (3000, 4000, 10_000, 20_000)),
+    ):
+        assert (preset.voxel, preset.d, preset.k, preset.stage_ends) == (voxel, d, 10, ends)
+        assert preset.hidden == preset.context == (2 * d, 2 * d) and preset.deformation == (
+            192,
+            192,
+        )
+        assert (preset.Q_f, preset.Q_s, preset.Q_l, preset.Q_O) == (1, 0.001, 0.001, 0.2)
+        assert preset.grow_init == 16
+        first = {name: getattr(preset, name)[0] for name in vars(preset) if name.startswith("lr_")}
+        assert first == dict(
+            lr_x=0,
+            lr_f=0.0075,
+            lr_s=0.007,
+            lr_l=0.007,
+            lr_O=0.01,
+            lr_alpha=0.002,
+            lr_c=0.008,
+            lr_r=0.004,
+            lr_psi_s=0.004,
+            lr_d=1.6e-4,
+            lr_grid=0.0016,
+            lr_p=0.005,
+            lr_q=0.005,
+        )
+
+
+def test_deformation_network_sizes_of_choice_q1(scene):
+    """Without the time net of D3DGS the input is 63 + 13 wide."""
+    layers = design_of(PAPER_SYNTHETIC, scene.effects + ("rotation", "scaling")).layers()["psi_d"]
+    assert layers == [(76, 192), (192, 192), (192, 3), (192, 3), (192, 4)]
+    assert sum((rows + 1) * columns for rows, columns in layers) == 53_770
+
+
+def test_differences_name_every_changed_field_with_the_papers_value():
+    for preset in (TINY, SMOKE):
+        listed = {field: (paper, here) for field, paper, here in differences(preset)}
+        for field in table(preset):
+            same = getattr(preset, field) == getattr(PAPER_SYNTHETIC, field)
+            assert (field in listed) != same
+            assert same or listed[field] == (
+                getattr(PAPER_SYNTHETIC, field),
+                getattr(preset, field),
+            )
+
+
+@pytest.mark.parametrize(
+    "changes, word",
+    [
+        ({"k": "0"}, "'k'"),
+        ({"k": "four"}, "'k'"),
+        ({"nonsense": "1"}, "nonsense"),
+        ({"stage_ends": "1,2,3"}, "stage_ends"),
+        ({"stage_ends": "4,3,2,1"}, "stage_ends"),
+        ({"lr_d": "0.1"}, "lr_d"),
+        ({"grow": "wild"}, "grow"),
+        ({"voxel": "nan"}, "voxel"),
+        ({"upright": "maybe"}, "upright"),
+        ({"hidden": "8,-1"}, "hidden"),
+        ({"name": "x"}, "name"),
+        ({"lambda_rate": "-1"}, "lambda_rate"),
+        ({"lr_f": "inf,1"}, "lr_f"),
+        ({"k": 2.5}, "'k'"),
+        ({"grid_3d": "", "grid_2d": ""}, "grid_3d"),
+        ({"tau_alpha": -1}, "tau_alpha"),
+    ],
+)
+def test_bad_changes_name_the_field(changes, word):
+    with pytest.raises(ValueError, match=word):
+        choose("tiny", changes)
+    with pytest.raises(ValueError, match="huge"):
+        choose("huge")
+
+
+def test_changes_as_text_and_as_values_agree():
+    text = choose(
+        "smoke",
+        {"k": "3", "lr_d": "0.1,0.01", "upright": "false", "voxel": "0.01", "grid_3d": "4,6"},
+    )
+    assert text == choose(
+        "smoke", {"k": 3, "lr_d": (0.1, 0.01), "upright": False, "voxel": 0.01, "grid_3d": (4, 6)}
+    )
+
+
+# --- optimiser ---
+def test_adam_against_the_formula_written_out():
+    """Algorithm 1 of Kingma and Ba; the second array takes part after three steps only."""
+    rng = np.random.default_rng(0)
+    p = Parameters({"a": rng.normal(size=3), "b": rng.normal(size=2)}, np.float64)
+    adam, start = Adam(p), p.vector.copy()
+    x, m, v, n = start.copy(), np.zeros(5), np.zeros(5), np.zeros(5)
+    for step in range(8):
+        g = p.zeros()
+        g.vector[:] = rng.normal(size=5) * 10.0 ** rng.integers(-8, 3, 5)
+        if step < 3:
+            g["b"][...] = 0
+        adam.step(p, g, lambda name: 0.01 if name == "a" else 0.02 * (step >= 3))
+        for i in range(5):
+            m[i] = 0.9 * m[i] + 0.1 * g.vector[i]
+            v[i] = 0.999 * v[i] + 0.001 * g.vector[i] ** 2
+            if i < 3 or step >= 3:
+                n[i] += 1
+                x[i] -= (
+                    (0.01, 0.02)[i >= 3]
+                    * (m[i] / (1 - 0.9 ** n[i]))
+                    / (np.sqrt(v[i] / (1 - 0.999 ** n[i])) + 1e-15)
+                )
+    assert np.allclose(p.vector, x, rtol=1e-10)
+
+
+def test_adam_stays_bounded_after_long_silence():
+    """H-P9: after a long time without gradient, 1e-30 in float32 moves less than the rate."""
+    p = Parameters({"a": np.zeros(2)})
+    adam, g = Adam(p), p.zeros()
+    for _ in range(1000):
+        adam.step(p, g, lambda name: 0.01)
+    g.vector[:] = 1e-30, -1e-22
+    adam.step(p, g, lambda name: 0.01)
+    assert (
+        np.isfinite(p.vector).all()
+        and np.isfinite(adam.second.vector).all()
+        and np.abs(p.vector).max() <= 0.01
+    )
+
+
+@pytest.mark.parametrize("dtype, huge", [("f4", 1e20), ("f4", 1e38), ("f4", 3e38), ("f8", 1e200)])
+def test_adam_survives_gradients_whose_square_overflows(dtype, huge):
+    """The first step is the rate, as for every first gradient, and later ones go on from there."""
+    p = Parameters({"a": np.zeros(2)}, dtype)
+    adam, g = Adam(p), p.zeros()
+    for sign in (1, -1, 1):
+        g.vector[:] = sign * huge, sign
+        adam.step(p, g, lambda name: 0.01)
+        assert np.isfinite(adam.second.vector).all()
+        assert np.allclose(p.vector, p.vector[1], rtol=1e-5) and abs(p["a"][0]) < 0.02
+    g.vector[:] = np.nan, 1
+    adam.step(p, g, lambda name: 0.01)
+    assert np.isnan(p.vector).tolist() == [True, False]  # a NaN is not clipped to a number
+
+
+def test_learning_rate_is_geometric():
+    def rate(step):
+        return exponential(step, 0.01, 1e-4, 1000)
+
+    def late(step):
+        return exponential(step, 1.0, 0.1, 500, start=300)
+
+    assert rate(0) == pytest.approx(0.01) and rate(500) == pytest.approx(1e-3)
+    assert rate(1000) == rate(9999) == pytest.approx(1e-4)
+    assert exponential(7, 0.0, 0.0, 1000) == 0 and exponential(7, 0.3, 0.3, 1000) == 0.3
+    assert late(100) == late(300) == 1 and late(400) == pytest.approx(0.1**0.5)
+
+
+def test_parameters_are_views_of_one_vector():
+    p = Parameters({"x": np.ones((2, 3)), "psi.W0": np.zeros((3, 4)), "psi.b0": np.zeros(4)})
+    p["x"][1, 2] = 7
+    assert p.vector[5] == 7 and p.network("psi")[0][0] is p["psi.W0"]
+    grown = p.with_rows(("x",), np.array([False, True]), {"x": np.full((2, 3), 5.0)})
+    assert (
+        np.array_equal(grown["x"], [[1, 1, 7], [5, 5, 5], [5, 5, 5]])
+        and p.vector.size + 3 == grown.vector.size
+    )
+
+
+# --- start and stages ---
+def test_anchors_start_on_the_lattice_with_their_neighbours_distance(scene):
+    trainer = Trainer(scene, SMOKE)
+    p = initial_parameters(SMOKE, trainer.design, np.random.default_rng(0))
+    steps = p["x_a"].astype(float) / SMOKE.voxel
+    assert np.abs(steps - np.rint(steps)).max() < 1e-3 and len(np.unique(p["x_a"], axis=0)) == len(
+        p["x_a"]
+    )
+    x = p["x_a"].astype(float)
+    squared = np.sort(((x[:, None] - x) ** 2).sum(axis=2), axis=1)[:, 1:4].mean(axis=1)
+    assert np.allclose(np.exp(p["log_s"]), np.sqrt(squared)[:, None], rtol=1e-4)
+    assert not p["O_a"].any() and neighbour_distance(np.zeros((1, 3))).shape == (1,)
+
+
+@pytest.mark.parametrize(
+    "points", [np.zeros((0, 3)), [], np.zeros((4, 2)), np.zeros(3), np.full((2, 3), np.nan)]
+)
+def test_bad_points_are_refused_in_one_line(scene, points):
+    with pytest.raises(ValueError, match=r"^points: expected .* shape \[A, 3\].*") as refused:
+        Trainer(scene, SMOKE, points=points)
+    assert "\n" not in str(refused.value)
+
+
+def test_one_point_trains_through_all_stages(scene):
+    preset = choose("smoke", {"stage_ends": "1,2,3,5", "mask_from": 9})
+    model = Trainer(scene, preset, points=[[0.1, 0.2, 0.3]]).run()
+    assert model.anchors.x_a.shape == (1, 3) and np.isfinite(model.anchors.x_a).all()
+
+
+def test_what_each_stage_moves(scene):
+    """Stages 1 and 2 train no deformation and no context, 3 deformation, 4 all but positions."""
+    trainer, before, moved = Trainer(scene, SMOKE), {}, {}
+    for iteration in range(SMOKE.iterations):
+        stage = trainer.stage
+        before = {name: a.copy() for name, a in trainer.parameters.arrays.items()}
+        trainer.step()
+        for name, a in trainer.parameters.arrays.items():
+            if a.shape == before[name].shape and not np.array_equal(a, before[name]):
+                moved.setdefault(stage, set()).add(name.split(".")[0])
+    base = {"f_a", "log_s", "log_l", "O_a", "psi_alpha", "psi_c", "psi_r", "psi_s"}
+    assert moved[1] == moved[2] == base | {"x_a"}
+    assert moved[3] == base | {"x_a", "psi_d"}
+    assert moved[4] - {"x_a"} == base | {"psi_d", "psi_p", "psi_q", "grid"}
+
+
+def test_positions_stand_on_the_16_bit_lattice_from_stage_4_on(scene):
+    trainer = Trainer(scene, SMOKE)
+    while trainer.iteration < SMOKE.stage_ends[2] + 1:
+        trainer.step()
+    frozen = trainer.parameters["x_a"].copy()
+    symbols, positions = snap(frozen, *trainer.box)
+    assert (
+        np.abs(frozen - positions).max() < 1e-6 and symbols.min() == 0 and symbols.max() == LATTICE
+    )
+    while trainer.iteration < SMOKE.iterations:
+        trainer.step()
+    assert np.array_equal(trainer.parameters["x_a"], frozen)
+    assert np.array_equal(snap(trainer.model().anchors.x_a, *trainer.box)[0], symbols)
+
+
+def test_snap_rounds_to_nearest_and_survives_flat_boxes():
+    lo, hi = np.float32([-1, 2, 5]), np.float32([3, 2, 6])
+    x = np.array([[-1, 2, 5], [3, 2, 6], [0.1234, 2, 5.5], [9, 9, -9.0]])
+    symbols, positions = snap(x, lo, hi)
+    assert symbols.tolist()[0] == [0, 0, 0] and symbols.tolist()[1] == [65535, 0, 65535]
+    assert np.abs(positions[:3] - x[:3]).max() <= 4 / 65535 / 2 + 1e-12
+    assert symbols.tolist()[3] == [65535, 0, 0]
+    assert np.array_equal(snap(positions, lo, hi)[0], symbols)
+
+
+def test_same_seed_same_parameters_other_seed_others(scene):
+    def run(seed):
+        trainer = Trainer(scene, SHORT, seed)
+        trainer.run()
+        return trainer.parameters.vector
+
+    assert np.array_equal(run(3), run(3)) and not np.array_equal(run(3), run(4))
+
+
+def test_every_view_comes_once_before_any_comes_twice(scene):
+    trainer = Trainer(scene, SMOKE)
+    names = [trainer.next_view().name for _ in range(2 * len(scene.train))]
+    half = len(scene.train)
+    assert len(set(names[:half])) == half == len(set(names[half:])) and names[:half] != names[half:]
+
+
+def test_a_static_scene_owns_no_deformation():
+    trainer = Trainer(load_scene("static", downscale=4), SHORT)
+    assert not any(name.startswith("psi_d") for name in trainer.parameters.arrays)
+    assert "psi_d" not in trainer.run().networks
+
+
+# --- where did the NaN come from ---
+@pytest.mark.parametrize(
+    "stage, changes, said",
+    [
+        (1, {"f_a": ((3, 1), np.nan)}, "iteration 0: parameter: f_a[3, 1] is nan"),
+        (1, {"psi_c.W0": ((3, 1), np.inf)}, "parameter: psi_c.W0[3, 1] is inf"),
+        # log_l = 100 is finite, its exponential in float32 is not; Eq. (1) is the first to use it.
+        (
+            1,
+            {"log_l": ((2, 0), 100), "O_a": (2, 1)},
+            "equation 'offsets', forward: x[2, 0, 0] is inf",
+        ),
+        # The network of Eq. (5) overflows, and the message says whose network it is.
+        (3, {"psi_d.W0": (..., 3e38)}, "equation 'deformation', its 'mlp', forward: y"),
+    ],
+)
+def test_the_first_bad_number_is_named(scene, stage, changes, said):
+    trainer = Trainer(scene, SMOKE)
+    while trainer.stage < stage:
+        trainer.step()
+    for array, (place, value) in changes.items():
+        trainer.parameters[array][place] = value
+    with np.errstate(all="ignore"), pytest.raises(NotFinite, match=re.escape(said)):
+        trainer.step()
+
+
+def test_a_bad_backward_is_traced(scene, monkeypatch):
+    real = scale.backward
+
+    def wrong(saved, s_bar):
+        gradients = real(saved, s_bar)
+        return {**gradients, "s_a": gradients["s_a"] * np.nan}
+
+    monkeypatch.setattr(scale, "backward", wrong)
+    with pytest.raises(NotFinite, match="equation 'scale', backward, gradient of: s_a"):
+        Trainer(scene, SMOKE).step()
+
+
+def test_calls_are_watched_from_outside(scene):
+    """In the order of the paper's figures; afterwards the profile function is the one before."""
+    trainer, seen, before = Trainer(scene, SMOKE), [], sys.getprofile()
+    with watching(equation_codes(), lambda event, mark, *_: seen.append((event, *mark))):
+        trainer.step()
+    trainer.step()
+    assert sys.getprofile() is before
+    forwards = [key for event, key, name in seen if (event, name) == ("call", "forward")]
+    assert forwards[:3] == ["view", "opacity", "mlp"] and forwards[-1] == "total_loss"
+    assert seen[-1] == ("return", "view", "backward")
+    assert seen.count(("call", "scale", "backward")) == 1
+    assert seen.count(("return", "compositing, fast", "forward")) == 1
+    assert sum(event == "call" for event, *_ in seen) == len(seen) / 2
+
+
+# --- memory ---
+def test_moments_of_the_pictures_stay_within_their_budget(scene, monkeypatch):
+    """What is kept for SSIM is bounded, and training ends with the same bytes without it."""
+    ends, most = [], []
+    of_one_view = 4 * 8 * scene.train[0].image.size
+    for budget in (loop.MAX_MOMENT_BYTES, 2 * of_one_view, 0):
+        monkeypatch.setattr(loop, "MAX_MOMENT_BYTES", budget)
+        trainer = Trainer(scene, SHORT, seed=1)
+        trainer.run()
+        ends.append(trainer.parameters.vector.tobytes())
+        most.append(len(trainer.moments))
+    assert ends[0] == ends[1] == ends[2] and most == [5, 2, 0]
+
+
+@pytest.mark.slow
+def test_prepare_comes_before_numpy():
+    """From Python it sets one BLAS thread, and leaves a number that the user has set."""
+    program = (
+        "import os, sys, p4dgs_ref as p4; p4.prepare(); assert 'numpy' not in sys.modules; "
+        "print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    others = {name: a for name, a in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    for environment, threads in ((others, "1"), ({**others, "OPENBLAS_NUM_THREADS": "3"}, "3")):
+        assert processes.run("-c", program, env=environment).stdout.strip() == threads
