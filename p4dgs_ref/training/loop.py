@@ -31,7 +31,7 @@ MAX_MOMENT_BYTES = (
 )  # bytes of moments for SSIM that are kept: 682 views of 64x64, 4 of 800x800
 
 
-EVERY = 20  # most iterations between two rows of training.csv; a short training has more rows
+ROW_EVERY = 20  # most iterations between two rows of training.csv; a short training has more rows
 COLUMNS = ("iteration", "stage", "loss", "psnr_db", "bits_per_parameter", "anchors", "gaussians")
 
 
@@ -140,7 +140,7 @@ class Progress:
         done, total = trainer.iteration, trainer.preset.iterations
         stage, decibel = trainer.preset.stage(done - 1), psnr(rendered.image, view.image)
         counts = trainer.primitives, len(rendered.index)
-        if done % min(EVERY, max(total // 50, 1)) == 0 or done == total:
+        if done % min(ROW_EVERY, max(total // 50, 1)) == 0 or done == total:
             trainer.history.append([done, stage, losses.L_total, decibel, losses.L_rate, *counts])
         self.steps += 1
         seconds = time.monotonic() - self.shown

@@ -13,7 +13,7 @@ from ..model import MAX_NUMBERS, declared_numbers
 from ..scenes.scene import MODEL_EFFECTS
 from .initial import design_of
 
-LARGEST = 1e18  # of a field: an integer of a hundred digits could not become a float
+MAX_VALUE = 1e18  # of a field: an integer of a hundred digits could not become a float
 
 
 def between(least, most):
@@ -29,8 +29,8 @@ def layers(most):
     )
 
 
-POSITIVE = (f"a positive number up to {LARGEST:g}", lambda value: 0 < value <= LARGEST)
-NOT_NEGATIVE = between(0, LARGEST)
+POSITIVE = (f"a positive number up to {MAX_VALUE:g}", lambda value: 0 < value <= MAX_VALUE)
+NOT_NEGATIVE = between(0, MAX_VALUE)
 RATE = (
     "first,last, two positive rates or 0,0",
     lambda ends: (
@@ -41,7 +41,7 @@ STEP = between(2.0**-40, 2.0**40)
 FLAG = ("true or false", lambda value: True)
 ENDS = (
     "four rising iterations",
-    lambda ends: len(ends) == 4 and sorted((0, *ends)) == [0, *ends] and 1 <= ends[-1] <= LARGEST,
+    lambda ends: len(ends) == 4 and sorted((0, *ends)) == [0, *ends] and 1 <= ends[-1] <= MAX_VALUE,
 )
 GROWING = ("scaffold, reseed or off", lambda value: value in ("scaffold", "reseed", "off"))
 
