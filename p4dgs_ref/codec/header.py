@@ -155,7 +155,7 @@ def integer(most):
     )
 
 
-def number(least, most):
+def real(least, most):
     """The reader of a number in a range."""
     return field(  # false for NaN
         lambda value: type(value) in (int, float) and least <= value <= most,
@@ -186,7 +186,7 @@ EFFECT = field(lambda value: value in MODEL_EFFECTS, f"some of {', '.join(MODEL_
 WIDTHS = list_of(integer(2**14), 0, 8)  # of hidden layers
 FIELDS = {
     "anchors": integer(MAX_ANCHORS),
-    "background": list_of(number(-(2.0**20), 2.0**20), 3, 3),
+    "background": list_of(real(-(2.0**20), 2.0**20), 3, 3),
     "d": integer(4096),
     "k": integer(256),
     "hidden": WIDTHS,
@@ -197,7 +197,7 @@ FIELDS = {
     "grid": list_of(level, 1, 64),
     "table": list_of(integer(2**24), 2, 2),
     "F": integer(64),
-    "Q_0": list_of(number(2.0**-100, 2.0**100), len(ATTRIBUTES), len(ATTRIBUTES)),
-    "tau_alpha": number(-1.0, 1.0),
+    "Q_0": list_of(real(2.0**-100, 2.0**100), len(ATTRIBUTES), len(ATTRIBUTES)),
+    "tau_alpha": real(-1.0, 1.0),
     "effects": list_of(EFFECT, 0, len(MODEL_EFFECTS)),
 }

@@ -155,7 +155,7 @@ class Preset:
         return 1 + sum(iteration >= end for end in self.stage_ends[:3])
 
 
-def table(preset):
+def rows_of(preset):
     """The rows {name: field} of a preset or of its class; `metadata` has the columns of a row."""
     return {row.name: row for row in fields(preset) if row.metadata}
 
@@ -176,7 +176,7 @@ PAPER_REAL = Preset(
     stage_ends=(3000, 4000, 10_000, 20_000),
     mask_from=4000,
 )
-TINY = Preset(name="tiny", **{name: row.metadata["tiny"] for name, row in table(Preset).items()})
+TINY = Preset(name="tiny", **{name: row.metadata["tiny"] for name, row in rows_of(Preset).items()})
 # The points of a real scene know its depth, which few cameras cannot measure: anchors keep it.
 TINY_REAL = replace(TINY, name="tiny_real", lr_x=PAPER_REAL.lr_x)
 # For tests; published files were made with its learning rates.
@@ -217,7 +217,7 @@ def differences(preset, against=PAPER_SYNTHETIC):
     """Every difference as (field, value of the other, value of the preset)."""
     return [
         (name, value_of(against, row), value_of(preset, row))
-        for name, row in table(preset).items()
+        for name, row in rows_of(preset).items()
         if value_of(against, row) != value_of(preset, row)
     ]
 
@@ -234,9 +234,9 @@ def choose(
         if preset not in presets:
             raise ValueError(f"preset {preset!r}: expected one of {', '.join(presets)}")
         preset = presets[preset]
-    defaults = {name: row.default for name, row in table(preset).items()}
+    defaults = {name: row.default for name, row in rows_of(preset).items()}
     changed = replace(preset, **read_changes(preset.name, defaults, changes))
-    for name, row in table(preset).items():
+    for name, row in rows_of(preset).items():
         (expected, is_met), value = row.metadata["requirement"], getattr(changed, name)
         if not is_met(value):
             raise ValueError(f"field {name!r}: expected {expected}, got {value!r}")

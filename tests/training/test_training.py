@@ -21,7 +21,7 @@ from p4dgs_ref.training.presets import (
     TINY,
     choose,
     differences,
-    table,
+    rows_of,
 )
 from p4dgs_ref.training.trainer import Trainer
 from p4dgs_ref.training.watch import NotFinite, equation_codes, watching
@@ -77,7 +77,7 @@ def test_deformation_network_sizes_of_choice_q1(scene):
 def test_differences_name_every_changed_field_with_the_papers_value():
     for preset in (TINY, SMOKE):
         listed = {field: (paper, here) for field, paper, here in differences(preset)}
-        for field in table(preset):
+        for field in rows_of(preset):
             same = getattr(preset, field) == getattr(PAPER_SYNTHETIC, field)
             assert (field in listed) != same
             assert same or listed[field] == (
