@@ -92,8 +92,8 @@ def fit(
 
 def what_is_lost(fitted: trainer.Trainer) -> str:
     """The warning of `training.fit.lost`, with the remedy that is ours where there is one."""
-    moves, body = fx.moves(fitted.scene.effects), getattr(fitted.preset, "body", False)
-    return lost(fitted, BODY if moves and not body else "")
+    helps = HAS_OURS and fx.moves(fitted.scene.effects) and not getattr(fitted.preset, "body", False)
+    return lost(fitted, BODY if helps else "")
 
 
 def train(

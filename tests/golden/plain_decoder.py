@@ -14,7 +14,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[2] / "p4dgs_ref"
 TABLES = json.loads((PACKAGE / "codec" / "tables.json").read_text())
-BASES = json.loads((PACKAGE / "beyond" / "bases.json").read_text())
+BASES = PACKAGE / "beyond" / "bases.json"  # of version 2
 SECTIONS = (
     "header",
     "positions",
@@ -112,7 +112,7 @@ def read_header(body, size, version):
     try:
         h = json.loads(body.decode("ascii"))
         if version == 2:
-            h = {**BASES[h["as"]], **h}
+            h = {**json.loads(BASES.read_text())[h["as"]], **h}
             need(h["position_bits"] in range(1, 17), "header", "bits")
         T = [min(R ** len(axes), h["table"][len(axes) == 2]) for axes, R in h["grid"]]
         entries = h["F"] * sum(T)
