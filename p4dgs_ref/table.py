@@ -277,11 +277,11 @@ _ROWS = (
 EQUATIONS: dict[str, Equation] = {row.key: row for row in _ROWS}
 
 
-def table(equations=EQUATIONS):
+def to_markdown(equations=EQUATIONS):
     """The table as Markdown, as tutorials/reference.md shows it."""
+    # A bare bar in a formula would end its column.
     lines = ["| no. | key | file | formula |", "|---|---|---|---|"]
     for eq in equations.values():
-        file = eq.module.replace(".", "/") + ".py"
-        formula = eq.formula.replace("|", "\\|")  # a bare bar would end the column
-        lines.append(f"| {eq.number} | `{eq.key}` | `{file}` | `{formula}` |")
+        file, formula = eq.module.replace(".", "/"), eq.formula.replace("|", "\\|")
+        lines.append(f"| {eq.number} | `{eq.key}` | `{file}.py` | `{formula}` |")
     return "\n".join(lines)

@@ -143,7 +143,7 @@ def test_one_equation_is_shown_as_its_file_has_it():
 
 
 def test_table_of_equations_is_the_printed_one():
-    assert table.table() in section("The equations")
+    assert table.to_markdown() in section("The equations")
 
 
 def declared():

@@ -63,7 +63,7 @@ from ..codec.container import CRC, MAGIC, SECTIONS, require, require_magic
 from ..codec.header import in_json, integer
 from ..codec.plain import Form
 from ..model import Anchors
-from ..scenes.scene import MOST_FILE
+from ..scenes.scene import MAX_FILE_BYTES
 from .model import Design, Model
 from .networks import default_steps
 from .positions import codes_of, read_positions, snap, write_positions
@@ -119,7 +119,7 @@ def read_table(data, size):
             rows.append((name, start, number - 1))
             start += number - 1
     require(
-        start == size <= MOST_FILE,
+        start == size <= MAX_FILE_BYTES,
         "container",
         FIXED,
         f"the lengths of the sections add up to {start} of {size} bytes",

@@ -4,7 +4,16 @@ from dataclasses import dataclass, fields, replace
 
 from ..training import presets as paper
 from ..training.initial import design_of as paper_design_of
-from ..training.presets import FLAG, NOT_NEGATIVE, RATE, TINY, between, differences, row, table
+from ..training.presets import (
+    FLAG,
+    NOT_NEGATIVE,
+    RATE,
+    TINY,
+    between,
+    differences,
+    row,
+    rows_of,
+)
 from .model import Design
 
 OFF = "off, as the paper"
@@ -25,7 +34,9 @@ class Preset(paper.Preset):
     body: bool = row(False, True, FLAG, OFF, "more weight in L1 for what moves (B3)")
 
 
-OURS = {name: column for name, column in table(Preset).items() if name not in table(paper.Preset)}
+OURS = {
+    name: column for name, column in rows_of(Preset).items() if name not in rows_of(paper.Preset)
+}
 
 # Its networks pay for their bits (B1), its positions have fewer of them (B2), and what moves counts
 # more until it has learned to move (B3).

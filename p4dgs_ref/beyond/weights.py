@@ -43,7 +43,7 @@ from ..codec.container import require
 from ..codec.gaussian_table import CHUNK, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, gaussian_model
 from ..codec.plain import networks_of, require_finite
 from ..codec.streams import decode_symbols, encode_gaussian, find_entries, ideal_bits_gaussian
-from ..scenes.scene import MOST_STEPS
+from ..scenes.scene import MAX_STEPS
 from .networks import step_of_code
 
 LEVELS = np.arange(SIGMA_MIN >> SIGMA_BITS, (SIGMA_MAX >> SIGMA_BITS) + 1)
@@ -63,7 +63,7 @@ def round_networks(model):
     for name, pair in model.networks.items():
         parts = zip(pair, model.steps[name])
         rounded[name] = tuple([round_weights(a, s) for a, s in zip(*part)] for part in parts)
-        require_finite(name, rounded[name], f"of at most {MOST_STEPS} steps")
+        require_finite(name, rounded[name], f"of at most {MAX_STEPS} steps")
     return rounded
 
 
@@ -71,7 +71,7 @@ def round_weights(weights, code):
     """Weights as multiples of a step; NaN where the file cannot hold the multiple."""
     step = step_of_code(code)
     n = np.rint(np.array(weights, order="C") / step) + 0.0
-    return np.where(np.abs(n) <= MOST_STEPS, n * step, np.nan)
+    return np.where(np.abs(n) <= MAX_STEPS, n * step, np.nan)
 
 
 def write_networks(networks, model):
@@ -115,10 +115,10 @@ def read_networks(data, section, shapes):
         scales += [(t_W + next(codes)[:, None] + next(codes)).ravel(), np.full(J, t_b)]
     symbols = decode_symbols(data, tables_of(np.concatenate(scales)), section, at=at)
     require(
-        np.abs(symbols).max(initial=0) <= MOST_STEPS,
+        np.abs(symbols).max(initial=0) <= MAX_STEPS,
         section,
         at,
-        f"expected symbols within +-{MOST_STEPS}",
+        f"expected symbols within +-{MAX_STEPS}",
     )
     numbers = symbols * np.repeat(step_of_code(steps.ravel()), [len(part) for part in scales])
     return networks_of(numbers, shapes)

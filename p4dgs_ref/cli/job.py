@@ -19,7 +19,7 @@ from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
 from ..scenes.load import find_scene, read_points_for, read_scene_json
 from ..training.fit import CHECKPOINT, few_views
-from ..training.presets import differences, table
+from ..training.presets import differences, rows_of
 from . import UsageError, caution, progress, require, say, show, tell, text
 
 
@@ -309,7 +309,7 @@ def presets(arguments):
                     for field, paper, here in differences(preset)
                 ],
                 "sources_of_paper_presets": {
-                    name: row.metadata["source"] for name, row in table(preset).items()
+                    name: row.metadata["source"] for name, row in rows_of(preset).items()
                 },
             }
             for preset in rows

@@ -10,7 +10,7 @@ from ..oracle.checker import check_port
 from ..oracle.ports import FolderPort
 from ..oracle.report import as_json, listing
 from ..oracle.streams import export
-from ..table import table
+from ..table import to_markdown
 from . import progress, require, show, tell
 
 
@@ -21,7 +21,7 @@ def list_cases(arguments):
 
 def list_equations(arguments):
     """Print the table of equations, also the baselines' and those beyond the paper."""
-    tell(table(ALL_EQUATIONS))
+    tell(to_markdown(ALL_EQUATIONS))
 
 
 def export_vectors(arguments):

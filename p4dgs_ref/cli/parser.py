@@ -33,7 +33,7 @@ class Version(argparse.Action):
 
 
 # --- types of values, as argparse asks for them ---
-def number(kind, low, high=1e18):
+def bounded(kind, low, high=1e18):
     """A reader of an integer or a real number from low to high."""
 
     def read(text):
@@ -75,7 +75,7 @@ def preset(default, help):
 JSON = switch("--json", "print JSON instead of text")
 JOBS = option(
     "--jobs",
-    type=number(int, 1),
+    type=bounded(int, 1),
     default=os.cpu_count() or 1,
     metavar="N",
     help="processes for independent trainings (default: one for every core)",
@@ -86,7 +86,7 @@ NEW_FOLDER = output("folder to write to", required=True)
 SCENE_HELP = "a D-NeRF, HyperNeRF or NeRF-DS folder, or the name of a packaged scene"
 SCENE = option("scene", help=SCENE_HELP)
 SETTINGS = (
-    option("--seed", type=number(int, 0), default=0, metavar="N", help="of everything random (0)"),
+    option("--seed", type=bounded(int, 0), default=0, metavar="N", help="of everything random (0)"),
     several("--set", "KEY=VALUE", "change a field of the preset; may be repeated", dest="changes"),
     switch("--quiet", "no progress line"),
     YES,
@@ -94,11 +94,11 @@ SETTINGS = (
 EXPERIMENT = (
     JSON,
     option(
-        "--seeds", type=number(int, 1, 1000), default=3, metavar="N", help="seeds 0 to N - 1 (3)"
+        "--seeds", type=bounded(int, 1, 1000), default=3, metavar="N", help="seeds 0 to N - 1 (3)"
     ),
     option(
         "--iterations",
-        type=number(int, 4),
+        type=bounded(int, 4),
         metavar="N",
         help="of every training (default those of the preset)",
     ),
@@ -126,7 +126,7 @@ ORACLE = {
             option("--adapter", metavar="CMD", help="command of a port that answers lines of JSON"),
             option(
                 "--timeout",
-                type=number(float, 0.01, 86400),
+                type=bounded(float, 0.01, 86400),
                 metavar="SECONDS",
                 help="for each answer of the adapter, compilation included (10)",
             ),
@@ -165,7 +165,7 @@ GROUPS = {
                 SCENE,
                 option(
                     "--downscale",
-                    type=number(int, 1),
+                    type=bounded(int, 1),
                     default=1,
                     metavar="N",
                     help="divide both sides of the training views by this (1)",
@@ -199,35 +199,35 @@ GROUPS = {
                 NEW_FOLDER,
                 option(
                     "--azimuth",
-                    type=number(float, -360, 360),
+                    type=bounded(float, -360, 360),
                     default=40.0,
                     metavar="A",
                     help="degrees about z (40)",
                 ),
                 option(
                     "--elevation",
-                    type=number(float, -89, 89),
+                    type=bounded(float, -89, 89),
                     default=30.0,
                     metavar="A",
                     help="degrees (30)",
                 ),
                 option(
                     "--distance",
-                    type=number(float, 1e-3, 1e6),
+                    type=bounded(float, 1e-3, 1e6),
                     default=3.6,
                     metavar="D",
                     help="from the middle of the anchors (3.6)",
                 ),
                 option(
                     "--size",
-                    type=number(int, 1, 4096),
+                    type=bounded(int, 1, 4096),
                     default=128,
                     metavar="N",
                     help="pixels along a side (128)",
                 ),
                 option(
                     "--frames",
-                    type=number(int, 1, 10_000),
+                    type=bounded(int, 1, 10_000),
                     default=24,
                     metavar="N",
                     help="times in 0 ... 1 (24)",
@@ -281,14 +281,14 @@ GROUPS = {
                 FILE,
                 option(
                     "--time",
-                    type=number(float, 0, 1),
+                    type=bounded(float, 0, 1),
                     default=0.0,
                     metavar="T",
                     help="to freeze (0)",
                 ),
                 option(
                     "--camera",
-                    type=number(int, 0),
+                    type=bounded(int, 0),
                     metavar="I",
                     help="test view I of --scene, from 0, instead of a held camera",
                 ),
@@ -405,7 +405,7 @@ GROUPS = {
                 ),
                 option(
                     "--seed",
-                    type=number(int, 0),
+                    type=bounded(int, 0),
                     metavar="N",
                     help="of the inputs; students must not know it (drawn and printed)",
                 ),

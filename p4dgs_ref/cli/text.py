@@ -1,6 +1,6 @@
 """What the commands print for people; --json prints the same values."""
 
-from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, differences, table, value_of
+from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, differences, rows_of, value_of
 
 
 def quality(m):
@@ -96,7 +96,7 @@ def preset(one, every_field):
     changed = [field for field, *_ in differences(one)]
     columns = list(dict.fromkeys((one, PAPER_SYNTHETIC, PAPER_REAL)))
     rows = [["  field", *(p.name for p in columns), "source of the paper presets"]]
-    for field, row in table(one).items():
+    for field, row in rows_of(one).items():
         if every_field or field in changed:
             values = [setting(value_of(p, row)) for p in columns]
             mark = "* " if field in changed else "  "

@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from textwrap import fill
 
-from .gaussian_table import table
+from .gaussian_table import lookup_table
 
 PARTS = (
     "container",
@@ -36,7 +36,7 @@ def page():
     texts = {
         **{f"{name}.py": import_module(f".{name}", __package__).__doc__ or "" for name in PARTS},
         **{
-            f"Table {name}": f"{meaning}\n\n{fill(' '.join(map(str, table(name))), 100)}"
+            f"Table {name}": f"{meaning}\n\n{fill(' '.join(map(str, lookup_table(name))), 100)}"
             for name, meaning in TABLES.items()
         },
         "From the arrays to a picture": PICTURE.read_text(encoding="utf-8"),

@@ -44,7 +44,7 @@ import os
 import struct
 import zlib
 
-from ..scenes.scene import MOST_FILE
+from ..scenes.scene import MAX_FILE_BYTES
 
 MAGIC = b"\x89P4D\r\n\x1a\n"
 VERSION = 1
@@ -168,10 +168,10 @@ def read_table(data, size):
         f"{count} sections, expected at most {len(SECTIONS)}",
     )
     require(
-        total == size <= MOST_FILE,
+        total == size <= MAX_FILE_BYTES,
         "container",
         10,
-        f"total length {total}, expected the file's {size} bytes, at most {MOST_FILE}",
+        f"total length {total}, expected the file's {size} bytes, at most {MAX_FILE_BYTES}",
     )
     end = FIXED.size + ROW.size * count
     require(

@@ -46,8 +46,8 @@ import json
 import numpy as np
 
 from ..attributes import ATTRIBUTES
-from ..model import CONTEXT_NETWORKS, MOST_NUMBERS, Design, declared_numbers
-from ..scenes.scene import MODEL_EFFECTS, MOST_ANCHORS, MOST_ENTRIES, MOST_HEADER
+from ..model import CONTEXT_NETWORKS, MAX_NUMBERS, Design, declared_numbers
+from ..scenes.scene import MAX_ANCHORS, MAX_ENTRIES, MAX_HEADER_BYTES, MODEL_EFFECTS
 from .container import require
 
 AXES = ("xyz", "xy", "xz", "yz")
@@ -79,7 +79,9 @@ def read_header(data):
 
 def read_object(data):
     """The fields {name: value} of a header section, whatever they are."""
-    require_header(len(data) <= MOST_HEADER, f"{len(data)} bytes, expected at most {MOST_HEADER}")
+    require_header(
+        len(data) <= MAX_HEADER_BYTES, f"{len(data)} bytes, expected at most {MAX_HEADER_BYTES}"
+    )
     try:
         pairs = json.loads(str(data, "ascii"), object_pairs_hook=tuple)
     except (ValueError, RecursionError):
@@ -104,12 +106,12 @@ def read_fields(fields, more={}, kind=Design):
     design = kind(**values)
     parts = declared_numbers(design, anchors)
     require_header(
-        parts["grid"] <= MOST_ENTRIES,
-        f"field 'grid': {parts['grid']} entries declared, expected at most {MOST_ENTRIES}",
+        parts["grid"] <= MAX_ENTRIES,
+        f"field 'grid': {parts['grid']} entries declared, expected at most {MAX_ENTRIES}",
     )
     require_header(
-        sum(parts.values()) <= MOST_NUMBERS,
-        f"{sum(parts.values())} numbers declared {parts}, expected at most {MOST_NUMBERS}",
+        sum(parts.values()) <= MAX_NUMBERS,
+        f"{sum(parts.values())} numbers declared {parts}, expected at most {MAX_NUMBERS}",
     )
     return design, anchors, background
 
@@ -153,7 +155,7 @@ def integer(most):
     )
 
 
-def number(least, most):
+def real(least, most):
     """The reader of a number in a range."""
     return field(  # false for NaN
         lambda value: type(value) in (int, float) and least <= value <= most,
@@ -183,8 +185,8 @@ def level(name, value):
 EFFECT = field(lambda value: value in MODEL_EFFECTS, f"some of {', '.join(MODEL_EFFECTS)}")
 WIDTHS = list_of(integer(2**14), 0, 8)  # of hidden layers
 FIELDS = {
-    "anchors": integer(MOST_ANCHORS),
-    "background": list_of(number(-(2.0**20), 2.0**20), 3, 3),
+    "anchors": integer(MAX_ANCHORS),
+    "background": list_of(real(-(2.0**20), 2.0**20), 3, 3),
     "d": integer(4096),
     "k": integer(256),
     "hidden": WIDTHS,
@@ -195,7 +197,7 @@ FIELDS = {
     "grid": list_of(level, 1, 64),
     "table": list_of(integer(2**24), 2, 2),
     "F": integer(64),
-    "Q_0": list_of(number(2.0**-100, 2.0**100), len(ATTRIBUTES), len(ATTRIBUTES)),
-    "tau_alpha": number(-1.0, 1.0),
+    "Q_0": list_of(real(2.0**-100, 2.0**100), len(ATTRIBUTES), len(ATTRIBUTES)),
+    "tau_alpha": real(-1.0, 1.0),
     "effects": list_of(EFFECT, 0, len(MODEL_EFFECTS)),
 }

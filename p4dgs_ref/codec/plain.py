@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..scenes.scene import LARGEST_BOX
+from ..scenes.scene import MAX_BOX
 from .container import require, require_encodable
 from .header import read_header, write_header
 
-BOX = f"lo <= hi, finite, within +-{LARGEST_BOX:g}"  # what the box of a file must be
+BOX = f"lo <= hi, finite, within +-{MAX_BOX:g}"  # what the box of a file must be
 BOX_BYTES = 24
 
 
@@ -31,7 +31,7 @@ class Form(NamedTuple):
 def valid_box(lo, hi):
     """Whether a file may hold this box; False for NaN."""
     # The float32 next to 1e30 is larger than 1e30, hence < and not <=.
-    return (np.abs([lo, hi]) < np.float32(LARGEST_BOX)).all() and (lo <= hi).all()
+    return (np.abs([lo, hi]) < np.float32(MAX_BOX)).all() and (lo <= hi).all()
 
 
 def write_positions(model, positions):

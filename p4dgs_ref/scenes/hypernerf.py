@@ -27,13 +27,13 @@ import numpy as np
 from ..splatting.camera import Camera
 from .fields import REQUIRED, fields, list_of, numbers, require, text
 from .files import read_image, read_json, read_points, shrink
-from .scene import FARTHEST, FOCAL, LARGEST_LENS, PRINCIPAL, View, rotation, size_of
+from .scene import FOCAL, MAX_COORDINATE, MAX_LENS, PRINCIPAL, View, rotation, size_of
 
 SPLITS = "dataset.json"
 FULL = "the files of a HyperNeRF or NeRF-DS folder"
 PAIR, TRIPLE = partial(PRINCIPAL, shape=(2,)), partial(PRINCIPAL, shape=(3,))
 NAMES = partial(list_of, check=text)
-COUNT = partial(numbers, low=0, high=LARGEST_LENS, kind=int)
+COUNT = partial(numbers, low=0, high=MAX_LENS, kind=int)
 DATASET = dict.fromkeys(("train_ids", "val_ids", "ids"), (NAMES, ()))
 MOMENT = partial(
     fields, table={"time_id": (COUNT, None), "warp_id": (COUNT, REQUIRED)}, others=True
@@ -47,7 +47,7 @@ CAMERA = {
     "pixel_aspect_ratio": (FOCAL, 1.0),
     "principal_point": (PAIR, REQUIRED),
     "skew": (partial(numbers, low=0, high=0), 0.0),
-    "image_size": (partial(numbers, low=1, high=LARGEST_LENS, shape=(2,)), REQUIRED),
+    "image_size": (partial(numbers, low=1, high=MAX_LENS, shape=(2,)), REQUIRED),
     "radial_distortion": (TRIPLE, np.zeros(3)),
     "tangential_distortion": (PAIR, np.zeros(2)),
 }
@@ -126,9 +126,9 @@ def place(folder, x):
     world = fields(read_json(file, FULL), file, WORLD, others=True)
     placed = (x - world.center) * world.scale
     require(
-        np.all(np.abs(placed) <= FARTHEST),
+        np.all(np.abs(placed) <= MAX_COORDINATE),
         f"{file}: scale",
-        f"puts a camera or point beyond {FARTHEST:g}; expected less",
+        f"puts a camera or point beyond {MAX_COORDINATE:g}; expected less",
     )
     return placed
 

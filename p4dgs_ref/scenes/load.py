@@ -11,7 +11,7 @@ from ..output import write_atomically
 from . import dnerf, hypernerf
 from .fields import numbers, require
 from .files import read_json, read_points
-from .scene import LARGEST_LENS, MODEL_EFFECTS, Scene, background_color, model_effects
+from .scene import MAX_LENS, MODEL_EFFECTS, Scene, background_color, model_effects
 
 DESCRIPTION = "scene.json"
 
@@ -28,7 +28,7 @@ def load_scene(
     are read. Raises SceneError with one line that names the file, the field and what was expected.
     """
     folder = find_scene(path)
-    downscale = numbers(downscale, "downscale", 1, LARGEST_LENS, kind=int)
+    downscale = numbers(downscale, "downscale", 1, MAX_LENS, kind=int)
     effects = model_effects(
         read_scene_json(folder).get("effects"), f"{folder / DESCRIPTION}: effects"
     )

@@ -16,13 +16,13 @@ from .fields import REQUIRED, choice, fields, list_of, numbers, require
 
 # How much a scene and a file may hold, so that a damaged one costs neither time nor memory. The
 # codec's format page states the limits of a file; a port has to keep to them.
-FARTHEST = 1e6  # scene units from the origin to a camera or point, along any axis
-LEAST_LENS, LARGEST_LENS = 1e-9, 1e9  # pixels of a focal length; of a principal point
-LARGEST_JSON = 2**27  # bytes; a view takes about 500
-MOST_FILE, MOST_HEADER = 2**29, 2**14  # bytes
-MOST_ANCHORS, MOST_ENTRIES = 2**22, 2**24  # entries of the hash grid
-LARGEST_BOX = 1e30  # of a coordinate, so that extents are finite in float32
-MOST_SYMBOL, MOST_STEPS = 2**31, 2**15 - 1  # magnitudes of a symbol, and of a weight's
+MAX_COORDINATE = 1e6  # scene units from the origin to a camera or point, along any axis
+MIN_LENS, MAX_LENS = 1e-9, 1e9  # pixels of a focal length; of a principal point
+MAX_JSON_BYTES = 2**27  # a view takes about 500
+MAX_FILE_BYTES, MAX_HEADER_BYTES = 2**29, 2**14
+MAX_ANCHORS, MAX_ENTRIES = 2**22, 2**24  # entries of the hash grid
+MAX_BOX = 1e30  # of a coordinate, so that extents are finite in float32
+MAX_SYMBOL, MAX_STEPS = 2**31, 2**15 - 1  # magnitudes of a symbol, and of a weight's
 
 # The closed lists of effects. The simulator knows the effects of the model and three of its own.
 MODEL_EFFECTS = (
@@ -43,7 +43,7 @@ ROTATION_TOLERANCE = 1e-3
 
 def rotation(value, where):
     """Check a 3 x 3 matrix that is a rotation: orthonormal, and no mirror."""
-    R = numbers(value, where, -FARTHEST, FARTHEST, (3, 3))
+    R = numbers(value, where, -MAX_COORDINATE, MAX_COORDINATE, (3, 3))
     error, determinant = np.abs(R @ R.T - np.eye(3)).max(), np.linalg.det(R)
     require(
         error <= ROTATION_TOLERANCE and determinant > 0,
@@ -57,10 +57,10 @@ def rotation(value, where):
 # Checks that several formats share, and the fields of a camera.
 SHARE = partial(numbers, low=0, high=1)
 COLOR = partial(SHARE, shape=(3,))
-NUMBER = partial(numbers, low=-FARTHEST, high=FARTHEST)
+NUMBER = partial(numbers, low=-MAX_COORDINATE, high=MAX_COORDINATE)
 POINT = partial(NUMBER, shape=(3,))
-FOCAL = partial(numbers, low=LEAST_LENS, high=LARGEST_LENS)
-PRINCIPAL = partial(numbers, low=-LARGEST_LENS, high=LARGEST_LENS)
+FOCAL = partial(numbers, low=MIN_LENS, high=MAX_LENS)
+PRINCIPAL = partial(numbers, low=-MAX_LENS, high=MAX_LENS)
 CAMERA = {
     "R": (rotation, REQUIRED),
     "T": (POINT, REQUIRED),

@@ -49,7 +49,7 @@ def forward(
     JW = (W[None, :2] - uv[:, :, None] * W[2]) * (focal / z)[:, :, None]  # [N, 2, 3]
     m = JW if R is None else JW @ R  # [N, 2, 3]  its rows are m_1 and m_2
     mS = m @ Sigma
-    a, c = (np.einsum("nij,nij->ni", mS, m) + blur).T
+    a, c = (np.einsum("nij,nij->ni", mS, m) + blur).T  # [N]  the diagonal of cov2d
     # the mean of both off-diagonal entries
     b = ((mS[:, 0] * m[:, 1]).sum(axis=1) + (mS[:, 1] * m[:, 0]).sum(axis=1)) / 2
     with np.errstate(over="ignore", invalid="ignore"):  # splats beyond every image, culled below

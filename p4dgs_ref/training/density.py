@@ -9,7 +9,7 @@ import numpy as np
 
 from ..attributes import ATTRIBUTES, ROWS
 
-LARGEST_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this in every adjustment
+MAX_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this in every adjustment
 
 
 @dataclass

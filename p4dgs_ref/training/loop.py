@@ -26,10 +26,12 @@ from .density import Statistics
 from .parameters import Adam
 from .watch import NotFinite, first_bad
 
-MOST_MOMENTS = 2**28  # bytes of moments for SSIM that are kept: 682 views of 64x64, 4 of 800x800
+MAX_MOMENT_BYTES = (
+    2**28
+)  # bytes of moments for SSIM that are kept: 682 views of 64x64, 4 of 800x800
 
 
-EVERY = 20  # most iterations between two rows of training.csv; a short training has more rows
+ROW_EVERY = 20  # most iterations between two rows of training.csv; a short training has more rows
 COLUMNS = ("iteration", "stage", "loss", "psnr_db", "bits_per_parameter", "anchors", "gaussians")
 
 
@@ -49,7 +51,7 @@ class Loop:
         self.iteration = 0
         self.order = np.zeros(0, np.int64)  # the views still to be visited, last first
         self.history = []  # rows of training.csv
-        self.moments = {}  # by view, as long as they fit into MOST_MOMENTS bytes
+        self.moments = {}  # by view, as long as they fit into MAX_MOMENT_BYTES bytes
 
     def start(self, parameters):
         """Take over the first parameters, with zero Adam moments."""
@@ -70,12 +72,12 @@ class Loop:
     def moments_of(self, view):
         """The moments of the truth for SSIM, which are the same at every visit.
 
-        They are four float64 images, and computed anew where other views have filled MOST_MOMENTS.
+        They are four float64 images, computed anew where other views have filled MAX_MOMENT_BYTES.
         """
         if id(view) in self.moments:
             return self.moments[id(view)]
         moments = ssim.moments(view.image)
-        if 32 * view.image.size * (len(self.moments) + 1) <= MOST_MOMENTS:
+        if 32 * view.image.size * (len(self.moments) + 1) <= MAX_MOMENT_BYTES:
             self.moments[id(view)] = moments
         return moments
 
@@ -138,7 +140,7 @@ class Progress:
         done, total = trainer.iteration, trainer.preset.iterations
         stage, decibel = trainer.preset.stage(done - 1), psnr(rendered.image, view.image)
         counts = trainer.primitives, len(rendered.index)
-        if done % min(EVERY, max(total // 50, 1)) == 0 or done == total:
+        if done % min(ROW_EVERY, max(total // 50, 1)) == 0 or done == total:
             trainer.history.append([done, stage, losses.L_total, decibel, losses.L_rate, *counts])
         self.steps += 1
         seconds = time.monotonic() - self.shown

@@ -9,11 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from ..model import MOST_NUMBERS, declared_numbers
+from ..model import MAX_NUMBERS, declared_numbers
 from ..scenes.scene import MODEL_EFFECTS
 from .initial import design_of
 
-LARGEST = 1e18  # of a field: an integer of a hundred digits could not become a float
+MAX_VALUE = 1e18  # of a field: an integer of a hundred digits could not become a float
 
 
 def between(least, most):
@@ -29,8 +29,8 @@ def layers(most):
     )
 
 
-POSITIVE = (f"a positive number up to {LARGEST:g}", lambda value: 0 < value <= LARGEST)
-NOT_NEGATIVE = between(0, LARGEST)
+POSITIVE = (f"a positive number up to {MAX_VALUE:g}", lambda value: 0 < value <= MAX_VALUE)
+NOT_NEGATIVE = between(0, MAX_VALUE)
 RATE = (
     "first,last, two positive rates or 0,0",
     lambda ends: (
@@ -41,7 +41,7 @@ STEP = between(2.0**-40, 2.0**40)
 FLAG = ("true or false", lambda value: True)
 ENDS = (
     "four rising iterations",
-    lambda ends: len(ends) == 4 and sorted((0, *ends)) == [0, *ends] and 1 <= ends[-1] <= LARGEST,
+    lambda ends: len(ends) == 4 and sorted((0, *ends)) == [0, *ends] and 1 <= ends[-1] <= MAX_VALUE,
 )
 GROWING = ("scaffold, reseed or off", lambda value: value in ("scaffold", "reseed", "off"))
 
@@ -155,7 +155,7 @@ class Preset:
         return 1 + sum(iteration >= end for end in self.stage_ends[:3])
 
 
-def table(preset):
+def rows_of(preset):
     """The rows {name: field} of a preset or of its class; `metadata` has the columns of a row."""
     return {row.name: row for row in fields(preset) if row.metadata}
 
@@ -176,7 +176,7 @@ PAPER_REAL = Preset(
     stage_ends=(3000, 4000, 10_000, 20_000),
     mask_from=4000,
 )
-TINY = Preset(name="tiny", **{name: row.metadata["tiny"] for name, row in table(Preset).items()})
+TINY = Preset(name="tiny", **{name: row.metadata["tiny"] for name, row in rows_of(Preset).items()})
 # The points of a real scene know its depth, which few cameras cannot measure: anchors keep it.
 TINY_REAL = replace(TINY, name="tiny_real", lr_x=PAPER_REAL.lr_x)
 # For tests; published files were made with its learning rates.
@@ -217,7 +217,7 @@ def differences(preset, against=PAPER_SYNTHETIC):
     """Every difference as (field, value of the other, value of the preset)."""
     return [
         (name, value_of(against, row), value_of(preset, row))
-        for name, row in table(preset).items()
+        for name, row in rows_of(preset).items()
         if value_of(against, row) != value_of(preset, row)
     ]
 
@@ -234,9 +234,9 @@ def choose(
         if preset not in presets:
             raise ValueError(f"preset {preset!r}: expected one of {', '.join(presets)}")
         preset = presets[preset]
-    defaults = {name: row.default for name, row in table(preset).items()}
+    defaults = {name: row.default for name, row in rows_of(preset).items()}
     changed = replace(preset, **read_changes(preset.name, defaults, changes))
-    for name, row in table(preset).items():
+    for name, row in rows_of(preset).items():
         (expected, is_met), value = row.metadata["requirement"], getattr(changed, name)
         if not is_met(value):
             raise ValueError(f"field {name!r}: expected {expected}, got {value!r}")
@@ -245,9 +245,9 @@ def choose(
             "field 'grid_3d': expected a level here or in grid_2d; the context has no other input"
         )
     parts = declared_numbers(design_of(changed, MODEL_EFFECTS), changed.anchors)
-    if sum(parts.values()) > MOST_NUMBERS:
+    if sum(parts.values()) > MAX_NUMBERS:
         raise ValueError(
-            f"fields 'anchors', 'grid_3d', 'hidden' and others: expected at most {MOST_NUMBERS} "
+            f"fields 'anchors', 'grid_3d', 'hidden' and others: expected at most {MAX_NUMBERS} "
             f"numbers in a model, as many as a file may hold, got {parts}"
         )
     return changed

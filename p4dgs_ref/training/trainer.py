@@ -176,7 +176,7 @@ class Trainer(Loop):
         elif preset.grow == "scaffold" and growing:
             self.keep_rows(~dead, density.grow(p, statistics, preset, self.rng))
             log_s = self.parameters["log_s"]
-            log_s[...] = np.minimum(log_s, density.LARGEST_LOG_SCALE)
+            log_s[...] = np.minimum(log_s, density.MAX_LOG_SCALE)
         if preset.grow != "scaffold":
             self.statistics = density.Statistics.empty(*self.mask.shape)
         elif growing or now >= preset.mask_from:

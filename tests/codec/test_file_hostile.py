@@ -8,7 +8,7 @@ import pytest
 
 from p4dgs_ref.codec.container import SECTIONS, BitstreamError, EncodeError
 from p4dgs_ref.codec.gaussian_table import MU_LIMIT
-from p4dgs_ref.codec.header import MOST_NUMBERS, check_work, declared_numbers
+from p4dgs_ref.codec.header import MAX_NUMBERS, check_work, declared_numbers
 from p4dgs_ref.designs import PRESETS, decode, encode, read_container
 from p4dgs_ref.report.inspect import ledger
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
@@ -341,7 +341,7 @@ def test_files_of_all_presets_are_within_the_bounds_of_work(name):
     """Even if every stream is empty, so that an anchor has the six bytes of its position alone."""
     design = design_of(PRESETS[name], MODEL_EFFECTS)
     fixed, per_anchor = declared_numbers(design, 0), declared_numbers(design, 1)["anchors"]
-    most = (MOST_NUMBERS - sum(fixed.values())) // per_anchor
+    most = (MAX_NUMBERS - sum(fixed.values())) // per_anchor
     for anchors in (1, 1000, 20_000, 100_000, most):
         check_work(design, anchors, 6 * anchors + 2 * fixed["networks"])
 

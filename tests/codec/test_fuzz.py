@@ -14,7 +14,7 @@ from p4dgs_ref.codec import container, file
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.codec.file import NETWORK_SECTIONS
 from p4dgs_ref.codec.gaussian_table import SIGMA_MAX, SIGMA_MIN, gaussian_model
-from p4dgs_ref.codec.header import MOST_NUMBERS, declared_numbers
+from p4dgs_ref.codec.header import MAX_NUMBERS, declared_numbers
 from p4dgs_ref.codec.published import FOLDER
 from p4dgs_ref.codec.quantise import without_silent_units
 from p4dgs_ref.codec.streams import decode_symbols, encode_bits, encode_gaussian
@@ -281,7 +281,7 @@ def test_every_table_at_once_takes_five_eighths_of_the_64_mib():
         model = gaussian_model(mu, sigma)
         assert np.array_equal(decode_symbols(data, model), symbols)
     assert len(model.first) > 65_000
-    assert MOST_NUMBERS * (33 - 32) < 2**26 * 5 // 8
+    assert MAX_NUMBERS * (33 - 32) < 2**26 * 5 // 8
 
 
 @pytest.mark.slow
@@ -334,6 +334,6 @@ def test_hostile_headers_cost_no_memory():
 def test_the_largest_model_has_256_mib():
     """The preset for real scenes may have 390,000 anchors, but not 400,000."""
     design = quantise(sample_model(0, 1, **REAL)).model.design
-    assert MOST_NUMBERS == 2**28 // 8
-    assert sum(declared_numbers(design, 390_000).values()) <= MOST_NUMBERS
-    assert sum(declared_numbers(design, 400_000).values()) > MOST_NUMBERS
+    assert MAX_NUMBERS == 2**28 // 8
+    assert sum(declared_numbers(design, 390_000).values()) <= MAX_NUMBERS
+    assert sum(declared_numbers(design, 400_000).values()) > MAX_NUMBERS

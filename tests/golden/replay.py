@@ -18,7 +18,7 @@ from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training.density import Statistics
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.parameters import Adam, Parameters
-from p4dgs_ref.training.presets import Preset, table
+from p4dgs_ref.training.presets import Preset, rows_of
 from p4dgs_ref.training.trainer import Trainer
 from tests.golden.cases import Case
 from tests.golden.flat import CAMERA_SHAPES, camera_of
@@ -96,7 +96,7 @@ UNUSED = ("anchors", "extent", "feature_std", "opacity_bias", "upright", "deform
 # What the vectors switch off and no preset can switch on, at its place among the settings.
 OFF_AFTER = {"deformation": {"time_net": (), "skip": False}, "lambda_ssim": {"lambda_volume": 0.0}}
 SETTINGS = {}
-for field in table(PRESET):
+for field in rows_of(PRESET):
     if field not in UNUSED:
         SETTINGS |= {field: getattr(PRESET, field), **OFF_AFTER.get(field, {})}
 
@@ -149,7 +149,7 @@ def views_of(W, T, focal, center, size, times, truth):
 
 def trainer_of(trainer, state, views, background, iteration, effects, settings):
     """Return a Trainer in a given state: arrays, moments, steps, mask, sums and box."""
-    preset = replace(PRESET, **{n: v for n, v in settings.items() if n in table(PRESET)})
+    preset = replace(PRESET, **{n: v for n, v in settings.items() if n in rows_of(PRESET)})
     scene = SimpleNamespace(train=views, effects=effects, background=background, points=None)
     trainer = trainer(scene, preset, settings=EXACT)
     p, m, v = (

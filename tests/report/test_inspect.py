@@ -12,7 +12,7 @@ import p4dgs_ref as p4
 from p4dgs_ref.codec import container, file, published
 from p4dgs_ref.codec.__main__ import page
 from p4dgs_ref.codec.container import SECTIONS
-from p4dgs_ref.codec.gaussian_table import table
+from p4dgs_ref.codec.gaussian_table import lookup_table
 from p4dgs_ref.designs import layout, quantised_of, read_container
 from p4dgs_ref.equations import grid_nodes
 from p4dgs_ref.report import figures as report
@@ -117,7 +117,7 @@ def test_the_format_page_is_complete():
         assert words in text, words
     words = " ".join(text.split())
     for name in ("phi", "exp2", "sigmoid", "log2"):
-        assert " ".join(map(str, table(name).tolist())) in words
+        assert " ".join(map(str, lookup_table(name).tolist())) in words
 
 
 def test_the_format_page_lists_sections_in_the_order_of_the_file():

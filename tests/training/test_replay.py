@@ -12,7 +12,7 @@ from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.initial import design_of
-from p4dgs_ref.training.presets import Preset, table
+from p4dgs_ref.training.presets import Preset, rows_of
 from p4dgs_ref.training.trainer import LEARNING_RATES
 from tests.golden import replay
 from tests.golden.mistakes import MISTAKES
@@ -187,7 +187,7 @@ def test_every_field_of_the_preset_is_a_setting():
     for case in CASES:
         settings = case.inputs()
         assert {*replay.SETTINGS} <= {*settings}
-        assert {*table(Preset)} - {*replay.SETTINGS} == {*replay.UNUSED}
+        assert {*rows_of(Preset)} - {*replay.SETTINGS} == {*replay.UNUSED}
 
 
 # --- a port that shows its steps ----------------------------------------------------------------

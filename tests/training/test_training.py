@@ -21,7 +21,7 @@ from p4dgs_ref.training.presets import (
     TINY,
     choose,
     differences,
-    table,
+    rows_of,
 )
 from p4dgs_ref.training.trainer import Trainer
 from p4dgs_ref.training.watch import NotFinite, equation_codes, watching
@@ -77,7 +77,7 @@ def test_deformation_network_sizes_of_choice_q1(scene):
 def test_differences_name_every_changed_field_with_the_papers_value():
     for preset in (TINY, SMOKE):
         listed = {field: (paper, here) for field, paper, here in differences(preset)}
-        for field in table(preset):
+        for field in rows_of(preset):
             same = getattr(preset, field) == getattr(PAPER_SYNTHETIC, field)
             assert (field in listed) != same
             assert same or listed[field] == (
@@ -354,8 +354,8 @@ def test_moments_of_the_pictures_stay_within_their_budget(scene, monkeypatch):
     """What is kept for SSIM is bounded, and training ends with the same bytes without it."""
     ends, most = [], []
     of_one_view = 4 * 8 * scene.train[0].image.size
-    for budget in (loop.MOST_MOMENTS, 2 * of_one_view, 0):
-        monkeypatch.setattr(loop, "MOST_MOMENTS", budget)
+    for budget in (loop.MAX_MOMENT_BYTES, 2 * of_one_view, 0):
+        monkeypatch.setattr(loop, "MAX_MOMENT_BYTES", budget)
         trainer = Trainer(scene, SHORT, seed=1)
         trainer.run()
         ends.append(trainer.parameters.vector.tobytes())

@@ -152,10 +152,12 @@ class Explicit:
 
     def render(self, camera, t, settings=FAST):
         """The image [H, W, 3] at time t in [0, 1]. Clip it to [0, 1] before saving it."""
-        (image, *_), _ = self.draw(self.gaussians(t, camera), camera, settings, keep=False)
+        (image, *_), _ = self.render_gaussians(
+            self.gaussians(t, camera), camera, settings, keep=False
+        )
         return image
 
-    def draw(self, g, camera, settings, keep=True):
+    def render_gaussians(self, g, camera, settings, keep=True):
         """What `splatting.render.forward` returns for some Gaussians, and its backward."""
         looks = camera, self.background, settings, self.occlusion, keep
         return with_backward(render, g.x, g.s, g.r, g.alpha, g.color, *looks)
@@ -166,8 +168,8 @@ class Explicit:
 
     def save(self, path):
         """Write the file; returns its bytes as {"gaussians": ..., "network": ..., "other": ...}."""
-        arrays, zeros = dict(self.parameters.arrays), np.zeros((self.primitives, 3))
-        rows = {name: arrays.pop(name, zeros) for name in self.PROPERTIES}  # zeros are the normals
+        arrays, normals = dict(self.parameters.arrays), np.zeros((self.primitives, 3))
+        rows = {name: arrays.pop(name, normals) for name in self.PROPERTIES}
         columns = [array.reshape(len(array), -1) for array in rows.values()]
         properties = [
             text.replace("*", str(i)) if "*" in text else text.split()[i]
@@ -184,9 +186,14 @@ class Explicit:
             "shapes": {name: array.shape for name, array in arrays.items()},
         }
         comments = json.dumps(values), f"{len(network)} float32 of networks follow the vertices"
-        rows, rest = np.concatenate(columns, axis=1), network.astype("<f4").tobytes()
-        other, gaussians, network_bytes = write_ply(path, properties, rows, comments, rest)
-        return {"gaussians": gaussians, "network": network_bytes, "other": other}
+        sizes = write_ply(
+            path,
+            properties,
+            np.concatenate(columns, axis=1),
+            comments,
+            network.astype("<f4").tobytes(),
+        )
+        return dict(zip(("other", "gaussians", "network"), sizes))
 
 
 def start(preset, rng, points=None):
@@ -285,8 +292,8 @@ class Trainer(Loop):
 
     def around(self, parameters):
         """The model of some parameters, which it does not copy."""
-        occlusion = "occlusion" in self.scene.effects
-        return self.kind(parameters, self.preset, self.scene.background, occlusion)
+        scene = self.scene
+        return self.kind(parameters, self.preset, scene.background, "occlusion" in scene.effects)
 
     def model(self):
         """The model as it is now."""
@@ -318,11 +325,10 @@ class Trainer(Loop):
         model, gradients = self.around(p), p.zeros()
         x_c = view.camera.center.astype(p.vector.dtype)
         g, back_predict = model.predict(self.time_of(view), x_c, self.iteration)
-        (image, _, visible), back_draw = model.draw(g, view.camera, self.settings)
-        truth = view.image.astype(image.dtype)
-        moments = self.moments_of(view)
+        (image, _, visible), back_render = model.render_gaussians(g, view.camera, self.settings)
+        truth, moments = view.image.astype(image.dtype), self.moments_of(view)
         losses, back_loss = with_backward(render_loss, image, truth, preset.lambda_ssim, moments)
-        bars = back_draw(back_loss(1.0)["image"])
+        bars = back_render(back_loss(1.0)["image"])
         gaussians_bar = [bars[name].astype(p.vector.dtype) for name in g._fields[:-1]]
         for name, gradient in back_predict(*gaussians_bar).items():
             gradients[name][...] = gradient
@@ -331,9 +337,13 @@ class Trainer(Loop):
         if not np.isfinite(L_total) or not np.isfinite(gradients.vector).all():
             bad = first_bad({"L_total": L_total, **gradients.arrays})
             raise NotFinite(f"iteration {self.iteration}: loss or gradient of {bad}")
-        losses = Losses(L_total, L_render, L1, D_SSIM, 0.0, 0.0)
         unused = np.zeros((self.primitives, 1))  # opacities, which decide nothing here
-        return losses, Rendered(unused, g.index, visible, image), gradients, bars["mean2d"]
+        return (
+            Losses(L_total, L_render, L1, D_SSIM, 0.0, 0.0),
+            Rendered(unused, g.index, visible, image),
+            gradients,
+            bars["mean2d"],
+        )
 
     def scatter(self, children):
         """Move copies {array name: rows} of a Gaussian to points drawn from it, and shrink them."""
@@ -407,7 +417,6 @@ def reset_opacity(p, first, second):
 
     What the pictures need becomes opaque again; the rest is pruned.
     """
-    most = np.log(RESET_ALPHA / (1 - RESET_ALPHA))
-    p["logit_alpha"][...] = np.minimum(p["logit_alpha"], most)
-    first["logit_alpha"][...] = 0
-    second["logit_alpha"][...] = 0
+    limit = np.log(RESET_ALPHA / (1 - RESET_ALPHA))
+    p["logit_alpha"][...] = np.minimum(p["logit_alpha"], limit)
+    first["logit_alpha"][...] = second["logit_alpha"][...] = 0

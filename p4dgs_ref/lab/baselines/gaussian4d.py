@@ -148,11 +148,11 @@ class Gaussian4D(explicit.Explicit):
 
         return color, back
 
-    def draw(self, g, camera, settings, keep=True):
+    def render_gaussians(self, g, camera, settings, keep=True):
         """See `Explicit`."""
         looks = camera, self.background, settings, self.occlusion, keep
-        output, saved = render.draw(g.x, g.Sigma, g.alpha, g.color, *looks)
-        return output, partial(render.draw_backward, saved)
+        output, saved = render.from_covariances(g.x, g.Sigma, g.alpha, g.color, *looks)
+        return output, partial(render.from_covariances_backward, saved)
 
 
 def four_scales(p):

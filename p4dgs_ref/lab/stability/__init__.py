@@ -85,8 +85,8 @@ def rows(only=None):
     `judged`. Infinities and NaN are text.
     """
     cases = hard_cases().values()
-    chosen = [case for case in cases if only is None or f"{case['id']}.".startswith(f"{only}.")]
-    if not chosen:
+    wanted = [case for case in cases if only is None or f"{case['id']}.".startswith(f"{only}.")]
+    if not wanted:
         raise StudyError(f"--only {only}: expected a case, or its beginning up to a dot, like H-R1")
     return [
         {
@@ -94,13 +94,13 @@ def rows(only=None):
             "dtype": dtype,
             **measure(case, dtype),
         }
-        for case in chosen
+        for case in wanted
         for dtype in DTYPES
     ]
 
 
 def measure(case, dtype):
-    """Run an equation forward and backward on a case in one precision; returns what it found."""
+    """Run an equation on a case in one precision, both ways; returns the fields of `judged`."""
     equation, true = EQUATIONS[case["equation"]], case["true"]
     outputs, pullback = equation.vjp(**cast(case["inputs"], dtype))
     gradients = pullback(**cast(case["cotangents"], dtype)) if equation.gradients else {}
@@ -125,20 +125,20 @@ def judged(literal, ours, true, error, grad_error, bound, grad_bound):
     good = error <= bound and (grad_error is None or grad_error <= grad_bound)
     return {
         "literal": literal,
-        "ours": number(ours),
-        "true": number(true),
-        "error": number(error),
-        "grad_error": number(grad_error),
+        "ours": json_number(ours),
+        "true": json_number(true),
+        "error": json_number(error),
+        "grad_error": json_number(grad_error),
         "bound": bound,
         "grad_bound": None if grad_error is None else grad_bound,
         "verdict": "ok" if good else "fails",
     }
 
 
-def worst(found, true, each):
+def worst(arrays, true, each):
     """The largest error of all arrays with true values; None without any."""
     return max(
-        (relative(a, true[name], each) for name, a in found.items() if name in true), default=None
+        (relative(a, true[name], each) for name, a in arrays.items() if name in true), default=None
     )
 
 
@@ -149,7 +149,7 @@ def pick(values, index):
     return np.asarray(values)[tuple(index)]
 
 
-def number(value):
+def json_number(value):
     """A number that JSON can hold: infinities and NaN become text."""
     value = value.item() if isinstance(value, (np.ndarray, np.generic)) else value
     return str(value) if isinstance(value, float) and not np.isfinite(value) else value
@@ -201,20 +201,20 @@ def maps():
     Errors are relative above 1e-6 bits, and infinite where a formula gives NaN or infinity.
     """
     z, w = np.meshgrid(*plane(), indexing="ij")
-    found = {}
+    errors = {}
     for dtype in DTYPES:
         for name in FORMULAS:
             error, _ = formulas.errors(formulas.FORMULAS[name], z.ravel(), w.ravel(), dtype)
             log = np.log10(np.maximum(error, 10.0 ** LEVELS[0]))
-            found[name, dtype] = np.where(np.isfinite(error), log, np.inf).reshape(z.shape)
-    return found
+            errors[name, dtype] = np.where(np.isfinite(error), log, np.inf).reshape(z.shape)
+    return errors
 
 
-def draw_maps(figure, axes, found, titles, **text):
+def draw_maps(figure, axes, errors, titles, **text):
     """Draw `maps` into axes with titles; infinite is red. All share a bar of colours."""
     distances, widths = plane()
     colors, (low, high) = pyplot().get_cmap("viridis").with_extremes(over="red"), LEVELS
-    for ax, log, title in zip(axes.ravel(), found.values(), titles):
+    for ax, log, title in zip(axes.ravel(), errors.values(), titles):
         # An infinite error is above the levels, every finite one at or below them.
         shown = np.where(np.isinf(log), high + 1, np.minimum(log, high))
         mesh = ax.pcolormesh(
@@ -232,11 +232,11 @@ def draw_maps(figure, axes, found, titles, **text):
 
 def draw_map(path):
     """Draw the map to a PNG and write its numbers beside it, with the ending .csv."""
-    found = maps()
+    errors = maps()
     figure, axes = pyplot().subplots(
         2, 3, figsize=(8, 6.2), sharex=True, sharey=True, layout="constrained"
     )
-    draw_maps(figure, axes, found, map(", ".join, found), fontsize=11)
+    draw_maps(figure, axes, errors, map(", ".join, errors), fontsize=11)
     figure.suptitle(
         "error of the bits (relative above 1e-6 bits)\nred: infinite or NaN; reference: quadrature",
         fontsize=13,
@@ -244,7 +244,7 @@ def draw_map(path):
     save_figure(figure, path)
     rows = [
         (name, dtype, f"{z:.6g}", f"{w:.6g}", f"{value:.3f}")
-        for (name, dtype), log in found.items()
+        for (name, dtype), log in errors.items()
         for (z, w), value in zip(product(*plane()), log.ravel())
     ]
     columns = ["formula", "dtype", "distance_over_sigma", "q_over_sigma", "log10_error"]

@@ -149,11 +149,13 @@ def best(rows, points):
 
     Both are chosen by the mean over the scenes. Without one of them there is no row.
     """
-    small = [row for row in points if row["method"] == CODED and row["bytes"] <= MAX_BYTES]
-    theirs = [row for row in points if row["method"] == RIVAL]
-    if not (small and theirs):
+    groups = [
+        [row for row in points if row["method"] == CODED and row["bytes"] <= MAX_BYTES],
+        [row for row in points if row["method"] == RIVAL],
+    ]
+    if not all(groups):
         return []
-    pair = [max(group, key=lambda row: row["psnr_db"])["label"] for group in (small, theirs)]
+    pair = [max(group, key=lambda row: row["psnr_db"])["label"] for group in groups]
     by_scene = [means([row for row in rows if row["label"] == one], "scene") for one in pair]
     return [
         {
@@ -234,11 +236,8 @@ def to_text(result):
         lines += ["", f"At most {MAX_BYTES:,} bytes: {result['best'][0]['points']}"]
         lines += text_table(BEST, result["best"])
     low, high = result["composition"]["lambda_rate"]
-    return "\n".join(
-        [
-            *lines,
-            "",
-            f"The paper's Table 4: what a file consists of at lambda_rate {low:g} and {high:g}",
-            *text_table(TABLE_4, result["composition"]["rows"]),
-        ]
-    )
+    lines += [
+        "",
+        f"The paper's Table 4: what a file consists of at lambda_rate {low:g} and {high:g}",
+    ]
+    return "\n".join([*lines, *text_table(TABLE_4, result["composition"]["rows"])])

@@ -297,11 +297,10 @@ def save_plain(model, path, half=()):
     """Write the file and return its bytes by kind, like a baseline's."""
     gaussians = {name: a for name, a in model.anchors._asdict().items() if name != "mask"}
     network = {
-        f"{name}.{kind}{i}": a
+        key: a
         for name, layers in model.networks.items()
         if name not in CONTEXT_NETWORKS
-        for kind, arrays in zip("Wb", layers)
-        for i, a in enumerate(arrays)
+        for key, a in baselines.explicit.of_network(name, *layers).items()
     }
     values = {**gaussians, **network, "background": model.background}
     types = [
@@ -310,11 +309,11 @@ def save_plain(model, path, half=()):
     design = str(vars(model.design))
     record = np.array((*values.values(), design), [*types, ("design", f"S{len(design)}")])
     output.write_atomically(path, lambda file: np.save(file, record))
-    sizes = [sum(record[name].nbytes for name in part) for part in (gaussians, network)]
+    anchors, weights = (sum(record[n].nbytes for n in part) for part in (gaussians, network))
     return {
-        "gaussians": sizes[0],
-        "network": sizes[1],
-        "other": path.stat().st_size - sum(sizes),
+        "gaussians": anchors,
+        "network": weights,
+        "other": path.stat().st_size - anchors - weights,
     }
 
 

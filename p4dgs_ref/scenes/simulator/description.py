@@ -12,7 +12,7 @@ import numpy as np
 
 from ..fields import REQUIRED, choice, fields, list_of, numbers, one_of, require, text, typed
 from ..files import read_json
-from ..scene import COLOR, FARTHEST, NUMBER, POINT, SHARE, SIMULATOR_EFFECTS, check_effects
+from ..scene import COLOR, MAX_COORDINATE, NUMBER, POINT, SHARE, SIMULATOR_EFFECTS, check_effects
 
 
 def direction(value, where):
@@ -22,7 +22,7 @@ def direction(value, where):
     return axis
 
 
-POSITIVE = partial(numbers, low=1e-6, high=FARTHEST)
+POSITIVE = partial(numbers, low=1e-6, high=MAX_COORDINATE)
 COUNT = partial(numbers, low=1, high=100_000, kind=int)
 SIZE = partial(numbers, low=1, high=4096, shape=(2,), kind=int)
 ELEVATION = partial(numbers, low=-89, high=89, shape=(2,))

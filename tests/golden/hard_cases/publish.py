@@ -8,7 +8,7 @@ import json
 
 import numpy as np
 
-from p4dgs_ref.lab.stability import FILE, number, pick
+from p4dgs_ref.lab.stability import FILE, json_number, pick
 from p4dgs_ref.oracle.compare import cast
 
 from .catalogue import ENTRIES
@@ -21,7 +21,7 @@ def literal_of(entry, dtype):
     with np.errstate(all="ignore"):
         result = entry.literal(given)
     _, index = entry.shown
-    return number(pick(result, index) if np.ndim(result) else result)
+    return json_number(pick(result, index) if np.ndim(result) else result)
 
 
 def row(entry):
