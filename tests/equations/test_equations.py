@@ -13,12 +13,10 @@ import pytest
 from p4dgs_ref import table
 from p4dgs_ref.designs import EQUATIONS
 from p4dgs_ref.equations import likelihood
-from p4dgs_ref.oracle import checker, published
 from tests.equations import adjoint, rules
 from tests.equations.adjoint import close, is_float
+from tests.equations.rules import altered
 from tests.golden.cases import FLAGS, case_of, cases_of
-from tests.golden.checks import altered
-from tests.oracle.answers import Port
 
 ALL = [
     pytest.param(eq, case, id=f"{key}-{case.name}")
@@ -62,13 +60,6 @@ def test_backward_is_the_adjoint_of_the_derivative(eq, case):
 @EVERY
 def test_rules(rule, eq, case):
     rule(eq, case)
-
-
-@EACH
-def test_published_vectors(eq):
-    """Most of them were computed in 60-digit decimals, or are closed forms."""
-    found = checker.check_subject(published.cases(eq.key), Port())
-    assert [r for r in found if r.verdict != "pass"] == []
 
 
 def test_the_printed_likelihood_agrees_on_the_ordinary_case():
