@@ -60,8 +60,12 @@ def test_likelihood_names_what_is_not_positive(name):
 # --- Eq. (9) -------------------------------------------------------------------------------------
 
 
-def test_levels_must_match():
+def test_levels_must_match_and_coordinates_be_finite():
     x_a, lo, hi = np.zeros((1, 3)), np.zeros(3), np.ones(3)
+    with pytest.raises(ValueError, match=r"x_a\[0, 0\] is nan"):
+        grid_nodes.nodes(x_a * np.nan, lo, hi, "xy", 2, 4)
+    with pytest.raises(ValueError, match="finite corners"):
+        grid_nodes.nodes(x_a, lo, np.full(3, np.inf), "xy", 2, 4)
     with pytest.raises(ValueError):
         hash_grid.forward(x_a, lo, hi, [np.ones((4, 1))], (("xy", 2), ("xz", 2)))
     with pytest.raises(ValueError):

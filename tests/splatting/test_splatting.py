@@ -79,6 +79,13 @@ def test_needles_have_all_their_digits_in_every_renderer(ratio):
     np.testing.assert_allclose(found, image, rtol=1e-12)
 
 
+def test_fast_settings_stop_where_every_tile_is_opaque():
+    inputs = splats(1000, 8, 8, seed=1000, alpha=(0.9, 1.0))
+    bar = np.ones((8, 8, 3))
+    image, exact = run(fast, inputs, bar, settings=FAST)[0], run(compositing, inputs, bar)[0]
+    assert largest(image, exact) <= 1e-4
+
+
 def test_fast_settings_stay_within_their_declared_error():
     """Image within 1e-4 and gradients within 1e-3 of the exact twin, for a random cotangent."""
     inputs = splats(1000, 64, 64, seed=1000)
