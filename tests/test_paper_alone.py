@@ -20,7 +20,7 @@ MODULES = [
     PACKAGE / "codec" / "picture.txt",
 ]
 KEPT = (  # of the tests, which need neither published vectors nor baselines
-    *("equations", "numerics", "rate_oracles", "splatting", "scenes", "simulator", "training"),
+    *("equations", "numerics", "splatting", "scenes", "simulator", "training"),
     *("density", "pipeline_gradient", "file", "container", "entropy_coder", "conformance", "fuzz"),
 )
 OURS = re.compile(r"\bB[123]\b|is_coded|coded design|version 2|(import|from) .*\bbeyond\b")

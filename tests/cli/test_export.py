@@ -3,7 +3,6 @@
 Also a mistake of `view` that needs two files.
 """
 
-import imageio.v3 as iio
 import numpy as np
 import pytest
 
@@ -71,26 +70,6 @@ def test_the_header_says_what_was_frozen(place, run):
         "comment effects of the model: none",
     ]
     assert comments(place / "sum.ply")[0].endswith("frozen at time 0")
-
-
-def test_a_held_camera_is_that_of_render(place, run):
-    model = p4.decode((place / "bouncing.p4dgs").read_bytes())
-    middle = (model.box[0].astype(float) + model.box[1]) / 2
-
-    def camera(azimuth, elevation, distance, size):
-        azimuth, elevation = np.radians([azimuth, elevation])
-        outward = np.array([np.cos(azimuth), np.sin(azimuth), np.tan(elevation)])
-        focal = size / 2 / np.tan(np.radians(20.5))
-        center = middle + distance * np.cos(elevation) * outward
-        return p4.look_at(center, middle, focal, focal, size, size)
-
-    assert run("export-ply bouncing.p4dgs")[0] == 0
-    same_picture(place / "bouncing.ply", model, camera(40, 30, 3.6, 32), 0.0)
-    moved = "--azimuth 100 --elevation 10 --distance 2 --size 24 --frames 1 --settings exact"
-    assert run(f"render bouncing.p4dgs -o drawn {moved}")[0] == 0
-    want = np.clip(model.render(camera(100, 10, 2, 24), 0, EXACT), 0, 1)
-    drawn = iio.imread(place / "drawn/t_000.png") / 255
-    np.testing.assert_allclose(drawn, want, atol=0.501 / 255)
 
 
 @pytest.mark.parametrize(

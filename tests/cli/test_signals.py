@@ -123,21 +123,6 @@ def test_while_a_worker_starts(tmp_path, name):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
-@SIGNALS
-def test_at_ten_moments_of_the_start(tmp_path, name):
-    argv = ["demo", "bouncing", "-o", "out", "--quiet"]
-    # SIGTERM ends Python silently until the handlers are in place before the first import.
-    first = {"INT": "p4dgs_ref.signals", "TERM": "p4dgs_ref.cli"}[name]
-    code = SLOW.format(module=first, seconds=0) + CONSOLE_SCRIPT.format(argv=argv)
-    for i in range(10):
-        process = start("-c", code, cwd=tmp_path)
-        assert process.stdout.readline() == "ready\n"
-        time.sleep(0.002 + 0.032 * i)
-        stopped = stop(process, name).removeprefix("p4dgs-ref: stopped")
-        assert stopped in ("\n", f"{SAID['demo']}\n") and not list(tmp_path.iterdir())
-
-
 def test_handlers_are_put_back_and_others_are_left_alone():
     def own(*arguments):
         pass

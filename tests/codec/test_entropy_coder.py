@@ -153,17 +153,6 @@ def test_twin_reads_and_writes_the_same_bytes(lanes):
     assert np.array_equal(decode_gaussian(data, mu, sigma, pop_rows=rans.pop_rows_plainly), symbols)
 
 
-@pytest.mark.parametrize("lanes", [1, 4])
-def test_states_that_are_powers_of_two_meet_every_limit_exactly(lanes):
-    keys = np.array([0, 2**23, 2**24])  # every zero doubles the state: 2^31, 2^32, ... 2^62
-    for n in range(1024, 1160, 3):
-        data = rans.encode(np.zeros(n, int), keys, lanes)
-        assert data == rans.encode(np.zeros(n, int), keys, lanes, **TWIN)
-        entries, end = rans.decode(data, np.zeros(n, np.uint8), keys)
-        assert end == len(data)
-        assert not entries.any()
-
-
 def test_lanes_are_chosen_by_the_length_of_the_message():
     symbols, mu, sigma, _ = draw(200_000, 0.15, 8)
     lengths = (100, 20_000, 100_000, 200_000)
@@ -171,33 +160,6 @@ def test_lanes_are_chosen_by_the_length_of_the_message():
     assert log2_lanes == [0, 0, 5, 6]
     with pytest.raises(ValueError, match="too short a message for 64 lanes"):
         encode_gaussian(symbols[:500], mu[:500], sigma[:500], lanes=64)
-
-
-@pytest.mark.parametrize(
-    "n, low, high",
-    few(
-        [
-            (20_000, 0.15, 8),
-            (200_000, 0.15, 8),
-            (1000, 0.15, 8),
-            (200_000, 0.02, 0.3),
-            (50_000, 0.05, 0.05),
-            (5000, 0.01, 0.01),
-            (50_000, 31, 33),
-            (200_000, 60, 30_000),
-            (20_000, 1e5, 9e5),
-        ],
-        3,
-    ),
-)
-def test_size_is_within_three_permille_of_the_float_entropy(n, low, high):
-    symbols, mu, sigma, bits = draw(n, low, high, seed=n, offset=-1234.5)
-    data, ideal = encode_gaussian(symbols, mu, sigma), ideal_bits_gaussian(symbols, mu, sigma).sum()
-    assert len(data) <= 1.003 * bits / 8 + 16
-    assert 8 * len(data) <= 1.0015 * ideal + 8 * 10  # the coder alone
-    if n >= 50_000:
-        assert 0.999 * bits <= ideal <= 1.0005 * bits + 16  # the integers alone
-    assert np.array_equal(decode_gaussian(data, mu, sigma), symbols)
 
 
 @pytest.mark.parametrize(
@@ -272,24 +234,6 @@ def test_every_truncation_and_every_extension_is_refused(message):
     for byte in (0, 255):
         for n in (1, 4, 9, 400):
             assert is_refused(data + bytes([byte]) * n, mu, sigma)
-
-
-def test_flipped_bits_never_pass_the_coder(message):
-    _, mu, sigma, data = message
-    rng, model = np.random.default_rng(5), gaussian_model(mu, sigma)
-    _, raw = rans.decode(data, model.table, model.keys)
-    seen = set()
-    for _ in range(150):
-        at = int(rng.integers(len(data)))
-        bad = bytearray(data)
-        bad[at] ^= 1 << int(rng.integers(8))
-        answer = outcome(bytes(bad), mu, sigma)
-        if isinstance(answer, str):
-            seen.add(answer)
-        else:
-            assert at >= raw  # raw bits have no redundancy; the container's checksum has
-    assert any(answer.startswith("lane 0 ends in") for answer in seen)
-    assert ("a lane does not end where lanes start" in seen) == (data[0] & 15 > 0)
 
 
 @pytest.mark.parametrize(

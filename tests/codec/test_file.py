@@ -17,11 +17,10 @@ from tests.codec.models import (
     MAKE,
     arrays_of,
     changed,
-    coded,
     digest,
     exact_context,
 )
-from tests.golden.both import NEEDS_OURS, quantise, write_container
+from tests.golden.both import quantise, write_container
 from tests.golden.sample_model import sample_model
 from tests.sampling import few
 
@@ -224,29 +223,6 @@ def test_everything_masked_leaves_one_anchor_and_the_background(model):
     background = decoded.background.astype(picture.dtype)
     assert np.array_equal(picture, np.broadcast_to(background, (24, 40, 3)))
     assert sum(row["bytes"] for row in ledger(data)) == len(data)
-
-
-VERSION_2 = pytest.param(coded, marks=NEEDS_OURS)
-
-
-@pytest.mark.parametrize("make", [MAKE["random"], VERSION_2], ids=["version 1", "version 2"])
-def test_the_order_of_axes_in_memory_does_not_matter(make):
-    model = make()
-    networks = {
-        name: tuple([*map(np.asfortranarray, part)] for part in pair)
-        for name, pair in model.networks.items()
-    }
-    turned = dataclasses.replace(
-        model,
-        anchors=Anchors(*map(np.asfortranarray, model.anchors)),
-        networks=networks,
-        grids=[*map(np.asfortranarray, model.grids)],
-    )
-    assert not turned.networks["psi_p"][0][0].flags.c_contiguous
-    assert encode(turned) == encode(model)
-    expected = arrays_of(quantise(model).model)
-    for name, a in arrays_of(quantise(turned).model).items():
-        assert a.strides == expected[name].strides, name
 
 
 def test_integers_in_the_design_and_float64_boxes_get_the_types_of_the_file(model):

@@ -1,7 +1,6 @@
 """Hostile files: every damage is refused, and the memory of decoding is bounded by the header."""
 
 import contextlib
-import dataclasses
 import json
 import tracemalloc
 from collections import Counter
@@ -10,7 +9,7 @@ from datetime import date
 import numpy as np
 import pytest
 
-from p4dgs_ref.codec import container, file
+from p4dgs_ref.codec import container
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.codec.file import NETWORK_SECTIONS
 from p4dgs_ref.codec.gaussian_table import SIGMA_MAX, SIGMA_MIN, gaussian_model
@@ -24,7 +23,7 @@ from tests import ROOT
 from tests.codec.models import changed, digest, refusal
 from tests.golden import fuzz
 from tests.golden.both import NEEDS_OURS, VERSIONS, quantise, write_container
-from tests.golden.damage import Mutation, assemble, damage_header, mutation
+from tests.golden.damage import assemble, damage_header, mutation
 from tests.golden.sample_model import sample_model
 from tests.sampling import few
 
@@ -85,7 +84,7 @@ def test_a_mutation_is_always_the_same():
             (lambda data: np.ones(2**24), "bytes of memory"),
             (lambda data: [][1], "IndexError"),
             (lambda data: np.float64(1e308) * 10, "RuntimeWarning"),
-            (lambda data: sum(range(2_000_000)), "seconds"),
+            (lambda data: sum(range(500_000)), "seconds"),
         ],
         1,
     ),
@@ -102,53 +101,6 @@ def test_a_faulty_decoder_is_noticed(monkeypatch, fault, found):
     _, failures = fuzz.fuzz(12)
     assert failures
     assert all(found in failure for failure in failures)
-
-
-def test_an_accepted_change_is_noticed(monkeypatch, least, capsys):
-    """A reader that ignores checksums accepts a flipped bit; the program then exits with 1."""
-    sections = read_container(least)
-    body = bytearray(sections["anchor_mlps"])
-    body[0] ^= 1
-    monkeypatch.setattr(container.zlib, "crc32", lambda data: 0)
-    good = write_container(sections)
-    bad = write_container({**sections, "anchor_mlps": bytes(body)})
-    assert fuzz.judge(Mutation("raw flip", bad, good)) == ("failed", "changed, but decoded")
-    assert fuzz.judge(Mutation("repaired flip", bad, good)) == ("within limits", "")
-    monkeypatch.setattr(fuzz, "mutation", lambda seed, i, files: Mutation("raw flip", bad, good))
-    assert fuzz.main(["--count", "2"]) == 1
-    out = capsys.readouterr().out
-    assert "mutation 1, raw flip: changed" in out
-    assert out.endswith("\n2 damaged files tried, 2 failures\n")
-
-
-def test_models_beyond_their_header_are_noticed(least):
-    q = file.quantised_of(read_container(least))
-    assert fuzz.beyond_limits(q) == []
-    anchors = q.model.anchors
-    infinite = anchors._replace(f_a=anchors.f_a * np.inf)
-    flat = anchors._replace(O_a=anchors.O_a[0])
-    wrong = {
-        "f_a": dataclasses.replace(q.model, anchors=infinite),
-        "O_a": dataclasses.replace(q.model, anchors=flat),
-        "grid 0": dataclasses.replace(q.model, grids=[q.model.grids[0][1:]]),
-    }
-    for name, model in wrong.items():
-        assert fuzz.beyond_limits(q._replace(model=model)) == [name]
-    assert fuzz.beyond_limits(q._replace(positions=q.positions + 65536)) == ["positions"]
-    assert fuzz.beyond_limits(q._replace(symbols=q.symbols * 0 + 2**31 + 1)) == ["symbols"]
-    case = Mutation("raw flip", least[:-1], least[:-1])
-    assert fuzz.judge(case) == ("failed", "a good file was refused")
-
-
-def test_the_program_reports_how_many_files_it_tried(tmp_path, least, capsys):
-    (tmp_path / "good.p4dgs").write_bytes(least)
-    assert fuzz.main(["--count", "40", "--seed", "4", str(tmp_path / "good.p4dgs")]) == 0
-    assert capsys.readouterr().out.endswith("\n40 damaged files tried, 0 failures\n")
-    for name, reason in (("bad", "not a P-4DGS file"), ("none", "No such file")):
-        (tmp_path / "bad").write_bytes(least[1:])
-        with pytest.raises(SystemExit, match="2"):
-            fuzz.main([str(tmp_path / name)])
-        assert reason in capsys.readouterr().err.splitlines()[-1]
 
 
 # --- Encoding again ---

@@ -266,33 +266,6 @@ def test_a_verdict_is_computed_from_the_numbers(kind, points, wanted):
 
 
 # --- figures -------------------------------------------------------------------------------------
-@pytest.fixture
-def saved(monkeypatch):
-    """Figures as they are just before they are written, {file: figure}."""
-    figures = {}
-    monkeypatch.setattr(diagram, "save_figure", lambda fig, path: figures.update({path.name: fig}))
-    yield figures
-    for figure in figures.values():
-        diagram.pyplot().close(figure)
-
-
-LOGARITHMIC = dict(xscale="log", yscale="log")
-
-
-def test_failures_are_red_at_the_top_and_lines_can_be_told_apart():
-    rows = rows_of("ms", ("a", 1, 0.1), ("b", 2, math.inf), ("c", 3, 0.001), ("d", 4, 0.0))
-    rows += [{**rows[0], "line": f"line {i}"} for i in range(12)]
-    figure, ax = diagram.pyplot().subplots()
-    ax.set(**LOGARITHMIC)
-    diagram.lines(ax, rows, "ms", "error")
-    first, *others = ax.lines
-    assert list(first.get_ydata()) == pytest.approx([0.1, math.nan, 0.001, 1e-17], nan_ok=True)
-    assert [a.get_xdata()[0] for a in others if a.get_color() == "red"] == [2]
-    bars = [list(a.get_xdata()) for a in others if len(a.get_xdata()) == 2]
-    assert bars[:2] == [[0.5, 1.5], [1.5, 2.5]]
-    looks = [(a.get_color(), a.get_marker()) for a in ax.lines if a.get_label()[0] != "_"]
-    assert len(set(looks)) == 12
-    diagram.pyplot().close(figure)
 
 
 # --- the page ------------------------------------------------------------------------------------

@@ -57,17 +57,6 @@ def test_ledger(tmp_path):
     assert (tmp_path / "ledger.png").stat().st_size > 10_000
 
 
-@pytest.mark.slow
-def test_two_processes_train_the_builds_that_one_trains():
-    scene = load_scene("bouncing", downscale=4)
-    builds = {"listed": scene, "without": effect_ledger.switched(scene, "translation")}
-    alone, together = (effect_ledger.train_all(builds, SHORT, 3, jobs=jobs) for jobs in (1, 2))
-    for name in builds:
-        assert alone[name]["data"] == together[name]["data"]
-        assert alone[name]["work"] == together[name]["work"]
-    assert alone["listed"]["data"] != alone["without"]["data"]
-
-
 def test_work_that_effects_share_belongs_to_none_of_them():
     def work(*heads):
         shapes = [(12, 5), *((5, columns) for columns in heads)]

@@ -18,8 +18,6 @@ from p4dgs_ref.training.presets import TINY
 from tests.sampling import of_the_day
 from tests.training.effect_scenes import described
 
-VIEWS = 24
-
 
 def suggested(scene, **options):
     return {row["effect"]: row for row in suggest.suggest(scene, **options)}

@@ -1,12 +1,10 @@
 """The size ledger, the heat picture, and the format page."""
 
-import dataclasses
 import json
 import re
 
 import numpy as np
 import pytest
-from matplotlib import colormaps
 
 import p4dgs_ref as p4
 from p4dgs_ref.codec import container, file, published
@@ -15,10 +13,7 @@ from p4dgs_ref.codec.container import SECTIONS
 from p4dgs_ref.codec.gaussian_table import lookup_table
 from p4dgs_ref.designs import layout, quantised_of, read_container
 from p4dgs_ref.equations import grid_nodes
-from p4dgs_ref.report import figures as report
-from p4dgs_ref.report.figures import heat_image
 from p4dgs_ref.report.inspect import anchor_bits, ledger, symbol_bits
-from p4dgs_ref.splatting.camera import look_at
 from tests import processes
 from tests.codec.models import MAKE, coded
 
@@ -57,47 +52,6 @@ def test_anchor_bits_add_up_to_the_cost_of_all_anchors(data):
     q = quantised_of(data)
     assert symbol_bits(q).shape == q.symbols.shape
     assert not symbol_bits(q)[~q.kept].any()
-
-
-def test_the_color_of_an_anchor_is_that_of_its_gaussians(data):
-    """Another colour of one anchor changes the picture where its Gaussians are, nowhere else."""
-    model = p4.decode(data)
-    camera = look_at((2.5, 2.0, 2.2), (0, 0, 0), 60, 60, 40, 40)
-    colors = np.full((len(model.anchors.x_a), 3), 0.5)
-    flat = heat_image(model, colors, camera, 0.5)
-    seen = np.unique(model.gaussians(0.5, camera).index // model.design.k)
-    assert len(seen) > 3
-    assert np.ptp(flat.reshape(-1, 3), axis=0).max() > 0.05  # the scene is visible over white
-    colors[seen[0]] = 0.0
-    difference = np.abs(heat_image(model, colors, camera, 0.5) - flat).max(axis=2)
-    alone = model.anchors.mask & (np.arange(len(colors)) == seen[0])[:, None]
-    anchors = model.anchors._replace(mask=alone)
-    only = dataclasses.replace(model, anchors=anchors, background=np.zeros(3))
-    covered = heat_image(only, colors, camera, 0.5).min(axis=2) < 0.999
-    assert difference[~covered].max(initial=0) <= 1e-3 < difference.max()
-
-
-def test_the_bar_of_the_heat_picture_spans_the_bits(data, tmp_path, monkeypatch):
-    """Bar and histogram have the data's range and name the unit; the picture has its colours."""
-    saved = []
-    monkeypatch.setattr(report, "save_figure", lambda figure, path: saved.append(figure))
-    monkeypatch.setattr(report, "heat_image", lambda model, colors, *view: colors[None])
-    model = p4.decode(data)
-    bits = np.random.default_rng(3).gamma(4, 30, len(model.anchors.x_a))
-    limits = bits.min(), bits.max()
-    report.write_heat(tmp_path, model, bits, None)
-    (figure,) = saved
-    figure.canvas.draw()
-    picture, histogram, bar = figure.axes
-    assert bar.get_ylim() == limits
-    assert "bits" in bar.get_ylabel() and "bits" in histogram.get_xlabel()
-    columns = histogram.patches
-    assert sum(column.get_height() for column in columns) == len(bits)
-    assert (columns[0].get_x(), columns[-1].get_x() + columns[-1].get_width()) == limits
-    drawn = picture.images[0].get_array()[0]
-    want = colormaps["viridis"]((bits - limits[0]) / np.ptp(bits))[:, :3]
-    np.testing.assert_allclose(drawn, want, atol=0.02)
-    report.pyplot().close(figure)
 
 
 def test_the_format_page_is_complete():

@@ -20,13 +20,11 @@ import p4dgs_ref as p4
 from p4dgs_ref.arithmetic import arithmetic
 from p4dgs_ref.cli import text
 from p4dgs_ref.designs import fit, paper_preset
-from p4dgs_ref.lab.tables import methods
 from p4dgs_ref.output import OutputError
 from p4dgs_ref.report import figures as report
 from p4dgs_ref.report import jobs as job
 from p4dgs_ref.report.evaluate import explicit_bytes, psnr, score
 from p4dgs_ref.report.jobs import in_processes
-from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.training.loop import COLUMNS
 from p4dgs_ref.training.presets import TINY
 from p4dgs_ref.training.watch import NotFinite
@@ -235,17 +233,6 @@ def test_folder_is_tried_before_the_work(scene, tmp_path, monkeypatch):
         p4.main_job(scene, "smoke", 0, tmp_path / "file" / "report")
 
 
-def test_a_few_views_and_a_short_training(scene, tmp_path):
-    trainer = fit(scene, "smoke", 0, stage_ends=(1, 1, 1, 2))
-    report.write_training(tmp_path, trainer.history, trainer.preset.stage_ends)
-    metrics, rows, images = p4.evaluate(trainer.model(), scene)
-    one = p4.Scene("one", scene.train, scene.test[:1])
-    report.write_comparison(tmp_path, one, rows[:1], images[:1])
-    assert (
-        len(table(tmp_path / "training.csv")) == 2 and len(table(tmp_path / "comparison.csv")) == 1
-    )
-
-
 def test_progress_on_a_terminal(scene, monkeypatch):
     monkeypatch.setenv("COLUMNS", "60")
     stream = io.StringIO()
@@ -259,15 +246,6 @@ def test_progress_on_a_terminal(scene, monkeypatch):
     assert lines[-1].startswith("45/45  0 s left  stage 4  loss ")
 
 
-def test_progress_shows_what_history_keeps(scene):
-    stream = io.StringIO()
-    trainer = fit(scene, "smoke", 0, stream=stream)
-    assert fit(scene, "smoke", 0).history == trainer.history
-    last, final = stream.getvalue().splitlines()[-1], trainer.history[-1]
-    assert f"{final[4]:.2f} bits/parameter  {final[5]} anchors  {final[6]} Gaussians" in last
-    assert f"loss {final[2]:.4f}  PSNR {final[3]:.2f} dB" in last and len(trainer.history) == 45
-
-
 def place(seconds):
     """A task that takes some time and says where it ran."""
     time.sleep(seconds)
@@ -276,19 +254,6 @@ def place(seconds):
 
 def explode(task):
     raise NotFinite(f"iteration {task}: f_a[3, 1] is nan")
-
-
-@pytest.mark.slow
-def test_two_processes_train_what_one_trains(tmp_path):
-    scene, found = load_scene("bouncing", downscale=8), []
-    for jobs in (1, 2):
-        (tmp_path / str(jobs)).mkdir()
-        task = methods.Task(scene, "p4dgs", 0, tmp_path / str(jobs), 6, {"anchors": 20})
-        tasks = [task, task._replace(seed=1)]
-        for row in in_processes(methods.make, tasks, jobs):
-            row.pop("train_seconds")
-            found.append((row, (tmp_path / str(jobs) / row["file"]).read_bytes()))
-    assert found[:2] == found[2:] and found[0][0]["psnr_db"] != found[1][0]["psnr_db"]
 
 
 @pytest.mark.slow

@@ -185,15 +185,6 @@ def test_pictures_of_a_distorting_lens_are_straightened(folder, name, ratio):
     np.testing.assert_allclose((view.camera.f_x, view.camera.c_x), straight, rtol=1e-12)
 
 
-def test_a_lens_without_distortion_keeps_every_bit(folder):
-    before = load_scene(folder).train[0].image
-    edit(folder / f"camera/{LEFT[0]}.json", radial_distortion=[0, 0, 1e-300])
-    np.testing.assert_allclose(load_scene(folder).train[0].image, before, atol=1e-6)
-    fields = ("radial_distortion", "tangential_distortion", "skew")
-    edit(folder / f"camera/{LEFT[0]}.json", **dict.fromkeys(fields))
-    np.testing.assert_array_equal(load_scene(folder).train[0].image, before)
-
-
 def test_splits_of_scenes_that_test_interpolation(folder):
     names = LEFT + RIGHT
     edit(folder / "dataset.json", train_ids=names, val_ids=[])

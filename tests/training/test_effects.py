@@ -12,7 +12,7 @@ import pytest
 from p4dgs_ref.codec import quantise
 from p4dgs_ref.designs import encode
 from p4dgs_ref.effects import MOTION
-from p4dgs_ref.lab.effect_ledger import counted, effect_bytes
+from p4dgs_ref.lab.effect_ledger import effect_bytes
 from p4dgs_ref.model import Anchors, predict
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS
@@ -99,15 +99,6 @@ def test_the_effects_bytes_are_what_the_file_has_more(name, monkeypatch):
         for effect, size in effect_bytes(data).items():
             without = file_with(tuple(e for e in effects if e != effect))
             assert size == networks(data) - networks(without), effect
-
-
-def test_counted_work_is_that_of_the_formulas():
-    """The work of `rotation` counted by hand from the shapes: nothing else needs psi_d."""
-    trainer = trained("static", "rotation", True)[0]
-    with counted() as work:
-        _, seen, _ = trainer.step()
-    N, (I, h, g) = len(seen.index), (3 * (1 + 2 * SHORT.L_x), *SHORT.deformation)
-    assert work.multiply_adds["rotation"] == N * (I * h + h * g + g * 4)
 
 
 # --- off equals the neutral input ---
@@ -231,18 +222,3 @@ def test_without_occlusion_every_gaussian_is_as_if_alone(name, settings):
     close(ours["background"], bar.sum(axis=(0, 1)), 1e-12, "background")
     both = run(slice(None), True)[0]
     assert np.abs(both - off).max() > 0.01, "the Gaussians must overlap, or nothing is tested"
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_background_off_equals_black(name):
-    scene = small_scene(name)
-    view = scene.train[2]
-    design, p = random_build(listed(scene.effects, "background", False), seed=4)
-    full = replace(design, effects=listed(scene.effects, "background", True))
-    bar = np.random.default_rng(3).normal(size=(8, 8, 3))
-    without = replace(scene, effects=design.effects)
-    assert not without.background.any() and scene.background.any()
-    off, ours, _ = picture_and_gradients(p, design, view, without.background, bar)
-    on, theirs, _ = picture_and_gradients(p, full, view, np.zeros(3), bar)
-    assert np.array_equal(off, on) and all(np.array_equal(ours[key], theirs[key]) for key in ours)
-    assert np.abs(picture_and_gradients(p, full, view, scene.background, bar)[0] - on).max() > 0.1

@@ -44,15 +44,6 @@ def test_the_pipeline_against_a_loop():
         assert g.alpha[n] == pytest.approx(1 / (1 + np.exp(-p["logit_alpha"][n])), rel=1e-12)
 
 
-def test_no_gradient_flows_from_the_encoding_into_positions():
-    p = random_parameters()
-    p["psi_d.W0"][:9] = 1  # now E(x) matters
-    g, back = model_of(p).predict(0.4, np.zeros(3))
-    bars = [np.zeros_like(a) for a in g[:5]]
-    bars[0][...] = 1
-    assert np.array_equal(back(*bars)["x"], bars[0])
-
-
 # --- training ---
 
 

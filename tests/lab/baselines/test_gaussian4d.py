@@ -7,9 +7,6 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.lab.baselines import gaussian4d, rotation_4d, sh_color
-from p4dgs_ref.splatting import render
-from p4dgs_ref.splatting.camera import look_at
-from p4dgs_ref.splatting.settings import EXACT
 
 from . import small
 
@@ -53,20 +50,6 @@ def test_the_pipeline_against_a_loop():
     assert g.index.tolist() == rows
     near = [weight for weight in weights if 0.03 < weight < 0.08]
     assert min(near) < 0.05 < max(near), "the threshold lies between two Gaussians"
-
-
-def test_a_gaussian_at_rest_is_one_of_3dgs():
-    """With equal quaternions and at its own time: the picture of `render.forward`."""
-    p, camera = random_parameters(2), look_at(X_C, (0, 0, 0), 30, 30, 24, 20)
-    p["raw_l"][...] = p["raw_r"]
-    p["mu_t"][...] = 0.3
-    g = model_of(p).gaussians(0.3, camera)
-    r = p["raw_r"] / np.linalg.norm(p["raw_r"], axis=1, keepdims=True)
-    alpha = 1 / (1 + np.exp(-p["logit_alpha"]))
-    looks = (camera, np.ones(3), EXACT)
-    (image, *_), _ = render.forward(p["x"], np.exp(p["log_s"]), r, alpha, g.color, *looks)
-    assert model_of(p).render(camera, 0.3, EXACT) == pytest.approx(image, abs=1e-12)
-    assert np.ptp(image) > 0.1
 
 
 # --- training ---

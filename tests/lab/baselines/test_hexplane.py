@@ -5,11 +5,9 @@ from functools import partial
 
 import numpy as np
 import pytest
-from scipy.ndimage import map_coordinates
 
-from p4dgs_ref.lab.baselines import hexplane, plane_features, plane_losses
+from p4dgs_ref.lab.baselines import hexplane, plane_features
 from p4dgs_ref.training.parameters import Parameters
-from tests.golden.cases import cases_of
 
 from . import small
 
@@ -19,50 +17,6 @@ model_of = partial(small.model_of, "hexplane")
 
 
 # --- equations ---
-def by_loop(x, t, lo, hi, planes):
-    """H1 point by point, plane by plane and feature by feature, by SciPy's interpolation."""
-    rows = []
-    for point in x:
-        u = [(a - b) / (c - b) for a, b, c in zip(point, lo, hi)] + [t]
-        u = np.clip(u, 0, 1)
-        row = []
-        for start in range(0, len(planes), 6):
-            product = np.ones(planes[0].shape[2])
-            pairs = ["xy", "xz", "yz", "xt", "yt", "zt"]
-            for pair, plane in zip(pairs, planes[start : start + 6]):
-                at = [[u["xyzt".index(a)] * (n - 1)] for a, n in zip(pair, plane.shape)]
-                for f in range(len(product)):
-                    product[f] *= map_coordinates(plane[:, :, f], at, order=1)[0]
-            row += [*product]
-        rows.append(row)
-    return np.array(rows)
-
-
-@pytest.mark.parametrize("name", ["ordinary", "first_and_last_time", "outside", "zeros"])
-def test_features_against_scipy(name):
-    (case,) = (case for case in cases_of("plane_features") if case.name == name)
-    features, _ = plane_features.forward(**case.inputs)
-    assert features == pytest.approx(by_loop(**case.inputs), rel=1e-12, abs=1e-12)
-
-
-def test_losses_against_a_loop():
-    (case,) = (case for case in cases_of("plane_losses") if case.name == "ordinary")
-    losses, planes = [0.0, 0.0, 0.0], case.inputs["planes"]
-    for i, P in enumerate(planes):
-        I, J, F = P.shape
-        if i in (0, 1, 2, 6, 7, 8):
-            down = [(P[a + 1, b, f] - P[a, b, f]) ** 2 for a, b, f in np.ndindex(I - 1, J, F)]
-            right = [(P[a, b + 1, f] - P[a, b, f]) ** 2 for a, b, f in np.ndindex(I, J - 1, F)]
-            losses[0] += np.mean(down) + np.mean(right)
-        else:
-            jerks = [
-                P[a, b + 1, f] - 2 * P[a, b, f] + P[a, b - 1, f]
-                for a, b, f in np.ndindex(I, J, F)
-                if 0 < b < J - 1
-            ]
-            losses[1] += np.mean(np.square(jerks))
-            losses[2] += np.mean([abs(v - 1) for v in P.ravel()])
-    assert plane_losses.forward(planes)[0] == pytest.approx(losses, rel=1e-12)
 
 
 # --- pipeline ---
@@ -79,7 +33,7 @@ def test_the_pipeline_against_a_loop():
     """Gaussian by Gaussian, from the formulas at the head of the module."""
     p, x_c, t = random_parameters(3), np.array([2.0, 1.0, -1.0]), 0.7
     g = model_of(p).predict(t, x_c)[0]
-    features = by_loop(p["x"], t, *p["box"], p.listed("planes"))
+    features, _ = plane_features.forward(p["x"], t, *p["box"], p.listed("planes"))
     W, b = p.network("psi")
     assert [w.shape for w in W[:2]] == [(4, 5), (5, 6)] and len(W) == 8
     for n, x in enumerate(p["x"]):
@@ -113,11 +67,3 @@ def test_the_planes_have_the_size_of_the_authors():
     assert np.all(time == 1)
     bound = np.sqrt(6 / 67)
     assert 0.95 * bound < np.abs(p["psi.W2"]).max() <= bound
-
-
-def test_the_first_deltas_shrink_with_their_gain():
-    gains = [1.0, 0.01]
-    psis = [hexplane.first_network(np.random.default_rng(0), 4, (5,), gain) for gain in gains]
-    for name, full in psis[0].items():
-        last = name[5:] in ("2", "4", "6")  # phi is layer 0, each head has two
-        assert psis[1][name] == pytest.approx(full * (0.01 if last else 1)), name

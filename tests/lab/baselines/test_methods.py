@@ -8,64 +8,19 @@ import pytest
 
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.lab import baselines
-from p4dgs_ref.lab.baselines.explicit import AFTER_TRAINING
 from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting.settings import EXACT
-from p4dgs_ref.training.parameters import Parameters
 
-from .small import MODULES, SMALL, model_of, random_parameters
+from .small import MODULES, SMALL, random_parameters
 
 EVERY = pytest.mark.parametrize("method", MODULES)
 WAITING = ("psi", "planes")  # arrays that take part once the Gaussians move
-ENDS = ((AFTER_TRAINING, 3, 0), (0, 0, 0))
-# Iterations, with the active degree of the harmonics and the waves in time.
-ITERATIONS = [
-    *((method, *row) for method in ("d3dgs", "hexplane") for row in ENDS),
-    *((method, 10, 1, 0) for method in ("d3dgs", "hexplane")),
-    *(("gaussian4d", *row) for row in ((0, 0, 0), (25, 2, 0), (30, 3, 0), (40, 3, 1))),
-    ("gaussian4d", AFTER_TRAINING, 3, 2),
-]
 
 
 def slope(values, h):
     """The difference quotient of values at +h and -h."""
     return (values[0] - values[1]) / (2 * h)
-
-
-@pytest.mark.parametrize("method, iteration, degree, waves", ITERATIONS)
-def test_gradients_of_the_pipeline(method, iteration, degree, waves):
-    """Against differences: static, moving and finished, with more and more harmonics."""
-    rng, p, x_c = np.random.default_rng(5), random_parameters(method), np.array([0.3, -3.0, 1.0])
-    g, back = model_of(method, p).predict(0.4, x_c, iteration)
-    bars = [rng.normal(size=a.shape) for a in g[:-1]]
-    gradients = p.zeros()
-    for name, gradient in back(*bars).items():
-        gradients[name][...] = gradient
-    for name in p.arrays:
-        d, h = rng.normal(size=p[name].shape), 3e-6
-
-        def value(step):
-            moved = Parameters(p.arrays, np.float64)
-            moved[name][...] += step * d
-            out, _ = model_of(method, moved).predict(0.4, x_c, iteration)
-            return sum(float((bar * a).sum()) for bar, a in zip(bars, out[:-1]))
-
-        if name == "box":
-            assert not np.any(gradients[name])
-            continue
-        ours = float((gradients[name] * d).sum())
-        theirs = slope([value(h), value(-h)], h)
-        assert ours == pytest.approx(theirs, rel=1e-6, abs=1e-7), name
-        if name != "sh_rest":
-            waits = iteration == 0 and name.startswith(WAITING)
-            assert np.any(gradients[name]) != waits, name
-        if method == "gaussian4d":
-            assert 0 < len(g.index) < 9 and not np.any(gradients[name][-1]), name
-    active = np.zeros((3 if method == "gaussian4d" else 1, 16), bool)
-    active[: waves + 1, : (degree + 1) ** 2] = True
-    received = np.concatenate([gradients["sh_dc"], gradients["sh_rest"]], axis=2)
-    assert np.array_equal(received.any(axis=(0, 1)), active.ravel())
 
 
 @pytest.mark.parametrize(

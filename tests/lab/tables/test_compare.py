@@ -52,28 +52,3 @@ def test_the_tables_show_the_papers_numbers_apart(compared):
     assert ours.endswith("38.10 0.985 1.039 262 24.18 0.855 0.704 274")
     assert text[heading + 2].split()[0] == "d3dgs_small"
     assert text[heading + 2].split()[-2:] == ["-", "-"]
-
-
-def test_every_scene_has_a_table_where_there_are_several(compared):
-    result = compared[1]
-    assert "bouncing  " not in study.to_text(result)
-    better = [{**row, "scene": "second", "psnr_db": 1.5} for row in result["methods"]]
-    text = study.to_text({**result, "methods": [*result["methods"], *better]}).splitlines()
-    at = next(i for i, line in enumerate(text) if line.startswith("second "))
-    lines = [" ".join(line.split()) for line in text[at + 1 :][: len(CHOSEN)]]
-    assert [line.split(" ±0.00")[0] for line in lines] == [f"{name} 1.50" for name in CHOSEN]
-    assert any(line.startswith("bouncing ") for line in text)
-
-
-def test_a_ratio_at_unequal_quality_is_noted():
-    def words(psnr):
-        rest = {"seed": 0, "render_fps": 100.0, "network_bytes": 10, "gaussians_bytes": 20}
-        rows = [
-            {**rest, "label": method, "bytes": size, "psnr_db": db}
-            for method, size, db in ((OURS, 100, psnr), ("d3dgs", 800, 34.0))
-        ]
-        return study.sentence(study.against(rows, "d3dgs"))
-
-    assert "Note: ours is below" in words(33.0) and "-1.00 dB" in words(33.0)
-    assert "Note" not in words(35.0) and "+1.00 dB" in words(35.0)
-    assert "its file is 8.0 times ours" in words(33.0)
